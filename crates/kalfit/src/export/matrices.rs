@@ -7,7 +7,7 @@ use crate::export::ExportError;
 use crate::export::plain::Plain;
 use crate::export::terms::{ONE, Terms};
 use crate::model::{Alpha, Expression, Scope};
-use crate::reduce::{Fault, Moves, Preparer, ReduceErrorKind, Subject, ldl};
+use crate::reduce::{Fault, Filled, Moves, Preparer, ReduceErrorKind, Subject, ldl};
 
 /// A model of constant coefficients, evaluated.
 #[derive(Debug)]
@@ -28,7 +28,7 @@ impl Made {
             return Err(ExportError::NoStep { what });
         }
         let step = (step.unwrap_or(f64::NAN), false);
-        let moves = preparer.plan.moves(dynamics, &dynamics.table.fixed, step, (&mut Vec::new(), None));
+        let moves = preparer.plan.moves(dynamics, &dynamics.table.fixed, step, (&mut Filled::default(), None));
         let moves = moves.map_err(named)?;
         let mut inputs: Vec<Expression> = Vec::new();
         for (_, term) in plain.drives.iter().chain(&plain.offsets).flatten() {

@@ -10,8 +10,7 @@
 //! Tests of one design then have one covariance run, and each but a data pass. Those with designs of their own are filtered side
 //! by side, phase after phase, and to the same bits in any company.
 
-use std::sync::Arc;
-
+use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
@@ -20,8 +19,8 @@ use crate::innovations::rows::{self, Figures};
 use crate::innovations::start::Start;
 use crate::model::{Alpha, Phase, PhasedModel};
 use crate::reduce::{
-    Cells, Evidence, Frame, Gains, Inherited, PhaseReducer, PhasedTest, Queue, ReduceError, Reducer, Terminal,
-    Workspace,
+    Beside, Cells, Entering, Evidence, Gains, Inherited, PhaseReducer, PhasedTest, ReduceError, Reducer, Skeleton,
+    Terminal, Workspace,
 };
 
 /// The filters of the phases.
@@ -34,8 +33,6 @@ pub(super) struct Plain {
 #[derive(Debug)]
 struct Known {
     reducer: Reducer,
-    /// The reducer's order of states, without unknowns.
-    frame: Arc<Frame>,
     /// Through which states σ enters.
     entering: Vec<usize>,
     /// The only phase: no covariance is handed on, and it may come from square-root arrays.
@@ -46,7 +43,10 @@ struct Known {
 #[derive(Debug)]
 pub(super) struct Waiting {
     work: Workspace,
-    queue: Queue,
+    beside: Beside,
+    /// Tests with designs of their own, and room for them.
+    own: Vec<Skeleton>,
+    spare: Vec<Skeleton>,
 }
 
 /// What a phase leaves: its innovations, and the last state where another phase follows.
@@ -74,17 +74,15 @@ impl Plain {
         let of = |(at, phase): (usize, &Phase)| -> Result<Known, ReduceError> {
             let reducer = Reducer::of_known_starts(&phase.entry_model(), alpha)?;
             let reducer = if at < last { reducer.with_ends() } else { reducer };
-            let frame = Arc::new(reducer.workspace().design.frame.without_unknowns());
-            Ok(Known { reducer, frame, entering: phase.entering(), alone: last == 0 })
+            Ok(Known { reducer, entering: phase.entering(), alone: last == 0 })
         };
         Ok(Plain { phases: model.phases.iter().enumerate().map(of).collect::<Result<_, _>>()? })
     }
 
     pub(super) fn workspace(&self) -> Vec<Waiting> {
-        let of = |known: &Known| {
-            let mut work = known.reducer.workspace();
-            work.design.frame = known.frame.clone();
-            Waiting { work, queue: Queue::default() }
+        let of = |Known { reducer, .. }: &Known| {
+            let (work, beside) = (reducer.workspace(), Beside::new(Isa::best(), reducer));
+            Waiting { work, beside, own: Vec::new(), spare: Vec::new() }
         };
         self.phases.iter().map(of).collect()
     }
@@ -127,46 +125,65 @@ impl Stage<'_> {
     /// The phase of all tests that have it.
     fn run(
         &self,
-        (start, carry): (&Start, &PhaseReducer),
+        of: (&Start, &PhaseReducer),
         tracks: &mut [Option<Track>],
-        (Waiting { work, queue }, cells): (&mut Waiting, &mut Cells),
+        (Waiting { work, beside, own, spare }, cells): (&mut Waiting, &mut Cells),
     ) {
-        let reducer = &self.known.reducer;
-        let mut odd = Vec::new();
-        for (number, rows) in self.rows.iter().enumerate() {
-            let (Some(rows), Some(track)) = (rows, &mut tracks[number]) else { continue };
+        let Known { reducer, alone, .. } = self.known;
+        let members = self.rows.iter().enumerate().filter_map(|(number, rows)| Some((number, (*rows)?)));
+        let (numbers, tests): (Vec<usize>, Vec<&Test>) = members.unzip();
+        let mut entering: Vec<Entering> = tests.iter().map(|_| Entering::default()).collect();
+        for (place, (&number, rows)) in numbers.iter().zip(&tests).enumerate() {
+            let Some(track) = &mut tracks[number] else { continue };
             let before = track.before.take();
-            if self.known.begin(rows, (start, carry), before.as_ref(), (work, cells)).is_none() {
-                tracks[number] = None;
+            let mut skeleton = spare.pop().unwrap_or_default();
+            if !reducer.preparer().skeleton(rows, place, work, &mut skeleton) {
+                spare.push(skeleton);
+                let found = self.by_itself(rows, of, before.as_ref(), (work, cells));
+                note(&mut tracks[number], found);
                 continue;
             }
-            let digest = work.design.digest();
-            if let Some(line) = queue.line_with(digest) {
-                self.side_by_side(line, tracks, (work, queue), &mut odd);
-            }
-            if reducer.goes_aside(digest, &work.design) {
-                if let Some(full) = queue.push(number, digest, work) {
-                    self.side_by_side(full, tracks, (work, queue), &mut odd);
+            match self.known.entering((rows, &skeleton.covariates), of, before.as_ref(), cells) {
+                Some(law) => {
+                    entering[place] = law;
+                    own.push(skeleton);
                 }
-                continue;
+                None => tracks[number] = None,
             }
-            note(&mut tracks[number], self.by_itself(rows, digest, work));
         }
-        while let Some(line) = queue.any() {
-            self.side_by_side(line, tracks, (work, queue), &mut odd);
-        }
-        for number in odd {
-            let rows = self.rows[number].expect("it was filtered");
-            let begun = self.known.begin(rows, (start, carry), None, (work, cells));
-            let digest = work.design.digest();
-            note(&mut tracks[number], begun.and_then(|()| self.by_itself(rows, digest, work)));
+        let mut odd = Vec::new();
+        beside.pass(reducer, (&tests, own, &entering), &mut work.room, |skeleton, passed| {
+            let place = skeleton.number;
+            let found = passed.map(|passed| {
+                let each = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
+                let series = rows::listed((self.at, tests[place], self.time), skeleton.measured(), each);
+                (series, passed.end)
+            });
+            // those that call for square roots may go by themselves where there is one phase
+            if found.is_none() && *alone { odd.push(place) } else { note(&mut tracks[numbers[place]], found) }
+        });
+        spare.append(own);
+        for place in odd {
+            let found = self.by_itself(tests[place], of, None, (work, cells));
+            note(&mut tracks[numbers[place]], found);
         }
     }
 
-    /// The phase of the test in the work space; `None` where it calls for square roots or is in error.
-    fn by_itself(&self, rows: &Test, digest: u128, work: &mut Workspace) -> Option<Left> {
+    /// The phase of a test by itself; `None` where it calls for square roots or is in error.
+    fn by_itself(
+        &self,
+        rows: &Test,
+        of: (&Start, &PhaseReducer),
+        before: Option<&Terminal>,
+        (work, cells): (&mut Workspace, &mut Cells),
+    ) -> Option<Left> {
+        let Known { reducer, .. } = self.known;
+        reducer.preparer().prepare(rows, work).ok()?;
+        let Entering { mean, variance } = self.known.entering((rows, &work.covariates), of, before, cells)?;
+        mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
+        variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
         let look = |gains: &Gains, work: &mut Workspace| self.look(rows, gains, work);
-        self.known.reducer.with_prepared(rows, digest, work, look).ok()?
+        reducer.with_prepared(rows, work.design.digest(), work, look).ok()?
     }
 
     /// What its gains leave; `None` where they call for square roots.
@@ -177,32 +194,6 @@ impl Stage<'_> {
         let found = rows::series((self.at, rows, self.time), gains, work, |e, weight, _| figures(e, weight));
         let states = &self.known.reducer.preparer().order.states;
         Some((found, gains.end.as_ref().map(|end| end.terminal(states, &work.pass.x))))
-    }
-
-    /// The phase of the tests in a line. Those that call for square roots are `odd` where they may go by themselves.
-    fn side_by_side(
-        &self,
-        line: usize,
-        tracks: &mut [Option<Track>],
-        (work, queue): (&mut Workspace, &mut Queue),
-        odd: &mut Vec<usize>,
-    ) {
-        let waiting = queue.take(line);
-        let filtered = self.known.reducer.filter(&waiting, work);
-        for (lane, own) in waiting.iter().enumerate() {
-            let found = filtered.of(lane).map(|filter| {
-                let each = filtered.innovations(lane).map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
-                let rows = self.rows[own.number].expect("it was filtered");
-                let series = rows::listed((self.at, rows, self.time), (&own.design, &own.instances), each);
-                (series, filter.end.map(|end| filtered.terminal(lane, end)))
-            });
-            if found.is_none() && self.known.alone {
-                odd.push(own.number);
-            } else {
-                note(&mut tracks[own.number], found);
-            }
-        }
-        queue.give_back(waiting);
     }
 }
 
@@ -218,23 +209,19 @@ fn note(track: &mut Option<Track>, found: Option<Left>) {
 }
 
 impl Known {
-    /// Evaluates the rows of a test, and adds the law of σ to a and P0; `None` where something is wrong with it.
-    fn begin(
+    /// The law of σ of a test with these rows and covariates, where it enters a and P0; `None` where something is wrong with it.
+    fn entering(
         &self,
-        rows: &Test,
+        (rows, covariates): (&Test, &[f64]),
         (start, carry): (&Start, &PhaseReducer),
         before: Option<&Terminal>,
-        (work, cells): (&mut Workspace, &mut Cells),
-    ) -> Option<()> {
-        let inherited = match before {
-            Some(terminal) => Some((terminal, carry.inherited(rows, cells).ok()?)),
-            None => None,
-        };
-        self.reducer.preparer().prepare(rows, work).ok()?;
+        cells: &mut Cells,
+    ) -> Option<Entering> {
         let q = self.entering.len();
-        let mut mean: DVector<f64> = start.mean_of(&work.covariates, q);
+        let mut mean: DVector<f64> = start.mean_of(covariates, q);
         let mut carried = DMatrix::zeros(q, 0);
-        if let Some((Terminal { mean: state, root, .. }, inherited)) = inherited {
+        if let Some(Terminal { mean: state, root, .. }) = before {
+            let inherited = carry.inherited(rows, cells).ok()?;
             let Inherited { transition, input } = &*inherited;
             mean += transition * state + input;
             carried = transition * root;
@@ -244,15 +231,13 @@ impl Known {
             let own = if i < p && k < p { start.covariance[(i, k)] } else { 0.0 };
             own + (0..carried.ncols()).map(|c| carried[(i, c)] * carried[(k, c)]).sum::<f64>()
         };
-        let place = |row: usize| self.reducer.preparer().order.place[self.entering[row]];
-        let r = work.design.frame.r;
-        for i in 0..q {
-            work.data.start[place(i)] += mean[i];
-            for k in 0..=i {
-                let (a, b) = (place(i).max(place(k)), place(i).min(place(k)));
-                work.design.variance[a * r + b] += covariance(i, k);
-            }
-        }
-        Some(())
+        let order = &self.reducer.preparer().order;
+        let place = |row: usize| order.place[self.entering[row]];
+        let pairs = (0..q).flat_map(|i| (0..=i).map(move |k| (i, k)));
+        let variance = pairs.map(|(i, k)| {
+            let (a, b) = (place(i).max(place(k)), place(i).min(place(k)));
+            (a * order.frame.r + b, covariance(i, k))
+        });
+        Some(Entering { mean: (0..q).map(|i| (place(i), mean[i])).collect(), variance: variance.collect() })
     }
 }

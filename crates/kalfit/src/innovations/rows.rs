@@ -2,7 +2,7 @@
 
 use crate::ensemble::Test;
 use crate::innovations::innovation::Innovation;
-use crate::reduce::{Design, Gains, Instances, Workspace, own_innovations};
+use crate::reduce::{Gains, Instance, Workspace, own_innovations};
 
 /// e, S and e/√S of one measurement.
 pub(crate) struct Figures {
@@ -22,22 +22,23 @@ pub(crate) fn series(
 ) -> Vec<Innovation> {
     own_innovations(gains, work);
     let Workspace { design, instances, pass, .. } = work;
+    let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |_| step));
     let each = pass.e.iter().enumerate().map(|(row, &e)| {
         let (weight, _, sensitivity) = gains.row(row);
         (weight > 0.0).then(|| figures(e, weight, sensitivity))
     });
-    listed(place, (design, instances), each)
+    listed(place, steps.zip(instances.iter()), each)
 }
 
-/// Innovations, in the order of the measurements; those that there are none of are left out. (Phase, rows, column of times.)
+/// Innovations, in the order of the measurements, which come with their steps; those that there are none of are left out. (Phase,
+/// rows, column of times.)
 pub(crate) fn listed(
     (phase, rows, time): (usize, &Test, Option<usize>),
-    (design, instances): (&Design, &Instances),
+    measured: impl Iterator<Item = (usize, Instance)>,
     each: impl Iterator<Item = Option<Figures>>,
 ) -> Vec<Innovation> {
-    let mut series = Vec::with_capacity(instances.len());
-    let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |_| step));
-    for ((step, figures), instance) in steps.zip(each).zip(instances.iter()) {
+    let mut series = Vec::with_capacity(measured.size_hint().0);
+    for ((step, instance), figures) in measured.zip(each) {
         if let Some(Figures { value, variance, standardised }) = figures {
             let time = time.map(|column| rows.numbers(instance.row)[column]);
             series.push(Innovation { phase, step, time, measurement: instance.meter, value, variance, standardised });

@@ -10,6 +10,7 @@
 //! found once. A test that lacks a measurement or a step of its block has one that changes nothing. What is wrong with a test, or
 //! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
 
+mod beside;
 mod layout;
 mod values;
 
@@ -22,16 +23,18 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Level};
+use crate::reduce::data::Outcome;
 use crate::reduce::digest::Digest;
 use crate::reduce::end::{End, placed};
 use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::Room;
-use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reducer::{About, Batch, Reducer, share};
 use crate::reduce::{Path, Reduction, Reductions, Terminal};
+use beside::by_shape;
+pub(crate) use beside::{Beside, Entering};
 pub(crate) use layout::Layout;
-use layout::Skeleton;
 pub(crate) use values::Values;
 
 /// Bytes of blocks, with their numbers at one α.
@@ -85,20 +88,21 @@ impl Blocks {
         if !preparer.has_columns() {
             return Blocks { blocks: Vec::new(), others: (0..tests.len()).collect() };
         }
-        let digest = |&number: &usize| {
-            let mut work = reducer.workspace();
-            preparer.prepare(tests[number], &mut work).ok().map(|()| work.design.digest())
+        let digest = |number: usize, work: &mut Workspace| {
+            preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
         };
-        let shared: HashSet<u128> = shared.iter().filter_map(digest).collect();
-        let skeleton = |work: &mut _, &number: &usize| Skeleton::new(preparer, tests[number], number, work);
+        let mut work = reducer.workspace();
+        let shared: HashSet<u128> = shared.iter().filter_map(|&number| digest(number, &mut work)).collect();
+        let skeleton = |work: &mut Workspace, &number: &usize| {
+            let mut own = Skeleton::default();
+            let fits = preparer.skeleton(tests[number], number, work, &mut own);
+            let mut is_shared = || digest(number, work).is_none_or(|digest| shared.contains(&digest));
+            (fits && (shared.is_empty() || !is_shared())).then_some(own)
+        };
         let mut skeletons: Vec<Skeleton> =
             numbers.par_iter().map_init(|| reducer.workspace(), skeleton).flatten_iter().collect();
-        skeletons.retain(|own| !shared.contains(&own.digest));
-        let order = |a: &Skeleton, b: &Skeleton| {
-            let id = |own: &Skeleton| &tests[own.number].id;
-            b.len().cmp(&a.len()).then_with(|| a.pattern().cmp(b.pattern())).then_with(|| id(a).cmp(id(b)))
-        };
-        skeletons.par_sort_unstable_by(order);
+        let id = |own: &Skeleton| &tests[own.number].id;
+        skeletons.par_sort_unstable_by(|a, b| by_shape(a, b).then_with(|| id(a).cmp(id(b))));
         let mut bytes = 0;
         let mut groups = groups(&skeletons);
         groups.retain(|own| {
@@ -202,12 +206,11 @@ impl Blocks {
     }
 }
 
-/// Tests that go together, in order: of one length to a factor of two.
+/// Tests that go together, in order.
 fn groups(skeletons: &[Skeleton]) -> Vec<&[Skeleton]> {
     let (mut left, mut groups) = (skeletons, Vec::new());
-    while let Some(first) = left.first() {
-        let like = left.iter().take(Isa::best().lanes()).take_while(|own| 2 * own.len() >= first.len()).count();
-        let (group, rest) = left.split_at(like);
+    while !left.is_empty() {
+        let (group, rest) = left.split_at(beside::together(left, Isa::best().lanes()));
         groups.push(group);
         left = rest;
     }
@@ -221,7 +224,7 @@ fn size(preparer: &Preparer, own: &[Skeleton]) -> usize {
     let of_row = 8 + terms + frame.r + frame.p;
     let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + 3 * frame.r;
     let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
-    8 * Isa::best().lanes() * (most(Skeleton::observations) * of_row + most(Skeleton::len) * of_step)
+    8 * Isa::best().lanes() * (most(|own| own.instances.len()) * of_row + most(Skeleton::len) * of_step)
 }
 
 /// All values of α.
@@ -238,26 +241,31 @@ fn add_to(digest: &mut Digest, alpha: &Alpha) {
 }
 
 /// Reductions as they come.
-#[derive(Default)]
-struct Found {
-    reductions: Reductions,
+#[derive(Debug, Default)]
+pub(crate) struct Found {
+    pub(crate) reductions: Reductions,
     /// The number of the test of each.
-    numbers: Vec<usize>,
+    pub(crate) numbers: Vec<usize>,
     /// Where each ends, if that is wanted.
-    terminals: Vec<Terminal>,
+    pub(crate) terminals: Vec<Terminal>,
     /// Tests that must be looked at by themselves.
-    odd: Vec<usize>,
+    pub(crate) odd: Vec<usize>,
 }
 
 impl Block {
     fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> Block {
-        let layout = Layout::new(reducer.preparer(), tests, own);
-        let values = Values::new(&layout, reducer.preparer(), tests);
-        let own = own.iter().map(|own| Own {
-            digest: own.digest,
+        let preparer = reducer.preparer();
+        let (mut layout, mut values) = (Layout::new(Isa::best(), preparer), Values::new(Isa::best()));
+        layout.take(preparer, tests, own);
+        values.take(&layout, (preparer, tests));
+        let own = own.iter().enumerate().map(|(lane, own)| Own {
+            digest: match values.sound[lane] {
+                true => values.identity(&layout, lane, own.len()).0,
+                false => own.number as u128, // is like no other
+            },
             covariates: own.covariates.clone(),
             steps: own.len(),
-            observations: own.observations(),
+            observations: own.instances.len(),
         });
         Block { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
     }
@@ -272,47 +280,73 @@ impl Block {
     ) -> Values {
         let Block { layout, own, .. } = self;
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut values = match spare {
-            Some(mut values) => {
-                values.evaluate(layout, (reducer.preparer(), tests), false);
-                values
-            }
-            None => Values::new(layout, reducer.preparer(), tests),
-        };
-        values.kept.gained.with_ends = reducer.wants_ends();
-        values.kept.filter(&layout.design, own.len(), room);
-        for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
-            let filter = values.kept.gained.found[lane].as_ref().filter(|_| values.sound[lane]);
-            let outcome = filter.map(|(factor, determinant)| {
-                (factor, values.kept.block.outcome(lane, (own.observations, *determinant), room))
-            });
-            let outcome = outcome.filter(|(_, outcome)| outcome.is_finite());
-            let end = reducer.wants_ends().then(|| values.end(lane, layout, reducer, room));
-            let (Some((factor, outcome)), None | Some(Some(_))) = (outcome, &end) else {
-                values.sound[lane] = false;
-                found.odd.push(number);
-                continue;
-            };
+        let mut values = spare.unwrap_or_else(|| {
+            let mut values = Values::new(Isa::best());
+            values.take(layout, (reducer.preparer(), tests));
+            values
+        });
+        values.evaluate(layout, (reducer.preparer(), tests), false);
+        let digest = |own: &Own| {
             let mut digest = Digest::new();
             digest.wide(own.digest);
             digest.wide(alpha);
+            digest.finish()
+        };
+        values.filter((layout, own), (reducer, digest), tests, room, found);
+        values
+    }
+}
+
+impl Values {
+    /// Runs the filters of tests that were evaluated. `digest`: of a design.
+    fn filter(
+        &mut self,
+        (layout, own): (&Layout, &[Own]),
+        (reducer, digest): (&Reducer, impl Fn(&Own) -> u128),
+        tests: &[&Test],
+        room: &mut Room,
+        found: &mut Found,
+    ) {
+        self.kept.gained.with_ends = reducer.wants_ends();
+        self.kept.filter(&layout.design, own.len(), room);
+        for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
+            let Some((factor, outcome, end)) = self.of(lane, (layout, own.observations), reducer, room) else {
+                self.sound[lane] = false;
+                found.odd.push(number);
+                continue;
+            };
             let about = About {
                 factor,
                 covariates: &own.covariates,
                 steps: own.steps,
                 observations: own.observations,
                 path: Path::Information,
-                digest: digest.finish(),
+                digest: digest(own),
             };
             found.reductions.put(reducer.row(tests[number], &outcome, about));
             found.numbers.push(number);
-            found.terminals.extend(end.flatten());
+            found.terminals.extend(end);
         }
-        values
     }
-}
 
-impl Values {
+    /// R and what the filter found of the test in a lane, and where it ends, if that is wanted; `None` where square-root arrays are
+    /// called for or something is not finite.
+    fn of(
+        &self,
+        lane: usize,
+        (layout, observations): (&Layout, usize),
+        reducer: &Reducer,
+        room: &Room,
+    ) -> Option<(&[f64], Outcome, Option<Terminal>)> {
+        let (factor, determinant) = self.kept.gained.found[lane].as_ref().filter(|_| self.sound[lane])?;
+        let outcome = self.kept.block.outcome(lane, (observations, *determinant), room);
+        let end = match reducer.wants_ends() {
+            true => Some(self.end(lane, layout, reducer, room)?),
+            false => None,
+        };
+        outcome.is_finite().then_some((factor, outcome, end))
+    }
+
     /// Where the test in a lane ends; `None` where that calls for square-root arrays.
     fn end(&self, lane: usize, layout: &Layout, reducer: &Reducer, room: &Room) -> Option<Terminal> {
         let states = &reducer.preparer().order.states;

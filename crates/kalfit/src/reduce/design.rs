@@ -5,6 +5,8 @@
 
 mod identity;
 
+pub(crate) use identity::Identity;
+
 use std::ops::Range;
 use std::sync::Arc;
 

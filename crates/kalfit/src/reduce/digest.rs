@@ -47,14 +47,8 @@ impl Digest {
         self.all(numbers, |x| x.to_bits());
     }
 
-    pub(crate) fn counts(&mut self, counts: &[usize]) {
-        self.all(counts, |&count| count as u64);
-    }
-
-    pub(crate) fn indices(&mut self, indices: &[u32]) {
-        self.count(indices.len());
-        let pair = |pair: &[u32]| pair.iter().fold(0, |word, &index| word << 32 | u64::from(index));
-        indices.chunks(2).for_each(|two| self.word(pair(two)));
+    pub(crate) fn words(&mut self, words: &[u64]) {
+        self.all(words, |&word| word);
     }
 
     /// How many there are, then a word for each, the first one in the first place.

@@ -154,6 +154,13 @@ impl Dynamics {
         recursions.chain(components)
     }
 
+    /// Noises of several states are correlated, and not the same on every row.
+    pub(crate) fn mixes_on_rows(&self) -> bool {
+        let varies = |slot: usize| self.table.varying.iter().any(|(other, ..)| *other == slot);
+        let mut noise = self.noise.iter().chain(self.components.iter().flat_map(|component| &component.noise));
+        noise.any(|&(i, j, slot)| i != j && varies(slot))
+    }
+
     fn slot(&mut self, at: &At<'_>, coefficient: Coefficient, variance: bool) -> Option<usize> {
         self.uses.add(&coefficient, at.alpha);
         self.table.add(coefficient, variance)

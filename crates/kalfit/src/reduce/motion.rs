@@ -1,12 +1,15 @@
 //! The transitions of a model's steps.
 
 mod backward;
-mod columns;
+mod fill;
+mod pull;
 
 use std::sync::Arc;
 
-use crate::linalg::exponential::{flow, scalar_flow};
-use crate::reduce::design::{Pattern, Transition};
+use kalfit_lanes::Isa;
+
+use crate::linalg::exponential::flow;
+use crate::reduce::design::{Moved, Pattern, Transition};
 use crate::reduce::dynamics::{Component, Dynamics, Recursion};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::order::Order;
@@ -14,7 +17,8 @@ use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{Fault, Subject};
 
 pub(crate) use backward::Evaluated;
-pub(crate) use columns::{MotionBack, MotionColumns, Transitions};
+pub(crate) use fill::{Filled, MotionColumns, Transitions};
+pub(crate) use pull::MotionBack;
 
 /// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
 /// other: φ, Γ, Q of the first component, each m × m, then of the next.
@@ -27,6 +31,20 @@ pub(crate) struct Plan {
     drives: Vec<Drive>,
     /// Start of each component's flow.
     offsets: Vec<usize>,
+    /// Of each component of a single state.
+    singles: Vec<Single>,
+    /// For each entry of φ, that of the identity.
+    identity: Vec<f64>,
+}
+
+/// A component of one state.
+#[derive(Debug, Clone)]
+struct Single {
+    /// Where its flow begins.
+    offset: usize,
+    /// Slots of its rate and of its noise.
+    rate: Option<usize>,
+    noise: Option<usize>,
 }
 
 /// Where an entry of φ or Q comes from.
@@ -106,52 +124,70 @@ impl Plan {
         noise.sort_by_key(|entry| entry.0);
         pattern.pairs = noise.iter().map(|entry| entry.0).collect();
         let q = noise.into_iter().map(|entry| entry.1).collect();
-        Plan { pattern: Arc::new(pattern.seal()), phi, q, drives, offsets }
+        let (singles, pattern) = (singles(dynamics, &offsets), pattern.seal());
+        let identity = identity(&pattern);
+        Plan { pattern: Arc::new(pattern), phi, q, drives, offsets, singles, identity }
     }
 
-    /// φ, Q and Γ of a step of length `dt`, or of many. `values`: the dynamics' coefficients on the step; `flows`: work space; `spare`:
-    /// a transition that nobody else has, whose memory can be had.
+    /// φ, Q and Γ of a step of length `dt`, or of many. `values`: the dynamics' coefficients on the step; `filled`: work space; `spare`:
+    /// a transition that nobody else has, whose memory can be had. The same bits as side by side with others.
     pub(crate) fn moves(
         &self,
         dynamics: &Dynamics,
         values: &[f64],
         (dt, many): (f64, bool),
-        (flows, spare): (&mut Vec<f64>, Option<Arc<Transition>>),
+        (filled, spare): (&mut Filled, Option<Arc<Transition>>),
     ) -> Result<Moves, Box<Fault>> {
         check_noise(dynamics, values)?;
-        flows.clear();
-        for (component, &offset) in dynamics.components.iter().zip(&self.offsets) {
-            debug_assert_eq!(flows.len(), offset, "flows stand one after the other");
-            append_flow(component, |slot| values[slot], dt, flows)?;
+        let isa = Isa::best();
+        if !self.fill_one((isa, dynamics), values, dt, filled) {
+            return Err(self.overflow(dynamics, filled, isa.lanes()));
         }
-        let entry = |entry: &Entry| match entry {
-            Entry::Slot(slot) => values[*slot],
-            Entry::Flow(at) => flows[*at],
-            Entry::Held(terms) => terms.iter().map(|&(at, slot)| flows[at] * values[slot]).sum(),
-        };
+        let own = |all: &[f64]| -> Vec<f64> { all.iter().step_by(isa.lanes()).copied().collect() };
         let fresh = || Arc::new(Transition::new(self.pattern.clone(), Vec::new(), Vec::new()));
         let mut made = spare.unwrap_or_else(fresh);
         let transition = Arc::get_mut(&mut made).expect("nobody else has it");
         transition.phi.clear();
-        transition.phi.extend(self.phi.iter().map(entry));
+        transition.phi.extend(filled.phi.iter().step_by(isa.lanes()));
         transition.q.clear();
-        transition.q.extend(self.q.iter().map(entry));
-        if transition.phi.iter().chain(&transition.q).any(|x| !x.is_finite()) {
-            return Err(Fault::new(Subject::Transition, ReduceErrorKind::NotFinite));
-        }
+        transition.q.extend(filled.q.iter().step_by(isa.lanes()));
         transition.digest = None;
         transition.digest = many.then(|| transition.digest());
         let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
-        Ok(Moves { transition: made, flows: if kept { flows.clone() } else { Vec::new() } })
+        Ok(Moves { transition: made, flows: if kept { own(&filled.flows) } else { Vec::new() } })
     }
 
-    /// Appends b of the driven states. `inputs`: values of the dynamics' inputs.
-    pub(crate) fn inputs(&self, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
-        out.extend(self.drives.iter().map(|drive| match drive {
-            Drive::Slot(slot) => inputs[*slot],
-            Drive::Flow(terms) => terms.iter().map(|&(at, slot)| moves.flows[at] * inputs[slot]).sum(),
-        }));
+    /// What of a step is not finite.
+    fn overflow(&self, dynamics: &Dynamics, filled: &Filled, lanes: usize) -> Box<Fault> {
+        let is_bad = |&(component, &offset): &(&Component, &usize)| {
+            let numbers = offset * lanes..(offset + 3 * component.states.len().pow(2)) * lanes;
+            filled.flows[numbers].iter().any(|x| !x.is_finite())
+        };
+        let bad = dynamics.components.iter().zip(&self.offsets).find(is_bad);
+        let subject = bad.map_or(Subject::Transition, |(component, _)| Subject::Derivative(component.states[0]));
+        Fault::new(subject, ReduceErrorKind::NotFinite)
     }
+}
+
+/// The components of a single state.
+fn singles(dynamics: &Dynamics, offsets: &[usize]) -> Vec<Single> {
+    let slot = |terms: &[(usize, usize, usize)]| terms.first().map(|&(.., slot)| slot);
+    let components = dynamics.components.iter().zip(offsets).filter(|(component, _)| component.states.len() == 1);
+    let single = |(component, &offset): (&Component, &usize)| Single {
+        offset,
+        rate: slot(&component.rates),
+        noise: slot(&component.noise),
+    };
+    components.map(single).collect()
+}
+
+/// For each entry of φ, that of the identity.
+fn identity(pattern: &Pattern) -> Vec<f64> {
+    let own = |row: &Moved| {
+        let terms = &pattern.columns[row.start as usize..row.end as usize];
+        terms.iter().map(|&column| f64::from(u8::from(column == row.state))).collect::<Vec<f64>>()
+    };
+    pattern.moved.iter().flat_map(own).collect()
 }
 
 /// Row of φ: (place, entry); `None` for a row of the identity.
@@ -220,13 +256,6 @@ fn append_flow(
     flows: &mut Vec<f64>,
 ) -> Result<(), Box<Fault>> {
     let m = component.states.len();
-    let fault = || Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite);
-    if m == 1 {
-        let first = |terms: &[(usize, usize, usize)]| terms.first().map_or(0.0, |term| value(term.2));
-        let flow = scalar_flow(first(&component.rates), first(&component.noise), dt);
-        flows.extend(flow);
-        return if flow.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(fault()) };
-    }
     let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
     for &(i, j, slot) in &component.rates {
         f[i * m + j] = value(slot);
@@ -235,7 +264,8 @@ fn append_flow(
         q[i * m + j] = value(slot);
         q[j * m + i] = value(slot);
     }
-    let flow = flow(&f, &q, m, dt).map_err(|_| fault())?;
+    let fault = |_| Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite);
+    let flow = flow(&f, &q, m, dt).map_err(fault)?;
     [flow.phi, flow.gamma, flow.q].iter().for_each(|matrix| flows.extend(matrix));
     Ok(())
 }

@@ -13,7 +13,7 @@ use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
 
 pub(crate) use backward::Unwhitened;
-pub(crate) use follow::{Ahead, Lines};
+pub(crate) use follow::Ahead;
 
 /// A measurement of the model at α.
 #[derive(Debug, Clone)]
@@ -120,6 +120,27 @@ impl Meters {
         whiten(out.design, out.data, line, &entries).map_err(|bad| {
             let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
             Fault::new(Subject::StepNoise, kind).on(row)
+        })
+    }
+
+    /// Appends which measurements a row has; false where something is wrong with one.
+    #[inline]
+    pub(crate) fn measured(&self, at: &At<'_>, test: &Test, (row, dt): (usize, f64), out: &mut Vec<Instance>) -> bool {
+        let numbers = test.numbers(row);
+        self.meters.iter().enumerate().all(|(meter, own)| {
+            let z = numbers[own.column];
+            if z.is_nan() {
+                return true;
+            }
+            if let Some(filter) = &own.filter {
+                match at.value(filter, &Scope { numbers, texts: test.texts(row), step: dt, alpha: at.alpha }) {
+                    Ok(0.0) => return true,
+                    Ok(_) => {}
+                    Err(_) => return false,
+                }
+            }
+            out.push(Instance { meter, row });
+            z.is_finite()
         })
     }
 

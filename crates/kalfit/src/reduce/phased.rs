@@ -50,7 +50,7 @@ impl PhasedReducer {
     /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α. Of several phases all
     /// classes are wanted again, for what the phases say of each other.
     pub(crate) fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
-        PhasedReducer::made(model, alpha, &|one| Reducer::scoring(one, alpha, slots, !model.is_single()))
+        PhasedReducer::made(model, alpha, &|one| Reducer::scoring(one, alpha, slots))
     }
 
     /// The same where no backward pass is to come.

@@ -14,7 +14,7 @@ use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instances;
 use crate::reduce::lanes::{Block, Gained, Room};
-use crate::reduce::motion::{Moves, Plan};
+use crate::reduce::motion::{Filled, Moves, Plan};
 use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
 use crate::reduce::recognise::Looks;
@@ -30,11 +30,13 @@ mod follow;
 mod last;
 mod opening;
 mod replay;
+mod skeleton;
 mod transition;
 
 use alike::looks;
 use last::Last;
 pub(crate) use replay::{Opening, Replay};
+pub(crate) use skeleton::Skeleton;
 
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;
@@ -63,6 +65,9 @@ pub(crate) struct Preparer {
     steady: bool,
     /// No transition calls for a matrix exponential.
     quick: bool,
+    /// Tests can be evaluated column by column: measurements are not correlated, and noises that are correlated are the same on every
+    /// row.
+    columnwise: bool,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
     /// How tests of one design are recognised; `None` where they cannot be, as values are mixed.
@@ -106,7 +111,7 @@ pub(crate) struct Workspace {
     step: Cells,
     values: Vec<f64>,
     inputs: Vec<f64>,
-    flows: Vec<f64>,
+    filled: Filled,
     key: Vec<u64>,
     last: Option<Last>,
     /// Transitions that nobody has.
@@ -133,7 +138,9 @@ impl Preparer {
 
     /// For tests that bring the law of their estimated states with them, as part of a and P0.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
-        Preparer::made(model, alpha, Vec::new(), true)
+        let mut preparer = Preparer::made(model, alpha, Vec::new(), true)?;
+        preparer.order.frame = Arc::new(preparer.order.frame.without_unknowns());
+        Ok(preparer)
     }
 
     fn made(model: &Model, alpha: &Alpha, free: Vec<bool>, brought: bool) -> Result<Preparer, Box<Fault>> {
@@ -161,6 +168,7 @@ impl Preparer {
             drive: Reads::new(&drive),
             follows: dynamics.table.varying.is_empty() && meters.can_follow(),
             quick: dynamics.components.iter().all(|component| component.states.len() == 1),
+            columnwise: meters.can_repeat() && !dynamics.mixes_on_rows(),
             steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
             model: model.clone(),
             alpha: alpha.clone(),
@@ -181,25 +189,9 @@ impl Preparer {
         At { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
 
-    /// Whether tests can be evaluated column by column: measurements are not correlated, and noises that are correlated are the same
-    /// on every row.
+    /// Whether tests can be evaluated column by column.
     pub(crate) fn has_columns(&self) -> bool {
-        let varies = |slot: usize| self.dynamics.table.varying.iter().any(|(other, ..)| *other == slot);
-        let components = self.dynamics.components.iter().flat_map(|component| &component.noise);
-        let mut noise = self.dynamics.noise.iter().chain(components);
-        self.meters.can_repeat() && !noise.any(|&(i, j, slot)| i != j && varies(slot))
-    }
-
-    /// No state of any test moves, nothing but what is measured is read of it, and rows are steps: tests differ in lines and values.
-    pub(crate) fn rests(&self) -> bool {
-        let (frame, transition) = (&self.order.frame, self.plan.blank());
-        let still = frame.r == 0 && frame.driven.is_empty() && transition.phi.is_empty() && transition.q.is_empty();
-        still
-            && self.follows
-            && self.steady
-            && self.model.clock.time.is_none()
-            && self.law.is_some()
-            && self.start.uses.is_empty()
+        self.columnwise
     }
 
     /// The law of x_0, when no test changes it.
@@ -226,7 +218,7 @@ impl Preparer {
             step: Cells::default(),
             values: Vec::new(),
             inputs: Vec::new(),
-            flows: Vec::new(),
+            filled: Filled::default(),
             key: Vec::new(),
             last: None,
             spare: Vec::new(),

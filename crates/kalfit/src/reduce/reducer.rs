@@ -1,10 +1,7 @@
 //! Tests → reductions.
 
 mod batch;
-mod filtered;
 mod known;
-mod queue;
-mod straight;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -32,7 +29,6 @@ use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
 pub(crate) use batch::{Batch, all_sound, joined, share};
 use known::Known;
-pub(crate) use queue::Queue;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
@@ -51,8 +47,6 @@ pub struct Reducer {
     classes: Shared<Design, Result<Gains, RootError>>,
     /// Tests of designs that were seen more than once.
     known: Memory<Known>,
-    /// Up to so many bytes every class is kept whose filter was run side by side with others.
-    eager: usize,
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
@@ -110,11 +104,10 @@ impl Reducer {
     }
 
     /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α, and every class is
-    /// wanted again by the backward pass; `short`: those too whose filter is one for lanes.
-    pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots, short: bool) -> Result<Reducer, ReduceError> {
+    /// wanted again by the backward pass.
+    pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        let reducer = Reducer::of(preparer, Shared::new(CLASS_BYTES));
-        Ok(if short { Reducer { eager: CLASS_BYTES, ..reducer } } else { reducer })
+        Ok(Reducer::of(preparer, Shared::new(CLASS_BYTES)))
     }
 
     /// The same where no backward pass is to come: what one test alone wants is not kept.
@@ -134,7 +127,6 @@ impl Reducer {
             preparer,
             classes,
             known: Memory::new(KNOWN_BYTES),
-            eager: EAGER_BYTES,
             unfrozen: false,
             ends: false,
             design_runs: AtomicU64::new(0),
@@ -384,7 +376,7 @@ impl Reducer {
         make: impl FnOnce(&Design) -> Result<Gains, RootError>,
     ) -> Made {
         let counted = |design: &Design| {
-            self.design_runs.fetch_add(1, Ordering::Relaxed);
+            self.ran(digest);
             make(design)
         };
         self.classes.get(digest, |known| known.same(design), || design.clone(), counted, class_bytes)

@@ -1,6 +1,5 @@
 //! Results that threads share: each is made once, however many ask for it at the same time.
 
-use std::collections::hash_map::Entry as Slot;
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hasher};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -21,11 +20,13 @@ struct Shard<K, V> {
     entries: HashMap<u128, Arc<Entry<K, V>>, Mixed>,
     /// Asked for once.
     noted: HashSet<u128, Mixed>,
+    /// Told of.
+    told: HashSet<u128, Mixed>,
 }
 
 impl<K, V> Default for Shard<K, V> {
     fn default() -> Shard<K, V> {
-        Shard { entries: HashMap::default(), noted: HashSet::default() }
+        Shard { entries: HashMap::default(), noted: HashSet::default(), told: HashSet::default() }
     }
 }
 
@@ -60,11 +61,16 @@ const NOTED: usize = 1 << 16;
 impl<K, V> Shard<K, V> {
     /// Whether this was asked for before; it is from now on.
     fn is_known(&mut self, digest: u128) -> bool {
-        if self.noted.len() >= NOTED {
-            self.noted.clear();
-        }
-        !self.noted.insert(digest)
+        !note(&mut self.noted, digest)
     }
+}
+
+/// Remembers a digest; true where it was not remembered.
+fn note(noted: &mut HashSet<u128, Mixed>, digest: u128) -> bool {
+    if noted.len() >= NOTED {
+        noted.clear();
+    }
+    noted.insert(digest)
 }
 
 /// A key and its value.
@@ -92,37 +98,9 @@ impl<K, V> Shared<K, V> {
         Shared { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
     }
 
-    /// True when a key is kept.
-    pub(crate) fn has(&self, digest: u128, same: impl Fn(&K) -> bool) -> bool {
-        self.shard(digest).entries.get(&digest).is_some_and(|entry| same(&entry.key))
-    }
-
-    /// Keeps what was made elsewhere, beyond `eager` bytes only what is offered or asked for a second time; it is put together only
-    /// then. False where another was quicker.
-    pub(crate) fn offer(
-        &self,
-        (digest, eager): (u128, usize),
-        made: impl FnOnce() -> (K, V),
-        size: impl FnOnce(&K, &V) -> usize,
-    ) -> bool {
-        let (found, bytes) = (self.shard(digest).entries.contains_key(&digest), self.bytes.load(Ordering::Relaxed));
-        let wanted = bytes < self.limit && (bytes < eager || self.shard(digest).is_known(digest));
-        if found || !wanted {
-            return !found;
-        }
-        let (key, value) = made();
-        let bytes = size(&key, &value);
-        let first = match self.shard(digest).entries.entry(digest) {
-            Slot::Occupied(_) => false,
-            Slot::Vacant(slot) => {
-                slot.insert(Arc::new(Entry { key, value: value.into() }));
-                true
-            }
-        };
-        if first {
-            self.bytes.fetch_add(bytes, Ordering::Relaxed);
-        }
-        first
+    /// True where a key is told of for the first time, whether it is kept or not.
+    pub(crate) fn is_new(&self, digest: u128) -> bool {
+        note(&mut self.shard(digest).told, digest)
     }
 
     fn shard(&self, digest: u128) -> MutexGuard<'_, Shard<K, V>> {

@@ -79,7 +79,7 @@ impl Scorer<'_> {
 }
 
 fn at(model: &Model, slots: &Slots, values: &[f64], test: &Test, unfrozen: bool) -> (f64, Gradient) {
-    let reducer = Reducer::scoring(model, &slots.alpha(model, values), slots, false).expect("sound");
+    let reducer = Reducer::scoring(model, &slots.alpha(model, values), slots).expect("sound");
     let mut reducer = if unfrozen { reducer.unfrozen() } else { reducer };
     let tests = std::slice::from_ref(test);
     let reductions = reducer.reduce(tests).expect("sound");
@@ -121,7 +121,7 @@ fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
     let tests: Vec<Test> = (0..4).map(|k| record(3000 + 700 * k)).collect();
     let model = model(6);
     let slots = Slots::new(&model, &Labels::default(), &tests);
-    let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES), &slots, false).expect("sound");
+    let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES), &slots).expect("sound");
     let reductions = reducer.reduce(&tests).expect("sound");
     let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
     let scorer = Scorer::new(&reducer, &slots).expect("differentiable");

@@ -47,23 +47,30 @@ fn exponentials<T: Lanes>(x: T) -> [T; 2] {
     [power.fma(part, power), power.fma(part, power - T::splat(1.0))]
 }
 
-/// [`scalar_flow`] side by side, to a few units in the last place.
+/// [`scalar_flow`] side by side, to a few units in the last place. What is in a lane does not depend on the others.
 #[inline(always)]
 pub(crate) fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
     let two = T::splat(2.0);
     let x = f * step;
-    if !T::splat(f64::MIN_POSITIVE).at_most(f.magnitude()) || !x.magnitude().at_most(T::splat(0.5 * LARGE)) {
-        return one_by_one(f, q, step);
-    }
     let ([phi, once], [_, twice]) = (exponentials(x), exponentials(two * x));
-    [phi, once / f, q * (twice / (two * f))]
+    let found = [phi, once / f, q * (twice / (two * f))];
+    if T::splat(f64::MIN_POSITIVE).at_most(f.magnitude()) && x.magnitude().at_most(T::splat(0.5 * LARGE)) {
+        return found;
+    }
+    mended(found, (f, q, step))
 }
 
+/// With the flows of rates that are too small or too large for [`exponentials`] as they are by themselves.
 #[inline(always)]
-fn one_by_one<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
+fn mended<T: Lanes>(found: [T; 3], (f, q, step): (T, T, T)) -> [T; 3] {
     let mut all = [[0.0; MOST]; 3];
+    all.iter_mut().zip(found).for_each(|(all, found)| found.store(all));
     for lane in 0..T::COUNT {
-        let own = scalar_flow(f.lane(lane), q.lane(lane), step.lane(lane));
+        let (f, step) = (f.lane(lane), step.lane(lane));
+        if f.abs() >= f64::MIN_POSITIVE && (f * step).abs() <= 0.5 * LARGE {
+            continue;
+        }
+        let own = scalar_flow(f, q.lane(lane), step);
         all.iter_mut().zip(own).for_each(|(all, x)| all[lane] = x);
     }
     [T::load(&all[0]), T::load(&all[1]), T::load(&all[2])]

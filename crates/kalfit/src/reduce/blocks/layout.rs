@@ -7,81 +7,11 @@ use kalfit_lanes::{Isa, MOST};
 use crate::ensemble::Test;
 use crate::reduce::design::{Design, Run};
 use crate::reduce::instances::Instance;
-use crate::reduce::lanes::is_short;
 use crate::reduce::motion::Transitions;
-use crate::reduce::prepare::{Opening, Preparer, Workspace};
+use crate::reduce::prepare::{Opening, Preparer, Skeleton};
 
 /// No row.
 pub(super) const NONE: u32 = u32::MAX;
-
-/// Numbers of one test that its passes remember: no more than these.
-const MOST_NUMBERS: usize = 1 << 16;
-
-/// The steps of a test.
-#[derive(Debug)]
-pub(super) struct Skeleton {
-    pub(super) number: usize,
-    pub(super) digest: u128,
-    pub(super) covariates: Vec<f64>,
-    steps: Vec<Step>,
-    instances: Vec<Instance>,
-    /// Where tests have other laws of x_0.
-    opening: Option<Opening>,
-}
-
-#[derive(Debug)]
-struct Step {
-    moves: bool,
-    dt: f64,
-    /// The row that its motion reads.
-    source: u32,
-    /// End of its scalar measurements.
-    end: usize,
-}
-
-impl Skeleton {
-    /// Of a test; `None` where something is wrong with it, or where it goes better by itself.
-    pub(super) fn new(preparer: &Preparer, test: &Test, number: usize, work: &mut Workspace) -> Option<Skeleton> {
-        preparer.prepare(test, work).ok()?;
-        let (design, frame) = (&work.design, &work.design.frame);
-        let reads = !preparer.dynamics.uses.is_empty();
-        if reads && !work.step_rows().all(|rows| rows.len() == 1) {
-            return None; // cells of several rows are gathered one by one
-        }
-        let kept = (design.steps() + design.rows()) * (frame.n + frame.r * frame.r + frame.n * frame.p);
-        if !is_short(design) || kept > MOST_NUMBERS {
-            return None;
-        }
-        let step = |(k, step): (usize, crate::reduce::Step<'_>)| {
-            let source = work.rows_of(&(k..k + 1), preparer.reads_previous()).start as u32;
-            Step { moves: step.transition.is_some(), dt: work.dt(k), source, end: step.rows.end }
-        };
-        let steps = design.each_step().enumerate().map(step).collect();
-        let (digest, covariates) = (design.digest(), work.covariates.clone());
-        let opening = preparer.law().is_none().then(|| work.opening());
-        Some(Skeleton { number, digest, covariates, steps, instances: work.instances.iter().collect(), opening })
-    }
-
-    pub(super) fn len(&self) -> usize {
-        self.steps.len()
-    }
-
-    pub(super) fn observations(&self) -> usize {
-        self.instances.len()
-    }
-
-    /// Scalar measurements of a step; none where the test has ended.
-    fn of(&self, k: usize) -> &[Instance] {
-        let Some(step) = self.steps.get(k) else { return &[] };
-        let start = if k == 0 { 0 } else { self.steps[k - 1].end };
-        &self.instances[start..step.end]
-    }
-
-    /// Which measurements its steps have: tests that agree go together.
-    pub(super) fn pattern(&self) -> impl Iterator<Item = (usize, usize)> {
-        (0..self.steps.len()).flat_map(|k| self.of(k).iter().map(move |instance| (k, instance.meter)))
-    }
-}
 
 /// Tests side by side, at least one and no more than there are lanes. Number k of the test in a lane stands at k × lanes + lane.
 #[derive(Debug)]
@@ -110,11 +40,11 @@ pub(crate) struct Layout {
 type Line = (usize, [u32; MOST]);
 
 impl Layout {
-    pub(super) fn new(preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) -> Layout {
-        let lanes = Isa::best().lanes();
-        let mut layout = Layout {
-            lanes,
-            tests: own.iter().map(|skeleton| skeleton.number).collect(),
+    /// Of no test yet.
+    pub(super) fn new(isa: Isa, preparer: &Preparer) -> Layout {
+        Layout {
+            lanes: isa.lanes(),
+            tests: Vec::new(),
             design: Design::new(preparer.order.frame.clone()),
             meters: Vec::new(),
             measured: Vec::new(),
@@ -122,8 +52,16 @@ impl Layout {
             dt: Vec::new(),
             z: Vec::new(),
             transitions: Transitions::default(),
-            openings: own.iter().filter_map(|skeleton| skeleton.opening.clone()).collect(),
-        };
+            openings: Vec::new(),
+        }
+    }
+
+    /// Of these tests, in place of others.
+    pub(super) fn take(&mut self, preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) {
+        self.clear();
+        let (lanes, layout) = (self.lanes, self);
+        layout.tests.extend(own.iter().map(|skeleton| skeleton.number));
+        layout.openings.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
         layout.design.moves.push(Arc::new(preparer.plan.blank()));
         let terms: Vec<Vec<u32>> =
             preparer.meters.parts().map(|(.., terms)| terms.iter().map(|(state, _)| *state).collect()).collect();
@@ -146,9 +84,21 @@ impl Layout {
             let transition = moves.then_some(0);
             layout.design.runs.push(Run { transition, lines, count: 1, rows: lines, steps: k + 1 });
         }
-        layout.design.h = vec![0.0; layout.design.states.len()];
-        layout.design.noise = vec![1.0; layout.meters.len()];
-        layout
+        layout.design.h.resize(layout.design.states.len(), 0.0);
+        layout.design.noise.resize(layout.meters.len(), 1.0);
+    }
+
+    fn clear(&mut self) {
+        let Layout { tests, design, meters, measured, cells, dt, z, transitions, openings, .. } = self;
+        tests.clear();
+        design.clear();
+        meters.clear();
+        measured.clear();
+        cells.clear();
+        dt.clear();
+        z.clear();
+        transitions.clear();
+        openings.clear();
     }
 
     /// The transition to a step, if any test has one.
@@ -167,12 +117,6 @@ impl Layout {
     /// How many transitions there are.
     pub(crate) fn moves(&self) -> usize {
         self.transitions.dt.len() / self.lanes
-    }
-}
-
-impl Skeleton {
-    fn moves(&self, k: usize) -> bool {
-        self.steps.get(k).is_some_and(|step| step.moves)
     }
 }
 

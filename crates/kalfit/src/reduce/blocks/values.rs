@@ -7,6 +7,7 @@ use kalfit_lanes::{Isa, MOST};
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::blocks::layout::Layout;
+use crate::reduce::design::Identity;
 use crate::reduce::dynamics::Table;
 use crate::reduce::lanes::{Columns, Kept};
 use crate::reduce::motion::MotionColumns;
@@ -72,12 +73,44 @@ struct Rates<'a> {
 }
 
 impl Values {
-    /// The numbers of tests, none of them evaluated before.
-    pub(super) fn new(layout: &Layout, preparer: &Preparer, tests: &[&Test]) -> Values {
-        let kept = Kept::blank(Isa::best(), &layout.design, layout.moves());
-        let mut values = Values { kept, motion: MotionColumns::default(), sound: [true; MOST] };
-        values.evaluate(layout, (preparer, tests), true);
-        values
+    /// Of no test yet.
+    pub(super) fn new(isa: Isa) -> Values {
+        Values { kept: Kept::new(isa), motion: MotionColumns::default(), sound: [true; MOST] }
+    }
+
+    /// The numbers of tests, none of them evaluated before, in place of those of others.
+    pub(super) fn take(&mut self, layout: &Layout, of: (&Preparer, &[&Test])) {
+        let dynamics = &of.0.dynamics;
+        let varying = [&dynamics.table, &dynamics.inputs].map(|table| table.varying.len());
+        self.kept.blank(&layout.design, layout.moves());
+        self.motion.blank(varying, layout.transitions.dt.len());
+        self.evaluate(layout, of, true);
+    }
+
+    /// The digest of the design of the test in a lane, which has so many steps, and how many equal ones there are on end.
+    pub(super) fn identity(&self, layout: &Layout, lane: usize, steps: usize) -> (u128, usize) {
+        let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
+        let own = |all, numbers| own(all, numbers, (lane, *lanes));
+        let pattern = &design.moves[0].pattern;
+        let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
+        let mut identity = Identity::new(&design.frame, own(gained.variance(), 0..design.variance.len()));
+        let mut t = 0;
+        for stretch in design.stretches().take(steps) {
+            if stretch.transition.is_some() {
+                if transitions.moving[t * lanes + lane] != 0.0 {
+                    let phi = own(gained.transitions(), t * terms..(t + 1) * terms);
+                    identity.moves(pattern, phi, own(gained.process_noise(), t * pairs..(t + 1) * pairs));
+                }
+                t += 1;
+            }
+            for line in stretch.lines.filter(|line| layout.measured[line * lanes + lane] != 0.0) {
+                let first = if line == 0 { 0 } else { design.ends[line - 1] };
+                let h = own(gained.coefficients(), first..design.ends[line]);
+                identity.line(design.terms(line).0, h, gained.noise()[line * lanes + lane]);
+            }
+            identity.end(1);
+        }
+        identity.finish()
     }
 
     /// The numbers at the α of a preparer.
@@ -170,16 +203,20 @@ impl Layout {
     }
 }
 
+/// Numbers of the test in a lane.
+fn own(all: &[f64], numbers: Range<usize>, (lane, lanes): (usize, usize)) -> impl Iterator<Item = f64> + use<'_> {
+    numbers.map(move |k| all[k * lanes + lane])
+}
+
 /// The coefficients of a table that vary, on all transitions.
 fn table(
     (layout, tests): (&Layout, &[&Test]),
     (at, table): (&At<'_>, &Table),
-    columns: &mut Vec<Vec<f64>>,
+    columns: &mut [Vec<f64>],
     fresh: bool,
     sound: &mut [bool; MOST],
 ) {
     let (lanes, steps) = (layout.lanes, &layout.transitions);
-    columns.resize_with(table.varying.len(), || vec![0.0; steps.dt.len()]);
     for ((_, coefficient, variance), column) in table.varying.iter().zip(columns) {
         let rate = Rate::of(at, coefficient, fresh);
         for (t, out) in column.chunks_exact_mut(lanes).enumerate() {

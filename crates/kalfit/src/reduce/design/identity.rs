@@ -1,58 +1,85 @@
-//! When designs are one: a digest of all of a design, which says once what repeats, and equality to the bit.
+//! When designs are one: a digest of all of a design, step by step, and equality to the bit.
 
 use std::sync::Arc;
 
-use crate::reduce::design::{Design, Transition, same_bits};
+use crate::reduce::design::{Design, Frame, Pattern, Stretch, Transition, same_bits};
 use crate::reduce::digest::Digest;
+
+/// The digest of a design on its way, step by step. Those on end that differ in nothing are told of once.
+#[derive(Debug)]
+pub(crate) struct Identity {
+    digest: Digest,
+    /// The numbers of the last step that was told of, and of the one that is being told of.
+    last: Vec<u64>,
+    now: Vec<u64>,
+    /// How many of the last one there are on end, and of any.
+    count: usize,
+    most: usize,
+}
+
+impl Identity {
+    /// Of a design with this P0.
+    pub(crate) fn new(frame: &Frame, variance: impl Iterator<Item = f64>) -> Identity {
+        let mut digest = Digest::new();
+        digest.wide(frame.digest);
+        variance.for_each(|x| digest.word(x.to_bits()));
+        Identity { digest, last: Vec::new(), now: Vec::new(), count: 0, most: 0 }
+    }
+
+    /// The transition to a step.
+    pub(crate) fn moves(&mut self, pattern: &Pattern, phi: impl Iterator<Item = f64>, q: impl Iterator<Item = f64>) {
+        self.now.extend([pattern.digest as u64, (pattern.digest >> 64) as u64]);
+        self.now.extend(phi.chain(q).map(f64::to_bits));
+    }
+
+    /// A scalar measurement of the step.
+    pub(crate) fn line(&mut self, states: &[u32], h: impl Iterator<Item = f64>, noise: f64) {
+        self.now.push(states.len() as u64);
+        self.now.extend(states.iter().map(|&state| u64::from(state)));
+        self.now.extend(h.chain([noise]).map(f64::to_bits));
+    }
+
+    /// The end of a step, of which there are so many.
+    pub(crate) fn end(&mut self, many: usize) {
+        if self.count == 0 || self.now != self.last {
+            self.tell();
+            std::mem::swap(&mut self.now, &mut self.last);
+        }
+        self.now.clear();
+        self.count += many;
+        self.most = self.most.max(self.count);
+    }
+
+    fn tell(&mut self) {
+        if self.count > 0 {
+            self.digest.words(&self.last);
+            self.digest.count(self.count);
+            self.count = 0;
+        }
+    }
+
+    /// The digest, and how many equal steps there are on end.
+    pub(crate) fn finish(mut self) -> (u128, usize) {
+        self.tell();
+        (self.digest.finish(), self.most)
+    }
+}
 
 impl Design<f64> {
     /// Of all numbers.
     pub(crate) fn digest(&self) -> u128 {
-        let mut digest = Digest::new();
-        digest.wide(self.frame.digest);
-        digest.numbers(&self.variance);
-        digest.count(self.moves.len());
-        for transition in &self.moves {
-            match transition.digest {
-                Some(shared) => digest.wide(shared),
-                None => transition.add_to(&mut digest),
+        let mut identity = Identity::new(&self.frame, self.variance.iter().copied());
+        for Stretch { transition, lines, count, .. } in self.stretches() {
+            if let Some(transition) = transition {
+                identity.moves(&transition.pattern, transition.phi.iter().copied(), transition.q.iter().copied());
             }
+            for line in lines {
+                let (states, h) = self.terms(line);
+                identity.line(states, h.iter().copied(), self.noise[line]);
+            }
+            identity.end(count);
         }
-        self.add_runs_to(&mut digest);
-        self.add_shape_to(&mut digest);
-        digest.numbers(&self.h);
-        let one = self.noise.first().filter(|first| self.noise.iter().all(|noise| noise.to_bits() == first.to_bits()));
-        digest.numbers(one.map_or(&self.noise[..], std::slice::from_ref));
-        digest.finish()
-    }
-
-    /// The runs; those on end that differ in nothing are told of once.
-    fn add_runs_to(&self, digest: &mut Digest) {
-        let kind = |at: usize| {
-            let (run, first) = (self.runs[at], if at == 0 { 0 } else { self.runs[at - 1].lines });
-            (run.lines - first, run.count, run.transition)
-        };
-        digest.count(self.runs.len());
-        let mut at = 0;
-        while at < self.runs.len() {
-            let alike = (at..self.runs.len()).take_while(|&other| kind(other) == kind(at)).count();
-            let (lines, count, transition) = kind(at);
-            digest.word((lines as u64) << 32 ^ count as u64);
-            digest.word((alike as u64) << 32 ^ transition.map_or(0, |number| u64::from(number) + 1));
-            at += alike;
-        }
-    }
-
-    /// How many terms each line has, and of which states; the lines of a step that all others repeat are told of once.
-    fn add_shape_to(&self, digest: &mut Digest) {
-        digest.count(self.ends.len());
-        let lines = self.runs.iter().map(|run| run.lines).find(|&lines| lines > 0).unwrap_or(0);
-        let terms = if lines == 0 { 0 } else { self.ends[lines - 1] };
-        let repeats = self.ends.iter().skip(lines).zip(&self.ends).all(|(later, sooner)| later - sooner == terms)
-            && self.states[terms..] == self.states[..self.states.len() - terms];
-        let (lines, terms) = if repeats { (lines, terms) } else { (self.ends.len(), self.states.len()) };
-        digest.counts(&self.ends[..lines]);
-        digest.indices(&self.states[..terms]);
+        identity.finish().0
     }
 
     /// Equal bit for bit.
@@ -73,7 +100,7 @@ impl Design<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reduce::design::{DENSE, Frame, Pattern, Run};
+    use crate::reduce::design::{DENSE, Run};
 
     type Change = fn(&mut Design, usize);
 
@@ -136,18 +163,19 @@ mod tests {
 
     #[test]
     fn what_repeats_is_told_apart_from_what_almost_does() {
-        // the same numbers, put together otherwise
         let whole = design(&[1.0; 8]);
         let mut joined = whole.clone();
         joined.runs.remove(3);
         joined.runs[2] = Run { count: 2, ..whole.runs[2] };
+        assert_eq!(joined.digest(), whole.digest(), "equal steps are one however they are kept");
+        // other designs of the same numbers
         let mut swapped = whole.clone();
         swapped.moves.reverse();
         let mut sooner = whole.clone();
         (sooner.runs[0].transition, sooner.runs[1].transition) = (Some(0), None);
         let mut shorter = whole.clone();
         (shorter.ends[0], shorter.ends[2]) = (1, 4);
-        let all = [&whole, &joined, &swapped, &sooner, &shorter].map(Design::digest);
+        let all = [&whole, &swapped, &sooner, &shorter].map(Design::digest);
         for k in 0..all.len() {
             assert!(!all[..k].contains(&all[k]), "design {k} has the digest of another");
         }

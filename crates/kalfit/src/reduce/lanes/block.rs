@@ -4,7 +4,7 @@ use kalfit_lanes::Isa;
 use crate::reduce::data::{Data, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::gains::Gains;
-use crate::reduce::lanes::designs::{Filters, Gained};
+use crate::reduce::lanes::designs::{Gained, Loaded};
 use crate::reduce::lanes::numbers::Side;
 use crate::reduce::lanes::pass::Pass;
 use crate::reduce::lanes::room::Room;
@@ -67,14 +67,10 @@ impl Block {
         self.isa.run(Pass { design, gains, data: self.side(), room });
     }
 
-    /// Runs the filters of designs of one shape, one for each lane, and their data passes.
-    pub(crate) fn filter(&self, (designs, longest): (&[&Design], &Design), gained: &mut Gained, room: &mut Room) {
-        self.isa.run(Filters { designs, longest, data: Some(self.side()), gained, room });
-    }
-
     /// The gains of one design; `None` where square-root arrays are called for.
     pub(crate) fn gains(&self, design: &Design, gained: &mut Gained, room: &mut Room) -> Option<Gains> {
-        self.isa.run(Filters { designs: &[design], longest: design, data: None, gained, room });
+        gained.load(design, self.isa.lanes());
+        self.isa.run(Loaded { design, tests: 1, data: None, gained, room });
         gained.gains((0, self.isa.lanes()), design.rows())
     }
 

@@ -46,44 +46,8 @@ pub(crate) struct Gained {
     last: (Vec<f64>, Vec<f64>),
 }
 
-/// Whether two designs go side by side: as far as both reach, they differ in their numbers alone.
-pub(crate) fn same_shape(a: &Design, b: &Design) -> bool {
-    let same_run =
-        |(a, b): (&Run, &Run)| (a.lines, a.count, a.transition.is_some()) == (b.lines, b.count, b.transition.is_some());
-    let mut patterns = a.moves.iter().chain(&b.moves).map(|transition| &transition.pattern);
-    let one_pattern = patterns.next().is_none_or(|first| patterns.all(|pattern| Arc::ptr_eq(first, pattern)));
-    let (lines, terms) = (a.ends.len().min(b.ends.len()), a.states.len().min(b.states.len()));
-    Arc::ptr_eq(&a.frame, &b.frame)
-        && one_pattern
-        && a.runs.iter().zip(&b.runs).all(same_run)
-        && a.ends[..lines] == b.ends[..lines]
-        && a.states[..terms] == b.states[..terms]
-}
-
-/// The design pass, then the data pass, if there are data.
-pub(crate) struct Filters<'a> {
-    /// One for each lane, and no fewer than one. Shorter ones are filled up with measurements that say nothing, which changes
-    /// no bit: h = 0, R = 1.
-    pub(super) designs: &'a [&'a Design],
-    /// The longest of them.
-    pub(super) longest: &'a Design,
-    pub(super) data: Option<Side<'a>>,
-    pub(super) gained: &'a mut Gained,
-    pub(super) room: &'a mut Room,
-}
-
-impl Kernel for Filters<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<T: Lanes>(self) {
-        let Filters { designs, longest, data, gained, room } = self;
-        gained.load::<T>(designs, longest);
-        Loaded { design: longest, tests: designs.len(), data, gained, room }.run::<T>();
-    }
-}
-
-/// The same of designs whose numbers are in lanes already: so many of them, of the shape of `design`.
+/// The design pass over designs whose numbers are in lanes, so many of them and of the shape of `design`; then the data pass, if there
+/// are data.
 pub(super) struct Loaded<'a> {
     pub(super) design: &'a Design,
     pub(super) tests: usize,
@@ -108,26 +72,29 @@ impl Kernel for Loaded<'_> {
 
 impl Gained {
     /// Of designs that are all as long as this one, each step a run: numbers of zero, but noises of one.
-    pub(super) fn blank(design: &Design, lanes: usize) -> Gained {
-        let pattern = pattern(design).cloned().unwrap_or_default();
+    pub(super) fn blank(&mut self, design: &Design, lanes: usize) {
+        let (terms, pairs) = pattern(design).map_or((0, 0), |pattern| (pattern.columns.len(), pattern.pairs.len()));
+        let Gained { variance, h, noise, moves, phi, q, .. } = self;
         let mut transitions = 0_usize;
-        let mut number = |run: &Run| {
+        let number = |run: &Run| {
             transitions += usize::from(run.transition.is_some());
             transitions.saturating_sub(1)
         };
-        let moves: Vec<usize> = design.runs.iter().map(&mut number).collect();
-        Gained {
-            variance: vec![0.0; design.variance.len() * lanes],
-            h: vec![0.0; design.states.len() * lanes],
-            noise: vec![1.0; design.rows() * lanes],
-            moves,
-            phi: vec![0.0; transitions * pattern.columns.len() * lanes],
-            q: vec![0.0; transitions * pattern.pairs.len() * lanes],
-            terms: pattern.columns.len(),
-            runs: [design.runs.len(); MOST],
-            shortest: design.runs.len(),
-            ..Gained::default()
+        moves.clear();
+        moves.extend(design.runs.iter().map(number));
+        let numbers = [
+            (variance, design.variance.len(), 0.0),
+            (h, design.states.len(), 0.0),
+            (noise, design.rows(), 1.0),
+            (phi, transitions * terms, 0.0),
+            (q, transitions * pairs, 0.0),
+        ];
+        for (column, numbers, x) in numbers {
+            column.clear();
+            column.resize(numbers * lanes, x);
         }
+        self.terms = terms;
+        (self.runs, self.shortest) = ([design.runs.len(); MOST], design.runs.len());
     }
 
     /// P0, h, R, φ and Q, to be changed.
@@ -136,51 +103,30 @@ impl Gained {
         [variance, h, noise, phi, q]
     }
 
-    /// The numbers of the designs, side by side.
-    #[inline(always)]
-    fn load<T: Lanes>(&mut self, designs: &[&Design], longest: &Design) {
-        let of = |get: fn(&Design) -> &[f64]| {
-            let mut all: [&[f64]; MOST] = [&[]; MOST];
-            all.iter_mut().zip(designs).for_each(|(own, design)| *own = get(design));
-            all
+    /// The numbers of one design, in the first lane.
+    pub(super) fn load(&mut self, design: &Design, lanes: usize) {
+        let Gained { variance, h, noise, moves, phi, q, .. } = self;
+        let first = |column: &mut Vec<f64>, numbers: &mut dyn Iterator<Item = f64>, rest: f64| {
+            column.clear();
+            for x in numbers {
+                column.push(x);
+                column.resize(column.len() + lanes - 1, rest);
+            }
         };
-        weave::<T>(&of(|design| &design.variance), (longest.variance.len(), 0.0), &mut self.variance);
-        weave::<T>(&of(|design| &design.h), (longest.h.len(), 0.0), &mut self.h);
-        weave::<T>(&of(|design| &design.noise), (longest.noise.len(), 1.0), &mut self.noise);
-        self.runs = [longest.runs.len(); MOST];
-        self.runs.iter_mut().zip(designs).for_each(|(runs, design)| *runs = design.runs.len());
-        self.shortest = designs.iter().map(|design| design.runs.len()).min().unwrap_or(0);
-        self.load_transitions::<T>(designs, longest);
-    }
-
-    /// The transitions: runs on end share one where all designs have theirs go on. Of a design that has ended φ and Q are zero.
-    #[inline(always)]
-    fn load_transitions<T: Lanes>(&mut self, designs: &[&Design], longest: &Design) {
-        self.moves.clear();
-        self.phi.clear();
-        self.q.clear();
-        self.terms = pattern(longest).map_or(0, |pattern| pattern.columns.len());
-        let pairs = pattern(longest).map_or(0, |pattern| pattern.pairs.len());
-        let mut last: [Option<u32>; MOST] = [None; MOST];
-        let mut number = 0_usize;
-        for (run, longest_run) in longest.runs.iter().enumerate() {
-            let mut now = [None; MOST];
-            for (now, design) in now.iter_mut().zip(designs) {
-                *now = design.runs.get(run).and_then(|run| run.transition);
-            }
-            if longest_run.transition.is_some() && now != last {
-                let (phi, q) = (self.phi.len(), self.q.len());
-                self.phi.resize(phi + self.terms * T::COUNT, 0.0);
-                self.q.resize(q + pairs * T::COUNT, 0.0);
-                for (lane, (design, transition)) in designs.iter().zip(now).enumerate() {
-                    let Some(transition) = transition.map(|number| &design.moves[number as usize]) else { continue };
-                    transition.phi.iter().enumerate().for_each(|(k, &x)| self.phi[phi + k * T::COUNT + lane] = x);
-                    transition.q.iter().enumerate().for_each(|(k, &x)| self.q[q + k * T::COUNT + lane] = x);
-                }
-                (last, number) = (now, number + 1);
-            }
-            self.moves.push(number.saturating_sub(1));
-        }
+        let transitions = || design.moves.iter();
+        first(variance, &mut design.variance.iter().copied(), 0.0);
+        first(h, &mut design.h.iter().copied(), 0.0);
+        first(noise, &mut design.noise.iter().copied(), 1.0);
+        first(phi, &mut transitions().flat_map(|transition| transition.phi.iter().copied()), 0.0);
+        first(q, &mut transitions().flat_map(|transition| transition.q.iter().copied()), 0.0);
+        let mut number = 0;
+        moves.clear();
+        moves.extend(design.runs.iter().map(|run| {
+            number = run.transition.unwrap_or(number);
+            number as usize
+        }));
+        self.terms = pattern(design).map_or(0, |pattern| pattern.columns.len());
+        (self.runs, self.shortest) = ([design.runs.len(); MOST], design.runs.len());
     }
 
     /// The covariance filter.
@@ -257,8 +203,8 @@ impl Gained {
         End::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
-    /// P0, h, R and Q of the designs, in lanes.
-    pub(super) fn variance(&self) -> &[f64] {
+    /// P0, h, R, φ and Q of the designs, in lanes.
+    pub(crate) fn variance(&self) -> &[f64] {
         &self.variance
     }
 
@@ -270,7 +216,11 @@ impl Gained {
         &self.noise
     }
 
-    pub(super) fn process_noise(&self) -> &[f64] {
+    pub(crate) fn transitions(&self) -> &[f64] {
+        &self.phi
+    }
+
+    pub(crate) fn process_noise(&self) -> &[f64] {
         &self.q
     }
 
@@ -430,24 +380,4 @@ impl<T: Lanes> Numbers<T> for Gained {
 #[inline(always)]
 fn pattern(design: &Design) -> Option<&Arc<Pattern>> {
     design.moves.first().map(|transition| &transition.pattern)
-}
-
-/// Numbers of several designs side by side, `len` of each: what is missing is `rest`.
-#[inline(always)]
-fn weave<T: Lanes>(all: &[&[f64]; MOST], (len, rest): (usize, f64), out: &mut Vec<f64>) {
-    out.resize(len * T::COUNT, 0.0);
-    if all[..T::COUNT].iter().all(|own| own.len() == len) {
-        let mut own = [&[] as &[f64]; MOST];
-        (0..T::COUNT).for_each(|lane| own[lane] = &all[lane][..len]);
-        for (k, side) in out.chunks_exact_mut(T::COUNT).enumerate() {
-            for lane in 0..T::COUNT {
-                side[lane] = own[lane][k];
-            }
-        }
-        return;
-    }
-    out.fill(rest);
-    for (lane, own) in all[..T::COUNT].iter().enumerate() {
-        own.iter().enumerate().for_each(|(k, &x)| out[k * T::COUNT + lane] = x);
-    }
 }

@@ -36,11 +36,15 @@ pub(crate) struct Columns<'a> {
 }
 
 impl Kept {
+    /// Of no test yet.
+    pub(crate) fn new(isa: Isa) -> Kept {
+        Kept { block: Block::new(isa), gained: Gained::default() }
+    }
+
     /// Of a shape in which each step is a run, with so many transitions: all numbers are zero, but noises are one.
-    pub(crate) fn blank(isa: Isa, design: &Design, transitions: usize) -> Kept {
-        let mut block = Block::new(isa);
-        block.clear(design.frame.n, transitions * design.frame.driven.len(), design.rows());
-        Kept { block, gained: Gained::blank(design, isa.lanes()) }
+    pub(crate) fn blank(&mut self, design: &Design, transitions: usize) {
+        self.block.clear(design.frame.n, transitions * design.frame.driven.len(), design.rows());
+        self.gained.blank(design, self.block.lanes());
     }
 
     pub(crate) fn columns(&mut self) -> Columns<'_> {

@@ -14,7 +14,7 @@ mod squares;
 mod woven;
 
 pub(crate) use block::Block;
-pub(crate) use designs::{Gained, same_shape};
+pub(crate) use designs::Gained;
 pub(crate) use kept::{Columns, Kept};
 pub(crate) use room::Room;
 pub(crate) use woven::Woven;

@@ -3,17 +3,18 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::*;
 use crate::ensemble::{Source, Test};
 use crate::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     State,
 };
+use crate::reduce::blocks::{Beside, Found};
 use crate::reduce::data::{DataWork, Outcome};
 use crate::reduce::data_pass::outcome;
+use crate::reduce::prepare::Skeleton;
 use crate::reduce::reducer::{Reducer, information_gains};
 use crate::reduce::schedule::GainsWork;
-use crate::reduce::{Reductions, Work};
+use crate::reduce::{Reduction, Reductions, Work};
 
 /// z, w, an input of z, an input of the drift, the variance of z.
 const COLUMNS: usize = 5;
@@ -101,40 +102,35 @@ fn close(found: &Outcome, expected: &Outcome, what: &str) {
     }
 }
 
-/// Designs of one shape but for their lengths, and data.
-fn prepared(reducer: &Reducer, tests: &[Test]) -> Vec<(Design, crate::reduce::data::Data)> {
-    let mut work = reducer.workspace();
-    let mut one = |test: &Test| {
-        reducer.preparer().prepare(test, &mut work).expect("sound");
-        (work.design.clone(), work.data.clone())
-    };
-    tests.iter().map(&mut one).collect()
+/// What tests leave that are filtered side by side, by number.
+fn side_by_side(isa: Isa, reducer: &Reducer, tests: &[Test]) -> Found {
+    let (mut work, mut found) = (reducer.workspace(), Found::default());
+    let mut all: Vec<Skeleton> = tests.iter().map(|_| Skeleton::default()).collect();
+    for (number, (test, own)) in tests.iter().zip(&mut all).enumerate() {
+        assert!(reducer.preparer().skeleton(test, number, &mut work, own), "{} goes beside others", test.id);
+    }
+    let tests: Vec<&Test> = tests.iter().collect();
+    Beside::new(isa, reducer).reduce(reducer, (&tests, &mut all), &mut work.room, &mut found);
+    assert!(found.odd.is_empty(), "all are well conditioned");
+    found
 }
 
 #[test]
 fn lanes_agree_with_one_test_at_a_time() {
     let reducer = reducer();
     for (isa, size) in Isa::all().iter().flat_map(|&isa| [(isa, 1.0), (isa, 1e3)]) {
-        // all have 3 | seed or seed % 3 = 2: no value of z is missing, so that one is the beginning of the other
-        let designs = [0, 2, 3, 5, 6, 8, 9, 11];
-        let all = prepared(&reducer, &tests(&designs[..isa.lanes().min(7)], size));
-        let longest = &all.iter().max_by_key(|(design, _)| design.rows()).expect("some").clone();
-        assert!(all.iter().all(|(design, _)| same_shape(design, &longest.0)), "ragged, but of one shape");
-        let (mut block, mut room, mut gained) = (Block::new(isa), Room::default(), Gained::default());
-        block.clear(longest.1.start.len(), longest.1.inputs.len(), longest.1.values.len());
-        for (lane, (_, data)) in all.iter().enumerate() {
-            block.begin(lane, &data.start, &data.inputs);
-            assert!(block.values(lane, data.values.iter().copied()));
-        }
-        let designs: Vec<&Design> = all.iter().map(|(design, _)| design).collect();
-        block.filter((&designs, &longest.0), &mut gained, &mut room);
-        for (lane, (design, data)) in all.iter().enumerate() {
-            let gains = information_gains(design, &mut GainsWork::default()).expect("well conditioned");
-            let expected = outcome(design, &gains, data, &mut DataWork::default()).expect("possible");
-            let (factor, log_determinant) = gained.found[lane].as_ref().expect("well conditioned");
-            let found = block.outcome(lane, (design.rows(), *log_determinant), &room);
-            close(&found, &expected, &format!("{isa:?}, size {size}, lane {lane}"));
-            for (found, expected) in factor.iter().zip(&gains.factor) {
+        // ragged, and of some the second values of z are missing
+        let all = tests(&(0..13).collect::<Vec<u64>>(), size);
+        let found = side_by_side(isa, &reducer, &all);
+        for (row, &number) in found.reductions.iter().zip(&found.numbers) {
+            let mut work = reducer.workspace();
+            reducer.preparer().prepare(&all[number], &mut work).expect("sound");
+            let gains = information_gains(&work.design, &mut GainsWork::default()).expect("well conditioned");
+            let expected = outcome(&work.design, &gains, &work.data, &mut DataWork::default()).expect("possible");
+            let residual = row.residual.expect("there are data");
+            let own = Outcome { constant: row.constant, residual, data: row.data.to_vec() };
+            close(&own, &expected, &format!("{isa:?}, size {size}, test {number}"));
+            for (found, expected) in row.factor.iter().zip(&gains.factor) {
                 assert!((found - expected).abs() <= 1e-12 * expected.abs().max(1.0), "{found} against {expected}");
             }
         }
@@ -144,25 +140,12 @@ fn lanes_agree_with_one_test_at_a_time() {
 #[test]
 fn a_test_in_a_lane_has_the_bits_it_has_by_itself() {
     let reducer = reducer();
-    let all = prepared(&reducer, &tests(&[0, 2, 3, 5], 30.0));
-    let isa = Isa::best();
-    let (mut block, mut room, mut gained) = (Block::new(isa), Room::default(), Gained::default());
-    let designs: Vec<&Design> = all.iter().map(|(design, _)| design).collect();
-    let longest = &all.iter().max_by_key(|(design, _)| design.rows()).expect("some").clone();
-    block.clear(longest.1.start.len(), longest.1.inputs.len(), longest.1.values.len());
-    for (lane, (_, data)) in all.iter().enumerate() {
-        block.begin(lane, &data.start, &data.inputs);
-        block.values(lane, data.values.iter().copied());
-    }
-    block.filter((&designs, &longest.0), &mut gained, &mut room);
-    for (lane, (design, data)) in all.iter().enumerate() {
-        let (mut own, mut own_room, mut own_gained) = (Block::new(isa), Room::default(), Gained::default());
-        let gains = own.gains(design, &mut own_gained, &mut own_room).expect("well conditioned");
-        let kept = gained.gains((lane, isa.lanes()), design.rows()).expect("well conditioned");
-        assert_eq!((&kept.gains, &kept.sensitivities), (&gains.gains, &gains.sensitivities), "lane {lane}");
-        let alone = own.alone((design, &gains), data, &mut own_room, &mut Vec::new());
-        let (_, log_determinant) = gained.found[lane].as_ref().expect("well conditioned");
-        assert_eq!(block.outcome(lane, (design.rows(), *log_determinant), &room), alone, "lane {lane}");
+    let all = tests(&(0..40).collect::<Vec<u64>>(), 30.0);
+    let found = side_by_side(Isa::best(), &reducer, &all);
+    assert_eq!(found.numbers.len(), all.len());
+    for (row, &number) in found.reductions.iter().zip(&found.numbers) {
+        let (alone, _) = reducer.one(&all[number], &mut reducer.workspace()).expect("sound");
+        assert_eq!(Reduction::from(row), alone, "test {number}, its digest too");
     }
 }
 

@@ -13,34 +13,7 @@ pub(crate) struct Ahead {
     pub(crate) dt: f64,
 }
 
-/// The lines of a test, and the values of its measurements.
-pub(crate) struct Lines<'a> {
-    pub(crate) h: &'a mut Vec<f64>,
-    pub(crate) noise: &'a mut Vec<f64>,
-    /// z - d.
-    pub(crate) values: &'a mut Vec<f64>,
-}
-
 impl Meters {
-    /// The lines of all rows of a test without times, in the place of what was there. False where a row does not measure everything,
-    /// has the lines of the row before, or something is wrong with it.
-    pub(crate) fn lines(&self, at: &At<'_>, test: &Test, out: &mut Lines<'_>) -> bool {
-        let Lines { h, noise, values } = out;
-        [&mut **h, noise, values].into_iter().for_each(Vec::clear);
-        let terms = self.meters.iter().map(|meter| meter.terms.len()).sum();
-        (0..test.rows()).all(|row| {
-            let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: 0.0, alpha: at.alpha };
-            let sound = self.meters.iter().all(|meter| {
-                let z = scope.numbers[meter.column];
-                let Ok((variance, constant)) = meter.line(at, &scope, h) else { return false };
-                noise.push(variance);
-                values.push(z - constant);
-                z.is_finite()
-            });
-            sound && (row == 0 || differs(h, terms) || differs(noise, self.meters.len()))
-        })
-    }
-
     /// True when which measurements a row has can be told from the measured values alone, and each has a line of its own.
     pub(crate) fn can_follow(&self) -> bool {
         self.pairs.is_empty() && self.meters.iter().all(|meter| meter.filter.is_none())

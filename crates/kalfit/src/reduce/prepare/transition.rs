@@ -73,8 +73,8 @@ impl Preparer {
 
     /// Makes the moves of a step, in place of the last ones.
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
-        let Workspace { key, values, flows, spare, last, .. } = work;
-        let moves = self.plan.moves(&self.dynamics, values, (dt, false), (flows, spare.pop()))?;
+        let Workspace { key, values, filled, spare, last, .. } = work;
+        let moves = self.plan.moves(&self.dynamics, values, (dt, false), (filled, spare.pop()))?;
         // the memory of the key before is that of the next
         if let Some(Last::Own(before, _)) = last.replace(Last::Own(std::mem::take(key), moves)) {
             *key = before;
@@ -85,14 +85,14 @@ impl Preparer {
     fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
         let mut digest = Digest::new();
         work.key.iter().for_each(|&word| digest.word(word));
-        let Workspace { key, values, flows, .. } = work;
+        let Workspace { key, values, filled, .. } = work;
         self.transitions.get(
             digest.finish(),
             |known| known == key,
             || key.clone(),
             |_| {
                 self.computed.fetch_add(1, Ordering::Relaxed);
-                self.plan.moves(&self.dynamics, values, (dt, true), (flows, None))
+                self.plan.moves(&self.dynamics, values, (dt, true), (filled, None))
             },
             |key, moves| {
                 let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());

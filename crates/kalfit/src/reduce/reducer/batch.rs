@@ -8,20 +8,16 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::class::{Class, class_bytes};
-use crate::reduce::design::Design;
+use crate::reduce::blocks::{Beside, Found};
+use crate::reduce::class::Class;
 use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
-use crate::reduce::gains::Gains;
-use crate::reduce::lanes::{Block, is_short};
-use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::filtered::Filter;
+use crate::reduce::lanes::Block;
+use crate::reduce::prepare::{Skeleton, Workspace};
 use crate::reduce::reducer::known::Known;
-use crate::reduce::reducer::queue::Queue;
-use crate::reduce::reducer::straight::Straight;
 use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::subject::Fault;
-use crate::reduce::{Path, Reduction, Reductions};
+use crate::reduce::{Reduction, Reductions};
 
 /// Most classes whose blocks are filled at the same time.
 const OPEN: usize = 32;
@@ -63,14 +59,12 @@ pub(crate) struct Batch<'a> {
     latest: usize,
     /// The group that makes room for another, when there are as many as there may be.
     oldest: usize,
-    queue: Queue,
-    /// Tests without dynamics, of the length of the last one that was evaluated.
-    straight: Option<Straight>,
-    /// Tests that something is wrong with, or that call for square-root arrays: their turn comes last, each by itself.
-    odd: Vec<usize>,
-    /// Reductions as they come, and the number of the test of each.
-    found: Reductions,
-    numbers: Vec<usize>,
+    /// Tests with designs of their own, and room for them.
+    own: Vec<Skeleton>,
+    spare: Vec<Skeleton>,
+    beside: Beside,
+    /// Reductions as they come. Odd ones, with which something is wrong or that call for square-root arrays, come last, each by itself.
+    found: Found,
     /// What is wrong with tests, by their numbers.
     faults: Vec<(usize, ReduceError)>,
     /// Where the tests end; empty where that is not wanted.
@@ -102,20 +96,10 @@ impl Reducer {
         fault.name(&self.preparer.model, Some(test))
     }
 
-    /// True when the filter of this design, which nobody has run yet, is one for lanes.
-    pub(crate) fn goes_aside(&self, digest: u128, design: &Design) -> bool {
-        is_short(design) && !self.classes.has(digest, |known| known.same(design))
-    }
-
-    /// Takes note of a design whose filter was run elsewhere. `made` puts together what it left, if it is wanted.
-    pub(crate) fn ran(&self, digest: u128, made: impl FnOnce() -> (Design, Gains)) {
-        let made = || {
-            let (design, gains) = made();
-            (design, Ok(gains))
-        };
+    /// Takes note of a design whose filter was run side by side with others.
+    pub(crate) fn ran(&self, digest: u128) {
         // threads that meet one design at the same time count once: the work told of does not depend on threads
-        let first = self.classes.offer((digest, self.eager), made, class_bytes);
-        self.design_runs.fetch_add(u64::from(first), Ordering::Relaxed);
+        self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
     }
 
     /// Recognises others by a test, as it is in the work space.
@@ -136,11 +120,10 @@ impl<'a> Batch<'a> {
             groups: Vec::new(),
             latest: 0,
             oldest: 0,
-            queue: Queue::default(),
-            straight: None,
-            odd: Vec::new(),
-            found: Reductions::new(),
-            numbers: Vec::new(),
+            own: Vec::new(),
+            spare: Vec::new(),
+            beside: Beside::new(Isa::best(), reducer),
+            found: Found::default(),
             faults: Vec::new(),
             endings: Vec::new(),
         }
@@ -152,16 +135,17 @@ impl<'a> Batch<'a> {
         if let Some((_, error)) = self.faults.drain(..).min_by_key(|(number, _)| *number) {
             return Err(error);
         }
-        debug_assert_eq!(self.numbers.len(), tests.len(), "every test was looked at");
+        let Found { reductions, numbers, .. } = &mut self.found;
+        debug_assert_eq!(numbers.len(), tests.len(), "every test was looked at");
         let mut places = vec![0; tests.len()];
-        self.numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
-        Ok(std::mem::take(&mut self.found).in_order(&places))
+        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
+        Ok(std::mem::take(reductions).in_order(&places))
     }
 
     /// Reduces tests.
     fn look(&mut self, tests: &[&Test]) {
-        self.found = Reductions::new();
-        self.numbers.clear();
+        self.found.reductions = Reductions::new();
+        self.found.numbers.clear();
         self.faults.clear();
         self.endings.clear();
         self.endings.resize_with(if self.reducer.ends { tests.len() } else { 0 }, || Ending::None);
@@ -174,11 +158,8 @@ impl<'a> Batch<'a> {
             self.evaluate(tests, number, hash);
         }
         (0..self.groups.len()).for_each(|group| self.flush(tests, group));
-        while let Some(line) = self.queue.any() {
-            self.filter(tests, line);
-        }
-        self.filter_straight(tests);
-        for number in std::mem::take(&mut self.odd) {
+        self.side_by_side(tests);
+        for number in std::mem::take(&mut self.found.odd) {
             let found = self.reducer.one(tests[number], &mut self.work);
             self.note_alone(number, found);
         }
@@ -189,7 +170,7 @@ impl<'a> Batch<'a> {
         self.look(tests);
         self.endings.resize_with(tests.len(), || Ending::None);
         let mut all: Vec<Option<Result<_, ReduceError>>> = tests.iter().map(|_| None).collect();
-        for (&number, row) in self.numbers.iter().zip(&self.found) {
+        for (&number, row) in self.found.numbers.iter().zip(&self.found.reductions) {
             let ending = std::mem::replace(&mut self.endings[number], Ending::None);
             all[number] = Some(Ok((row.into(), ending)));
         }
@@ -257,86 +238,44 @@ impl<'a> Batch<'a> {
             let outcome = block.outcome(lane, (gains.active, gains.log_determinant), &self.work.room);
             if outcome.is_finite() {
                 let about = About::new(gains, &covariates, (known.steps, known.digest));
-                self.found.put(self.reducer.row(tests[number], &outcome, about));
-                self.numbers.push(number);
+                self.found.reductions.put(self.reducer.row(tests[number], &outcome, about));
+                self.found.numbers.push(number);
                 if let Some(ending) = self.endings.get_mut(number) {
                     *ending = self.reducer.ending(&known.class, block.last(lane, &self.work.room));
                 }
             } else {
-                self.odd.push(number);
+                self.found.odd.push(number);
             }
         }
     }
 
-    /// Evaluates a test. Others are recognised by it, if it has a hash.
+    /// Evaluates a test, or puts it beside others. Others are recognised by it, if it has a hash.
     fn evaluate(&mut self, tests: &[&Test], number: usize, hash: Option<u64>) {
         let (test, reducer) = (tests[number], self.reducer);
-        if hash.is_none() && self.go_straight(tests, number) {
-            return;
-        }
-        if let Err(fault) = reducer.preparer().prepare(test, &mut self.work) {
-            self.faults.push((number, reducer.named(*fault, test)));
-            return;
-        }
-        let digest = self.work.design.digest();
-        if let Some(line) = self.queue.line_with(digest) {
-            self.filter(tests, line);
-        }
-        if hash.is_none() && reducer.goes_aside(digest, &self.work.design) {
-            self.follow_straight(tests, test);
-            if let Some(full) = self.queue.push(number, digest, &mut self.work) {
-                self.filter(tests, full);
+        if hash.is_none() {
+            let mut own = self.spare.pop().unwrap_or_default();
+            if reducer.preparer().skeleton(test, number, &mut self.work, &mut own) {
+                self.own.push(own);
+                return;
             }
-            return;
+            self.spare.push(own);
         }
-        let found = reducer.prepared(test, digest, &mut self.work);
+        let found = reducer.one(test, &mut self.work);
         if let (Some(hash), Ok((_, class))) = (hash, &found) {
             reducer.learn(test, class, hash, &self.work);
         }
-        self.note_alone(number, found.map_err(|fault| reducer.named(*fault, test)));
+        self.note_alone(number, found);
     }
 
-    /// Evaluates a test without dynamics straight into a lane; false where it is to be evaluated as others.
-    fn go_straight(&mut self, tests: &[&Test], number: usize) -> bool {
-        let (test, reducer) = (tests[number], self.reducer);
-        let Some(straight) = self.straight.as_mut().filter(|straight| straight.is_of(test.rows())) else {
-            return false;
-        };
-        let Some(digest) = straight.evaluate(reducer.preparer(), test) else { return false };
-        let waits = straight.has(digest) || self.queue.line_with(digest).is_some();
-        if waits || !reducer.goes_aside(digest, straight.design()) {
-            self.filter_straight(tests); // its design is known then
-            return false;
+    /// Reduces tests with designs of their own.
+    fn side_by_side(&mut self, tests: &[&Test]) {
+        let Batch { reducer, work, own, beside, found, .. } = self;
+        let first = found.numbers.len();
+        beside.reduce(reducer, (tests, own), &mut work.room, found);
+        for (&number, terminal) in found.numbers[first..].iter().zip(found.terminals.drain(..)) {
+            self.endings[number] = Ending::Known(Cow::Owned(terminal));
         }
-        if straight.seat(number, digest) {
-            self.filter_straight(tests);
-        }
-        true
-    }
-
-    /// Lets tests of the length of this one, which is in the work space, go straight into lanes where they may.
-    fn follow_straight(&mut self, tests: &[&Test], test: &Test) {
-        let known = self.straight.as_ref().is_some_and(|straight| straight.is_of(test.rows()));
-        if known || self.reducer.ends {
-            return;
-        }
-        if let Some(straight) = Straight::like(self.reducer.preparer(), test, &self.work) {
-            self.filter_straight(tests);
-            self.straight = Some(straight);
-        }
-    }
-
-    /// Runs the filters of tests that went straight into lanes.
-    fn filter_straight(&mut self, tests: &[&Test]) {
-        let Batch { reducer, work, straight, found, numbers, odd, .. } = self;
-        let Some(straight) = straight else { return };
-        straight.filter((reducer, work), |number, filtered| match filtered {
-            Some((outcome, about)) => {
-                found.put(reducer.row(tests[number], outcome, about));
-                numbers.push(number);
-            }
-            None => odd.push(number),
-        });
+        self.spare.append(&mut self.own);
     }
 
     /// Takes what was found of the test in the work space.
@@ -346,38 +285,11 @@ impl<'a> Batch<'a> {
         }
         match found {
             Ok((reduction, _)) => {
-                self.found.push(reduction);
-                self.numbers.push(number);
+                self.found.reductions.push(reduction);
+                self.found.numbers.push(number);
             }
             Err(error) => self.faults.push((number, error)),
         }
-    }
-
-    /// Runs the filters of tests with designs of their own.
-    fn filter(&mut self, tests: &[&Test], line: usize) {
-        let reducer = self.reducer;
-        let waiting = self.queue.take(line);
-        let filtered = reducer.filter(&waiting, &mut self.work);
-        for (lane, own) in waiting.iter().enumerate() {
-            let Some(Filter { outcome, factor, end }) = filtered.of(lane) else {
-                self.odd.push(own.number);
-                continue;
-            };
-            if let Some(end) = end {
-                self.endings[own.number] = Ending::Known(Cow::Owned(filtered.terminal(lane, end)));
-            }
-            let about = About {
-                factor,
-                covariates: &own.covariates,
-                steps: own.design.steps(),
-                observations: own.design.rows(),
-                path: Path::Information,
-                digest: own.digest,
-            };
-            self.found.put(reducer.row(tests[own.number], &outcome, about));
-            self.numbers.push(own.number);
-        }
-        self.queue.give_back(waiting);
     }
 }
 
@@ -393,5 +305,46 @@ impl Group {
     fn take(&mut self, test: &Test) -> bool {
         let cells = test.all_numbers();
         self.block.values(self.seats.len(), self.known.cells.iter().map(|&(cell, d)| cells[cell] - d))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::{constant, measurement, name};
+    use crate::ensemble::Source;
+    use crate::model::{Alpha, Model};
+
+    /// Regressions of several lengths: some share a design, some repeat a row, some lack a value.
+    fn tests() -> Vec<Test> {
+        let one = |j: usize| {
+            let mut test = Test::new(format!("t{j:03}"), 2, 0);
+            for row in 0..if j % 5 == 4 { 4 } else { 9 } {
+                let seed = if j.is_multiple_of(7) { 3 } else { j };
+                let at = |row: usize| ((97 * seed + 13 * row) as f64).sin();
+                let x = at(if j % 11 == 1 && row == 4 { 3 } else { row });
+                let y = if j % 13 == 2 && row == 2 { f64::NAN } else { ((31 * j + 7 * row) as f64).cos() };
+                test.push(&[y, x], &[], Source::default());
+            }
+            test
+        };
+        (0..200).map(one).collect()
+    }
+
+    #[test]
+    fn regressions_together_are_what_they_are_by_themselves() {
+        let y = measurement("y", name("a") + name("b") * name("x"), 0.5);
+        let model =
+            Model::builder("").state(constant("a")).state(constant("b")).measurement(y).build().expect("a model");
+        let model = &model.phases[0].model;
+        let columns: Vec<&str> = model.columns.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(columns, ["y", "x"], "the order of the cells of a row");
+        let reducer = || Reducer::new(model, &Alpha::default()).expect("sound");
+        let all = tests();
+        let together = reducer().reduce(&all).expect("sound");
+        for (test, found) in all.iter().zip(&together) {
+            let alone = reducer().reduce(std::slice::from_ref(test)).expect("sound");
+            assert_eq!(found, alone.get(0), "{}", test.id);
+        }
     }
 }

@@ -187,9 +187,8 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
                 let kept = values == &sharp || in_lanes[j] || alone.path == Path::SquareRoot || !blocks.has[j];
                 assert!(kept, "{what} was left out of its lane");
                 assert_eq!((own.test, own.steps, own.observations), (alone.test, alone.steps, alone.observations));
-                near(&format!("{what}, ℓ"), tolerance, &[own.constant], &[alone.constant]);
-                near(&format!("{what}, d"), tolerance, own.data, alone.data);
-                near(&format!("{what}, R"), tolerance, own.factor, alone.factor);
+                assert_eq!(own.constant, alone.constant, "{what}, to the bit");
+                assert_eq!((own.data, own.factor), (alone.data, alone.factor), "{what}, to the bit");
                 near(&format!("{what}, score"), 10.0 * tolerance, &dense(&scores[j]), &dense(&by_themselves[j]));
             }
         }

@@ -1,0 +1,136 @@
+//! Tests that are evaluated once, at one α, side by side.
+
+use std::cmp::Ordering;
+
+use kalfit_lanes::Isa;
+
+use crate::ensemble::Test;
+use crate::reduce::Terminal;
+use crate::reduce::blocks::{Found, Layout, Own, Values};
+use crate::reduce::data::FEW;
+use crate::reduce::lanes::{Columns, Room};
+use crate::reduce::prepare::Skeleton;
+use crate::reduce::reducer::Reducer;
+
+/// The order in which tests go together: by length, then by what they measure.
+pub(crate) fn by_shape(a: &Skeleton, b: &Skeleton) -> Ordering {
+    b.len().cmp(&a.len()).then_with(|| a.pattern().cmp(b.pattern()))
+}
+
+/// How many of these tests, at least one and in their order, go together in so many lanes.
+pub(super) fn together(own: &[Skeleton], lanes: usize) -> usize {
+    own.iter().take(lanes).take_while(|other| other.goes_with(&own[0])).count()
+}
+
+/// Room for tests side by side.
+#[derive(Debug)]
+pub(crate) struct Beside {
+    layout: Layout,
+    values: Values,
+    own: Vec<Own>,
+}
+
+/// What is added to a and to P0 of a test, by its place there.
+#[derive(Debug, Default)]
+pub(crate) struct Entering {
+    pub(crate) mean: Vec<(usize, f64)>,
+    pub(crate) variance: Vec<(usize, f64)>,
+}
+
+/// What the filter of a test has found.
+#[derive(Debug)]
+pub(crate) struct Passed<'a> {
+    beside: &'a Beside,
+    lane: usize,
+    room: &'a Room,
+    /// Where it ends, if that is wanted.
+    pub(crate) end: Option<Terminal>,
+}
+
+impl Passed<'_> {
+    /// e and 1/S of each of its measurements.
+    pub(crate) fn innovations(&self) -> impl Iterator<Item = (f64, f64)> {
+        let Layout { lanes, measured, design, .. } = &self.beside.layout;
+        let kept = &self.beside.values.kept;
+        let weights = kept.gained.weights((self.lane, *lanes), design.rows());
+        let has = measured.iter().skip(self.lane).step_by(*lanes);
+        let all = kept.block.innovations(self.lane, self.room).zip(weights).zip(has);
+        all.filter(|(_, has)| **has != 0.0).map(|(found, _)| found)
+    }
+}
+
+impl Beside {
+    /// For tests of a model.
+    pub(crate) fn new(isa: Isa, reducer: &Reducer) -> Beside {
+        Beside { layout: Layout::new(isa, reducer.preparer()), values: Values::new(isa), own: Vec::new() }
+    }
+
+    /// Evaluates tests and runs their filters. What is found of a test does not depend on the others.
+    pub(crate) fn reduce(
+        &mut self,
+        reducer: &Reducer,
+        (tests, skeletons): (&[&Test], &mut [Skeleton]),
+        room: &mut Room,
+        found: &mut Found,
+    ) {
+        each_group(skeletons, self.layout.lanes, |group| {
+            self.take(reducer, tests, group);
+            let Beside { layout, values, own } = self;
+            own.iter().zip(values.sound).filter(|(_, sound)| *sound).for_each(|(own, _)| reducer.ran(own.digest));
+            values.filter((layout, own), (reducer, |own: &Own| own.digest), tests, room, found);
+        });
+    }
+
+    /// The same where more is known of the starts of the tests, each by its number. `show` is shown what is found of each, nothing
+    /// where it must be looked at by itself.
+    pub(crate) fn pass(
+        &mut self,
+        reducer: &Reducer,
+        (tests, skeletons, entering): (&[&Test], &mut [Skeleton], &[Entering]),
+        room: &mut Room,
+        mut show: impl FnMut(&Skeleton, Option<Passed<'_>>),
+    ) {
+        each_group(skeletons, self.layout.lanes, |group| {
+            self.take(reducer, tests, group);
+            let Beside { layout, values, .. } = self;
+            let Columns { start, variance, .. } = values.kept.columns();
+            for (lane, &number) in layout.tests.iter().enumerate() {
+                let Entering { mean, variance: own } = &entering[number];
+                mean.iter().for_each(|&(place, x)| start[place * layout.lanes + lane] += x);
+                own.iter().for_each(|&(place, x)| variance[place * layout.lanes + lane] += x);
+            }
+            values.kept.gained.with_ends = reducer.wants_ends();
+            values.kept.filter(&layout.design, group.len(), room);
+            for (lane, own) in group.iter().enumerate() {
+                let found = self.values.of(lane, (&self.layout, own.instances.len()), reducer, room);
+                let end = found.map(|(.., end)| end);
+                show(own, end.map(|end| Passed { beside: self, lane, room, end }));
+            }
+        });
+    }
+
+    /// Takes tests, in place of others.
+    fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &mut [Skeleton]) {
+        let Beside { layout, values, own } = self;
+        layout.take(reducer.preparer(), tests, group);
+        values.take(layout, (reducer.preparer(), tests));
+        own.clear();
+        for (lane, skeleton) in group.iter_mut().enumerate() {
+            let (digest, most) = values.identity(layout, lane, skeleton.len());
+            values.sound[lane] &= most <= FEW; // so many equal steps have a pass of their own
+            let covariates = std::mem::take(&mut skeleton.covariates);
+            let (steps, observations) = (skeleton.len(), skeleton.instances.len());
+            own.push(Own { digest, covariates, steps, observations });
+        }
+    }
+}
+
+/// Shows tests that go together in so many lanes, all of them in turn.
+fn each_group(mut left: &mut [Skeleton], lanes: usize, mut show: impl FnMut(&mut [Skeleton])) {
+    left.sort_by(by_shape);
+    while !left.is_empty() {
+        let (group, rest) = left.split_at_mut(together(left, lanes));
+        show(group);
+        left = rest;
+    }
+}
