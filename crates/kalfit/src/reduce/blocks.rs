@@ -220,7 +220,7 @@ fn groups(skeletons: &[Skeleton]) -> Vec<&[Skeleton]> {
 /// Bytes of a block of these tests, about so many.
 fn size(preparer: &Preparer, own: &[Skeleton]) -> usize {
     let (frame, transition) = (&preparer.order.frame, preparer.plan.blank());
-    let terms = preparer.meters.parts().map(|(.., terms)| terms.len()).max().unwrap_or(0);
+    let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
     let of_row = 8 + terms + frame.r + frame.p;
     let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + 3 * frame.r;
     let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
@@ -260,7 +260,7 @@ impl Block {
         values.take(&layout, (preparer, tests));
         let own = own.iter().enumerate().map(|(lane, own)| Own {
             digest: match values.sound[lane] {
-                true => values.identity(&layout, lane, own.len()).0,
+                true => values.identity(&layout, lane, own.len()),
                 false => own.number as u128, // is like no other
             },
             covariates: own.covariates.clone(),

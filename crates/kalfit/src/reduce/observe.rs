@@ -2,6 +2,7 @@
 
 mod backward;
 mod follow;
+mod whiten;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Scope};
@@ -9,11 +10,11 @@ use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::{Instance, Instances};
-use crate::reduce::semidefinite::{NotSemidefinite, ldl};
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
 
 pub(crate) use backward::Unwhitened;
 pub(crate) use follow::Ahead;
+pub(crate) use whiten::{Whitening, whiten};
 
 /// A measurement of the model at α.
 #[derive(Debug, Clone)]
@@ -153,6 +154,23 @@ impl Meters {
             constants.add(&meter.constant, alpha);
         }
         (lines, constants)
+    }
+
+    /// Kernel states of the line of each measurement, ascending, and the places of its own terms among them: whitened lines may have
+    /// the terms of all.
+    pub(crate) fn shapes(&self) -> Vec<(Vec<u32>, Vec<usize>)> {
+        let own = |meter: &Meter| meter.terms.iter().map(|(state, _)| *state).collect::<Vec<u32>>();
+        let mut all: Vec<u32> = self.meters.iter().flat_map(own).collect();
+        all.sort_unstable();
+        all.dedup();
+        let shape = |meter: &Meter| {
+            let (own, all) = (own(meter), &all);
+            let line = if self.pairs.is_empty() { own.clone() } else { all.clone() };
+            let place = |state: &u32| line.binary_search(state).expect("its own states are among them");
+            let places = own.iter().map(place).collect();
+            (line, places)
+        };
+        self.meters.iter().map(shape).collect()
     }
 
     /// The column of a measurement.
@@ -324,58 +342,4 @@ impl Meter {
         }
         Ok((noise, constant))
     }
-}
-
-/// Replaces the scalar measurements from line `first` on, the last ones of the data, by L⁻¹ times them, where R = LDL' (L unit lower triangular), with noise D.
-/// `covariances`: entries (i, j, value) of R besides its diagonal, counted from `first`.
-pub(crate) fn whiten(
-    design: &mut Design,
-    data: &mut Data,
-    first: usize,
-    covariances: &[(usize, usize, f64)],
-) -> Result<(), NotSemidefinite> {
-    let (m, n) = (design.ends.len() - first, design.frame.n);
-    let row = data.values.len() - m;
-    let mut l = vec![0.0; m * m];
-    for i in 0..m {
-        l[i * m + i] = design.noise[first + i];
-    }
-    for &(i, j, value) in covariances {
-        l[i.max(j) * m + i.min(j)] += value;
-    }
-    ldl(&mut l, m)?;
-    // Dense rows for a moment: whitened rows have the states of several.
-    let (mut h, mut present) = (vec![0.0; m * n], vec![false; m * n]);
-    for i in 0..m {
-        let (states, coefficients) = design.terms(first + i);
-        for (&state, &coefficient) in states.iter().zip(coefficients) {
-            h[i * n + state as usize] = coefficient;
-            present[i * n + state as usize] = true;
-        }
-        for k in 0..i {
-            let factor = l[i * m + k];
-            if factor == 0.0 {
-                continue;
-            }
-            for state in 0..n {
-                h[i * n + state] -= factor * h[k * n + state];
-                present[i * n + state] |= present[k * n + state];
-            }
-            data.values[row + i] -= factor * data.values[row + k];
-            data.sizes[row + i] += factor.abs() * data.sizes[row + k];
-        }
-    }
-    let start = if first == 0 { 0 } else { design.ends[first - 1] };
-    design.states.truncate(start);
-    design.h.truncate(start);
-    design.ends.truncate(first);
-    for i in 0..m {
-        for state in (0..n).filter(|state| present[i * n + state]) {
-            design.states.push(state as u32);
-            design.h.push(h[i * n + state]);
-        }
-        design.ends.push(design.states.len());
-        design.noise[first + i] = l[i * m + i];
-    }
-    Ok(())
 }

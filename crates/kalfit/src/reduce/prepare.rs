@@ -65,8 +65,7 @@ pub(crate) struct Preparer {
     steady: bool,
     /// No transition calls for a matrix exponential.
     quick: bool,
-    /// Tests can be evaluated column by column: measurements are not correlated, and noises that are correlated are the same on every
-    /// row.
+    /// Tests can be evaluated column by column: noises of states that are correlated are the same on every row.
     columnwise: bool,
     /// The law of x_0, when no test changes it.
     law: Option<Law>,
@@ -168,7 +167,7 @@ impl Preparer {
             drive: Reads::new(&drive),
             follows: dynamics.table.varying.is_empty() && meters.can_follow(),
             quick: dynamics.components.iter().all(|component| component.states.len() == 1),
-            columnwise: meters.can_repeat() && !dynamics.mixes_on_rows(),
+            columnwise: !dynamics.mixes_on_rows(),
             steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
             model: model.clone(),
             alpha: alpha.clone(),

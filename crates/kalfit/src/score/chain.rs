@@ -21,6 +21,7 @@ mod response;
 mod taps;
 #[cfg(test)]
 mod tests;
+mod whitened;
 
 use std::collections::BTreeSet;
 

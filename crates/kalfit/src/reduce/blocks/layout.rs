@@ -1,5 +1,6 @@
 //! Where the numbers of tests in lanes stand: the steps and measurements of all of them, which no value of α changes.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use kalfit_lanes::{Isa, MOST};
@@ -21,6 +22,8 @@ pub(crate) struct Layout {
     pub(crate) tests: Vec<usize>,
     /// The shape of their designs: each step is a run, and each row has a line of its own.
     pub(crate) design: Design,
+    /// States of the line of each measurement of the model, and the places of its terms among them.
+    pub(super) shapes: Vec<(Vec<u32>, Vec<usize>)>,
     /// The measurement of the model that each row is of.
     pub(crate) meters: Vec<usize>,
     /// 1 where a test has the measurement of a row, else 0.
@@ -46,6 +49,7 @@ impl Layout {
             lanes: isa.lanes(),
             tests: Vec::new(),
             design: Design::new(preparer.order.frame.clone()),
+            shapes: preparer.meters.shapes(),
             meters: Vec::new(),
             measured: Vec::new(),
             cells: Vec::new(),
@@ -63,22 +67,25 @@ impl Layout {
         layout.tests.extend(own.iter().map(|skeleton| skeleton.number));
         layout.openings.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
         layout.design.moves.push(Arc::new(preparer.plan.blank()));
-        let terms: Vec<Vec<u32>> =
-            preparer.meters.parts().map(|(.., terms)| terms.iter().map(|(state, _)| *state).collect()).collect();
+        let mut found = Vec::new();
         for k in 0..own.iter().map(Skeleton::len).max().unwrap_or(0) {
             layout.step(own, k);
-            for (meter, rows) in lines(own, k, terms.len()) {
-                layout.design.states.extend(&terms[meter]);
+            lines(own, k, layout.shapes.len(), &mut found);
+            for &(meter, rows) in &found {
+                let rows = &rows[..lanes];
+                layout.design.states.extend(&layout.shapes[meter].0);
                 layout.design.ends.push(layout.design.states.len());
                 layout.meters.push(meter);
-                for lane in 0..lanes {
-                    let has = rows[lane] != NONE;
-                    let z = || tests[own[lane].number].numbers(rows[lane] as usize)[preparer.meters.column(meter)];
-                    layout.cells.push(rows[lane]);
-                    layout.measured.push(f64::from(u8::from(has)));
-                    layout.z.push(if has { z() } else { 0.0 });
-                    layout.dt.push(if has { own[lane].steps[k].dt } else { 0.0 });
-                }
+                layout.cells.extend(rows);
+                layout.measured.extend(rows.iter().map(|&row| f64::from(u8::from(row != NONE))));
+                let (column, at) = (preparer.meters.column(meter), |lane: usize| tests[own[lane].number]);
+                let z = |(lane, &row): (usize, &u32)| match row {
+                    NONE => 0.0,
+                    row => at(lane).numbers(row as usize)[column],
+                };
+                layout.z.extend(rows.iter().enumerate().map(z));
+                let dt = |(lane, &row): (usize, &u32)| if row == NONE { 0.0 } else { own[lane].steps[k].dt };
+                layout.dt.extend(rows.iter().enumerate().map(dt));
             }
             let (lines, moves) = (layout.meters.len(), own.iter().any(|own| own.moves(k)));
             let transition = moves.then_some(0);
@@ -114,35 +121,52 @@ impl Layout {
         }
     }
 
+    /// The lines among these that the test in a lane has.
+    pub(crate) fn rows_of(&self, lane: usize, lines: Range<usize>) -> impl Iterator<Item = usize> {
+        lines.filter(move |row| self.measured[row * self.lanes + lane] != 0.0)
+    }
+
+    /// Numbers of the terms of a line.
+    pub(super) fn terms(&self, row: usize) -> Range<usize> {
+        let first = if row == 0 { 0 } else { self.design.ends[row - 1] };
+        first..self.design.ends[row]
+    }
+
+    /// What these lines of one step are, at least one, and the length of the step.
+    pub(crate) fn instances_of(&self, lane: usize, rows: &[usize]) -> (Vec<Instance>, f64) {
+        let place = |row: usize| row * self.lanes + lane;
+        let instance = |&row: &usize| Instance { meter: self.meters[row], row: self.cells[place(row)] as usize };
+        (rows.iter().map(instance).collect(), self.dt[place(rows[0])])
+    }
+
     /// How many transitions there are.
     pub(crate) fn moves(&self) -> usize {
         self.transitions.dt.len() / self.lanes
     }
 }
 
-/// The measurements of a step: those of each test that has any, where they agree, in their order; else by measurement of the
+/// The measurements of a step to `out`: those of each test that has any, where they agree, in their order; else by measurement of the
 /// model, as many of each as some test has.
-fn lines(own: &[Skeleton], k: usize, meters: usize) -> Vec<Line> {
+fn lines(own: &[Skeleton], k: usize, meters: usize, out: &mut Vec<Line>) {
+    out.clear();
     let same = |a: &[Instance], b: &[Instance]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.meter == b.meter);
     let longest = own.iter().map(|own| own.of(k)).max_by_key(|own| own.len()).unwrap_or(&[]);
     if own.iter().map(|own| own.of(k)).all(|own| own.is_empty() || same(own, longest)) {
-        let line = |(number, instance): (usize, &Instance)| {
-            let row = |lane: usize| own.get(lane).and_then(|own| own.of(k).get(number)).map_or(NONE, |i| i.row as u32);
-            (instance.meter, std::array::from_fn(row))
-        };
-        return longest.iter().enumerate().map(line).collect();
+        out.extend(longest.iter().map(|instance| (instance.meter, [NONE; MOST])));
+        for (lane, own) in own.iter().enumerate() {
+            out.iter_mut().zip(own.of(k)).for_each(|(line, instance)| line.1[lane] = instance.row as u32);
+        }
+        return;
     }
-    let mut lines: Vec<Line> = Vec::new();
     for meter in 0..meters {
-        let first = lines.len();
+        let first = out.len();
         for (lane, own) in own.iter().enumerate() {
             for (number, instance) in own.of(k).iter().filter(|instance| instance.meter == meter).enumerate() {
-                if lines.len() == first + number {
-                    lines.push((meter, [NONE; MOST]));
+                if out.len() == first + number {
+                    out.push((meter, [NONE; MOST]));
                 }
-                lines[first + number].1[lane] = instance.row as u32;
+                out[first + number].1[lane] = instance.row as u32;
             }
         }
     }
-    lines
 }

@@ -7,10 +7,12 @@ use kalfit_lanes::{Isa, MOST};
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::blocks::layout::Layout;
+use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
 use crate::reduce::dynamics::Table;
 use crate::reduce::lanes::{Columns, Kept};
 use crate::reduce::motion::MotionColumns;
+use crate::reduce::observe::Whitening;
 use crate::reduce::prepare::{Preparer, Replay};
 use crate::reduce::subject::{At, Coefficient, Fault};
 
@@ -87,8 +89,8 @@ impl Values {
         self.evaluate(layout, of, true);
     }
 
-    /// The digest of the design of the test in a lane, which has so many steps, and how many equal ones there are on end.
-    pub(super) fn identity(&self, layout: &Layout, lane: usize, steps: usize) -> (u128, usize) {
+    /// The digest of the design of the test in a lane, which has so many steps.
+    pub(super) fn identity(&self, layout: &Layout, lane: usize, steps: usize) -> u128 {
         let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
         let own = |all, numbers| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
@@ -103,14 +105,42 @@ impl Values {
                 }
                 t += 1;
             }
-            for line in stretch.lines.filter(|line| layout.measured[line * lanes + lane] != 0.0) {
-                let first = if line == 0 { 0 } else { design.ends[line - 1] };
-                let h = own(gained.coefficients(), first..design.ends[line]);
-                identity.line(design.terms(line).0, h, gained.noise()[line * lanes + lane]);
+            for line in layout.rows_of(lane, stretch.lines) {
+                let h = own(gained.coefficients(), layout.terms(line));
+                identity.line(design.terms(line).0.iter().copied().zip(h), gained.noise()[line * lanes + lane]);
             }
             identity.end(1);
         }
         identity.finish()
+    }
+
+    /// Whether so many steps on end of the test in a lane, which has so many in all, are equal that they have a pass of their own.
+    pub(super) fn is_long(&self, layout: &Layout, lane: usize, steps: usize) -> bool {
+        let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
+        let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
+        let pattern = &design.moves[0].pattern;
+        let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
+        let (mut before, mut now, mut alike, mut t) = (Vec::new(), Vec::new(), 0, 0);
+        for stretch in design.stretches().take(steps) {
+            now.clear();
+            if stretch.transition.is_some() {
+                now.push(transitions.moving[t * lanes + lane].to_bits());
+                now.extend(own(gained.transitions(), t * terms..(t + 1) * terms));
+                now.extend(own(gained.process_noise(), t * pairs..(t + 1) * pairs));
+                t += 1;
+            }
+            for line in layout.rows_of(lane, stretch.lines) {
+                now.extend(design.terms(line).0.iter().map(|&state| u64::from(state)));
+                now.extend(own(gained.coefficients(), layout.terms(line)));
+                now.push(gained.noise()[line * lanes + lane].to_bits());
+            }
+            alike = if now == before { alike + 1 } else { 1 };
+            if alike > FEW {
+                return true;
+            }
+            std::mem::swap(&mut before, &mut now);
+        }
+        false
     }
 
     /// The numbers at the α of a preparer.
@@ -161,7 +191,8 @@ impl Values {
     /// h, R and z - d.
     fn measure(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         let (at, lanes) = (preparer.at(), layout.lanes);
-        let rate = |coefficient| Rate::of(&at, coefficient, fresh);
+        let mixed = !preparer.meters.can_repeat();
+        let rate = |coefficient| Rate::of(&at, coefficient, fresh || mixed);
         let rates = preparer.meters.parts().map(|(noise, constant, terms)| Rates {
             noise: rate(noise),
             constant: rate(constant),
@@ -170,7 +201,10 @@ impl Values {
         let rates: Vec<Rates<'_>> = rates.collect();
         let Values { kept, sound, .. } = self;
         let Columns { h, noise, values, .. } = kept.columns();
-        let mut term = 0;
+        if mixed {
+            h.fill(0.0);
+        }
+        let mut first = 0;
         for (row, &meter) in layout.meters.iter().enumerate() {
             let (Rates { noise: variance, constant, terms }, places) = (&rates[meter], row * lanes..(row + 1) * lanes);
             let here = &layout.measured[places.clone()];
@@ -180,12 +214,68 @@ impl Values {
             let (z, out) = (&layout.z[places.clone()], &mut values[places.clone()]);
             let value = |lane: usize, c: &Coefficient| at.value(c, &scope(lane));
             constant.each(here, value, sound, |lane, d| out[lane] = z[lane] - d);
-            for coefficient in terms {
-                let out = &mut h[term * lanes..][..lanes];
+            let (line, own) = &layout.shapes[meter];
+            for (coefficient, place) in terms.iter().zip(own) {
+                let out = &mut h[(first + place) * lanes..][..lanes];
                 coefficient.each(here, value, sound, |lane, x| out[lane] = x);
-                term += 1;
+            }
+            first += line.len();
+        }
+        if mixed {
+            self.whiten(layout, (preparer, tests));
+        }
+    }
+
+    /// Makes measurements whose noises are correlated independent, step by step.
+    fn whiten(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test])) {
+        for (lane, &number) in layout.tests.iter().enumerate() {
+            for stretch in layout.design.stretches() {
+                let rows: Vec<usize> = layout.rows_of(lane, stretch.lines).collect();
+                if rows.len() > 1 && self.whiten_step((layout, lane, &rows), preparer, tests[number]).is_none() {
+                    self.sound[lane] = false;
+                }
             }
         }
+    }
+
+    /// The same of these lines of the test in a lane; `None` where their noises are no covariance.
+    fn whiten_step(
+        &mut self,
+        (layout, lane, rows): (&Layout, usize, &[usize]),
+        preparer: &Preparer,
+        test: &Test,
+    ) -> Option<()> {
+        let (instances, dt) = layout.instances_of(lane, rows);
+        let found = preparer.meters.covariances(&preparer.at(), test, dt, &instances).ok()?;
+        if found.is_empty() {
+            return Some(());
+        }
+        let place = |row: usize| row * layout.lanes + lane;
+        let (n, (mut dense, mut measured)) = (layout.design.frame.n, self.measured_in(layout, lane, rows));
+        let noises: Vec<f64> = rows.iter().map(|&row| self.kept.gained.noise()[place(row)]).collect();
+        let whitening = Whitening::new(&noises, found.iter().map(|c| (c.i, c.j, c.value))).ok()?;
+        whitening.apply(&mut dense, n);
+        whitening.apply(&mut measured, 1);
+        let Columns { h, noise, values, .. } = self.kept.columns();
+        for (i, &row) in rows.iter().enumerate() {
+            (noise[place(row)], values[place(row)]) = (whitening.noise(i), measured[i]);
+            for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
+                h[place(term)] = dense[i * n + state as usize];
+            }
+        }
+        Some(())
+    }
+
+    /// M of these lines of the test in a lane, a row of n numbers for each, and z - d.
+    pub(crate) fn measured_in(&self, layout: &Layout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
+        let (n, place) = (layout.design.frame.n, |row: usize| row * layout.lanes + lane);
+        let (mut dense, coefficients) = (vec![0.0; rows.len() * n], self.kept.gained.coefficients());
+        for (&row, own) in rows.iter().zip(dense.chunks_exact_mut(n)) {
+            for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
+                own[state as usize] = coefficients[place(term)];
+            }
+        }
+        (dense, rows.iter().map(|&row| self.kept.block.measured()[place(row)]).collect())
     }
 }
 

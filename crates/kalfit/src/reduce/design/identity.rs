@@ -2,19 +2,17 @@
 
 use std::sync::Arc;
 
+use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Frame, Pattern, Stretch, Transition, same_bits};
 use crate::reduce::digest::Digest;
+use crate::reduce::recognise::mix;
 
-/// The digest of a design on its way, step by step. Those on end that differ in nothing are told of once.
+/// The digest of a design on its way, step by step.
 #[derive(Debug)]
 pub(crate) struct Identity {
     digest: Digest,
-    /// The numbers of the last step that was told of, and of the one that is being told of.
-    last: Vec<u64>,
-    now: Vec<u64>,
-    /// How many of the last one there are on end, and of any.
-    count: usize,
-    most: usize,
+    /// Scalar measurements of the step that is being told of.
+    lines: u64,
 }
 
 impl Identity {
@@ -23,63 +21,57 @@ impl Identity {
         let mut digest = Digest::new();
         digest.wide(frame.digest);
         variance.for_each(|x| digest.word(x.to_bits()));
-        Identity { digest, last: Vec::new(), now: Vec::new(), count: 0, most: 0 }
+        Identity { digest, lines: 0 }
     }
 
     /// The transition to a step.
     pub(crate) fn moves(&mut self, pattern: &Pattern, phi: impl Iterator<Item = f64>, q: impl Iterator<Item = f64>) {
-        self.now.extend([pattern.digest as u64, (pattern.digest >> 64) as u64]);
-        self.now.extend(phi.chain(q).map(f64::to_bits));
+        self.digest.wide(pattern.digest);
+        phi.chain(q).for_each(|x| self.digest.word(x.to_bits()));
     }
 
-    /// A scalar measurement of the step.
-    pub(crate) fn line(&mut self, states: &[u32], h: impl Iterator<Item = f64>, noise: f64) {
-        self.now.push(states.len() as u64);
-        self.now.extend(states.iter().map(|&state| u64::from(state)));
-        self.now.extend(h.chain([noise]).map(f64::to_bits));
+    /// A scalar measurement of the step. A term of zero says nothing; measurements that were whitened have some.
+    #[inline]
+    pub(crate) fn line(&mut self, terms: impl Iterator<Item = (u32, f64)>, noise: f64) {
+        let mut states = 1;
+        for (state, h) in terms.filter(|(_, h)| *h != 0.0) {
+            states = mix(states, u64::from(state));
+            self.digest.word(h.to_bits());
+        }
+        self.digest.word(states);
+        self.digest.word(noise.to_bits());
+        self.lines += 1;
     }
 
     /// The end of a step, of which there are so many.
+    #[inline]
     pub(crate) fn end(&mut self, many: usize) {
-        if self.count == 0 || self.now != self.last {
-            self.tell();
-            std::mem::swap(&mut self.now, &mut self.last);
-        }
-        self.now.clear();
-        self.count += many;
-        self.most = self.most.max(self.count);
+        self.digest.word(std::mem::take(&mut self.lines) << 32 ^ many as u64);
     }
 
-    fn tell(&mut self) {
-        if self.count > 0 {
-            self.digest.words(&self.last);
-            self.digest.count(self.count);
-            self.count = 0;
-        }
-    }
-
-    /// The digest, and how many equal steps there are on end.
-    pub(crate) fn finish(mut self) -> (u128, usize) {
-        self.tell();
-        (self.digest.finish(), self.most)
+    pub(crate) fn finish(self) -> u128 {
+        self.digest.finish()
     }
 }
 
 impl Design<f64> {
-    /// Of all numbers.
+    /// Of all numbers. Equal steps on end are told of one by one where they are few, as they are where designs stand side by side.
     pub(crate) fn digest(&self) -> u128 {
         let mut identity = Identity::new(&self.frame, self.variance.iter().copied());
         for Stretch { transition, lines, count, .. } in self.stretches() {
-            if let Some(transition) = transition {
-                identity.moves(&transition.pattern, transition.phi.iter().copied(), transition.q.iter().copied());
+            let (times, many) = if count <= FEW { (count, 1) } else { (1, count) };
+            for _ in 0..times {
+                if let Some(transition) = transition {
+                    identity.moves(&transition.pattern, transition.phi.iter().copied(), transition.q.iter().copied());
+                }
+                for line in lines.clone() {
+                    let (states, h) = self.terms(line);
+                    identity.line(states.iter().copied().zip(h.iter().copied()), self.noise[line]);
+                }
+                identity.end(many);
             }
-            for line in lines {
-                let (states, h) = self.terms(line);
-                identity.line(states, h.iter().copied(), self.noise[line]);
-            }
-            identity.end(count);
         }
-        identity.finish().0
+        identity.finish()
     }
 
     /// Equal bit for bit.
@@ -167,7 +159,7 @@ mod tests {
         let mut joined = whole.clone();
         joined.runs.remove(3);
         joined.runs[2] = Run { count: 2, ..whole.runs[2] };
-        assert_eq!(joined.digest(), whole.digest(), "equal steps are one however they are kept");
+        assert_eq!(joined.digest(), whole.digest(), "few equal steps are one by one, however they are kept");
         // other designs of the same numbers
         let mut swapped = whole.clone();
         swapped.moves.reverse();

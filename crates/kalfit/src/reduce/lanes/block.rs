@@ -82,6 +82,11 @@ impl Block {
         [start, inputs, values]
     }
 
+    /// z - d of the tests, in lanes.
+    pub(crate) fn measured(&self) -> &[f64] {
+        self.side().values
+    }
+
     pub(super) fn side(&self) -> Side<'_> {
         let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
         let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());

@@ -2,10 +2,8 @@
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::design::Design;
 use crate::reduce::instances::Instance;
-use crate::reduce::observe::{Correlation, Meters};
-use crate::reduce::semidefinite::ldl;
+use crate::reduce::observe::{Correlation, Meters, Whitening};
 use crate::reduce::subject::{At, Coefficient, Fault};
 
 impl Meters {
@@ -62,30 +60,21 @@ pub(crate) struct Unwhitened {
     pub(crate) noise: Vec<f64>,
     pub(crate) value: Vec<f64>,
     pub(crate) h: Vec<f64>,
-    factor: Vec<f64>,
 }
 
 impl Unwhitened {
     /// Back through z̃ = L⁻¹ζ, M̃ = L⁻¹M, R = LDL': ζ̄ = L'⁻¹z̄, M̄ = L'⁻¹H̄, R̄ = L'⁻¹(Φ + D̄)L⁻¹, symmetrised, with Φ the strictly
-    /// lower part of -(z̄z̃' + H̄M̃')D⁻¹. `raw`: the noises before; `value`, `h` hold the whitened adjoints, and `noise_bar` is D̄. `line`: that of
-    /// the first of the rows.
+    /// lower part of -(z̄z̃' + H̄M̃')D⁻¹. `h`: M̃, m × n, and `values`: z̃; `raw`: the noises before; `noise_bar` is D̄, `value_bar` z̄, and
+    /// `h_bar` H̄, or empty when it is not wanted.
     pub(crate) fn set(
         &mut self,
-        (design, values): (&Design, &[f64]),
-        (line, rows): (usize, std::ops::Range<usize>),
+        (h, values, n): (&[f64], &[f64], usize),
         (raw, correlations): (&[f64], &[Correlation]),
         (noise_bar, value_bar, h_bar): (&[f64], &[f64], &[f64]),
     ) {
-        let (m, n) = (rows.len(), design.frame.n);
-        self.factor.clear();
-        self.factor.resize(m * m, 0.0);
-        for (i, raw) in raw.iter().enumerate() {
-            self.factor[i * m + i] = *raw;
-        }
-        for c in correlations {
-            self.factor[c.i.max(c.j) * m + c.i.min(c.j)] += c.value;
-        }
-        ldl(&mut self.factor, m).expect("it was positive semidefinite on the way forward");
+        let m = raw.len();
+        let whitening = Whitening::new(raw, correlations.iter().map(|c| (c.i, c.j, c.value)));
+        let whitening = whitening.expect("it was positive semidefinite on the way forward");
         self.value.clear();
         self.value.extend_from_slice(value_bar);
         self.h.clear();
@@ -94,50 +83,28 @@ impl Unwhitened {
         self.noise.resize(m * m, 0.0);
         for j in 0..m {
             self.noise[j * m + j] = noise_bar[j];
-            let pivot = self.factor[j * m + j];
+            let pivot = whitening.noise(j);
             if pivot == 0.0 {
                 continue;
             }
-            let (states, coefficients) = design.terms(line + j);
             for i in j + 1..m {
-                let mut sum = value_bar[i] * values[rows.start + j];
+                let mut sum = value_bar[i] * values[j];
                 if !h_bar.is_empty() {
-                    sum += states.iter().zip(coefficients).map(|(&s, h)| h_bar[i * n + s as usize] * h).sum::<f64>();
+                    let (bars, own) = (&h_bar[i * n..][..n], &h[j * n..][..n]);
+                    sum += bars.iter().zip(own).map(|(bar, h)| bar * h).sum::<f64>();
                 }
                 self.noise[i * m + j] = -sum / pivot;
             }
         }
-        back(&self.factor, m, &mut self.value, 1);
         let columns = if self.h.is_empty() { 0 } else { n };
-        back(&self.factor, m, &mut self.h, columns);
-        back(&self.factor, m, &mut self.noise, m);
-        self.finish(m);
-    }
-
-    /// ... × L⁻¹ from the right, then ½(R̄ + R̄').
-    fn finish(&mut self, m: usize) {
-        for row in self.noise.chunks_exact_mut(m) {
-            for k in (0..m).rev() {
-                let x = row[k];
-                (0..k).for_each(|j| row[j] -= x * self.factor[k * m + j]);
-            }
-        }
+        whitening.back(&mut self.value, 1);
+        whitening.back(&mut self.h, columns);
+        whitening.back(&mut self.noise, m);
+        whitening.back_right(&mut self.noise);
         for i in 0..m {
             for j in 0..i {
                 let mean = 0.5 * (self.noise[i * m + j] + self.noise[j * m + i]);
                 (self.noise[i * m + j], self.noise[j * m + i]) = (mean, mean);
-            }
-        }
-    }
-}
-
-/// A ← L'⁻¹A, m × `columns`.
-fn back(factor: &[f64], m: usize, a: &mut [f64], columns: usize) {
-    for k in (0..m).rev() {
-        for i in 0..k {
-            let l = factor[k * m + i];
-            if l != 0.0 {
-                (0..columns).for_each(|c| a[i * columns + c] -= l * a[k * columns + c]);
             }
         }
     }

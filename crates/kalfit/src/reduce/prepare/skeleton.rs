@@ -5,6 +5,7 @@ use crate::model::Scope;
 use crate::reduce::data::FEW;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Opening, Preparer, Workspace};
+use crate::reduce::recognise::mix;
 use crate::reduce::steps::spans;
 
 /// Numbers of one test that its passes remember: no more than these.
@@ -23,6 +24,8 @@ pub(crate) struct Skeleton {
     pub(crate) opening: Option<Opening>,
     /// Each step is one row.
     flat: bool,
+    /// A hash of which measurements its steps have.
+    pub(crate) pattern: u64,
 }
 
 /// A step.
@@ -76,17 +79,17 @@ impl Skeleton {
 
     /// Room for another test.
     fn clear(&mut self) {
-        let Skeleton { covariates, steps, instances, opening, .. } = self;
+        let Skeleton { covariates, steps, instances, opening, pattern, .. } = self;
         covariates.clear();
         steps.clear();
         instances.clear();
-        *opening = None;
+        (*opening, *pattern) = (None, 0);
     }
 }
 
 impl Preparer {
     /// The steps of a test, in place of those of another. False where something is wrong with it, or where it goes better by itself:
-    /// where measurements are whitened, cells are gathered from several rows, or equal steps are many. Which way a test goes
+    /// where cells are gathered from several rows, or equal steps are many. Which way a test goes
     /// depends on its own cells.
     pub(crate) fn skeleton(&self, test: &Test, number: usize, work: &mut Workspace, made: &mut Skeleton) -> bool {
         made.clear();
@@ -128,15 +131,19 @@ impl Preparer {
                 return false;
             }
             for number in 0..span.count {
-                let (rows, k) = (span.step(number), made.steps.len());
+                let (rows, k, first) = (span.step(number), made.steps.len(), made.instances.len());
                 for row in rows.clone() {
                     if !self.meters.measured(&at, test, (row, span.dt), &mut made.instances) {
                         return false;
                     }
                 }
+                for instance in &made.instances[first..] {
+                    made.pattern = mix(made.pattern, instance.meter as u64);
+                }
+                made.pattern = mix(made.pattern, u64::MAX);
                 let source = if self.clock_previous() && k > 0 { before } else { rows.start } as u32;
                 made.steps.push(StepCells { moves: span.moves, dt: span.dt, source, end: made.instances.len() });
-                let repeats = number > 0 && self.shape.repeat(test, &rows) && made.repeats(k);
+                let repeats = span.count > FEW && number > 0 && self.shape.repeat(test, &rows) && made.repeats(k);
                 alike = if repeats { alike + 1 } else { 0 };
                 if alike >= FEW {
                     return false;

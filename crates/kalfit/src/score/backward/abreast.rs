@@ -200,6 +200,11 @@ impl LaneBars {
         (&self.rows, self.sizes.0)
     }
 
+    /// The same, to be changed.
+    pub(crate) fn rows_mut(&mut self) -> (&mut [f64], usize) {
+        (&mut self.rows, self.sizes.0)
+    }
+
     /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition; how many numbers those are.
     pub(crate) fn moves(&self) -> (&[f64], usize) {
         (&self.moves, self.sizes.1.iter().sum())

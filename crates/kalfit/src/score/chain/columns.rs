@@ -8,6 +8,7 @@ use crate::reduce::{Fault, FilteredBlock, MotionBack, Workspace};
 use crate::score::backward::LaneBars;
 use crate::score::chain::adjoints::Adjoints;
 use crate::score::chain::gradient::Gradient;
+use crate::score::chain::whitened::PairBar;
 use crate::score::chain::{Chain, MeterTaps};
 
 /// The adjoints of coefficients, in lanes.
@@ -18,6 +19,8 @@ pub(crate) struct Pulled {
     /// Of each coefficient and input of the motion that varies, of each transition: those with a tap.
     values: Vec<(usize, Vec<f64>)>,
     inputs: Vec<(usize, Vec<f64>)>,
+    /// Of free covariances of measurements.
+    pairs: Vec<PairBar>,
 }
 
 struct Pull<'a> {
@@ -28,11 +31,14 @@ struct Pull<'a> {
 }
 
 impl Chain<'_> {
-    /// From the adjoints of a block to those of the coefficients that depend on free values.
-    pub(crate) fn pull(&self, block: FilteredBlock<'_>, bars: &LaneBars) -> Pulled {
+    /// From the adjoints of a block to those of the coefficients that depend on free values; those of measurements are then of the
+    /// measurements as the model has them.
+    pub(crate) fn pull(&self, block: FilteredBlock<'_>, tests: &[&Test], bars: &mut LaneBars) -> Pulled {
+        let pairs = if self.pairs.is_empty() { Vec::new() } else { self.unwhiten(block, tests, bars) };
         let steps = (&block.layout.transitions, &block.values.motion);
         let back = self.preparer.plan.back(&self.preparer.dynamics, steps, &self.free);
-        block.values.kept.block.isa().run(Pull { chain: self, block, back, bars })
+        let pulled = block.values.kept.block.isa().run(Pull { chain: self, block, back, bars });
+        Pulled { pairs, ..pulled }
     }
 
     /// (slot, tap) of the coefficients, or inputs, of the motion that are read from cells.
@@ -82,7 +88,7 @@ impl Kernel for Pull<'_> {
         for (sum, out) in sums.iter().zip(all.chunks_exact_mut(T::COUNT)) {
             sum.store(out);
         }
-        Pulled { sums: all, values, inputs }
+        Pulled { sums: all, values, inputs, pairs: Vec::new() }
     }
 }
 
@@ -146,6 +152,12 @@ impl Adjoints<'_> {
         }
         if chain.meters.iter().any(|meter| meter.taps().any(|tap| chain.reads(tap))) {
             self.rows((block, bars), lane, tests)?;
+        }
+        for pair in pulled.pairs.iter().filter(|pair| pair.lane == lane) {
+            let test = tests[layout.tests[lane]];
+            let (numbers, texts) = (test.numbers(pair.row), test.texts(pair.row));
+            let scope = Scope { numbers, texts, step: pair.dt, alpha: context.at.alpha };
+            self.pending.add(&context, pair.tap, pair.bar, &scope)?;
         }
         let tables = [(&chain.values, &pulled.values), (&chain.inputs, &pulled.inputs)];
         for ((slot, column), taps) in tables.iter().flat_map(|(taps, all)| all.iter().map(move |own| (own, *taps))) {

@@ -88,7 +88,13 @@ impl Adjoints<'_> {
         }
         meters.noises(&context.at, test, (instances, dt), raw)?;
         let whitened = (bars.noise, bars.value, bars.h);
-        back.set((&work.design, &work.data.values), (work.design.step(k).lines.start, rows), (raw, &found), whitened);
+        let (n, lines) = (work.design.frame.n, work.design.step(k).lines);
+        let mut h = vec![0.0; m * n];
+        for (line, own) in lines.zip(h.chunks_exact_mut(n)) {
+            let (states, terms) = work.design.terms(line);
+            states.iter().zip(terms).for_each(|(&state, x)| own[state as usize] = *x);
+        }
+        back.set((&h, &work.data.values[rows], n), (raw, &found), whitened);
         for c in &found {
             if let Some(tap) = chain.pairs[c.pair] {
                 let scope =

@@ -78,8 +78,8 @@ impl Scorer<'_> {
         let (kept, longest, wanted) = (&block.values.kept, &block.layout.design, self.wanted());
         let (moments, endings) = (&*moments, &*endings);
         let pass = Abreast { block: &kept.block, gained: &kept.gained, longest, moments, endings, wanted };
-        let bars = pass.pass();
-        let pulled = self.chain.pull(block, &bars);
+        let mut bars = pass.pass();
+        let pulled = self.chain.pull(block, rows, &mut bars);
         let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);
         let score = |&(lane, place, _): &Lane<'_>| {
             Some((place, adjoints.of_lane((block, &bars, &pulled), lane, rows, work).ok()?))

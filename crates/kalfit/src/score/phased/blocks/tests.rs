@@ -67,6 +67,9 @@ fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
         let second = meter("w", 4, equation, number(0.7));
         model.columns.push(model.columns[1].clone());
         model.measurements.push(second);
+        if flip() {
+            model.noise_covariance.push((0, 1, times(number(0.4), alpha(NOISE))));
+        }
     } else {
         model.columns.push(model.columns[1].clone());
     }
