@@ -11,8 +11,10 @@
 //! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
 
 mod beside;
+mod identity;
 mod layout;
 mod values;
+mod whitened;
 
 use std::borrow::Cow;
 use std::collections::HashSet;

@@ -30,8 +30,8 @@
 //!
 //! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch, [`kalfit_lanes`]). A
 //! test whose cells are those of one before it, measured values apart, is not evaluated (recognise), and tests of one design have one
-//! data pass (lanes); tests of designs of their own have one design pass and one data pass, if their designs have one shape (queue,
-//! lanes). No bit depends on the company. Where α is sought, tests with designs of their own stay in lanes for all its values (blocks).
+//! data pass (lanes); tests of designs of their own are evaluated, filtered and whitened side by side (blocks): their steps are found
+//! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on the company.
 //!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use kalfit_lanes::{Isa, MOST};
+use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
 use crate::reduce::design::{Design, Run};
@@ -39,9 +39,6 @@ pub(crate) struct Layout {
     pub(crate) openings: Vec<Opening>,
 }
 
-/// A measurement of a step: which of the model, and its row in each test.
-type Line = (usize, [u32; MOST]);
-
 impl Layout {
     /// Of no test yet.
     pub(super) fn new(isa: Isa, preparer: &Preparer) -> Layout {
@@ -67,30 +64,19 @@ impl Layout {
         layout.tests.extend(own.iter().map(|skeleton| skeleton.number));
         layout.openings.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
         layout.design.moves.push(Arc::new(preparer.plan.blank()));
-        let mut found = Vec::new();
         for k in 0..own.iter().map(Skeleton::len).max().unwrap_or(0) {
             layout.step(own, k);
-            lines(own, k, layout.shapes.len(), &mut found);
-            for &(meter, rows) in &found {
-                let rows = &rows[..lanes];
-                layout.design.states.extend(&layout.shapes[meter].0);
-                layout.design.ends.push(layout.design.states.len());
-                layout.meters.push(meter);
-                layout.cells.extend(rows);
-                layout.measured.extend(rows.iter().map(|&row| f64::from(u8::from(row != NONE))));
-                let (column, at) = (preparer.meters.column(meter), |lane: usize| tests[own[lane].number]);
-                let z = |(lane, &row): (usize, &u32)| match row {
-                    NONE => 0.0,
-                    row => at(lane).numbers(row as usize)[column],
-                };
-                layout.z.extend(rows.iter().enumerate().map(z));
-                let dt = |(lane, &row): (usize, &u32)| if row == NONE { 0.0 } else { own[lane].steps[k].dt };
-                layout.dt.extend(rows.iter().enumerate().map(dt));
-            }
+            layout.measurements(own, k);
             let (lines, moves) = (layout.meters.len(), own.iter().any(|own| own.moves(k)));
             let transition = moves.then_some(0);
             layout.design.runs.push(Run { transition, lines, count: 1, rows: lines, steps: k + 1 });
         }
+        let places = layout.meters.len() * lanes;
+        layout.cells.resize(places, NONE);
+        layout.measured.resize(places, 0.0);
+        layout.dt.resize(places, 0.0);
+        layout.z.resize(places, 0.0);
+        own.iter().enumerate().for_each(|(lane, own)| layout.seat(preparer, tests[own.number], (lane, own)));
         layout.design.h.resize(layout.design.states.len(), 0.0);
         layout.design.noise.resize(layout.meters.len(), 1.0);
     }
@@ -106,6 +92,43 @@ impl Layout {
         z.clear();
         transitions.clear();
         openings.clear();
+    }
+
+    /// The lines of a step: what any of the tests measures there, in the order of each of them.
+    fn measurements(&mut self, own: &[Skeleton], k: usize) {
+        let first = self.meters.len();
+        let longest = own.iter().map(|own| own.of(k)).max_by_key(|own| own.len()).unwrap_or(&[]);
+        self.meters.extend(longest.iter().map(|instance| instance.meter));
+        for instance in own.iter().flat_map(|own| own.of(k)) {
+            // tests that do not measure the same have one row a step, in the order of the model
+            if !self.meters[first..].contains(&instance.meter) {
+                let place = self.meters[first..].partition_point(|&meter| meter < instance.meter);
+                self.meters.insert(first + place, instance.meter);
+            }
+        }
+        for &meter in &self.meters[first..] {
+            self.design.states.extend(&self.shapes[meter].0);
+            self.design.ends.push(self.design.states.len());
+        }
+    }
+
+    /// Where each measurement of a test is read from, and what it is.
+    fn seat(&mut self, preparer: &Preparer, test: &Test, (lane, own): (usize, &Skeleton)) {
+        let mut line = 0;
+        for (k, step) in own.steps.iter().enumerate() {
+            for &Instance { meter, row } in own.of(k) {
+                while self.meters[line] != meter {
+                    line += 1;
+                }
+                let place = line * self.lanes + lane;
+                self.cells[place] = row as u32;
+                self.measured[place] = 1.0;
+                self.dt[place] = step.dt;
+                self.z[place] = test.numbers(row)[preparer.meters.column(meter)];
+                line += 1;
+            }
+            line = self.design.runs[k].lines;
+        }
     }
 
     /// The transition to a step, if any test has one.
@@ -142,31 +165,5 @@ impl Layout {
     /// How many transitions there are.
     pub(crate) fn moves(&self) -> usize {
         self.transitions.dt.len() / self.lanes
-    }
-}
-
-/// The measurements of a step to `out`: those of each test that has any, where they agree, in their order; else by measurement of the
-/// model, as many of each as some test has.
-fn lines(own: &[Skeleton], k: usize, meters: usize, out: &mut Vec<Line>) {
-    out.clear();
-    let same = |a: &[Instance], b: &[Instance]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.meter == b.meter);
-    let longest = own.iter().map(|own| own.of(k)).max_by_key(|own| own.len()).unwrap_or(&[]);
-    if own.iter().map(|own| own.of(k)).all(|own| own.is_empty() || same(own, longest)) {
-        out.extend(longest.iter().map(|instance| (instance.meter, [NONE; MOST])));
-        for (lane, own) in own.iter().enumerate() {
-            out.iter_mut().zip(own.of(k)).for_each(|(line, instance)| line.1[lane] = instance.row as u32);
-        }
-        return;
-    }
-    for meter in 0..meters {
-        let first = out.len();
-        for (lane, own) in own.iter().enumerate() {
-            for (number, instance) in own.of(k).iter().filter(|instance| instance.meter == meter).enumerate() {
-                if out.len() == first + number {
-                    out.push((meter, [NONE; MOST]));
-                }
-                out[first + number].1[lane] = instance.row as u32;
-            }
-        }
     }
 }

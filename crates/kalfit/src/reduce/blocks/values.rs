@@ -7,12 +7,9 @@ use kalfit_lanes::{Isa, MOST};
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::blocks::layout::Layout;
-use crate::reduce::data::FEW;
-use crate::reduce::design::Identity;
 use crate::reduce::dynamics::Table;
 use crate::reduce::lanes::{Columns, Kept};
 use crate::reduce::motion::MotionColumns;
-use crate::reduce::observe::Whitening;
 use crate::reduce::prepare::{Preparer, Replay};
 use crate::reduce::subject::{At, Coefficient, Fault};
 
@@ -87,60 +84,6 @@ impl Values {
         self.kept.blank(&layout.design, layout.moves());
         self.motion.blank(varying, layout.transitions.dt.len());
         self.evaluate(layout, of, true);
-    }
-
-    /// The digest of the design of the test in a lane, which has so many steps.
-    pub(super) fn identity(&self, layout: &Layout, lane: usize, steps: usize) -> u128 {
-        let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
-        let own = |all, numbers| own(all, numbers, (lane, *lanes));
-        let pattern = &design.moves[0].pattern;
-        let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
-        let mut identity = Identity::new(&design.frame, own(gained.variance(), 0..design.variance.len()));
-        let mut t = 0;
-        for stretch in design.stretches().take(steps) {
-            if stretch.transition.is_some() {
-                if transitions.moving[t * lanes + lane] != 0.0 {
-                    let phi = own(gained.transitions(), t * terms..(t + 1) * terms);
-                    identity.moves(pattern, phi, own(gained.process_noise(), t * pairs..(t + 1) * pairs));
-                }
-                t += 1;
-            }
-            for line in layout.rows_of(lane, stretch.lines) {
-                let h = own(gained.coefficients(), layout.terms(line));
-                identity.line(design.terms(line).0.iter().copied().zip(h), gained.noise()[line * lanes + lane]);
-            }
-            identity.end(1);
-        }
-        identity.finish()
-    }
-
-    /// Whether so many steps on end of the test in a lane, which has so many in all, are equal that they have a pass of their own.
-    pub(super) fn is_long(&self, layout: &Layout, lane: usize, steps: usize) -> bool {
-        let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
-        let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
-        let pattern = &design.moves[0].pattern;
-        let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
-        let (mut before, mut now, mut alike, mut t) = (Vec::new(), Vec::new(), 0, 0);
-        for stretch in design.stretches().take(steps) {
-            now.clear();
-            if stretch.transition.is_some() {
-                now.push(transitions.moving[t * lanes + lane].to_bits());
-                now.extend(own(gained.transitions(), t * terms..(t + 1) * terms));
-                now.extend(own(gained.process_noise(), t * pairs..(t + 1) * pairs));
-                t += 1;
-            }
-            for line in layout.rows_of(lane, stretch.lines) {
-                now.extend(design.terms(line).0.iter().map(|&state| u64::from(state)));
-                now.extend(own(gained.coefficients(), layout.terms(line)));
-                now.push(gained.noise()[line * lanes + lane].to_bits());
-            }
-            alike = if now == before { alike + 1 } else { 1 };
-            if alike > FEW {
-                return true;
-            }
-            std::mem::swap(&mut before, &mut now);
-        }
-        false
     }
 
     /// The numbers at the α of a preparer.
@@ -225,58 +168,6 @@ impl Values {
             self.whiten(layout, (preparer, tests));
         }
     }
-
-    /// Makes measurements whose noises are correlated independent, step by step.
-    fn whiten(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test])) {
-        for (lane, &number) in layout.tests.iter().enumerate() {
-            for stretch in layout.design.stretches() {
-                let rows: Vec<usize> = layout.rows_of(lane, stretch.lines).collect();
-                if rows.len() > 1 && self.whiten_step((layout, lane, &rows), preparer, tests[number]).is_none() {
-                    self.sound[lane] = false;
-                }
-            }
-        }
-    }
-
-    /// The same of these lines of the test in a lane; `None` where their noises are no covariance.
-    fn whiten_step(
-        &mut self,
-        (layout, lane, rows): (&Layout, usize, &[usize]),
-        preparer: &Preparer,
-        test: &Test,
-    ) -> Option<()> {
-        let (instances, dt) = layout.instances_of(lane, rows);
-        let found = preparer.meters.covariances(&preparer.at(), test, dt, &instances).ok()?;
-        if found.is_empty() {
-            return Some(());
-        }
-        let place = |row: usize| row * layout.lanes + lane;
-        let (n, (mut dense, mut measured)) = (layout.design.frame.n, self.measured_in(layout, lane, rows));
-        let noises: Vec<f64> = rows.iter().map(|&row| self.kept.gained.noise()[place(row)]).collect();
-        let whitening = Whitening::new(&noises, found.iter().map(|c| (c.i, c.j, c.value))).ok()?;
-        whitening.apply(&mut dense, n);
-        whitening.apply(&mut measured, 1);
-        let Columns { h, noise, values, .. } = self.kept.columns();
-        for (i, &row) in rows.iter().enumerate() {
-            (noise[place(row)], values[place(row)]) = (whitening.noise(i), measured[i]);
-            for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
-                h[place(term)] = dense[i * n + state as usize];
-            }
-        }
-        Some(())
-    }
-
-    /// M of these lines of the test in a lane, a row of n numbers for each, and z - d.
-    pub(crate) fn measured_in(&self, layout: &Layout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
-        let (n, place) = (layout.design.frame.n, |row: usize| row * layout.lanes + lane);
-        let (mut dense, coefficients) = (vec![0.0; rows.len() * n], self.kept.gained.coefficients());
-        for (&row, own) in rows.iter().zip(dense.chunks_exact_mut(n)) {
-            for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
-                own[state as usize] = coefficients[place(term)];
-            }
-        }
-        (dense, rows.iter().map(|&row| self.kept.block.measured()[place(row)]).collect())
-    }
 }
 
 impl Layout {
@@ -291,11 +182,6 @@ impl Layout {
         let (test, row) = (tests[self.tests[lane]], self.transitions.sources[place] as usize);
         Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.transitions.dt[place], alpha: at.alpha }
     }
-}
-
-/// Numbers of the test in a lane.
-fn own(all: &[f64], numbers: Range<usize>, (lane, lanes): (usize, usize)) -> impl Iterator<Item = f64> + use<'_> {
-    numbers.map(move |k| all[k * lanes + lane])
 }
 
 /// The coefficients of a table that vary, on all transitions.
