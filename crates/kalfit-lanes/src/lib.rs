@@ -18,7 +18,7 @@ pub use portable::Four;
 pub use real::{Counted, Flops, Part, Real};
 
 /// Several numbers side by side, which are read from and written to memory together.
-pub trait Lanes: Real {
+pub trait Lanes: Real + Send + Sync {
     /// How many.
     const COUNT: usize;
 

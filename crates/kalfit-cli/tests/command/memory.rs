@@ -39,7 +39,7 @@ fn more_states_than_memory_holds_are_refused_before_work_begins() {
     let (model, data) = states(200);
     let folder = Folder::new(&[("many.toml", model.as_bytes()), ("many.csv", data.as_bytes())]);
     let before = folder.contents();
-    let refused = "error: the fit of a model with 200 estimated states needs about 36 GB of memory, and there are ";
+    let refused = "error: the fit of a model with 200 estimated states needs about 16 GB of memory, and there are ";
     let hint = "\n\nhint: half the states take a sixteenth of it";
     for args in ["fit many.toml many.csv --out fit.json", "check many.toml many.csv", "validate many.toml many.csv"] {
         let found = shown(&within(&folder, 4000, args));

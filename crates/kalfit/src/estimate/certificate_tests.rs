@@ -154,7 +154,7 @@ impl Spot {
 
     /// ℓ where a probe off the boundary ends, less ℓ here.
     fn probe(&self) -> Option<f64> {
-        let next = escaped(&self.problem, &self.problem.covariance, TESTS as f64, &self.place)?;
+        let next = escaped(&self.problem, &self.problem.covariance, TESTS as f64, &mut self.place.clone())?;
         Some(next.local.value - self.place.local.value)
     }
 

@@ -30,7 +30,7 @@ pub(crate) fn climb(
     let mut damping = Damping::default();
     for _ in 0..limits.steps {
         if place.decrement() <= limits.tolerance {
-            match escaped(objective, map, tests, &place) {
+            match escaped(objective, map, tests, &mut place) {
                 Some(better) => place = better,
                 None => return (place, Stop::Certified),
             }
@@ -45,12 +45,12 @@ pub(crate) fn climb(
 }
 
 /// A better place off the boundary, when the certificate fails on the null space of Σ.
-pub(crate) fn escaped(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<Place> {
+pub(crate) fn escaped(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &mut Place) -> Option<Place> {
     let (_, escape) = certificate(map, place, tests);
     let escape = escape?;
     let mut length = escape.length;
     for _ in 0..8 {
-        if let Some(next) = grown(objective, map, place, &escape, length) {
+        if let Some(next) = place.surpassed(objective, |place| grown(objective, map, place, &escape, length)) {
             return Some(next);
         }
         length *= 0.25;

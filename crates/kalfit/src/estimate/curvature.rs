@@ -14,17 +14,18 @@ pub(crate) struct Curvature {
     scale: DVector<f64>,
     /// Scaled as well.
     gradient: DVector<f64>,
-    model: Model,
-    /// Worked out when asked for.
+    /// Where no eigenvalue is negative or flat.
+    plain: Option<Plain>,
+    /// Otherwise, or worked out when asked for.
     spectrum: OnceLock<Spectrum>,
 }
 
-/// The scaled model, once.
+/// The step without damping, by the root of the model; what it promises, and the decrement.
 #[derive(Debug, Clone)]
-enum Model {
-    /// No eigenvalue is negative or flat: the root is all that a plain step takes.
-    Regular(Regular),
-    Any(DMatrix<f64>),
+struct Plain {
+    step: DVector<f64>,
+    gain: f64,
+    decrement: f64,
 }
 
 /// Eigenvalues in ascending order.
@@ -56,51 +57,60 @@ impl Curvature {
         let largest = (0..n).map(own).fold(0.0, f64::max);
         let unit = |i: usize| if own(i) > NOTHING * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
         let scale = DVector::from_fn(n, |i, _| unit(i));
-        let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * h[(i, j)] * scale[j]);
-        let (model, gradient) = (Model::of(scaled), tangent.gradient.component_mul(&scale));
-        Curvature { scale, gradient, model, spectrum: OnceLock::new() }
+        let gradient = tangent.gradient.component_mul(&scale);
+        Curvature::scaled_by(scale, gradient, h)
     }
 
-    /// The large matrix that it is made of.
-    pub(crate) fn matrix_mut(&mut self) -> &mut DMatrix<f64> {
-        match &mut self.model {
-            Model::Regular(root) => root.root_mut(),
-            Model::Any(scaled) => scaled,
+    fn scaled_by(scale: DVector<f64>, gradient: DVector<f64>, information: &DMatrix<f64>) -> Curvature {
+        let mut found = Curvature { scale, gradient, plain: None, spectrum: OnceLock::new() };
+        // of many states neither the matrix nor its root can stay: what they say can
+        found.plain = Regular::within(found.scaled(information)).map(|root| Plain::of(&root, &found.gradient));
+        if found.plain.is_none() {
+            found.spectrum(information);
         }
+        found
     }
 
-    fn spectrum(&self) -> &Spectrum {
+    fn scaled(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
+        let (n, scale) = (self.scale.len(), &self.scale);
+        DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j])
+    }
+
+    /// The information is that of the tangent space.
+    fn spectrum(&self, information: &DMatrix<f64>) -> &Spectrum {
         self.spectrum.get_or_init(|| {
-            let (values, vectors) = match &self.model {
-                Model::Regular(root) => symmetric::eigen(&root.product()),
-                Model::Any(scaled) => symmetric::eigen(scaled),
-            };
+            let scaled = self.scaled(information);
+            // where there is a root, of what it is the root of
+            let root = self.plain.as_ref().and_then(|_| Regular::within(scaled.clone()));
+            let (values, vectors) = symmetric::eigen(&root.map_or(scaled, Regular::into_product));
             let gradient = vectors.transpose() * &self.gradient;
             Spectrum { values, vectors, gradient }
         })
     }
 
+    /// The spectrum that stands for a root.
+    fn known(&self) -> &Spectrum {
+        self.spectrum.get().expect("it is worked out where there is no root")
+    }
+
     /// Newton decrement: the distance to the optimum of the model, in standard errors.
     pub(crate) fn decrement(&self) -> f64 {
-        match &self.model {
-            Model::Regular(root) => root.below(&self.gradient).norm(),
-            Model::Any(_) => self.spectrum().decrement(),
-        }
+        self.plain.as_ref().map_or_else(|| self.known().decrement(), |plain| plain.decrement)
     }
 
     /// Damping for a place where the value is not concave: the model holds less far.
     pub(crate) fn doubtful(&self) -> f64 {
-        if let Model::Regular(_) = self.model {
+        if self.plain.is_some() {
             return 0.0;
         }
-        let least = self.spectrum().values.first().copied().unwrap_or(0.0);
+        let least = self.known().values.first().copied().unwrap_or(0.0);
         if least < -1e-3 && self.decrement() > FAR { 0.6 * -least } else { 0.0 }
     }
 
     /// The damping for the next try after a step with this much gave only `gain`: the value along the step as a parabola with
-    /// the slope at the place says how much shorter, between a quarter and a half.
-    pub(crate) fn shorter(&self, damping: f64, gain: f64) -> f64 {
-        let spectrum = self.spectrum();
+    /// the slope at the place says how much shorter, between a quarter and a half. The information is that of the tangent space.
+    pub(crate) fn shorter(&self, information: &DMatrix<f64>, damping: f64, gain: f64) -> f64 {
+        let spectrum = self.spectrum(information);
         let length = |d: f64| spectrum.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
         let slope: f64 = spectrum.terms().map(|(_, h, g)| g * g / (h + damping)).sum();
         let part = slope / (2.0 * (slope - gain)); // zero where there is no value
@@ -117,24 +127,20 @@ impl Curvature {
         high
     }
 
-    /// Step along the tangent basis with this much damping, and the gain it promises.
-    pub(crate) fn step(&self, damping: f64) -> (DVector<f64>, f64) {
-        let (step, gain) = match &self.model {
-            Model::Regular(root) if damping == 0.0 => {
-                let half = root.below(&self.gradient);
-                let gain = 0.5 * half.norm_squared();
-                (root.above(half), gain)
-            }
-            _ => self.spectrum().step(damping),
+    /// Step along the tangent basis with this much damping, and the gain it promises. The information is that of the tangent space.
+    pub(crate) fn step(&self, information: &DMatrix<f64>, damping: f64) -> (DVector<f64>, f64) {
+        let (step, gain) = match &self.plain {
+            Some(plain) if damping == 0.0 => (plain.step.clone(), plain.gain),
+            _ => self.spectrum(information).step(damping),
         };
         (step.component_mul(&self.scale), gain)
     }
 }
 
-impl Model {
-    /// The matrix is made anew where it has no root: two of them would take too much memory.
-    fn of(scaled: impl Fn() -> DMatrix<f64>) -> Model {
-        Regular::within(scaled()).map_or_else(|| Model::Any(scaled()), Model::Regular)
+impl Plain {
+    fn of(root: &Regular, gradient: &DVector<f64>) -> Plain {
+        let half = root.below(gradient);
+        Plain { gain: 0.5 * half.norm_squared(), decrement: half.norm(), step: root.above(half) }
     }
 }
 
@@ -168,9 +174,9 @@ mod tests {
     use crate::linalg::elements::Elements;
     use crate::linalg::sparse::Sparse;
 
-    fn of(scaled: DMatrix<f64>, gradient: DVector<f64>) -> Curvature {
+    fn of(scaled: &DMatrix<f64>, gradient: DVector<f64>) -> Curvature {
         let scale = DVector::from_element(gradient.len(), 1.0);
-        Curvature { scale, gradient, model: Model::of(|| scaled.clone()), spectrum: OnceLock::new() }
+        Curvature::scaled_by(scale, gradient, scaled)
     }
 
     #[test]
@@ -178,13 +184,13 @@ mod tests {
         let n = 5;
         let wave = DMatrix::from_fn(n, n, |i, k| ((3 * i + 7 * k) as f64).sin());
         let h = &wave * wave.transpose() + DMatrix::identity(n, n) * 0.05;
-        let curvature = of(h, DVector::from_fn(n, |i, _| (i as f64).cos()));
-        assert!(matches!(curvature.model, Model::Regular(_)), "it is regular");
-        let (step, gain) = curvature.step(0.0);
-        let (expected, promised) = curvature.spectrum().step(0.0);
+        let curvature = of(&h, DVector::from_fn(n, |i, _| (i as f64).cos()));
+        assert!(curvature.plain.is_some(), "it is regular");
+        let (step, gain) = curvature.step(&h, 0.0);
+        let (expected, promised) = curvature.spectrum(&h).step(0.0);
         assert!((&step - &expected).norm() < 1e-11 * expected.norm(), "{step} {expected}");
         assert!((gain - promised).abs() < 1e-11 * promised, "{gain} {promised}");
-        let (decrement, by_values) = (curvature.decrement(), curvature.spectrum().decrement());
+        let (decrement, by_values) = (curvature.decrement(), curvature.known().decrement());
         assert!((decrement - by_values).abs() < 1e-11 * by_values, "{decrement} {by_values}");
         assert_eq!(curvature.doubtful(), 0.0);
     }
@@ -192,13 +198,13 @@ mod tests {
     #[test]
     fn where_a_direction_is_flat_or_not_concave_there_is_no_root() {
         let diagonal = |least: f64| DMatrix::from_diagonal(&DVector::from_vec(vec![1.0, least, 2.0]));
-        assert!(matches!(of(diagonal(0.5), DVector::zeros(3)).model, Model::Regular(_)));
-        let flat = of(diagonal(0.0), DVector::from_vec(vec![3.0, 100.0, 0.0]));
+        assert!(of(&diagonal(0.5), DVector::zeros(3)).plain.is_some());
+        let flat = of(&diagonal(0.0), DVector::from_vec(vec![3.0, 100.0, 0.0]));
         assert_eq!(flat.decrement(), 3.0);
         for (least, size, expected) in
             [(-0.5, 1.0, 0.3), (-2e-3, 1.0, 1.2e-3), (-5e-4, 1.0, 0.0), (0.0, 1.0, 0.0), (-0.5, 0.1, 0.0)]
         {
-            let found = of(diagonal(least), DVector::from_vec(vec![3.0 * size, 0.0, 0.0])).doubtful();
+            let found = of(&diagonal(least), DVector::from_vec(vec![3.0 * size, 0.0, 0.0])).doubtful();
             assert!((found - expected).abs() < 1e-12, "{least} at {size}: {found} {expected}");
         }
     }
@@ -235,14 +241,14 @@ mod tests {
     #[test]
     fn a_step_that_failed_is_made_shorter_as_its_gain_says() {
         let (values, g) = ([4.0, 1.0], [8.0, 3.0]);
-        let curvature =
-            of(DMatrix::from_diagonal(&DVector::from_column_slice(&values)), DVector::from_column_slice(&g));
+        let h = DMatrix::from_diagonal(&DVector::from_column_slice(&values));
+        let curvature = of(&h, DVector::from_column_slice(&g));
         for damping in [0.0, 0.7] {
             let length = |d: f64| (0..2).map(|k| (g[k] / (values[k] + d)).powi(2)).sum::<f64>().sqrt();
             let slope: f64 = (0..2).map(|k| g[k] * g[k] / (values[k] + damping)).sum();
             // a parabola with this slope that has fallen by `loss` at the end of the step has its top at this part of it
             for (loss, part) in [(0.1 * slope, 1.0 / 2.2), (f64::INFINITY, 0.25), (-0.01 * slope, 0.5)] {
-                let found = length(curvature.shorter(damping, -loss)) / length(damping);
+                let found = length(curvature.shorter(&h, damping, -loss)) / length(damping);
                 assert!((found - part).abs() < 1e-4, "{damping} {loss}: {found} {part}");
             }
         }

@@ -297,7 +297,8 @@ impl State {
             Criterion::Reml => problem.sums(&place.point, Order::Expected, place.near())?,
         };
         let assumed = (&structure).into();
-        Some(State { problem: Arc::new(problem), place, sums, assumed, joint: None, ..self.clone() })
+        let settings = self.settings.clone();
+        Some(State { problem: Arc::new(problem), place, sums, assumed, settings, joint: None })
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.

@@ -1,5 +1,7 @@
 //! M-steps without a closed form: maximise -½n (log|Σ| + tr(Σ⁻¹M̄)) under constraints, by the same Newton's method.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{CovarianceMap, place, sub};
@@ -36,7 +38,7 @@ impl Objective for Exact<'_> {
             mean_information: DMatrix::zeros(0, 0),
             score,
             cross: DMatrix::zeros(0, pairs(p)),
-            information: over_pairs(p, |k, l, a, b| weight[(l, a)] * inner[(b, k)]),
+            information: Arc::new(over_pairs(p, |k, l, a, b| weight[(l, a)] * inner[(b, k)])),
             weight: weight * self.n,
             mean_covariance: None,
         })

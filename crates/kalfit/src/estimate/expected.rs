@@ -74,7 +74,7 @@ fn local(sums: &Sums) -> Local {
         mean_information: sums.mean_information.clone(),
         score: DMatrix::zeros(p, p),
         cross: DMatrix::zeros(m, sums.elements.count()),
-        information: sums.expected_information().into_owned(),
+        information: Arc::new(sums.expected_information()),
         weight: sums.weight.clone(),
         mean_covariance: None,
     }

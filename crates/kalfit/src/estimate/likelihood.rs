@@ -78,7 +78,7 @@ impl Likelihood {
             Derivatives::First => Order::Mean,
             Derivatives::Second => Order::Second,
         };
-        self.evaluation(&pass::pass(&self.classes, &[], &point, order, None), order)
+        self.evaluation(pass::pass(&self.classes, &[], &point, order, None), order)
     }
 
     /// A root of Σ, phase by phase.
@@ -91,7 +91,7 @@ impl Likelihood {
         root
     }
 
-    fn evaluation(&self, sums: &Sums, order: Order) -> Evaluation {
+    fn evaluation(&self, mut sums: Sums, order: Order) -> Evaluation {
         let scale = &self.classes.frame.scale;
         let p = scale.len();
         let places: Vec<f64> = sums.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();

@@ -1,5 +1,7 @@
 //! A function of (mean coordinates, Σ) near a point: value, score, information; and its picture in free coordinates.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::chart::Chart;
@@ -21,29 +23,28 @@ pub(crate) struct Local {
     /// -∂²/∂mean ∂σ_pair.
     pub(crate) cross: DMatrix<f64>,
     /// -∂²/∂σ_pair ∂σ_pair.
-    pub(crate) information: DMatrix<f64>,
+    pub(crate) information: Arc<DMatrix<f64>>,
     /// Σ W over tests: the scale of information on Σ.
     pub(crate) weight: DMatrix<f64>,
     /// Covariance of the free mean coordinates at a known Σ, under the restricted likelihood.
     pub(crate) mean_covariance: Option<DMatrix<f64>>,
 }
 
-impl From<&Sums> for Local {
-    fn from(sums: &Sums) -> Local {
+impl Local {
+    /// The second derivatives by the elements of Σ are taken out of the sums.
+    pub(crate) fn of(sums: &mut Sums) -> Local {
         Local {
             value: sums.value,
             mean_score: sums.mean_score.clone(),
             mean_information: sums.mean_information.clone(),
             score: sums.score(),
             cross: sums.cross_information(),
-            information: sums.observed_information(),
+            information: Arc::new(sums.observed_information()),
             weight: sums.weight.clone(),
             mean_covariance: sums.restricted.as_ref().map(|r| r.covariance.clone()),
         }
     }
-}
 
-impl Local {
     /// Number of mean coordinates and elements of Σ.
     pub(crate) fn gradient_size(&self) -> usize {
         self.mean_score.len() + self.information.nrows()
@@ -100,24 +101,31 @@ impl Tangent {
         let constraints = (&map.constraints[..], &map.elements);
         let multipliers = multipliers(constraints, (&in_sigma, &normals), &packed, &sigma_gradient);
         let residual_score = &local.score - multiplier_matrix(&map.constraints, multipliers.as_slice(), map.p);
-        let information = free_information(local, mean_jacobian, &chart, &jacobian, &residual_score);
         let held = held_coordinates(&chart, &sigma_gradient);
         let basis = tangent_basis(q, &normals, &held, jacobian.ncols());
         let sizes = coordinate_sizes(mean_jacobian, &map.regressors, &chart, root);
         let mut gradient = DVector::zeros(q + jacobian.ncols());
         gradient.rows_mut(0, q).copy_from(&(mean_jacobian.transpose() * &local.mean_score));
         gradient.rows_mut(q, jacobian.ncols()).copy_from(&sigma_gradient);
-        Tangent {
+        let mut tangent = Tangent {
             mean: q,
             jacobian,
             gradient: basis.transposed_times(&gradient),
-            information: along(&basis, information),
+            information: DMatrix::zeros(0, 0),
             sizes: basis.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect(),
             chart,
             basis,
             multipliers: multipliers.as_slice().to_vec(),
             residual_score,
-        }
+        };
+        tangent.inform(local, mean_jacobian);
+        tangent
+    }
+
+    /// Works the information out.
+    pub(crate) fn inform(&mut self, local: &Local, mean_jacobian: &DMatrix<f64>) {
+        let all = free_information(local, mean_jacobian, &self.chart, &self.jacobian, &self.residual_score);
+        self.information = along(&self.basis, all);
     }
 }
 

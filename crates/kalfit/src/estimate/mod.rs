@@ -182,7 +182,7 @@ pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Re
     let start = start::start(&problem, structure)?;
     let sums = problem.sums(&start, Order::Expected, None).filter(|sums| sums.value.is_finite());
     let sums = sums.ok_or(FitError::NotFinite)?;
-    Ok((problem, start, sums))
+    Ok((problem, start, sums.at_rest()))
 }
 
 /// Of ids that two tests have, the first by order.

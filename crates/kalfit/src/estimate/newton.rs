@@ -3,6 +3,8 @@
 //! Eigenvalues of the Hessian by absolute value, Levenberg damping, every accepted step raises the value. It stops on
 //! the Newton decrement, never on a small change of the value.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::chart::Chart;
@@ -59,23 +61,44 @@ impl Place {
         self.curvature.decrement()
     }
 
-    /// Puts the large matrices aside, while another place is made.
-    fn fold(&mut self) -> [Option<Folded>; 3] {
-        self.large().map(Folded::of)
+    /// Another place that is to take the place of this one, if `make` finds it. Meanwhile large matrices of this one are put aside: those
+    /// by elements of Σ in half their memory, what follows from them not at all. They are back where nothing is found; of this place
+    /// nothing may be asked where something is.
+    pub(crate) fn surpassed(
+        &mut self,
+        objective: &dyn Objective,
+        make: impl FnOnce(&Place) -> Option<Place>,
+    ) -> Option<Place> {
+        self.slim();
+        let own = Arc::get_mut(&mut self.local.information).filter(|own| own.nrows() >= LARGE);
+        let folded = own.map(|own| Folded::of(std::mem::replace(own, DMatrix::zeros(0, 0))));
+        let next = make(self);
+        if next.is_none() {
+            if let Some(folded) = folded {
+                self.local.information = Arc::new(folded.unfolded());
+            }
+            self.restore(objective);
+        }
+        next
     }
 
-    fn unfold(&mut self, folded: [Option<Folded>; 3]) {
-        for (matrix, folded) in self.large().into_iter().zip(folded) {
-            if let Some(folded) = folded {
-                *matrix = folded.unfolded();
-            }
+    /// Drops what is large and follows from the rest.
+    pub(crate) fn slim(&mut self) {
+        if self.tangent.information.nrows() >= LARGE {
+            self.tangent.information = DMatrix::zeros(0, 0);
         }
     }
 
-    fn large(&mut self) -> [&mut DMatrix<f64>; 3] {
-        [&mut self.local.information, &mut self.tangent.information, self.curvature.matrix_mut()]
+    /// Works out again what was dropped.
+    pub(crate) fn restore(&mut self, objective: &dyn Objective) {
+        if self.tangent.information.is_empty() {
+            self.tangent.inform(&self.local, objective.mean_jacobian());
+        }
     }
 }
+
+/// Rows of a matrix that is large.
+const LARGE: usize = 500;
 
 /// What became of one attempt to step.
 pub(crate) enum Attempt {
@@ -100,21 +123,23 @@ impl Damping {
         let slack = 1e-13 * place.local.value.abs().max(1.0);
         self.0 = self.0.max(place.curvature.doubtful());
         for _ in 0..TRIES {
-            let (step, promised) = place.curvature.step(self.0);
+            let (step, promised) = place.curvature.step(&place.tangent.information, self.0);
             let point = moved(objective, map, place, &step);
-            let folded = place.fold();
-            let next = point.and_then(|point| Place::new(objective, map, point, place.near()));
-            let gain = next.as_ref().map(|next| next.local.value - place.local.value);
-            let good = |gain: f64| gain >= -slack && (gain >= 0.05 * promised || promised <= slack);
-            if let (Some(next), Some(gain)) = (next, gain.filter(|gain| good(*gain))) {
+            let mut gain = None;
+            let next = place.surpassed(objective, |place| {
+                let next = Place::new(objective, map, point?, place.near())?;
+                let gain = *gain.insert(next.local.value - place.local.value);
+                (gain >= -slack && (gain >= 0.05 * promised || promised <= slack)).then_some(next)
+            });
+            let gain = gain.unwrap_or(f64::NEG_INFINITY);
+            if let Some(next) = next {
                 self.judge(gain / promised);
                 return Attempt::Better(Box::new(next));
             }
-            place.unfold(folded);
-            if gain.is_some() && promised <= slack {
+            if gain > f64::NEG_INFINITY && promised <= slack {
                 return Attempt::Blind;
             }
-            self.0 = place.curvature.shorter(self.0, gain.unwrap_or(f64::NEG_INFINITY));
+            self.0 = place.curvature.shorter(&place.tangent.information, self.0, gain);
         }
         Attempt::Failed
     }
@@ -198,7 +223,7 @@ mod tests {
                 mean_information: DMatrix::identity(1, 1),
                 score: zero(),
                 cross: zero(),
-                information: zero(),
+                information: Arc::new(zero()),
                 weight: zero(),
                 mean_covariance: None,
             })

@@ -96,7 +96,7 @@ impl State {
         let covariance = self.place.point.covariance();
         let sigma = DVector::from_iterator(elements.count(), elements.all().map(|(k, l)| covariance[(k, l)]));
         let outer = elements.pack_score(&self.sums.outer);
-        let curved = &local.information * &sigma;
+        let curved = &*local.information * &sigma;
         let of_mean = &local.mean_score - &local.cross * &sigma;
         let of_sigma = &outer * 0.5 + elements.pack_score(&local.score) - &curved;
         let mut cross = DVector::zeros(tangent.basis.nrows());

@@ -8,16 +8,17 @@ use crate::linalg::symmetric::pairs;
 
 pub(crate) use crate::remote::Detail as Order;
 
-/// Bytes that the sums of all tasks of a pass may occupy at the same time, where that is up to us.
-const ROOM: usize = 256 << 20;
+/// Bytes that the sums of all tasks of a pass may occupy at the same time, if they are several.
+const ROOM: usize = 64 << 20;
 
-/// The most tasks that a pass over p states is parted into: each has sums of its own, two matrices over pairs of states.
+/// The most tasks that a pass over p states is parted into: each has sums of its own, two matrices over pairs of states. A task of many
+/// states is itself the work of several threads.
 pub(crate) fn most_tasks(p: usize) -> usize {
-    (ROOM / (16 * pairs(p).pow(2)).max(1)).max(2)
+    (ROOM / (16 * pairs(p).pow(2)).max(1)).max(1)
 }
 
 /// Matrices over all elements of Σ that a fit holds at the same time, and those of them by elements between two blocks, as measured.
-const MATRICES: u64 = 11;
+const MATRICES: u64 = 5;
 const BETWEEN: u64 = 4;
 
 /// About how many bytes a fit takes for second derivatives by the elements of Σ, which has blocks of so many states. What tests take

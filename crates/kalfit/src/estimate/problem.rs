@@ -253,13 +253,14 @@ impl Objective for Problem {
         let ending = self.ending.load(Ordering::Relaxed);
         // what tests that are elsewhere say costs a round, however much they are asked
         if !ending && (self.classes.remote.is_none() || self.restriction.is_some()) {
-            return Some(Local::from(&self.sums(point, Order::Second, near)?));
+            return Some(Local::of(&mut self.sums(point, Order::Second, near)?));
         }
         let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
         *last() = None; // its room is wanted
         let asked = || self.sums(point, Order::Expected, near);
         let sums = if ending { self.with_score(point, asked) } else { asked() }?;
-        let local = Local::from(&sums);
+        let mut sums = sums.settled();
+        let local = Local::of(&mut sums);
         *last() = Some((point.clone(), sums.at_rest()));
         Some(local)
     }

@@ -7,41 +7,75 @@ use crate::linalg::symmetric::{pair, pairs};
 
 /// Sums block by block; none where they are not wanted.
 #[derive(Debug, Clone)]
-pub(crate) struct Blocks(Vec<DMatrix<f64>>);
+pub(crate) struct Blocks(Vec<Block>);
+
+/// Sums of so many rows and columns.
+#[derive(Debug, Clone)]
+struct Block {
+    shape: (usize, usize),
+    /// Empty until something is added.
+    sum: DMatrix<f64>,
+}
+
+impl Block {
+    fn zero(rows: usize, columns: usize) -> Block {
+        Block { shape: (rows, columns), sum: DMatrix::zeros(0, 0) }
+    }
+
+    fn whole(&mut self) -> &mut DMatrix<f64> {
+        if self.sum.is_empty() {
+            self.sum = DMatrix::zeros(self.shape.0, self.shape.1);
+        }
+        &mut self.sum
+    }
+
+    fn get(&self, at: (usize, usize)) -> f64 {
+        if self.sum.is_empty() { 0.0 } else { self.sum[at] }
+    }
+
+    /// Adds sums by rows. The first ones are the sums from then on, in the memory that they have.
+    fn take(&mut self, sums: Vec<f64>) {
+        let (rows, columns) = self.shape;
+        if self.sum.is_empty() && rows == columns {
+            self.sum = DMatrix::from_vec(rows, columns, sums);
+            return self.sum.transpose_mut();
+        }
+        let sum = self.whole();
+        for (row, sums) in sums.chunks_exact(columns.max(1)).enumerate() {
+            sum.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
+        }
+    }
+}
 
 impl Blocks {
     pub(crate) fn plus(&mut self, other: &Blocks) {
-        self.0.iter_mut().zip(&other.0).for_each(|(own, other)| *own += other);
+        let added = self.0.iter_mut().zip(&other.0).filter(|(_, other)| !other.sum.is_empty());
+        added.for_each(|(own, other)| *own.whole() += &other.sum);
     }
 
     pub(crate) fn minus(&mut self, other: &Blocks) {
-        self.0.iter_mut().zip(&other.0).for_each(|(own, other)| *own -= other);
+        let added = self.0.iter_mut().zip(&other.0).filter(|(_, other)| !other.sum.is_empty());
+        added.for_each(|(own, other)| *own.whole() -= &other.sum);
     }
 
     /// Adds sums, those of each block by rows.
     pub(crate) fn take(&mut self, sums: Vec<Vec<f64>>) {
-        for (block, sums) in self.0.iter_mut().zip(sums) {
-            let columns = block.ncols().max(1);
-            for (row, sums) in sums.chunks_exact(columns).enumerate() {
-                block.row_mut(row).iter_mut().zip(sums).for_each(|(sum, x)| *sum += x);
-            }
-        }
+        self.0.iter_mut().zip(sums).for_each(|(block, sums)| block.take(sums));
     }
 
     /// All numbers.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.0.iter().flat_map(|block| block.iter().copied())
+        let of = |block: &Block| {
+            let missing = block.shape.0 * block.shape.1 - block.sum.len();
+            std::iter::repeat_n(0.0, missing)
+        };
+        self.0.iter().flat_map(move |block| block.sum.iter().copied().chain(of(block)))
     }
 
     /// The same, to be set.
     pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
-        self.0.iter_mut().flat_map(|block| block.iter_mut())
+        self.0.iter_mut().flat_map(|block| block.whole().iter_mut())
     }
-}
-
-/// Of so many rows and columns; memory that nothing is written to is not taken.
-fn zeros(rows: usize, columns: usize) -> DMatrix<f64> {
-    DMatrix::from_vec(rows, columns, vec![0.0; rows * columns])
 }
 
 /// Sums of A ⊗ B over tests, A and B symmetric, as far as second derivatives by two elements of Σ need them: A_la B_bk with k, l
@@ -58,7 +92,7 @@ impl Products {
     pub(crate) fn zero(elements: &Elements, wanted: bool) -> Products {
         let sizes: Vec<usize> = elements.blocks().iter().map(ExactSizeIterator::len).collect();
         let places = |f: usize, g: usize| if f == g { pairs(sizes[f]) } else { sizes[f] * sizes[g] };
-        let square = |(f, g)| zeros(places(f, g), places(f, g));
+        let square = |(f, g)| Block::zero(places(f, g), places(f, g));
         let count = if wanted { sizes.len() } else { 0 };
         let blocks = (0..count).flat_map(|f| (0..=f).map(move |g| (f, g))).map(square).collect();
         Products { elements: elements.clone(), blocks: Blocks(blocks) }
@@ -72,11 +106,11 @@ impl Products {
         let (l, a, b, k) = (l - of_f, a - of_g, b - of_g, k - of_f);
         let sum = &self.blocks.0[pair(f, g)];
         if f == g {
-            return sum[(pair(l, a), pair(b, k))];
+            return sum.get((pair(l, a), pair(b, k)));
         }
         let (one, other) = if f > g { ((l, a), (k, b)) } else { ((a, l), (b, k)) };
         let width = ranges[f.min(g)].len();
-        sum[(one.0 * width + one.1, other.0 * width + other.1)]
+        sum.get((one.0 * width + one.1, other.0 * width + other.1))
     }
 }
 
@@ -92,7 +126,7 @@ pub(crate) struct Crosses {
 impl Crosses {
     pub(crate) fn zero(elements: &Elements, coordinates: usize, wanted: bool) -> Crosses {
         let ranges = if wanted { elements.blocks() } else { &[] };
-        let blocks = ranges.iter().map(|range| zeros(range.len() * coordinates, range.len())).collect();
+        let blocks = ranges.iter().map(|range| Block::zero(range.len() * coordinates, range.len())).collect();
         Crosses { elements: elements.clone(), coordinates, blocks: Blocks(blocks) }
     }
 
@@ -100,7 +134,7 @@ impl Crosses {
     pub(crate) fn get(&self, m: usize, (k, l): (usize, usize)) -> f64 {
         let f = self.elements.block_of(k);
         let start = self.elements.blocks()[f].start;
-        self.blocks.0[f][((k - start) * self.coordinates + m, l - start)]
+        self.blocks.0[f].get(((k - start) * self.coordinates + m, l - start))
     }
 }
 

@@ -5,6 +5,8 @@
 //! degeneracy: maximising the quadratic model in (mean, Σ) over Σ = FF' costs no pass, and its end is a step that finds the
 //! boundary at once.
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::climb::{Limits, climb};
@@ -26,24 +28,36 @@ const NOISE: f64 = 1e-13;
 const ENOUGH: f64 = 0.05;
 
 /// The better place at the model's maximum; `None` where it is not better by what the model promised. One pass.
-pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<Place> {
+pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &mut Place) -> Option<Place> {
+    place.slim();
+    let Some((point, promised)) = aim(objective, map, tests, place) else {
+        place.restore(objective);
+        return None;
+    };
+    let noise = noise(place);
+    place.surpassed(objective, |place| {
+        let next = Place::new(objective, map, point, place.near())?;
+        let gain = next.local.value - place.local.value;
+        // where the value has no digits left to tell, the decrement does
+        let closer = gain >= -noise && next.decrement() < 0.5 * place.decrement();
+        (if promised > noise { gain >= ENOUGH * promised } else { closer }).then_some(next)
+    })
+}
+
+/// What a value of ℓ near a place may be off by.
+fn noise(place: &Place) -> f64 {
+    NOISE * place.local.value.abs().max(1.0)
+}
+
+/// The model's maximum, and the gain that it promises; `None` where it is out of reach.
+fn aim(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<(Point, f64)> {
     let model = Quadratic::new(objective, place, &map.elements);
     let start = Place::new(&model, map, place.point.clone(), None)?;
     let limits = Limits { tolerance: 1e-4 * place.decrement().min(1.0), steps: STEPS };
     let (end, _) = climb(&model, map, tests, start, limits);
-    let noise = NOISE * place.local.value.abs().max(1.0);
-    let end = flattened(&model, map, (tests, noise), end, limits);
+    let end = flattened(&model, map, (tests, noise(place)), end, limits);
     let promised = end.local.value - place.local.value;
-    if promised.is_nan() || !is_near(&end.point, &place.point) {
-        return None;
-    }
-    let point = end.point;
-    drop((model, end.local, end.tangent, end.curvature)); // of many states their room is wanted
-    let next = Place::new(objective, map, point, place.near())?;
-    let gain = next.local.value - place.local.value;
-    // where the value has no digits left to tell, the decrement does
-    let closer = gain >= -noise && next.decrement() < 0.5 * place.decrement();
-    (if promised > noise { gain >= ENOUGH * promised } else { closer }).then_some(next)
+    (!promised.is_nan() && is_near(&end.point, &place.point)).then_some((end.point, promised))
 }
 
 /// The end with columns of F set to zero, the smallest first, as long as the model does not mind: it nears a boundary slowly.
@@ -58,9 +72,11 @@ fn flattened(
         let Some(root) = without_least_column(map, &end.point.root) else { break };
         let chart = map.chart(&root);
         let still = DVector::zeros(chart.coordinates.len());
-        let next = retract(map, &chart, still)
-            .and_then(|root| Place::new(model, map, Point { root, ..end.point.clone() }, None))
-            .filter(|next| next.local.value >= end.local.value - noise);
+        let Some(root) = retract(map, &chart, still) else { break };
+        let next = end.surpassed(model, |end| {
+            let next = Place::new(model, map, Point { root, ..end.point.clone() }, None)?;
+            (next.local.value >= end.local.value - noise).then_some(next)
+        });
         let Some(next) = next else { break };
         end = climb(model, map, tests, next, limits).0;
     }
@@ -88,7 +104,6 @@ struct Quadratic<'a> {
     sigma: DMatrix<f64>,
     /// In mean coordinates, then elements of Σ.
     gradient: DVector<f64>,
-    information: DMatrix<f64>,
 }
 
 impl<'a> Quadratic<'a> {
@@ -98,12 +113,22 @@ impl<'a> Quadratic<'a> {
         let mut gradient = DVector::zeros(m + s);
         gradient.rows_mut(0, m).copy_from(&local.mean_score);
         gradient.rows_mut(m, s).copy_from(&elements.pack_score(&local.score));
-        let mut information = DMatrix::zeros(m + s, m + s);
-        information.view_mut((0, 0), (m, m)).copy_from(&local.mean_information);
-        information.view_mut((0, m), (m, s)).copy_from(&local.cross);
-        information.view_mut((m, 0), (s, m)).copy_from(&local.cross.transpose());
-        information.view_mut((m, m), (s, s)).copy_from(&local.information);
-        Quadratic { objective, elements, sigma: place.point.covariance(), place, gradient, information }
+        Quadratic { objective, elements, sigma: place.point.covariance(), place, gradient }
+    }
+
+    /// The information in mean coordinates and elements of Σ, times a vector.
+    fn pull(&self, away: &DVector<f64>) -> DVector<f64> {
+        let local = &self.place.local;
+        let (m, s) = local.cross.shape();
+        let (mean, sigma) = (away.rows(0, m), away.rows(m, s));
+        let mut pull = DVector::zeros(m + s);
+        let mut of_mean = pull.rows_mut(0, m);
+        of_mean.gemv(1.0, &local.mean_information, &mean, 0.0);
+        of_mean.gemv(1.0, &local.cross, &sigma, 1.0);
+        let mut of_sigma = pull.rows_mut(m, s);
+        of_sigma.gemv(1.0, &local.cross.transpose(), &mean, 0.0);
+        of_sigma.gemv(1.0, &*local.information, &sigma, 1.0);
+        pull
     }
 
     fn away(&self, point: &Point) -> DVector<f64> {
@@ -131,20 +156,20 @@ fn is_near(point: &Point, from: &Point) -> bool {
 impl Objective for Quadratic<'_> {
     fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
         let (p, m) = (point.mean.len(), self.place.local.mean_score.len());
-        let s = self.elements.count();
         let away = self.away(point);
-        let pull = &self.information * &away;
+        let pull = self.pull(&away);
         let gradient = &self.gradient - &pull;
         let packed = |i: usize, j: usize| self.elements.get(i, j).map_or(0.0, |k| gradient[m + k]);
         let score = |i: usize, j: usize| packed(i, j) * if i == j { 1.0 } else { 0.5 };
+        let local = &self.place.local;
         Some(Local {
-            value: self.place.local.value + away.dot(&(&self.gradient - pull * 0.5)),
+            value: local.value + away.dot(&(&self.gradient - pull * 0.5)),
             mean_score: gradient.rows(0, m).clone_owned(),
-            mean_information: self.information.view((0, 0), (m, m)).clone_owned(),
+            mean_information: local.mean_information.clone(),
             score: DMatrix::from_fn(p, p, score),
-            cross: self.information.view((0, m), (m, s)).clone_owned(),
-            information: self.information.view((m, m), (s, s)).clone_owned(),
-            weight: self.place.local.weight.clone(),
+            cross: local.cross.clone(),
+            information: Arc::clone(&local.information),
+            weight: local.weight.clone(),
             mean_covariance: None,
         })
     }

@@ -41,10 +41,10 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64
         true => sums.score_after(&problem.mean.regressors, &shift),
         false => sums.score(), // the mean has moved already
     };
-    let information = free.congruence(&sums.expected_information());
+    let information = || free.congruence_of(sums.expected_information());
     let score = free.transposed_times(&map.elements.pack_score(&score));
-    let along = solved(&information, &score)
-        .unwrap_or_else(|| relative_solve(&information, &score, &metric(&chart.root, &free, &map.elements)));
+    let along = solved(information(), &score)
+        .unwrap_or_else(|| relative_solve(&information(), &score, &metric(&chart.root, &free, &map.elements)));
     let promised = 0.5 * (along.dot(&score) + shift.dot(&sums.mean_score));
     let change = map.elements.unpack(&free.times(&along));
     let of = |part: &Part| {
@@ -65,14 +65,16 @@ fn metric(root: &DMatrix<f64>, free: &Sparse, elements: &Elements) -> DMatrix<f6
     let (p, size) = (root.nrows(), symmetric::sizes(&sigma));
     let inverse = symmetric::pseudo_inverse(&DMatrix::from_fn(p, p, |i, j| sigma[(i, j)] / size[i] / size[j]));
     let inverse = DMatrix::from_fn(p, p, |i, j| inverse[(i, j)] / size[i] / size[j]);
-    free.congruence(&elements.over(|k, l, a, b| inverse[(l, a)] * inverse[(b, k)]))
+    free.congruence_of(elements.over(|k, l, a, b| inverse[(l, a)] * inverse[(b, k)]))
 }
 
 /// The solution of I x = g where there is only one.
-fn solved(information: &DMatrix<f64>, score: &DVector<f64>) -> Option<DVector<f64>> {
-    let size = DVector::from_vec(symmetric::sizes(information));
-    let n = size.len();
-    let root = Regular::within(DMatrix::from_fn(n, n, |i, j| information[(i, j)] / size[i] / size[j]))?;
+fn solved(mut information: DMatrix<f64>, score: &DVector<f64>) -> Option<DVector<f64>> {
+    let size = DVector::from_vec(symmetric::sizes(&information));
+    for (j, mut column) in information.column_iter_mut().enumerate() {
+        column.iter_mut().zip(size.iter()).for_each(|(x, of_row)| *x = *x / of_row / size[j]);
+    }
+    let root = Regular::within(information)?;
     root.is_whole().then(|| root.solve(&score.component_div(&size)).component_div(&size))
 }
 

@@ -106,9 +106,9 @@ impl<'a> Search<'a> {
     }
 
     /// The place where these are the sums.
-    fn known(&self, point: Point, sums: &Sums) -> Result<Place, FitError> {
+    fn known(&self, point: Point, mut sums: Sums) -> Result<Place, FitError> {
         let problem = &self.problem;
-        Place::at(Local::from(sums), problem.mean_jacobian(), &problem.covariance, point).ok_or(FitError::NotFinite)
+        Place::at(Local::of(&mut sums), problem.mean_jacobian(), &problem.covariance, point).ok_or(FitError::NotFinite)
     }
 
     fn sums(&self, point: &Point, order: Order) -> Result<Sums, FitError> {
@@ -125,7 +125,7 @@ impl<'a> Search<'a> {
         loop {
             if place.decrement() <= self.settings.tolerance {
                 let tests = self.problem.classes.tests as f64;
-                match escaped(&self.problem, &self.problem.covariance, tests, &place) {
+                match escaped(&self.problem, &self.problem.covariance, tests, &mut place) {
                     Some(better) => place = better,
                     None => return Ok((place, Stop::Certified)),
                 }
@@ -137,10 +137,10 @@ impl<'a> Search<'a> {
             let fast = place.decrement() < FAST * before;
             before = place.decrement();
             if !fast || place.local.gradient_size() <= CHEAP {
-                let mut next = self.on_the_cone(&place);
+                let mut next = self.on_the_cone(&mut place);
                 if next.is_none() && place.decrement() < NEAR_END && !std::mem::replace(&mut tried_at_zero, true) {
-                    let closer = |next: &Place| next.decrement() < 0.5 * place.decrement();
-                    next = self.snapped(&place, SMALL)?.filter(closer);
+                    let closer = 0.5 * place.decrement();
+                    next = self.snapped(&mut place, SMALL, closer)?;
                 }
                 if let Some(next) = next {
                     place = next;
@@ -158,8 +158,8 @@ impl<'a> Search<'a> {
                 }
                 Attempt::Failed | Attempt::Blind => {
                     failures += 1;
-                    match self.safeguard(&place)? {
-                        Some(next) if failures <= 3 => place = next,
+                    match self.safeguard(&mut place, failures <= 3)? {
+                        Some(next) => place = next,
                         _ if place.decrement() <= NEAR_ENOUGH * self.settings.tolerance => {
                             return Ok((place, Stop::Certified));
                         }
@@ -195,7 +195,8 @@ impl<'a> Search<'a> {
             let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
             let before = best.as_ref().map(|(sums, _)| sums.value);
             if let Some((kept, at)) = best.take_if(|(kept, _)| sums.value.is_nan() || sums.value < kept.value) {
-                return self.known(at, &kept);
+                drop(sums);
+                return self.known(at, kept);
             }
             self.accept(sums.value, None);
             let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
@@ -203,7 +204,7 @@ impl<'a> Search<'a> {
             let (next, promised) = scoring::step(&self.problem, &point, &sums);
             let kept_its_word = gained >= KEPT * expected;
             expected = promised;
-            best = Some((sums, point));
+            best = Some((sums.without_expected(), point));
             point = next;
             if promised < ENOUGH || gained < ENOUGH || !kept_its_word || self.progress.stops() {
                 break;
@@ -211,22 +212,36 @@ impl<'a> Search<'a> {
         }
         let place = self.place(point, best.as_ref().and_then(|(sums, _)| sums.near()))?;
         match best.filter(|(sums, _)| sums.value > place.local.value) {
-            Some((sums, point)) => self.known(point, &sums),
+            Some((sums, point)) => self.known(point, sums),
             None => Ok(place),
         }
     }
 
-    fn on_the_cone(&self, place: &Place) -> Option<Place> {
+    fn on_the_cone(&self, place: &mut Place) -> Option<Place> {
         let tests = self.problem.classes.tests as f64;
         quadratic::step(&self.problem, &self.problem.covariance, tests, place)
     }
 
-    /// An EM step, where it raises ℓ.
-    fn safeguard(&mut self, place: &Place) -> Result<Option<Place>, FitError> {
+    /// An EM step, where it raises ℓ and is wanted.
+    fn safeguard(&mut self, place: &mut Place, wanted: bool) -> Result<Option<Place>, FitError> {
         let sums = self.sums(&place.point, Order::Mean)?;
         let next = em::step(&self.problem, &place.point, &sums, &mut Turn::Covariance);
-        let next = self.place(next, place.near())?;
-        Ok((next.local.value > place.local.value).then_some(next))
+        self.surpassed(place, next, |next, place| wanted && next.local.value > place.local.value)
+    }
+
+    /// The place at a point, where it is good: of the other one nothing may be asked then.
+    fn surpassed(
+        &self,
+        place: &mut Place,
+        point: Point,
+        good: impl FnOnce(&Place, &Place) -> bool,
+    ) -> Result<Option<Place>, FitError> {
+        let mut failed = None;
+        let next = place.surpassed(&self.problem, |place| {
+            let next = self.place(point, place.near()).map_err(|error| failed = Some(error)).ok()?;
+            good(&next, place).then_some(next)
+        });
+        failed.map_or(Ok(next), Err)
     }
 
     /// The paper's algorithm. ℓ is checked to rise at every step; the certificate is looked at now and then.
@@ -265,13 +280,13 @@ impl<'a> Search<'a> {
     }
 
     /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
-    fn finish(mut self, place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+    fn finish(mut self, mut place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let enough = place.decrement().max(self.settings.tolerance);
-        let snapped = self.snapped(&place, SNAP)?.filter(|next| next.decrement() <= enough);
-        let mut place = snapped.unwrap_or(place);
+        place = self.snapped(&mut place, SNAP, enough)?.unwrap_or(place);
         if self.problem.criterion() == Criterion::Reml {
             // the second derivatives are exact once the covariance of the mean is that of this very place
-            place = self.place(place.point.clone(), place.near())?;
+            let same = place.point.clone();
+            place = self.surpassed(&mut place, same, |_, _| true)?.unwrap_or(place);
         }
         let passes = self.problem.passes();
         self.problem.ends_soon(false);
@@ -287,16 +302,18 @@ impl<'a> Search<'a> {
     }
 
     /// What no test observes put back to the law it started with, where Newton's steps have moved it.
-    fn restored(&mut self, place: Place, start: &DMatrix<f64>) -> Result<Place, FitError> {
+    fn restored(&mut self, mut place: Place, start: &DMatrix<f64>) -> Result<Place, FitError> {
         let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
         let Some(root) = unobserved::restored(map, information, start, &place.point.root) else { return Ok(place) };
-        let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
-        let fine = next.local.value >= place.local.value - 1e-9;
-        Ok(if fine && next.decrement() <= place.decrement().max(self.settings.tolerance) { next } else { place })
+        let point = Point { root, ..place.point.clone() };
+        let enough = place.decrement().max(self.settings.tolerance);
+        let fine = |next: &Place, place: &Place| is_as_good(next, place) && next.decrement() <= enough;
+        Ok(self.surpassed(&mut place, point, fine)?.unwrap_or(place))
     }
 
-    /// The place with trailing columns of the factor up to this size set to zero; `None` where there are none, or where ℓ minds.
-    fn snapped(&mut self, place: &Place, size: f64) -> Result<Option<Place>, FitError> {
+    /// The place with trailing columns of the factor up to this size set to zero; `None` where there are none, where ℓ minds, or where the
+    /// decrement is more than `enough`.
+    fn snapped(&mut self, place: &mut Place, size: f64, enough: f64) -> Result<Option<Place>, FitError> {
         let mut root = place.point.root.clone();
         let mut changed = false;
         for block in self.problem.covariance.blocks() {
@@ -314,9 +331,14 @@ impl<'a> Search<'a> {
         let chart = self.problem.covariance.chart(&root);
         let still = nalgebra::DVector::zeros(chart.coordinates.len());
         let Some(root) = retract(&self.problem.covariance, &chart, still) else { return Ok(None) };
-        let next = self.place(Point { root, ..place.point.clone() }, place.near())?;
-        Ok((next.local.value >= place.local.value - 1e-9).then_some(next))
+        let point = Point { root, ..place.point.clone() };
+        self.surpassed(place, point, |next, place| is_as_good(next, place) && next.decrement() <= enough)
     }
+}
+
+/// ℓ is no less, but for rounding.
+fn is_as_good(next: &Place, place: &Place) -> bool {
+    next.local.value >= place.local.value - 1e-9
 }
 
 impl Estimate {

@@ -1,7 +1,5 @@
 //! What a pass adds up, and the derivatives of ℓ that are made of it (theory §3).
 
-use std::borrow::Cow;
-
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::lanes::Totals;
@@ -10,6 +8,7 @@ use crate::estimate::point::Regressors;
 use crate::estimate::products::{Blocks, Crosses, Products};
 use crate::estimate::reml::Restricted;
 use crate::linalg::elements::Elements;
+use crate::linalg::folded::Folded;
 use crate::linalg::symmetric::{pair, pairs};
 
 /// Sums over tests. The mean coordinates are the p elements of μ, then the regression coefficients.
@@ -40,7 +39,7 @@ pub(crate) struct Sums {
     /// Second derivatives of tests in groups, which no sum over tests gives.
     pub(super) of_levels: Option<OfLevels>,
     /// ½ Σ tr(W D W E) where a search has ended, in place of all that it is made of.
-    rested: Option<DMatrix<f64>>,
+    rested: Option<Folded>,
     /// The elements of Σ.
     pub(crate) elements: Elements,
 }
@@ -169,6 +168,7 @@ impl Sums {
     pub(crate) fn restrict(mut self, restricted: Restricted) -> Sums {
         self.value += restricted.value;
         self.restricted = Some(restricted);
+        self.spread = DMatrix::zeros(0, 0);
         self
     }
 
@@ -211,39 +211,53 @@ impl Sums {
         (outer - &self.weight) * 0.5
     }
 
-    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places.
-    pub(crate) fn observed_information(&self) -> DMatrix<f64> {
-        let elements = &self.elements;
-        let own = match &self.of_levels {
-            Some(of_levels) => of_levels.observed.clone(),
-            None => elements.over(|k, l, a, b| self.curvature.get((l, a), (b, k))),
+    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places. It is taken out of the sums: of many
+    /// states each such matrix is most of the memory there is.
+    pub(crate) fn observed_information(&mut self) -> DMatrix<f64> {
+        let curvature = std::mem::replace(&mut self.curvature, Products::zero(&self.elements, false));
+        let own = match &mut self.of_levels {
+            Some(of_levels) => std::mem::replace(&mut of_levels.observed, DMatrix::zeros(0, 0)),
+            None => self.elements.over(|k, l, a, b| curvature.get((l, a), (b, k))),
         };
-        match &self.restricted {
-            Some(restricted) => own - &restricted.curvature,
+        match &mut self.restricted {
+            Some(restricted) => own - std::mem::replace(&mut restricted.curvature, DMatrix::zeros(0, 0)),
             None => own,
         }
     }
 
     /// ½ Σ tr(W D W E), elements × elements.
-    pub(crate) fn expected_information(&self) -> Cow<'_, DMatrix<f64>> {
-        if let Some(expected) = self.rested.as_ref().or(self.of_levels.as_ref().map(|of_levels| &of_levels.expected)) {
-            return Cow::Borrowed(expected);
+    pub(crate) fn expected_information(&self) -> DMatrix<f64> {
+        match (&self.rested, &self.of_levels) {
+            (Some(expected), _) => expected.unfolded(),
+            (None, Some(of_levels)) => of_levels.expected.clone(),
+            (None, None) => self.elements.over(self.expected_term()),
         }
-        let elements = &self.elements;
-        Cow::Owned(elements.over(|k, l, a, b| 0.5 * self.expected.get((l, a), (b, k))))
     }
 
-    /// What is asked for where a search has ended: of second derivatives by elements of Σ the expected ones alone. Of many states each
-    /// such matrix is most of the memory there is.
+    fn expected_term(&self) -> impl Fn(usize, usize, usize, usize) -> f64 {
+        |k, l, a, b| 0.5 * self.expected.get((l, a), (b, k))
+    }
+
+    /// The same, where the expected information is no longer asked for.
+    pub(super) fn without_expected(self) -> Sums {
+        Sums { expected: Products::zero(&self.elements, false), ..self }
+    }
+
+    /// The same, with the expected information in half the memory of what it is made of.
+    pub(super) fn settled(mut self) -> Sums {
+        if self.rested.is_none() {
+            self.rested = Some(match &mut self.of_levels {
+                Some(of_levels) => Folded::of(std::mem::replace(&mut of_levels.expected, DMatrix::zeros(0, 0))),
+                None => self.elements.folded_over(self.expected_term()),
+            });
+        }
+        self.without_expected()
+    }
+
+    /// What is asked for where a search has ended: of second derivatives by elements of Σ the expected ones alone.
     pub(super) fn at_rest(mut self) -> Sums {
         self.curvature = Products::zero(&self.elements, false);
-        if let Some(of_levels) = self.of_levels.take() {
-            self.rested = Some(of_levels.expected);
-        } else if self.rested.is_none() {
-            self.rested = Some(self.expected_information().into_owned());
-        }
-        self.expected = Products::zero(&self.elements, false);
-        self
+        Sums { of_levels: None, ..self.settled() }
     }
 
     /// -∂²ℓ/∂(mean coordinate) ∂σ_kl = Σ E'(W_{·k} r_l + W_{·l} r_k), mean coordinates × elements.

@@ -86,7 +86,7 @@ struct Without<'a> {
 
 impl Without<'_> {
     fn from(&self, all: Sums, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
-        Some(Local::from(&self.problem.without(all, &self.test, point, near)?))
+        Some(Local::of(&mut self.problem.without(all, &self.test, point, near)?))
     }
 }
 

@@ -3,8 +3,6 @@
 //! For μ with its regression coefficients: the null space of Σ_j E_j'J_jE_j on what is free of them, μ_j = E_j(μ, γ). For Σ: the null space of the expected information
 //! ½ Σ_j tr(W_j D W_j E) on the free directions of Σ.
 
-use std::borrow::Cow;
-
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{Class, Estimate, FitError, Point, Problem, Structure, Sums, harmonic, natural_sizes};
@@ -50,7 +48,7 @@ fn examination(
     (evidence, reductions): (&Reductions, &Reductions),
     phases: Vec<PhaseObservability>,
 ) -> Examination {
-    let unidentified = directions(problem, point, &sums.expected_information());
+    let unidentified = directions(problem, point, sums);
     // what tests in groups say of their states they say by themselves
     let alone = problem.classes.units.as_ref().and_then(|_| problem.apart(structure, point, reductions));
     let (of, point, seen) = match &alone {
@@ -66,14 +64,14 @@ fn examination(
 /// Unidentified directions at an estimate.
 pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
     let state = &estimate.state;
-    directions(&state.problem, &state.place.point, &state.sums.expected_information())
+    directions(&state.problem, &state.place.point, &state.sums)
 }
 
-pub(crate) fn directions(problem: &Problem, point: &Point, expected: &DMatrix<f64>) -> Vec<Direction> {
+pub(crate) fn directions(problem: &Problem, point: &Point, sums: &Sums) -> Vec<Direction> {
     let chart = problem.covariance.chart(&point.root);
     let free = problem.covariance.free_directions(&chart);
     let mut found = mean_directions(problem);
-    found.extend(covariance_directions(problem, (&chart.root, &free), expected));
+    found.extend(covariance_directions(problem, (&chart.root, &free), sums));
     found.extend(of_single_groups(problem, &free.row_sizes()));
     found
 }
@@ -105,7 +103,7 @@ fn mean_directions(problem: &Problem) -> Vec<Direction> {
         }
     };
     // in η the average test has unit information on each element, so 1 is the natural size
-    null_space(&information, &vec![1.0; basis.ncols()], problem.classes.information.diagonal().amax())
+    null_space(&|| information.clone(), &vec![1.0; basis.ncols()], problem.classes.information.diagonal().amax())
         .into_iter()
         .map(out)
         .collect()
@@ -145,12 +143,8 @@ fn mean_information(problem: &Problem) -> DMatrix<f64> {
     information
 }
 
-fn covariance_directions(
-    problem: &Problem,
-    (root, free): (&DMatrix<f64>, &Sparse),
-    expected: &DMatrix<f64>,
-) -> Vec<Direction> {
-    let information = if free.is_identity() { Cow::Borrowed(expected) } else { Cow::Owned(free.congruence(expected)) };
+fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Sparse), sums: &Sums) -> Vec<Direction> {
+    let information = || free.congruence_of(sums.expected_information());
     let scale = &problem.classes.frame.scale;
     let elements = &problem.covariance.elements;
     let units: Vec<f64> = elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
@@ -168,20 +162,32 @@ fn covariance_directions(
 }
 
 /// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A coordinate is one
-/// itself when, in steps of its size, it has nothing beside the best known one and beside `elsewhere`.
-fn null_space(information: &DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
-    let n = information.nrows();
-    let own = |i: usize| information[(i, i)] * sizes[i].powi(2);
+/// itself when, in steps of its size, it has nothing beside the best known one and beside `elsewhere`. The information is made where it
+/// is wanted: of many states it is most of the memory there is.
+fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
+    let mut scaled = information();
+    let (n, diagonal) = (scaled.nrows(), scaled.diagonal());
+    let own = |i: usize| diagonal[i] * sizes[i].powi(2);
     let largest = (0..n).map(own).fold(elsewhere, f64::max);
     let known = |i: usize| own(i) > 1e-14 * largest;
-    let scale = DVector::from_fn(n, |i, _| if known(i) { information[(i, i)].sqrt().recip() } else { 1.0 });
-    let entry = |i: usize, j: usize| if known(i) && known(j) { scale[i] * information[(i, j)] * scale[j] } else { 0.0 };
-    let scaled = || DMatrix::from_fn(n, n, entry);
-    let flat = if Regular::within(scaled()).is_some() {
+    let scale = DVector::from_fn(n, |i, _| if known(i) { diagonal[i].sqrt().recip() } else { 1.0 });
+    let rescale = |matrix: &mut DMatrix<f64>| {
+        for (j, mut column) in matrix.column_iter_mut().enumerate() {
+            for (i, x) in column.iter_mut().enumerate() {
+                *x = if known(i) && known(j) { scale[i] * *x * scale[j] } else { 0.0 };
+            }
+        }
+    };
+    rescale(&mut scaled);
+    let flat = if Regular::within(scaled).is_some() {
         let unknown: Vec<usize> = (0..n).filter(|&i| !known(i)).collect();
-        DMatrix::identity(n, n).select_columns(&unknown)
+        let mut flat = DMatrix::zeros(n, unknown.len());
+        unknown.iter().enumerate().for_each(|(c, &i)| flat[(i, c)] = 1.0);
+        flat
     } else {
-        let (values, vectors) = symmetric::eigen(&scaled());
+        let mut scaled = information();
+        rescale(&mut scaled);
+        let (values, vectors) = symmetric::eigen(&scaled);
         vectors.select_columns(&(0..n).filter(|&k| values[k] < NONE).collect::<Vec<_>>())
     };
     let simple = simplest(flat);

@@ -61,10 +61,15 @@ impl<'a> Law<'a> {
                 joint.covariance.view((0, 0), (jacobian.ncols(), jacobian.ncols())).into_owned()
             }
             StdErrors::Observed => inverse(&tangent.information),
-            StdErrors::Expected => inverse(&jacobian.congruence(&expected(state, m, s))),
+            StdErrors::Expected => {
+                let information = jacobian.congruence(&expected(state, m, s));
+                inverse(&information)
+            }
             StdErrors::Sandwich => {
+                let meat = jacobian.congruence(&outer_scores(state, reductions, m, s));
                 let bread = inverse(&tangent.information);
-                &bread * jacobian.congruence(&outer_scores(state, reductions, m, s)) * &bread
+                let half = &bread * meat;
+                half * bread
             }
         };
         // the sandwich is of the mean as well; the other two are generalised least squares for it
@@ -260,8 +265,7 @@ fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
     let by_eigenvectors = || {
         let (values, vectors) = symmetric::eigen(&scaled());
-        let inverse = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
-        &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, inverse)) * vectors.transpose()
+        symmetric::by_eigenvectors(&vectors, values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 }))
     };
     let mut inverse = Regular::within(scaled()).map_or_else(by_eigenvectors, Regular::into_inverse);
     for (j, mut column) in inverse.column_iter_mut().enumerate() {

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::linalg::folded::Folded;
 use crate::linalg::symmetric::{pair, pairs};
 
 /// An element of μ or Σ, by its place in all phases together.
@@ -108,20 +109,33 @@ impl Elements {
     /// Matrix over elements whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the places that the two elements stand in: one
     /// for a diagonal element, two for another.
     pub(crate) fn over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
+        let mut result = DMatrix::zeros(self.count(), self.count());
+        self.over_half(term, |row, column, value| {
+            result[(row, column)] = value;
+            result[(column, row)] = value;
+        });
+        result
+    }
+
+    /// The same in half the memory.
+    pub(crate) fn folded_over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> Folded {
+        let mut half = Vec::with_capacity(pairs(self.count()));
+        self.over_half(term, |_, _, value| half.push(value));
+        Folded::Symmetric(self.count(), half)
+    }
+
+    /// The upper half of it, by columns: row, column and entry.
+    fn over_half(&self, term: impl Fn(usize, usize, usize, usize) -> f64, mut to: impl FnMut(usize, usize, f64)) {
         let all: Vec<(usize, usize)> = self.all().collect();
         let sum = |one: (usize, usize), other: (usize, usize)| {
             let of = |(k, l)| places(other).map(|(a, b)| term(k, l, a, b)).fold(0.0, |sum, x| sum + x);
             places(one).map(of).fold(0.0, |sum, x| sum + x)
         };
-        let mut result = DMatrix::zeros(all.len(), all.len());
         for (column, &other) in all.iter().enumerate() {
             for (row, &one) in all.iter().enumerate().take(column + 1) {
-                let value = 0.5 * (sum(one, other) + sum(other, one));
-                result[(row, column)] = value;
-                result[(column, row)] = value;
+                to(row, column, 0.5 * (sum(one, other) + sum(other, one)));
             }
         }
-        result
     }
 }
 

@@ -49,19 +49,14 @@ impl Regular {
         size
     }
 
-    /// R.
-    pub(crate) fn root_mut(&mut self) -> &mut DMatrix<f64> {
-        &mut self.root
-    }
-
     /// No row is passed over.
     pub(crate) fn is_whole(&self) -> bool {
         self.root.diagonal().iter().all(|x| x.is_finite())
     }
 
     /// A = R'R.
-    pub(crate) fn product(&self) -> DMatrix<f64> {
-        let mut root = self.root.clone();
+    pub(crate) fn into_product(self) -> DMatrix<f64> {
+        let mut root = self.root;
         root.iter_mut().filter(|x| x.is_infinite()).for_each(|x| *x = 0.0);
         root.transpose() * root
     }
@@ -202,7 +197,7 @@ mod tests {
             assert!((&own - &wanted).norm() <= 1e-10 * wanted.norm(), "{n}: {} {}", own.norm(), wanted.norm());
             let apart = (found.clone().into_inverse() - &inverse).norm();
             assert!(apart <= 1e-10 * inverse.norm(), "{n}: {apart} of {}", inverse.norm());
-            assert!((found.product() - &a).norm() <= 1e-12 * a.norm(), "{n}");
+            assert!((found.into_product() - &a).norm() <= 1e-12 * a.norm(), "{n}");
         }
     }
 

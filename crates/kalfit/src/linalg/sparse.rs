@@ -134,6 +134,11 @@ impl Sparse {
         out
     }
 
+    /// The same of one that is not wanted any more.
+    pub(crate) fn congruence_of(&self, m: DMatrix<f64>) -> DMatrix<f64> {
+        if self.is_identity() { m } else { self.congruence(&m) }
+    }
+
     /// The same, to a place that is there.
     pub(crate) fn congruence_into(&self, m: &DMatrix<f64>, out: &mut DMatrixViewMut<'_, f64>) {
         if 4 * self.entries.len() > self.nrows() * self.ncols() {

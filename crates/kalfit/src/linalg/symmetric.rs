@@ -22,27 +22,34 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     if n == 0 {
         return (Vec::new(), DMatrix::zeros(0, 0));
     }
-    let symmetric = (a + a.transpose()) * 0.5;
-    let (eigenvalues, eigenvectors) = decomposed(symmetric);
+    let (eigenvalues, mut vectors) = decomposed(a);
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by(|&i, &j| eigenvalues[i].total_cmp(&eigenvalues[j]));
     let values = order.iter().map(|&i| eigenvalues[i]).collect();
-    let mut vectors = DMatrix::zeros(n, n);
-    for (c, &i) in order.iter().enumerate() {
-        let column = eigenvectors.column(i);
-        let largest = column[column.icamax()];
-        vectors.set_column(c, &(column * if largest < 0.0 { -1.0 } else { 1.0 }));
+    for c in 0..n {
+        // columns before this one have changed places with those that belonged there
+        let mut from = order[c];
+        while from < c {
+            from = order[from];
+        }
+        vectors.swap_columns(c, from);
+    }
+    for mut column in vectors.column_iter_mut() {
+        if column[column.icamax()] < 0.0 {
+            column.neg_mut();
+        }
     }
     (values, vectors)
 }
 
 /// Eigenvalues and eigenvectors in any order. The tridiagonal way of the library now and then ends in no numbers for a sparse singular
 /// matrix; plane rotations never do.
-fn decomposed(symmetric: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
-    let known = symmetric.iter().all(|x| x.is_finite());
-    let found = SymmetricEigen::new(symmetric.clone());
+fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
+    let symmetric = || DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| (a[(i, k)] + a[(k, i)]) * 0.5);
+    let known = a.iter().all(|x| x.is_finite());
+    let found = SymmetricEigen::new(symmetric());
     let told = found.eigenvalues.iter().chain(found.eigenvectors.iter()).all(|x| x.is_finite());
-    if told || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { rotated(symmetric) }
+    if told || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { rotated(symmetric()) }
 }
 
 /// Sweeps of rotations: they converge quadratically, after some six to ten.
@@ -94,9 +101,14 @@ pub fn pseudo_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 pub fn pseudo_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (values, vectors) = eigen(a);
     let floor = values.last().copied().unwrap_or(0.0) * RANK_TOLERANCE;
-    let inverse = values.iter().map(|&v| if v > floor && v > 0.0 { 1.0 / v } else { 0.0 });
-    let inverse = DMatrix::from_diagonal(&DVector::from_iterator(values.len(), inverse));
-    &vectors * inverse * vectors.transpose()
+    by_eigenvectors(&vectors, values.iter().map(|&v| if v > floor && v > 0.0 { 1.0 / v } else { 0.0 }))
+}
+
+/// V diag(values) V'.
+pub(crate) fn by_eigenvectors(vectors: &DMatrix<f64>, values: impl Iterator<Item = f64>) -> DMatrix<f64> {
+    let mut scaled = vectors.clone();
+    scaled.column_iter_mut().zip(values).for_each(|(mut column, value)| column *= value);
+    scaled * vectors.transpose()
 }
 
 /// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero. They are those after

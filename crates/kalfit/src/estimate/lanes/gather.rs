@@ -1,11 +1,16 @@
 //! Sums of products over tests side by side: Σ a b' over vectors a, b.
 
 use kalfit_lanes::{Lanes, Part};
+use rayon::prelude::*;
 
 use crate::linalg::parts::{Columns, in_parts};
 
 /// Blocks whose products are added together: each sum is then read and written once for so many, and summed over its lanes once.
 const TOGETHER: usize = 16;
+
+/// So many sums, and more, are worked on by several threads, so many rows by each at a time.
+const MANY: usize = 1 << 20;
+const STRIP: usize = 64;
 
 /// Σ a b'. Products of a few blocks are added together.
 #[derive(Debug, Clone)]
@@ -42,8 +47,16 @@ impl<T: Lanes> Gather<T> {
 
     #[inline(always)]
     fn settle(&mut self) {
-        T::apart(Settle(self));
-        self.filled = 0;
+        let Gather { rows, columns, left, right, filled, sum } = self;
+        let strip = |(at, sum): (usize, &mut [f64])| {
+            T::apart(Settle { left: &left[at * STRIP..], rows: *rows, blocks: *filled, right, columns: *columns, sum });
+        };
+        if sum.len() < MANY {
+            strip((0, &mut sum[..]));
+        } else {
+            sum.par_chunks_mut(STRIP * *columns).enumerate().for_each(strip);
+        }
+        *filled = 0;
     }
 
     /// The sums, by rows.
@@ -54,8 +67,16 @@ impl<T: Lanes> Gather<T> {
     }
 }
 
-/// Adds what is gathered.
-struct Settle<'a, T>(&'a mut Gather<T>);
+/// Adds what is gathered to some rows of the sums.
+struct Settle<'a, T> {
+    /// From the first of these rows on; and how far it is from block to block.
+    left: &'a [T],
+    rows: usize,
+    blocks: usize,
+    right: &'a [T],
+    columns: usize,
+    sum: &'a mut [f64],
+}
 
 /// Rows that are worked on at once.
 const TALLEST: usize = 4;
@@ -64,16 +85,16 @@ impl<T: Lanes> Part for Settle<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
-        let gather = self.0;
+    fn run(mut self) {
+        let count = self.sum.len() / self.columns.max(1);
         let mut row = 0;
-        while row < gather.rows {
-            let left = gather.rows - row;
+        while row < count {
+            let left = count - row;
             match left.div_ceil(left.div_ceil(TALLEST)) {
-                1 => row += some_rows::<T, 1>(gather, row),
-                2 => row += some_rows::<T, 2>(gather, row),
-                3 => row += some_rows::<T, 3>(gather, row),
-                _ => row += some_rows::<T, TALLEST>(gather, row),
+                1 => row += some_rows::<T, 1>(&mut self, row),
+                2 => row += some_rows::<T, 2>(&mut self, row),
+                3 => row += some_rows::<T, 3>(&mut self, row),
+                _ => row += some_rows::<T, TALLEST>(&mut self, row),
             }
         }
     }
@@ -81,11 +102,10 @@ impl<T: Lanes> Part for Settle<'_, T> {
 
 /// Adds to so many rows of the sums; says how many.
 #[inline(always)]
-fn some_rows<T: Lanes, const M: usize>(gather: &mut Gather<T>, row: usize) -> usize {
-    let Gather { rows, columns, left, right, filled, sum, .. } = gather;
-    let sum = &mut sum[row * *columns..][..M * *columns];
-    let (left, blocks) = (&left[row..], *filled);
-    in_parts(0, &mut Tile::<T, M> { left, rows: *rows, blocks, right, columns: *columns, sum });
+fn some_rows<T: Lanes, const M: usize>(all: &mut Settle<'_, T>, row: usize) -> usize {
+    let Settle { left, rows, blocks, right, columns, ref mut sum } = *all;
+    let sum = &mut sum[row * columns..][..M * columns];
+    in_parts(0, &mut Tile::<T, M> { left: &left[row..], rows, blocks, right, columns, sum });
     M
 }
 

@@ -226,7 +226,7 @@ fn the_likelihood_and_its_derivatives_are_those_of_the_joint_gaussian() {
         let levels = ensemble.grouping.depth() + 1;
         let problem = ensemble.problem(Criterion::Ml);
         let here = somewhere(&ensemble, levels);
-        let sums = problem.likelihood(&point(&problem, &here), Order::Expected);
+        let mut sums = problem.likelihood(&point(&problem, &here), Order::Expected);
         let dense = |here: &(Vec<f64>, Vec<f64>, Vec<DMatrix<f64>>)| ensemble.dense((&here.0, &here.1), &here.2);
         let value = dense(&here);
         assert!((sums.value - value).abs() < 1e-10 * (1.0 + value.abs()), "{} {value}", sums.value);
@@ -247,7 +247,7 @@ fn the_likelihood_and_its_derivatives_are_those_of_the_joint_gaussian() {
             }
             dense(&there)
         };
-        let elements = &sums.elements;
+        let elements = &sums.elements.clone();
         let unit = |at: usize| match at.checked_sub(p) {
             None => frame.scale[at],
             Some(e) => {
@@ -313,7 +313,7 @@ fn the_expected_information_is_what_the_observed_one_is_on_average() {
             }
         }
         let found = sums.expected_information();
-        let off = (&*found - &expected).amax();
+        let off = (&found - &expected).amax();
         assert!(off < 1e-9 * expected.amax(), "{found} {expected}");
     }
 }
