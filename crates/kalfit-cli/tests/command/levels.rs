@@ -252,14 +252,16 @@ fn more_units_or_more_runs_are_planned() {
 }
 
 #[test]
-fn what_is_not_made_for_levels_is_refused() {
+fn expected_standard_errors_of_a_balanced_design_are_observed_ones() {
+    // its sums of squares say all of the variances: one law of them for each level
     let folder = oxide();
-    assert_snapshot!(shown(&folder.run("fit oxide.toml oxide.csv --std-errors expected")), @r#"
-    exit 2
-    ----- stdout
-    ----- stderr
-    error: standard errors from the expected information beside free parameters (`sigma`) are for rows of one phase, without noise covariances, without levels of groups, and without values of single tests
-
-    hint: take those from the observed information, or the sandwich, or give every parameter a value
-    "#);
+    let [expected, observed] = ["expected", "observed"].map(|how| {
+        let output = folder.run(&format!("fit oxide.toml oxide.csv --std-errors {how} --out {how}.json"));
+        assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        let of = |record: &kalfit::FitRecord| [record.parameters[0].std_error, record.levels[0].std_dev.std_error[0]];
+        of(&fit(&folder, &format!("{how}.json"))).map(|error| error.expect("it is identified"))
+    });
+    for (expected, observed) in expected.into_iter().zip(observed) {
+        assert!((expected / observed - 1.0).abs() < 1e-5, "expected {expected}, observed {observed}");
+    }
 }

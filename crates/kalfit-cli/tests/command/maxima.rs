@@ -78,6 +78,31 @@ fn both_time_constants_of_two_processes_are_longer() {
 }
 
 #[test]
+fn a_process_that_has_become_white_is_given_to_the_noise() {
+    // two instruments read the first process, which stood for the noise of one of them while the second one explained all else
+    let truth = [
+        ("tau0 = {}", "tau0 = { start = 16.79 }"),
+        ("tau1 = {}", "tau1 = { start = 1.136 }"),
+        ("s1 = {}", "s1 = { start = 0.2546 }"),
+        ("\ns = {}", "\ns = { start = 0.3519 }"),
+        ("r = {}", "r = { start = 0.3 }"),
+    ];
+    let found = fitted("processes-white", "processes-white", &[]);
+    reaches(&found, "no starts", -174.243078);
+    assert!(found.notes.iter().any(|note| note.contains("several processes are free")), "{:?}", found.notes);
+    reaches(&fitted("processes-white", "processes-white", &truth), "the values it was drawn with", -174.243078);
+}
+
+#[test]
+fn a_level_that_cannot_be_zero_comes_as_near_to_it_as_counts() {
+    let starts =
+        [("s0 = {}", "s0 = { start = 0.3 }"), ("\ns = {}", "\ns = { start = 0.5 }"), ("r = {}", "r = { start = 0.3 }")];
+    let found = fitted("level-nearer-zero", "level-nearer-zero", &starts);
+    reaches(&found, "from far above zero", 29.440699);
+    assert_eq!(parameter(&found, "s", None).standing.as_deref(), Some("lower"));
+}
+
+#[test]
 fn a_noise_returns_together_with_its_covariance() {
     // with s at zero c has no effect, and ℓ has a slope in s only beside the c that belongs to it
     let highest = fitted("noises-crossed", "noises-crossed", &[]).log_likelihood;

@@ -155,6 +155,11 @@ impl<'a> Bench<'a> {
         Bench { scale: None, order: vec![0].into(), answers: Some(answers.clone()), units: units.into(), ..bench }
     }
 
+    /// The groups that tests stand in, where the model has levels.
+    pub(crate) fn grouping(&self) -> Option<&Grouping> {
+        self.grouping.as_deref()
+    }
+
     /// The tests are elsewhere: what is known is of all of them together.
     pub(crate) fn is_elsewhere(&self) -> bool {
         self.answers.is_some()

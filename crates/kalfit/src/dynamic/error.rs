@@ -25,8 +25,8 @@ pub enum DynamicError {
     },
     /// Expected information of free parameters where it is not worked out.
     #[error(
-        "standard errors from the expected information beside free parameters (`{parameter}`) are for rows of one phase, without \
-         noise covariances, without levels of groups, and without values of single tests"
+        "standard errors from the expected information beside free parameters (`{parameter}`) are for tests given as rows, without \
+         `[filter]` and without values of single tests"
     )]
     Expected {
         /// The first free parameter.

@@ -47,6 +47,7 @@ mod search;
 mod settings;
 mod standing;
 mod start;
+mod stepwise;
 #[cfg(test)]
 mod tests;
 mod touching;

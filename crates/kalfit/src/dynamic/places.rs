@@ -36,8 +36,8 @@ pub(super) fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress
         common && coordinate.level.is_some() && coordinate.lower == 0.0 && held != Some(*s)
     };
     let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
-    let timed = !time_constants(bench.model).is_empty();
-    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && timed && drives(bench, s)) {
+    let is_timed = !time_constants(bench.model).is_empty();
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && is_timed && drives(bench, s)) {
         let mut without = values.clone();
         without[s] = 0.0;
         all.push(without);
@@ -50,21 +50,27 @@ pub(super) fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress
         without[s] = 0.0;
         all.push(without);
     }
+    let is_open = |parameter: &usize| bench.slots.common(*parameter).is_some_and(|s| held != Some(s));
+    let timed: Vec<usize> = time_constants(bench.model).into_iter().filter(is_open).collect();
+    let white: Vec<usize> = timed.iter().copied().filter(|&parameter| is_white(bench, end, parameter)).collect();
+    let exchanges = Twins::unlike(bench.model, bench.slots);
     all.extend(given_back(bench, end, &levels));
+    all.extend(given_up(bench, values, (&levels, &white), &exchanges));
     for &s in &levels {
         all.extend(sizes(bench, end, (s, bench.units()[s])));
     }
-    let is_open = |parameter: usize| bench.slots.common(parameter).is_some_and(|s| held != Some(s));
-    for parameter in time_constants(bench.model).into_iter().filter(|&p| is_open(p)) {
+    for parameter in timed {
         all.extend(other_maxima(bench, parameter, values, progress));
-        all.extend(less_white(bench, end, parameter, progress));
+        if white.contains(&parameter) {
+            all.extend(less_white(bench, end, parameter, progress));
+        }
         for base in &bases {
             all.extend(
                 levels.iter().filter_map(|&s| taken_over(bench, (base, end.home.value()), s, parameter, progress)),
             );
         }
     }
-    all.extend(Twins::unlike(bench.model, bench.slots).iter().map(|pair| pair.exchanged(values)));
+    all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
     all.extend(all_times(bench, values));
     // whatever moved it
     all.retain(|place| held.is_none_or(|s| place[s] == values[s]));
@@ -92,27 +98,56 @@ fn set_apart(bench: &Bench<'_>, one: &[f64], twins: &Twins, progress: &mut dyn P
 /// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
 fn given_back(bench: &Bench<'_>, end: &End, levels: &[usize]) -> Vec<Vec<f64>> {
     let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(bench, s));
-    let (values, coordinates) = (&end.home.values, &bench.coordinates);
-    let back = |s: usize, t: usize| -> Option<Vec<f64>> {
-        let (from, to) = (coordinates[t].level?, coordinates[s].level?);
-        let mut given = values.clone();
-        given[s] = values[t].powf(from / to).clamp(coordinates[s].lower, coordinates[s].upper);
-        given[t] = 0.0;
-        Some(given)
-    };
+    let values = &end.home.values;
     let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
     let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
-    pairs.filter_map(|(s, t)| back(s, t)).collect()
+    pairs.filter_map(|pair| handed_over(bench, values, pair)).collect()
+}
+
+/// Processes that are all but white given to the noise of a measurement, as they stand and with another process in their place: what the
+/// other one explained may be explained as well, and the one that is at zero may return in another shape.
+fn given_up(
+    bench: &Bench<'_>,
+    values: &[f64],
+    (levels, white): (&[usize], &[usize]),
+    exchanges: &[Twins],
+) -> Vec<Vec<f64>> {
+    let still: Vec<usize> = levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(bench, s)).collect();
+    let sized = white.iter().filter_map(|&parameter| driven(bench, parameter).filter(|(_, is_size)| *is_size));
+    let sized: Vec<usize> = sized.map(|(t, _)| t).filter(|t| levels.contains(t) && values[*t] > 0.0).collect();
+    let mut all = Vec::new();
+    for (&s, &t) in still.iter().flat_map(|s| sized.iter().map(move |t| (s, t))) {
+        all.extend(handed_over(bench, values, (s, t)));
+        let other =
+            |pair: &Twins| pair.pairs.iter().find_map(|&(a, b)| if a == t { Some(b) } else { (b == t).then_some(a) });
+        all.extend(exchanges.iter().filter_map(|pair| handed_over(bench, &pair.exchanged(values), (s, other(pair)?))));
+    }
+    all
+}
+
+/// The variance of the level `t` handed over to the level `s`.
+fn handed_over(bench: &Bench<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
+    let (taker, giver) = (bench.coordinates[s], bench.coordinates[t]);
+    let (from, to) = (giver.level?, taker.level?);
+    let mut given = values.to_vec();
+    given[s] = (values[s].powf(to) + values[t].powf(from)).powf(to.recip()).clamp(taker.lower, taker.upper);
+    given[t] = 0.0;
+    Some(given)
+}
+
+/// A process whose time constant may be a quarter of what it is for no loss of ℓ.
+fn is_white(bench: &Bench<'_>, end: &End, time_constant: usize) -> bool {
+    let Some(slot) = bench.slots.common(time_constant) else { return false };
+    let mut shorter = end.home.values.clone();
+    shorter[slot] = bench.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
+    bench.value(&shorter).is_some_and(|value| (value - end.home.value()).abs() <= WHITE)
 }
 
 /// A process that is all but white, with the time constant that suits it best among those from which it is told apart from white noise.
 fn less_white(bench: &Bench<'_>, end: &End, time_constant: usize, progress: &mut dyn Progress) -> Option<Vec<f64>> {
-    let (slot, height) = (bench.slots.common(time_constant)?, end.home.value());
-    let mut shorter = end.home.values.clone();
-    shorter[slot] = bench.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
-    let is_white = (bench.value(&shorter)? - height).abs() <= WHITE;
-    let (best, value) = best_of(bench, time_constant, &end.home.values, progress).filter(|_| is_white)?;
-    ((value - height).abs() <= LEVEL).then(|| longer(bench, time_constant, (best, value), progress))
+    let (best, value) = best_of(bench, time_constant, &end.home.values, progress)?;
+    let is_level = (value - end.home.value()).abs() <= LEVEL;
+    is_level.then(|| longer(bench, time_constant, (best, value), progress))
 }
 
 /// All time constants together, longer or shorter, each process as rough as it is: what processes and the noise of measurements explain may

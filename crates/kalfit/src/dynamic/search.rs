@@ -99,7 +99,7 @@ impl<'b, 'a> Search<'b, 'a> {
             return match fine {
                 false => Turn::On { closer: true },
                 true if self.settled() => Turn::On { closer: true },
-                true if self.revived(joint) || self.beside(joint) => Turn::On { closer: false },
+                true if self.nearer_zero() || self.revived(joint) || self.beside(joint) => Turn::On { closer: false },
                 true => Turn::End(Stop::Certified),
             };
         }

@@ -17,6 +17,8 @@ const BEYOND: f64 = 1e-7;
 /// Where ℓ is not defined at zero, this part of the size that the level had stands for it: its square is nothing to ℓ, and leaves
 /// scores their digits.
 const NEARLY_ZERO: f64 = 1e-4;
+/// … and less where ℓ would rise by more than [`BEYOND`] at zero: by this part of that from there.
+const NEARER: f64 = 0.1;
 /// A level below this part of what it was, whose slope and curvature are below this, is not felt.
 const FEW_PARTS: f64 = 1e-2;
 const UNFELT: f64 = 1e-6;
@@ -65,6 +67,25 @@ impl Search<'_, '_> {
         let next = self.at(&raised).filter(|next| next.value() >= self.home.value() - slack)?;
         fallen.iter().for_each(|&s| self.bottom[s] = raised[s]);
         Some(next)
+    }
+
+    /// Levels as near to zero as ℓ was defined go nearer where that is worth it: in their variances ℓ runs straight there.
+    pub(super) fn nearer_zero(&mut self) -> bool {
+        let mut values = self.home.values.clone();
+        let mut nearer = Vec::new();
+        for s in (0..values.len()).filter(|&s| self.is_vanishing(s) && self.held != Some(s)) {
+            let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
+            let gain = -self.home.gradient[s] / exponent;
+            if gain > BEYOND {
+                values[s] *= (NEARER * BEYOND / gain).powf(exponent.recip());
+                nearer.push(s);
+            }
+        }
+        let next = if nearer.is_empty() { None } else { self.at(&values) };
+        let Some(next) = next.filter(|next| next.value() > self.home.value() + NEARER * BEYOND) else { return false };
+        nearer.into_iter().for_each(|s| self.bottom[s] = values[s]);
+        self.arrive(next);
+        true
     }
 
     /// The size that a level has, or had.
