@@ -24,7 +24,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xd5e5_9f68_0fba_4d23,
             0xb535_8cd6_5aa9_58fa,
-            0x0474_c5b9_0897_e4ab,
+            0xffe9_8cc1_4fb3_31ca,
             0x509f_ae5a_fe31_5c81,
             0x3952_23ff_c25d_20f0,
         ],
@@ -34,7 +34,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xec39_104f_cd16_28d1,
             0xadaa_c1eb_49bd_3987,
-            0x749c_8dcb_d167_90db,
+            0x75eb_cf0c_6ea6_950e,
             0x4fe7_9563_2306_5ea2,
             0x51dd_cf33_c625_ee52,
         ],
@@ -44,7 +44,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xec39_104f_cd16_28d1,
             0x82c2_e84f_5b54_7bad,
-            0x7c3c_be0b_f542_6f57,
+            0x757c_4e43_541d_dbd8,
             0x9c68_c22f_7236_e67e,
             0x51dd_cf33_c625_ee52,
         ],

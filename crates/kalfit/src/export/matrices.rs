@@ -27,7 +27,7 @@ impl Made {
             let what = Subject::Derivative(component.states[0]).words(&plain.model);
             return Err(ExportError::NoStep { what });
         }
-        let step = (step.unwrap_or(f64::NAN), false);
+        let step = step.unwrap_or(f64::NAN);
         let moves = preparer.plan.moves(dynamics, &dynamics.table.fixed, step, (&mut Filled::default(), None));
         let moves = moves.map_err(named)?;
         let mut inputs: Vec<Expression> = Vec::new();

@@ -106,8 +106,6 @@ pub(crate) struct Transition<R = f64> {
     pub(crate) pattern: Arc<Pattern>,
     pub(crate) phi: Vec<R>,
     pub(crate) q: Vec<R>,
-    /// Of one that many steps share.
-    pub(crate) digest: Option<u128>,
 }
 
 impl Transition<f64> {
@@ -142,27 +140,20 @@ impl Transition<f64> {
     }
 
     pub(crate) fn new(pattern: Arc<Pattern>, phi: Vec<f64>, q: Vec<f64>) -> Transition {
-        Transition { pattern, phi, q, digest: None }
+        Transition { pattern, phi, q }
     }
 
     /// Of the pattern and all numbers.
     pub(crate) fn digest(&self) -> u128 {
-        self.digest.unwrap_or_else(|| {
-            let mut digest = Digest::new();
-            self.add_to(&mut digest);
-            digest.finish()
-        })
-    }
-
-    fn add_to(&self, digest: &mut Digest) {
+        let mut digest = Digest::new();
         digest.wide(self.pattern.digest);
         digest.numbers(&self.phi);
         digest.numbers(&self.q);
+        digest.finish()
     }
 
     fn same(&self, other: &Transition) -> bool {
-        self.digest == other.digest
-            && (Arc::ptr_eq(&self.pattern, &other.pattern) || self.pattern == other.pattern)
+        (Arc::ptr_eq(&self.pattern, &other.pattern) || self.pattern == other.pattern)
             && same_bits(&self.phi, &other.phi)
             && same_bits(&self.q, &other.q)
     }

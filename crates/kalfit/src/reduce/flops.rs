@@ -25,7 +25,7 @@ pub(crate) fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     (0..r).for_each(|i| pattern.push(i, r, 0..r));
     pattern.pairs.extend((0..r as u32).map(|i| (i, i)));
     let phi = (0..r * r).map(|at| Counted(0.1 + f64::from(at / r == at % r))).collect();
-    let transition = Transition { pattern: Arc::new(pattern), phi, q: vec![Counted(1.0); r], digest: None };
+    let transition = Transition { pattern: Arc::new(pattern), phi, q: vec![Counted(1.0); r] };
     let transition = Arc::new(transition);
     let mut design = Design::new(frame);
     for _ in 0..steps {

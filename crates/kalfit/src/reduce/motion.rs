@@ -129,13 +129,13 @@ impl Plan {
         Plan { pattern: Arc::new(pattern), phi, q, drives, offsets, singles, identity }
     }
 
-    /// φ, Q and Γ of a step of length `dt`, or of many. `values`: the dynamics' coefficients on the step; `filled`: work space; `spare`:
+    /// φ, Q and Γ of steps of length `dt`. `values`: the dynamics' coefficients on the step; `filled`: work space; `spare`:
     /// a transition that nobody else has, whose memory can be had. The same bits as side by side with others.
     pub(crate) fn moves(
         &self,
         dynamics: &Dynamics,
         values: &[f64],
-        (dt, many): (f64, bool),
+        dt: f64,
         (filled, spare): (&mut Filled, Option<Arc<Transition>>),
     ) -> Result<Moves, Box<Fault>> {
         check_noise(dynamics, values)?;
@@ -151,8 +151,6 @@ impl Plan {
         transition.phi.extend(filled.phi.iter().step_by(isa.lanes()));
         transition.q.clear();
         transition.q.extend(filled.q.iter().step_by(isa.lanes()));
-        transition.digest = None;
-        transition.digest = many.then(|| transition.digest());
         let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
         Ok(Moves { transition: made, flows: if kept { own(&filled.flows) } else { Vec::new() } })
     }

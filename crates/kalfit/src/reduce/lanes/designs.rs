@@ -289,7 +289,7 @@ impl<T: Lanes> State<T> {
             K: vec![zero; frame.r],
             T: vec![zero; frame.p],
             h: Vec::new(),
-            transition: Transition { pattern, phi, q, digest: None },
+            transition: Transition { pattern, phi, q },
             rows: Vec::new(),
             sums: Sums::new(frame.p),
         }

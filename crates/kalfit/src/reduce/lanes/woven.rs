@@ -50,7 +50,7 @@ impl<T: Lanes> Woven<'_, T> {
             Some(like) => (like.pattern.clone(), like.phi.len(), like.q.len()),
             None => Default::default(),
         };
-        Transition { pattern, phi: vec![zero; phi], q: vec![zero; q], digest: None }
+        Transition { pattern, phi: vec![zero; phi], q: vec![zero; q] }
     }
 
     /// Takes the transition of a run; false, and nothing is taken, where it has none.

@@ -98,6 +98,8 @@ impl Preparer {
             return false;
         }
         made.covariates.extend(&work.covariates);
+        made.steps.reserve(test.rows());
+        made.instances.reserve(test.rows());
         made.opening = self.law.is_none().then(|| work.opening());
         made.flat = work.spans.iter().all(|span| span.height() == 1);
         if !(made.flat || self.dynamics.uses.is_empty()) || !self.has_steps(test, work, made) {

@@ -74,7 +74,7 @@ impl Preparer {
     /// Makes the moves of a step, in place of the last ones.
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
         let Workspace { key, values, filled, spare, last, .. } = work;
-        let moves = self.plan.moves(&self.dynamics, values, (dt, false), (filled, spare.pop()))?;
+        let moves = self.plan.moves(&self.dynamics, values, dt, (filled, spare.pop()))?;
         // the memory of the key before is that of the next
         if let Some(Last::Own(before, _)) = last.replace(Last::Own(std::mem::take(key), moves)) {
             *key = before;
@@ -92,7 +92,7 @@ impl Preparer {
             || key.clone(),
             |_| {
                 self.computed.fetch_add(1, Ordering::Relaxed);
-                self.plan.moves(&self.dynamics, values, (dt, true), (filled, None))
+                self.plan.moves(&self.dynamics, values, dt, (filled, None))
             },
             |key, moves| {
                 let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());

@@ -29,6 +29,10 @@ const MOST: usize = 512;
 const FEWEST: usize = 32;
 const FEW_ROWS: usize = 8192;
 
+/// Tests with designs of their own that are put in order together, for each lane: they fill lanes with their like, and need no room of
+/// their own for long.
+const TOGETHER: usize = 4;
+
 /// How many of so many tests, with so many rows in all, are looked at together.
 pub(crate) fn share(tests: usize, rows: usize) -> usize {
     let fewest = (FEW_ROWS * tests / rows.max(1)).clamp(1, FEWEST);
@@ -256,6 +260,9 @@ impl<'a> Batch<'a> {
             let mut own = self.spare.pop().unwrap_or_default();
             if reducer.preparer().skeleton(test, number, &mut self.work, &mut own) {
                 self.own.push(own);
+                if self.own.len() == TOGETHER * Isa::best().lanes() {
+                    self.side_by_side(tests);
+                }
                 return;
             }
             self.spare.push(own);
