@@ -10,9 +10,10 @@
 //! found once. A test that lacks a measurement or a step of its block has one that changes nothing. What is wrong with a test, or
 //! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
 
-mod beside;
+pub(crate) mod beside;
 mod identity;
 mod layout;
+pub(crate) mod told;
 mod values;
 mod whitened;
 
@@ -25,33 +26,23 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Level};
-use crate::reduce::data::Outcome;
+use crate::reduce::batch::{Batch, share};
 use crate::reduce::digest::Digest;
-use crate::reduce::end::{End, placed};
 use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::Room;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
-use crate::reduce::reducer::{About, Batch, Reducer, share};
-use crate::reduce::{Path, Reduction, Reductions, Terminal};
+use crate::reduce::reducer::Reducer;
+use crate::reduce::{Reduction, Reductions};
 use beside::by_shape;
-pub(crate) use beside::{Beside, Entering};
 pub(crate) use layout::Layout;
+use told::{Found, Own};
 pub(crate) use values::Values;
 
 /// Bytes of blocks, with their numbers at one α.
 const BYTES: usize = 512 << 20;
 /// Blocks that one thread takes at a time.
 const SHARE: usize = 8;
-
-/// What a reduction has from its test, whatever α.
-#[derive(Debug)]
-struct Own {
-    digest: u128,
-    covariates: Vec<f64>,
-    steps: usize,
-    observations: usize,
-}
 
 /// Tests side by side.
 #[derive(Debug)]
@@ -242,18 +233,6 @@ fn add_to(digest: &mut Digest, alpha: &Alpha) {
     }
 }
 
-/// Reductions as they come.
-#[derive(Debug, Default)]
-pub(crate) struct Found {
-    pub(crate) reductions: Reductions,
-    /// The number of the test of each.
-    pub(crate) numbers: Vec<usize>,
-    /// Where each ends, if that is wanted.
-    pub(crate) terminals: Vec<Terminal>,
-    /// Tests that must be looked at by themselves.
-    pub(crate) odd: Vec<usize>,
-}
-
 impl Block {
     fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> Block {
         let preparer = reducer.preparer();
@@ -296,64 +275,6 @@ impl Block {
         };
         values.filter((layout, own), (reducer, digest), tests, room, found);
         values
-    }
-}
-
-impl Values {
-    /// Runs the filters of tests that were evaluated. `digest`: of a design.
-    fn filter(
-        &mut self,
-        (layout, own): (&Layout, &[Own]),
-        (reducer, digest): (&Reducer, impl Fn(&Own) -> u128),
-        tests: &[&Test],
-        room: &mut Room,
-        found: &mut Found,
-    ) {
-        self.kept.gained.with_ends = reducer.wants_ends();
-        self.kept.filter(&layout.design, own.len(), room);
-        for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
-            let Some((factor, outcome, end)) = self.of(lane, (layout, own.observations), reducer, room) else {
-                self.sound[lane] = false;
-                found.odd.push(number);
-                continue;
-            };
-            let about = About {
-                factor,
-                covariates: &own.covariates,
-                steps: own.steps,
-                observations: own.observations,
-                path: Path::Information,
-                digest: digest(own),
-            };
-            found.reductions.put(reducer.row(tests[number], &outcome, about));
-            found.numbers.push(number);
-            found.terminals.extend(end);
-        }
-    }
-
-    /// R and what the filter found of the test in a lane, and where it ends, if that is wanted; `None` where square-root arrays are
-    /// called for or something is not finite.
-    fn of(
-        &self,
-        lane: usize,
-        (layout, observations): (&Layout, usize),
-        reducer: &Reducer,
-        room: &Room,
-    ) -> Option<(&[f64], Outcome, Option<Terminal>)> {
-        let (factor, determinant) = self.kept.gained.found[lane].as_ref().filter(|_| self.sound[lane])?;
-        let outcome = self.kept.block.outcome(lane, (observations, *determinant), room);
-        let end = match reducer.wants_ends() {
-            true => Some(self.end(lane, layout, reducer, room)?),
-            false => None,
-        };
-        outcome.is_finite().then_some((factor, outcome, end))
-    }
-
-    /// Where the test in a lane ends; `None` where that calls for square-root arrays.
-    fn end(&self, lane: usize, layout: &Layout, reducer: &Reducer, room: &Room) -> Option<Terminal> {
-        let states = &reducer.preparer().order.states;
-        let End { sensitivity, root } = self.kept.gained.end((lane, layout.lanes), states)?;
-        Some(Terminal { mean: placed(states, self.kept.block.last(lane, room)), sensitivity, root })
     }
 }
 

@@ -36,6 +36,7 @@
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
+mod batch;
 mod blocks;
 mod carry;
 mod chain;
@@ -104,7 +105,9 @@ pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 pub use terminal::Terminal;
 
-pub(crate) use blocks::{Beside, Entering, FilteredBlock};
+pub(crate) use batch::share;
+pub(crate) use blocks::FilteredBlock;
+pub(crate) use blocks::beside::{Beside, Entering};
 pub(crate) use carry::Inherits;
 pub(crate) use data::Data;
 pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
@@ -118,7 +121,7 @@ pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;
 pub(crate) use phased::{PhasedBlocks, PhasedFiltered, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
-pub(crate) use reducer::{own_innovations, share};
+pub(crate) use reducer::own_innovations;
 pub(crate) use scan::Steady;
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};

@@ -1,8 +1,8 @@
 //! Tests → reductions.
 
-mod batch;
 mod known;
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
@@ -27,8 +27,7 @@ use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
-pub(crate) use batch::{Batch, all_sound, joined, share};
-use known::Known;
+pub(crate) use known::Known;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
@@ -77,7 +76,7 @@ pub(crate) struct About<'a> {
 
 impl<'a> About<'a> {
     /// Of a test with these gains.
-    fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> About<'a> {
+    pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> About<'a> {
         let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
         About { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
     }
@@ -351,6 +350,30 @@ impl Reducer {
             gains.end = Some(End::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?);
         }
         Some(gains)
+    }
+
+    /// A fault of a test, with names.
+    pub(crate) fn named(&self, fault: Fault, test: &Test) -> ReduceError {
+        fault.name(&self.preparer.model, Some(test))
+    }
+
+    /// Takes note of a design whose filter was run side by side with others.
+    pub(crate) fn ran(&self, digest: u128) {
+        // threads that meet one design at the same time count once: the work told of does not depend on threads
+        self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
+    }
+
+    /// Recognises others by a test, as it is in the work space.
+    pub(crate) fn learn(&self, test: &Test, class: &Class, hash: u64, work: &Workspace) {
+        if let Some(known) = Known::new(&self.preparer, test, class, work) {
+            let bytes = known.bytes();
+            self.known.keep(hash, Arc::new(known), bytes);
+        }
+    }
+
+    /// Tests that others are recognised by.
+    pub(crate) fn known(&self) -> &Memory<Known> {
+        &self.known
     }
 
     fn root(&self, design: &Design) -> Result<Gains, RootError> {

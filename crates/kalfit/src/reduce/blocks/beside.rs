@@ -6,7 +6,9 @@ use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
 use crate::reduce::Terminal;
-use crate::reduce::blocks::{Found, Layout, Own, Values};
+use crate::reduce::blocks::layout::Layout;
+use crate::reduce::blocks::told::{Found, Own};
+use crate::reduce::blocks::values::Values;
 use crate::reduce::data::FEW;
 use crate::reduce::lanes::{Columns, Room};
 use crate::reduce::prepare::Skeleton;

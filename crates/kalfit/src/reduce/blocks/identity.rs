@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use crate::reduce::blocks::{Layout, Values};
+use crate::reduce::blocks::layout::Layout;
+use crate::reduce::blocks::values::Values;
 use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
 

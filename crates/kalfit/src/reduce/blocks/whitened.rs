@@ -1,7 +1,8 @@
 //! Correlated measurements of tests in lanes, whitened step by step.
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::{Layout, Values};
+use crate::reduce::blocks::layout::Layout;
+use crate::reduce::blocks::values::Values;
 use crate::reduce::lanes::Columns;
 use crate::reduce::observe::Whitening;
 use crate::reduce::prepare::Preparer;

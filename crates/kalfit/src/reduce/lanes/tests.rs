@@ -8,7 +8,8 @@ use crate::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     State,
 };
-use crate::reduce::blocks::{Beside, Found};
+use crate::reduce::blocks::beside::Beside;
+use crate::reduce::blocks::told::Found;
 use crate::reduce::data::{DataWork, Outcome};
 use crate::reduce::data_pass::outcome;
 use crate::reduce::prepare::Skeleton;

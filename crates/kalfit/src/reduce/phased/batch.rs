@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
+use crate::reduce::batch::{Batch, all_sound, joined, share};
 use crate::reduce::blocks::ToEnd;
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
-use crate::reduce::reducer::{Batch, all_sound, joined, share};
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction, Reductions};
 
 /// Reduces batches of tests in phases.

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
+use crate::reduce::batch::share;
 use crate::reduce::blocks::{Blocks, Filtered, FilteredBlock, ToEnd};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
-use crate::reduce::reducer::share;
 use crate::reduce::{PhaseReduction, PhasedTest, Reduction, Reductions};
 
 /// The phases of tests with designs of their own.

@@ -9,14 +9,14 @@ use crate::reduce::recognise::Likeness;
 /// A test that others of its design are recognised by, and what they share with it.
 #[derive(Debug)]
 pub(crate) struct Known {
-    pub(super) likeness: Likeness,
-    pub(super) class: Class,
-    pub(super) digest: u128,
-    pub(super) steps: usize,
+    pub(crate) likeness: Likeness,
+    pub(crate) class: Class,
+    pub(crate) digest: u128,
+    pub(crate) steps: usize,
     /// Cell and d of each scalar measurement.
-    pub(super) cells: Vec<(usize, f64)>,
-    pub(super) start: Vec<f64>,
-    pub(super) inputs: Vec<f64>,
+    pub(crate) cells: Vec<(usize, f64)>,
+    pub(crate) start: Vec<f64>,
+    pub(crate) inputs: Vec<f64>,
 }
 
 impl Known {

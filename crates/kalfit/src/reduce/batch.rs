@@ -2,21 +2,19 @@
 
 use std::borrow::Cow;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::{Beside, Found};
+use crate::reduce::blocks::beside::Beside;
+use crate::reduce::blocks::told::Found;
 use crate::reduce::class::Class;
 use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::Block;
 use crate::reduce::prepare::{Skeleton, Workspace};
-use crate::reduce::reducer::known::Known;
-use crate::reduce::reducer::{About, Reducer};
-use crate::reduce::subject::Fault;
+use crate::reduce::reducer::{About, Known, Reducer};
 use crate::reduce::{Reduction, Reductions};
 
 /// Most classes whose blocks are filled at the same time.
@@ -94,25 +92,6 @@ impl Reducer {
             .collect();
         joined(batches)
     }
-
-    /// A fault of a test, with names.
-    pub(crate) fn named(&self, fault: Fault, test: &Test) -> ReduceError {
-        fault.name(&self.preparer.model, Some(test))
-    }
-
-    /// Takes note of a design whose filter was run side by side with others.
-    pub(crate) fn ran(&self, digest: u128) {
-        // threads that meet one design at the same time count once: the work told of does not depend on threads
-        self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
-    }
-
-    /// Recognises others by a test, as it is in the work space.
-    pub(crate) fn learn(&self, test: &Test, class: &Class, hash: u64, work: &Workspace) {
-        if let Some(known) = Known::new(&self.preparer, test, class, work) {
-            let bytes = known.bytes();
-            self.known.keep(hash, Arc::new(known), bytes);
-        }
-    }
 }
 
 impl<'a> Batch<'a> {
@@ -152,7 +131,7 @@ impl<'a> Batch<'a> {
         self.found.numbers.clear();
         self.faults.clear();
         self.endings.clear();
-        self.endings.resize_with(if self.reducer.ends { tests.len() } else { 0 }, || Ending::None);
+        self.endings.resize_with(if self.reducer.wants_ends() { tests.len() } else { 0 }, || Ending::None);
         for (number, test) in tests.iter().enumerate() {
             let hash = match self.recognise(tests, test) {
                 Ok(()) if self.seat(tests, number) => continue,
@@ -189,11 +168,11 @@ impl<'a> Batch<'a> {
             return Ok(());
         }
         // tests with designs of their own mostly differ from the first rows on
-        if !self.reducer.known.is_noted(looks.hash(test, false)) {
+        if !self.reducer.known().is_noted(looks.hash(test, false)) {
             return Err(None);
         }
         let hash = looks.hash(test, true);
-        let known = self.reducer.known.find(hash).map_err(|seen| seen.then_some(hash))?;
+        let known = self.reducer.known().find(hash).map_err(|seen| seen.then_some(hash))?;
         if !looks.alike(test, &known.likeness) {
             return Err(None);
         }

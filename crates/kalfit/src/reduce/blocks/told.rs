@@ -1,0 +1,89 @@
+//! What the filters of tests in lanes have found, as reductions.
+
+use crate::ensemble::Test;
+use crate::reduce::blocks::layout::Layout;
+use crate::reduce::blocks::values::Values;
+use crate::reduce::data::Outcome;
+use crate::reduce::end::{End, placed};
+use crate::reduce::lanes::Room;
+use crate::reduce::reducer::{About, Reducer};
+use crate::reduce::{Path, Reductions, Terminal};
+
+/// What a reduction has from its test, whatever α.
+#[derive(Debug)]
+pub(super) struct Own {
+    pub(super) digest: u128,
+    pub(super) covariates: Vec<f64>,
+    pub(super) steps: usize,
+    pub(super) observations: usize,
+}
+
+/// Reductions as they come.
+#[derive(Debug, Default)]
+pub(crate) struct Found {
+    pub(crate) reductions: Reductions,
+    /// The number of the test of each.
+    pub(crate) numbers: Vec<usize>,
+    /// Where each ends, if that is wanted.
+    pub(crate) terminals: Vec<Terminal>,
+    /// Tests that must be looked at by themselves.
+    pub(crate) odd: Vec<usize>,
+}
+
+impl Values {
+    /// Runs the filters of tests that were evaluated. `digest`: of a design.
+    pub(super) fn filter(
+        &mut self,
+        (layout, own): (&Layout, &[Own]),
+        (reducer, digest): (&Reducer, impl Fn(&Own) -> u128),
+        tests: &[&Test],
+        room: &mut Room,
+        found: &mut Found,
+    ) {
+        self.kept.gained.with_ends = reducer.wants_ends();
+        self.kept.filter(&layout.design, own.len(), room);
+        for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
+            let Some((factor, outcome, end)) = self.of(lane, (layout, own.observations), reducer, room) else {
+                self.sound[lane] = false;
+                found.odd.push(number);
+                continue;
+            };
+            let about = About {
+                factor,
+                covariates: &own.covariates,
+                steps: own.steps,
+                observations: own.observations,
+                path: Path::Information,
+                digest: digest(own),
+            };
+            found.reductions.put(reducer.row(tests[number], &outcome, about));
+            found.numbers.push(number);
+            found.terminals.extend(end);
+        }
+    }
+
+    /// R and what the filter found of the test in a lane, and where it ends, if that is wanted; `None` where square-root arrays are
+    /// called for or something is not finite.
+    pub(super) fn of(
+        &self,
+        lane: usize,
+        (layout, observations): (&Layout, usize),
+        reducer: &Reducer,
+        room: &Room,
+    ) -> Option<(&[f64], Outcome, Option<Terminal>)> {
+        let (factor, determinant) = self.kept.gained.found[lane].as_ref().filter(|_| self.sound[lane])?;
+        let outcome = self.kept.block.outcome(lane, (observations, *determinant), room);
+        let end = match reducer.wants_ends() {
+            true => Some(self.end(lane, layout, reducer, room)?),
+            false => None,
+        };
+        outcome.is_finite().then_some((factor, outcome, end))
+    }
+
+    /// Where the test in a lane ends; `None` where that calls for square-root arrays.
+    fn end(&self, lane: usize, layout: &Layout, reducer: &Reducer, room: &Room) -> Option<Terminal> {
+        let states = &reducer.preparer().order.states;
+        let End { sensitivity, root } = self.kept.gained.end((lane, layout.lanes), states)?;
+        Some(Terminal { mean: placed(states, self.kept.block.last(lane, room)), sensitivity, root })
+    }
+}
