@@ -239,11 +239,9 @@ impl Block {
         let (mut layout, mut values) = (Layout::new(Isa::best(), preparer), Values::new(Isa::best()));
         layout.take(preparer, tests, own);
         values.take(&layout, (preparer, tests));
-        let own = own.iter().enumerate().map(|(lane, own)| Own {
-            digest: match values.sound[lane] {
-                true => values.identity(&layout, lane, own.len()),
-                false => own.number as u128, // is like no other
-            },
+        let digests = values.identities(&layout, &own.iter().map(Skeleton::len).collect::<Vec<_>>());
+        let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| Own {
+            digest: if values.sound[lane] { digest } else { own.number as u128 }, // which is like no other
             covariates: own.covariates.clone(),
             steps: own.len(),
             observations: own.instances.len(),

@@ -118,8 +118,9 @@ impl Beside {
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         own.clear();
-        for (lane, skeleton) in group.iter_mut().enumerate() {
-            let digest = values.identity(layout, lane, skeleton.len());
+        let steps: Vec<usize> = group.iter().map(Skeleton::len).collect();
+        let digests = values.identities(layout, &steps);
+        for (lane, (skeleton, digest)) in group.iter_mut().zip(digests).enumerate() {
             // so many equal steps have a pass of their own
             values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());
             let covariates = std::mem::take(&mut skeleton.covariates);

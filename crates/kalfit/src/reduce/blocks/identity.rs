@@ -8,29 +8,38 @@ use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
 
 impl Values {
-    /// The digest of the design of the test in a lane, which has so many steps.
-    pub(super) fn identity(&self, layout: &Layout, lane: usize, steps: usize) -> u128 {
+    /// The digest of the design of each test; `steps`: how many each has.
+    pub(super) fn identities(&self, layout: &Layout, steps: &[usize]) -> Vec<u128> {
         let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
-        let own = |all, numbers| own(all, numbers, (lane, *lanes));
+        let own = |all, numbers, lane| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
-        let mut identity = Identity::new(&design.frame, own(gained.variance(), 0..design.variance.len()));
+        let (coefficients, noise) = (gained.coefficients(), gained.noise());
+        let begun = |lane| Identity::new(&design.frame, own(gained.variance(), 0..design.variance.len(), lane));
+        let mut identities: Vec<Identity> = (0..steps.len()).map(begun).collect();
         let mut t = 0;
-        for stretch in design.stretches().take(steps) {
+        for (k, stretch) in design.stretches().enumerate() {
             if stretch.transition.is_some() {
-                if transitions.moving[t * lanes + lane] != 0.0 {
-                    let phi = own(gained.transitions(), t * terms..(t + 1) * terms);
-                    identity.moves(pattern, phi, own(gained.process_noise(), t * pairs..(t + 1) * pairs));
+                for (lane, identity) in identities.iter_mut().enumerate() {
+                    if transitions.moving[t * lanes + lane] != 0.0 {
+                        let phi = own(gained.transitions(), t * terms..(t + 1) * terms, lane);
+                        identity.moves(pattern, phi, own(gained.process_noise(), t * pairs..(t + 1) * pairs, lane));
+                    }
                 }
                 t += 1;
             }
-            for line in layout.rows_of(lane, stretch.lines) {
-                let h = own(gained.coefficients(), layout.terms(line));
-                identity.line(design.terms(line).0.iter().copied().zip(h), gained.noise()[line * lanes + lane]);
+            for line in stretch.lines {
+                let (range, states) = (layout.terms(line), design.terms(line).0);
+                let h = &coefficients[range.start * lanes..range.end * lanes];
+                let [noise, measured] = [noise, &*layout.measured].map(|all| &all[line * lanes..][..*lanes]);
+                for (lane, identity) in identities.iter_mut().enumerate().filter(|(lane, _)| measured[*lane] != 0.0) {
+                    let h = h.chunks_exact(*lanes).map(|h| h[lane]);
+                    identity.line(states.iter().copied().zip(h), noise[lane]);
+                }
             }
-            identity.end(1);
+            identities.iter_mut().zip(steps).filter(|(_, steps)| k < **steps).for_each(|(identity, _)| identity.end(1));
         }
-        identity.finish()
+        identities.into_iter().map(Identity::finish).collect()
     }
 
     /// Whether so many steps on end of the test in a lane, which has so many in all, are equal that they have a pass of their own.

@@ -22,6 +22,8 @@ pub(crate) struct Layout {
     pub(crate) tests: Vec<usize>,
     /// The shape of their designs: each step is a run, and each row has a line of its own.
     pub(crate) design: Design,
+    /// All tests have the same steps and measurements.
+    of_one: bool,
     /// States of the line of each measurement of the model, and the places of its terms among them.
     pub(super) shapes: Vec<(Vec<u32>, Vec<usize>)>,
     /// The measurement of the model that each row is of.
@@ -46,6 +48,7 @@ impl Layout {
             lanes: isa.lanes(),
             tests: Vec::new(),
             design: Design::new(preparer.order.frame.clone()),
+            of_one: false,
             shapes: preparer.meters.shapes(),
             meters: Vec::new(),
             measured: Vec::new(),
@@ -59,39 +62,57 @@ impl Layout {
 
     /// Of these tests, in place of others.
     pub(super) fn take(&mut self, preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) {
-        self.clear();
-        let (lanes, layout) = (self.lanes, self);
-        layout.tests.extend(own.iter().map(|skeleton| skeleton.number));
-        layout.openings.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
-        layout.design.moves.push(Arc::new(preparer.plan.blank()));
-        for k in 0..own.iter().map(Skeleton::len).max().unwrap_or(0) {
-            layout.step(own, k);
-            layout.measurements(own, k);
-            let (lines, moves) = (layout.meters.len(), own.iter().any(|own| own.moves(k)));
-            let transition = moves.then_some(0);
-            layout.design.runs.push(Run { transition, lines, count: 1, rows: lines, steps: k + 1 });
+        let is_one = own.iter().all(|other| other.is_like(&own[0]));
+        if !(is_one && self.has_shape_of(&own[0])) {
+            self.shape(preparer, own);
+            self.of_one = is_one;
         }
-        let places = layout.meters.len() * lanes;
-        layout.cells.resize(places, NONE);
-        layout.measured.resize(places, 0.0);
-        layout.dt.resize(places, 0.0);
-        layout.z.resize(places, 0.0);
-        own.iter().enumerate().for_each(|(lane, own)| layout.seat(preparer, tests[own.number], (lane, own)));
-        layout.design.h.resize(layout.design.states.len(), 0.0);
-        layout.design.noise.resize(layout.meters.len(), 1.0);
+        self.tests.clear();
+        self.tests.extend(own.iter().map(|skeleton| skeleton.number));
+        self.openings.clear();
+        self.openings.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
+        self.transitions.clear();
+        for (k, run) in self.design.runs.iter().enumerate().filter(|(_, run)| run.transition.is_some()) {
+            debug_assert_eq!(run.steps, k + 1, "each step is a run");
+            for lane in 0..self.lanes {
+                let step = own.get(lane).filter(|own| own.moves(k)).map(|own| &own.steps[k]);
+                self.transitions.dt.push(step.map_or(0.0, |step| step.dt));
+                self.transitions.moving.push(f64::from(u8::from(step.is_some())));
+                self.transitions.sources.push(step.map_or(NONE, |step| step.source));
+            }
+        }
+        let places = self.meters.len() * self.lanes;
+        self.cells.clear();
+        self.cells.resize(places, NONE);
+        for column in [&mut self.measured, &mut self.dt, &mut self.z] {
+            column.clear();
+            column.resize(places, 0.0);
+        }
+        own.iter().enumerate().for_each(|(lane, own)| self.seat(preparer, tests[own.number], (lane, own)));
     }
 
-    fn clear(&mut self) {
-        let Layout { tests, design, meters, measured, cells, dt, z, transitions, openings, .. } = self;
-        tests.clear();
-        design.clear();
-        meters.clear();
-        measured.clear();
-        cells.clear();
-        dt.clear();
-        z.clear();
-        transitions.clear();
-        openings.clear();
+    /// Whether the tests before, which all had one shape, had that of this one.
+    fn has_shape_of(&self, own: &Skeleton) -> bool {
+        let step = |(k, run): (usize, &Run)| (run.lines, run.transition.is_some()) == (own.steps[k].end, own.moves(k));
+        self.of_one
+            && self.design.runs.len() == own.len()
+            && self.design.runs.iter().enumerate().all(step)
+            && self.meters.iter().eq(own.instances.iter().map(|instance| &instance.meter))
+    }
+
+    /// The steps of these tests, and what is measured in them.
+    fn shape(&mut self, preparer: &Preparer, own: &[Skeleton]) {
+        self.meters.clear();
+        self.design.clear();
+        self.design.moves.push(Arc::new(preparer.plan.blank()));
+        for k in 0..own.iter().map(Skeleton::len).max().unwrap_or(0) {
+            self.measurements(own, k);
+            let (lines, moves) = (self.meters.len(), own.iter().any(|own| own.moves(k)));
+            let transition = moves.then_some(0);
+            self.design.runs.push(Run { transition, lines, count: 1, rows: lines, steps: k + 1 });
+        }
+        self.design.h.resize(self.design.states.len(), 0.0);
+        self.design.noise.resize(self.meters.len(), 1.0);
     }
 
     /// The lines of a step: what any of the tests measures there, in the order of each of them.
@@ -128,19 +149,6 @@ impl Layout {
                 line += 1;
             }
             line = self.design.runs[k].lines;
-        }
-    }
-
-    /// The transition to a step, if any test has one.
-    fn step(&mut self, own: &[Skeleton], k: usize) {
-        if !own.iter().any(|own| own.moves(k)) {
-            return;
-        }
-        for lane in 0..self.lanes {
-            let step = own.get(lane).filter(|own| own.moves(k)).map(|own| &own.steps[k]);
-            self.transitions.dt.push(step.map_or(0.0, |step| step.dt));
-            self.transitions.moving.push(f64::from(u8::from(step.is_some())));
-            self.transitions.sources.push(step.map_or(NONE, |step| step.source));
         }
     }
 

@@ -67,6 +67,14 @@ impl Skeleton {
         self.measured().map(|(k, instance)| (k, instance.meter))
     }
 
+    /// Whether its steps have transitions and measurements as those of another one.
+    pub(crate) fn is_like(&self, other: &Skeleton) -> bool {
+        let step = |(own, other): (&StepCells, &StepCells)| (own.moves, own.end) == (other.moves, other.end);
+        (self.steps.len(), self.instances.len()) == (other.steps.len(), other.instances.len())
+            && self.steps.iter().zip(&other.steps).all(step)
+            && self.instances.iter().zip(&other.instances).all(|(own, other)| own.meter == other.meter)
+    }
+
     /// Whether it goes beside another one that is at least as long, each with its measurements in its own order: those of a row stand
     /// in the order of the model's; rows of one step must be the same in both.
     pub(crate) fn goes_with(&self, longer: &Skeleton) -> bool {
