@@ -7,8 +7,8 @@
 //! m = [μ_j; 0] + T x̂_K + t        C = EΣE' + T P_K T'
 //! ```
 //!
-//! Tests of one design then have one covariance run, and each but a data pass. Those with designs of their own are filtered side
-//! by side, phase after phase, and to the same bits in any company.
+//! Tests are filtered side by side, phase after phase, and to the same bits in any company. Those that go better by themselves share
+//! the covariance run of their design.
 
 use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};

@@ -85,7 +85,7 @@ impl<'a> About<'a> {
 /// What a reducer has done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Work {
-    /// Covariance filters run: one for each design class; of classes that many others came before, one for each of the first two tests.
+    /// Designs whose covariance filter was run.
     pub design_runs: u64,
     /// Those of them that were run again in square-root arrays.
     pub root_runs: u64,

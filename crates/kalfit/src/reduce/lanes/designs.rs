@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use kalfit_lanes::{Kernel, Lanes, MOST};
+use kalfit_lanes::{Kernel, Lanes};
 
 use crate::reduce::design::{Design, Pattern, Run, Transition};
 use crate::reduce::end::End;
@@ -37,9 +37,6 @@ pub(crate) struct Gained {
     pub(crate) found: Vec<Option<(Vec<f64>, f64)>>,
     /// What was added up.
     sums: Vec<f64>,
-    /// Runs of each design, and of the shortest.
-    runs: [usize; MOST],
-    shortest: usize,
     /// Where the designs end is wanted too.
     pub(crate) with_ends: bool,
     /// P and Ψ after the last step of each design, if they are wanted.
@@ -94,7 +91,6 @@ impl Gained {
             column.resize(numbers * lanes, x);
         }
         self.terms = terms;
-        (self.runs, self.shortest) = ([design.runs.len(); MOST], design.runs.len());
     }
 
     /// P0, h, R, φ and Q, to be changed.
@@ -126,7 +122,6 @@ impl Gained {
             number as usize
         }));
         self.terms = pattern(design).map_or(0, |pattern| pattern.columns.len());
-        (self.runs, self.shortest) = ([design.runs.len(); MOST], design.runs.len());
     }
 
     /// The covariance filter.
@@ -160,23 +155,15 @@ impl Gained {
                 }
             }
             first = run.lines;
-            if self.with_ends && Numbers::<T>::some_end(self, at_run) {
-                self.end_run(&state, at_run);
-            }
         }
-        state.sums
-    }
-
-    /// Keeps P and Ψ of designs that end with a run.
-    #[inline(always)]
-    fn end_run<T: Lanes>(&mut self, state: &State<T>, run: usize) {
-        for lane in (0..T::COUNT).filter(|&lane| self.runs[lane] == run + 1) {
+        if self.with_ends {
             for (from, to) in [(&state.P, &mut self.last.0), (&state.Psi, &mut self.last.1)] {
-                for (x, to) in from.iter().zip(to.chunks_exact_mut(T::COUNT)) {
-                    to[lane] = x.lane(lane);
+                for (k, x) in from.iter().enumerate() {
+                    put(to, k, *x);
                 }
             }
         }
+        state.sums
     }
 
     /// R and Σ log S of each design.
@@ -363,16 +350,6 @@ impl<T: Lanes> Numbers<T> for Gained {
     #[inline(always)]
     fn R(&self, at_: usize) -> T {
         at(&self.factor, at_)
-    }
-
-    #[inline(always)]
-    fn ends(&self, run: usize, lane: usize) -> bool {
-        self.runs[lane] == run + 1
-    }
-
-    #[inline(always)]
-    fn some_end(&self, run: usize) -> bool {
-        run + 1 >= self.shortest
     }
 }
 

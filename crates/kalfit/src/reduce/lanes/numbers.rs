@@ -17,10 +17,6 @@ pub(super) trait Numbers<T> {
     fn of(row: &[f64], k: usize) -> T;
     /// An entry of R, packed.
     fn R(&self, at: usize) -> T;
-    /// Whether the test in a lane ends with a run.
-    fn ends(&self, run: usize, lane: usize) -> bool;
-    /// Whether that is so of any.
-    fn some_end(&self, run: usize) -> bool;
 }
 
 /// The data of tests, in lanes.

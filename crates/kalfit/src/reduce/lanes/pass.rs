@@ -46,16 +46,6 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
     fn R(&self, at: usize) -> T {
         T::splat(self.gains.factor[at])
     }
-
-    #[inline(always)]
-    fn ends(&self, run: usize, _: usize) -> bool {
-        run + 1 == self.design.runs.len()
-    }
-
-    #[inline(always)]
-    fn some_end(&self, run: usize) -> bool {
-        run + 1 == self.design.runs.len()
-    }
 }
 
 /// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke, then the best ξ of each test.
@@ -113,9 +103,9 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
             }
         }
         line = run.lines;
-        if numbers.some_end(at_run) {
-            state.end((numbers, at_run), &mut room.last);
-        }
+    }
+    for (i, x) in state.x.iter().enumerate() {
+        put(&mut room.last, i, *x);
     }
     room.d.resize(frame.p * T::COUNT, 0.0);
     for k in 0..frame.p {
@@ -168,15 +158,5 @@ impl<T: Lanes> State<T> {
         squares::add::<T, N>(numbers.sensitivities(row), weighted, &mut self.y);
         self.square = e.fma(weighted, self.square);
         e
-    }
-
-    /// x of the tests that end with a run.
-    #[inline(always)]
-    fn end<N: Numbers<T>>(&self, (numbers, run): (&N, usize), last: &mut [f64]) {
-        for lane in (0..T::COUNT).filter(|&lane| numbers.ends(run, lane)) {
-            for (state, x) in self.x.iter().enumerate() {
-                last[state * T::COUNT + lane] = x.lane(lane);
-            }
-        }
     }
 }
