@@ -239,7 +239,8 @@ impl Block {
         let (mut layout, mut values) = (Layout::new(Isa::best(), preparer), Values::new(Isa::best()));
         layout.take(preparer, tests, own);
         values.take(&layout, (preparer, tests));
-        let digests = values.identities(&layout, &own.iter().map(Skeleton::len).collect::<Vec<_>>());
+        let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
+        let digests = values.identities(&layout, &steps, &mut Vec::new());
         let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| Own {
             digest: if values.sound[lane] { digest } else { own.number as u128 }, // which is like no other
             covariates: own.covariates.clone(),

@@ -47,6 +47,10 @@ impl Digest {
         self.all(numbers, |x| x.to_bits());
     }
 
+    pub(crate) fn words(&mut self, words: &[u64]) {
+        self.all(words, |word| *word);
+    }
+
     /// How many there are, then a word for each, the first one in the first place.
     #[inline(always)]
     fn all<T>(&mut self, all: &[T], word: impl Fn(&T) -> u64) {

@@ -129,6 +129,11 @@ impl Plan {
         Plan { pattern: Arc::new(pattern), phi, q, drives, offsets, singles, identity }
     }
 
+    /// Nothing ever moves: a transition would change no state.
+    pub(crate) fn is_still(&self) -> bool {
+        self.phi.is_empty() && self.q.is_empty() && self.drives.is_empty()
+    }
+
     /// φ, Q and Γ of steps of length `dt`. `values`: the dynamics' coefficients on the step; `filled`: work space; `spare`:
     /// a transition that nobody else has, whose memory can be had. The same bits as side by side with others.
     pub(crate) fn moves(

@@ -238,7 +238,7 @@ impl Preparer {
         let scope =
             Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: f64::NAN, alpha: &self.alpha };
         let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose()?;
-        spans(&at, test, initial, &mut work.spans)?;
+        self.spans(test, initial, &mut work.spans)?;
         work.firsts.clear();
         let mut first = 0;
         for span in &work.spans {
@@ -251,6 +251,15 @@ impl Preparer {
         for at_span in 0..work.spans.len() {
             let span = work.spans[at_span].clone();
             source = self.span(&at, test, (&span, source), work)?;
+        }
+        Ok(())
+    }
+
+    /// The steps of a test; `initial` is the time of x_0. Where nothing ever moves no transition leads to them.
+    fn spans(&self, test: &Test, initial: Option<f64>, out: &mut Vec<Span>) -> Result<(), Box<Fault>> {
+        spans(&self.at(), test, initial, out)?;
+        if self.plan.is_still() {
+            out.iter_mut().for_each(|span| span.moves = false);
         }
         Ok(())
     }

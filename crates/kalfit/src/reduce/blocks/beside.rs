@@ -10,6 +10,7 @@ use crate::reduce::blocks::layout::Layout;
 use crate::reduce::blocks::told::{Found, Own};
 use crate::reduce::blocks::values::Values;
 use crate::reduce::data::FEW;
+use crate::reduce::design::Identity;
 use crate::reduce::lanes::{Columns, Room};
 use crate::reduce::prepare::Skeleton;
 use crate::reduce::reducer::Reducer;
@@ -31,6 +32,7 @@ pub(crate) struct Beside {
     layout: Layout,
     values: Values,
     own: Vec<Own>,
+    identities: Vec<Identity>,
 }
 
 /// What is added to a and to P0 of a test, by its place there.
@@ -65,7 +67,12 @@ impl Passed<'_> {
 impl Beside {
     /// For tests of a model.
     pub(crate) fn new(isa: Isa, reducer: &Reducer) -> Beside {
-        Beside { layout: Layout::new(isa, reducer.preparer()), values: Values::new(isa), own: Vec::new() }
+        Beside {
+            layout: Layout::new(isa, reducer.preparer()),
+            values: Values::new(isa),
+            own: Vec::new(),
+            identities: Vec::new(),
+        }
     }
 
     /// Evaluates tests and runs their filters. What is found of a test does not depend on the others.
@@ -78,7 +85,7 @@ impl Beside {
     ) {
         each_group(skeletons, self.layout.lanes, |group| {
             self.take(reducer, tests, group);
-            let Beside { layout, values, own } = self;
+            let Beside { layout, values, own, .. } = self;
             own.iter().zip(values.sound).filter(|(_, sound)| *sound).for_each(|(own, _)| reducer.ran(own.digest));
             values.filter((layout, own), (reducer, |own: &Own| own.digest), tests, room, found);
         });
@@ -114,12 +121,12 @@ impl Beside {
 
     /// Takes tests, in place of others.
     fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &mut [Skeleton]) {
-        let Beside { layout, values, own } = self;
+        let Beside { layout, values, own, identities } = self;
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         own.clear();
         let steps: Vec<usize> = group.iter().map(Skeleton::len).collect();
-        let digests = values.identities(layout, &steps);
+        let digests = values.identities(layout, &steps, identities);
         for (lane, (skeleton, digest)) in group.iter_mut().zip(digests).enumerate() {
             // so many equal steps have a pass of their own
             values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());

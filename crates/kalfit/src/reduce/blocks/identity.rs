@@ -8,15 +8,17 @@ use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
 
 impl Values {
-    /// The digest of the design of each test; `steps`: how many each has.
-    pub(super) fn identities(&self, layout: &Layout, steps: &[usize]) -> Vec<u128> {
+    /// The digest of the design of each test; `steps`: how many each has. `identities`: work space.
+    pub(super) fn identities(&self, layout: &Layout, steps: &[usize], identities: &mut Vec<Identity>) -> Vec<u128> {
         let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
         let own = |all, numbers, lane| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
         let (coefficients, noise) = (gained.coefficients(), gained.noise());
-        let begun = |lane| Identity::new(&design.frame, own(gained.variance(), 0..design.variance.len(), lane));
-        let mut identities: Vec<Identity> = (0..steps.len()).map(begun).collect();
+        identities.resize_with(steps.len(), Identity::new);
+        for (lane, identity) in identities.iter_mut().enumerate() {
+            identity.begin(&design.frame, own(gained.variance(), 0..design.variance.len(), lane));
+        }
         let mut t = 0;
         for (k, stretch) in design.stretches().enumerate() {
             if stretch.transition.is_some() {
@@ -39,7 +41,7 @@ impl Values {
             }
             identities.iter_mut().zip(steps).filter(|(_, steps)| k < **steps).for_each(|(identity, _)| identity.end(1));
         }
-        identities.into_iter().map(Identity::finish).collect()
+        identities.iter_mut().map(Identity::finish).collect()
     }
 
     /// Whether so many steps on end of the test in a lane, which has so many in all, are equal that they have a pass of their own.

@@ -7,27 +7,34 @@ use crate::reduce::design::{Design, Frame, Pattern, Stretch, Transition, same_bi
 use crate::reduce::digest::Digest;
 use crate::reduce::recognise::mix;
 
-/// The digest of a design on its way, step by step.
+/// Words that are mixed together, about so many: a whole step more where need be.
+const TOGETHER: usize = 1 << 12;
+
+/// The digest of a design on its way, step by step. Where it is done with one design, another can be told of.
 #[derive(Debug)]
 pub(crate) struct Identity {
     digest: Digest,
+    /// What the digest has not been told of yet.
+    words: Vec<u64>,
     /// Scalar measurements of the step that is being told of.
     lines: u64,
 }
 
 impl Identity {
-    /// Of a design with this P0.
-    pub(crate) fn new(frame: &Frame, variance: impl Iterator<Item = f64>) -> Identity {
-        let mut digest = Digest::new();
-        digest.wide(frame.digest);
-        variance.for_each(|x| digest.word(x.to_bits()));
-        Identity { digest, lines: 0 }
+    pub(crate) fn new() -> Identity {
+        Identity { digest: Digest::new(), words: Vec::new(), lines: 0 }
+    }
+
+    /// Begins with a design of this P0.
+    pub(crate) fn begin(&mut self, frame: &Frame, variance: impl Iterator<Item = f64>) {
+        self.digest.wide(frame.digest);
+        self.words.extend(variance.map(f64::to_bits));
     }
 
     /// The transition to a step.
     pub(crate) fn moves(&mut self, pattern: &Pattern, phi: impl Iterator<Item = f64>, q: impl Iterator<Item = f64>) {
-        self.digest.wide(pattern.digest);
-        phi.chain(q).for_each(|x| self.digest.word(x.to_bits()));
+        self.words.extend([pattern.digest as u64, (pattern.digest >> 64) as u64]);
+        self.words.extend(phi.chain(q).map(f64::to_bits));
     }
 
     /// A scalar measurement of the step. A term of zero says nothing; measurements that were whitened have some.
@@ -36,28 +43,35 @@ impl Identity {
         let mut states = 1;
         for (state, h) in terms.filter(|(_, h)| *h != 0.0) {
             states = mix(states, u64::from(state));
-            self.digest.word(h.to_bits());
+            self.words.push(h.to_bits());
         }
-        self.digest.word(states);
-        self.digest.word(noise.to_bits());
+        self.words.extend([states, noise.to_bits()]);
         self.lines += 1;
     }
 
     /// The end of a step, of which there are so many.
     #[inline]
     pub(crate) fn end(&mut self, many: usize) {
-        self.digest.word(std::mem::take(&mut self.lines) << 32 ^ many as u64);
+        self.words.push(std::mem::take(&mut self.lines) << 32 ^ many as u64);
+        if self.words.len() >= TOGETHER {
+            self.digest.words(&self.words);
+            self.words.clear();
+        }
     }
 
-    pub(crate) fn finish(self) -> u128 {
-        self.digest.finish()
+    /// The digest of the design; the next one begins.
+    pub(crate) fn finish(&mut self) -> u128 {
+        self.digest.words(&self.words);
+        self.words.clear();
+        std::mem::replace(&mut self.digest, Digest::new()).finish()
     }
 }
 
 impl Design<f64> {
     /// Of all numbers. Equal steps on end are told of one by one where they are few, as they are where designs stand side by side.
     pub(crate) fn digest(&self) -> u128 {
-        let mut identity = Identity::new(&self.frame, self.variance.iter().copied());
+        let mut identity = Identity::new();
+        identity.begin(&self.frame, self.variance.iter().copied());
         for Stretch { transition, lines, count, .. } in self.stretches() {
             let (times, many) = if count <= FEW { (count, 1) } else { (1, count) };
             for _ in 0..times {

@@ -6,7 +6,6 @@ use crate::reduce::data::FEW;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Opening, Preparer, Workspace};
 use crate::reduce::recognise::mix;
-use crate::reduce::steps::spans;
 
 /// Numbers of one test that its passes remember: no more than these.
 const MOST_NUMBERS: usize = 1 << 16;
@@ -127,7 +126,7 @@ impl Preparer {
         let Workspace { whole, spans: steps, .. } = &mut *work;
         let scope = Scope { numbers: &whole.numbers, texts: &whole.texts, step: f64::NAN, alpha: &self.alpha };
         let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose();
-        let sound = initial.and_then(|initial| spans(&at, test, initial, steps));
+        let sound = initial.and_then(|initial| self.spans(test, initial, steps));
         sound.is_ok() && self.covariates(&at, work).is_ok()
     }
 
