@@ -297,9 +297,11 @@ impl Group {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::build::{constant, measurement, name};
+    use crate::build::{Formula, constant, gauss_markov, measurement, name};
     use crate::ensemble::Source;
+    use crate::model::by_hand::Lcg;
     use crate::model::{Alpha, Model};
+    use crate::reduce::Path;
 
     /// Regressions of several lengths: some share a design, some repeat a row, some lack a value.
     fn tests() -> Vec<Test> {
@@ -332,5 +334,60 @@ mod tests {
             let alone = reducer().reduce(std::slice::from_ref(test)).expect("sound");
             assert_eq!(found, alone.get(0), "{}", test.id);
         }
+    }
+
+    /// Constants and as many Gauss-Markov processes as asked for, all scales over many decades.
+    fn drawn(processes: usize, random: &mut impl FnMut() -> f64) -> Model {
+        let mut decades = |from: f64, to: f64| 10f64.powf(from + (to - from) * random());
+        let mut equation = name("a") + name("b") * name("x");
+        let mut model = Model::builder("").time("t").state(constant("a")).state(constant("b"));
+        for process in &["d", "e", "f"][..processes] {
+            model = model.state(gauss_markov(*process, decades(-1.0, 7.0), decades(-5.0, 2.0)));
+            equation = equation + Formula::from(decades(-1.0, 0.0) - 0.4) * name(*process);
+        }
+        let second = name("d") + Formula::from(decades(-1.0, 0.0)) * name("b");
+        model = model.measurement(measurement("y", equation, decades(-9.0, 0.0)));
+        model = model.measurement(measurement("w", second, decades(-9.0, 0.0)));
+        model.build().expect("a model").phases[0].model.clone()
+    }
+
+    #[test]
+    fn covariances_say_what_square_roots_say_whatever_the_noise() {
+        let mut seed = Lcg(5);
+        let mut random = || 0.5 + seed.next();
+        let norm = |numbers: &[f64]| numbers.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let apart =
+            |found: &[f64], other: &[f64]| norm(&found.iter().zip(other).map(|(a, b)| a - b).collect::<Vec<f64>>());
+        let mut many = [0; 4];
+        for round in 0..600 {
+            let processes = 1 + round % 3;
+            let model = drawn(processes, &mut random);
+            let (mut test, mut time) = (Test::new("t", model.columns.len(), 0), 0.0);
+            for _ in 0..30 {
+                time += 0.2 + random();
+                let cell = |name: &str| if name == "t" { time } else { 4.0 * random() - 2.0 };
+                let row: Vec<f64> = model.columns.iter().map(|column| &*column.name).map(cell).collect();
+                test.push(&row, &[], Source::default());
+            }
+            let mut reducer = Reducer::new(&model, &Alpha::default()).expect("sound");
+            let found: Reduction = reducer.reduce(std::slice::from_ref(&test)).expect("sound").get(0).into();
+            if found.path == Path::SquareRoot {
+                continue;
+            }
+            many[processes] += 1;
+            let (root, _) = reducer.rooted(&test, &mut reducer.workspace()).expect("sound");
+            assert_eq!(root.path, Path::SquareRoot);
+            // d is a projection of all innovations, in units of their deviations
+            let all = norm(&root.data) + root.residual.expect("it was made of measurements").sqrt();
+            let errors = [
+                apart(&found.factor, &root.factor) / norm(&root.factor),
+                apart(&found.data, &root.data) / all,
+                (found.constant - root.constant).abs() / (1.0 + root.constant.abs()),
+            ];
+            assert!(errors.iter().all(|&x| x < 1e-9), "{processes} processes, round {round}: {found:?} for {root:?}");
+        }
+        let [_, one, two, three] = many;
+        assert_eq!(one, 200, "one process never calls for square-root arrays");
+        assert!(two > 80 && three > 80, "{two} and {three} of 200 by covariances");
     }
 }

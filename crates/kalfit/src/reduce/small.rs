@@ -3,7 +3,7 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, Q, G = P h, K, T, S")]
 
 use crate::reduce::design::{Design, Stretch};
-use crate::reduce::kernel::{KEPT, inform};
+use crate::reduce::kernel::{Update, inform, update};
 use crate::reduce::schedule::{GainsWork, Schedule};
 use kalfit_lanes::Real;
 
@@ -139,7 +139,7 @@ impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
             }
         }
         *P = self.Q;
-        let (mut G, mut T) = ([zero; N], self.t);
+        let (mut G, mut K, mut T) = ([zero; N], [zero; N], self.t);
         for i in 0..N {
             for j in 0..=i {
                 let mut sum = zero;
@@ -153,25 +153,12 @@ impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
                 T[j] = self.h[i].fma(predicted[i][j], T[j]);
             }
         }
-        let (mut S, mut size) = (self.noise, self.noise);
+        let states: [u32; N] = std::array::from_fn(|i| i as u32);
+        let Update { S, weight, kept } = update(N, &states, &self.h, self.noise, P.as_flattened_mut(), &mut G, &mut K);
         for i in 0..N {
-            for j in 0..N {
-                G[i] = self.h[j].fma(P[i][j], G[i]);
-            }
-            S = self.h[i].fma(G[i], S);
-            size = (self.h[i] * self.h[i]).fma(P[i][i], size);
-        }
-        let weight = S.recip_or_zero();
-        let mut kept = size.fnma(R::splat(KEPT), S);
-        let mut K = [zero; N];
-        for i in 0..N {
-            K[i] = G[i] * weight;
-            let before = P[i][i];
-            for j in 0..=i {
-                P[i][j] = K[i].fnma(G[j], P[i][j]);
+            for j in 0..i {
                 P[j][i] = P[i][j];
             }
-            kept = kept.minimum(before.fnma(R::splat(KEPT), P[i][i]));
             for j in 0..W {
                 Psi[i][j] = K[i].fnma(T[j], predicted[i][j]);
             }

@@ -178,13 +178,11 @@ impl<T: Real> Filtered<T> {
                 *G = h.fma(row[state as usize], *G);
             }
         }
-        let mut S = line.noise;
-        for (&state, &h) in states.iter().zip(h) {
-            S = h.fma(G[state as usize], S);
-        }
-        for (i, row) in P.chunks_exact_mut(r).enumerate() {
-            for j in 0..r {
-                row[j] = row[j] + S * K[i] * K[j] - K[i] * G[j] - G[i] * K[j];
+        let terms = || states.iter().map(|&state| state as usize).zip(h);
+        crate::reduce::shrink(r, terms, (line.noise, line.weight), P, G, K);
+        for i in 0..r {
+            for j in 0..i {
+                P[j * r + i] = P[i * r + j];
             }
         }
     }
@@ -238,6 +236,9 @@ impl Run<'_> {
         let line = self.line((line, row));
         if row == e.len() {
             e.push(now.innovation(&line, self.values[row]));
+        }
+        if line.weight == 0.0 {
+            return; // it can only be what it is
         }
         now.measure(&line, e[row], &self.unknown());
     }

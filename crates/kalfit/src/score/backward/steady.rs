@@ -113,10 +113,13 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         for i in 0..N {
             G[i] = inner(&to.P[i], &self.filter.h);
         }
-        let S = self.noise + inner(&self.filter.h, &G);
+        if gain.weight != 0.0 {
+            let terms = || self.filter.h.iter().enumerate();
+            reduce::shrink(N, terms, (self.noise, gain.weight), to.P.as_flattened_mut(), &mut G, K);
+        }
         for i in 0..N {
-            for j in 0..N {
-                to.P[i][j] += S * K[i] * K[j] - (K[i] * G[j] + G[i] * K[j]);
+            for j in 0..i {
+                to.P[j][i] = to.P[i][j];
             }
             for j in 0..C {
                 to.Psi[i][j] -= K[i] * gain.T[j];
