@@ -75,6 +75,7 @@ pub(crate) struct Pattern {
     pub(crate) columns: Vec<u32>,
     /// Entries i ≥ j of Q.
     pub(crate) pairs: Vec<(u32, u32)>,
+    diagonal: bool,
     digest: u128,
 }
 
@@ -96,7 +97,15 @@ impl Pattern {
         self.columns.iter().for_each(|&column| digest.word(u64::from(column)));
         self.pairs.iter().for_each(|&(i, j)| digest.word(u64::from(i) << 32 | u64::from(j)));
         self.digest = digest.finish();
+        let own = |row: &Moved| self.columns[row.start as usize..row.end as usize] == [row.state];
+        self.diagonal = self.moved.iter().all(own);
         self
+    }
+
+    /// Rows of φ that move, where each has no term but its own state.
+    #[inline(always)]
+    pub(crate) fn diagonal(&self) -> Option<impl Iterator<Item = usize>> {
+        self.diagonal.then(|| self.moved.iter().map(|row| row.state as usize))
     }
 }
 
@@ -106,6 +115,14 @@ pub(crate) struct Transition<R = f64> {
     pub(crate) pattern: Arc<Pattern>,
     pub(crate) phi: Vec<R>,
     pub(crate) q: Vec<R>,
+}
+
+impl<R: Real> Transition<R> {
+    /// (state, its factor) of those that move, where φ is diagonal.
+    #[inline(always)]
+    pub(crate) fn factors(&self) -> Option<impl Iterator<Item = (usize, R)>> {
+        Some(self.pattern.diagonal()?.zip(self.phi.iter().copied()))
+    }
 }
 
 impl Transition<f64> {

@@ -7,6 +7,14 @@ use kalfit_lanes::Real;
 /// X ← φX. Shape: `x` n × width, row-major.
 #[inline(always)]
 pub(crate) fn advance<R: Real>(x: &mut [R], width: usize, transition: &Transition<R>, work: &mut Vec<R>) {
+    if let Some(factors) = transition.factors() {
+        for (state, phi) in factors {
+            for x in &mut x[state * width..][..width] {
+                *x = phi * *x;
+            }
+        }
+        return;
+    }
     work.clear();
     work.resize(transition.pattern.moved.len() * width, R::splat(0.0));
     for (row, out) in transition.pattern.moved.iter().zip(work.chunks_exact_mut(width.max(1))) {
@@ -31,6 +39,26 @@ fn at(i: usize, j: usize, r: usize) -> usize {
 /// P ← φPφ' + Q, lower triangle. Shape: `P` r × r, row-major.
 #[inline(always)]
 pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &mut Vec<R>) {
+    match transition.factors() {
+        Some(factors) => {
+            for (state, phi) in factors.take_while(|(state, _)| *state < r) {
+                for j in 0..r {
+                    P[at(state, j, r)] = phi * P[at(state, j, r)];
+                }
+                P[at(state, state, r)] = phi * P[at(state, state, r)];
+            }
+        }
+        None => congruent(P, r, transition, work),
+    }
+    for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
+        let entry = &mut P[i as usize * r + j as usize];
+        *entry = *entry + q;
+    }
+}
+
+/// P ← φPφ', lower triangle.
+#[inline(always)]
+fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &mut Vec<R>) {
     let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &transition.pattern.moved[..moved];
     work.clear();
@@ -60,10 +88,6 @@ pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>
             }
             P[i * r + other.state as usize] = sum;
         }
-    }
-    for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
-        let entry = &mut P[i as usize * r + j as usize];
-        *entry = *entry + q;
     }
 }
 

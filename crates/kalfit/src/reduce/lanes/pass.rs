@@ -118,8 +118,10 @@ impl<T: Lanes> State<T> {
     /// x ← φx.
     #[inline(always)]
     fn advance<N: Numbers<T>>(&mut self, (numbers, run): (&N, usize), pattern: &Pattern) {
-        if let [only] = &pattern.moved[..] {
-            self.x[only.state as usize] = self.moved((numbers, run), (pattern, only));
+        if let Some(states) = pattern.diagonal() {
+            for (term, state) in states.enumerate() {
+                self.x[state] = numbers.phi(run, term) * self.x[state];
+            }
             return;
         }
         self.moved.clear();

@@ -250,6 +250,14 @@ impl<T: Real> Adjoint<T> {
 #[inline(always)]
 fn back<T: Real>(x: &mut [T], width: usize, transition: &Transition<T>, work: &mut Vec<T>) {
     let rows = x.len().checked_div(width).unwrap_or(0);
+    if let Some(factors) = transition.factors() {
+        for (state, phi) in factors.take_while(|(state, _)| *state < rows) {
+            for x in &mut x[state * width..][..width] {
+                *x = phi * *x;
+            }
+        }
+        return;
+    }
     let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < rows);
     let moved = &transition.pattern.moved[..moved];
     work.clear();
@@ -274,6 +282,14 @@ fn back<T: Real>(x: &mut [T], width: usize, transition: &Transition<T>, work: &m
 /// N ← Nφ on the r noisy states.
 #[inline(always)]
 pub(super) fn columns<T: Real>(N: &mut [T], r: usize, transition: &Transition<T>, work: &mut Vec<T>) {
+    if let Some(factors) = transition.factors() {
+        for (state, phi) in factors.take_while(|(state, _)| *state < r) {
+            for i in 0..r {
+                N[i * r + state] = phi * N[i * r + state];
+            }
+        }
+        return;
+    }
     let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &transition.pattern.moved[..moved];
     for line in N.chunks_exact_mut(r.max(1)) {

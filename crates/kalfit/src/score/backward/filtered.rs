@@ -201,6 +201,15 @@ impl Filtered {
 /// P ← φPφ' on the r noisy states, both triangles.
 #[inline(always)]
 fn forth<T: Real>(P: &mut [T], r: usize, transition: &Transition<T>, work: &mut Vec<T>) {
+    if let Some(factors) = transition.factors() {
+        for (state, phi) in factors.take_while(|(state, _)| *state < r) {
+            for j in 0..r {
+                P[state * r + j] = phi * P[state * r + j];
+                P[j * r + state] = phi * P[j * r + state];
+            }
+        }
+        return;
+    }
     let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &transition.pattern.moved[..moved];
     for side in 0..2 {
