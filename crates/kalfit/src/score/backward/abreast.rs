@@ -93,7 +93,14 @@ impl<T: Lanes> Forward<T> {
         let (design, driven) = (woven.shape, unknown.frame.driven.len());
         let (n, r) = (unknown.frame.n, unknown.frame.r);
         let stride = n + r * r + n * unknown.columns;
-        let mut forward = Forward { e: Vec::with_capacity(design.rows()), left: vec![], before: vec![], stride };
+        let steps = if unknown.wanted.motion { design.runs.iter().map(|run| run.count).sum() } else { 0 };
+        let rows = if unknown.wanted.equation { design.rows() } else { 0 };
+        let mut forward = Forward {
+            e: Vec::with_capacity(design.rows()),
+            left: Vec::with_capacity(steps * stride),
+            before: Vec::with_capacity(rows * stride),
+            stride,
+        };
         let mut now = Filtered::<T>::default();
         now.begin(&Begin { start: &woven.start, variance: &woven.variance, mean }, unknown);
         let (mut input, mut row, mut first) = (0, 0, 0);
