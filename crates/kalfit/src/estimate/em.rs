@@ -69,7 +69,8 @@ fn counts(problem: &Problem) -> DVector<f64> {
     DVector::from_fn(p, |i, _| classes.present[classes.elements.block_of(i)].max(1.0))
 }
 
-/// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + delta.
+/// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + δ: with x̂ = μ + Σr and V = Σ - ΣWΣ of each test that is
+/// Σ - Σ(ΣW - Σrr')Σ/n - sδ' - δs' + δδ', s = mean (x̂_j - old μ).
 fn second_moment(
     sigma: &DMatrix<f64>,
     sums: &Sums,

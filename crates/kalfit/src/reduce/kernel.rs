@@ -56,6 +56,16 @@ pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>
     }
 }
 
+/// Fills the upper triangle by the lower one.
+#[inline(always)]
+pub(crate) fn mirror<R: Real>(P: &mut [R], r: usize) {
+    for i in 0..r {
+        for j in 0..i {
+            P[j * r + i] = P[i * r + j];
+        }
+    }
+}
+
 /// P ← φPφ', lower triangle.
 #[inline(always)]
 fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &mut Vec<R>) {
@@ -153,14 +163,14 @@ pub(crate) fn update<R: Real>(
     for (K, &G) in K.iter_mut().zip(G.iter()) {
         *K = G * weight;
     }
-    let kept = size.fnma(R::splat(KEPT), S).minimum(shrink(r, terms, (noise, weight), P, G, K));
+    let kept = size.fnma(R::splat(KEPT), S).minimum(joseph(r, terms, (noise, weight), P, G, K));
     Update { S, weight, kept }
 }
 
 /// P ← (I-Kh')P(I-hK') + KRK', with 1/S and G = Ph: P - KG', and then its rounding errors E become (I-Kh')E(I-hK'). Of one state
 /// no digit is lost, whatever the noise. Below zero is returned where less than [`SHRUNK`] is left of a variance.
 #[inline(always)]
-pub(crate) fn shrink<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
+pub(crate) fn joseph<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
     r: usize,
     terms: impl Fn() -> I,
     (noise, weight): (R, R),

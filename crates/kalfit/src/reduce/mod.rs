@@ -16,9 +16,13 @@
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; matrix exponentials once per length and coefficients
-//! Design ── schedule (or root) ──> Gains                 S, K, T, P, J: once per design class
-//! Gains + Data ── data ──> Reduction                     e, x̂, y: once per test
+//! Design ── design_pass (lanes, small, root) ──> Gains   S, K, T, P, J: once per design class
+//! Gains + Data ── data_pass (lanes, scan) ──> Reduction  e, x̂, y: once per test
 //! ```
+//!
+//! Each equation stands in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for plain numbers and for lanes. Up
+//! to 64 equal steps go through `lanes`, a test or a design in each lane; more through `design_pass`, `small` where few states move,
+//! and `scan`; designs that covariances lose digits of through `root`.
 //!
 //! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
 //!
@@ -114,7 +118,7 @@ pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
 pub(crate) use dynamics::{Component, Table};
 pub(crate) use gains::{Gains, Piece};
 pub(crate) use instances::Instance;
-pub(crate) use kernel::{advance, shrink};
+pub(crate) use kernel::{advance, joseph, mirror, predict};
 pub(crate) use lanes::{Block, Gained, Woven};
 pub(crate) use motion::{Evaluated, Filled, MotionBack, Moves};
 pub(crate) use observe::Unwhitened;
@@ -126,7 +130,7 @@ pub(crate) use scan::Steady;
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
 pub(crate) use shared::Shared;
-pub(crate) use small::moving;
+pub(crate) use small::{Motion, moving};
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::Cells;
 pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};

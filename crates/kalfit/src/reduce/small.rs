@@ -2,17 +2,23 @@
 //! arrays of known size, which stay in registers.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, Q, G = P h, K, T, S")]
 
-use crate::reduce::design::{Design, Stretch};
-use crate::reduce::kernel::{Update, inform, update};
+use crate::reduce::design::{Design, Stretch, Transition};
+use crate::reduce::kernel::{Update, inform, mirror, update};
 use crate::reduce::schedule::{GainsWork, Schedule};
 use kalfit_lanes::Real;
 
-/// Steps of one measurement on the N states that move; p columns of Ψ. Those of states that rest are constants.
-struct Small<R, const N: usize, const W: usize> {
-    phi: [[R; N]; N],
+/// The transition of the N states that move; W columns of Ψ. Those of states that rest are constants.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Motion<R, const N: usize, const W: usize> {
+    pub(crate) phi: [[R; N]; N],
     Q: [[R; N]; N],
     /// What the states that rest add to φΨ.
-    c: [[R; W]; N],
+    pub(crate) c: [[R; W]; N],
+}
+
+/// Steps of one measurement.
+struct Small<R, const N: usize, const W: usize> {
+    motion: Motion<R, N, W>,
     h: [R; N],
     /// What they add to T.
     t: [R; W],
@@ -89,29 +95,76 @@ fn run<R: Real, const N: usize, const W: usize>(
     }
 }
 
-impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
-    fn new(design: &Design<R>, stretch: &Stretch<'_, R>, Psi: &[R]) -> Small<R, N, W> {
-        let (zero, one, line) = (R::splat(0.0), R::splat(1.0), stretch.lines.start);
-        let noise = design.noise[line];
-        let mut step =
-            Small { phi: [[zero; N]; N], Q: [[zero; N]; N], c: [[zero; W]; N], h: [zero; N], t: [zero; W], noise };
-        (0..N).for_each(|i| step.phi[i][i] = one);
-        if let Some(transition) = stretch.transition {
-            for row in &transition.pattern.moved {
-                let i = row.state as usize;
-                step.phi[i] = [zero; N];
-                for k in row.start as usize..row.end as usize {
-                    match transition.pattern.columns[k] as usize {
-                        j if j < N => step.phi[i][j] = transition.phi[k],
-                        j => add(&mut step.c[i], transition.phi[k], &Psi[j * W..]),
-                    }
+impl<R: Real, const N: usize, const W: usize> Motion<R, N, W> {
+    /// Of steps without a transition, if there is none. `Psi`: n × W, or empty.
+    pub(crate) fn new(transition: Option<&Transition<R>>, Psi: &[R]) -> Motion<R, N, W> {
+        let (zero, one) = (R::splat(0.0), R::splat(1.0));
+        let mut motion = Motion { phi: [[zero; N]; N], Q: [[zero; N]; N], c: [[zero; W]; N] };
+        (0..N).for_each(|i| motion.phi[i][i] = one);
+        let Some(transition) = transition else { return motion };
+        for row in &transition.pattern.moved {
+            let i = row.state as usize;
+            motion.phi[i] = [zero; N];
+            for k in row.start as usize..row.end as usize {
+                match transition.pattern.columns[k] as usize {
+                    j if j < N => motion.phi[i][j] = transition.phi[k],
+                    j if !Psi.is_empty() => add(&mut motion.c[i], transition.phi[k], &Psi[j * W..]),
+                    _ => {}
                 }
             }
-            for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
-                let (i, j) = (i as usize, j as usize);
-                (step.Q[i][j], step.Q[j][i]) = (q, q);
+        }
+        for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
+            let (i, j) = (i as usize, j as usize);
+            (motion.Q[i][j], motion.Q[j][i]) = (q, q);
+        }
+        motion
+    }
+
+    /// φΨ.
+    #[inline(always)]
+    pub(crate) fn advance(&self, Psi: &[[R; W]; N]) -> [[R; W]; N] {
+        let mut moved = self.c;
+        for i in 0..N {
+            for k in 0..N {
+                for j in 0..W {
+                    moved[i][j] = self.phi[i][k].fma(Psi[k][j], moved[i][j]);
+                }
             }
         }
+        moved
+    }
+
+    /// φPφ' + Q.
+    #[inline(always)]
+    pub(crate) fn predict(&self, P: &[[R; N]; N]) -> [[R; N]; N] {
+        let (zero, mut moved) = (R::splat(0.0), self.Q);
+        let mut phiP = [[zero; N]; N];
+        for i in 0..N {
+            for k in 0..N {
+                for j in 0..N {
+                    phiP[i][j] = self.phi[i][k].fma(P[k][j], phiP[i][j]);
+                }
+            }
+        }
+        for i in 0..N {
+            for j in 0..=i {
+                let mut sum = zero;
+                for k in 0..N {
+                    sum = self.phi[j][k].fma(phiP[i][k], sum);
+                }
+                moved[i][j] = sum + moved[i][j];
+                moved[j][i] = moved[i][j];
+            }
+        }
+        moved
+    }
+}
+
+impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
+    fn new(design: &Design<R>, stretch: &Stretch<'_, R>, Psi: &[R]) -> Small<R, N, W> {
+        let (zero, line) = (R::splat(0.0), stretch.lines.start);
+        let motion = Motion::new(stretch.transition.map(|transition| &**transition), Psi);
+        let mut step = Small { motion, h: [zero; N], t: [zero; W], noise: design.noise[line] };
         let (states, h) = design.terms(line);
         for (&state, &h) in states.iter().zip(h) {
             match state as usize {
@@ -126,39 +179,18 @@ impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
     #[inline(always)]
     fn take(&self, P: &mut [[R; N]; N], Psi: &mut [[R; W]; N], r: usize, J: &mut [R], out: &mut Schedule<R>) {
         let zero = R::splat(0.0);
-        let mut phiP = [[zero; N]; N];
-        let mut predicted = self.c;
-        for i in 0..N {
-            for k in 0..N {
-                for j in 0..N {
-                    phiP[i][j] = self.phi[i][k].fma(P[k][j], phiP[i][j]);
-                }
-                for j in 0..W {
-                    predicted[i][j] = self.phi[i][k].fma(Psi[k][j], predicted[i][j]);
-                }
-            }
-        }
-        *P = self.Q;
+        let predicted = self.motion.advance(Psi);
+        *P = self.motion.predict(P);
         let (mut G, mut K, mut T) = ([zero; N], [zero; N], self.t);
         for i in 0..N {
-            for j in 0..=i {
-                let mut sum = zero;
-                for k in 0..N {
-                    sum = self.phi[j][k].fma(phiP[i][k], sum);
-                }
-                P[i][j] = sum + P[i][j];
-                P[j][i] = P[i][j];
-            }
             for j in 0..W {
                 T[j] = self.h[i].fma(predicted[i][j], T[j]);
             }
         }
         let states: [u32; N] = std::array::from_fn(|i| i as u32);
         let Update { S, weight, kept } = update(N, &states, &self.h, self.noise, P.as_flattened_mut(), &mut G, &mut K);
+        mirror(P.as_flattened_mut(), N);
         for i in 0..N {
-            for j in 0..i {
-                P[j][i] = P[i][j];
-            }
             for j in 0..W {
                 Psi[i][j] = K[i].fnma(T[j], predicted[i][j]);
             }

@@ -4,7 +4,7 @@
 use kalfit_lanes::Real;
 use nalgebra::{DMatrix, DMatrixView};
 
-use crate::reduce::Transition;
+use crate::reduce::{Transition, advance, joseph, mirror, predict};
 use crate::score::backward::line::{Line, Unknown, dot};
 use crate::score::backward::run::Run;
 
@@ -116,22 +116,16 @@ impl<T: Real> Filtered<T> {
     #[inline(always)]
     pub(super) fn advance(&mut self, transition: &Transition<T>, inputs: &[T], unknown: &Unknown<'_, T>) {
         let (r, c) = (unknown.frame.r, unknown.columns);
-        crate::reduce::advance(&mut self.x, 1, transition, &mut self.rows);
+        advance(&mut self.x, 1, transition, &mut self.rows);
         for (&state, &input) in unknown.frame.driven.iter().zip(inputs) {
             self.x[state as usize] = self.x[state as usize] + input;
         }
         if !self.Psi.is_empty() {
-            crate::reduce::advance(&mut self.Psi, c, transition, &mut self.rows);
+            advance(&mut self.Psi, c, transition, &mut self.rows);
         }
         if !self.P.is_empty() {
-            forth(&mut self.P, r, transition, &mut self.rows);
-            for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
-                let (i, j) = (i as usize, j as usize);
-                self.P[i * r + j] = self.P[i * r + j] + q;
-                if i != j {
-                    self.P[j * r + i] = self.P[j * r + i] + q;
-                }
-            }
+            predict(&mut self.P, r, transition, &mut self.rows);
+            mirror(&mut self.P, r);
         }
     }
 
@@ -179,12 +173,8 @@ impl<T: Real> Filtered<T> {
             }
         }
         let terms = || states.iter().map(|&state| state as usize).zip(h);
-        crate::reduce::shrink(r, terms, (line.noise, line.weight), P, G, K);
-        for i in 0..r {
-            for j in 0..i {
-                P[j * r + i] = P[i * r + j];
-            }
-        }
+        joseph(r, terms, (line.noise, line.weight), P, G, K);
+        mirror(P, r);
     }
 }
 
@@ -194,41 +184,6 @@ impl Filtered {
         for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {
             own.clear();
             own.extend_from_slice(seen);
-        }
-    }
-}
-
-/// P ← φPφ' on the r noisy states, both triangles.
-#[inline(always)]
-fn forth<T: Real>(P: &mut [T], r: usize, transition: &Transition<T>, work: &mut Vec<T>) {
-    if let Some(factors) = transition.factors() {
-        for (state, phi) in factors.take_while(|(state, _)| *state < r) {
-            for j in 0..r {
-                P[state * r + j] = phi * P[state * r + j];
-                P[j * r + state] = phi * P[j * r + state];
-            }
-        }
-        return;
-    }
-    let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
-    let moved = &transition.pattern.moved[..moved];
-    for side in 0..2 {
-        work.clear();
-        for row in moved {
-            for j in 0..r {
-                let mut sum = T::splat(0.0);
-                for k in row.start as usize..row.reach as usize {
-                    let column = transition.pattern.columns[k] as usize;
-                    sum = transition.phi[k].fma(if side == 0 { P[column * r + j] } else { P[j * r + column] }, sum);
-                }
-                work.push(sum);
-            }
-        }
-        for (row, new) in moved.iter().zip(work.chunks_exact(r)) {
-            let i = row.state as usize;
-            for (j, &value) in new.iter().enumerate() {
-                P[if side == 0 { i * r + j } else { j * r + i }] = value;
-            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! One step of the filter and its way back on arrays of known size, which stay in registers: one scalar measurement of the N
 //! states that move; those that rest are constants.
 
-use crate::reduce::{self, Stretch};
+use crate::reduce::{self, Motion, Stretch, mirror};
 use crate::score::backward::bars::{Bars, Gain, Rest, Spread, Sums};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::Run;
@@ -10,13 +10,12 @@ use crate::score::backward::run::Run;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Steady<const N: usize, const C: usize> {
     pub(super) filter: reduce::Steady<N>,
-    Q: [[f64; N]; N],
-    /// What the states that rest add to φΨC.
-    cPsi: [[f64; C]; N],
+    /// With ΨC for Ψ.
+    motion: Motion<f64, N, C>,
     noise: f64,
     moves: bool,
     pub(super) equation: bool,
-    pub(super) motion: bool,
+    motion_wanted: bool,
 }
 
 fn inner<const M: usize>(a: &[f64; M], b: &[f64; M]) -> f64 {
@@ -57,42 +56,20 @@ fn product<const N: usize, const W: usize>(x: &[[f64; N]; N], y: &[[f64; W]; N])
 
 impl<const N: usize, const C: usize> Steady<N, C> {
     pub(super) fn new(run: &Run<'_>, stretch: &Stretch<'_>, now: &Filtered) -> Steady<N, C> {
-        let mut step = Steady {
+        Steady {
             filter: reduce::Steady::new(run.design, stretch, &now.x),
-            Q: [[0.0; N]; N],
-            cPsi: [[0.0; C]; N],
+            motion: Motion::new(stretch.transition.map(|transition| &**transition), &now.Psi),
             noise: run.design.noise[stretch.lines.start],
             moves: stretch.transition.is_some(),
             equation: run.wanted.equation,
-            motion: run.wanted.motion,
-        };
-        if let Some(transition) = stretch.transition {
-            for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
-                let (i, j) = (i as usize, j as usize);
-                (step.Q[i][j], step.Q[j][i]) = (q, q);
-            }
-            for (i, j, phi) in transition.entries().filter(|&(_, j, _)| j >= N && !now.Psi.is_empty()) {
-                (0..C).for_each(|k| step.cPsi[i][k] += phi * now.Psi[j * C + k]);
-            }
+            motion_wanted: run.wanted.motion,
         }
-        step
     }
 
     /// φΨC, and φPφ' + Q.
     #[inline(always)]
     fn spread(&self, from: &Spread<N, C>) -> Spread<N, C> {
-        let mut Psi = product(&self.filter.phi, &from.Psi);
-        let half = product(&self.filter.phi, &from.P);
-        let mut P = self.Q;
-        for i in 0..N {
-            for j in 0..C {
-                Psi[i][j] += self.cPsi[i][j];
-            }
-            for j in 0..N {
-                P[i][j] += inner(&half[i], &self.filter.phi[j]);
-            }
-        }
-        Spread { P, Psi }
+        Spread { P: self.motion.predict(&from.P), Psi: self.motion.advance(&from.Psi) }
     }
 
     /// P and ΨC after the step. Where gains rest (`P` false), P does too.
@@ -100,10 +77,10 @@ impl<const N: usize, const C: usize> Steady<N, C> {
     pub(super) fn advance(&self, from: &Spread<N, C>, gain: &Gain<N, C>, P: bool) -> Spread<N, C> {
         let K = &gain.K;
         if !P {
-            let mut Psi = product(&self.filter.phi, &from.Psi);
+            let mut Psi = self.motion.advance(&from.Psi);
             for i in 0..N {
                 for j in 0..C {
-                    Psi[i][j] += self.cPsi[i][j] - K[i] * gain.T[j];
+                    Psi[i][j] -= K[i] * gain.T[j];
                 }
             }
             return Spread { P: from.P, Psi };
@@ -115,12 +92,10 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         }
         if gain.weight != 0.0 {
             let terms = || self.filter.h.iter().enumerate();
-            reduce::shrink(N, terms, (self.noise, gain.weight), to.P.as_flattened_mut(), &mut G, K);
+            reduce::joseph(N, terms, (self.noise, gain.weight), to.P.as_flattened_mut(), &mut G, K);
         }
+        mirror(to.P.as_flattened_mut(), N);
         for i in 0..N {
-            for j in 0..i {
-                to.P[j][i] = to.P[i][j];
-            }
             for j in 0..C {
                 to.Psi[i][j] -= K[i] * gain.T[j];
             }
@@ -156,7 +131,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         }
         let Nphi = product(&bars.N, &self.filter.phi);
         let (r, rho) = (self.adjoint(&bars.r), transposed(&self.filter.phi, &bars.rho));
-        if self.motion {
+        if self.motion_wanted {
             for j in 0..N {
                 let mut smoothed = x[j];
                 let mut B = spread.Psi[j];
@@ -257,7 +232,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
             for j in 0..=i {
                 rest.rr[i][j] += r[i] * r[j];
             }
-            if self.motion {
+            if self.motion_wanted {
                 for j in 0..N {
                     rest.rx[i][j] += r[i] * x[j];
                 }
