@@ -3,7 +3,7 @@
 
 use crate::reduce::design::{Design, Frame, Stretch};
 use crate::reduce::gains::Piece;
-use crate::reduce::kernel;
+use crate::reduce::kernel::{self, Spread};
 use crate::reduce::schedule::{GainsWork, Schedule};
 use crate::reduce::settling::Frozen;
 use crate::reduce::small;
@@ -83,10 +83,8 @@ impl<R: Real> Schedule<R> {
             let (states, h) = design.terms(line);
             let (weight, K) = append(&mut self.gains, 1 + r).split_first_mut().expect("stride is positive");
             let T = append(&mut self.sensitivities, p);
-            kernel::sensitivity(frame, states, h, &work.Psi, T);
-            let update = kernel::update(r, states, h, design.noise[line], &mut work.P, &mut work.G, K);
-            kernel::correct(p, K, T, &mut work.Psi);
-            kernel::inform(T, update.weight, &mut self.sums.J);
+            let of = Spread { P: &mut work.P, Psi: &mut work.Psi, J: &mut self.sums.J };
+            let update = kernel::measure(frame, (states, h, design.noise[line]), of, (&mut work.G, K, T));
             *weight = update.weight;
             self.sums.count(update.S, update.kept);
         }

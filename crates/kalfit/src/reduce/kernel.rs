@@ -163,17 +163,40 @@ pub(crate) fn update<R: Real>(
     for (K, &G) in K.iter_mut().zip(G.iter()) {
         *K = G * weight;
     }
-    let kept = size.fnma(R::splat(KEPT), S).minimum(joseph(r, terms, (noise, weight), P, G, K));
+    let kept = size.fnma(R::splat(KEPT), S).minimum(joseph(r, terms, (noise, S), P, G, K));
     Update { S, weight, kept }
 }
 
-/// P ← (I-Kh')P(I-hK') + KRK', with 1/S and G = Ph: P - KG', and then its rounding errors E become (I-Kh')E(I-hK'). Of one state
-/// no digit is lost, whatever the noise. Below zero is returned where less than [`SHRUNK`] is left of a variance.
+/// P, Ψ and J of a filter.
+pub(crate) struct Spread<'a, R> {
+    pub(crate) P: &'a mut [R],
+    pub(crate) Psi: &'a mut [R],
+    pub(crate) J: &'a mut [R],
+}
+
+/// A scalar measurement (states, h, R) of a filter: T, K and S, and what they make of P, Ψ and J.
 #[inline(always)]
-pub(crate) fn joseph<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
+pub(crate) fn measure<R: Real>(
+    frame: &Frame,
+    (states, h, noise): (&[u32], &[R], R),
+    of: Spread<'_, R>,
+    (G, K, T): (&mut [R], &mut [R], &mut [R]),
+) -> Update<R> {
+    sensitivity(frame, states, h, of.Psi, T);
+    let update = update(frame.r, states, h, noise, of.P, G, K);
+    correct(frame.p, K, T, of.Psi);
+    inform(T, update.weight, of.J);
+    update
+}
+
+/// P ← (I-Kh')P(I-hK') + KRK' with S, G and K of this very P: P - KG', and then its rounding errors E become (I-Kh')E(I-hK'). Of one
+/// state it is P R/S, and no digit is lost, whatever the noise. Below zero is returned where less than [`SHRUNK`] is left of a
+/// variance.
+#[inline(always)]
+fn joseph<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
     r: usize,
     terms: impl Fn() -> I,
-    (noise, weight): (R, R),
+    (noise, S): (R, R),
     P: &mut [R],
     G: &mut [R],
     K: &[R],
@@ -181,7 +204,7 @@ pub(crate) fn joseph<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
     let mut kept = R::splat(1.0);
     if r < 2 {
         if let (Some(P), Some(_)) = (P.first_mut(), terms().next()) {
-            *P = *P * (noise * weight);
+            *P = *P * (noise / S.or_one()); // to the bit where h = 0
         }
         return kept;
     }

@@ -118,7 +118,7 @@ pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
 pub(crate) use dynamics::{Component, Table};
 pub(crate) use gains::{Gains, Piece};
 pub(crate) use instances::Instance;
-pub(crate) use kernel::{advance, joseph, mirror, predict};
+pub(crate) use kernel::{advance, mirror, predict, update};
 pub(crate) use lanes::{Block, Gained, Woven};
 pub(crate) use motion::{Evaluated, Filled, MotionBack, Moves};
 pub(crate) use observe::Unwhitened;

@@ -116,6 +116,55 @@ fn the_score_of_a_long_record_equals_differences() {
     }
 }
 
+/// z = bias + x + v with x' = speed + ½, speed' = drift, seldom measured: between measurements x becomes far more uncertain than they
+/// are. α = (τ, σ) of the drift.
+fn coasting(noise: f64) -> Model {
+    let states = vec![
+        state("bias", Motion::Constant, Initial::Estimated),
+        state("x", continuous(vec![(2, number(1.0))], number(0.5), number(0.0)), known(number(0.0), number(1.0))),
+        state("speed", continuous(vec![(3, number(1.0))], number(0.0), number(0.0)), known(number(0.0), number(1.0))),
+        state("drift", gauss_markov(3, alpha(0), alpha(1)), known(number(0.0), number(0.5))),
+    ];
+    let parameters = (0..2).map(|k| by_hand::parameter(&format!("a{k}"), None, None, false)).collect();
+    let equation = linear(vec![(0, number(1.0)), (1, number(1.0))], number(0.0));
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter("z", 1, equation, number(noise))])
+}
+
+/// P and the gains must agree, or P leaves what is true at every measurement.
+#[test]
+fn the_score_of_a_process_that_coasts_equals_differences() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut normal = || -> f64 { rng.sample(StandardNormal) };
+    for (noise, values) in [(1.0, [100.0, 0.7]), (1e-12, [100.0, 7.0])] {
+        let [tau, sigma]: [f64; 2] = values;
+        let (mut test, mut x, mut speed, mut drift) = (Test::new("coasting", 2, 0), 0.0, 0.0, 0.5 * normal());
+        for k in 0..400_u32 {
+            test.push(&[10.0 * f64::from(k), 0.4 + x + normal()], &[], Source { file: 0, row: u64::from(k) });
+            for _ in 0..10 {
+                x += speed + 0.5 + 0.5 * drift;
+                speed += drift;
+                drift = drift * (-1.0 / tau).exp() + sigma * (2.0 / tau).sqrt() * normal();
+            }
+        }
+        let model = coasting(noise);
+        let slots = Slots::new(&model, &Labels::default(), std::slice::from_ref(&test));
+        let (_, score) = at(&model, &slots, &values, &test, false);
+        for slot in 0..2 {
+            let ell = |x: f64| {
+                let mut moved = values;
+                moved[slot] += x;
+                at(&model, &slots, &moved, &test, false).0
+            };
+            let h = 2e-3 * values[slot];
+            let central = |h: f64| (ell(h) - ell(-h)) / (2.0 * h);
+            let expected = (4.0 * central(h) - central(2.0 * h)) / 3.0;
+            let bound = 1e-5 * (expected.abs() + 1.0 / values[slot]);
+            let found = score[slot].1;
+            assert!((found - expected).abs() <= bound, "noise {noise}, slot {slot}: {found} against {expected}");
+        }
+    }
+}
+
 #[test]
 fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
     let tests: Vec<Test> = (0..4).map(|k| record(3000 + 700 * k)).collect();

@@ -9,7 +9,7 @@ use kalfit_lanes::{Kernel, Lanes};
 use crate::reduce::design::{Design, Pattern, Run, Transition};
 use crate::reduce::end::End;
 use crate::reduce::gains::{Gains, Piece};
-use crate::reduce::kernel;
+use crate::reduce::kernel::{self, Spread};
 use crate::reduce::lanes::numbers::{Numbers, Side, at, put};
 use crate::reduce::lanes::pass::innovate;
 use crate::reduce::lanes::room::Room;
@@ -303,10 +303,8 @@ impl<T: Lanes> State<T> {
             self.h.push(at(&gained.h, term));
         }
         let (states, noise) = (&design.states[start..design.ends[line]], at(&gained.noise, line));
-        kernel::sensitivity(frame, states, &self.h, &self.Psi, &mut self.T);
-        let update = kernel::update(frame.r, states, &self.h, noise, &mut self.P, &mut self.G, &mut self.K);
-        kernel::correct(frame.p, &self.K, &self.T, &mut self.Psi);
-        kernel::inform(&self.T, update.weight, &mut self.sums.J);
+        let of = Spread { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
+        let update = kernel::measure(frame, (states, &self.h, noise), of, (&mut self.G, &mut self.K, &mut self.T));
         self.sums.count(update.S, update.kept);
         let stride = 1 + frame.r;
         put(&mut gained.gains, row * stride, update.weight);

@@ -4,7 +4,7 @@
 use kalfit_lanes::Real;
 use nalgebra::{DMatrix, DMatrixView};
 
-use crate::reduce::{Transition, advance, joseph, mirror, predict};
+use crate::reduce::{Transition, advance, mirror, predict, update};
 use crate::score::backward::line::{Line, Unknown, dot};
 use crate::score::backward::run::Run;
 
@@ -16,12 +16,21 @@ pub(super) struct Filtered<T = f64> {
     pub(super) Psi: Vec<T>,
     rows: Vec<T>,
     G: Vec<T>,
+    K: Vec<T>,
     T: Vec<T>,
 }
 
 impl<T> Default for Filtered<T> {
     fn default() -> Filtered<T> {
-        Filtered { x: Vec::new(), P: Vec::new(), Psi: Vec::new(), rows: Vec::new(), G: Vec::new(), T: Vec::new() }
+        Filtered {
+            x: Vec::new(),
+            P: Vec::new(),
+            Psi: Vec::new(),
+            rows: Vec::new(),
+            G: Vec::new(),
+            K: Vec::new(),
+            T: Vec::new(),
+        }
     }
 }
 
@@ -155,25 +164,20 @@ impl<T: Real> Filtered<T> {
             }
         }
         if !self.P.is_empty() {
-            self.joseph(r, line);
+            self.spread(r, line);
         }
     }
 
-    /// P ← (I-Kh')P(I-Kh')' + KRK'.
+    /// The update of P, by gains of its own: those of the design may have come from square-root arrays, or be those of other steps
+    /// where they rest, and P would leave what is true under any but its own.
     #[inline(always)]
-    fn joseph(&mut self, r: usize, line: &Line<'_, T>) {
-        let reach = line.reach(r);
-        let (states, h, K) = (&line.states[..reach], &line.h[..reach], line.K);
-        let Filtered { P, G, .. } = self;
-        G.clear();
-        G.resize(r, T::splat(0.0));
-        for (row, G) in P.chunks_exact(r).zip(G.iter_mut()) {
-            for (&state, &h) in states.iter().zip(h) {
-                *G = h.fma(row[state as usize], *G);
-            }
+    fn spread(&mut self, r: usize, line: &Line<'_, T>) {
+        let Filtered { P, G, K, .. } = self;
+        for own in [&mut *G, &mut *K] {
+            own.clear();
+            own.resize(r, T::splat(0.0));
         }
-        let terms = || states.iter().map(|&state| state as usize).zip(h);
-        joseph(r, terms, (line.noise, line.weight), P, G, K);
+        update(r, line.states, line.h, line.noise, P, G, K);
         mirror(P, r);
     }
 }

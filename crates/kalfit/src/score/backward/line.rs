@@ -28,14 +28,6 @@ pub(super) struct Unknown<'a, T = f64> {
     pub(super) wanted: Wanted,
 }
 
-impl<T: Real> Line<'_, T> {
-    /// How many of its states are noisy ones, of which there are so many; they come first.
-    #[inline(always)]
-    pub(super) fn reach(&self, r: usize) -> usize {
-        self.states.partition_point(|&state| (state as usize) < r)
-    }
-}
-
 impl<T: Real> Unknown<'_, T> {
     /// Adjoints of φ or h are wanted, so that P and ΨC are needed.
     #[inline(always)]

@@ -1,7 +1,7 @@
 //! One step of the filter and its way back on arrays of known size, which stay in registers: one scalar measurement of the N
 //! states that move; those that rest are constants.
 
-use crate::reduce::{self, Motion, Stretch, mirror};
+use crate::reduce::{self, Motion, Stretch, mirror, update};
 use crate::score::backward::bars::{Bars, Gain, Rest, Spread, Sums};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::Run;
@@ -86,15 +86,11 @@ impl<const N: usize, const C: usize> Steady<N, C> {
             return Spread { P: from.P, Psi };
         }
         let mut to = self.spread(from);
-        let mut G = [0.0; N];
-        for i in 0..N {
-            G[i] = inner(&to.P[i], &self.filter.h);
-        }
         if gain.weight != 0.0 {
-            let terms = || self.filter.h.iter().enumerate();
-            reduce::joseph(N, terms, (self.noise, gain.weight), to.P.as_flattened_mut(), &mut G, K);
+            let (states, P) = (std::array::from_fn::<u32, N, _>(|i| i as u32), to.P.as_flattened_mut());
+            update(N, &states, &self.filter.h, self.noise, P, &mut [0.0; N], &mut [0.0; N]);
+            mirror(P, N);
         }
-        mirror(to.P.as_flattened_mut(), N);
         for i in 0..N {
             for j in 0..C {
                 to.Psi[i][j] -= K[i] * gain.T[j];
