@@ -4,12 +4,15 @@ mod batch;
 mod blocks;
 mod whole;
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
 use crate::reduce::blocks::ToEnd;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Reducer, Work};
@@ -85,6 +88,13 @@ impl PhasedReducer {
     pub fn unfrozen(mut self) -> PhasedReducer {
         self.phases = self.phases.into_iter().map(PhaseReducer::unfrozen).collect();
         self
+    }
+
+    /// Takes the steps that are known of the tests of each phase, and leaves what it finds with them.
+    pub(crate) fn knowing(&mut self, steps: &[Arc<KnownSteps>]) {
+        for (phase, steps) in self.phases.iter_mut().zip(steps) {
+            phase.reducer.know(steps.clone());
+        }
     }
 
     /// The phases, in order.

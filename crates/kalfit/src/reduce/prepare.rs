@@ -13,6 +13,7 @@ use crate::reduce::design::{Design, Transition};
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instances;
+use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::lanes::{Block, Gained, Room};
 use crate::reduce::motion::{Filled, Moves, Plan};
 use crate::reduce::observe::{Meters, Observed};
@@ -72,6 +73,8 @@ pub(crate) struct Preparer {
     /// How tests of one design are recognised; `None` where they cannot be, as values are mixed.
     pub(crate) looks: Option<Looks>,
     transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
+    /// Steps that were found at another α; `None` where nobody keeps them.
+    pub(crate) steps: Option<Arc<KnownSteps>>,
     /// Transitions computed for all tests.
     pub(crate) computed: AtomicU64,
 }
@@ -180,6 +183,7 @@ impl Preparer {
             law,
             looks,
             transitions: Shared::new(TRANSITION_BYTES),
+            steps: None,
             computed: AtomicU64::new(0),
         })
     }
@@ -257,10 +261,15 @@ impl Preparer {
 
     /// The steps of a test; `initial` is the time of x_0. Where nothing ever moves no transition leads to them.
     fn spans(&self, test: &Test, initial: Option<f64>, out: &mut Vec<Span>) -> Result<(), Box<Fault>> {
+        if let Some(known) = self.steps.as_ref().and_then(|steps| steps.of(test, initial)) {
+            out.clone_from(&known);
+            return Ok(());
+        }
         spans(&self.at(), test, initial, out)?;
         if self.plan.is_still() {
             out.iter_mut().for_each(|span| span.moves = false);
         }
+        self.steps.iter().for_each(|steps| steps.keep(test, initial, out));
         Ok(())
     }
 

@@ -19,6 +19,7 @@ use crate::reduce::ending::Ending;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
+use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::lanes::{Block, Gained, Room, fits, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::Memory;
@@ -119,6 +120,11 @@ impl Reducer {
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
         Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
+    }
+
+    /// Takes steps that are known of tests of one ensemble, and leaves what it finds with them: it must reduce no other.
+    pub(crate) fn know(&mut self, steps: Arc<KnownSteps>) {
+        self.preparer.steps = Some(steps);
     }
 
     fn of(preparer: Preparer, classes: Shared<Design, Result<Gains, RootError>>) -> Reducer {

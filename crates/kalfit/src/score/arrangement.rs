@@ -1,9 +1,9 @@
 //! How the tests of an ensemble are worked on together. None of it depends on α: it is found once.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::reduce::{KnownSteps, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions};
 use crate::score::{Companies, PhasedScorer};
 
 /// Which tests are alike, and which are kept side by side.
@@ -11,6 +11,8 @@ use crate::score::{Companies, PhasedScorer};
 pub(crate) struct Arrangement {
     companies: OnceLock<Companies>,
     blocks: OnceLock<Option<PhasedBlocks>>,
+    /// Steps of long records, by phase.
+    steps: OnceLock<Vec<Arc<KnownSteps>>>,
 }
 
 impl Arrangement {
@@ -21,6 +23,12 @@ impl Arrangement {
             let _ = self.companies.set(scorer.companies(tests));
         }
         self.companies.get().expect("they were set")
+    }
+
+    /// Lets a reducer know what steps the tests have, as far as they were found before.
+    pub(crate) fn tell_steps(&self, reducer: &mut PhasedReducer) {
+        let phases = reducer.phases().len();
+        reducer.knowing(self.steps.get_or_init(|| (0..phases).map(|_| Arc::default()).collect()));
     }
 
     /// The reductions at the α of a reducer that knows the slots, and what the scores of tests in blocks go back over.
