@@ -131,7 +131,7 @@ impl Plan {
 
     /// Nothing ever moves: a transition would change no state.
     pub(crate) fn is_still(&self) -> bool {
-        self.phi.is_empty() && self.q.is_empty() && self.drives.is_empty()
+        self.pattern.moved.is_empty() && self.pattern.pairs.is_empty() && self.drives.is_empty()
     }
 
     /// φ, Q and Γ of steps of length `dt`. `values`: the dynamics' coefficients on the step; `filled`: work space; `spare`:
