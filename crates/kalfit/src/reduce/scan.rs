@@ -7,23 +7,25 @@ use crate::reduce::data::{Data, DataWork};
 use crate::reduce::design::{Design, Stretch};
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::small::moving;
+use kalfit_lanes::Real;
 
 /// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
 pub(crate) const BLOCK: usize = 512;
 /// Sums side by side.
 const LANES: usize = 8;
 
-/// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d.
+/// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d. Tests side by
+/// side share φ and h.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Steady<const N: usize> {
+pub(crate) struct Steady<T, const N: usize> {
     pub(crate) phi: [[f64; N]; N],
     /// What the states that rest add to φx.
-    pub(crate) c: [f64; N],
+    pub(crate) c: [T; N],
     pub(crate) h: [f64; N],
     /// φ'h, so that e needs no predicted x.
     g: [f64; N],
     /// h'c and what the states that rest add to z.
-    d: f64,
+    d: T,
 }
 
 /// Runs the steps of a stretch that begins a piece; appends the innovations of each, and adds to e'S⁻¹e and y. False, and
@@ -66,7 +68,7 @@ fn steady<const N: usize>(
     values: &[f64],
     work: &mut DataWork,
 ) {
-    let step = Steady::<N>::new(design, stretch, &work.x);
+    let step = Steady::<f64, N>::new(design, stretch, &work.x);
     let (mut x, mut K) = ([0.0; N], [0.0; N]);
     x.copy_from_slice(&work.x[..N]);
     let (first, r) = (stretch.rows.start, design.frame.r);
@@ -84,10 +86,12 @@ fn steady<const N: usize>(
     work.x[..N].copy_from_slice(&x);
 }
 
-impl<const N: usize> Steady<N> {
+impl<T: Real, const N: usize> Steady<T, N> {
     /// `x`: the filter before them.
-    pub(crate) fn new(design: &Design, stretch: &Stretch<'_>, x: &[f64]) -> Steady<N> {
-        let mut step = Steady { phi: [[0.0; N]; N], c: [0.0; N], h: [0.0; N], g: [0.0; N], d: 0.0 };
+    #[inline(always)]
+    pub(crate) fn new(design: &Design, stretch: &Stretch<'_>, x: &[T]) -> Steady<T, N> {
+        let zero = T::splat(0.0);
+        let mut step = Steady { phi: [[0.0; N]; N], c: [zero; N], h: [0.0; N], g: [0.0; N], d: zero };
         (0..N).for_each(|i| step.phi[i][i] = 1.0);
         if let Some(transition) = stretch.transition {
             transition.pattern.moved.iter().for_each(|row| step.phi[row.state as usize] = [0.0; N]);
@@ -95,7 +99,7 @@ impl<const N: usize> Steady<N> {
                 if j < N {
                     step.phi[i][j] = phi;
                 } else {
-                    step.c[i] += phi * x[j];
+                    step.c[i] = T::splat(phi).fma(x[j], step.c[i]);
                 }
             }
         }
@@ -105,9 +109,9 @@ impl<const N: usize> Steady<N> {
                 i if i < N => {
                     step.h[i] = h;
                     (0..N).for_each(|j| step.g[j] += h * step.phi[i][j]);
-                    step.d += h * step.c[i];
+                    step.d = T::splat(h).fma(step.c[i], step.d);
                 }
-                i => step.d += h * x[i],
+                i => step.d = T::splat(h).fma(x[i], step.d),
             }
         }
         step
@@ -115,21 +119,21 @@ impl<const N: usize> Steady<N> {
 
     /// e of a measurement after the step from x.
     #[inline(always)]
-    pub(crate) fn innovation(&self, x: &[f64; N], z: f64) -> f64 {
+    pub(crate) fn innovation(&self, x: &[T; N], z: T) -> T {
         let mut e = z - self.d;
         for j in 0..N {
-            e -= self.g[j] * x[j];
+            e = T::splat(self.g[j]).fnma(x[j], e);
         }
         e
     }
 
     /// φx + c.
     #[inline(always)]
-    pub(crate) fn predicted(&self, x: &[f64; N]) -> [f64; N] {
+    pub(crate) fn predicted(&self, x: &[T; N]) -> [T; N] {
         let mut next = self.c;
         for i in 0..N {
             for j in 0..N {
-                next[i] += self.phi[i][j] * x[j];
+                next[i] = T::splat(self.phi[i][j]).fma(x[j], next[i]);
             }
         }
         next
@@ -137,20 +141,32 @@ impl<const N: usize> Steady<N> {
 
     /// φx + c + Ke.
     #[inline(always)]
-    pub(crate) fn state(&self, x: &[f64; N], K: &[f64; N], e: f64) -> [f64; N] {
+    pub(crate) fn state(&self, x: &[T; N], K: &[f64; N], e: T) -> [T; N] {
         let mut next = self.predicted(x);
         for i in 0..N {
-            next[i] += K[i] * e;
+            next[i] = T::splat(K[i]).fma(e, next[i]);
         }
         next
     }
 
     /// e; x is updated.
     #[inline(always)]
-    fn take(&self, x: &mut [f64; N], K: &[f64; N], z: f64) -> f64 {
+    fn take(&self, x: &mut [T; N], K: &[f64; N], z: T) -> T {
         let e = self.innovation(x, z);
         *x = self.state(x, K, e);
         e
+    }
+
+    /// φ'r.
+    #[inline(always)]
+    pub(crate) fn adjoint(&self, r: &[T; N]) -> [T; N] {
+        let mut out = [T::splat(0.0); N];
+        for k in 0..N {
+            for i in 0..N {
+                out[i] = T::splat(self.phi[k][i]).fma(r[k], out[i]);
+            }
+        }
+        out
     }
 }
 

@@ -24,6 +24,7 @@
 mod abreast;
 mod adjoint;
 mod bars;
+mod course;
 mod equal;
 mod filtered;
 mod line;

@@ -16,63 +16,44 @@ pub(super) struct Gain<const N: usize, const C: usize> {
     pub(super) T: [f64; C],
 }
 
-/// r, ρ, N.
+/// ρ, N.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bars<const N: usize, const C: usize> {
-    pub(super) r: [f64; N],
     pub(super) rho: [[f64; C]; N],
     pub(super) N: [[f64; N]; N],
 }
 
-/// Adjoints of the coefficients, summed over steps.
+/// The design's part of the adjoints of the coefficients, summed over steps.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sums<const N: usize, const C: usize> {
     pub(super) noise: f64,
-    pub(super) u: f64,
     pub(super) upsilon: [f64; C],
     pub(super) h: [f64; N],
     pub(super) q: [[f64; N]; N],
     pub(super) phi: [[f64; N]; N],
-    /// r and ρ where the transitions end.
-    pub(super) r: [f64; N],
+    /// ρ where the transitions end.
     pub(super) rho: [[f64; C]; N],
 }
 
-/// Products that are summed while N and ρ rest, so that only r and x change.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Rest<const N: usize> {
-    pub(super) count: usize,
-    pub(super) u: f64,
-    pub(super) uu: f64,
-    pub(super) ux: [f64; N],
-    pub(super) ur: [f64; N],
-    pub(super) r: [f64; N],
-    pub(super) rr: [[f64; N]; N],
-    pub(super) rx: [[f64; N]; N],
-}
-
 impl<const N: usize, const C: usize> Sums<N, C> {
-    pub(super) const ZERO: Sums<N, C> = Sums {
-        noise: 0.0,
-        u: 0.0,
-        upsilon: [0.0; C],
-        h: [0.0; N],
-        q: [[0.0; N]; N],
-        phi: [[0.0; N]; N],
-        r: [0.0; N],
-        rho: [[0.0; C]; N],
-    };
+    pub(super) const ZERO: Sums<N, C> =
+        Sums { noise: 0.0, upsilon: [0.0; C], h: [0.0; N], q: [[0.0; N]; N], phi: [[0.0; N]; N], rho: [[0.0; C]; N] };
+
+    /// Adds so many times what others are.
+    pub(super) fn add(&mut self, many: f64, others: &Sums<N, C>) {
+        self.noise += many * others.noise;
+        add(&mut self.upsilon, many, &others.upsilon);
+        add(&mut self.h, many, &others.h);
+        for i in 0..N {
+            add(&mut self.q[i], many, &others.q[i]);
+            add(&mut self.phi[i], many, &others.phi[i]);
+            add(&mut self.rho[i], many, &others.rho[i]);
+        }
+    }
 }
 
-impl<const N: usize> Rest<N> {
-    pub(super) const ZERO: Rest<N> = Rest {
-        count: 0,
-        u: 0.0,
-        uu: 0.0,
-        ux: [0.0; N],
-        ur: [0.0; N],
-        r: [0.0; N],
-        rr: [[0.0; N]; N],
-        rx: [[0.0; N]; N],
-    };
+fn add<const M: usize>(sum: &mut [f64; M], factor: f64, others: &[f64; M]) {
+    for (sum, other) in sum.iter_mut().zip(others) {
+        *sum += factor * other;
+    }
 }

@@ -2,7 +2,8 @@
 //! where these no longer change.
 
 use crate::reduce::{Frozen, Piece, Stretch, moving};
-use crate::score::backward::bars::{Bars, Gain, Rest, Spread, Sums};
+use crate::score::backward::bars::{Bars, Gain, Spread, Sums};
+use crate::score::backward::course::{Ahead, Answers};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::Run;
 use crate::score::backward::steady::Steady;
@@ -94,14 +95,14 @@ impl<'a> Steps<'a> {
             spreads.push(spread);
             let gain = self.gain(k);
             spread = step.advance(&spread, &gain, k < self.gains);
-            x = step.filter.state(&x, &gain.K, e[self.row(k)]);
+            x = step.course.filter.state(&x, &gain.K, e[self.row(k)]);
         }
         if to > self.moving {
             spreads.push(spread);
             let (from, gain) = (from.max(self.moving), self.gain::<N, C>(self.moving));
             xs.extend(e[self.row(from)..self.row(to)].iter().map(|&e| {
                 let before = x;
-                x = step.filter.state(&x, &gain.K, e);
+                x = step.course.filter.state(&x, &gain.K, e);
                 before
             }));
         }
@@ -123,18 +124,18 @@ fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mu
         }
         for k in from..to.min(steps.moving) {
             let gain = steps.gain::<N, C>(k);
-            let innovation = step.filter.innovation(&x, values[k]);
+            let innovation = step.course.filter.innovation(&x, values[k]);
             if tracked {
                 spread = step.advance(&spread, &gain, k < steps.gains);
             }
-            x = step.filter.state(&x, &gain.K, innovation);
+            x = step.course.filter.state(&x, &gain.K, innovation);
             e.push(innovation);
         }
         if to > steps.moving {
             let gain = steps.gain::<N, C>(steps.moving);
             e.extend(values[from.max(steps.moving)..to].iter().map(|&z| {
-                let innovation = step.filter.innovation(&x, z);
-                x = step.filter.state(&x, &gain.K, innovation);
+                let innovation = step.course.filter.innovation(&x, z);
+                x = step.course.filter.state(&x, &gain.K, innovation);
                 innovation
             }));
         }
@@ -181,11 +182,13 @@ fn marked<const N: usize, const C: usize>(mut kept: &[f64]) -> ([f64; N], Spread
 /// The way back over a stretch: its state, and whether N and ρ rest.
 struct Back<const N: usize, const C: usize> {
     step: Steady<N, C>,
+    r: [f64; N],
     bars: Bars<N, C>,
+    answers: Answers<f64, N>,
     sums: Sums<N, C>,
-    rest: Rest<N>,
-    /// P, ΨC and gains where they rest, while N and ρ do.
-    still: Option<(Spread<N, C>, Gain<N, C>)>,
+    /// P where it rests, and what each step adds to the sums while N and ρ rest too: so many steps so far.
+    still: Option<(Ahead<N>, Sums<N, C>)>,
+    rested: usize,
     watched: bool,
 }
 
@@ -218,17 +221,18 @@ fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &m
 impl<const N: usize, const C: usize> Back<N, C> {
     fn new(steps: &Steps<'_>, work: &mut BackwardWork) -> Back<N, C> {
         let (r, adjoint) = (steps.run.design.frame.r, &work.adjoint);
-        let mut bars = Bars { r: [0.0; N], rho: [[0.0; C]; N], N: [[0.0; N]; N] };
-        bars.r.copy_from_slice(&adjoint.r[..N]);
+        let mut bars = Bars { rho: [[0.0; C]; N], N: [[0.0; N]; N] };
         bars.rho.as_flattened_mut().copy_from_slice(&adjoint.rho[..N * C]);
         (0..r).for_each(|i| bars.N[i][..r].copy_from_slice(&adjoint.N[i * r..][..r]));
         work.settling.start(bars.rho.as_flattened());
         Back {
             step: Steady::new(steps.run, &steps.stretch, &work.now),
+            r: std::array::from_fn(|i| adjoint.r[i]),
             bars,
+            answers: Answers::none(),
             sums: Sums::ZERO,
-            rest: Rest::ZERO,
             still: None,
+            rested: 0,
             watched: work.settling.begin(steps.stretch.count - steps.moving),
         }
     }
@@ -245,13 +249,13 @@ impl<const N: usize, const C: usize> Back<N, C> {
         let (mut k, low) = (to, from.max(steps.moving));
         while k > low {
             let gain = steps.gain::<N, C>(k - 1);
-            if self.still.is_some() {
-                let mut r = self.bars.r;
+            if let Some((ahead, _)) = &self.still {
+                let (mut r, mut answers) = (self.r, self.answers);
                 for (&e, x) in e[low..k].iter().zip(&xs[low - from..k - from]).rev() {
-                    self.step.rest_back(&mut r, &gain, e, x, &mut self.rest);
+                    self.step.course.back(&mut r, (gain.weight, &gain.K), e, (x, ahead), &mut answers);
                 }
-                self.bars.r = r;
-                self.rest.count += k - low;
+                (self.r, self.answers) = (r, answers);
+                self.rested += k - low;
                 k = low;
                 continue;
             }
@@ -259,20 +263,28 @@ impl<const N: usize, const C: usize> Back<N, C> {
             let until = if self.watched { low.max(count.saturating_sub(work.settling.next_look())) } else { low };
             let spread = spreads[spreads.len() - 1];
             for k in (until..k).rev() {
-                self.step.back(&mut self.bars, &gain, e[k], (&xs[k - from], &spread), &mut self.sums);
+                self.step(&gain, e[k], (&xs[k - from], &spread));
             }
             k = until;
             if self.watched && self.looks(steps, count - k, &mut work.settling) {
-                self.still = Some((spread, gain));
+                self.still = Some((self.step.ahead(&spread.P), self.step.rested(&self.bars, &gain, &spread)));
             }
         }
         if from < steps.moving {
             self.settle();
         }
         for k in (from..k.min(to)).rev() {
-            let (gain, spread) = (steps.gain::<N, C>(k), &spreads[(k - from).min(spreads.len() - 1)]);
-            self.step.back(&mut self.bars, &gain, e[k], (&xs[k - from], spread), &mut self.sums);
+            let spread = &spreads[(k - from).min(spreads.len() - 1)];
+            self.step(&steps.gain(k), e[k], (&xs[k - from], spread));
         }
+    }
+
+    #[inline(always)]
+    fn step(&mut self, gain: &Gain<N, C>, e: f64, (x, spread): (&[f64; N], &Spread<N, C>)) {
+        let Back { step, r, bars, answers, sums, .. } = self;
+        let ahead = step.ahead(&spread.P);
+        step.course.back(r, (gain.weight, &gain.K), e, (x, &ahead), answers);
+        step.back(bars, gain, (spread, &ahead), sums);
     }
 
     /// Whether N and ρ have come to rest after so many steps.
@@ -289,20 +301,19 @@ impl<const N: usize, const C: usize> Back<N, C> {
         settling.look(done, (&information[..r * r], r), rho, Frozen::Nothing) == Frozen::All
     }
 
-    /// Sums what N and ρ have added since they came to rest.
+    /// Sums what the steps have added since N and ρ came to rest.
     fn settle(&mut self) {
-        if let Some((spread, gain)) = self.still.take() {
-            self.step.rested(&self.bars, &gain, &spread, &self.rest, &mut self.sums);
+        if let Some((_, each)) = self.still.take() {
+            self.sums.add(std::mem::take(&mut self.rested) as f64, &each);
         }
-        self.rest = Rest::ZERO;
     }
 
     /// The adjoints of the states before the stretch, and of its coefficients.
     fn finish(&self, steps: &Steps<'_>, work: &mut BackwardWork) {
-        let (run, sums) = (steps.run, &self.sums);
+        let (run, sums, answers) = (steps.run, &self.sums, &self.answers);
         let r = run.design.frame.r;
         let adjoint = &mut work.adjoint;
-        adjoint.r[..N].copy_from_slice(&self.bars.r);
+        adjoint.r[..N].copy_from_slice(&self.r);
         adjoint.rho[..N * C].copy_from_slice(self.bars.rho.as_flattened());
         (0..r).for_each(|i| adjoint.N[i * r..][..r].copy_from_slice(&self.bars.N[i][..r]));
         let mut add = |state: usize, factor: f64, u: f64, upsilon: &[f64; C]| {
@@ -311,24 +322,24 @@ impl<const N: usize, const C: usize> Back<N, C> {
         };
         let (states, h) = run.design.terms(steps.stretch.lines.start);
         for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
-            add(state as usize, h, sums.u, &sums.upsilon);
+            add(state as usize, h, answers.u, &sums.upsilon);
         }
         let bar = &mut work.measured;
         bar.noise.clear();
-        bar.noise.push(sums.noise);
+        bar.noise.push(sums.noise + 0.5 * answers.uu);
         bar.value.clear();
-        bar.value.push(-sums.u);
+        bar.value.push(-answers.u);
         bar.h.clear();
         if run.wanted.equation {
-            bar.h.extend_from_slice(&sums.h);
-            bar.h.extend((N..run.design.frame.n).map(|s| resting(&work.now, s, sums.u, &sums.upsilon)));
+            bar.h.extend(sums.h.iter().zip(&answers.h).map(|(design, data)| design + data));
+            bar.h.extend((N..run.design.frame.n).map(|s| resting(&work.now, s, answers.u, &sums.upsilon)));
         }
         let Some(transition) = steps.stretch.transition else { return };
         let (pattern, bar) = (&transition.pattern, &mut work.moved);
         bar.input.clear();
         bar.q.clear();
         bar.q.extend(pattern.pairs.iter().map(|&(i, j)| {
-            let one = sums.q[i as usize][j as usize];
+            let one = sums.q[i as usize][j as usize] + 0.5 * answers.rr[i as usize][j as usize];
             if i == j { one } else { 2.0 * one }
         }));
         bar.phi.clear();
@@ -338,11 +349,11 @@ impl<const N: usize, const C: usize> Back<N, C> {
             for k in row.start as usize..row.end as usize {
                 let j = pattern.columns[k] as usize;
                 if j >= N {
-                    add(j, transition.phi[k], sums.r[i], &sums.rho[i]);
+                    add(j, transition.phi[k], answers.r[i], &sums.rho[i]);
                 }
                 if run.wanted.motion {
-                    let rests = || resting(&work.now, j, sums.r[i], &sums.rho[i]);
-                    bar.phi[k] = if j < N { sums.phi[i][j] } else { rests() };
+                    let rests = || resting(&work.now, j, answers.r[i], &sums.rho[i]);
+                    bar.phi[k] = if j < N { sums.phi[i][j] + answers.phi[i][j] } else { rests() };
                 }
             }
         }
