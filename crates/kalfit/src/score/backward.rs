@@ -27,12 +27,12 @@ mod bars;
 mod course;
 mod equal;
 mod filtered;
+mod legs;
 mod line;
 mod parts;
 mod run;
 mod sink;
 mod smooth;
-mod spreads;
 mod steady;
 #[cfg(test)]
 mod tests;
@@ -43,11 +43,13 @@ use adjoint::{Adjoint, LineBar};
 use work::{Kind, Part};
 
 pub(crate) use abreast::{Abreast, LaneBars};
+pub(crate) use course::Answers;
+pub(crate) use equal::Equal;
 pub(crate) use filtered::Seen;
+pub(crate) use legs::{Leg, Legs};
 pub(crate) use run::{Ending, Run, Wanted};
 pub(crate) use sink::{MeasuredBar, MovedBar, Sink};
 pub(crate) use smooth::{Driven, Smoothed, Smoothing};
-pub(crate) use spreads::Spreads;
 pub(crate) use work::BackwardWork;
 
 impl Run<'_> {

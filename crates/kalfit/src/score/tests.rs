@@ -13,6 +13,7 @@ use crate::model::by_hand::{self, alpha, continuous, gauss_markov, known, linear
 use crate::model::{Initial, Model, Motion, Parameter, Value};
 use crate::reduce::ReductionRef;
 use crate::reduce::unpack;
+use crate::score::company::Told;
 use crate::score::moments::moments;
 
 /// z = bias + scale·walk + drift + level + v; α = (q, τ, σ, r, scale, level), of which the first `free` are free.
@@ -178,5 +179,47 @@ fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
     for k in 0..tests.len() {
         let alone = scorer.scores(&tests[k..=k], &moments[k..=k]).expect("sound");
         assert_eq!(alone[0], together[k]);
+    }
+}
+
+/// A record with rows that are missing, and values.
+fn gappy(number: u32) -> Test {
+    let mut rng = ChaCha8Rng::seed_from_u64(u64::from(number));
+    let long = record(6000);
+    let mut test = Test::new(format!("gappy {number}"), 2, 0);
+    for row in (0..long.rows()).filter(|row| !(1700..1703).contains(row) && !(4000..4900).contains(row)) {
+        let numbers = long.numbers(row);
+        let noise: f64 = rng.sample(StandardNormal);
+        let z = if row == 2500 || row == 2502 { f64::NAN } else { numbers[1] + 0.3 * noise };
+        test.push(&[numbers[0], z], &[], long.source(row));
+    }
+    test
+}
+
+#[test]
+fn long_records_that_are_alike_are_scored_as_one_by_one() {
+    let tests: Vec<Test> = (0..3).map(gappy).collect();
+    for free in [1, 4, 6] {
+        let model = model(free);
+        let slots = Slots::new(&model, &Labels::default(), &tests);
+        let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES[..free]), &slots).expect("sound");
+        let reductions = reducer.reduce(&tests).expect("sound");
+        let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
+        let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
+        let told = |(test, moments): (_, &Moments)| Told { test, mean: moments.mean.clone(), ending: Vec::new() };
+        let told: Vec<Told<'_>> = tests.iter().zip(&moments).map(told).collect();
+        let (mut work, mut backward, mut adjoints) =
+            (reducer.workspace(), BackwardWork::default(), scorer.chain.adjoints());
+        let room = (&mut work, &mut backward, &mut adjoints);
+        let together = scorer.company(&told, (&moments[0], None), room).expect("sound").expect("they are alike");
+        let alone = scorer.scores(&tests, &moments).expect("sound");
+        for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
+            assert_eq!(found.len(), free, "each value counts");
+            for ((slot, found), (at, expected)) in found.iter().zip(expected) {
+                assert_eq!(slot, at);
+                let off = (found - expected).abs() / (1.0 + expected.abs());
+                assert!(off < 1e-10, "{free} free, test {number}, value {slot}: {found}, alone {expected}");
+            }
+        }
     }
 }

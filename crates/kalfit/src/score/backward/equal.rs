@@ -1,9 +1,11 @@
 //! Many equal steps of one scalar measurement, of few moving states: back through them with sums, and without renewing N and ρ
 //! where these no longer change.
 
+use kalfit_lanes::Real;
+
 use crate::reduce::{Frozen, Piece, Stretch, moving};
 use crate::score::backward::bars::{Bars, Gain, Spread, Sums};
-use crate::score::backward::course::{Ahead, Answers};
+use crate::score::backward::course::{Ahead, Answers, Course};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::Run;
 use crate::score::backward::steady::Steady;
@@ -43,27 +45,84 @@ pub(super) fn kernel(run: &Run<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
 }
 
 /// A stretch with its gains: from `moving` steps on none of them changes, from `gains` on S and K do not.
-struct Steps<'a> {
+#[derive(Debug)]
+pub(crate) struct Equal<'a> {
     run: &'a Run<'a>,
-    stretch: Stretch<'a>,
+    pub(crate) stretch: Stretch<'a>,
     piece: &'a Piece,
     moving: usize,
     gains: usize,
     block: usize,
+    /// States that move, and P of these at the beginning of each block; empty where nobody wants it.
+    pub(crate) states: usize,
+    marks: Vec<f64>,
 }
 
-impl<'a> Steps<'a> {
-    fn new(run: &'a Run<'a>, part: &Part, block: usize) -> Steps<'a> {
+impl<'a> Equal<'a> {
+    pub(super) fn new(run: &'a Run<'a>, part: &Part, block: usize) -> Equal<'a> {
         let stretch = run.design.stretch(part.stretch);
         let first = stretch.rows.start;
         let piece = &run.gains.pieces[run.gains.piece(first)];
         let moving = (piece.row + piece.moving()).saturating_sub(first).min(stretch.count);
         let gains = piece.moving_gains(first).min(stretch.count);
-        Steps { run, stretch, piece, moving, gains, block }
+        Equal { run, stretch, piece, moving, gains, block, states: 0, marks: Vec::new() }
+    }
+
+    /// With P at the beginning of each block.
+    pub(super) fn with_marks(self, states: usize, marks: Vec<f64>) -> Equal<'a> {
+        Equal { states, marks, ..self }
     }
 
     fn row(&self, step: usize) -> usize {
         self.stretch.rows.start + step
+    }
+
+    /// Steps from which on nothing changes.
+    pub(crate) fn moving(&self) -> usize {
+        self.moving
+    }
+
+    /// Its blocks: from and to.
+    pub(crate) fn blocks(&self) -> impl DoubleEndedIterator<Item = (usize, usize)> + ExactSizeIterator + use<> {
+        let (count, block) = (self.stretch.count, self.block);
+        (0..count).step_by(block).map(move |from| (from, count.min(from + block)))
+    }
+
+    /// The coefficients of other data; `x`: their filter before these steps.
+    #[inline(always)]
+    pub(crate) fn course<T: Real, const N: usize>(&self, x: &[T]) -> Course<T, N> {
+        Course::new(self.run, &self.stretch, x)
+    }
+
+    /// 1/S and K of a step.
+    #[inline(always)]
+    pub(crate) fn weighted<const N: usize>(&self, step: usize) -> (f64, [f64; N]) {
+        let (weight, own, _) = self.run.gains.of(self.piece, self.row(step));
+        let mut K = [0.0; N];
+        K[..own.len()].copy_from_slice(own);
+        (weight, K)
+    }
+
+    /// P ahead of the steps of a block as long as it changes; the last one is that of all others.
+    pub(crate) fn ahead<const N: usize>(&self, (from, to): (usize, usize)) -> Vec<Ahead<N>> {
+        let mut P = [[0.0; N]; N];
+        if self.marks.is_empty() {
+            return vec![Ahead { left: P, arrived: P }];
+        }
+        P.as_flattened_mut().copy_from_slice(&self.marks[from / self.block * N * N..][..N * N]);
+        let rests = Filtered::zero(self.run.design.frame.n);
+        let step = Steady::<N, 0>::new(self.run, &self.stretch, &rests);
+        let mut all = Vec::with_capacity(to - from);
+        for k in from..to.min(self.moving) {
+            all.push(step.ahead(&P));
+            if k < self.gains {
+                P = step.updated(&P, self.run.gains.of(self.piece, self.row(k)).0);
+            }
+        }
+        if to > self.moving {
+            all.push(step.ahead(&P));
+        }
+        all
     }
 
     #[inline(always)]
@@ -111,14 +170,13 @@ impl<'a> Steps<'a> {
 
 /// The innovations of a stretch; the state of the filter is kept at the beginning of every block but the first.
 fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mut BackwardWork) {
-    let steps = Steps::new(run, part, work.cut.block);
+    let steps = Equal::new(run, part, work.cut.block);
     let BackwardWork { e, marks, now, .. } = work;
     let step = Steady::<N, C>::new(run, &steps.stretch, now);
     let (mut x, mut spread) = load::<N, C>(run, now);
-    let (tracked, count) = (run.tracked(), steps.stretch.count);
+    let tracked = run.tracked();
     let values = &run.values[steps.stretch.rows.clone()];
-    for from in (0..count).step_by(steps.block) {
-        let to = count.min(from + steps.block);
+    for (from, to) in steps.blocks() {
         if tracked && from > 0 {
             save(&x, &spread, marks);
         }
@@ -194,12 +252,10 @@ struct Back<const N: usize, const C: usize> {
 
 /// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
 fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mut BackwardWork) {
-    let steps = Steps::new(run, part, work.cut.block);
-    let count = steps.stretch.count;
+    let steps = Equal::new(run, part, work.cut.block);
     let mut back = Back::<N, C>::new(&steps, work);
     let (mut xs, mut spreads) = (Vec::new(), Vec::new());
-    for from in (0..count).step_by(steps.block).rev() {
-        let to = count.min(from + steps.block);
+    for (from, to) in steps.blocks().rev() {
         if run.tracked() {
             let start = if from == 0 {
                 load(run, &work.now)
@@ -219,7 +275,7 @@ fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &m
 }
 
 impl<const N: usize, const C: usize> Back<N, C> {
-    fn new(steps: &Steps<'_>, work: &mut BackwardWork) -> Back<N, C> {
+    fn new(steps: &Equal<'_>, work: &mut BackwardWork) -> Back<N, C> {
         let (r, adjoint) = (steps.run.design.frame.r, &work.adjoint);
         let mut bars = Bars { rho: [[0.0; C]; N], N: [[0.0; N]; N] };
         bars.rho.as_flattened_mut().copy_from_slice(&adjoint.rho[..N * C]);
@@ -240,7 +296,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
     /// Back over steps `from..to`.
     fn block(
         &mut self,
-        steps: &Steps<'_>,
+        steps: &Equal<'_>,
         (from, to): (usize, usize),
         (xs, spreads): (&[[f64; N]], &[Spread<N, C>]),
         work: &mut BackwardWork,
@@ -288,7 +344,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
     }
 
     /// Whether N and ρ have come to rest after so many steps.
-    fn looks(&self, steps: &Steps<'_>, done: usize, settling: &mut crate::reduce::Settling) -> bool {
+    fn looks(&self, steps: &Equal<'_>, done: usize, settling: &mut crate::reduce::Settling) -> bool {
         if done < settling.next_look() {
             return false;
         }
@@ -309,7 +365,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
     }
 
     /// The adjoints of the states before the stretch, and of its coefficients.
-    fn finish(&self, steps: &Steps<'_>, work: &mut BackwardWork) {
+    fn finish(&self, steps: &Equal<'_>, work: &mut BackwardWork) {
         let (run, sums, answers) = (steps.run, &self.sums, &self.answers);
         let r = run.design.frame.r;
         let adjoint = &mut work.adjoint;

@@ -183,6 +183,11 @@ impl<T: Real> Filtered<T> {
 }
 
 impl Filtered {
+    /// x̄ of zero, where nobody asks for more.
+    pub(super) fn zero(n: usize) -> Filtered {
+        Filtered { x: vec![0.0; n], ..Filtered::default() }
+    }
+
     pub(super) fn load(&mut self, kept: &[f64], sizes: (usize, usize)) {
         let seen = Seen::new(kept, sizes);
         for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {

@@ -35,7 +35,7 @@ impl Run<'_> {
     }
 
     /// Cuts the record into parts.
-    fn cut<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
+    pub(crate) fn cut<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         let (parts, cut, driven) = (&mut work.parts, work.cut, self.design.frame.driven.len());
         parts.clear();
         let (mut step, mut input, mut many) = (0, 0, 0);

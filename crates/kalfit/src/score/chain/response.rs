@@ -59,9 +59,9 @@ pub(crate) struct Response {
     /// (place among the slots, factor).
     factors: Vec<(u32, f64)>,
     entries: Vec<Entry>,
-    /// One for each scalar measurement.
+    /// One for each scalar measurement of the steps that were asked about.
     pub(crate) rows: Vec<RowResponse>,
-    /// One for each transition.
+    /// One for each transition to them.
     pub(crate) moves: Vec<MoveResponse>,
     /// To ∂ℓ/∂a, by state.
     pub(crate) mean: Range<usize>,
@@ -105,13 +105,18 @@ struct Asking<'a, 'b> {
 }
 
 impl Adjoints<'_> {
-    /// The answers of the test in the work space, after [`Preparer::prepare`](crate::reduce::Preparer::prepare).
+    /// The answers of these steps, ascending, and of the start of the test in the work space, after
+    /// [`Preparer::prepare`](crate::reduce::Preparer::prepare).
     ///
     /// # Errors
     /// Where a derivative is not finite; there may be none where the adjoint is zero.
-    pub(crate) fn response(&mut self, test: &Test, work: &Workspace) -> Result<Response, Box<Fault>> {
+    pub(crate) fn response(
+        &mut self,
+        (test, work): (&Test, &Workspace),
+        steps: impl Iterator<Item = usize>,
+    ) -> Result<Response, Box<Fault>> {
         let mut asking = Asking { adjoints: self, test, work, response: Response::default(), known: HashMap::new() };
-        let done = asking.all();
+        let done = asking.all(steps);
         let response = asking.response;
         if done.is_err() {
             self.clear();
@@ -129,9 +134,10 @@ impl Adjoints<'_> {
 }
 
 impl Asking<'_, '_> {
-    fn all(&mut self) -> Result<(), Box<Fault>> {
+    fn all(&mut self, steps: impl Iterator<Item = usize>) -> Result<(), Box<Fault>> {
         let work = self.work;
-        for (k, step) in work.design.each_step().enumerate() {
+        for k in steps {
+            let step = work.design.step(k);
             if let Some(transition) = step.transition {
                 let own = self.transition(k, Arc::as_ptr(transition) as usize)?;
                 self.response.moves.push(own);

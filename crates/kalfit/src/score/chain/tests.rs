@@ -136,7 +136,7 @@ fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: 
 /// The same from the answers to each adjoint.
 fn answered(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Vec<f64> {
     let chain = Chain::new(preparer, slots).expect("differentiable");
-    let response = chain.adjoints().response(test, work).expect("finite");
+    let response = chain.adjoints().response((test, work), 0..work.design.steps()).expect("finite");
     let design = &work.design;
     let (n, r, driven) = (design.frame.n, design.frame.r, &design.frame.driven);
     let mut sums = vec![0.0; slots.len()];

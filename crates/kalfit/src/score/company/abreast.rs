@@ -1,4 +1,4 @@
-//! The data's part of the backward pass of tests that share all else, a test in each lane.
+//! The data's part of the backward pass of tests that share all else, a test in each lane. Of steps one by one:
 //!
 //! ```text
 //! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
@@ -10,8 +10,9 @@ use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::ensemble::Test;
 use crate::reduce::{Design, Gains, Step, Transition};
-use crate::score::backward::Spreads;
+use crate::score::backward::{Answers, Equal, Leg, Legs};
 use crate::score::chain::{Entry, Response};
+use crate::score::company::equal::{Back, Forth};
 
 /// What tests share.
 #[derive(Debug)]
@@ -22,9 +23,9 @@ pub(super) struct Shared<'a> {
     pub(super) inputs: &'a [f64],
     /// Cell and d of each scalar measurement.
     pub(super) cells: &'a [(usize, f64)],
-    pub(super) spreads: &'a Spreads,
+    pub(super) legs: &'a Legs<'a>,
+    /// Of the steps that stand for all.
     pub(super) response: &'a Response,
-    pub(super) steps: &'a [Step<'a>],
 }
 
 /// One of the tests: what it alone has.
@@ -71,13 +72,22 @@ struct Pass<T> {
     /// x̄ on the way forth, r on the way back.
     x: Vec<T>,
     moved: Vec<T>,
-    /// ē of each scalar measurement.
+    /// z - d on the way forth, ē from there on, of each scalar measurement.
     e: Vec<T>,
-    /// x̄ before each transition, and before each measurement, where P is wanted too.
+    /// x̄ before each transition, and before each measurement, of the steps that stand for all, where P is wanted too.
     left: Vec<T>,
     before: Vec<T>,
+    /// x̄ before equal steps, of all states, and of those that move at the beginning of each block; leg after leg.
+    marks: Vec<T>,
     /// By slot.
     sums: Vec<T>,
+}
+
+/// Numbers of the measurement and the transition that come next, among those of the steps that stand for all.
+#[derive(Debug, Clone, Copy, Default)]
+struct Standing {
+    row: usize,
+    transition: usize,
 }
 
 /// The same number of each test; lanes beyond the last test are as the last one.
@@ -90,18 +100,35 @@ fn each<T: Lanes>(tests: &[Own<'_>], mut number: impl FnMut(&Own<'_>) -> f64) ->
     T::load(&lanes)
 }
 
+/// Does something with the number of states that move as a constant: there are no more than four.
+macro_rules! with_states {
+    ($states:expr, $N:ident => $work:expr) => {
+        match $states {
+            0 => with_states!(@ 0, $N => $work),
+            1 => with_states!(@ 1, $N => $work),
+            2 => with_states!(@ 2, $N => $work),
+            3 => with_states!(@ 3, $N => $work),
+            _ => with_states!(@ 4, $N => $work),
+        }
+    };
+    (@ $n:literal, $N:ident => $work:expr) => {{
+        const $N: usize = $n;
+        $work
+    }};
+}
+
 impl<T: Lanes> Pass<T> {
     fn new(shared: &Shared<'_>) -> Pass<T> {
-        let (zero, n) = (T::splat(0.0), shared.design.frame.n);
-        let transitions = shared.steps.iter().filter(|step| step.transition.is_some()).count();
+        let (zero, n, response) = (T::splat(0.0), shared.design.frame.n, shared.response);
         let wanted = |of: &[f64], many: usize| if of.is_empty() { 0 } else { many * n };
         Pass {
             x: vec![zero; n],
             moved: vec![zero; n],
             e: vec![zero; shared.cells.len()],
-            left: vec![zero; wanted(&shared.spreads.left, transitions)],
-            before: vec![zero; wanted(&shared.spreads.before, shared.cells.len())],
-            sums: vec![zero; shared.response.slots.len()],
+            left: vec![zero; wanted(&shared.legs.left, response.moves.len())],
+            before: vec![zero; wanted(&shared.legs.before, response.rows.len())],
+            marks: Vec::new(),
+            sums: vec![zero; response.slots.len()],
         }
     }
 
@@ -109,7 +136,7 @@ impl<T: Lanes> Pass<T> {
     #[inline(always)]
     fn forth(&mut self, shared: &Shared<'_>, tests: &[Own<'_>]) {
         let frame = &*shared.design.frame;
-        let (n, p, r) = (frame.n, frame.p, frame.r);
+        let (n, p) = (frame.n, frame.p);
         for i in 0..n {
             self.x[i] = T::splat(shared.start[i]);
         }
@@ -122,35 +149,66 @@ impl<T: Lanes> Pass<T> {
                 }
             }
         }
-        let (mut transitions, mut input) = (0, 0);
-        for step in shared.steps {
-            if let Some(transition) = step.transition {
-                if !self.left.is_empty() {
-                    self.left[transitions * n..][..n].copy_from_slice(&self.x);
-                }
-                self.advance(transition);
-                for &state in &frame.driven {
-                    self.x[state as usize] = self.x[state as usize] + T::splat(shared.inputs[input]);
-                    input += 1;
-                }
-                transitions += 1;
+        let numbers: [&[f64]; MOST] = std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
+        for (e, &(cell, d)) in self.e.iter_mut().zip(shared.cells) {
+            let mut lanes = [0.0; MOST];
+            for lane in 0..T::COUNT {
+                lanes[lane] = numbers[lane][cell] - d;
             }
-            for (line, row) in step.lines.clone().zip(step.rows.clone()) {
-                if !self.before.is_empty() {
-                    self.before[row * n..][..n].copy_from_slice(&self.x);
+            *e = T::load(&lanes);
+        }
+        self.marks.clear();
+        let (mut at, mut input) = (Standing::default(), 0);
+        for leg in &shared.legs.legs {
+            match leg {
+                Leg::Steps(steps) => steps.iter().for_each(|step| self.step_forth(shared, step, (&mut at, &mut input))),
+                Leg::Equal(leg) => {
+                    self.equal_forth(leg);
+                    at.row += 1;
+                    at.transition += usize::from(leg.stretch.transition.is_some());
                 }
-                let ((states, h), (_, K, _)) = (shared.design.terms(line), shared.gains.row(row));
-                let (cell, d) = shared.cells[row];
-                let mut e = each::<T>(tests, |own| own.test.all_numbers()[cell] - d);
-                for (&state, &h) in states.iter().zip(h) {
-                    e = T::splat(h).fnma(self.x[state as usize], e);
-                }
-                for i in 0..r {
-                    self.x[i] = T::splat(K[i]).fma(e, self.x[i]);
-                }
-                self.e[row] = e;
             }
         }
+    }
+
+    #[inline(always)]
+    fn step_forth(&mut self, shared: &Shared<'_>, step: &Step<'_>, (at, input): (&mut Standing, &mut usize)) {
+        let frame = &*shared.design.frame;
+        let (n, r) = (frame.n, frame.r);
+        if let Some(transition) = step.transition {
+            if !self.left.is_empty() {
+                self.left[at.transition * n..][..n].copy_from_slice(&self.x);
+            }
+            self.advance(transition);
+            for &state in &frame.driven {
+                self.x[state as usize] = self.x[state as usize] + T::splat(shared.inputs[*input]);
+                *input += 1;
+            }
+            at.transition += 1;
+        }
+        for (line, row) in step.lines.clone().zip(step.rows.clone()) {
+            if !self.before.is_empty() {
+                self.before[at.row * n..][..n].copy_from_slice(&self.x);
+            }
+            let ((states, h), (_, K, _)) = (shared.design.terms(line), shared.gains.row(row));
+            let mut e = self.e[row];
+            for (&state, &h) in states.iter().zip(h) {
+                e = T::splat(h).fnma(self.x[state as usize], e);
+            }
+            for i in 0..r {
+                self.x[i] = T::splat(K[i]).fma(e, self.x[i]);
+            }
+            self.e[row] = e;
+            at.row += 1;
+        }
+    }
+
+    #[inline(always)]
+    fn equal_forth(&mut self, leg: &Equal<'_>) {
+        let Pass { x, e, marks, .. } = self;
+        marks.extend_from_slice(x);
+        let e = &mut e[leg.stretch.rows.clone()];
+        with_states!(leg.states, N => T::apart(Forth::<T, N> { leg, x, e, marks }));
     }
 
     /// x ← φx.
@@ -179,14 +237,15 @@ impl<T: Lanes> Pass<T> {
             *sum = T::splat(0.0);
         }
         let response = shared.response;
-        let mut transitions = response.moves.len();
-        for step in shared.steps.iter().rev() {
-            for (line, row) in step.lines.clone().zip(step.rows.clone()).rev() {
-                self.measured(shared, (line, row));
-            }
-            if let Some(transition) = step.transition {
-                transitions -= 1;
-                self.moved(shared, transition, transitions);
+        let mut at = Standing { row: response.rows.len(), transition: response.moves.len() };
+        for leg in shared.legs.legs.iter().rev() {
+            match leg {
+                Leg::Steps(steps) => steps.iter().rev().for_each(|step| self.step_back(shared, step, &mut at)),
+                Leg::Equal(leg) => {
+                    at.row -= 1;
+                    at.transition -= usize::from(leg.stretch.transition.is_some());
+                    self.equal_back(shared, leg, at);
+                }
             }
         }
         for entry in response.entries(&response.mean) {
@@ -197,15 +256,79 @@ impl<T: Lanes> Pass<T> {
         }
     }
 
+    #[inline(always)]
+    fn step_back(&mut self, shared: &Shared<'_>, step: &Step<'_>, at: &mut Standing) {
+        for (line, row) in step.lines.clone().zip(step.rows.clone()).rev() {
+            at.row -= 1;
+            self.measured(shared, (line, row), at.row);
+        }
+        if let Some(transition) = step.transition {
+            at.transition -= 1;
+            self.moved(shared, transition, at.transition);
+        }
+    }
+
+    #[inline(always)]
+    fn equal_back(&mut self, shared: &Shared<'_>, leg: &Equal<'_>, at: Standing) {
+        let (n, states) = (self.x.len(), leg.states);
+        let start = self.marks.len() - n - leg.blocks().count() * states;
+        let Pass { x: r, e, marks, .. } = &mut *self;
+        let (first, marks) = marks[start..].split_at(n);
+        let first = first.to_vec();
+        let e = &e[leg.stretch.rows.clone()];
+        with_states!(states, N => {
+            let answers = T::apart(Back::<T, N> { leg, first: &first, marks, e, r });
+            self.answered(shared, leg, (at, &first), &answers);
+        });
+        self.marks.truncate(start);
+    }
+
+    /// Takes the adjoints of equal steps to the slots, and to the states that rest: `first`: x̄ before them.
+    #[inline(always)]
+    fn answered<const N: usize>(
+        &mut self,
+        shared: &Shared<'_>,
+        leg: &Equal<'_>,
+        (at, first): (Standing, &[T]),
+        answers: &Answers<T, N>,
+    ) {
+        let (response, half) = (shared.response, T::splat(0.5));
+        let own = &response.rows[at.row];
+        self.add_span(response, own.noise, half * answers.uu);
+        self.add_span(response, own.value, -answers.u);
+        for entry in response.entries(&own.h) {
+            let rests = || answers.u * first[entry.i];
+            self.add(response, entry, answers.h.get(entry.i).copied().unwrap_or_else(rests));
+        }
+        let (states, h) = shared.design.terms(leg.stretch.lines.start);
+        for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
+            self.x[state as usize] = T::splat(h).fma(answers.u, self.x[state as usize]);
+        }
+        let Some(transition) = leg.stretch.transition else { return };
+        let (own, pattern) = (&response.moves[at.transition], &transition.pattern);
+        for entry in response.entries(&own.q) {
+            let both = answers.rr[entry.i.max(entry.j)][entry.i.min(entry.j)];
+            self.add(response, entry, if entry.i == entry.j { half * both } else { both });
+        }
+        for entry in response.entries(&own.phi) {
+            let i = pattern.moved[entry.i].state as usize;
+            let rests = || answers.r[i] * first[entry.j];
+            self.add(response, entry, answers.phi[i].get(entry.j).copied().unwrap_or_else(rests));
+        }
+        for (i, j, phi) in transition.entries().filter(|&(_, j, _)| j >= N) {
+            self.x[j] = T::splat(phi).fma(answers.r[i], self.x[j]);
+        }
+    }
+
     /// A scalar measurement on its way back.
     #[inline(always)]
-    fn measured(&mut self, shared: &Shared<'_>, (line, row): (usize, usize)) {
+    fn measured(&mut self, shared: &Shared<'_>, (line, row): (usize, usize), standing: usize) {
         let (weight, K, _) = shared.gains.row(row);
         if weight == 0.0 {
             return; // it can only be what it is
         }
         let (states, h) = shared.design.terms(line);
-        let (response, own) = (shared.response, &shared.response.rows[row]);
+        let (response, own) = (shared.response, &shared.response.rows[standing]);
         let mut u = self.e[row] * T::splat(weight);
         for (i, &K) in K.iter().enumerate() {
             u = T::splat(K).fnma(self.x[i], u);
@@ -217,8 +340,8 @@ impl<T: Lanes> Pass<T> {
         }
         let (n, r) = (self.x.len(), K.len());
         for entry in response.entries(&own.h) {
-            let P = shared.spreads.before.get((row * r + entry.i) * r..).unwrap_or(&[]);
-            let smoothed = self.smoothed(self.before[row * n + entry.i], (entry.i < r).then_some(&P[..r]));
+            let P = shared.legs.before.get((standing * r + entry.i) * r..).unwrap_or(&[]);
+            let smoothed = self.smoothed(self.before[standing * n + entry.i], (entry.i < r).then_some(&P[..r]));
             self.add(response, entry, u * smoothed);
         }
     }
@@ -246,7 +369,7 @@ impl<T: Lanes> Pass<T> {
             }
         }
         for entry in response.entries(&own.phi) {
-            let P = shared.spreads.left.get((number * r + entry.j) * r..).unwrap_or(&[]);
+            let P = shared.legs.left.get((number * r + entry.j) * r..).unwrap_or(&[]);
             let smoothed = self.smoothed(self.left[number * n + entry.j], (entry.j < r).then_some(&P[..r]));
             self.add(response, entry, self.moved[entry.i] * smoothed);
         }

@@ -6,8 +6,11 @@ use rayon::prelude::*;
 
 use crate::reduce::{PhasedReducer, PhasedTest};
 
-/// Fewer tests than these are not worth a company.
+/// Fewer tests than these are not worth a company,
 const FEWEST: usize = 16;
+/// but two are where they have so many rows, in so many times fewer runs of equal steps.
+const LONG: usize = 1 << 10;
+const EQUAL: usize = 16;
 
 /// The tests of an ensemble by whose company they are in. It depends on the ensemble, not on the order of its tests.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -41,11 +44,12 @@ impl Companies {
         let mut found = Companies::default();
         for mut left in known.into_values() {
             // tests of one hash are alike, but for chance
-            while left.len() >= FEWEST {
+            let fewest = if left.len() < FEWEST && is_long(reducer, &tests[left[0]]) { 2 } else { FEWEST };
+            while left.len() >= fewest {
                 let own = likeness(left[0]);
                 let (like, rest): (Vec<usize>, Vec<usize>) =
                     left.par_iter().partition(|&&number| likeness(number) == own);
-                if like.len() < FEWEST {
+                if like.len() < fewest {
                     found.alone.extend(like)
                 } else {
                     found.companies.push(like)
@@ -62,4 +66,17 @@ impl Companies {
     pub(crate) fn none(tests: usize) -> Companies {
         Companies { companies: Vec::new(), alone: (0..tests).collect() }
     }
+}
+
+/// Whether most of a test are long stretches of equal steps, which other data pass over quickly.
+fn is_long(reducer: &PhasedReducer, test: &PhasedTest) -> bool {
+    let phases = (0..reducer.phases().len()).filter_map(|at| Some((at, reducer.rows_of(at, test)?)));
+    phases.clone().map(|(_, rows)| rows.rows()).sum::<usize>() >= LONG
+        && phases.into_iter().all(|(at, rows)| {
+            let reducer = &reducer.phases()[at].reducer;
+            let mut work = reducer.workspace();
+            let sound = reducer.preparer().prepare(rows, &mut work).is_ok();
+            let design = &work.design;
+            sound && design.frame.driven.is_empty() && EQUAL * design.runs.len() <= design.steps()
+        })
 }

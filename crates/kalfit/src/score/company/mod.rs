@@ -12,11 +12,13 @@
 
 mod abreast;
 mod alike;
+mod equal;
+
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::{Design, Fault, Gains, ReduceError, Step, Workspace};
+use crate::reduce::{Design, Fault, Gains, ReduceError, Workspace};
 use crate::score::backward::{BackwardWork, Ending, Run, Wanted};
 use crate::score::chain::{Adjoints, Gradient, Response, add};
 use crate::score::moments::Moments;
@@ -25,10 +27,12 @@ use abreast::{Abreast, Own, Shared};
 
 pub(crate) use alike::Companies;
 
-/// Numbers that one test passes through and that are remembered: no more than these.
+/// Numbers that one test passes through one by one and that are remembered: no more than these.
 const MOST_NUMBERS: usize = 1 << 16;
 /// Numbers of all P that are remembered.
 const MOST_SPREADS: usize = 1 << 20;
+/// Most measurements of a test: their innovations are remembered for each lane.
+const MOST_ROWS: usize = 1 << 23;
 /// Tests that one thread passes through at a time.
 const SHARE: usize = 256;
 
@@ -53,26 +57,27 @@ impl Scorer<'_> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let first = tests[0].test;
         let found: Result<_, Box<Fault>> = self.reducer.with_gains(first, work, |gains, work| {
-            if adjoints.questions(work) > tests.len() || !is_small(&work.design, wanted) {
-                return Ok(None);
-            }
             let cells = self.reducer.preparer().measured_cells(first, work)?;
-            let response = adjoints.response(first, work)?;
             let blank = Blank::new(work, shared);
             let run = blank.run((&work.design, gains), wanted);
+            run.cut(backward, &mut Onward { adjoints, test: first, work });
+            let standing: Vec<usize> = backward.standing().collect();
+            let worth = adjoints.questions(work) * standing.len() <= tests.len() * work.design.steps();
+            if !worth || !is_small(&work.design, &standing, wanted) {
+                return Ok(None);
+            }
+            let response = adjoints.response((first, work), standing.into_iter())?;
             run.backward(backward, &mut Onward { adjoints, test: first, work })?;
             let design = adjoints.finish(first, work)?;
-            let spreads = run.spreads(backward);
-            let steps: Vec<Step<'_>> = work.design.each_step().collect();
+            let legs = run.legs(backward);
             let shared = Shared {
                 design: &work.design,
                 gains,
                 start: &work.data.start,
                 inputs: &work.data.inputs,
                 cells: &cells,
-                spreads: &spreads,
+                legs: &legs,
                 response: &response,
-                steps: &steps,
             };
             Ok(scores(&shared, tests, &design))
         })?;
@@ -82,10 +87,11 @@ impl Scorer<'_> {
 }
 
 /// Whether what is remembered of the pass has room.
-fn is_small(design: &Design, wanted: Wanted) -> bool {
-    let many = usize::from(wanted.motion) * design.steps() + usize::from(wanted.equation) * design.rows();
+fn is_small(design: &Design, standing: &[usize], wanted: Wanted) -> bool {
+    let rows: usize = standing.iter().map(|&k| design.step(k).rows.len()).sum();
+    let many = usize::from(wanted.motion) * standing.len() + usize::from(wanted.equation) * rows;
     let (n, r) = (design.frame.n, design.frame.r);
-    design.rows() + many * n <= MOST_NUMBERS && many * r * r <= MOST_SPREADS
+    design.rows() <= MOST_ROWS && rows + many * n <= MOST_NUMBERS && many * r * r <= MOST_SPREADS
 }
 
 /// Data of zero.

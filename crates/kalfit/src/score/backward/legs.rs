@@ -1,0 +1,85 @@
+//! A record in legs, for other data to pass over: what it is made of, and the P of the way of one record over it.
+
+use crate::reduce::{Step, moving};
+use crate::score::backward::equal::Equal;
+use crate::score::backward::parts::At;
+use crate::score::backward::run::Run;
+use crate::score::backward::work::{BackwardWork, Kind, Part};
+
+/// Steps that are gone through together.
+#[derive(Debug)]
+pub(crate) enum Leg<'a> {
+    /// One by one.
+    Steps(Vec<Step<'a>>),
+    /// Equal ones of one scalar measurement.
+    Equal(Equal<'a>),
+}
+
+/// The legs of a record, and P, r × r, as far as adjoints are wanted that need it: before each transition, and before each scalar
+/// measurement. Of equal steps there is one place, of the first of them, and it is not filled.
+#[derive(Debug, Default)]
+pub(crate) struct Legs<'a> {
+    pub(crate) legs: Vec<Leg<'a>>,
+    pub(crate) left: Vec<f64>,
+    pub(crate) before: Vec<f64>,
+}
+
+impl<'a> Run<'a> {
+    /// Its legs, after the way back over it.
+    pub(crate) fn legs(&'a self, work: &mut BackwardWork) -> Legs<'a> {
+        let mut legs = Legs::default();
+        for at in 0..work.parts.len() {
+            let part = work.parts[at];
+            match part.kind {
+                Kind::Steps => self.one_by_one(&part, work, &mut legs),
+                Kind::Equal(_) => self.together(&part, work, &mut legs),
+            }
+        }
+        legs
+    }
+
+    fn one_by_one(&'a self, part: &Part, work: &mut BackwardWork, legs: &mut Legs<'a>) {
+        let Legs { legs, left, before } = legs;
+        if self.tracked() {
+            work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
+            let BackwardWork { e, now, .. } = work;
+            self.through(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
+                At::Moves if self.wanted.motion => left.extend_from_slice(&now.P),
+                At::Measures if self.wanted.equation => before.extend_from_slice(&now.P),
+                _ => {}
+            });
+        }
+        legs.push(Leg::Steps(part.steps(self.design).collect()));
+    }
+
+    fn together(&'a self, part: &Part, work: &BackwardWork, legs: &mut Legs<'a>) {
+        let stretch = self.design.stretch(part.stretch);
+        let (n, r, states) = (self.design.frame.n, self.design.frame.r, moving(self.design, &stretch));
+        let blocks = stretch.count.div_ceil(work.cut.block);
+        let mut P = Vec::new();
+        if self.tracked() {
+            let first = &work.marks[part.mark + n..][..r * r];
+            P.resize(states * states, 0.0);
+            (0..r).for_each(|i| P[i * states..][..r].copy_from_slice(&first[i * r..][..r]));
+            let size = states + states * states + states * self.moments.columns;
+            let later = |block: usize| &work.marks[part.mark + self.stride() + (block - 1) * size + states..];
+            (1..blocks).for_each(|block| P.extend_from_slice(&later(block)[..states * states]));
+        }
+        let place = r * r;
+        legs.left
+            .resize(legs.left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
+        legs.before.resize(legs.before.len() + usize::from(self.wanted.equation) * place, 0.0);
+        legs.legs.push(Leg::Equal(Equal::new(self, part, work.cut.block).with_marks(states, P)));
+    }
+}
+
+impl BackwardWork {
+    /// The steps that stand for all of a record that was cut: each of those that are gone through one by one, and the first of those
+    /// that are gone through together.
+    pub(crate) fn standing(&self) -> impl Iterator<Item = usize> {
+        self.parts.iter().flat_map(|part| match part.kind {
+            Kind::Steps => part.steps.0..part.steps.1,
+            Kind::Equal(_) => part.steps.0..part.steps.0 + 1,
+        })
+    }
+}
