@@ -85,6 +85,13 @@ struct Group {
 impl Reducer {
     /// [`Reducer::reduce`], of tests that stand anywhere.
     pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
+        match self.alike() {
+            Some(alike) => self.reduce_alike((alike, tests), |others| self.reduce_each(others)),
+            None => self.reduce_each(tests),
+        }
+    }
+
+    fn reduce_each(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         let rows = tests.iter().map(|test| test.rows()).sum();
         let batches = tests
             .par_chunks(share(tests.len(), rows))

@@ -49,6 +49,13 @@ impl Piece {
         Piece { row: 0, width: 1, gain: 0, gain_steps: rows, sensitivity: 0, sensitivity_steps: rows }
     }
 
+    /// The step of a row, and its line there.
+    #[inline(always)]
+    fn step(&self, row: usize) -> (usize, usize) {
+        let number = row - self.row;
+        if self.width == 1 { (number, 0) } else { (number / self.width, number % self.width) }
+    }
+
     /// Steps from a row on after which S and K do not change any more; steps of one measurement.
     pub(crate) fn moving_gains(&self, row: usize) -> usize {
         (self.row + self.gain_steps).saturating_sub(row)
@@ -108,13 +115,24 @@ impl Gains {
     /// [`Gains::row`] of a row in this piece.
     #[inline(always)]
     pub(crate) fn of(&self, piece: &Piece, row: usize) -> (f64, &[f64], &[f64]) {
-        let number = row - piece.row;
-        let (step, line) = if piece.width == 1 { (number, 0) } else { (number / piece.width, number % piece.width) };
+        let (weight, K) = self.weighted(piece, row).split_first().expect("it has 1/S");
+        (*weight, K, self.sensitive(piece, row))
+    }
+
+    /// 1/S and K of a row in this piece, one after the other.
+    #[inline(always)]
+    pub(crate) fn weighted(&self, piece: &Piece, row: usize) -> &[f64] {
+        let (step, line) = piece.step(row);
         let gain = piece.gain + step.min(piece.gain_steps - 1) * piece.width + line;
+        &self.gains[gain * (1 + self.r)..][..1 + self.r]
+    }
+
+    /// T of a row in this piece.
+    #[inline(always)]
+    pub(crate) fn sensitive(&self, piece: &Piece, row: usize) -> &[f64] {
+        let (step, line) = piece.step(row);
         let sensitivity = piece.sensitivity + step.min(piece.sensitivity_steps - 1) * piece.width + line;
-        let stride = 1 + self.r;
-        let (weight, K) = self.gains[gain * stride..][..stride].split_first().expect("stride is positive");
-        (*weight, K, &self.sensitivities[sensitivity * self.p..][..self.p])
+        &self.sensitivities[sensitivity * self.p..][..self.p]
     }
 
     /// 1/S, K of so many steps from a row on, all of them kept; steps of one measurement.

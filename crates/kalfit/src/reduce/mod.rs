@@ -127,7 +127,7 @@ pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;
 pub(crate) use phased::{PhasedBlocks, PhasedFiltered, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
-pub(crate) use reducer::own_innovations;
+pub(crate) use reducer::{Alike, own_innovations};
 pub(crate) use scan::Steady;
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};

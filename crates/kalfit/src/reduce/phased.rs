@@ -15,7 +15,7 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, Work};
+use crate::reduce::reducer::{Alike, Reducer, Work};
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
@@ -94,6 +94,13 @@ impl PhasedReducer {
     pub(crate) fn knowing(&mut self, steps: &[Arc<KnownSteps>]) {
         for (phase, steps) in self.phases.iter_mut().zip(steps) {
             phase.reducer.know(steps.clone());
+        }
+    }
+
+    /// Takes which long tests are alike, where there is one phase.
+    pub(crate) fn knowing_alike(&mut self, alike: &Arc<Alike>) {
+        if let ([phase], false) = (&mut *self.phases, alike.is_empty()) {
+            phase.reducer.know_alike(alike.clone());
         }
     }
 

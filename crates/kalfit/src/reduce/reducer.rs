@@ -1,5 +1,6 @@
 //! Tests → reductions.
 
+mod alike;
 mod known;
 
 use std::sync::Arc;
@@ -28,6 +29,7 @@ use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
+pub(crate) use alike::Alike;
 pub(crate) use known::Known;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
@@ -47,6 +49,8 @@ pub struct Reducer {
     classes: Shared<Design, Result<Gains, RootError>>,
     /// Tests of designs that were seen more than once.
     known: Memory<Known>,
+    /// Long tests that are known to be alike; `None` where nobody said so.
+    alike: Option<Arc<Alike>>,
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
@@ -127,11 +131,22 @@ impl Reducer {
         self.preparer.steps = Some(steps);
     }
 
+    /// Takes which long tests of one ensemble are alike: it must reduce no other.
+    pub(crate) fn know_alike(&mut self, alike: Arc<Alike>) {
+        self.alike = Some(alike);
+    }
+
+    /// Long tests that are known to be alike.
+    pub(crate) fn alike(&self) -> Option<&Alike> {
+        self.alike.as_deref()
+    }
+
     fn of(preparer: Preparer, classes: Shared<Design, Result<Gains, RootError>>) -> Reducer {
         Reducer {
             preparer,
             classes,
             known: Memory::new(KNOWN_BYTES),
+            alike: None,
             unfrozen: false,
             ends: false,
             design_runs: AtomicU64::new(0),

@@ -3,7 +3,9 @@
 use std::sync::{Arc, OnceLock};
 
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{KnownSteps, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions};
+use crate::reduce::{
+    Alike, KnownSteps, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions,
+};
 use crate::score::{Companies, PhasedScorer};
 
 /// Which tests are alike, and which are kept side by side.
@@ -11,6 +13,8 @@ use crate::score::{Companies, PhasedScorer};
 pub(crate) struct Arrangement {
     companies: OnceLock<Companies>,
     blocks: OnceLock<Option<PhasedBlocks>>,
+    /// Long tests that are alike.
+    alike: OnceLock<Arc<Alike>>,
     /// Steps of long records, by phase.
     steps: OnceLock<Vec<Arc<KnownSteps>>>,
 }
@@ -38,7 +42,12 @@ impl Arrangement {
         reducer: &mut PhasedReducer,
         tests: &[PhasedTest],
     ) -> Result<(Reductions, Option<PhasedFiltered>), ReduceError> {
-        match self.blocks((model, slots), reducer, tests) {
+        let blocks = self.blocks((model, slots), reducer, tests);
+        reducer.knowing_alike(self.alike.get_or_init(|| {
+            let long = |companies: &Companies| companies.long(tests);
+            Arc::new(self.companies.get().map(long).unwrap_or_default())
+        }));
+        match blocks {
             Some(blocks) => {
                 let (reductions, filtered) = reducer.reduce_blocks(tests, blocks)?;
                 Ok((reductions, Some(filtered)))

@@ -62,6 +62,19 @@ impl Block {
         finite
     }
 
+    /// Puts the values of several tests into the first lanes: cells of their numbers, less what is known of them. Which are finite.
+    pub(crate) fn values_of(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) -> Vec<bool> {
+        let lanes = self.isa.lanes();
+        let mut finite = vec![true; numbers.len()];
+        for (all, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
+            for ((all, numbers), finite) in all.iter_mut().zip(numbers).zip(&mut finite) {
+                *all = numbers[cell] - d;
+                *finite &= all.is_finite();
+            }
+        }
+        finite
+    }
+
     /// Runs the data pass of a class.
     pub(crate) fn run(&self, design: &Design, gains: &Gains, room: &mut Room) {
         self.isa.run(Pass { design, gains, data: self.side(), room });

@@ -7,6 +7,7 @@ use crate::reduce::gains::Gains;
 use crate::reduce::lanes::numbers::{Numbers, Side, at, put};
 use crate::reduce::lanes::room::Room;
 use crate::reduce::lanes::squares;
+use crate::reduce::scan::BLOCK;
 
 /// Tests of one design.
 struct Shared<'a> {
@@ -29,12 +30,12 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
 
     #[inline(always)]
     fn gains(&self, row: usize) -> &[f64] {
-        &self.gains.gains[row * (1 + self.gains.r)..][..1 + self.gains.r]
+        self.gains.weighted(&self.gains.pieces[self.gains.piece(row)], row)
     }
 
     #[inline(always)]
     fn sensitivities(&self, row: usize) -> &[f64] {
-        &self.gains.sensitivities[row * self.gains.p..][..self.gains.p]
+        self.gains.sensitive(&self.gains.pieces[self.gains.piece(row)], row)
     }
 
     #[inline(always)]
@@ -74,15 +75,18 @@ struct State<T> {
     y: Vec<T>,
     /// e'S⁻¹e.
     square: T,
+    /// What the last rows add to both: rounding grows with the number of blocks, not of rows.
+    y_part: Vec<T>,
+    square_part: T,
 }
 
 /// The pass over tests of designs of one shape, of which `design` is one.
 #[inline(always)]
 pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, data: Side<'_>, room: &mut Room) {
-    let (frame, zero) = (&*design.frame, T::splat(0.0));
+    let frame = &*design.frame;
     room.e.resize(data.values.len(), 0.0);
     room.last.resize(frame.n * T::COUNT, 0.0);
-    let mut state = State { x: vec![zero; frame.n], moved: Vec::new(), y: vec![zero; frame.p], square: zero };
+    let mut state = State::<T>::new((frame.n, frame.p));
     for i in 0..frame.n {
         state.x[i] = at(data.start, i);
     }
@@ -100,10 +104,14 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
                 let e = state.measure((design, line), (numbers, row), at(data.values, row));
                 put(&mut room.e, row, e);
                 row += 1;
+                if row % BLOCK == 0 {
+                    state.add_up();
+                }
             }
         }
         line = run.lines;
     }
+    state.add_up();
     for (i, x) in state.x.iter().enumerate() {
         put(&mut room.last, i, *x);
     }
@@ -115,6 +123,24 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
 }
 
 impl<T: Lanes> State<T> {
+    /// Of n states and p unknowns.
+    #[inline(always)]
+    fn new((n, p): (usize, usize)) -> State<T> {
+        let zero = T::splat(0.0);
+        let zeros = || vec![zero; p];
+        State { x: vec![zero; n], moved: Vec::new(), y: zeros(), square: zero, y_part: zeros(), square_part: zero }
+    }
+
+    /// Takes the parts to the sums.
+    #[inline(always)]
+    fn add_up(&mut self) {
+        let zero = T::splat(0.0);
+        for (sum, part) in self.y.iter_mut().zip(&mut self.y_part) {
+            *sum = *sum + std::mem::replace(part, zero);
+        }
+        self.square = self.square + std::mem::replace(&mut self.square_part, zero);
+    }
+
     /// x ← φx.
     #[inline(always)]
     fn advance<N: Numbers<T>>(&mut self, (numbers, run): (&N, usize), pattern: &Pattern) {
@@ -157,8 +183,8 @@ impl<T: Lanes> State<T> {
             *x = N::of(gains, 1 + i).fma(e, *x);
         }
         let weighted = e * N::of(gains, 0);
-        squares::add::<T, N>(numbers.sensitivities(row), weighted, &mut self.y);
-        self.square = e.fma(weighted, self.square);
+        squares::add::<T, N>(numbers.sensitivities(row), weighted, &mut self.y_part);
+        self.square_part = e.fma(weighted, self.square_part);
         e
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::reduce::{PhasedReducer, PhasedTest};
+use crate::reduce::{Alike, Evidence, PhasedReducer, PhasedTest};
 
 /// Fewer tests than these are not worth a company,
 const FEWEST: usize = 16;
@@ -17,6 +17,8 @@ const EQUAL: usize = 16;
 pub(crate) struct Companies {
     /// Numbers of the tests of each, ascending.
     pub(crate) companies: Vec<Vec<usize>>,
+    /// Which of these are of long records in equal steps.
+    pub(crate) long: Vec<bool>,
     /// Those in none.
     pub(crate) alone: Vec<usize>,
 }
@@ -44,7 +46,8 @@ impl Companies {
         let mut found = Companies::default();
         for mut left in known.into_values() {
             // tests of one hash are alike, but for chance
-            let fewest = if left.len() < FEWEST && is_long(reducer, &tests[left[0]]) { 2 } else { FEWEST };
+            let long = left.len() > 1 && is_long(reducer, &tests[left[0]]);
+            let fewest = if long { 2 } else { FEWEST };
             while left.len() >= fewest {
                 let own = likeness(left[0]);
                 let (like, rest): (Vec<usize>, Vec<usize>) =
@@ -52,7 +55,8 @@ impl Companies {
                 if like.len() < fewest {
                     found.alone.extend(like)
                 } else {
-                    found.companies.push(like)
+                    found.companies.push(like);
+                    found.long.push(long);
                 }
                 left = rest;
             }
@@ -62,9 +66,19 @@ impl Companies {
         found
     }
 
+    /// Tests of long records that are alike.
+    pub(crate) fn long<'t>(&self, tests: &'t [PhasedTest]) -> Alike {
+        let rows = |&number: &usize| match tests[number].phases.first() {
+            Some(Evidence::Rows(rows)) => Some(&rows.id),
+            _ => None,
+        };
+        let ids = |company: &Vec<usize>| company.iter().filter_map(rows).collect();
+        Alike::new(self.companies.iter().zip(&self.long).filter(|(_, long)| **long).map(|(company, _)| ids(company)))
+    }
+
     /// All of so many tests by themselves.
     pub(crate) fn none(tests: usize) -> Companies {
-        Companies { companies: Vec::new(), alone: (0..tests).collect() }
+        Companies { companies: Vec::new(), long: Vec::new(), alone: (0..tests).collect() }
     }
 }
 
