@@ -151,7 +151,7 @@ impl<T: Real, const N: usize> Steady<T, N> {
 
     /// e; x is updated.
     #[inline(always)]
-    fn take(&self, x: &mut [T; N], K: &[f64; N], z: T) -> T {
+    pub(crate) fn take(&self, x: &mut [T; N], K: &[f64; N], z: T) -> T {
         let e = self.innovation(x, z);
         *x = self.state(x, K, e);
         e

@@ -38,6 +38,11 @@ impl Meters {
         Ok(())
     }
 
+    /// d of each measurement of the model, where it is the same on every row.
+    pub(crate) fn known_constants(&self) -> Option<Vec<f64>> {
+        self.meters.iter().map(|meter| meter.constant.constant()).collect()
+    }
+
     /// Appends d of each instance.
     pub(crate) fn constants(
         &self,

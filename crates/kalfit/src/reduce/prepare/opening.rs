@@ -36,8 +36,12 @@ impl Preparer {
 
     /// Cell and d of each scalar measurement of the test in the work space: what is filtered is the number in the cell, less d.
     pub(crate) fn measured_cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
-        let (constants, width) = (self.measured_constants(test, work)?, test.widths().0);
+        let width = test.widths().0;
         let cell = |Instance { meter, row }: Instance| row * width + self.meters.column(meter);
+        if let Some(constants) = self.meters.known_constants() {
+            return Ok(work.instances.iter().map(|own| (cell(own), constants[own.meter])).collect());
+        }
+        let constants = self.measured_constants(test, work)?;
         Ok(work.instances.iter().map(cell).zip(constants).collect())
     }
 }

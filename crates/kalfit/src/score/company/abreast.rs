@@ -161,7 +161,11 @@ impl<T: Lanes> Pass<T> {
         let (mut at, mut input) = (Standing::default(), 0);
         for leg in &shared.legs.legs {
             match leg {
-                Leg::Steps(steps) => steps.iter().for_each(|step| self.step_forth(shared, step, (&mut at, &mut input))),
+                Leg::Steps(steps) => {
+                    for step in steps {
+                        self.step_forth(shared, step, (&mut at, &mut input));
+                    }
+                }
                 Leg::Equal(leg) => {
                     self.equal_forth(leg);
                     at.row += 1;
@@ -240,7 +244,11 @@ impl<T: Lanes> Pass<T> {
         let mut at = Standing { row: response.rows.len(), transition: response.moves.len() };
         for leg in shared.legs.legs.iter().rev() {
             match leg {
-                Leg::Steps(steps) => steps.iter().rev().for_each(|step| self.step_back(shared, step, &mut at)),
+                Leg::Steps(steps) => {
+                    for step in steps.iter().rev() {
+                        self.step_back(shared, step, &mut at);
+                    }
+                }
                 Leg::Equal(leg) => {
                     at.row -= 1;
                     at.transition -= usize::from(leg.stretch.transition.is_some());
@@ -297,8 +305,8 @@ impl<T: Lanes> Pass<T> {
         self.add_span(response, own.noise, half * answers.uu);
         self.add_span(response, own.value, -answers.u);
         for entry in response.entries(&own.h) {
-            let rests = || answers.u * first[entry.i];
-            self.add(response, entry, answers.h.get(entry.i).copied().unwrap_or_else(rests));
+            let bar = if entry.i < N { answers.h[entry.i] } else { answers.u * first[entry.i] };
+            self.add(response, entry, bar);
         }
         let (states, h) = shared.design.terms(leg.stretch.lines.start);
         for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
@@ -312,8 +320,8 @@ impl<T: Lanes> Pass<T> {
         }
         for entry in response.entries(&own.phi) {
             let i = pattern.moved[entry.i].state as usize;
-            let rests = || answers.r[i] * first[entry.j];
-            self.add(response, entry, answers.phi[i].get(entry.j).copied().unwrap_or_else(rests));
+            let bar = if entry.j < N { answers.phi[i][entry.j] } else { answers.r[i] * first[entry.j] };
+            self.add(response, entry, bar);
         }
         for (i, j, phi) in transition.entries().filter(|&(_, j, _)| j >= N) {
             self.x[j] = T::splat(phi).fma(answers.r[i], self.x[j]);

@@ -20,20 +20,18 @@ impl<T: Lanes, const N: usize> Part for Forth<'_, T, N> {
     fn run(self) {
         let Forth { leg, x: all, e, marks } = self;
         let filter = leg.course::<T, N>(all).filter;
-        let mut x: [T; N] = std::array::from_fn(|i| all[i]);
+        let mut x = known(all);
         for (from, to) in leg.blocks() {
             marks.extend_from_slice(&x);
             let still = leg.moving().clamp(from, to);
-            let mut take = |k: usize, K: &[f64; N]| {
-                e[k] = filter.innovation(&x, e[k]);
-                x = filter.state(&x, K, e[k]);
-            };
             for k in from..still {
-                take(k, &leg.weighted(k).1);
+                e[k] = filter.take(&mut x, &leg.weighted(k).1, e[k]);
             }
             if still < to {
                 let (_, K) = leg.weighted(still);
-                (still..to).for_each(|k| take(k, &K));
+                for e in &mut e[still..to] {
+                    *e = filter.take(&mut x, &K, *e);
+                }
             }
         }
         all[..N].copy_from_slice(&x);
@@ -57,10 +55,10 @@ impl<T: Lanes, const N: usize> Part for Back<'_, T, N> {
     fn run(self) -> Answers<T, N> {
         let Back { leg, first, marks, e, r: all } = self;
         let course = leg.course::<T, N>(first);
-        let mut r: [T; N] = std::array::from_fn(|i| all[i]);
+        let mut r = known(all);
         let (mut answers, mut xs) = (Answers::none(), Vec::new());
         for (number, (from, to)) in leg.blocks().enumerate().rev() {
-            let mut x: [T; N] = std::array::from_fn(|i| marks[number * N + i]);
+            let mut x = known(&marks[number * N..]);
             let ahead = leg.ahead::<N>((from, to));
             let still = leg.moving().clamp(from, to);
             xs.clear();
@@ -82,4 +80,12 @@ impl<T: Lanes, const N: usize> Part for Back<'_, T, N> {
         all[..N].copy_from_slice(&r);
         answers
     }
+}
+
+/// The first numbers of a list.
+#[inline(always)]
+fn known<T: Lanes, const N: usize>(all: &[T]) -> [T; N] {
+    let mut first = [T::splat(0.0); N];
+    first.copy_from_slice(&all[..N]);
+    first
 }
