@@ -1,7 +1,7 @@
 //! The data pass: innovations of a test under the schedule of its design, and what they add up to.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, J")]
 
-use crate::reduce::data::{Data, DataWork, FEW, Miss, Outcome, REFINE};
+use crate::reduce::data::{Data, DataWork, Miss, Outcome, REFINE};
 use crate::reduce::design::Design;
 use crate::reduce::gains::{Gains, Turns};
 use crate::reduce::kernel;
@@ -32,8 +32,7 @@ fn pass(design: &Design, gains: &Gains, data: &Data, work: &mut DataWork, mut lo
             at += 1;
         }
         let piece = &gains.pieces[at];
-        let scanned = look.is_none() && stretch.count > FEW;
-        if scanned && scan(design, &stretch, (gains, piece), data, work, &mut square) {
+        if look.is_none() && scan(design, &stretch, (gains, piece), data, work, &mut square) {
             continue;
         }
         for step in stretch.steps() {

@@ -135,12 +135,6 @@ impl Gains {
         &self.sensitivities[sensitivity * self.p..][..self.p]
     }
 
-    /// 1/S, K of so many steps from a row on, all of them kept; steps of one measurement.
-    pub(crate) fn kept(&self, piece: &Piece, row: usize, steps: usize) -> &[f64] {
-        let stride = 1 + self.r;
-        &self.gains[(piece.gain + row - piece.row) * stride..][..steps * stride]
-    }
-
     /// Pieces with the end of their rows, of `rows` in all.
     pub(crate) fn stretches(&self, rows: usize) -> impl Iterator<Item = (&Piece, usize)> {
         let ends = self.pieces[1..].iter().map(|piece| piece.row).chain([rows]);

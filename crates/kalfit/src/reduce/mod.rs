@@ -128,7 +128,7 @@ pub(crate) use part::PhaseReducer;
 pub(crate) use phased::{PhasedBlocks, PhasedFiltered, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
 pub(crate) use reducer::{Alike, own_innovations};
-pub(crate) use scan::Steady;
+pub(crate) use scan::{Scan, Steady, with_states};
 pub(crate) use semidefinite::{NotSemidefinite, ldl};
 pub(crate) use settling::{Frozen, Settling};
 pub(crate) use shared::Shared;

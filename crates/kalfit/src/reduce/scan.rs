@@ -1,13 +1,13 @@
-//! The data pass over equal steps of one measurement, for few moving states: a linear scan.
+//! The data pass over equal steps of one measurement, for few moving states: a linear scan, of one test or of several side by side.
 #![expect(non_snake_case, reason = "the letters of the theory: K, h, phi, T")]
 
 use std::ops::Range;
 
-use crate::reduce::data::{Data, DataWork};
+use crate::reduce::data::{Data, DataWork, FEW};
 use crate::reduce::design::{Design, Stretch};
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::small::moving;
-use kalfit_lanes::Real;
+use kalfit_lanes::{Lanes, Part, Real};
 
 /// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
 pub(crate) const BLOCK: usize = 512;
@@ -28,6 +28,94 @@ pub(crate) struct Steady<T, const N: usize> {
     d: T,
 }
 
+/// Forth over steps of a stretch, of one test or of several side by side under the gains of one.
+pub(crate) struct Scan<'a, T> {
+    pub(crate) design: &'a Design,
+    pub(crate) stretch: &'a Stretch<'a>,
+    /// The piece that its first row is in.
+    pub(crate) gains: (&'a Gains, &'a Piece),
+    /// x̂ before the steps, then after them.
+    pub(crate) x: &'a mut [T],
+    /// z - d of each, then e; of several tests beside each other.
+    pub(crate) e: &'a mut [f64],
+    /// Where x̂ of the states that move goes every so many steps, the first ones included.
+    pub(crate) marks: Option<(&'a mut Vec<T>, usize)>,
+}
+
+/// Does something with the number of states that move as a constant: there are no more than [`MOST_MOVING`].
+macro_rules! with_states {
+    ($states:expr, $N:ident => $work:expr) => {
+        match $states {
+            0 => with_states!(@ 0, $N => $work),
+            1 => with_states!(@ 1, $N => $work),
+            2 => with_states!(@ 2, $N => $work),
+            3 => with_states!(@ 3, $N => $work),
+            4 => with_states!(@ 4, $N => $work),
+            5 => with_states!(@ 5, $N => $work),
+            _ => with_states!(@ 6, $N => $work),
+        }
+    };
+    (@ $n:literal, $N:ident => $work:expr) => {{
+        const $N: usize = $n;
+        $work
+    }};
+}
+pub(crate) use with_states;
+
+/// Most states that move in a stretch that is scanned.
+const MOST_MOVING: usize = 6;
+
+/// How many states move in a stretch, if it is of the kind that is scanned.
+pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
+    let plain = stretch.count > FEW && stretch.lines.len() == 1 && design.frame.driven.is_empty();
+    plain.then(|| moving(design, stretch)).filter(|&states| states <= MOST_MOVING)
+}
+
+/// [`Scan`] where so many states move.
+pub(crate) struct Moving<'a, T, const N: usize>(pub(crate) Scan<'a, T>);
+
+impl<T: Lanes> Scan<'_, T> {
+    /// Runs it, where so many states move.
+    #[inline(always)]
+    pub(crate) fn run(self, states: usize) {
+        with_states!(states, N => T::apart(Moving::<T, N>(self)));
+    }
+}
+
+impl<T: Lanes, const N: usize> Part for Moving<'_, T, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Scan { design, stretch, gains: (gains, piece), x: all, e, mut marks } = self.0;
+        let step = Steady::<T, N>::new(design, stretch, all);
+        let (mut x, mut K) = ([T::splat(0.0); N], [0.0; N]);
+        x.copy_from_slice(&all[..N]);
+        let (first, r, count) = (stretch.rows.start, design.frame.r, stretch.count);
+        let moving = piece.moving_gains(first).min(count);
+        let block = marks.as_ref().map_or(count, |(_, block)| *block).max(1);
+        for from in (0..count).step_by(block) {
+            if let Some((marks, _)) = &mut marks {
+                marks.extend_from_slice(&x);
+            }
+            let to = count.min(from + block);
+            let still = moving.clamp(from, to);
+            for k in from..still {
+                K[..r].copy_from_slice(&gains.weighted(piece, first + k)[1..]);
+                let e = &mut e[k * T::COUNT..][..T::COUNT];
+                step.take(&mut x, &K, T::load(e)).store(e);
+            }
+            if still < to {
+                K[..r].copy_from_slice(&gains.weighted(piece, first + still)[1..]);
+                for e in e[still * T::COUNT..to * T::COUNT].chunks_exact_mut(T::COUNT) {
+                    step.take(&mut x, &K, T::load(e)).store(e);
+                }
+            }
+        }
+        all[..N].copy_from_slice(&x);
+    }
+}
+
 /// Runs the steps of a stretch that begins a piece; appends the innovations of each, and adds to e'S⁻¹e and y. False, and
 /// nothing is done, where the steps are not of the kind that it knows.
 pub(crate) fn scan(
@@ -38,52 +126,17 @@ pub(crate) fn scan(
     work: &mut DataWork,
     square: &mut f64,
 ) -> bool {
-    if stretch.lines.len() != 1 || !design.frame.driven.is_empty() {
-        return false;
-    }
-    let run = match moving(design, stretch) {
-        0 => steady::<0>,
-        1 => steady::<1>,
-        2 => steady::<2>,
-        3 => steady::<3>,
-        4 => steady::<4>,
-        5 => steady::<5>,
-        6 => steady::<6>,
-        _ => return false,
-    };
+    let Some(states) = scanned(design, stretch) else { return false };
     let start = work.e.len();
-    run(design, stretch, (gains, piece), &data.values[stretch.rows.clone()], work);
+    work.e.extend_from_slice(&data.values[stretch.rows.clone()]);
+    let (x, e) = (&mut *work.x, &mut work.e[start..]);
+    Scan { design, stretch, gains: (gains, piece), x, e, marks: None }.run(states);
     let mut correction = vec![0.0; design.frame.p];
     *square += gains.weigh((piece, stretch.rows.clone()), &work.e[start..], &[], &mut correction);
     for (y, sum) in work.y.iter_mut().zip(&correction) {
         *y += sum;
     }
     true
-}
-
-fn steady<const N: usize>(
-    design: &Design,
-    stretch: &Stretch<'_>,
-    (gains, piece): (&Gains, &Piece),
-    values: &[f64],
-    work: &mut DataWork,
-) {
-    let step = Steady::<f64, N>::new(design, stretch, &work.x);
-    let (mut x, mut K) = ([0.0; N], [0.0; N]);
-    x.copy_from_slice(&work.x[..N]);
-    let (first, r) = (stretch.rows.start, design.frame.r);
-    let moving = piece.moving_gains(first).min(values.len());
-    let kept = gains.kept(piece, first, moving);
-    work.e.extend(values[..moving].iter().zip(kept.chunks_exact(1 + r)).map(|(z, gain)| {
-        K[..r].copy_from_slice(&gain[1..]);
-        step.take(&mut x, &K, *z)
-    }));
-    if moving < values.len() {
-        let (_, last, _) = gains.of(piece, first + moving);
-        K[..r].copy_from_slice(last);
-        work.e.extend(values[moving..].iter().map(|z| step.take(&mut x, &K, *z)));
-    }
-    work.x[..N].copy_from_slice(&x);
 }
 
 impl<T: Real, const N: usize> Steady<T, N> {
@@ -151,7 +204,7 @@ impl<T: Real, const N: usize> Steady<T, N> {
 
     /// e; x is updated.
     #[inline(always)]
-    pub(crate) fn take(&self, x: &mut [T; N], K: &[f64; N], z: T) -> T {
+    fn take(&self, x: &mut [T; N], K: &[f64; N], z: T) -> T {
         let e = self.innovation(x, z);
         *x = self.state(x, K, e);
         e

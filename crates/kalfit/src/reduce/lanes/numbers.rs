@@ -3,6 +3,8 @@
 
 use kalfit_lanes::Lanes;
 
+use crate::reduce::design::Stretch;
+
 /// What a pass takes from the designs of its tests: numbers that are the same in all lanes, or each lane's own.
 pub(super) trait Numbers<T> {
     /// Entry `term` of φ in a run.
@@ -17,6 +19,11 @@ pub(super) trait Numbers<T> {
     fn of(row: &[f64], k: usize) -> T;
     /// An entry of R, packed.
     fn R(&self, at: usize) -> T;
+    /// Goes over a stretch of equal steps as one: x̂ and, in the place of values, innovations. False where it does not.
+    #[inline(always)]
+    fn scan(&self, _: &Stretch<'_>, _: &mut [T], _: &mut [f64]) -> bool {
+        false
+    }
 }
 
 /// The data of tests, in lanes.

@@ -1,13 +1,16 @@
 //! The data pass over a block: the formulas of [`data_pass`](crate::reduce::data_pass), with a test in each lane.
 
+use std::ops::Range;
+
 use kalfit_lanes::{Kernel, Lanes};
 
-use crate::reduce::design::{Design, Moved, Pattern};
+use crate::reduce::data::FEW;
+use crate::reduce::design::{Design, Moved, Pattern, Stretch};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::numbers::{Numbers, Side, at, put};
 use crate::reduce::lanes::room::Room;
 use crate::reduce::lanes::squares;
-use crate::reduce::scan::BLOCK;
+use crate::reduce::scan::{BLOCK, Scan, scanned};
 
 /// Tests of one design.
 struct Shared<'a> {
@@ -46,6 +49,15 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
     #[inline(always)]
     fn R(&self, at: usize) -> T {
         T::splat(self.gains.factor[at])
+    }
+
+    #[inline(always)]
+    fn scan(&self, stretch: &Stretch<'_>, x: &mut [T], e: &mut [f64]) -> bool {
+        let (design, gains) = (self.design, self.gains);
+        let Some(states) = scanned(design, stretch) else { return false };
+        let gains = (gains, &gains.pieces[gains.piece(stretch.rows.start)]);
+        Scan { design, stretch, gains, x, e, marks: None }.run(states);
+        true
     }
 }
 
@@ -92,6 +104,18 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
     }
     let (mut line, mut row, mut input) = (0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
+        if run.count > FEW {
+            let rows = row..run.rows;
+            let of = |rows: &Range<usize>| rows.start * T::COUNT..rows.end * T::COUNT;
+            room.e[of(&rows)].copy_from_slice(&data.values[of(&rows)]);
+            if numbers.scan(&design.stretch(at_run), &mut state.x, &mut room.e[of(&rows)]) {
+                state.add_up();
+                let square = squares::weigh::<T, N>(numbers, rows, &room.e, &[], &mut state.y);
+                state.square = state.square + square;
+                (line, row) = (run.lines, run.rows);
+                continue;
+            }
+        }
         for _ in 0..run.count {
             if let Some(transition) = design.transition(run) {
                 state.advance((numbers, at_run), &transition.pattern);

@@ -1,5 +1,7 @@
 //! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e: see [`data_pass`](crate::reduce::data_pass).
 
+use std::ops::Range;
+
 use kalfit_lanes::Lanes;
 
 use crate::reduce::data::REFINE;
@@ -36,28 +38,13 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut Room) -> T 
     room.refined.clear();
     room.refined.resize(p * T::COUNT, 0.0);
     let (zero, rows) = (T::splat(0.0), room.e.len() / T::COUNT);
-    let (mut total, mut best, mut part) = (zero, vec![zero; p], vec![zero; p]);
+    let (mut best, mut sum) = (vec![zero; p], vec![zero; p]);
     for k in 0..p {
         best[k] = at(&room.best, k);
     }
-    for start in (0..rows).step_by(BLOCK) {
-        part.fill(zero);
-        let mut square = zero;
-        for row in start..rows.min(start + BLOCK) {
-            let sensitivities = numbers.sensitivities(row);
-            let mut left = at::<T>(&room.e, row);
-            for (k, &best) in best.iter().enumerate() {
-                left = N::of(sensitivities, k).fnma(best, left);
-            }
-            let weighted = left * N::of(numbers.gains(row), 0);
-            square = left.fma(weighted, square);
-            add::<T, N>(sensitivities, weighted, &mut part);
-        }
-        total = total + square;
-        for (k, &part) in part.iter().enumerate() {
-            let sum = at::<T>(&room.refined, k) + part;
-            put(&mut room.refined, k, sum);
-        }
+    let total = weigh::<T, N>(numbers, 0..rows, &room.e, &best, &mut sum);
+    for (k, &sum) in sum.iter().enumerate() {
+        put(&mut room.refined, k, sum);
     }
     forward::<T, N>(numbers, p, &mut room.refined);
     let residual = total - squares::<T>(&room.refined, p);
@@ -70,6 +57,32 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut Room) -> T 
         }
     }
     residual
+}
+
+/// Σ (e - Tξ)²/S over rows, in blocks; adds Σ T'(e - Tξ)/S to `sum`. Without `xi`, ξ = 0.
+#[inline(always)]
+pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e: &[f64], xi: &[T], sum: &mut [T]) -> T {
+    let zero = T::splat(0.0);
+    let (mut total, mut part) = (zero, vec![zero; sum.len()]);
+    for start in rows.clone().step_by(BLOCK) {
+        part.fill(zero);
+        let mut square = zero;
+        for row in start..rows.end.min(start + BLOCK) {
+            let sensitivities = numbers.sensitivities(row);
+            let mut left = at::<T>(e, row);
+            for (k, &xi) in xi.iter().enumerate() {
+                left = N::of(sensitivities, k).fnma(xi, left);
+            }
+            let weighted = left * N::of(numbers.gains(row), 0);
+            square = left.fma(weighted, square);
+            add::<T, N>(sensitivities, weighted, &mut part);
+        }
+        total = total + square;
+        for (sum, &part) in sum.iter_mut().zip(&part) {
+            *sum = *sum + part;
+        }
+    }
+    total
 }
 
 /// sum ← sum + T'x, with T of a row.

@@ -49,10 +49,10 @@ pub(super) fn kernel(run: &Run<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
 pub(crate) struct Equal<'a> {
     run: &'a Run<'a>,
     pub(crate) stretch: Stretch<'a>,
-    piece: &'a Piece,
+    pub(crate) piece: &'a Piece,
     moving: usize,
     gains: usize,
-    block: usize,
+    pub(crate) block: usize,
     /// States that move, and P of these at the beginning of each block; empty where nobody wants it.
     pub(crate) states: usize,
     marks: Vec<f64>,
@@ -156,7 +156,10 @@ impl<'a> Equal<'a> {
             spread = step.advance(&spread, &gain, k < self.gains);
             x = step.course.filter.state(&x, &gain.K, e[self.row(k)]);
         }
-        if to > self.moving {
+        if to > self.moving && self.run.blank {
+            spreads.push(spread);
+            xs.resize(to - from, [0.0; N]);
+        } else if to > self.moving {
             spreads.push(spread);
             let (from, gain) = (from.max(self.moving), self.gain::<N, C>(self.moving));
             xs.extend(e[self.row(from)..self.row(to)].iter().map(|&e| {
@@ -189,7 +192,9 @@ fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mu
             x = step.course.filter.state(&x, &gain.K, innovation);
             e.push(innovation);
         }
-        if to > steps.moving {
+        if to > steps.moving && run.blank {
+            e.resize(e.len() + to - from.max(steps.moving), 0.0);
+        } else if to > steps.moving {
             let gain = steps.gain::<N, C>(steps.moving);
             e.extend(values[from.max(steps.moving)..to].iter().map(|&z| {
                 let innovation = step.course.filter.innovation(&x, z);
@@ -256,6 +261,10 @@ fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &m
     let mut back = Back::<N, C>::new(&steps, work);
     let (mut xs, mut spreads) = (Vec::new(), Vec::new());
     for (from, to) in steps.blocks().rev() {
+        if run.blank && back.still.is_some() && from >= steps.moving {
+            back.rested += to - from;
+            continue;
+        }
         if run.tracked() {
             let start = if from == 0 {
                 load(run, &work.now)

@@ -21,6 +21,8 @@ pub(crate) struct Run<'a> {
     pub(crate) start: &'a [f64],
     pub(crate) inputs: &'a [f64],
     pub(crate) values: &'a [f64],
+    /// All data are zero: only what the design says is asked for.
+    pub(crate) blank: bool,
     pub(crate) moments: &'a Moments,
     /// Where later phases say something of the last state.
     pub(crate) ending: Option<&'a Ending>,
@@ -36,7 +38,7 @@ impl<'a> Run<'a> {
     ) -> Run<'a> {
         let (design, data) = (&work.design, &work.data);
         let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-        Run { design, gains, start, inputs, values, moments, ending, wanted }
+        Run { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
     }
 }
 

@@ -173,6 +173,7 @@ fn adjoints_equal_differences_of_the_likelihood() {
     let moments = moments(reduction.view(), &InitialLaw::known(mean, root));
     let wanted = Wanted { motion: true, equation: true };
     let run = Run {
+        blank: false,
         design: &design,
         gains: &gains,
         start: &data.start,
@@ -271,7 +272,7 @@ fn terminal(design: &Design, data: &Data) -> Terminal {
 fn adjoints(design: &Design, data: &Data, gains: &Gains, (moments, ending): (&Moments, Option<&Ending>)) -> Kept {
     let wanted = Wanted { motion: true, equation: true };
     let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-    let run = Run { design, gains, start, inputs, values, moments, ending, wanted };
+    let run = Run { design, gains, start, inputs, values, blank: false, moments, ending, wanted };
     let mut kept = Kept::default();
     let Ok(()) = run.backward(&mut BackwardWork::default(), &mut kept);
     kept
@@ -480,6 +481,7 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
     };
     let moments = moments(reduction.view(), &InitialLaw::known(mean, root));
     let run = Run {
+        blank: false,
         design: &design,
         gains: &gains,
         start: &data.start,

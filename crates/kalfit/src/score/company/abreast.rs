@@ -9,10 +9,10 @@
 use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::ensemble::Test;
-use crate::reduce::{Design, Gains, Step, Transition};
+use crate::reduce::{Design, Gains, Scan, Step, Transition, with_states};
 use crate::score::backward::{Answers, Equal, Leg, Legs};
 use crate::score::chain::{Entry, Response};
-use crate::score::company::equal::{Back, Forth};
+use crate::score::company::equal::{Back, at};
 
 /// What tests share.
 #[derive(Debug)]
@@ -72,8 +72,8 @@ struct Pass<T> {
     /// x̄ on the way forth, r on the way back.
     x: Vec<T>,
     moved: Vec<T>,
-    /// z - d on the way forth, ē from there on, of each scalar measurement.
-    e: Vec<T>,
+    /// z - d on the way forth, ē from there on, of each scalar measurement; of the tests beside each other.
+    e: Vec<f64>,
     /// x̄ before each transition, and before each measurement, of the steps that stand for all, where P is wanted too.
     left: Vec<T>,
     before: Vec<T>,
@@ -100,23 +100,6 @@ fn each<T: Lanes>(tests: &[Own<'_>], mut number: impl FnMut(&Own<'_>) -> f64) ->
     T::load(&lanes)
 }
 
-/// Does something with the number of states that move as a constant: there are no more than four.
-macro_rules! with_states {
-    ($states:expr, $N:ident => $work:expr) => {
-        match $states {
-            0 => with_states!(@ 0, $N => $work),
-            1 => with_states!(@ 1, $N => $work),
-            2 => with_states!(@ 2, $N => $work),
-            3 => with_states!(@ 3, $N => $work),
-            _ => with_states!(@ 4, $N => $work),
-        }
-    };
-    (@ $n:literal, $N:ident => $work:expr) => {{
-        const $N: usize = $n;
-        $work
-    }};
-}
-
 impl<T: Lanes> Pass<T> {
     fn new(shared: &Shared<'_>) -> Pass<T> {
         let (zero, n, response) = (T::splat(0.0), shared.design.frame.n, shared.response);
@@ -124,7 +107,7 @@ impl<T: Lanes> Pass<T> {
         Pass {
             x: vec![zero; n],
             moved: vec![zero; n],
-            e: vec![zero; shared.cells.len()],
+            e: vec![0.0; shared.cells.len() * T::COUNT],
             left: vec![zero; wanted(&shared.legs.left, response.moves.len())],
             before: vec![zero; wanted(&shared.legs.before, response.rows.len())],
             marks: Vec::new(),
@@ -150,12 +133,10 @@ impl<T: Lanes> Pass<T> {
             }
         }
         let numbers: [&[f64]; MOST] = std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
-        for (e, &(cell, d)) in self.e.iter_mut().zip(shared.cells) {
-            let mut lanes = [0.0; MOST];
+        for (e, &(cell, d)) in self.e.chunks_exact_mut(T::COUNT).zip(shared.cells) {
             for lane in 0..T::COUNT {
-                lanes[lane] = numbers[lane][cell] - d;
+                e[lane] = numbers[lane][cell] - d;
             }
-            *e = T::load(&lanes);
         }
         self.marks.clear();
         let (mut at, mut input) = (Standing::default(), 0);
@@ -167,7 +148,7 @@ impl<T: Lanes> Pass<T> {
                     }
                 }
                 Leg::Equal(leg) => {
-                    self.equal_forth(leg);
+                    self.equal_forth(shared, leg);
                     at.row += 1;
                     at.transition += usize::from(leg.stretch.transition.is_some());
                 }
@@ -176,43 +157,44 @@ impl<T: Lanes> Pass<T> {
     }
 
     #[inline(always)]
-    fn step_forth(&mut self, shared: &Shared<'_>, step: &Step<'_>, (at, input): (&mut Standing, &mut usize)) {
+    fn step_forth(&mut self, shared: &Shared<'_>, step: &Step<'_>, (now, input): (&mut Standing, &mut usize)) {
         let frame = &*shared.design.frame;
         let (n, r) = (frame.n, frame.r);
         if let Some(transition) = step.transition {
             if !self.left.is_empty() {
-                self.left[at.transition * n..][..n].copy_from_slice(&self.x);
+                self.left[now.transition * n..][..n].copy_from_slice(&self.x);
             }
             self.advance(transition);
             for &state in &frame.driven {
                 self.x[state as usize] = self.x[state as usize] + T::splat(shared.inputs[*input]);
                 *input += 1;
             }
-            at.transition += 1;
+            now.transition += 1;
         }
         for (line, row) in step.lines.clone().zip(step.rows.clone()) {
             if !self.before.is_empty() {
-                self.before[at.row * n..][..n].copy_from_slice(&self.x);
+                self.before[now.row * n..][..n].copy_from_slice(&self.x);
             }
             let ((states, h), (_, K, _)) = (shared.design.terms(line), shared.gains.row(row));
-            let mut e = self.e[row];
+            let mut e = at::<T>(&self.e, row);
             for (&state, &h) in states.iter().zip(h) {
                 e = T::splat(h).fnma(self.x[state as usize], e);
             }
             for i in 0..r {
                 self.x[i] = T::splat(K[i]).fma(e, self.x[i]);
             }
-            self.e[row] = e;
-            at.row += 1;
+            e.store(&mut self.e[row * T::COUNT..]);
+            now.row += 1;
         }
     }
 
     #[inline(always)]
-    fn equal_forth(&mut self, leg: &Equal<'_>) {
+    fn equal_forth(&mut self, shared: &Shared<'_>, leg: &Equal<'_>) {
         let Pass { x, e, marks, .. } = self;
         marks.extend_from_slice(x);
-        let e = &mut e[leg.stretch.rows.clone()];
-        with_states!(leg.states, N => T::apart(Forth::<T, N> { leg, x, e, marks }));
+        let (stretch, gains) = (&leg.stretch, (shared.gains, leg.piece));
+        let e = &mut e[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
+        Scan { design: shared.design, stretch, gains, x, e, marks: Some((marks, leg.block)) }.run(leg.states);
     }
 
     /// x ← φx.
@@ -283,7 +265,7 @@ impl<T: Lanes> Pass<T> {
         let Pass { x: r, e, marks, .. } = &mut *self;
         let (first, marks) = marks[start..].split_at(n);
         let first = first.to_vec();
-        let e = &e[leg.stretch.rows.clone()];
+        let e = &e[leg.stretch.rows.start * T::COUNT..leg.stretch.rows.end * T::COUNT];
         with_states!(states, N => {
             let answers = T::apart(Back::<T, N> { leg, first: &first, marks, e, r });
             self.answered(shared, leg, (at, &first), &answers);
@@ -337,7 +319,7 @@ impl<T: Lanes> Pass<T> {
         }
         let (states, h) = shared.design.terms(line);
         let (response, own) = (shared.response, &shared.response.rows[standing]);
-        let mut u = self.e[row] * T::splat(weight);
+        let mut u = at::<T>(&self.e, row) * T::splat(weight);
         for (i, &K) in K.iter().enumerate() {
             u = T::splat(K).fnma(self.x[i], u);
         }

@@ -1,42 +1,8 @@
 //! The data's part over equal steps of one scalar measurement.
-#![expect(non_snake_case, reason = "the letters of the theory: K")]
 
 use kalfit_lanes::{Lanes, Part};
 
 use crate::score::backward::{Answers, Equal};
-
-/// Forth over them, from x̄ before them. `e`: z - d of each step, then ē; x̄ at the beginning of each block goes to `marks`.
-pub(super) struct Forth<'a, T, const N: usize> {
-    pub(super) leg: &'a Equal<'a>,
-    pub(super) x: &'a mut [T],
-    pub(super) e: &'a mut [T],
-    pub(super) marks: &'a mut Vec<T>,
-}
-
-impl<T: Lanes, const N: usize> Part for Forth<'_, T, N> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Forth { leg, x: all, e, marks } = self;
-        let filter = leg.course::<T, N>(all).filter;
-        let mut x = known(all);
-        for (from, to) in leg.blocks() {
-            marks.extend_from_slice(&x);
-            let still = leg.moving().clamp(from, to);
-            for k in from..still {
-                e[k] = filter.take(&mut x, &leg.weighted(k).1, e[k]);
-            }
-            if still < to {
-                let (_, K) = leg.weighted(still);
-                for e in &mut e[still..to] {
-                    *e = filter.take(&mut x, &K, *e);
-                }
-            }
-        }
-        all[..N].copy_from_slice(&x);
-    }
-}
 
 /// Back over them, from r after them to r before them.
 pub(super) struct Back<'a, T, const N: usize> {
@@ -44,7 +10,8 @@ pub(super) struct Back<'a, T, const N: usize> {
     /// x̄ of all states before them.
     pub(super) first: &'a [T],
     pub(super) marks: &'a [T],
-    pub(super) e: &'a [T],
+    /// ē of the tests, beside each other.
+    pub(super) e: &'a [f64],
     pub(super) r: &'a mut [T],
 }
 
@@ -64,17 +31,17 @@ impl<T: Lanes, const N: usize> Part for Back<'_, T, N> {
             xs.clear();
             for k in from..to {
                 xs.push(x);
-                x = course.filter.state(&x, &leg.weighted(k).1, e[k]);
+                x = course.filter.state(&x, &leg.weighted(k).1, at(e, k));
             }
             if still < to {
                 let (gain, ahead) = (leg.weighted::<N>(still), ahead[ahead.len() - 1]);
                 for k in (still..to).rev() {
-                    course.back(&mut r, (gain.0, &gain.1), e[k], (&xs[k - from], &ahead), &mut answers);
+                    course.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], &ahead), &mut answers);
                 }
             }
             for k in (from..still).rev() {
                 let (gain, ahead) = (leg.weighted::<N>(k), &ahead[(k - from).min(ahead.len() - 1)]);
-                course.back(&mut r, (gain.0, &gain.1), e[k], (&xs[k - from], ahead), &mut answers);
+                course.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], ahead), &mut answers);
             }
         }
         all[..N].copy_from_slice(&r);
@@ -88,4 +55,10 @@ fn known<T: Lanes, const N: usize>(all: &[T]) -> [T; N] {
     let mut first = [T::splat(0.0); N];
     first.copy_from_slice(&all[..N]);
     first
+}
+
+/// The same number of each test.
+#[inline(always)]
+pub(super) fn at<T: Lanes>(numbers: &[f64], k: usize) -> T {
+    T::load(&numbers[k * T::COUNT..][..T::COUNT])
 }

@@ -117,7 +117,7 @@ impl Blank {
 
     fn run<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: Wanted) -> Run<'a> {
         let Blank { start, inputs, values, moments, ending } = self;
-        Run { design, gains, start, inputs, values, moments, ending: ending.as_ref(), wanted }
+        Run { design, gains, start, inputs, values, blank: true, moments, ending: ending.as_ref(), wanted }
     }
 }
 
