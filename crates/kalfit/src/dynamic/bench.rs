@@ -23,6 +23,11 @@ use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, Reducti
 use crate::remote::{Answers, Question, Remote};
 use crate::score::{Arrangement, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
+/// So many tests are few,
+const NARROW: usize = 64;
+/// and where they are, so many rows at a time may be worked at.
+const ROOM: usize = 1 << 24;
+
 /// The ensemble and the model, ready for any α.
 #[derive(Debug)]
 pub(crate) struct Bench<'a> {
@@ -176,6 +181,12 @@ impl<'a> Bench<'a> {
             Some(answers) => answers.together(ask),
             None => ask(),
         }
+    }
+
+    /// The tests are few, so that threads had better work at several α at once, and there is room for that.
+    pub(crate) fn is_narrow(&self) -> bool {
+        let threads = rayon::current_num_threads();
+        !self.is_elsewhere() && threads > 1 && self.tests.len() <= NARROW && self.rows() * threads <= ROOM
     }
 
     /// Sizes found in the data.

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use crate::dynamic::bench::{Bench, Shifted, Solved, Told};
 use crate::dynamic::covariances::Covariances;
@@ -86,11 +87,22 @@ impl Joint {
             cross: DMatrix::zeros(n, inner.nrows()),
             inner,
         };
-        bench.together(|| {
-            for colour in touching.colours(&joint.active, bench.restricted()) {
-                joint.column(bench, home, &colour, &touching, central);
-            }
-        });
+        let colours = touching.colours(&joint.active, bench.restricted());
+        let blank = joint.clone();
+        let columns = |colour: &Vec<usize>| {
+            let mut part = blank.clone();
+            part.column(bench, home, colour, &touching, central);
+            part
+        };
+        bench.order(); // known to all threads before they part
+        let parts: Vec<Joint> = match bench.is_narrow() {
+            true => colours.par_iter().map(columns).collect(),
+            false => bench.together(|| colours.iter().map(columns).collect()),
+        };
+        for (colour, part) in colours.iter().zip(parts) {
+            joint.own.extend(part.own);
+            colour.iter().for_each(|&s| joint.cross.set_row(s, &part.cross.row(s)));
+        }
         joint.mirror();
         joint.without_flat(bench, home)
     }

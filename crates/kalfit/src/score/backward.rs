@@ -56,6 +56,11 @@ impl Run<'_> {
     /// The adjoints of the test, into the sink.
     pub(crate) fn backward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
         self.forward(work, sink);
+        self.back(work, sink)
+    }
+
+    /// The way back, once the way forth has been gone.
+    pub(crate) fn back<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
         work.adjoint.begin(&self.unknown(), self.after());
         for at in (0..work.parts.len()).rev() {
             let part = work.parts[at];

@@ -25,7 +25,7 @@ pub(crate) struct Legs<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// Its legs, after the way back over it.
+    /// Its legs, after the way forth over it.
     pub(crate) fn legs(&'a self, work: &mut BackwardWork) -> Legs<'a> {
         let mut legs = Legs::default();
         for at in 0..work.parts.len() {

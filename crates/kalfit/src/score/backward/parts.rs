@@ -15,7 +15,7 @@ impl Run<'_> {
     }
 
     /// The filter at ξ = x̂ under the gains of the design: its innovations, its parts, and its state where they begin.
-    pub(super) fn forward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
+    pub(crate) fn forward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         self.cut(work, sink);
         work.e.clear();
         work.e.reserve(self.values.len());

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::reduce::{Design, Fault, Gains, ReduceError, Workspace};
 use crate::score::backward::{BackwardWork, Ending, Run, Wanted};
-use crate::score::chain::{Adjoints, Gradient, Response, add};
+use crate::score::chain::{Adjoints, Gradient, add};
 use crate::score::moments::Moments;
 use crate::score::{Onward, Scorer};
 use abreast::{Abreast, Own, Shared};
@@ -67,8 +67,7 @@ impl Scorer<'_> {
                 return Ok(None);
             }
             let response = adjoints.response((first, work), standing.into_iter())?;
-            run.backward(backward, &mut Onward { adjoints, test: first, work })?;
-            let design = adjoints.finish(first, work)?;
+            run.forward(backward, &mut Onward { adjoints, test: first, work });
             let legs = run.legs(backward);
             let shared = Shared {
                 design: &work.design,
@@ -79,7 +78,12 @@ impl Scorer<'_> {
                 legs: &legs,
                 response: &response,
             };
-            Ok(scores(&shared, tests, &design))
+            let design = || {
+                run.back(backward, &mut Onward { adjoints, test: first, work })?;
+                adjoints.finish(first, work)
+            };
+            let (design, data) = rayon::join(design, || of_data(&shared, tests));
+            Ok(sums(data, &design?))
         })?;
         // what is wrong with it will be said of the test that it is wrong with
         Ok(found.unwrap_or(None))
@@ -121,23 +125,24 @@ impl Blank {
     }
 }
 
-/// The design's part and the data's part of each test; `None` where one is not finite.
-fn scores(shared: &Shared<'_>, tests: &[Told<'_>], design: &Gradient) -> Option<Vec<Gradient>> {
-    let response: &Response = shared.response;
+/// The data's part of each test.
+fn of_data(shared: &Shared<'_>, tests: &[Told<'_>]) -> Vec<Gradient> {
+    let slots = &shared.response.slots;
     let share = |tests: &[Told<'_>]| {
         let tests: Vec<Own<'_>> =
             tests.iter().map(|told| Own { test: told.test, mean: &told.mean, ending: &told.ending }).collect();
         let found = Isa::best().run(Abreast { shared, tests: &tests });
-        let slots = response.slots.len();
-        let gradient = |number: usize| {
-            let own = response.slots.iter().copied().zip(found[number * slots..][..slots].iter().copied());
-            let mut gradient: Gradient = own.collect();
-            add(&mut gradient, design);
-            gradient
-        };
-        (0..tests.len()).map(gradient).collect::<Vec<Gradient>>()
+        let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
+        (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };
-    let all: Vec<Gradient> =
-        if tests.len() <= SHARE { share(tests) } else { tests.par_chunks(SHARE).flat_map_iter(share).collect() };
-    all.iter().flatten().all(|(_, x)| x.is_finite()).then_some(all)
+    match tests.len() <= SHARE {
+        true => share(tests),
+        false => tests.par_chunks(SHARE).flat_map_iter(share).collect(),
+    }
+}
+
+/// The design's part and the data's part of each test; `None` where one is not finite.
+fn sums(mut data: Vec<Gradient>, design: &Gradient) -> Option<Vec<Gradient>> {
+    data.iter_mut().for_each(|own| add(own, design));
+    data.iter().flatten().all(|(_, x)| x.is_finite()).then_some(data)
 }
