@@ -7,9 +7,9 @@
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::iterate::{End, RISE, Search};
+use crate::dynamic::iterate::{End, RISE, Search, Start};
 use crate::dynamic::places::places;
-use crate::dynamic::sample::{ALIKE, Beside, CLOSE, FOLLOWED, sample, total};
+use crate::dynamic::sample::{ALIKE, Beside, CLOSE, FOLLOWED, larger, nearer, sample, total};
 use crate::dynamic::search::search;
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
@@ -70,9 +70,10 @@ fn on_part(
     let highest = found[0].home.value();
     let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(End::restart);
     let elsewhere = near.filter(|values| !alike(&ordered(&bench.twins, values), &known, ALIKE));
-    for values in elsewhere.take(FOLLOWED) {
+    let elsewhere: Vec<Start> = elsewhere.take(FOLLOWED).map(Start::from).collect();
+    for start in apart_from(&home, elsewhere, (bench, hybrid), progress) {
         let floor = best(ends).map(|best| best.home.value() + RISE);
-        let Ok(home) = hybrid.solve(&values, None) else { continue };
+        let Ok(home) = hybrid.solve(&start.values, None) else { continue };
         if progress.stops() {
             return Ok(Explored::Part);
         }
@@ -82,6 +83,25 @@ fn on_part(
         }
     }
     Ok(if looked == Explored::Whole { Explored::Sample } else { looked })
+}
+
+/// Those of these starts that on larger parts of the data, too, lead away from `home`, and nearly as high.
+fn apart_from(
+    home: &[f64],
+    elsewhere: Vec<Start>,
+    (bench, hybrid): (&Bench<'_>, &Bench<'_>),
+    progress: &mut dyn Progress,
+) -> Vec<Start> {
+    if elsewhere.is_empty() {
+        return elsewhere;
+    }
+    let mut starts = vec![Start::from(home.to_vec())];
+    starts.extend(elsewhere);
+    for part in larger(bench.tests, true) {
+        let larger = Bench::new(bench.model, &part, bench.slots, hybrid.settings);
+        starts = nearer((hybrid, &larger), starts, progress);
+    }
+    starts.split_off(1)
 }
 
 /// A certified end above another.

@@ -27,6 +27,13 @@ impl Search<'_, '_> {
         }
     }
 
+    /// The same, with nothing to learn from that step.
+    pub(super) fn glide_by(&mut self, joint: &Joint) {
+        if let Some(curvature) = Curvature::of(joint) {
+            self.glide_on(curvature, None);
+        }
+    }
+
     /// Goes on by a curvature at hand; `last`: where it was known, if that is not here.
     pub(super) fn glide_on(&mut self, curvature: Curvature, mut last: Option<Solved>) {
         if self.bench.settings.method != Method::Hybrid {

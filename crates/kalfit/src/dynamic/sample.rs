@@ -14,6 +14,9 @@ pub(super) const CLOSE: f64 = 5.0;
 /// … so many of them, none but those that differ by more than this part.
 pub(super) const FOLLOWED: usize = 3;
 pub(super) const ALIKE: f64 = 2e-2;
+/// Larger parts are so many times as long each, and no longer than this part of all.
+const GROWS: usize = 8;
+const SHORTER: usize = 4;
 /// Rows of the part, and rows of one test in it.
 const ROWS: usize = 100_000;
 const ROWS_OF_A_TEST: usize = 20_000;
@@ -23,10 +26,22 @@ const MANY: usize = 256;
 
 /// The first rows of every phase of every test, as many tests as fit; `common`: values are common to all tests.
 pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
+    sample_of(tests, common, 1)
+}
+
+/// Parts of the data between the sample and all of it, each larger than the one before.
+pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
+    let all = total(tests);
+    let sizes = std::iter::successors(Some(GROWS), |size| size.checked_mul(GROWS));
+    sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| SHORTER * total(part) <= all)
+}
+
+/// So many times as many rows.
+fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest> {
     let mut order: Vec<&PhasedTest> = tests.iter().collect();
     order.sort_by(|a, b| a.id.cmp(&b.id));
     let first = |evidence: &Evidence| match evidence {
-        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST)),
+        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST * size)),
         other => other.clone(),
     };
     let mut many = 0;
@@ -35,7 +50,7 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
         let kept = PhasedTest { id: test.id.clone(), phases: test.phases.iter().map(first).collect() };
         many += rows(&kept);
         sample.push(kept);
-        if many > ROWS || (common && many > ROWS_OF_MANY && sample.len() >= MANY) {
+        if many > ROWS * size || (common && many > ROWS_OF_MANY * size && sample.len() >= MANY * size) {
             break;
         }
     }
@@ -53,7 +68,7 @@ pub(super) fn promising(
 ) -> Vec<Start> {
     let mut part = Part { small, more: bench.rows() as f64 / small.rows() as f64, progress };
     let mut kept = Vec::from_iter(given.map(|given| part.told(bench, given)));
-    let mut ends: Vec<(f64, Start)> = others.iter().filter_map(|start| part.end(start)).collect();
+    let mut ends: Vec<(f64, Start)> = others.iter().filter_map(|start| part.end(start.clone().into())).collect();
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
     let Some(&(best, _)) = ends.first() else {
         kept.extend(others.into_iter().map(Start::from));
@@ -71,6 +86,30 @@ pub(super) fn promising(
     kept
 }
 
+/// The same starts where they lead on a larger part of the data, if ℓ of all data is no lower there. The first one stays; of the
+/// others those that end near another do not, nor those that end far below.
+pub(super) fn nearer(
+    (bench, larger): (&Bench<'_>, &Bench<'_>),
+    starts: Vec<Start>,
+    progress: &mut dyn Progress,
+) -> Vec<Start> {
+    let mut part = Part { small: larger, more: bench.rows() as f64 / larger.rows() as f64, progress };
+    let mut kept: Vec<Start> = Vec::new();
+    let mut seen: Vec<Vec<f64>> = Vec::new();
+    let mut highest = f64::NEG_INFINITY;
+    for start in starts {
+        let (value, start) = part.nearer(bench, start);
+        let place = ordered(&larger.twins, &start.values);
+        let is_far = value.is_some_and(|value| value < highest - CLOSE);
+        if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &place, ALIKE))) {
+            kept.push(start);
+            seen.push(place);
+        }
+        highest = value.map_or(highest, |value| highest.max(value));
+    }
+    kept
+}
+
 /// A part of the data, of which all are `more` times as many.
 struct Part<'a, 'b> {
     small: &'a Bench<'b>,
@@ -80,23 +119,29 @@ struct Part<'a, 'b> {
 
 impl Part<'_, '_> {
     /// Where a search ends, and ℓ there.
-    fn end(&mut self, start: &[f64]) -> Option<(f64, Start)> {
+    fn end(&mut self, start: Start) -> Option<(f64, Start)> {
         let mut beside = Beside { small: self.small, progress: &mut *self.progress };
-        let end = search(self.small, start.to_vec().into(), None, &mut beside).ok()?;
+        let start = Start { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
+        let end = search(self.small, start, None, &mut beside).ok()?;
         let curvature = Curvature::of(&end.joint).map(|curvature| curvature.times(self.more));
         Some((end.home.value(), Start { values: end.restart(), curvature }))
     }
 
     /// Given values, or where they lead if ℓ of all data is no lower there.
     fn told(&mut self, bench: &Bench<'_>, given: Vec<f64>) -> Start {
-        let here = bench.value(&given);
-        match self.end(&given) {
-            Some((_, start))
-                if here.is_none_or(|here| bench.value(&start.values).is_some_and(|there| there >= here)) =>
+        self.nearer(bench, given.into()).1
+    }
+
+    /// A start, or where it leads if ℓ of all data is no lower there; ℓ of the part where it leads.
+    fn nearer(&mut self, bench: &Bench<'_>, start: Start) -> (Option<f64>, Start) {
+        let here = bench.value(&start.values);
+        match self.end(start.clone()) {
+            Some((value, end))
+                if here.is_none_or(|here| bench.value(&end.values).is_some_and(|there| there >= here)) =>
             {
-                start
+                (Some(value), end)
             }
-            _ => given.into(),
+            found => (found.map(|(value, _)| value), start),
         }
     }
 }

@@ -186,8 +186,13 @@ impl<'b, 'a> Search<'b, 'a> {
                 self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
                 let before = self.home.clone();
                 self.arrive(next);
-                if levels.is_empty() && !self.stride(&step) && gain > 0.2 * promised {
-                    self.glide(joint, &before);
+                if levels.is_empty() && !self.stride(&step) {
+                    match gain > 0.2 * promised {
+                        true => self.glide(joint, &before),
+                        // what gradients did over so short a step is rounding
+                        false if is_level => self.glide_by(joint),
+                        false => {}
+                    }
                 }
                 return true;
             }

@@ -11,7 +11,7 @@ use crate::dynamic::DynamicError;
 use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::Start;
-use crate::dynamic::sample::{promising, sample, total};
+use crate::dynamic::sample::{larger, nearer, promising, sample, total};
 use crate::dynamic::scales::{is_noise, time_constants};
 use crate::dynamic::tries::{other_maxima, scan, tried};
 use crate::estimate::Progress;
@@ -51,7 +51,12 @@ pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<V
     // values that were given are one start, whatever becomes of the others on a part of the data
     let free = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).count();
     let given = (unknown.len() < free).then(|| all.remove(0));
-    Ok(promising((bench, &small), given, all, progress))
+    let mut starts = promising((bench, &small), given, all, progress);
+    for part in larger(bench.tests, common) {
+        let larger = Bench::new(bench.model, &part, bench.slots, bench.settings);
+        starts = nearer((bench, &larger), starts, progress);
+    }
+    Ok(starts)
 }
 
 /// The first start on a part of the tests, and others where the likelihood looks to have other maxima.
