@@ -1,6 +1,6 @@
 //! The outer search (the paper's Figure 1): μ and Σ are solved for each α, and Newton's method moves α.
 
-use crate::dynamic::bench::Bench;
+use crate::dynamic::bench::{Bench, Solved};
 use crate::dynamic::em::Em;
 use crate::dynamic::iterate::{DRIFT, End, LONGEST, NEAR_ENOUGH, RISE, Search, Start};
 use crate::dynamic::joint::{self, Joint, LEVEL_GROUND};
@@ -9,6 +9,8 @@ use crate::estimate::{Progress, Stop};
 
 /// A variance grows by no more than this factor at once.
 const HIGHEST: f64 = 20.0;
+/// A maximum is close when a step promises to come within reach: a decrement below this.
+const CLOSE: f64 = 2.0;
 /// With more damping than this a step goes nowhere.
 const STIFF: f64 = 1e6;
 /// Most outer steps.
@@ -160,46 +162,64 @@ impl<'b, 'a> Search<'b, 'a> {
         false
     }
 
-    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides.
+    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides. Close to a maximum a step that
+    /// fails in logarithms of levels is tried in their variances: where noises stand for each other, it is these that add up.
     fn advance(&mut self, joint: &Joint, decrement: f64, fine: bool) -> bool {
-        let slack = 1e-12 * self.home.value().abs().max(1.0);
-        let levels = self.levels_near_zero(joint);
-        let joint = &joint.in_variances(&levels, &self.home.gradient);
+        let near_zero = self.levels_near_zero(joint);
+        let all = if decrement < CLOSE { self.levels(joint) } else { Vec::new() };
+        let is_other = all.len() > near_zero.len();
+        let ways = [Some(near_zero), is_other.then_some(all)].into_iter().flatten();
+        let ways: Vec<(Joint, Vec<(usize, f64)>)> =
+            ways.map(|levels| (joint.in_variances(&levels, &self.home.gradient), levels)).collect();
         while self.damping < STIFF {
-            let step = self.within_reach(joint, &levels);
-            let promised = 0.5 * step.decrement.powi(2);
-            let values = self.moved(&step.alpha, &levels);
-            let next = match self.bench.settings.method {
-                Method::Innovations => self.stepped(&values, &step, fine),
-                Method::Hybrid | Method::Em => self.at(&values),
-            };
-            let next = next.or_else(|| self.above_zero(&values));
-            let Some(next) = next else {
-                self.damping = (8.0 * self.damping).max(0.1);
-                continue;
-            };
-            let gain = next.value() - self.home.value();
-            self.level_steps = if gain > 0.0 { 0 } else { self.level_steps + 1 };
-            let is_level = promised <= slack && gain >= -slack && decrement < 1e-3 && self.level_steps < LEVEL_STEPS;
-            if gain >= 0.05 * promised || is_level {
-                self.damping *= if gain > 0.5 * promised { 0.1 } else { 1.0 };
-                self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
-                let before = self.home.clone();
-                self.arrive(next);
-                if levels.is_empty() && !self.stride(&step) {
-                    match gain > 0.2 * promised {
-                        true => self.glide(joint, &before),
-                        // what gradients did over so short a step is rounding
-                        false if is_level => self.glide_by(joint),
-                        false => {}
-                    }
+            for (joint, levels) in &ways {
+                let step = self.within_reach(joint, levels);
+                let values = self.moved(&step.alpha, levels);
+                let next = match self.bench.settings.method {
+                    Method::Innovations => self.stepped(&values, &step, fine),
+                    Method::Hybrid | Method::Em => self.at(&values),
+                };
+                let Some(next) = next.or_else(|| self.above_zero(&values)) else {
+                    self.damping = (1.6 * self.damping).max(0.02); // farther than a step that only fails
+                    continue;
+                };
+                if self.accept(next, (joint, levels), (&step, decrement)) {
+                    return true;
                 }
-                return true;
             }
             self.damping = (5.0 * self.damping).max(0.05);
         }
         self.damping = 0.0;
         false
+    }
+
+    /// Takes a step if it has done what it promised, and goes on from there.
+    fn accept(
+        &mut self,
+        next: Solved,
+        (joint, levels): (&Joint, &[(usize, f64)]),
+        (step, decrement): (&joint::Step, f64),
+    ) -> bool {
+        let slack = 1e-12 * self.home.value().abs().max(1.0);
+        let (promised, gain) = (0.5 * step.decrement.powi(2), next.value() - self.home.value());
+        self.level_steps = if gain > 0.0 { 0 } else { self.level_steps + 1 };
+        let is_level = promised <= slack && gain >= -slack && decrement < 1e-3 && self.level_steps < LEVEL_STEPS;
+        if gain < 0.05 * promised && !is_level {
+            return false;
+        }
+        self.damping *= if gain > 0.5 * promised { 0.1 } else { 1.0 };
+        self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
+        let before = self.home.clone();
+        self.arrive(next);
+        if levels.is_empty() && !self.stride(step) {
+            match gain > 0.2 * promised {
+                true => self.glide(joint, &before),
+                // what gradients did over so short a step is rounding
+                false if is_level => self.glide_by(joint),
+                false => {}
+            }
+        }
+        true
     }
 
     /// The step with so much damping that no value goes too far; values of single tests are cut off by themselves. `levels` move

@@ -53,6 +53,11 @@ impl Search<'_, '_> {
         joint.active.iter().filter_map(near).collect()
     }
 
+    /// All levels that move, with their exponents.
+    pub(super) fn levels(&self, joint: &Joint) -> Vec<(usize, f64)> {
+        joint.active.iter().filter_map(|&s| Some((s, self.bench.coordinates[s].level?))).collect()
+    }
+
     /// Where ℓ is not defined with levels at zero, the same with them a little above it, which is as low as they go from now on.
     pub(super) fn above_zero(&mut self, values: &[f64]) -> Option<Solved> {
         let mut raised = values.to_vec();
