@@ -9,7 +9,7 @@ use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
 use crate::dynamic::iterate::{End, RISE, Search, Start};
 use crate::dynamic::places::places;
-use crate::dynamic::sample::{ALIKE, Beside, CLOSE, FOLLOWED, larger, nearer, sample, total};
+use crate::dynamic::sample::{ALIKE, Beside, CLOSE, FOLLOWED, larger, nearer, roughly, sample, total};
 use crate::dynamic::search::search;
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
@@ -43,7 +43,7 @@ pub(super) fn explore(
     let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
     let part = if common { sample(bench.tests, common) } else { Vec::new() };
     let small = Bench::new(bench.model, &part, bench.slots, &settings);
-    let is_long = common && LONGER * total(&part) <= bench.rows();
+    let is_long = common && bench.rows() > 0 && LONGER * total(&part) <= bench.rows();
     let explored = match best(ends) {
         Some(_) if is_long && is_possible(&small) => on_part((bench, &hybrid, &small), ends, told, progress),
         _ if is_possible(bench) => look_around((bench, &hybrid), ends, (told, 0.0), progress),
@@ -77,7 +77,11 @@ fn on_part(
         if progress.stops() {
             return Ok(Explored::Part);
         }
-        let end = Search::new(hybrid, progress, home).beyond(floor).run()?;
+        let mut search = Search::new(hybrid, progress, home).beyond(floor);
+        if let Some(curvature) = start.curvature {
+            search.glide_on(curvature, (None, true));
+        }
+        let end = search.run()?;
         if is_higher(&end, floor) {
             ends.push(by_method(bench, end, progress)?);
         }
@@ -97,8 +101,9 @@ fn apart_from(
     }
     let mut starts = vec![Start::from(home.to_vec())];
     starts.extend(elsewhere);
+    let settings = roughly(hybrid.settings);
     for part in larger(bench.tests, true) {
-        let larger = Bench::new(bench.model, &part, bench.slots, hybrid.settings);
+        let larger = Bench::new(bench.model, &part, bench.slots, &settings);
         starts = nearer((hybrid, &larger), starts, progress);
     }
     starts.split_off(1)

@@ -23,25 +23,26 @@ impl Search<'_, '_> {
     /// Goes on from where a step led; `before`: where it began, `joint` the information there.
     pub(super) fn glide(&mut self, joint: &Joint, before: &Solved) {
         if let Some(curvature) = Curvature::of(joint) {
-            self.glide_on(curvature, Some(before.clone()));
+            self.glide_on(curvature, (Some(before.clone()), true));
         }
     }
 
     /// The same, with nothing to learn from that step.
     pub(super) fn glide_by(&mut self, joint: &Joint) {
         if let Some(curvature) = Curvature::of(joint) {
-            self.glide_on(curvature, None);
+            self.glide_on(curvature, (None, false));
         }
     }
 
-    /// Goes on by a curvature at hand; `last`: where it was known, if that is not here.
-    pub(super) fn glide_on(&mut self, curvature: Curvature, mut last: Option<Solved>) {
+    /// Goes on by a curvature at hand; `last`: where it was known, if that is not here; `learns`: it is corrected on the way.
+    pub(super) fn glide_on(&mut self, curvature: Curvature, (mut last, learns): (Option<Solved>, bool)) {
         if self.bench.settings.method != Method::Hybrid {
             return;
         }
         let Curvature { slots, mut information } = curvature;
         for _ in 0..STEPS {
-            let learnt = last.as_ref().is_none_or(|last| self.learn(&mut information, &slots, last));
+            let before = last.as_ref().filter(|_| learns);
+            let learnt = before.is_none_or(|last| self.learn(&mut information, &slots, last));
             if !learnt || self.sinks(&information, &slots) {
                 return;
             }

@@ -60,6 +60,8 @@ pub(crate) struct Search<'b, 'a> {
     pub(super) given_up: bool,
     /// Steps one after the other that did not raise ℓ.
     pub(super) level_steps: usize,
+    /// Steps one after the other that failed before they were made shorter.
+    pub(super) failing: usize,
 }
 
 /// Where it ended.
@@ -111,6 +113,7 @@ impl<'b, 'a> Search<'b, 'a> {
             glided: None,
             given_up: false,
             level_steps: 0,
+            failing: 0,
         };
         search.place();
         search

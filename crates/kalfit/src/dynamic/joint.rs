@@ -88,20 +88,14 @@ impl Joint {
             inner,
         };
         let colours = touching.colours(&joint.active, bench.restricted());
-        let blank = joint.clone();
-        let columns = |colour: &Vec<usize>| {
-            let mut part = blank.clone();
-            part.column(bench, home, colour, &touching, central);
-            part
-        };
-        bench.order(); // known to all threads before they part
-        let parts: Vec<Joint> = match bench.is_narrow() {
-            true => colours.par_iter().map(columns).collect(),
-            false => bench.together(|| colours.iter().map(columns).collect()),
-        };
-        for (colour, part) in colours.iter().zip(parts) {
-            joint.own.extend(part.own);
-            colour.iter().for_each(|&s| joint.cross.set_row(s, &part.cross.row(s)));
+        if bench.is_narrow() {
+            joint.columns_apart(bench, home, &colours, &touching, central);
+        } else {
+            bench.together(|| {
+                for colour in &colours {
+                    joint.column(bench, home, colour, &touching, central);
+                }
+            });
         }
         joint.mirror();
         joint.without_flat(bench, home)
@@ -125,6 +119,29 @@ impl Joint {
         self.private.iter_mut().for_each(|block| block.retain(|&s| kept[s]));
         self.private.retain(|block| !block.is_empty());
         self
+    }
+
+    /// All columns, each colour's by a thread of its own.
+    fn columns_apart(
+        &mut self,
+        bench: &Bench<'_>,
+        home: &Solved,
+        colours: &[Vec<usize>],
+        touching: &Touching,
+        central: bool,
+    ) {
+        bench.order(); // known to all threads before they part
+        let blank = self.clone();
+        let columns = |colour: &Vec<usize>| {
+            let mut part = blank.clone();
+            part.column(bench, home, colour, touching, central);
+            part
+        };
+        let parts: Vec<Joint> = colours.par_iter().map(columns).collect();
+        for (colour, part) in colours.iter().zip(parts) {
+            self.own.extend(part.own);
+            colour.iter().for_each(|&s| self.cross.set_row(s, &part.cross.row(s)));
+        }
     }
 
     /// The columns of some values that no test has in common.

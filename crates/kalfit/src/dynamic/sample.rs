@@ -1,5 +1,6 @@
 //! A part of the data, on which searches are cheap, and where the best of them end.
 
+use crate::dynamic::Settings;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
 use crate::dynamic::curvature::Curvature;
@@ -17,6 +18,8 @@ pub(super) const ALIKE: f64 = 2e-2;
 /// Larger parts are so many times as long each, and no longer than this part of all.
 const GROWS: usize = 8;
 const SHORTER: usize = 4;
+/// … and a search on them ends this near to where it leads, in standard errors.
+const ROUGH: f64 = 1e-3;
 /// Rows of the part, and rows of one test in it.
 const ROWS: usize = 100_000;
 const ROWS_OF_A_TEST: usize = 20_000;
@@ -33,7 +36,16 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
 pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
     let all = total(tests);
     let sizes = std::iter::successors(Some(GROWS), |size| size.checked_mul(GROWS));
-    sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| SHORTER * total(part) <= all)
+    sizes
+        .map(move |size| sample_of(tests, common, size))
+        .take_while(move |part| all > 0 && SHORTER * total(part) <= all)
+}
+
+/// Settings of a search on such a part: where it ends exactly does not matter.
+pub(super) fn roughly(settings: &Settings) -> Settings {
+    let mut rough = settings.clone();
+    rough.inner.tolerance = rough.inner.tolerance.max(ROUGH);
+    rough
 }
 
 /// So many times as many rows.
@@ -41,7 +53,7 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
     let mut order: Vec<&PhasedTest> = tests.iter().collect();
     order.sort_by(|a, b| a.id.cmp(&b.id));
     let first = |evidence: &Evidence| match evidence {
-        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST * size)),
+        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST.saturating_mul(size))),
         other => other.clone(),
     };
     let mut many = 0;
@@ -66,7 +78,7 @@ pub(super) fn promising(
     others: Vec<Vec<f64>>,
     progress: &mut dyn Progress,
 ) -> Vec<Start> {
-    let mut part = Part { small, more: bench.rows() as f64 / small.rows() as f64, progress };
+    let mut part = Part { small, more: bench.rows() as f64 / small.rows() as f64, floor: None, progress };
     let mut kept = Vec::from_iter(given.map(|given| part.told(bench, given)));
     let mut ends: Vec<(f64, Start)> = others.iter().filter_map(|start| part.end(start.clone().into())).collect();
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -93,19 +105,23 @@ pub(super) fn nearer(
     starts: Vec<Start>,
     progress: &mut dyn Progress,
 ) -> Vec<Start> {
-    let mut part = Part { small: larger, more: bench.rows() as f64 / larger.rows() as f64, progress };
+    let mut part = Part { small: larger, more: bench.rows() as f64 / larger.rows() as f64, floor: None, progress };
     let mut kept: Vec<Start> = Vec::new();
     let mut seen: Vec<Vec<f64>> = Vec::new();
-    let mut highest = f64::NEG_INFINITY;
     for start in starts {
+        if part.progress.stops() {
+            kept.push(start);
+            break;
+        }
         let (value, start) = part.nearer(bench, start);
         let place = ordered(&larger.twins, &start.values);
-        let is_far = value.is_some_and(|value| value < highest - CLOSE);
+        let is_far = value.zip(part.floor).is_some_and(|(value, floor)| value < floor);
         if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &place, ALIKE))) {
             kept.push(start);
             seen.push(place);
         }
-        highest = value.map_or(highest, |value| highest.max(value));
+        let within = value.map(|value| value - CLOSE);
+        part.floor = part.floor.into_iter().chain(within).reduce(f64::max);
     }
     kept
 }
@@ -114,6 +130,8 @@ pub(super) fn nearer(
 struct Part<'a, 'b> {
     small: &'a Bench<'b>,
     more: f64,
+    /// Searches that cannot come so high give up.
+    floor: Option<f64>,
     progress: &'a mut dyn Progress,
 }
 
@@ -122,7 +140,7 @@ impl Part<'_, '_> {
     fn end(&mut self, start: Start) -> Option<(f64, Start)> {
         let mut beside = Beside { small: self.small, progress: &mut *self.progress };
         let start = Start { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
-        let end = search(self.small, start, None, &mut beside).ok()?;
+        let end = search(self.small, start, self.floor, &mut beside).ok()?;
         let curvature = Curvature::of(&end.joint).map(|curvature| curvature.times(self.more));
         Some((end.home.value(), Start { values: end.restart(), curvature }))
     }
@@ -173,4 +191,25 @@ pub(super) fn total(tests: &[PhasedTest]) -> usize {
 /// Rows of all phases.
 fn rows(test: &PhasedTest) -> usize {
     test.phases.iter().map(|evidence| if let Evidence::Rows(test) = evidence { test.rows() } else { 0 }).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ensemble::{Source, Test};
+
+    fn record(id: usize, rows: usize) -> PhasedTest {
+        let mut test = Test::new(format!("{id:02}"), 1, 0);
+        (0..rows).for_each(|row| test.push(&[row as f64], &[], Source::default()));
+        PhasedTest { id: test.id.clone(), phases: vec![Evidence::Rows(test)].into() }
+    }
+
+    #[test]
+    fn larger_parts_grow_and_are_much_shorter_than_all() {
+        let long: Vec<PhasedTest> = (0..24).map(|id| record(id, 160_000)).collect();
+        let sizes = |tests: &[PhasedTest]| larger(tests, true).map(|part| total(&part)).collect::<Vec<_>>();
+        assert_eq!(sizes(&long), [6 * 160_000], "800 000 rows are enough: a quarter of all");
+        assert!(sizes(&long[..23]).is_empty(), "no part of a fifth");
+        assert_eq!(total(&sample(&long, true)), 6 * 20_000);
+    }
 }

@@ -9,7 +9,8 @@ use crate::estimate::{Progress, Stop};
 
 /// A variance grows by no more than this factor at once.
 const HIGHEST: f64 = 20.0;
-/// A maximum is close when a step promises to come within reach: a decrement below this.
+/// A search creeps when so many steps on end have failed at first, with a decrement below this.
+const CREEPING: usize = 3;
 const CLOSE: f64 = 2.0;
 /// With more damping than this a step goes nowhere.
 const STIFF: f64 = 1e6;
@@ -162,17 +163,19 @@ impl<'b, 'a> Search<'b, 'a> {
         false
     }
 
-    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides. Close to a maximum a step that
-    /// fails in logarithms of levels is tried in their variances: where noises stand for each other, it is these that add up.
+    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides. Where the search creeps, a step
+    /// that fails in logarithms of levels is tried in their variances: where noises stand for each other, it is these that add up.
     fn advance(&mut self, joint: &Joint, decrement: f64, fine: bool) -> bool {
         let near_zero = self.levels_near_zero(joint);
-        let all = if decrement < CLOSE { self.levels(joint) } else { Vec::new() };
+        let creeps = self.failing >= CREEPING && decrement < CLOSE;
+        let all = if creeps { self.levels(joint) } else { Vec::new() };
         let is_other = all.len() > near_zero.len();
         let ways = [Some(near_zero), is_other.then_some(all)].into_iter().flatten();
         let ways: Vec<(Joint, Vec<(usize, f64)>)> =
             ways.map(|levels| (joint.in_variances(&levels, &self.home.gradient), levels)).collect();
+        let mut at_once = true;
         while self.damping < STIFF {
-            for (joint, levels) in &ways {
+            for (way, (joint, levels)) in ways.iter().enumerate() {
                 let step = self.within_reach(joint, levels);
                 let values = self.moved(&step.alpha, levels);
                 let next = match self.bench.settings.method {
@@ -180,12 +183,15 @@ impl<'b, 'a> Search<'b, 'a> {
                     Method::Hybrid | Method::Em => self.at(&values),
                 };
                 let Some(next) = next.or_else(|| self.above_zero(&values)) else {
+                    at_once = false;
                     self.damping = (1.6 * self.damping).max(0.02); // farther than a step that only fails
                     continue;
                 };
                 if self.accept(next, (joint, levels), (&step, decrement)) {
+                    self.failing = if at_once && way == 0 { 0 } else { self.failing + 1 };
                     return true;
                 }
+                at_once = false;
             }
             self.damping = (5.0 * self.damping).max(0.05);
         }
@@ -302,7 +308,7 @@ pub(crate) fn search(
     let home = bench.solve(&start.values, None)?;
     let mut search = Search::new(bench, progress, home).beyond(floor);
     if let Some(curvature) = start.curvature {
-        search.glide_on(curvature, None);
+        search.glide_on(curvature, (None, true));
     }
     match bench.settings.method {
         Method::Hybrid | Method::Innovations => search.run(),

@@ -11,7 +11,7 @@ use crate::dynamic::DynamicError;
 use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::Start;
-use crate::dynamic::sample::{larger, nearer, promising, sample, total};
+use crate::dynamic::sample::{larger, nearer, promising, roughly, sample, total};
 use crate::dynamic::scales::{is_noise, time_constants};
 use crate::dynamic::tries::{other_maxima, scan, tried};
 use crate::estimate::Progress;
@@ -52,8 +52,9 @@ pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<V
     let free = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).count();
     let given = (unknown.len() < free).then(|| all.remove(0));
     let mut starts = promising((bench, &small), given, all, progress);
+    let settings = roughly(bench.settings);
     for part in larger(bench.tests, common) {
-        let larger = Bench::new(bench.model, &part, bench.slots, bench.settings);
+        let larger = Bench::new(bench.model, &part, bench.slots, &settings);
         starts = nearer((bench, &larger), starts, progress);
     }
     Ok(starts)

@@ -39,6 +39,7 @@ const EAGER_BYTES: usize = 256 << 10;
 
 /// Bytes of tests that others are recognised by.
 const KNOWN_BYTES: usize = 64 << 20;
+
 /// Reduces the tests of a model at α.
 ///
 /// It keeps transitions and design classes from call to call, so one reducer should serve all batches of an ensemble.

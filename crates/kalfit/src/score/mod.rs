@@ -88,8 +88,8 @@ impl<'a> Scorer<'a> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let result = self.reducer.with_gains(test, work, |gains, work| {
             let run = Run::of((work, gains), (moments, ending), self.wanted());
-            run.backward(backward, &mut Onward { adjoints, test, work })?;
-            adjoints.finish(test, work)
+            let done = run.backward(backward, &mut Onward { adjoints, test, work });
+            adjoints.finished(done, test, work)
         })?;
         result.map_err(|fault| self.reducer.named(*fault, test))
     }

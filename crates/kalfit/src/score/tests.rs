@@ -9,7 +9,9 @@ use rayon::prelude::*;
 use super::*;
 use crate::ensemble::{Labels, Source};
 use crate::estimate::InitialLaw;
-use crate::model::by_hand::{self, alpha, continuous, gauss_markov, known, linear, meter, number, square, state};
+use crate::model::by_hand::{
+    self, alpha, continuous, gauss_markov, known, linear, meter, minus, number, over, square, state,
+};
 use crate::model::{Initial, Model, Motion, Parameter, Value};
 use crate::reduce::ReductionRef;
 use crate::reduce::unpack;
@@ -196,13 +198,23 @@ fn gappy(number: u32) -> Test {
     test
 }
 
+/// z = bias + x + v with x' = -x/τ, which no noise drives; τ is free.
+fn decaying() -> Model {
+    let decay = continuous(vec![(1, minus(over(number(1.0), alpha(0))))], number(0.0), number(0.0));
+    let states =
+        vec![state("bias", Motion::Constant, Initial::Estimated), state("x", decay, known(number(1.0), number(0.0)))];
+    let equation = linear(vec![(0, number(1.0)), (1, number(1.0))], number(0.0));
+    let parameters = vec![by_hand::parameter("tau", None, None, true)];
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter("z", 1, equation, number(1.0))])
+}
+
 #[test]
 fn long_records_that_are_alike_are_scored_as_one_by_one() {
     let tests: Vec<Test> = (0..3).map(gappy).collect();
-    for free in [1, 4, 6] {
-        let model = model(free);
+    let models = [1, 4, 6].into_iter().map(|free| (free, model(free), VALUES)).chain([(1, decaying(), [20.0; 6])]);
+    for (free, model, values) in models {
         let slots = Slots::new(&model, &Labels::default(), &tests);
-        let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES[..free]), &slots).expect("sound");
+        let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &values[..free]), &slots).expect("sound");
         let reductions = reducer.reduce(&tests).expect("sound");
         let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
         let scorer = Scorer::new(&reducer, &slots).expect("differentiable");

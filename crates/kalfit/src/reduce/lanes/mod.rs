@@ -2,7 +2,9 @@
 //! are one too.
 //!
 //! What a lane holds never depends on the others, and a test by itself goes the same way with the other lanes empty: it is
-//! reduced to the same bits in any company. Which way a test goes depends on its design alone ([`is_short`], [`fits`]).
+//! reduced to the same bits in any company. Which way a test goes depends on its design alone ([`is_short`], [`fits`]); only long
+//! records of a fit that are known to be alike go side by side where one of them alone does not
+//! ([`Alike`](crate::reduce::Alike)), which depends on the ensemble.
 
 mod block;
 mod designs;

@@ -1,9 +1,12 @@
 //! What tests that look alike are recognised by.
 
+use crate::ensemble::Test;
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::observe::Meters;
+use crate::reduce::prepare::Preparer;
 use crate::reduce::recognise::Looks;
 use crate::reduce::start::Start;
+use crate::reduce::steps::{Span, spans};
 use crate::reduce::subject::{At, Uses};
 
 /// All that is read of a test but measured values and covariates; `None` where values are mixed. `shape` and `drive`: columns of
@@ -21,4 +24,18 @@ pub(super) fn looks(
     start.coefficients().chain(&start.initial_time).for_each(|coefficient| read.add(coefficient, at.alpha));
     read.numbers.extend(at.model.clock.time);
     meters.can_repeat().then(|| Looks::new(at.model.columns.len(), &read, meters.columns()))
+}
+
+impl Preparer {
+    /// How many stretches of equal steps a test has, as its times and the cells that it is made from say, whatever α is; `None` where
+    /// its steps cannot be told, or inputs drive them.
+    pub(crate) fn stretches(&self, test: &Test) -> Option<usize> {
+        let mut steps = Vec::new();
+        spans(&self.at(), test, None, &mut steps).ok()?;
+        let changes = |span: &Span| {
+            let later = (1..span.count).map(|number| span.step(number));
+            1 + later.filter(|rows| !self.shape.repeat(test, rows)).count()
+        };
+        self.order.frame.driven.is_empty().then(|| steps.iter().map(changes).sum())
+    }
 }

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::{Test, TestId};
@@ -10,6 +11,9 @@ use crate::reduce::batch::joined;
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::{ReduceError, Reduction, Reductions};
+
+/// Most measurements of tests that are reduced so: they and their innovations stand there for each lane.
+const MOST_ROWS: usize = 1 << 23;
 
 /// Which tests of one ensemble are alike: by the id of each, the number of its kind. No two have one id.
 #[derive(Debug, Default)]
@@ -77,25 +81,31 @@ impl Reducer {
         let (digest, steps) = (work.design.digest(), work.design.steps());
         let class = self.class(digest, work);
         let gains = class.value().as_ref().ok().filter(|gains| gains.turns.is_none())?;
+        if work.design.rows() > MOST_ROWS {
+            return None;
+        }
         let cells = self.preparer.measured_cells(first, work).ok()?;
-        let mut reductions = Reductions::new();
-        for tests in tests.chunks(work.block.lanes()) {
-            let Workspace { design, data, block, room, .. } = &mut *work;
-            block.clear(data.start.len(), data.inputs.len(), cells.len());
-            (0..tests.len()).for_each(|lane| block.begin(lane, &data.start, &data.inputs));
+        let Workspace { design, data, .. } = &*work;
+        let lanes = Isa::best().lanes();
+        let some = |own: &mut Workspace, tests: &[&Test]| {
+            own.block.clear(data.start.len(), data.inputs.len(), cells.len());
+            (0..tests.len()).for_each(|lane| own.block.begin(lane, &data.start, &data.inputs));
             let numbers: Vec<&[f64]> = tests.iter().map(|test| test.all_numbers()).collect();
-            if block.values_of(&numbers, &cells).contains(&false) {
+            if own.block.values_of(&numbers, &cells).contains(&false) {
                 return None;
             }
-            block.run(design, gains, room);
+            own.block.run(design, gains, &mut own.room);
+            let mut reductions = Reductions::new();
             for (lane, test) in tests.iter().enumerate() {
-                let outcome = work.block.outcome(lane, (gains.active, gains.log_determinant), &work.room);
-                self.preparer.covariates_of(test, work).ok().filter(|()| outcome.is_finite())?;
-                let about = About::new(gains, &work.covariates, (steps, digest));
+                let outcome = own.block.outcome(lane, (gains.active, gains.log_determinant), &own.room);
+                self.preparer.covariates_of(test, own).ok().filter(|()| outcome.is_finite())?;
+                let about = About::new(gains, &own.covariates, (steps, digest));
                 reductions.push(Reduction::from(self.row(test, &outcome, about)));
             }
-        }
-        Some(reductions)
+            Some(reductions)
+        };
+        let parts = tests.par_chunks(lanes).map_init(|| self.workspace(), some);
+        Some(Reductions::joined(parts.collect::<Option<Vec<_>>>()?))
     }
 }
 

@@ -125,6 +125,19 @@ impl Adjoints<'_> {
         result
     }
 
+    /// The gradient once all was given; where that went wrong, what was given is forgotten.
+    pub(crate) fn finished(
+        &mut self,
+        given: Result<(), Box<Fault>>,
+        test: &Test,
+        work: &Workspace,
+    ) -> Result<Gradient, Box<Fault>> {
+        if given.is_err() {
+            self.clear();
+        }
+        given.and_then(|()| self.finish(test, work))
+    }
+
     /// Forgets what was given so far.
     pub(super) fn clear(&mut self) {
         self.pending.clear();

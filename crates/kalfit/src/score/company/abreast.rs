@@ -10,7 +10,7 @@ use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::ensemble::Test;
 use crate::reduce::{Design, Gains, Scan, Step, Transition, with_states};
-use crate::score::backward::{Answers, Equal, Leg, Legs};
+use crate::score::backward::{Answers, Equal, Leg, Legs, Wanted};
 use crate::score::chain::{Entry, Response};
 use crate::score::company::equal::{Back, at};
 
@@ -24,6 +24,7 @@ pub(super) struct Shared<'a> {
     /// Cell and d of each scalar measurement.
     pub(super) cells: &'a [(usize, f64)],
     pub(super) legs: &'a Legs<'a>,
+    pub(super) wanted: Wanted,
     /// Of the steps that stand for all.
     pub(super) response: &'a Response,
 }
@@ -103,13 +104,13 @@ fn each<T: Lanes>(tests: &[Own<'_>], mut number: impl FnMut(&Own<'_>) -> f64) ->
 impl<T: Lanes> Pass<T> {
     fn new(shared: &Shared<'_>) -> Pass<T> {
         let (zero, n, response) = (T::splat(0.0), shared.design.frame.n, shared.response);
-        let wanted = |of: &[f64], many: usize| if of.is_empty() { 0 } else { many * n };
+        let wanted = |is: bool, many: usize| if is { many * n } else { 0 };
         Pass {
             x: vec![zero; n],
             moved: vec![zero; n],
             e: vec![0.0; shared.cells.len() * T::COUNT],
-            left: vec![zero; wanted(&shared.legs.left, response.moves.len())],
-            before: vec![zero; wanted(&shared.legs.before, response.rows.len())],
+            left: vec![zero; wanted(shared.wanted.motion, response.moves.len())],
+            before: vec![zero; wanted(shared.wanted.equation, response.rows.len())],
             marks: Vec::new(),
             sums: vec![zero; response.slots.len()],
         }

@@ -87,10 +87,7 @@ fn is_long(reducer: &PhasedReducer, test: &PhasedTest) -> bool {
     let phases = (0..reducer.phases().len()).filter_map(|at| Some((at, reducer.rows_of(at, test)?)));
     phases.clone().map(|(_, rows)| rows.rows()).sum::<usize>() >= LONG
         && phases.into_iter().all(|(at, rows)| {
-            let reducer = &reducer.phases()[at].reducer;
-            let mut work = reducer.workspace();
-            let sound = reducer.preparer().prepare(rows, &mut work).is_ok();
-            let design = &work.design;
-            sound && design.frame.driven.is_empty() && EQUAL * design.runs.len() <= design.steps()
+            let stretches = reducer.phases()[at].reducer.preparer().stretches(rows);
+            stretches.is_some_and(|stretches| EQUAL * stretches <= rows.rows())
         })
 }

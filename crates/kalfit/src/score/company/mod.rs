@@ -33,8 +33,9 @@ const MOST_NUMBERS: usize = 1 << 16;
 const MOST_SPREADS: usize = 1 << 20;
 /// Most measurements of a test: their innovations are remembered for each lane.
 const MOST_ROWS: usize = 1 << 23;
-/// Tests that one thread passes through at a time.
+/// Tests that one thread passes through at a time; as many as there are lanes where they have so many measurements.
 const SHARE: usize = 256;
+const LONG: usize = 1 << 10;
 
 /// One test of a company: x̂ of its ξ, and r that its later phases begin with, in the order of the kernels (empty where none follow).
 #[derive(Debug, Clone)]
@@ -76,11 +77,12 @@ impl Scorer<'_> {
                 inputs: &work.data.inputs,
                 cells: &cells,
                 legs: &legs,
+                wanted,
                 response: &response,
             };
             let design = || {
-                run.back(backward, &mut Onward { adjoints, test: first, work })?;
-                adjoints.finish(first, work)
+                let done = run.back(backward, &mut Onward { adjoints, test: first, work });
+                adjoints.finished(done, first, work)
             };
             let (design, data) = rayon::join(design, || of_data(&shared, tests));
             Ok(sums(data, &design?))
@@ -135,9 +137,10 @@ fn of_data(shared: &Shared<'_>, tests: &[Told<'_>]) -> Vec<Gradient> {
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };
-    match tests.len() <= SHARE {
+    let many = if shared.design.rows() < LONG { SHARE } else { Isa::best().lanes() };
+    match tests.len() <= many {
         true => share(tests),
-        false => tests.par_chunks(SHARE).flat_map_iter(share).collect(),
+        false => tests.par_chunks(many).flat_map_iter(share).collect(),
     }
 }
 
