@@ -19,6 +19,8 @@ pub(super) trait Numbers<T> {
     fn of(row: &[f64], k: usize) -> T;
     /// An entry of R, packed.
     fn R(&self, at: usize) -> T;
+    /// Long stretches are gone over at once.
+    const SCANS: bool = false;
     /// Goes over a stretch of equal steps as one: x̂ and, in the place of values, innovations. False where it does not.
     #[inline(always)]
     fn scan(&self, _: &Stretch<'_>, _: &mut [T], _: &mut [f64]) -> bool {

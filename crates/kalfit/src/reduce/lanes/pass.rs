@@ -1,8 +1,6 @@
 //! The data pass over a block: the formulas of [`data_pass`](crate::reduce::data_pass), with a test in each lane.
 
-use std::ops::Range;
-
-use kalfit_lanes::{Kernel, Lanes};
+use kalfit_lanes::{Kernel, Lanes, Part};
 
 use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Moved, Pattern, Stretch};
@@ -50,6 +48,8 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
     fn R(&self, at: usize) -> T {
         T::splat(self.gains.factor[at])
     }
+
+    const SCANS: bool = true;
 
     #[inline(always)]
     fn scan(&self, stretch: &Stretch<'_>, x: &mut [T], e: &mut [f64]) -> bool {
@@ -104,13 +104,10 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
     }
     let (mut line, mut row, mut input) = (0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
-        if run.count > FEW {
-            let rows = row..run.rows;
-            let of = |rows: &Range<usize>| rows.start * T::COUNT..rows.end * T::COUNT;
-            room.e[of(&rows)].copy_from_slice(&data.values[of(&rows)]);
-            if numbers.scan(&design.stretch(at_run), &mut state.x, &mut room.e[of(&rows)]) {
-                state.add_up();
-                let square = squares::weigh::<T, N>(numbers, rows, &room.e, &[], &mut state.y);
+        if N::SCANS && run.count > FEW {
+            let (x, y) = (&mut *state.x, &mut *state.y);
+            let long = Long { numbers, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut room.e };
+            if let Some(square) = T::apart(long) {
                 state.square = state.square + square;
                 (line, row) = (run.lines, run.rows);
                 continue;
@@ -144,6 +141,33 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
         put(&mut room.d, k, state.y[k]);
     }
     squares::solve::<T, _>(numbers, frame.p, state.square, room);
+}
+
+/// A stretch of equal steps, if it is one that is gone over at once: x̂, y and innovations; e'S⁻¹e of it.
+struct Long<'a, T, N> {
+    numbers: &'a N,
+    stretch: Stretch<'a>,
+    values: &'a [f64],
+    x: &'a mut [T],
+    y: &'a mut [T],
+    e: &'a mut [f64],
+}
+
+impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
+    type Output = Option<T>;
+
+    #[inline(always)]
+    fn run(self) -> Option<T> {
+        let Long { numbers, stretch, values, x, y, e } = self;
+        let rows = stretch.rows.clone();
+        let of = rows.start * T::COUNT..rows.end * T::COUNT;
+        e[of.clone()].copy_from_slice(&values[of.clone()]);
+        let scanned = numbers.scan(&stretch, x, &mut e[of]);
+        if !scanned {
+            return None;
+        }
+        Some(squares::weigh::<T, N>(numbers, rows, e, &[], y))
+    }
 }
 
 impl<T: Lanes> State<T> {

@@ -67,7 +67,7 @@ impl Companies {
     }
 
     /// Tests of long records that are alike.
-    pub(crate) fn long<'t>(&self, tests: &'t [PhasedTest]) -> Alike {
+    pub(crate) fn long(&self, tests: &[PhasedTest]) -> Alike {
         let rows = |&number: &usize| match tests[number].phases.first() {
             Some(Evidence::Rows(rows)) => Some(&rows.id),
             _ => None,
