@@ -36,10 +36,10 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
 /// slow shows in whole ones. Of short tests it holds enough.
 pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
     let all = if tests.iter().any(|test| rows(test) > ROWS_OF_A_TEST) { total(tests) } else { 0 };
-    let sizes = std::iter::successors(Some(GROWS), |size| size.checked_mul(GROWS));
-    sizes
-        .map(move |size| sample_of(tests, common, size))
-        .take_while(move |part| all > 0 && SHORTER * total(part) <= all)
+    let least = SHORTER * ROWS.min(tests.len().max(1) * ROWS_OF_A_TEST);
+    let sizes = std::iter::successors(Some(GROWS), |size| Some(GROWS * size));
+    let sizes = sizes.take_while(move |size| least * size <= all); // before anything is copied
+    sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| SHORTER * total(part) <= all)
 }
 
 /// Settings of a search on such a part: where it ends exactly does not matter.
@@ -54,7 +54,7 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
     let mut order: Vec<&PhasedTest> = tests.iter().collect();
     order.sort_by(|a, b| a.id.cmp(&b.id));
     let first = |evidence: &Evidence| match evidence {
-        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST.saturating_mul(size))),
+        Evidence::Rows(test) => Evidence::Rows(test.first(ROWS_OF_A_TEST * size)),
         other => other.clone(),
     };
     let mut many = 0;

@@ -121,7 +121,7 @@ pub(crate) use gains::{Gains, Piece};
 pub(crate) use instances::Instance;
 pub(crate) use kernel::{advance, mirror, predict, update};
 pub(crate) use known_steps::KnownSteps;
-pub(crate) use lanes::{Block, Gained, Woven};
+pub(crate) use lanes::{Block, Gained, Woven, at};
 pub(crate) use motion::{Evaluated, Filled, MotionBack, Moves};
 pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;

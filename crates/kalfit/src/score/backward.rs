@@ -24,7 +24,7 @@
 mod abreast;
 mod adjoint;
 mod bars;
-mod course;
+mod data_adjoint;
 mod equal;
 mod filtered;
 mod legs;
@@ -43,7 +43,7 @@ use adjoint::{Adjoint, LineBar};
 use work::{Kind, Part};
 
 pub(crate) use abreast::{Abreast, LaneBars};
-pub(crate) use course::Answers;
+pub(crate) use data_adjoint::DataSums;
 pub(crate) use equal::Equal;
 pub(crate) use filtered::Seen;
 pub(crate) use legs::{Leg, Legs};

@@ -18,6 +18,7 @@ mod woven;
 pub(crate) use block::Block;
 pub(crate) use designs::Gained;
 pub(crate) use kept::{Columns, Kept};
+pub(crate) use numbers::at;
 pub(crate) use room::Room;
 pub(crate) use woven::Woven;
 

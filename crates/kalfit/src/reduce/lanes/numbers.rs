@@ -38,7 +38,7 @@ pub(super) struct Side<'a> {
 
 /// Number `k` of each test.
 #[inline(always)]
-pub(super) fn at<T: Lanes>(numbers: &[f64], k: usize) -> T {
+pub(crate) fn at<T: Lanes>(numbers: &[f64], k: usize) -> T {
     T::load(&numbers[k * T::COUNT..][..T::COUNT])
 }
 

@@ -5,7 +5,7 @@ use kalfit_lanes::Real;
 
 use crate::reduce::{Frozen, Piece, Stretch, moving};
 use crate::score::backward::bars::{Bars, Gain, Spread, Sums};
-use crate::score::backward::course::{Ahead, Answers, Course};
+use crate::score::backward::data_adjoint::{Ahead, DataAdjoint, DataSums};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::Run;
 use crate::score::backward::steady::Steady;
@@ -90,8 +90,8 @@ impl<'a> Equal<'a> {
 
     /// The coefficients of other data; `x`: their filter before these steps.
     #[inline(always)]
-    pub(crate) fn course<T: Real, const N: usize>(&self, x: &[T]) -> Course<T, N> {
-        Course::new(self.run, &self.stretch, x)
+    pub(crate) fn data_adjoint<T: Real, const N: usize>(&self, x: &[T]) -> DataAdjoint<T, N> {
+        DataAdjoint::new(self.run, &self.stretch, x)
     }
 
     /// 1/S and K of a step.
@@ -154,7 +154,7 @@ impl<'a> Equal<'a> {
             spreads.push(spread);
             let gain = self.gain(k);
             spread = step.advance(&spread, &gain, k < self.gains);
-            x = step.course.filter.state(&x, &gain.K, e[self.row(k)]);
+            x = step.data.filter.state(&x, &gain.K, e[self.row(k)]);
         }
         if to > self.moving && self.run.blank {
             spreads.push(spread);
@@ -164,7 +164,7 @@ impl<'a> Equal<'a> {
             let (from, gain) = (from.max(self.moving), self.gain::<N, C>(self.moving));
             xs.extend(e[self.row(from)..self.row(to)].iter().map(|&e| {
                 let before = x;
-                x = step.course.filter.state(&x, &gain.K, e);
+                x = step.data.filter.state(&x, &gain.K, e);
                 before
             }));
         }
@@ -185,11 +185,11 @@ fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mu
         }
         for k in from..to.min(steps.moving) {
             let gain = steps.gain::<N, C>(k);
-            let innovation = step.course.filter.innovation(&x, values[k]);
+            let innovation = step.data.filter.innovation(&x, values[k]);
             if tracked {
                 spread = step.advance(&spread, &gain, k < steps.gains);
             }
-            x = step.course.filter.state(&x, &gain.K, innovation);
+            x = step.data.filter.state(&x, &gain.K, innovation);
             e.push(innovation);
         }
         if to > steps.moving && run.blank {
@@ -197,8 +197,8 @@ fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mu
         } else if to > steps.moving {
             let gain = steps.gain::<N, C>(steps.moving);
             e.extend(values[from.max(steps.moving)..to].iter().map(|&z| {
-                let innovation = step.course.filter.innovation(&x, z);
-                x = step.course.filter.state(&x, &gain.K, innovation);
+                let innovation = step.data.filter.innovation(&x, z);
+                x = step.data.filter.state(&x, &gain.K, innovation);
                 innovation
             }));
         }
@@ -247,7 +247,7 @@ struct Back<const N: usize, const C: usize> {
     step: Steady<N, C>,
     r: [f64; N],
     bars: Bars<N, C>,
-    answers: Answers<f64, N>,
+    answers: DataSums<f64, N>,
     sums: Sums<N, C>,
     /// P where it rests, and what each step adds to the sums while N and ρ rest too: so many steps so far.
     still: Option<(Ahead<N>, Sums<N, C>)>,
@@ -294,7 +294,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
             step: Steady::new(steps.run, &steps.stretch, &work.now),
             r: std::array::from_fn(|i| adjoint.r[i]),
             bars,
-            answers: Answers::none(),
+            answers: DataSums::none(),
             sums: Sums::ZERO,
             still: None,
             rested: 0,
@@ -317,7 +317,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
             if let Some((ahead, _)) = &self.still {
                 let (mut r, mut answers) = (self.r, self.answers);
                 for (&e, x) in e[low..k].iter().zip(&xs[low - from..k - from]).rev() {
-                    self.step.course.back(&mut r, (gain.weight, &gain.K), e, (x, ahead), &mut answers);
+                    self.step.data.back(&mut r, (gain.weight, &gain.K), e, (x, ahead), &mut answers);
                 }
                 (self.r, self.answers) = (r, answers);
                 self.rested += k - low;
@@ -348,7 +348,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
     fn step(&mut self, gain: &Gain<N, C>, e: f64, (x, spread): (&[f64; N], &Spread<N, C>)) {
         let Back { step, r, bars, answers, sums, .. } = self;
         let ahead = step.ahead(&spread.P);
-        step.course.back(r, (gain.weight, &gain.K), e, (x, &ahead), answers);
+        step.data.back(r, (gain.weight, &gain.K), e, (x, &ahead), answers);
         step.back(bars, gain, (spread, &ahead), sums);
     }
 

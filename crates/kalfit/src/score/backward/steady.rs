@@ -1,17 +1,17 @@
 //! One step of the filter and its way back on arrays of known size, which stay in registers: one scalar measurement of the N
 //! states that move; those that rest are constants. Of the adjoints the data's part has a file of its own
-//! ([`Course`]); the rest is the design's.
+//! ([`DataAdjoint`]); the rest is the design's.
 
 use crate::reduce::{Motion, Stretch, mirror, update};
 use crate::score::backward::bars::{Bars, Gain, Spread, Sums};
-use crate::score::backward::course::{Ahead, Course};
+use crate::score::backward::data_adjoint::{Ahead, DataAdjoint};
 use crate::score::backward::filtered::Filtered;
 use crate::score::backward::run::{Run, Wanted};
 
 /// The coefficients of a step. C: columns of ΨC.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Steady<const N: usize, const C: usize> {
-    pub(super) course: Course<f64, N>,
+    pub(super) data: DataAdjoint<f64, N>,
     /// With ΨC for Ψ.
     motion: Motion<f64, N, C>,
     noise: f64,
@@ -58,7 +58,7 @@ fn product<const N: usize, const W: usize>(x: &[[f64; N]; N], y: &[[f64; W]; N])
 impl<const N: usize, const C: usize> Steady<N, C> {
     pub(super) fn new(run: &Run<'_>, stretch: &Stretch<'_>, now: &Filtered) -> Steady<N, C> {
         Steady {
-            course: Course::new(run, stretch, &now.x),
+            data: DataAdjoint::new(run, stretch, &now.x),
             motion: Motion::new(stretch.transition.map(|transition| &**transition), &now.Psi),
             noise: run.design.noise[stretch.lines.start],
             moves: stretch.transition.is_some(),
@@ -90,7 +90,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         let mut to = self.motion.predict(P);
         if weight != 0.0 {
             let (states, P) = (std::array::from_fn::<u32, N, _>(|i| i as u32), to.as_flattened_mut());
-            update(N, &states, &self.course.filter.h, self.noise, P, &mut [0.0; N], &mut [0.0; N]);
+            update(N, &states, &self.data.filter.h, self.noise, P, &mut [0.0; N], &mut [0.0; N]);
             mirror(P, N);
         }
         to
@@ -119,7 +119,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
                 sums.rho[i][j] += bars.rho[i][j];
             }
         }
-        let phi = &self.course.filter.phi;
+        let phi = &self.data.filter.phi;
         let (Nphi, rho) = (product(&bars.N, phi), transposed(phi, &bars.rho));
         if self.wanted.motion {
             for j in 0..N {
@@ -145,7 +145,7 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         (spread, ahead): (&Spread<N, C>, &Ahead<N>),
         sums: &mut Sums<N, C>,
     ) {
-        let (weight, K, h) = (gain.weight, &gain.K, &self.course.filter.h);
+        let (weight, K, h) = (gain.weight, &gain.K, &self.data.filter.h);
         let mut upsilon = gain.T;
         for j in 0..C {
             upsilon[j] *= weight;

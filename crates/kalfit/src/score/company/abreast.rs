@@ -9,10 +9,10 @@
 use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::ensemble::Test;
-use crate::reduce::{Design, Gains, Scan, Step, Transition, with_states};
-use crate::score::backward::{Answers, Equal, Leg, Legs, Wanted};
+use crate::reduce::{Design, Gains, Scan, Step, Transition, at, with_states};
+use crate::score::backward::{DataSums, Equal, Leg, Legs, Wanted};
 use crate::score::chain::{Entry, Response};
-use crate::score::company::equal::{Back, at};
+use crate::score::company::equal::Back;
 
 /// What tests share.
 #[derive(Debug)]
@@ -281,7 +281,7 @@ impl<T: Lanes> Pass<T> {
         shared: &Shared<'_>,
         leg: &Equal<'_>,
         (at, first): (Standing, &[T]),
-        answers: &Answers<T, N>,
+        answers: &DataSums<T, N>,
     ) {
         let (response, half) = (shared.response, T::splat(0.5));
         let own = &response.rows[at.row];

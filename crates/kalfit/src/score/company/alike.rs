@@ -9,7 +9,7 @@ use crate::reduce::{Alike, Evidence, PhasedReducer, PhasedTest};
 /// Fewer tests than these are not worth a company,
 const FEWEST: usize = 16;
 /// but two are where they have so many rows, in so many times fewer runs of equal steps.
-const LONG: usize = 1 << 10;
+pub(super) const LONG: usize = 1 << 10;
 const EQUAL: usize = 16;
 
 /// The tests of an ensemble by whose company they are in. It depends on the ensemble, not on the order of its tests.

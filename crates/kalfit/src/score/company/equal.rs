@@ -2,7 +2,8 @@
 
 use kalfit_lanes::{Lanes, Part};
 
-use crate::score::backward::{Answers, Equal};
+use crate::reduce::at;
+use crate::score::backward::{DataSums, Equal};
 
 /// Back over them, from r after them to r before them.
 pub(super) struct Back<'a, T, const N: usize> {
@@ -16,14 +17,14 @@ pub(super) struct Back<'a, T, const N: usize> {
 }
 
 impl<T: Lanes, const N: usize> Part for Back<'_, T, N> {
-    type Output = Answers<T, N>;
+    type Output = DataSums<T, N>;
 
     #[inline(always)]
-    fn run(self) -> Answers<T, N> {
+    fn run(self) -> DataSums<T, N> {
         let Back { leg, first, marks, e, r: all } = self;
-        let course = leg.course::<T, N>(first);
+        let adjoint = leg.data_adjoint::<T, N>(first);
         let mut r = known(all);
-        let (mut answers, mut xs) = (Answers::none(), Vec::new());
+        let (mut answers, mut xs) = (DataSums::none(), Vec::new());
         for (number, (from, to)) in leg.blocks().enumerate().rev() {
             let mut x = known(&marks[number * N..]);
             let ahead = leg.ahead::<N>((from, to));
@@ -31,17 +32,17 @@ impl<T: Lanes, const N: usize> Part for Back<'_, T, N> {
             xs.clear();
             for k in from..to {
                 xs.push(x);
-                x = course.filter.state(&x, &leg.weighted(k).1, at(e, k));
+                x = adjoint.filter.state(&x, &leg.weighted(k).1, at(e, k));
             }
             if still < to {
                 let (gain, ahead) = (leg.weighted::<N>(still), ahead[ahead.len() - 1]);
                 for k in (still..to).rev() {
-                    course.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], &ahead), &mut answers);
+                    adjoint.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], &ahead), &mut answers);
                 }
             }
             for k in (from..still).rev() {
                 let (gain, ahead) = (leg.weighted::<N>(k), &ahead[(k - from).min(ahead.len() - 1)]);
-                course.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], ahead), &mut answers);
+                adjoint.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], ahead), &mut answers);
             }
         }
         all[..N].copy_from_slice(&r);
@@ -55,10 +56,4 @@ fn known<T: Lanes, const N: usize>(all: &[T]) -> [T; N] {
     let mut first = [T::splat(0.0); N];
     first.copy_from_slice(&all[..N]);
     first
-}
-
-/// The same number of each test.
-#[inline(always)]
-pub(super) fn at<T: Lanes>(numbers: &[f64], k: usize) -> T {
-    T::load(&numbers[k * T::COUNT..][..T::COUNT])
 }

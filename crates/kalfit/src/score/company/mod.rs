@@ -33,9 +33,8 @@ const MOST_NUMBERS: usize = 1 << 16;
 const MOST_SPREADS: usize = 1 << 20;
 /// Most measurements of a test: their innovations are remembered for each lane.
 const MOST_ROWS: usize = 1 << 23;
-/// Tests that one thread passes through at a time; as many as there are lanes where they have so many measurements.
+/// Tests that one thread passes through at a time; of long ones, as many as there are lanes.
 const SHARE: usize = 256;
-const LONG: usize = 1 << 10;
 
 /// One test of a company: x̂ of its ξ, and r that its later phases begin with, in the order of the kernels (empty where none follow).
 #[derive(Debug, Clone)]
@@ -137,7 +136,7 @@ fn of_data(shared: &Shared<'_>, tests: &[Told<'_>]) -> Vec<Gradient> {
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };
-    let many = if shared.design.rows() < LONG { SHARE } else { Isa::best().lanes() };
+    let many = if shared.design.rows() < alike::LONG { SHARE } else { Isa::best().lanes() };
     match tests.len() <= many {
         true => share(tests),
         false => tests.par_chunks(many).flat_map_iter(share).collect(),

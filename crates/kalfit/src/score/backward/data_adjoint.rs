@@ -13,7 +13,7 @@ use crate::score::backward::run::{Run, Wanted};
 
 /// The coefficients of a step.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Course<T, const N: usize> {
+pub(crate) struct DataAdjoint<T, const N: usize> {
     pub(crate) filter: reduce::Steady<T, N>,
     wanted: Wanted,
     moves: bool,
@@ -28,7 +28,7 @@ pub(crate) struct Ahead<const N: usize> {
 
 /// The data's part of the adjoints of the coefficients, summed over steps.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Answers<T, const N: usize> {
+pub(crate) struct DataSums<T, const N: usize> {
     pub(crate) u: T,
     pub(crate) uu: T,
     pub(crate) h: [T; N],
@@ -38,21 +38,21 @@ pub(crate) struct Answers<T, const N: usize> {
     pub(crate) phi: [[T; N]; N],
 }
 
-impl<T: Real, const N: usize> Answers<T, N> {
+impl<T: Real, const N: usize> DataSums<T, N> {
     #[inline(always)]
-    pub(crate) fn none() -> Answers<T, N> {
+    pub(crate) fn none() -> DataSums<T, N> {
         let zero = T::splat(0.0);
         let (vector, matrix) = ([zero; N], [[zero; N]; N]);
-        Answers { u: zero, uu: zero, h: vector, r: vector, rr: matrix, phi: matrix }
+        DataSums { u: zero, uu: zero, h: vector, r: vector, rr: matrix, phi: matrix }
     }
 }
 
-impl<T: Real, const N: usize> Course<T, N> {
+impl<T: Real, const N: usize> DataAdjoint<T, N> {
     /// Of a stretch; `x`: the filter before it.
     #[inline(always)]
-    pub(crate) fn new(run: &Run<'_>, stretch: &Stretch<'_>, x: &[T]) -> Course<T, N> {
+    pub(crate) fn new(run: &Run<'_>, stretch: &Stretch<'_>, x: &[T]) -> DataAdjoint<T, N> {
         let filter = reduce::Steady::new(run.design, stretch, x);
-        Course { filter, wanted: run.wanted, moves: stretch.transition.is_some() }
+        DataAdjoint { filter, wanted: run.wanted, moves: stretch.transition.is_some() }
     }
 
     /// Back through one step; x̄ is that before it.
@@ -63,7 +63,7 @@ impl<T: Real, const N: usize> Course<T, N> {
         (weight, K): (f64, &[f64; N]),
         e: T,
         (x, P): (&[T; N], &Ahead<N>),
-        sums: &mut Answers<T, N>,
+        sums: &mut DataSums<T, N>,
     ) {
         if weight != 0.0 {
             let mut u = e * T::splat(weight);
