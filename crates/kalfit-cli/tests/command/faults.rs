@@ -138,7 +138,9 @@ fn little_address_space_is_enough_or_an_error() {
     let mut ended = Vec::new();
     for more in [0, 4, 8, 12, 16, 24, 32, 64, 96, 128, 256, 512, 1024, 4096] {
         let output = after(&folder, &format!("ulimit -v {}", (least + more) << 10));
-        if more < LEAST && output.status.code().is_none() {
+        // a thread begins with a stack for its signals, without which the standard library ends the process
+        let no_stack = String::from_utf8_lossy(&output.stderr).contains("alternative stack");
+        if output.status.code().is_none() && (more < LEAST || no_stack) {
             // too little to say anything: the allocator itself gives up
             ended.push((least + more, None));
             clear(&folder);

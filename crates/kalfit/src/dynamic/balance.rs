@@ -45,8 +45,8 @@ pub(super) fn balance(
     };
     let points: Vec<Vec<f64>> =
         rows.iter().flat_map(|&a| columns.iter().map(move |&b| (a, b))).map(|(a, b)| at(a, b)).collect();
-    let heights: Vec<f64> =
-        points.iter().map(|point| tried(small, point, progress).unwrap_or(f64::NEG_INFINITY)).collect();
+    let heights = tried(small, &points, progress);
+    let heights: Vec<f64> = heights.into_iter().map(|height| height.unwrap_or(f64::NEG_INFINITY)).collect();
     let mut peaks = peaks(&heights, columns.len());
     peaks.sort_by(|&a, &b| heights[b].total_cmp(&heights[a]));
     let mut peaks = peaks.into_iter();

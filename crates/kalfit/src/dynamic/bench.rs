@@ -23,8 +23,9 @@ use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, Reducti
 use crate::remote::{Answers, Question, Remote};
 use crate::score::{Arrangement, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
-/// So many tests are few,
+/// So many tests are few, and so many rows,
 const NARROW: usize = 64;
+const SHORT: usize = 1 << 15;
 /// and where they are, so many rows at a time may be worked at.
 const ROOM: usize = 1 << 24;
 
@@ -183,10 +184,21 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// The tests are few, so that threads had better work at several α at once, and there is room for that.
+    /// The tests or their rows are few, so that threads had better work at several α at once, and there is room for that.
     pub(crate) fn is_narrow(&self) -> bool {
-        let threads = rayon::current_num_threads();
-        !self.is_elsewhere() && threads > 1 && self.tests.len() <= NARROW && self.rows() * threads <= ROOM
+        let (threads, rows) = (rayon::current_num_threads(), self.rows());
+        let is_small = self.tests.len() <= NARROW || rows.max(self.tests.len()) <= SHORT;
+        // filters scaled from one run to the next go one after the other
+        !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= ROOM
+    }
+
+    /// One thing of each of some places: where tests are few, of several at a time.
+    pub(crate) fn each<P: Sync, T: Send>(&self, places: &[P], one: impl Fn(&P) -> T + Sync + Send) -> Vec<T> {
+        if !self.is_narrow() {
+            return places.iter().map(one).collect();
+        }
+        self.order(); // known to all threads before they part
+        places.par_iter().map(one).collect()
     }
 
     /// Sizes found in the data.

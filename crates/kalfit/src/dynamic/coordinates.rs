@@ -1,7 +1,7 @@
 //! The coordinates α is sought in: logarithms of what is positive, other values as they are; and their bounds.
 //!
 //! ℓ is analytic in a variance v ≥ 0, not in its standard deviation or its logarithm: near zero a noise level moves in its variance,
-//! where zero is a bound like any other (theory §13).
+//! where zero is a bound like any other (theory §13), and elsewhere where ℓ is nearer to a quadratic in that.
 
 use crate::dynamic::scales::time_constants;
 use crate::model::{Expression, Motion, PhasedModel, Slots};
@@ -12,7 +12,7 @@ use crate::score::power;
 pub(crate) struct Coordinate {
     /// Its logarithm is sought.
     pub(crate) log: bool,
-    /// Of a noise level: near zero its power with this exponent is sought, the variance. `None` for anything else.
+    /// Of a noise level: its power with this exponent is its variance. `None` for anything else.
     pub(crate) level: Option<f64>,
     /// Closed bounds of the value itself; a logarithm's lower bound is at least zero.
     pub(crate) lower: f64,

@@ -30,6 +30,8 @@ const ROUNDS: usize = 4;
 /// … more of them where rows are so few that all runs together are of no more than this.
 const MORE_RUNS: usize = 1200;
 const FEW_ROWS: usize = 600_000;
+/// An end that is higher by no more than this is the same maximum, along a direction in which ℓ runs level.
+const LITTLE: f64 = 1e-5;
 
 /// Adds the ends that are found, and says where it was looked; `told`: all start values were given.
 pub(super) fn explore(
@@ -78,9 +80,7 @@ fn on_part(
             return Ok(Explored::Part);
         }
         let mut search = Search::new(hybrid, progress, home).beyond(floor);
-        if let Some(curvature) = start.curvature {
-            search.glide_on(curvature, (None, true));
-        }
+        search.begin_with(start.curvature);
         let end = search.run()?;
         if is_higher(&end, floor) {
             ends.push(by_method(bench, end, progress)?);
@@ -164,7 +164,7 @@ fn look_around(
         if round == 0 && told {
             places.extend(start::from_data(bench, None, progress));
         }
-        let floor = best.map(|best| best.home.value() + RISE);
+        let mut floor = best.map(|best| best.home.value() + RISE);
         let mut higher = false;
         for place in places {
             if hybrid.filter_passes() >= most || progress.stops() {
@@ -181,11 +181,13 @@ fn look_around(
             if !is_higher(&found, within) {
                 continue;
             }
-            higher = is_higher(&found, floor);
-            ends.push(if higher { by_method(bench, found, progress)? } else { found });
+            higher = is_higher(&found, floor.map(|floor| floor + LITTLE));
+            let (value, is_better) = (found.home.value(), is_higher(&found, floor));
+            ends.push(if is_better { by_method(bench, found, progress)? } else { found });
             if higher {
                 break;
             }
+            floor = floor.map(|floor| floor.max(value + RISE));
         }
         if !higher {
             return Ok(Explored::Whole);

@@ -1,8 +1,9 @@
 //! Fewer rounds where tests are elsewhere: with a step in (α, μ, Σ) goes the question for what is wanted once it is taken.
 
 use crate::dynamic::bench::Solved;
+use crate::dynamic::differences::around;
 use crate::dynamic::iterate::Search;
-use crate::dynamic::joint::{self, Step};
+use crate::dynamic::joint::Step;
 use crate::dynamic::search::HARDLY;
 
 impl Search<'_, '_> {
@@ -25,9 +26,9 @@ impl Search<'_, '_> {
         let state = &self.home.estimate.state;
         let Some(ahead) = state.ahead(&reduced.reductions, &bench.alpha(values), &step.inner) else { return };
         let may_end = fine || step.decrement < HARDLY;
-        let mut places = if fine { Vec::new() } else { joint::around(bench, values, &self.active(), false) };
+        let mut places = if fine { Vec::new() } else { around(bench, values, &self.active(), false) };
         if may_end {
-            places.extend(joint::around(bench, values, &self.active(), true));
+            places.extend(around(bench, values, &self.active(), true));
             ahead.ask_counts();
         }
         for values in places {

@@ -4,33 +4,44 @@
 //! gradient has done on the way corrects the information (Broyden, Fletcher, Goldfarb and Shanno's update), and the next step costs
 //! one run. The end is certified by differences all the same.
 
-use nalgebra::{DMatrix, DVector};
-
-use crate::dynamic::Method;
 use crate::dynamic::bench::Solved;
-use crate::dynamic::curvature::Curvature;
 use crate::dynamic::iterate::{LONGEST, Search};
-use crate::dynamic::joint::{Joint, solved};
+use crate::dynamic::joint::Joint;
+use crate::dynamic::quadratic::{Curvature, LevelScale, Quadratic};
+use crate::dynamic::{Coordinate, Method};
 
 /// Most steps before the next look.
 const STEPS: usize = 12;
 /// A step keeps its word when ℓ rises by this part of what it promised.
 const KEPT: f64 = 0.2;
-/// Levels sink in their variances, which are not looked at here: a slope below and a curvature about it leave that to others.
+/// Levels sink in their variances: a slope below and a curvature of its logarithm about it leave that to others.
 const SINKING: f64 = 2.5;
 
-impl Search<'_, '_> {
+impl<'b> Search<'b, '_> {
     /// Goes on from where a step led; `before`: where it began, `joint` the information there.
     pub(super) fn glide(&mut self, joint: &Joint, before: &Solved) {
-        if let Some(curvature) = Curvature::of(joint) {
+        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.scale, (joint, before)) {
             self.glide_on(curvature, (Some(before.clone()), true));
         }
     }
 
-    /// The same, with nothing to learn from that step.
+    /// The same by information that serves here, too; nothing is learnt on the way.
     pub(super) fn glide_by(&mut self, joint: &Joint) {
-        if let Some(curvature) = Curvature::of(joint) {
+        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.scale, (joint, &self.home)) {
             self.glide_on(curvature, (None, false));
+        }
+    }
+
+    /// Goes on by the curvature at a maximum of a part of the data: by its scale of levels, or where that fails by the other one.
+    pub(super) fn begin_with(&mut self, curvature: Option<Curvature>) {
+        let Some(curvature) = curvature else { return };
+        let start = self.home.value();
+        for curvature in [curvature.clone(), curvature.other()] {
+            self.scale = curvature.scale;
+            self.glide_on(curvature, (None, true));
+            if self.home.value() != start || self.stops() {
+                return;
+            }
         }
     }
 
@@ -39,64 +50,51 @@ impl Search<'_, '_> {
         if self.bench.settings.method != Method::Hybrid {
             return;
         }
-        let Curvature { slots, mut information } = curvature;
+        let coordinates: &'b [Coordinate] = &self.bench.coordinates;
+        let mut quadratic = Quadratic::about(coordinates, curvature, &last.as_ref().unwrap_or(&self.home).values);
         for _ in 0..STEPS {
             let before = last.as_ref().filter(|_| learns);
-            let learnt = before.is_none_or(|last| self.learn(&mut information, &slots, last));
-            if !learnt || self.sinks(&information, &slots) {
+            let learnt = before.is_none_or(|last| quadratic.learn(last.into(), (&self.home).into()));
+            if !learnt || quadratic.sinks((&self.home).into(), SINKING) {
                 return;
             }
-            let gradient = DVector::from_iterator(slots.len(), slots.iter().map(|&s| self.home.gradient[s]));
-            let Some(step) = solved(&information, &gradient) else { return };
-            let promised = 0.5 * step.dot(&gradient);
-            let far = |(&s, d): (&usize, &f64)| self.bench.coordinates[s].log && d.abs() > LONGEST;
-            let decrement = (2.0 * promised.max(0.0)).sqrt();
+            let Some((step, decrement)) = quadratic.step((&self.home).into()) else { return };
             self.glided = Some(decrement);
-            if self.is_lost(decrement) {
+            let promised = 0.5 * decrement * decrement;
+            if self.is_lost(decrement) || promised <= 0.05 * self.tolerance().powi(2) {
                 return;
             }
-            if promised <= 0.05 * self.tolerance().powi(2) || slots.iter().zip(step.iter()).any(far) {
-                return;
-            }
-            let mut values = self.home.values.clone();
-            slots
-                .iter()
-                .zip(step.iter())
-                .for_each(|(&s, d)| values[s] = self.bench.coordinates[s].moved(values[s], *d));
+            let Some(values) = quadratic.moved(&self.home.values, &step, LONGEST) else { return };
             let slack = 1e-12 * self.home.value().abs().max(1.0);
             let rises = |next: &Solved| next.value() >= self.home.value() + KEPT * promised - slack;
             let Some(next) = self.at(&values).filter(rises) else { return };
-            let kept = slots.iter().all(|&s| !self.bench.coordinates[s].at_lower(next.values[s]));
+            let inside = quadratic.is_above_bounds(&next.values);
             last = Some(std::mem::replace(&mut self.home, next));
             self.tell(decrement);
-            if !kept || self.stops() {
+            if !inside || self.stops() {
                 return;
             }
         }
     }
 
-    /// What the gradient did between the last place and this one; `false` where that is not the way of a maximum.
-    fn learn(&self, information: &mut DMatrix<f64>, slots: &[usize], last: &Solved) -> bool {
-        let way = |&s: &usize| {
-            let coordinate = &self.bench.coordinates[s];
-            coordinate.of_value(self.home.values[s]) - coordinate.of_value(last.values[s])
-        };
-        let s = DVector::from_iterator(slots.len(), slots.iter().map(way));
-        let y = DVector::from_iterator(slots.len(), slots.iter().map(|&s| last.gradient[s] - self.home.gradient[s]));
-        let (bend, turned) = (s.dot(&y), &*information * &s);
-        let own = s.dot(&turned);
-        if !(bend > 1e-10 * s.norm() * y.norm() && own > 0.0 && bend.is_finite()) {
-            return false;
+    /// By which scale of levels the gradient after a step was foreseen better; as before where that cannot be said.
+    pub(super) fn straighter(&self, joint: &Joint, next: &Solved) -> LevelScale {
+        if self.bench.settings.method != Method::Hybrid {
+            return self.scale; // the gradient is not at the best (μ, Σ)
         }
-        *information += &y * y.transpose() / bend - &turned * turned.transpose() / own;
-        true
-    }
-
-    /// A level is on its way to zero.
-    fn sinks(&self, information: &DMatrix<f64>, slots: &[usize]) -> bool {
-        slots.iter().enumerate().any(|(i, &s)| {
-            let slope = self.home.gradient[s];
-            self.bench.coordinates[s].level.is_some() && slope < 0.0 && information[(i, i)] < SINKING * slope.abs()
-        })
+        let by = |scale| {
+            let curvature = Curvature::of(&self.bench.coordinates, scale, (joint, &self.home))?;
+            Some(Quadratic::about(&self.bench.coordinates, curvature, &self.home.values))
+        };
+        let (Some(logarithm), Some(variance)) = (by(LevelScale::Logarithm), by(LevelScale::Variance)) else {
+            return self.scale;
+        };
+        let missed =
+            |quadratic: &Quadratic<'_>| logarithm.size(&quadratic.unforeseen((&self.home).into(), next.into()));
+        match (missed(&logarithm), missed(&variance)) {
+            (Some(one), Some(other)) if other < one => LevelScale::Variance,
+            (Some(_), Some(_)) => LevelScale::Logarithm,
+            _ => self.scale,
+        }
     }
 }

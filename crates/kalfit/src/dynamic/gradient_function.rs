@@ -4,6 +4,7 @@
 //! time constant, its correlations) has no effect while it is zero, and D depends on it: D ≤ 0 must hold over its whole range.
 
 use crate::dynamic::Standing;
+use crate::dynamic::bench::{Bench, Solved};
 use crate::dynamic::iterate::{RISE, Search};
 use crate::dynamic::joint::{Joint, LEVEL_GROUND};
 use crate::dynamic::scales::time_constants;
@@ -43,12 +44,10 @@ impl Search<'_, '_> {
         if zeros.is_empty() {
             return false;
         }
-        let mut found: Vec<Derivative> = Vec::new();
-        for shape in self.shapes(joint) {
-            for (s, gain) in self.derivatives_at_zero(&zeros, &shape) {
-                found.push((gain, s, shape.clone()));
-            }
-        }
+        let shapes = self.shapes(joint);
+        let at_zero = self.at_zero();
+        let derivatives = self.bench.each(&shapes, |shape| at_zero.derivatives(&zeros, shape));
+        let mut found: Vec<Derivative> = derivatives.into_iter().flatten().collect();
         for &s in &zeros {
             found.extend(self.between(s, &found));
         }
@@ -92,19 +91,8 @@ impl Search<'_, '_> {
         false
     }
 
-    /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
-    fn derivatives_at_zero(&self, zeros: &[usize], shape: &Change) -> Vec<(usize, f64)> {
-        let mut values = self.home.values.clone();
-        shape.iter().for_each(|&(t, value)| values[t] = value);
-        zeros.iter().for_each(|&s| values[s] = values[s].max(TRACE * self.before_zero[s]));
-        let Some(at) = self.bench.shift(&self.home, &values) else { return Vec::new() };
-        let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
-        let gain = |&s: &usize| {
-            let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
-            let gain = gradient[s] / exponent * (self.before_zero[s] / values[s]).powf(exponent);
-            gain.is_finite().then_some((s, gain))
-        };
-        zeros.iter().filter_map(gain).collect()
+    fn at_zero(&self) -> AtZero<'_> {
+        AtZero { bench: self.bench, home: &self.home, before_zero: &self.before_zero }
     }
 
     /// Shapes of what levels at zero drive: the present one, and values without effect over their ranges.
@@ -153,8 +141,7 @@ impl Search<'_, '_> {
             let (fall, drop) = ((gain - before) / left, (gain - after) / right);
             let shift = 0.5 * (fall * right - drop * left) / (fall + drop);
             let change: Change = shape.iter().map(|&(t, _)| (t, time * shift.exp())).collect();
-            let at_top = self.derivatives_at_zero(&[s], &change);
-            tops.extend(at_top.into_iter().map(|(s, gain)| (gain, s, change.clone())));
+            tops.extend(self.at_zero().derivatives(&[s], &change));
         }
         tops
     }
@@ -181,6 +168,32 @@ impl Search<'_, '_> {
         let Some(at) = self.bench.shift(&self.home, &values) else { return };
         let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
         idle.into_iter().filter(|&t| gradient[t].abs() > FLAT).for_each(|t| self.standing[t] = Standing::Idle);
+    }
+}
+
+/// Where levels are at zero.
+#[derive(Clone, Copy)]
+struct AtZero<'s> {
+    bench: &'s Bench<'s>,
+    home: &'s Solved,
+    before_zero: &'s [f64],
+}
+
+impl AtZero<'_> {
+    /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
+    fn derivatives(self, zeros: &[usize], shape: &Change) -> Vec<Derivative> {
+        let AtZero { bench, home, before_zero } = self;
+        let mut values = home.values.clone();
+        shape.iter().for_each(|&(t, value)| values[t] = value);
+        zeros.iter().for_each(|&s| values[s] = values[s].max(TRACE * before_zero[s]));
+        let Some(at) = bench.shift(home, &values) else { return Vec::new() };
+        let gradient = bench.gradient(&values, &at.tests.scores, &at.matrix);
+        let derivative = |&s: &usize| {
+            let exponent = bench.coordinates[s].level.unwrap_or(1.0);
+            let gain = gradient[s] / exponent * (before_zero[s] / values[s]).powf(exponent);
+            gain.is_finite().then(|| (gain, s, shape.clone()))
+        };
+        zeros.iter().filter_map(derivative).collect()
     }
 }
 

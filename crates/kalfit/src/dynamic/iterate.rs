@@ -4,8 +4,8 @@ use nalgebra::DVector;
 
 use crate::dynamic::Standing;
 use crate::dynamic::bench::{Bench, Solved};
-use crate::dynamic::curvature::Curvature;
 use crate::dynamic::joint::Joint;
+use crate::dynamic::quadratic::{Curvature, LevelScale};
 use crate::estimate::{Progress, Stage, Step, Stop};
 use crate::model::Population;
 
@@ -60,8 +60,8 @@ pub(crate) struct Search<'b, 'a> {
     pub(super) given_up: bool,
     /// Steps one after the other that did not raise ℓ.
     pub(super) level_steps: usize,
-    /// Steps one after the other that failed before they were made shorter.
-    pub(super) failing: usize,
+    /// What levels stand by in the next step.
+    pub(super) scale: LevelScale,
 }
 
 /// Where it ended.
@@ -73,6 +73,7 @@ pub(crate) struct End {
     pub(crate) stop: Stop,
     pub(crate) trace: Vec<f64>,
     pub(super) before_zero: Vec<f64>,
+    pub(super) scale: LevelScale,
     /// Nothing higher than another end was in sight.
     pub(crate) given_up: bool,
 }
@@ -113,7 +114,7 @@ impl<'b, 'a> Search<'b, 'a> {
             glided: None,
             given_up: false,
             level_steps: 0,
-            failing: 0,
+            scale: LevelScale::Logarithm,
         };
         search.place();
         search

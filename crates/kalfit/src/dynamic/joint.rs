@@ -7,26 +7,19 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 
-use crate::dynamic::bench::{Bench, Shifted, Solved, Told};
+use crate::dynamic::bench::{Bench, Solved, Told};
 use crate::dynamic::covariances::Covariances;
+use crate::dynamic::differences::Differences;
+use crate::dynamic::quadratic::in_variance;
 use crate::dynamic::touching::Touching;
 use crate::estimate::{NOTHING, NoiseInformation, Tangent};
 use crate::linalg::symmetric;
 
 /// Up to so many values none is eliminated by itself.
 const DENSE: usize = 24;
-/// Step of a logarithm for differences to both sides.
-const STEP: f64 = 1e-4;
-/// … and to one side.
-const SHORT: f64 = 1e-6;
-/// A step of a value that is not positive should be between these parts of its standard error.
-const PARTS: [f64; 2] = [1e-6, 3e-2];
 /// Slope and curvature of a logarithm below this are none.
 pub(crate) const LEVEL_GROUND: f64 = 1e-7;
-/// Curvature of ℓ in a variance below this part of its slope is none.
-const STRAIGHT: f64 = 1e-3;
 /// Along directions of less scaled information than this ℓ is looked at on both sides.
 const FAINT: f64 = 1e-5;
 /// Scaled eigenvalues of the information below this are flat.
@@ -88,14 +81,10 @@ impl Joint {
             inner,
         };
         let colours = touching.colours(&joint.active, bench.restricted());
-        if bench.is_narrow() {
-            joint.columns_apart(bench, home, &colours, &touching, central);
-        } else {
-            bench.together(|| {
-                for colour in &colours {
-                    joint.column(bench, home, colour, &touching, central);
-                }
-            });
+        let differences = Differences { bench, home, touching: &touching, central };
+        for columns in bench.together(|| bench.each(&colours, |colour| differences.columns(colour))) {
+            joint.own.extend(columns.own);
+            columns.cross.into_iter().for_each(|(s, row)| joint.cross.set_row(s, &row));
         }
         joint.mirror();
         joint.without_flat(bench, home)
@@ -119,113 +108,6 @@ impl Joint {
         self.private.iter_mut().for_each(|block| block.retain(|&s| kept[s]));
         self.private.retain(|block| !block.is_empty());
         self
-    }
-
-    /// All columns, each colour's by a thread of its own.
-    fn columns_apart(
-        &mut self,
-        bench: &Bench<'_>,
-        home: &Solved,
-        colours: &[Vec<usize>],
-        touching: &Touching,
-        central: bool,
-    ) {
-        bench.order(); // known to all threads before they part
-        let blank = self.clone();
-        let columns = |colour: &Vec<usize>| {
-            let mut part = blank.clone();
-            part.column(bench, home, colour, touching, central);
-            part
-        };
-        let parts: Vec<Joint> = colours.par_iter().map(columns).collect();
-        for (colour, part) in colours.iter().zip(parts) {
-            self.own.extend(part.own);
-            colour.iter().for_each(|&s| self.cross.set_row(s, &part.cross.row(s)));
-        }
-    }
-
-    /// The columns of some values that no test has in common.
-    fn column(&mut self, bench: &Bench<'_>, home: &Solved, colour: &[usize], touching: &Touching, central: bool) {
-        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(bench, &home.values, s, central)).collect();
-        for attempt in 0..5 {
-            let sides = sides(bench, home, colour, &steps, central);
-            let Some(sides) = sides.filter(|sides| widths(bench, colour, sides).values().all(|w| *w > 0.0)) else {
-                if bench.is_waiting() {
-                    return; // the sides are not known yet
-                }
-                steps.iter_mut().for_each(|h| *h *= 1e-2);
-                continue;
-            };
-            self.differences(bench, home, (colour, &steps), &sides, touching);
-            let mut wrong = false;
-            for (&s, h) in colour.iter().zip(&mut steps) {
-                let own = self.own.get(&(s, s)).copied().unwrap_or(0.0).abs().sqrt();
-                let part = *h * own;
-                if !bench.coordinates[s].log && own > 0.0 && attempt < 3 && !(PARTS[0]..=PARTS[1]).contains(&part) {
-                    *h = (PARTS[0] * PARTS[1]).sqrt() / own;
-                    wrong = true;
-                }
-            }
-            if !wrong {
-                return;
-            }
-        }
-    }
-
-    /// Fills the columns of a colour from the two sides.
-    fn differences(
-        &mut self,
-        bench: &Bench<'_>,
-        home: &Solved,
-        (colour, steps): (&[usize], &[f64]),
-        sides: &[Shifted; 2],
-        touching: &Touching,
-    ) {
-        let step_of: BTreeMap<usize, f64> = colour.iter().copied().zip(steps.iter().copied()).collect();
-        let width = widths(bench, colour, sides);
-        self.own.retain(|(_, t), _| !step_of.contains_key(t));
-        let mut add = |s: usize, t: usize, value: f64| *self.own.entry((s, t)).or_insert(0.0) += value;
-        let slope = |side: &Shifted, s: usize| bench.coordinates[s].slope(side.values[s]);
-        for (j, by) in bench.order().iter().map(|&j| (j, touching.of_test[j].iter().find(|s| step_of.contains_key(s))))
-        {
-            let Some(&by) = by else { continue };
-            for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
-                for &(s, bar) in &side.tests.scores[j] {
-                    add(s, by, sign * bar * slope(side, s) / width[&by]);
-                }
-            }
-        }
-        for &by in colour.iter().filter(|&&s| touching.matrix[s] || touching.everywhere(s)) {
-            for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
-                for &(s, bar) in &side.matrix {
-                    add(s, by, sign * bar * slope(side, s) / width[&by]);
-                }
-            }
-        }
-        self.crosses(home, (colour, &width), sides, touching);
-    }
-
-    fn crosses(
-        &mut self,
-        home: &Solved,
-        (colour, width): (&[usize], &BTreeMap<usize, f64>),
-        sides: &[Shifted; 2],
-        touching: &Touching,
-    ) {
-        let state = &home.estimate.state;
-        if let [s] = colour {
-            let row = (&sides[1].inner - &sides[0].inner) / width[s];
-            self.cross.set_row(*s, &row.transpose());
-            return;
-        }
-        for &s in colour {
-            let mut row = DVector::zeros(self.inner.nrows());
-            for &j in &touching.tests[s] {
-                let [before, after] = sides.each_ref().map(|side| state.gradient_of(side.tests.reductions.get(j)));
-                row += after - before;
-            }
-            self.cross.set_row(s, &(row / width[&s]).transpose());
-        }
     }
 
     /// No value that moves is of a single test.
@@ -293,14 +175,12 @@ impl Joint {
         (matrix, right, concave)
     }
 
-    /// The same with these noise levels in their variances: a step z makes v (1 + kz) of v, so that -∂²ℓ/∂z² is -∂²ℓ/∂u² + k ∂ℓ/∂u,
-    /// u the logarithm. `levels`: (slot, k).
+    /// The same with these noise levels, (slot, exponent), in their variances.
     pub(crate) fn in_variances(&self, levels: &[(usize, f64)], gradient: &[f64]) -> Joint {
         let mut joint = self.clone();
         for &(s, exponent) in levels {
-            let bend = exponent * gradient[s];
             let own = joint.own.entry((s, s)).or_insert(0.0);
-            *own = (*own + bend).max(STRAIGHT * bend.abs());
+            *own = in_variance(*own, exponent, gradient[s]);
         }
         joint
     }
@@ -479,48 +359,4 @@ fn informed(tangent: &Tangent) -> DMatrix<f64> {
     let is_known: Vec<bool> = (0..n).map(|i| own(i) > NOTHING * largest).collect();
     let entry = |i: usize, k: usize| if is_known[i] && is_known[k] { tangent.information[(i, k)] } else { 0.0 };
     DMatrix::from_fn(n, n, entry)
-}
-
-/// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.
-fn sides(bench: &Bench<'_>, home: &Solved, colour: &[usize], steps: &[f64], central: bool) -> Option<[Shifted; 2]> {
-    let moved = |sign: f64| bench.shift(home, &beside(bench, &home.values, (colour, steps), sign));
-    let upper = moved(1.0);
-    let lower = if central || (upper.is_none() && !bench.is_waiting()) { moved(-1.0) } else { bench.at_home(home) };
-    match (upper, lower) {
-        (Some(upper), Some(lower)) => Some([upper, lower]),
-        (Some(upper), None) => Some([upper, bench.at_home(home)?]),
-        (None, Some(lower)) => Some([bench.at_home(home)?, lower]),
-        (None, None) => None,
-    }
-}
-
-/// How far apart the sides are in each coordinate of a colour.
-fn widths(bench: &Bench<'_>, colour: &[usize], sides: &[Shifted; 2]) -> BTreeMap<usize, f64> {
-    let width = |&s: &usize| {
-        let [upper, lower] = [sides[0].values[s], sides[1].values[s]];
-        (s, if bench.coordinates[s].log { (upper / lower).ln() } else { upper - lower })
-    };
-    colour.iter().map(width).collect()
-}
-
-/// The values with those of a colour moved to one side.
-fn beside(bench: &Bench<'_>, values: &[f64], (colour, steps): (&[usize], &[f64]), sign: f64) -> Vec<f64> {
-    let mut values = values.to_vec();
-    colour.iter().zip(steps).for_each(|(&s, h)| values[s] = bench.coordinates[s].moved(values[s], sign * h));
-    values
-}
-
-/// Where [`Joint::new`] looks first about some values, each of which all tests have in common.
-pub(crate) fn around(bench: &Bench<'_>, values: &[f64], active: &[bool], central: bool) -> Vec<Vec<f64>> {
-    let signs: &[f64] = if central { &[1.0, -1.0] } else { &[1.0] };
-    let of = |s: usize| {
-        let step = first_step(bench, values, s, central);
-        signs.iter().map(move |sign| beside(bench, values, (&[s], &[step]), *sign))
-    };
-    (0..values.len()).filter(|&s| active[s]).flat_map(of).collect()
-}
-
-fn first_step(bench: &Bench<'_>, values: &[f64], s: usize, central: bool) -> f64 {
-    let h = if central { STEP } else { SHORT };
-    if bench.coordinates[s].log { h } else { h * values[s].abs().max(1e-2) }
 }

@@ -3,8 +3,8 @@
 use crate::dynamic::Settings;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::curvature::Curvature;
 use crate::dynamic::iterate::Start;
+use crate::dynamic::quadratic::Curvature;
 use crate::dynamic::search::search;
 use crate::dynamic::twins::ordered;
 use crate::estimate::{Progress, Stage, Step};
@@ -15,6 +15,8 @@ pub(super) const CLOSE: f64 = 5.0;
 /// … so many of them, none but those that differ by more than this part.
 pub(super) const FOLLOWED: usize = 3;
 pub(super) const ALIKE: f64 = 2e-2;
+/// A place leads to the same maximum on a part as on all data where it is no further below than this.
+const SAME: f64 = 10.0;
 /// Larger parts are so many times as long each, and no longer than this part of all.
 const GROWS: usize = 8;
 const SHORTER: usize = 4;
@@ -80,14 +82,18 @@ pub(super) fn promising(
     progress: &mut dyn Progress,
 ) -> Vec<Start> {
     let mut part = Part { small, more: bench.rows() as f64 / small.rows() as f64, floor: None, progress };
-    let mut kept = Vec::from_iter(given.map(|given| part.told(bench, given)));
+    let (mut kept, mut seen) = (Vec::new(), Vec::new());
+    if let Some(given) = given {
+        let (start, _, places) = part.nearer(bench, given.into());
+        kept.push(start);
+        seen.extend(places);
+    }
     let mut ends: Vec<(f64, Start)> = others.iter().filter_map(|start| part.end(start.clone().into())).collect();
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
     let Some(&(best, _)) = ends.first() else {
         kept.extend(others.into_iter().map(Start::from));
         return kept;
     };
-    let mut seen: Vec<Vec<f64>> = kept.iter().map(|start| ordered(&small.twins, &start.values)).collect();
     let most = kept.len() + FOLLOWED;
     for (_, start) in ends.into_iter().filter(|(value, _)| best - value <= CLOSE) {
         let place = ordered(&small.twins, &start.values);
@@ -114,12 +120,11 @@ pub(super) fn nearer(
             kept.push(start);
             break;
         }
-        let (value, start) = part.nearer(bench, start);
-        let place = ordered(&larger.twins, &start.values);
+        let (start, value, places) = part.nearer(bench, start);
         let is_far = value.zip(part.floor).is_some_and(|(value, floor)| value < floor);
-        if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &place, ALIKE))) {
+        if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &places[0], ALIKE))) {
             kept.push(start);
-            seen.push(place);
+            seen.extend(places);
         }
         let within = value.map(|value| value - CLOSE);
         part.floor = part.floor.into_iter().chain(within).reduce(f64::max);
@@ -142,26 +147,24 @@ impl Part<'_, '_> {
         let mut beside = Beside { small: self.small, progress: &mut *self.progress };
         let start = Start { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
         let end = search(self.small, start, self.floor, &mut beside).ok()?;
-        let curvature = Curvature::of(&end.joint).map(|curvature| curvature.times(self.more));
+        let curvature = Curvature::of(&self.small.coordinates, end.scale, (&end.joint, &end.home))
+            .map(|curvature| curvature.times(self.more));
         Some((end.home.value(), Start { values: end.restart(), curvature }))
     }
 
-    /// Given values, or where they lead if ℓ of all data is no lower there.
-    fn told(&mut self, bench: &Bench<'_>, given: Vec<f64>) -> Start {
-        self.nearer(bench, given.into()).1
-    }
-
-    /// A start, or where it leads if ℓ of all data is no lower there; ℓ of the part where it leads.
-    fn nearer(&mut self, bench: &Bench<'_>, start: Start) -> (Option<f64>, Start) {
+    /// A start, or where it leads if ℓ of all data is no lower there; ℓ of the part where it leads. The last are places that are the
+    /// same: the start, and where it leads if that is no other maximum.
+    fn nearer(&mut self, bench: &Bench<'_>, start: Start) -> (Start, Option<f64>, Vec<Vec<f64>>) {
         let here = bench.value(&start.values);
-        match self.end(start.clone()) {
-            Some((value, end))
-                if here.is_none_or(|here| bench.value(&end.values).is_some_and(|there| there >= here)) =>
-            {
-                (Some(value), end)
-            }
-            found => (found.map(|(value, _)| value), start),
+        let place = |start: &Start| ordered(&self.small.twins, &start.values);
+        let own = place(&start);
+        let Some((value, end)) = self.end(start.clone()) else { return (start, None, vec![own]) };
+        let led = place(&end);
+        if here.is_none_or(|here| bench.value(&end.values).is_some_and(|there| there >= here)) {
+            return (end, Some(value), vec![led]);
         }
+        let is_close = self.small.value(&start.values).is_some_and(|own| value - own <= SAME);
+        (start, Some(value), if is_close { vec![led, own] } else { vec![own] })
     }
 }
 

@@ -4,14 +4,13 @@ use crate::dynamic::bench::{Bench, Solved};
 use crate::dynamic::em::Em;
 use crate::dynamic::iterate::{DRIFT, End, LONGEST, NEAR_ENOUGH, RISE, Search, Start};
 use crate::dynamic::joint::{self, Joint, LEVEL_GROUND};
+use crate::dynamic::quadratic::LevelScale;
+use crate::dynamic::twins::Twins;
 use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Stop};
 
 /// A variance grows by no more than this factor at once.
 const HIGHEST: f64 = 20.0;
-/// A search creeps when so many steps on end have failed at first, with a decrement below this.
-const CREEPING: usize = 3;
-const CLOSE: f64 = 2.0;
 /// With more damping than this a step goes nowhere.
 const STIFF: f64 = 1e6;
 /// Most outer steps.
@@ -20,6 +19,8 @@ const STEPS: usize = 200;
 const LEVEL_STEPS: usize = 8;
 /// With a decrement below this, levels that are not felt are looked for.
 pub(super) const HARDLY: f64 = 1e-3;
+/// … and below this, processes that coincide become one.
+const NEAR: f64 = 1.0;
 /// Steps along faint directions, in coordinates, and how often they are looked along.
 const LOOKS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
 const FAINT_LOOKS: usize = 3;
@@ -67,8 +68,8 @@ impl<'b, 'a> Search<'b, 'a> {
         if self.home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.home.estimate.stop;
         }
-        let Search { home, standing, trace, before_zero, given_up, .. } = self;
-        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, given_up })
+        let Search { home, standing, trace, before_zero, scale, given_up, .. } = self;
+        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, scale, given_up })
     }
 
     /// ℓ runs straight along a logarithm: no step of Newton's follows, yet there is no maximum.
@@ -86,7 +87,7 @@ impl<'b, 'a> Search<'b, 'a> {
             return Turn::End(Stop::Interrupted);
         }
         let sunk = step.decrement < HARDLY && self.sunk(joint);
-        if sunk || self.leap(joint) || self.drifted(joint, step) {
+        if (step.decrement < NEAR && self.joined()) || sunk || self.leap(joint) || self.drifted(joint, step) {
             self.place();
             return Turn::On { closer: false };
         }
@@ -109,13 +110,25 @@ impl<'b, 'a> Search<'b, 'a> {
         if self.advance(joint, step.decrement, fine) {
             self.place();
             self.tell(step.decrement);
-            return Turn::On { closer: fine };
+            let arrived = self.glided.is_some_and(|decrement| decrement <= self.tolerance());
+            return Turn::On { closer: fine || arrived };
         }
         if !fine {
             return Turn::On { closer: true };
         }
         let enough = step.decrement <= NEAR_ENOUGH * self.tolerance() && step.concave;
         Turn::End(if enough { Stop::Certified } else { Stop::Stalled })
+    }
+
+    /// Two processes that coincide become one, and the other is at zero: how they share what they explain is no matter of ℓ.
+    pub(super) fn joined(&mut self) -> bool {
+        let bench = self.bench;
+        let free = |twins: &&Twins| twins.pairs.iter().all(|&(s, t)| self.held != Some(s) && self.held != Some(t));
+        let merged =
+            bench.twins.iter().filter(free).filter_map(|twins| twins.merged(&self.home.values, &bench.coordinates));
+        let least = self.home.value() - 0.5 * RISE; // less than what lets a level return
+        let next = merged.filter_map(|values| self.at(&values)).find(|next| next.value() >= least);
+        next.map(|next| self.arrive(next)).is_some()
     }
 
     /// Off a stationary point that is no maximum, along the direction in which ℓ curves upward most.
@@ -163,35 +176,26 @@ impl<'b, 'a> Search<'b, 'a> {
         false
     }
 
-    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides. Where the search creeps, a step
-    /// that fails in logarithms of levels is tried in their variances: where noises stand for each other, it is these that add up.
+    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides.
     fn advance(&mut self, joint: &Joint, decrement: f64, fine: bool) -> bool {
-        let near_zero = self.levels_near_zero(joint);
-        let creeps = self.failing >= CREEPING && decrement < CLOSE;
-        let all = if creeps { self.levels(joint) } else { Vec::new() };
-        let is_other = all.len() > near_zero.len();
-        let ways = [Some(near_zero), is_other.then_some(all)].into_iter().flatten();
-        let ways: Vec<(Joint, Vec<(usize, f64)>)> =
-            ways.map(|levels| (joint.in_variances(&levels, &self.home.gradient), levels)).collect();
-        let mut at_once = true;
+        let levels = match self.scale {
+            LevelScale::Logarithm => self.levels_near_zero(joint),
+            LevelScale::Variance => self.all_levels(joint),
+        };
+        let bent = joint.in_variances(&levels, &self.home.gradient);
         while self.damping < STIFF {
-            for (way, (joint, levels)) in ways.iter().enumerate() {
-                let step = self.within_reach(joint, levels);
-                let values = self.moved(&step.alpha, levels);
-                let next = match self.bench.settings.method {
-                    Method::Innovations => self.stepped(&values, &step, fine),
-                    Method::Hybrid | Method::Em => self.at(&values),
-                };
-                let Some(next) = next.or_else(|| self.above_zero(&values)) else {
-                    at_once = false;
-                    self.damping = (1.6 * self.damping).max(0.02); // farther than a step that only fails
-                    continue;
-                };
-                if self.accept(next, (joint, levels), (&step, decrement)) {
-                    self.failing = if at_once && way == 0 { 0 } else { self.failing + 1 };
-                    return true;
-                }
-                at_once = false;
+            let step = self.within_reach(&bent, &levels);
+            let values = self.moved(&step.alpha, &levels);
+            let next = match self.bench.settings.method {
+                Method::Innovations => self.stepped(&values, &step, fine),
+                Method::Hybrid | Method::Em => self.at(&values),
+            };
+            let Some(next) = next.or_else(|| self.above_zero(&values)) else {
+                self.damping = (1.6 * self.damping).max(0.02); // farther than a step that only fails
+                continue;
+            };
+            if self.accept(next, (joint, &levels), (&step, decrement)) {
+                return true;
             }
             self.damping = (5.0 * self.damping).max(0.05);
         }
@@ -215,9 +219,11 @@ impl<'b, 'a> Search<'b, 'a> {
         }
         self.damping *= if gain > 0.5 * promised { 0.1 } else { 1.0 };
         self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
+        self.scale = self.straighter(joint, &next);
         let before = self.home.clone();
         self.arrive(next);
-        if levels.is_empty() && !self.stride(step) {
+        let goes_on = if levels.is_empty() { !self.stride(step) } else { self.scale == LevelScale::Variance };
+        if goes_on {
             match gain > 0.2 * promised {
                 true => self.glide(joint, &before),
                 // what gradients did over so short a step is rounding
@@ -307,9 +313,7 @@ pub(crate) fn search(
 ) -> Result<End, DynamicError> {
     let home = bench.solve(&start.values, None)?;
     let mut search = Search::new(bench, progress, home).beyond(floor);
-    if let Some(curvature) = start.curvature {
-        search.glide_on(curvature, (None, true));
-    }
+    search.begin_with(start.curvature);
     match bench.settings.method {
         Method::Hybrid | Method::Innovations => search.run(),
         Method::Em => Em::new(search)?.run(),

@@ -13,7 +13,7 @@ use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::Start;
 use crate::dynamic::sample::{larger, nearer, promising, roughly, sample, total};
 use crate::dynamic::scales::{is_noise, time_constants};
-use crate::dynamic::tries::{other_maxima, scan, tried};
+use crate::dynamic::tries::{other_maxima, scan, valued};
 use crate::estimate::Progress;
 use crate::model::Value;
 
@@ -146,7 +146,7 @@ fn guess(bench: &Bench<'_>, heeded: bool) -> Vec<f64> {
 /// a search that begins with one may end there.
 fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64], progress: &mut dyn Progress) -> Vec<Vec<f64>> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
-    let mut found: Vec<(Vec<f64>, f64)> = Vec::new();
+    let mut places = Vec::new();
     for _ in 0..SCATTERED {
         // all levels of a parameter together
         let draws: Vec<f64> =
@@ -156,11 +156,9 @@ fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64], progress: &mut
             let own = unknown.contains(&parameter) && small.coordinates[s].log;
             if own { small.coordinates[s].moved(*value, WIDE * draws[parameter]) } else { *value }
         };
-        let values: Vec<f64> = first.iter().enumerate().map(moved).collect();
-        if let Some(value) = tried(small, &values, progress) {
-            found.push((values, value));
-        }
+        places.push(first.iter().enumerate().map(moved).collect());
     }
+    let mut found = valued(small, places, progress);
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     found.into_iter().take(2).map(|(values, _)| values).collect()
 }

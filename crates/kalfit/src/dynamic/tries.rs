@@ -8,6 +8,8 @@ pub(super) const FACTOR: f64 = 4.0;
 const EACH_SIDE: i32 = 6;
 /// Powers by which a value may be off what the data suggest and still be the middle of what is tried.
 const NEAR: f64 = 4.0;
+/// So many places at a time, between two looks at whether anybody waits.
+const AT_A_TIME: usize = 8;
 /// ℓ is not told apart by less than this.
 const ROUNDING: f64 = 1e-8;
 /// Part of a power by which what is all but white is made longer, so many times.
@@ -16,16 +18,21 @@ const FINE_STEPS: usize = 12;
 /// Values other than logarithms that are tried where none is given.
 const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 
-/// ℓ at start values; whoever waits hears of it, and nothing more is tried once nobody does.
-pub(super) fn tried(small: &Bench<'_>, values: &[f64], progress: &mut dyn Progress) -> Option<f64> {
-    progress.stage(Stage::StartValues { filter_runs: small.filter_passes() });
-    if progress.stops() { None } else { small.value(values) }
+/// ℓ at each of some places; whoever waits hears of it, and nothing more is tried once nobody does.
+pub(super) fn tried(small: &Bench<'_>, places: &[Vec<f64>], progress: &mut dyn Progress) -> Vec<Option<f64>> {
+    let at_a_time = if small.is_narrow() { AT_A_TIME } else { 1 };
+    let some = |places: &[Vec<f64>]| {
+        progress.stage(Stage::StartValues { filter_runs: small.filter_passes() });
+        if progress.stops() { vec![None; places.len()] } else { small.each(places, |place| small.value(place)) }
+    };
+    places.chunks(at_a_time).flat_map(some).collect()
 }
 
 /// All levels of one parameter over many powers of a factor.
 pub(super) fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>, progress: &mut dyn Progress) {
-    let tries = std::iter::once(values.clone()).chain(grid(small, parameter, values));
-    if let Some((best, _)) = best(small, tries, progress) {
+    let mut places = vec![values.clone()];
+    places.extend(grid(small, parameter, values));
+    if let Some((best, _)) = best(small, places, progress) {
         *values = best;
     }
 }
@@ -37,9 +44,7 @@ pub(super) fn best_of(
     values: &[f64],
     progress: &mut dyn Progress,
 ) -> Option<(Vec<f64>, f64)> {
-    let tries = grid(bench, parameter, values).into_iter();
-    let valued: Vec<(Vec<f64>, f64)> =
-        tries.filter_map(|values| tried(bench, &values, progress).map(|value| (values, value))).collect();
+    let valued = valued(bench, grid(bench, parameter, values), progress);
     let highest = valued.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
     // the last of those that rounding does not tell apart: the longest time constant of what is all but white
     valued.into_iter().rfind(|(_, value)| *value >= highest - ROUNDING)
@@ -59,7 +64,7 @@ pub(super) fn longer(
         moved[slot] = bench.coordinates[slot].moved(values[slot], k as f64 * FINE * FACTOR.ln());
         moved
     };
-    let found = best(bench, (1..=FINE_STEPS).map(at), progress).filter(|(_, value)| *value > highest);
+    let found = best(bench, (1..=FINE_STEPS).map(at).collect(), progress).filter(|(_, value)| *value > highest);
     found.map_or(values.clone(), |(values, _)| values)
 }
 
@@ -82,16 +87,15 @@ fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
     }
 }
 
-fn best(
-    small: &Bench<'_>,
-    tries: impl Iterator<Item = Vec<f64>>,
-    progress: &mut dyn Progress,
-) -> Option<(Vec<f64>, f64)> {
-    let valued = tries.filter_map(|values| tried(small, &values, progress).map(|value| (values, value)));
-    valued.fold(None, |best: Option<(Vec<f64>, f64)>, next| match best {
-        Some(best) if best.1 >= next.1 => Some(best),
-        _ => Some(next),
-    })
+/// Places where ℓ is defined, and ℓ there.
+pub(super) fn valued(small: &Bench<'_>, places: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Vec<(Vec<f64>, f64)> {
+    let values = tried(small, &places, progress);
+    places.into_iter().zip(values).filter_map(|(place, value)| Some((place, value?))).collect()
+}
+
+/// The first of the highest.
+fn best(small: &Bench<'_>, places: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Option<(Vec<f64>, f64)> {
+    valued(small, places, progress).into_iter().reduce(|best, next| if best.1 >= next.1 { best } else { next })
 }
 
 /// Starts where ℓ over the powers of a time constant has other maxima than at the first start.
@@ -102,7 +106,8 @@ pub(super) fn other_maxima(
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
     let grid = grid(small, parameter, first);
-    let values: Vec<f64> = grid.iter().map(|v| tried(small, v, progress).unwrap_or(f64::NEG_INFINITY)).collect();
+    let values = tried(small, &grid, progress);
+    let values: Vec<f64> = values.into_iter().map(|value| value.unwrap_or(f64::NEG_INFINITY)).collect();
     let at = |k: usize| values.get(k).copied().unwrap_or(f64::NEG_INFINITY);
     let peak = |&k: &usize| values[k].is_finite() && (k == 0 || at(k - 1) < values[k]) && at(k + 1) < values[k];
     let alike = |(s, value): (usize, &f64)| *value == first[s] || (value / first[s]).ln().abs() <= 1.01 * FACTOR.ln();

@@ -82,7 +82,7 @@ impl Twins {
         self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_none() && coordinates[t].log)
     }
 
-    /// Where the two coincide, one of them with the variance of both and the other at zero.
+    /// Where the two coincide, one of them with the variance of both, between their shapes, and the other at zero.
     pub(crate) fn merged(&self, values: &[f64], coordinates: &[Coordinate]) -> Option<Vec<f64>> {
         let (levels, shapes): (Vec<_>, Vec<_>) =
             self.pairs.iter().copied().partition(|(s, _)| coordinates[*s].level.is_some());
@@ -94,9 +94,15 @@ impl Twins {
             return None;
         }
         let mut merged = values.to_vec();
-        merged[s] = (values[s].powf(exponent) + values[t].powf(exponent)).powf(exponent.recip());
+        let (one, other) = (values[s].powf(exponent), values[t].powf(exponent));
+        let part = other / (one + other);
+        for (s, t) in shapes.into_iter().filter(|&(s, t)| values[s] != values[t]) {
+            let (a, b) = (coordinates[s].of_value(values[s]), coordinates[t].of_value(values[t]));
+            merged[s] = coordinates[s].moved(values[s], part * (b - a));
+        }
+        merged[s] = (one + other).powf(exponent.recip());
         merged[t] = 0.0;
-        Some(merged)
+        (merged[s] <= coordinates[s].upper && coordinates[t].lower <= 0.0).then_some(merged)
     }
 }
 
@@ -206,8 +212,9 @@ mod tests {
         let (model, slots) = drifts(name("bias") + name("one") + name("two"), name("spread"));
         let (twins, coordinates) = (Twins::of(&model, &slots), Coordinate::of(&model, &slots));
         let merged = twins[0].merged(&[5.0, 3.0, 5.001, 4.0, 0.1], &coordinates).unwrap();
-        assert_eq!((merged[0], merged[3]), (5.0, 0.0));
-        assert!((merged[1] - 5.0).abs() < 1e-12, "{merged:?}");
+        let between = 5.0 * (5.001f64 / 5.0).powf(16.0 / 25.0); // by their variances
+        assert!((merged[0] - between).abs() < 1e-12 && (merged[1] - 5.0).abs() < 1e-12, "{merged:?}");
+        assert_eq!(merged[3], 0.0);
         assert_eq!(twins[0].merged(&[5.0, 3.0, 6.0, 4.0, 0.1], &coordinates), None, "they are two");
     }
 }

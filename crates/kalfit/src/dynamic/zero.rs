@@ -12,6 +12,8 @@ const LEVEL: f64 = 3.5;
 const TAIL: f64 = 0.1;
 /// A level with a slope below this moves in its variance where that is straighter.
 const STEEP: f64 = 5.0;
+/// A curvature upward of a variance by no more than this part of its slope is none.
+const HOLLOW: f64 = 0.1;
 /// ℓ that may still be had beyond, where a value counts as infinite.
 const BEYOND: f64 = 1e-7;
 /// Where ℓ is not defined at zero, this part of the size that the level had stands for it: its square is nothing to ℓ, and leaves
@@ -53,9 +55,14 @@ impl Search<'_, '_> {
         joint.active.iter().filter_map(near).collect()
     }
 
-    /// All levels that move, with their exponents.
-    pub(super) fn levels(&self, joint: &Joint) -> Vec<(usize, f64)> {
-        joint.active.iter().filter_map(|&s| Some((s, self.bench.coordinates[s].level?))).collect()
+    /// All levels that move, with their exponents, but those far from where ℓ curves downward in their variances.
+    pub(super) fn all_levels(&self, joint: &Joint) -> Vec<(usize, f64)> {
+        let level = |&s: &usize| {
+            let exponent = self.bench.coordinates[s].level?;
+            let bend = exponent * self.home.gradient[s];
+            (joint.curvature(s) + bend > -HOLLOW * bend.abs()).then_some((s, exponent))
+        };
+        joint.active.iter().filter_map(level).collect()
     }
 
     /// Where ℓ is not defined with levels at zero, the same with them a little above it, which is as low as they go from now on.

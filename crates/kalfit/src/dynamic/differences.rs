@@ -1,0 +1,152 @@
+//! Columns of -∂²ℓ/∂α∂(α, μ, Σ), from differences of exact gradients.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DVector, RowDVector};
+
+use crate::dynamic::bench::{Bench, Shifted, Solved};
+use crate::dynamic::touching::Touching;
+
+/// Step of a logarithm for differences to both sides.
+const STEP: f64 = 1e-4;
+/// … and to one side.
+const SHORT: f64 = 1e-6;
+/// A step of a value that is not positive should be between these parts of its standard error.
+const PARTS: [f64; 2] = [1e-6, 3e-2];
+/// How often steps are made longer or shorter.
+const ATTEMPTS: usize = 5;
+
+/// What they are taken of.
+pub(super) struct Differences<'s> {
+    pub(super) bench: &'s Bench<'s>,
+    pub(super) home: &'s Solved,
+    pub(super) touching: &'s Touching,
+    /// To both sides, not to one.
+    pub(super) central: bool,
+}
+
+/// The columns of values that no test has in common.
+#[derive(Default)]
+pub(super) struct Columns {
+    /// By (other value, value).
+    pub(super) own: BTreeMap<(usize, usize), f64>,
+    /// Along the tangent basis of (μ, Σ), by value.
+    pub(super) cross: Vec<(usize, RowDVector<f64>)>,
+}
+
+impl Differences<'_> {
+    /// Those of a colour, from one run of the filters or two.
+    pub(super) fn columns(&self, colour: &[usize]) -> Columns {
+        let Differences { bench, home, central, .. } = *self;
+        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(bench, &home.values, s, central)).collect();
+        let mut columns = Columns::default();
+        for attempt in 0..ATTEMPTS {
+            let sides = sides(bench, home, (colour, &steps), central);
+            let Some(sides) = sides.filter(|sides| widths(bench, colour, sides).values().all(|w| *w > 0.0)) else {
+                if bench.is_waiting() {
+                    break; // the sides are not known yet
+                }
+                steps.iter_mut().for_each(|h| *h *= 1e-2);
+                continue;
+            };
+            columns = self.between(colour, &sides);
+            let mut wrong = false;
+            for (&s, h) in colour.iter().zip(&mut steps) {
+                let own = columns.own.get(&(s, s)).copied().unwrap_or(0.0).abs().sqrt();
+                let part = *h * own;
+                if !bench.coordinates[s].log && own > 0.0 && attempt < 3 && !(PARTS[0]..=PARTS[1]).contains(&part) {
+                    *h = (PARTS[0] * PARTS[1]).sqrt() / own;
+                    wrong = true;
+                }
+            }
+            if !wrong {
+                break;
+            }
+        }
+        columns
+    }
+
+    /// The columns of a colour from the two sides.
+    fn between(&self, colour: &[usize], sides: &[Shifted; 2]) -> Columns {
+        let Differences { bench, touching, .. } = *self;
+        let width = widths(bench, colour, sides);
+        let mut own = BTreeMap::new();
+        let mut add = |s: usize, t: usize, value: f64| *own.entry((s, t)).or_insert(0.0) += value;
+        let slope = |side: &Shifted, s: usize| bench.coordinates[s].slope(side.values[s]);
+        for (j, by) in bench.order().iter().map(|&j| (j, touching.of_test[j].iter().find(|s| width.contains_key(s)))) {
+            let Some(&by) = by else { continue };
+            for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
+                for &(s, bar) in &side.tests.scores[j] {
+                    add(s, by, sign * bar * slope(side, s) / width[&by]);
+                }
+            }
+        }
+        for &by in colour.iter().filter(|&&s| touching.matrix[s] || touching.everywhere(s)) {
+            for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
+                for &(s, bar) in &side.matrix {
+                    add(s, by, sign * bar * slope(side, s) / width[&by]);
+                }
+            }
+        }
+        let cross = colour.iter().map(|&s| (s, self.cross((colour, s), sides).transpose() / width[&s])).collect();
+        Columns { own, cross }
+    }
+
+    /// Along the tangent basis, of a value of a colour.
+    fn cross(&self, (colour, s): (&[usize], usize), sides: &[Shifted; 2]) -> DVector<f64> {
+        if colour.len() == 1 {
+            return &sides[1].inner - &sides[0].inner;
+        }
+        let state = &self.home.estimate.state;
+        let mut row = DVector::zeros(sides[0].inner.len());
+        for &j in &self.touching.tests[s] {
+            let [before, after] = sides.each_ref().map(|side| state.gradient_of(side.tests.reductions.get(j)));
+            row += after - before;
+        }
+        row
+    }
+}
+
+/// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.
+fn sides(bench: &Bench<'_>, home: &Solved, (colour, steps): (&[usize], &[f64]), central: bool) -> Option<[Shifted; 2]> {
+    let moved = |sign: f64| bench.shift(home, &beside(bench, &home.values, (colour, steps), sign));
+    let upper = moved(1.0);
+    let lower = if central || (upper.is_none() && !bench.is_waiting()) { moved(-1.0) } else { bench.at_home(home) };
+    match (upper, lower) {
+        (Some(upper), Some(lower)) => Some([upper, lower]),
+        (Some(upper), None) => Some([upper, bench.at_home(home)?]),
+        (None, Some(lower)) => Some([bench.at_home(home)?, lower]),
+        (None, None) => None,
+    }
+}
+
+/// How far apart the sides are in each coordinate of a colour.
+fn widths(bench: &Bench<'_>, colour: &[usize], sides: &[Shifted; 2]) -> BTreeMap<usize, f64> {
+    let width = |&s: &usize| {
+        let [upper, lower] = [sides[0].values[s], sides[1].values[s]];
+        (s, if bench.coordinates[s].log { (upper / lower).ln() } else { upper - lower })
+    };
+    colour.iter().map(width).collect()
+}
+
+/// The values with those of a colour moved to one side.
+fn beside(bench: &Bench<'_>, values: &[f64], (colour, steps): (&[usize], &[f64]), sign: f64) -> Vec<f64> {
+    let mut values = values.to_vec();
+    colour.iter().zip(steps).for_each(|(&s, h)| values[s] = bench.coordinates[s].moved(values[s], sign * h));
+    values
+}
+
+/// Where [`Differences::columns`] looks first about some values, each of which all tests have in common.
+pub(crate) fn around(bench: &Bench<'_>, values: &[f64], active: &[bool], central: bool) -> Vec<Vec<f64>> {
+    let signs: &[f64] = if central { &[1.0, -1.0] } else { &[1.0] };
+    let of = |s: usize| {
+        let step = first_step(bench, values, s, central);
+        signs.iter().map(move |sign| beside(bench, values, (&[s], &[step]), *sign))
+    };
+    (0..values.len()).filter(|&s| active[s]).flat_map(of).collect()
+}
+
+fn first_step(bench: &Bench<'_>, values: &[f64], s: usize, central: bool) -> f64 {
+    let h = if central { STEP } else { SHORT };
+    if bench.coordinates[s].log { h } else { h * values[s].abs().max(1e-2) }
+}
