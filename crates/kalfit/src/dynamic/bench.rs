@@ -192,7 +192,7 @@ impl<'a> Bench<'a> {
         !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= ROOM
     }
 
-    /// One thing of each of some places: where tests are few, of several at a time.
+    /// One thing of each of some places: where tests or rows are few, of several at a time.
     pub(crate) fn each<P: Sync, T: Send>(&self, places: &[P], one: impl Fn(&P) -> T + Sync + Send) -> Vec<T> {
         if !self.is_narrow() {
             return places.iter().map(one).collect();

@@ -165,6 +165,7 @@ fn look_around(
             places.extend(start::from_data(bench, None, progress));
         }
         let mut floor = best.map(|best| best.home.value() + RISE);
+        let anew = floor.map(|floor| floor + LITTLE);
         let mut higher = false;
         for place in places {
             if hybrid.filter_passes() >= most || progress.stops() {
@@ -181,7 +182,7 @@ fn look_around(
             if !is_higher(&found, within) {
                 continue;
             }
-            higher = is_higher(&found, floor.map(|floor| floor + LITTLE));
+            higher = is_higher(&found, anew);
             let (value, is_better) = (found.home.value(), is_higher(&found, floor));
             ends.push(if is_better { by_method(bench, found, progress)? } else { found });
             if higher {

@@ -36,9 +36,13 @@ impl<'b> Search<'b, '_> {
     pub(super) fn begin_with(&mut self, curvature: Option<Curvature>) {
         let Some(curvature) = curvature else { return };
         let start = self.home.value();
+        self.scale = curvature.scale;
         for curvature in [curvature.clone(), curvature.other()] {
-            self.scale = curvature.scale;
+            let scale = curvature.scale;
             self.glide_on(curvature, (None, true));
+            if self.home.value() != start {
+                self.scale = scale;
+            }
             if self.home.value() != start || self.stops() {
                 return;
             }

@@ -364,10 +364,24 @@ fn processes_that_coincide_become_one_in_a_search_unless_they_are_held() {
         (search.joined(), search.home.value() - before, search.home.values.clone())
     };
     let (joined, gain, values) = search([1.5, 0.3, 1.5, 0.4, 0.5], None, &mut Silent);
-    assert!(joined && gain.abs() < 1e-9, "{gain}");
+    assert!(joined && gain.abs() < 1e-9, "ℓ rises by {gain}");
     assert!((values[1] - 0.5).abs() < 1e-12 && values[3] == 0.0, "one has the variance of both: {values:?}");
-    assert!(!search([1.5, 0.3, 1.5, 0.4, 0.5], Some(3), &mut Silent).0, "a value that is held stays");
-    assert!(!search([1.5, 0.3, 1.6, 0.4, 0.5], None, &mut Silent).0, "they are two");
+    let held = search([1.5, 0.3, 1.5, 0.4, 0.5], Some(3), &mut Silent);
+    assert!(!held.0, "a value that is held stays: {:?}", held.2);
+    // close by, where ℓ does not fall by it
+    let mut outcomes = [0, 0];
+    for tau in [0.05, 0.2, 0.8, 1.5, 4.0, 12.0] {
+        for (sigma, spread) in [(0.3, 0.4), (0.4, 0.3), (1.2, 0.1), (0.1, 1.2)] {
+            let values = [tau, sigma, 1.009 * tau, spread, 0.5];
+            let one = bench.twins[0].merged(&values, &bench.coordinates).expect("they are close");
+            let [gain, other] = [&one, &values.to_vec()].map(|values| bench.filtered_value(values).expect("defined"));
+            let (joined, rise, _) = search(values, None, &mut Silent);
+            outcomes[usize::from(joined)] += 1;
+            assert_eq!(joined, gain - other >= -5e-9, "{values:?}: ℓ rises by {:e}", gain - other);
+            assert!(!joined || (rise - (gain - other)).abs() < 1e-9, "{rise:e} and {:e}", gain - other);
+        }
+    }
+    assert!(outcomes.iter().all(|many| *many > 0), "apart, joined: {outcomes:?}");
 }
 
 #[test]

@@ -215,6 +215,12 @@ mod tests {
         let between = 5.0 * (5.001f64 / 5.0).powf(16.0 / 25.0); // by their variances
         assert!((merged[0] - between).abs() < 1e-12 && (merged[1] - 5.0).abs() < 1e-12, "{merged:?}");
         assert_eq!(merged[3], 0.0);
+        // neither beyond the bounds of a level
+        for (level, lower, upper) in [(1, 0.0, 4.5), (3, 0.1, f64::INFINITY)] {
+            let mut bounded = coordinates.clone();
+            (bounded[level].lower, bounded[level].upper) = (lower, upper);
+            assert_eq!(twins[0].merged(&[5.0, 3.0, 5.001, 4.0, 0.1], &bounded), None, "level {level}");
+        }
         assert_eq!(twins[0].merged(&[5.0, 3.0, 6.0, 4.0, 0.1], &coordinates), None, "they are two");
     }
 }
