@@ -7,6 +7,9 @@ use crate::dynamic::scales::time_constants;
 use crate::model::{Expression, Motion, PhasedModel, Slots};
 use crate::score::power;
 
+/// Curvature of ℓ in a variance below this part of its slope is none.
+const STRAIGHT: f64 = 1e-3;
+
 /// How one free value is sought.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Coordinate {
@@ -99,6 +102,13 @@ impl Coordinate {
     pub(crate) fn is_held(&self, value: f64, slope: f64) -> bool {
         (self.at_lower(value) && slope < 0.0) || (self.at_upper(value) && slope > 0.0)
     }
+}
+
+/// The information on the variance v of a level in steps z that make it v (1 + kz), from that on its logarithm u: -∂²ℓ/∂z² is
+/// -∂²ℓ/∂u² + k ∂ℓ/∂u.
+pub(super) fn in_variance(information: f64, exponent: f64, slope: f64) -> f64 {
+    let bend = exponent * slope;
+    (information + bend).max(STRAIGHT * bend.abs())
 }
 
 /// The same place, to this part of each value.

@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::bench::{Bench, Solved, Told};
+use crate::dynamic::coordinates::in_variance;
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::differences::Differences;
-use crate::dynamic::quadratic::in_variance;
 use crate::dynamic::touching::Touching;
 use crate::estimate::{NOTHING, NoiseInformation, Tangent};
 use crate::linalg::symmetric;

@@ -8,10 +8,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::Coordinate;
 use crate::dynamic::bench::Solved;
+use crate::dynamic::coordinates::in_variance;
 use crate::dynamic::joint::{Joint, solved};
-
-/// Curvature of ℓ in a variance below this part of its slope is none.
-const STRAIGHT: f64 = 1e-3;
 
 /// What ℓ is taken to be quadratic in, of a level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,13 +58,6 @@ impl Curvature {
     pub(super) fn times(self, factor: f64) -> Curvature {
         Curvature { information: self.information * factor, ..self }
     }
-}
-
-/// The information on the variance v of a level in steps z that make it v (1 + kz), from that on its logarithm u: -∂²ℓ/∂z² is
-/// -∂²ℓ/∂u² + k ∂ℓ/∂u.
-pub(super) fn in_variance(information: f64, exponent: f64, slope: f64) -> f64 {
-    let bend = exponent * slope;
-    (information + bend).max(STRAIGHT * bend.abs())
 }
 
 /// Values, and dℓ/dcoordinate there.
