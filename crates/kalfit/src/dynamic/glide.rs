@@ -20,14 +20,14 @@ const SINKING: f64 = 2.5;
 impl<'b> Search<'b, '_> {
     /// Goes on from where a step led; `before`: where it began, `joint` the information there.
     pub(super) fn glide(&mut self, joint: &Joint, before: &Solved) {
-        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.scale, (joint, before)) {
+        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.level_scale, (joint, before)) {
             self.glide_on(curvature, (Some(before.clone()), true));
         }
     }
 
     /// The same by information that serves here, too; nothing is learnt on the way.
     pub(super) fn glide_by(&mut self, joint: &Joint) {
-        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.scale, (joint, &self.home)) {
+        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.level_scale, (joint, &self.home)) {
             self.glide_on(curvature, (None, false));
         }
     }
@@ -36,14 +36,15 @@ impl<'b> Search<'b, '_> {
     pub(super) fn begin_with(&mut self, curvature: Option<Curvature>) {
         let Some(curvature) = curvature else { return };
         let start = self.home.value();
-        self.scale = curvature.scale;
+        self.level_scale = curvature.level_scale;
         for curvature in [curvature.clone(), curvature.other()] {
-            let scale = curvature.scale;
+            let scale = curvature.level_scale;
             self.glide_on(curvature, (None, true));
             if self.home.value() != start {
-                self.scale = scale;
+                self.level_scale = scale;
+                return;
             }
-            if self.home.value() != start || self.stops() {
+            if self.stops() {
                 return;
             }
         }
@@ -84,21 +85,21 @@ impl<'b> Search<'b, '_> {
     /// By which scale of levels the gradient after a step was foreseen better; as before where that cannot be said.
     pub(super) fn straighter(&self, joint: &Joint, next: &Solved) -> LevelScale {
         if self.bench.settings.method != Method::Hybrid {
-            return self.scale; // the gradient is not at the best (μ, Σ)
+            return self.level_scale; // the gradient is not at the best (μ, Σ)
         }
         let by = |scale| {
             let curvature = Curvature::of(&self.bench.coordinates, scale, (joint, &self.home))?;
             Some(Quadratic::about(&self.bench.coordinates, curvature, &self.home.values))
         };
         let (Some(logarithm), Some(variance)) = (by(LevelScale::Logarithm), by(LevelScale::Variance)) else {
-            return self.scale;
+            return self.level_scale;
         };
         let missed =
             |quadratic: &Quadratic<'_>| logarithm.size(&quadratic.unforeseen((&self.home).into(), next.into()));
         match (missed(&logarithm), missed(&variance)) {
             (Some(one), Some(other)) if other < one => LevelScale::Variance,
             (Some(_), Some(_)) => LevelScale::Logarithm,
-            _ => self.scale,
+            _ => self.level_scale,
         }
     }
 }

@@ -61,7 +61,7 @@ pub(crate) struct Search<'b, 'a> {
     /// Steps one after the other that did not raise ℓ.
     pub(super) level_steps: usize,
     /// What levels stand by in the next step.
-    pub(super) scale: LevelScale,
+    pub(super) level_scale: LevelScale,
 }
 
 /// Where it ended.
@@ -73,7 +73,7 @@ pub(crate) struct End {
     pub(crate) stop: Stop,
     pub(crate) trace: Vec<f64>,
     pub(super) before_zero: Vec<f64>,
-    pub(super) scale: LevelScale,
+    pub(super) level_scale: LevelScale,
     /// Nothing higher than another end was in sight.
     pub(crate) given_up: bool,
 }
@@ -114,7 +114,7 @@ impl<'b, 'a> Search<'b, 'a> {
             glided: None,
             given_up: false,
             level_steps: 0,
-            scale: LevelScale::Logarithm,
+            level_scale: LevelScale::Logarithm,
         };
         search.place();
         search

@@ -24,34 +24,34 @@ pub(crate) struct Curvature {
     slots: Vec<usize>,
     information: DMatrix<f64>,
     /// What levels stand by in it: that in which ℓ has been nearer to a quadratic.
-    pub(super) scale: LevelScale,
+    pub(super) level_scale: LevelScale,
 }
 
 impl Curvature {
     /// At a place with this joint information; `None` where values of single tests stand between.
     pub(super) fn of(
         coordinates: &[Coordinate],
-        scale: LevelScale,
+        level_scale: LevelScale,
         (joint, place): (&Joint, &Solved),
     ) -> Option<Curvature> {
         let (slots, mut information) = (joint.shared().to_vec(), joint.followed()?);
-        if scale == LevelScale::Variance {
+        if level_scale == LevelScale::Variance {
             for (i, &s) in slots.iter().enumerate() {
                 if let Some(exponent) = coordinates[s].level {
                     information[(i, i)] = in_variance(information[(i, i)], exponent, place.gradient[s]);
                 }
             }
         }
-        Some(Curvature { slots, information, scale })
+        Some(Curvature { slots, information, level_scale })
     }
 
     /// The same at a maximum, by the other scale of levels.
     pub(super) fn other(self) -> Curvature {
-        let scale = match self.scale {
+        let level_scale = match self.level_scale {
             LevelScale::Logarithm => LevelScale::Variance,
             LevelScale::Variance => LevelScale::Logarithm,
         };
-        Curvature { scale, ..self }
+        Curvature { level_scale, ..self }
     }
 
     /// What so many times the data would say.
@@ -62,14 +62,14 @@ impl Curvature {
 
 /// Values, and dℓ/dcoordinate there.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Point<'a> {
+pub(super) struct Iterate<'a> {
     values: &'a [f64],
     gradient: &'a [f64],
 }
 
-impl<'a> From<&'a Solved> for Point<'a> {
-    fn from(solved: &'a Solved) -> Point<'a> {
-        Point { values: &solved.values, gradient: &solved.gradient }
+impl<'a> From<&'a Solved> for Iterate<'a> {
+    fn from(solved: &'a Solved) -> Iterate<'a> {
+        Iterate { values: &solved.values, gradient: &solved.gradient }
     }
 }
 
@@ -81,20 +81,20 @@ pub(super) struct Quadratic<'b> {
     slots: Vec<usize>,
     /// Where a step of a variance is one of the logarithm.
     about: Vec<f64>,
-    scale: LevelScale,
+    level_scale: LevelScale,
     information: DMatrix<f64>,
 }
 
 impl<'b> Quadratic<'b> {
     /// About a place where the curvature is known.
     pub(super) fn about(coordinates: &'b [Coordinate], curvature: Curvature, values: &[f64]) -> Quadratic<'b> {
-        let Curvature { slots, information, scale } = curvature;
-        Quadratic { coordinates, slots, about: values.to_vec(), scale, information }
+        let Curvature { slots, information, level_scale } = curvature;
+        Quadratic { coordinates, slots, about: values.to_vec(), level_scale, information }
     }
 
     /// The exponent of a level that stands by its variance.
     fn exponent(&self, s: usize) -> Option<f64> {
-        self.coordinates[s].level.filter(|_| self.scale == LevelScale::Variance)
+        self.coordinates[s].level.filter(|_| self.level_scale == LevelScale::Variance)
     }
 
     /// What a unit of a value's coordinate here is in logarithms there.
@@ -107,12 +107,12 @@ impl<'b> Quadratic<'b> {
     }
 
     /// dℓ/dcoordinate at a place.
-    fn gradient(&self, at: Point<'_>) -> DVector<f64> {
+    fn gradient(&self, at: Iterate<'_>) -> DVector<f64> {
         self.over_slots(|s| at.gradient[s] * self.unit(s, at.values[s]))
     }
 
     /// From one place to another.
-    fn way(&self, from: Point<'_>, to: Point<'_>) -> DVector<f64> {
+    fn way(&self, from: Iterate<'_>, to: Iterate<'_>) -> DVector<f64> {
         self.over_slots(|s| {
             let place = |value: f64| match self.exponent(s) {
                 Some(exponent) => (value / self.about[s]).powf(exponent) / exponent,
@@ -123,7 +123,7 @@ impl<'b> Quadratic<'b> {
     }
 
     /// Newton's step from a place, and the decrement; `None` where ℓ does not curve downward.
-    pub(super) fn step(&self, from: Point<'_>) -> Option<(DVector<f64>, f64)> {
+    pub(super) fn step(&self, from: Iterate<'_>) -> Option<(DVector<f64>, f64)> {
         let gradient = self.gradient(from);
         let step = solved(&self.information, &gradient)?;
         let decrement = root(step.dot(&gradient))?;
@@ -149,7 +149,7 @@ impl<'b> Quadratic<'b> {
 
     /// Learns from what the gradient did between two places (Broyden, Fletcher, Goldfarb and Shanno's update); `false` where that is not
     /// the way of a maximum.
-    pub(super) fn learn(&mut self, before: Point<'_>, after: Point<'_>) -> bool {
+    pub(super) fn learn(&mut self, before: Iterate<'_>, after: Iterate<'_>) -> bool {
         let s = self.way(before, after);
         let y = self.gradient(before) - self.gradient(after);
         let (bend, turned) = (s.dot(&y), &self.information * &s);
@@ -162,7 +162,7 @@ impl<'b> Quadratic<'b> {
     }
 
     /// dℓ/dlogarithm of levels, and of other coordinates, after a step, less what was foreseen of it where it began.
-    pub(super) fn unforeseen(&self, before: Point<'_>, after: Point<'_>) -> DVector<f64> {
+    pub(super) fn unforeseen(&self, before: Iterate<'_>, after: Iterate<'_>) -> DVector<f64> {
         let missed = self.gradient(after) - self.gradient(before) + &self.information * self.way(before, after);
         let units = self.over_slots(|s| self.unit(s, after.values[s]));
         missed.component_div(&units)
@@ -179,12 +179,12 @@ impl<'b> Quadratic<'b> {
     }
 
     /// A level by its logarithm with a slope downward and a curvature below so many times that: it is on its way to zero.
-    pub(super) fn sinks(&self, at: Point<'_>, times: f64) -> bool {
+    pub(super) fn sinks(&self, at: Iterate<'_>, times: f64) -> bool {
         let sinks = |(i, &s): (usize, &usize)| {
             let slope = at.gradient[s];
             self.coordinates[s].level.is_some() && slope < 0.0 && self.information[(i, i)] < times * slope.abs()
         };
-        self.scale == LevelScale::Logarithm && self.slots.iter().enumerate().any(sinks)
+        self.level_scale == LevelScale::Logarithm && self.slots.iter().enumerate().any(sinks)
     }
 }
 
@@ -222,7 +222,7 @@ mod tests {
         if scale == LevelScale::Logarithm {
             information[(0, 0)] -= 2.0 * gradient(values)[0];
         }
-        let curvature = Curvature { slots: vec![0, 1], information, scale };
+        let curvature = Curvature { slots: vec![0, 1], information, level_scale: scale };
         Quadratic::about(coordinates, curvature, &values)
     }
 
@@ -231,7 +231,7 @@ mod tests {
         let coordinates = coordinates();
         let (from, to) = ([1.1, 1.0], [0.7, 2.0]);
         let (slope, other) = (gradient(from), gradient(to));
-        let (before, after) = (Point { values: &from, gradient: &slope }, Point { values: &to, gradient: &other });
+        let (before, after) = (Iterate { values: &from, gradient: &slope }, Iterate { values: &to, gradient: &other });
         let by = |scale| about(&coordinates, from, scale).unforeseen(before, after);
         let (variance, logarithm) = (by(LevelScale::Variance), by(LevelScale::Logarithm));
         assert!(variance.amax() < 1e-12, "{variance}");
@@ -248,7 +248,7 @@ mod tests {
         for (home, from) in [([1.1, 1.0], [1.1, 1.0]), ([1.1, 1.0], [0.9, 3.0])] {
             let quadratic = about(&coordinates, home, LevelScale::Variance);
             let slope = gradient(from);
-            let (step, decrement) = quadratic.step(Point { values: &from, gradient: &slope }).expect("downward");
+            let (step, decrement) = quadratic.step(Iterate { values: &from, gradient: &slope }).expect("downward");
             let found = quadratic.moved(&from, &step, 2.0).expect("not far");
             let expected = [BEST[0].sqrt(), BEST[1]];
             assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?} and {expected:?}");
@@ -269,19 +269,17 @@ mod tests {
         quadratic.information = DMatrix::identity(2, 2);
         let places = [home, [0.9, 1.4], [0.8, 2.9]];
         let slopes = places.map(gradient);
-        let point = |k: usize| Point { values: &places[k], gradient: &slopes[k] };
+        let at = |k: usize| Iterate { values: &places[k], gradient: &slopes[k] };
         for k in 1..3 {
-            assert!(quadratic.learn(point(k - 1), point(k)));
-            let missed = quadratic.unforeseen(point(k - 1), point(k));
+            assert!(quadratic.learn(at(k - 1), at(k)));
+            let missed = quadratic.unforeseen(at(k - 1), at(k));
             assert!(missed.amax() < 1e-13, "{missed}");
         }
-        let along = quadratic.way(point(1), point(2));
+        let along = quadratic.way(at(1), at(2));
         let (found, expected) = (&quadratic.information * &along, &exact * &along);
         assert!((&found - &expected).amax() < 1e-13, "{found} and {expected}");
         // back over a way on which the slope does not fall
-        assert!(
-            !quadratic.learn(Point { gradient: &slopes[1], ..point(0) }, Point { gradient: &slopes[0], ..point(1) })
-        );
+        assert!(!quadratic.learn(Iterate { gradient: &slopes[1], ..at(0) }, Iterate { gradient: &slopes[0], ..at(1) }));
     }
 
     #[test]
@@ -289,7 +287,7 @@ mod tests {
         let coordinates = coordinates();
         let (from, to) = ([1.1, 1.0], [0.0, 2.0]);
         let (slope, other) = (gradient(from), gradient(to));
-        let (before, after) = (Point { values: &from, gradient: &slope }, Point { values: &to, gradient: &other });
+        let (before, after) = (Iterate { values: &from, gradient: &slope }, Iterate { values: &to, gradient: &other });
         for scale in [LevelScale::Variance, LevelScale::Logarithm] {
             let quadratic = about(&coordinates, from, scale);
             assert_eq!(quadratic.size(&quadratic.unforeseen(before, after)), None, "{scale:?}");

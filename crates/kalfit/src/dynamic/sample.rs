@@ -147,7 +147,7 @@ impl Part<'_, '_> {
         let mut beside = Beside { small: self.small, progress: &mut *self.progress };
         let start = Start { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
         let end = search(self.small, start, self.floor, &mut beside).ok()?;
-        let curvature = Curvature::of(&self.small.coordinates, end.scale, (&end.joint, &end.home))
+        let curvature = Curvature::of(&self.small.coordinates, end.level_scale, (&end.joint, &end.home))
             .map(|curvature| curvature.times(self.more));
         Some((end.home.value(), Start { values: end.restart(), curvature }))
     }

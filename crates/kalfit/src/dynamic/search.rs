@@ -68,8 +68,8 @@ impl<'b, 'a> Search<'b, 'a> {
         if self.home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.home.estimate.stop;
         }
-        let Search { home, standing, trace, before_zero, scale, given_up, .. } = self;
-        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, scale, given_up })
+        let Search { home, standing, trace, before_zero, level_scale, given_up, .. } = self;
+        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up })
     }
 
     /// ℓ runs straight along a logarithm: no step of Newton's follows, yet there is no maximum.
@@ -178,7 +178,7 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides.
     fn advance(&mut self, joint: &Joint, decrement: f64, fine: bool) -> bool {
-        let levels = match self.scale {
+        let levels = match self.level_scale {
             LevelScale::Logarithm => self.levels_near_zero(joint),
             LevelScale::Variance => self.all_levels(joint),
         };
@@ -219,10 +219,10 @@ impl<'b, 'a> Search<'b, 'a> {
         }
         self.damping *= if gain > 0.5 * promised { 0.1 } else { 1.0 };
         self.damping = if self.damping < 1e-4 { 0.0 } else { self.damping };
-        self.scale = self.straighter(joint, &next);
+        self.level_scale = self.straighter(joint, &next);
         let before = self.home.clone();
         self.arrive(next);
-        let goes_on = if levels.is_empty() { !self.stride(step) } else { self.scale == LevelScale::Variance };
+        let goes_on = if levels.is_empty() { !self.stride(step) } else { self.level_scale == LevelScale::Variance };
         if goes_on {
             match gain > 0.2 * promised {
                 true => self.glide(joint, &before),

@@ -121,12 +121,12 @@ impl<'b, 'a> Em<'b, 'a> {
         if stop == Stop::Certified && self.search.is_on_a_slope(&last.joint) {
             stop = Stop::Stalled;
         }
-        let Search { home, standing, trace, before_zero, scale, .. } = self.search;
+        let Search { home, standing, trace, before_zero, level_scale, .. } = self.search;
         if home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = home.estimate.stop;
         }
         let (joint, certificate) = (last.joint, last.decrement);
-        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, scale, given_up: false })
+        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up: false })
     }
 
     fn look(&self, fine: bool) -> Look {
