@@ -7,15 +7,15 @@ pub(crate) const FEW: usize = 64;
 
 /// The data of a test, in kernel order and whitened.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Data<R = f64> {
+pub(crate) struct Data {
     /// a, n numbers.
-    pub(crate) start: Vec<R>,
+    pub(crate) start: Vec<f64>,
     /// b of the driven states, for each transition.
-    pub(crate) inputs: Vec<R>,
+    pub(crate) inputs: Vec<f64>,
     /// z - d.
-    pub(crate) values: Vec<R>,
+    pub(crate) values: Vec<f64>,
     /// |z| + |d|.
-    pub(crate) sizes: Vec<R>,
+    pub(crate) sizes: Vec<f64>,
 }
 
 impl Data {
@@ -25,25 +25,13 @@ impl Data {
         self.values.push(z - constant);
         self.sizes.push(z.abs() + constant.abs());
     }
-}
 
-impl<R> Data<R> {
     pub(crate) fn clear(&mut self) {
         self.start.clear();
         self.inputs.clear();
         self.values.clear();
         self.sizes.clear();
     }
-}
-
-/// Work space of the data pass; afterwards x̂ of the last step.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct DataWork<R = f64> {
-    pub(crate) x: Vec<R>,
-    pub(super) moved: Vec<R>,
-    /// The innovations, in order.
-    pub(crate) e: Vec<R>,
-    pub(crate) y: Vec<R>,
 }
 
 /// What the data say under a design.
@@ -57,6 +45,12 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
+    /// Of d and what is left, for `active` measurements with this Σ log S.
+    pub(crate) fn new(data: Vec<f64>, residual: f64, active: usize, log_determinant: f64) -> Outcome {
+        let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
+        Outcome { constant: log_density - 0.5 * residual, residual, data }
+    }
+
     pub(crate) fn is_finite(&self) -> bool {
         self.constant.is_finite() && self.data.iter().all(|d| d.is_finite())
     }

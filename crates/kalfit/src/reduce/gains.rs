@@ -135,12 +135,6 @@ impl Gains {
         &self.sensitivities[sensitivity * self.p..][..self.p]
     }
 
-    /// Pieces with the end of their rows, of `rows` in all.
-    pub(crate) fn stretches(&self, rows: usize) -> impl Iterator<Item = (&Piece, usize)> {
-        let ends = self.pieces[1..].iter().map(|piece| piece.row).chain([rows]);
-        self.pieces.iter().zip(ends)
-    }
-
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());

@@ -17,7 +17,7 @@
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; matrix exponentials once per length and coefficients
 //! Design ── design_pass (lanes, small, root) ──> Gains   S, K, T, P, J: once per design class
-//! Gains + Data ── data_pass (lanes, scan) ──> Reduction  e, x̂, y: once per test
+//! Gains + Data ── lanes (pass, scan) ──> Reduction       e, x̂, y: once per test, a long one in a lane by itself
 //! ```
 //!
 //! Each equation stands in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for plain numbers and for lanes. Up
@@ -138,9 +138,9 @@ pub(crate) use steps::Cells;
 pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};
 #[cfg(test)]
 pub(crate) use {
-    data::DataWork,
     data_pass::outcome,
     design::{DENSE, Pattern},
+    lanes::Room,
     reducer::information_gains,
     root::root_gains,
     schedule::GainsWork,

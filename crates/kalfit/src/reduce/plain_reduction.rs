@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
-use crate::reduce::data::{Data, DataWork};
+use crate::reduce::data::Data;
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::end::End;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
+use crate::reduce::lanes::Room;
 use crate::reduce::observe::whiten;
 use crate::reduce::path::Path;
 use crate::reduce::plain::Plain;
@@ -56,7 +57,7 @@ impl Plain {
             Some(gains) => gains,
             None => self.root(&design, (&rows, &order))?,
         };
-        let mut pass = DataWork::default();
+        let mut pass = Room::default();
         let outcome = outcome(&design, &gains, &data, &mut pass)
             .map_err(|miss| self.refuse(format!("step {}", rows[miss.row] + 1), impossible(miss)))?;
         if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {

@@ -8,7 +8,7 @@ use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Scope};
-use crate::reduce::data::{Data, DataWork};
+use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
@@ -100,7 +100,7 @@ pub(crate) struct Workspace {
     /// whitened.
     pub(crate) covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
-    pub(crate) pass: DataWork,
+    pub(crate) pass: Room,
     /// For one test by itself.
     pub(crate) block: Block,
     pub(crate) room: Room,
@@ -212,7 +212,7 @@ impl Preparer {
             covariates: Vec::new(),
             covariances: None,
             gains: GainsWork::default(),
-            pass: DataWork::default(),
+            pass: Room::default(),
             block: Block::new(Isa::best()),
             room: Room::default(),
             gained: Gained::default(),

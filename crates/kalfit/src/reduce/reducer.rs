@@ -12,7 +12,7 @@ use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Slots};
 use crate::reduce::class::{Class, Made, class_bytes};
 use crate::reduce::data::{Data, Miss, Outcome};
-use crate::reduce::data_pass::{innovate, outcome};
+use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::schedule;
 use crate::reduce::end::{End, placed};
@@ -21,7 +21,7 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::lanes::{Block, Gained, Room, fits, is_short};
+use crate::reduce::lanes::{Block, Gained, Room, fits, innovations, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::Memory;
 use crate::reduce::root::{RootError, root_gains};
@@ -445,7 +445,7 @@ pub(crate) fn own_innovations(gains: &Gains, work: &mut Workspace) {
         pass.e.clear();
         pass.e.extend(block.innovations(0, room));
     } else {
-        innovate(design, gains, data, pass);
+        innovations((design, gains), data, pass, &mut ());
     }
 }
 

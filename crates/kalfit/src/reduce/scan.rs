@@ -1,9 +1,7 @@
 //! The data pass over equal steps of one measurement, for few moving states: a linear scan, of one test or of several side by side.
 #![expect(non_snake_case, reason = "the letters of the theory: K, h, phi, T")]
 
-use std::ops::Range;
-
-use crate::reduce::data::{Data, DataWork, FEW};
+use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Stretch};
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::small::moving;
@@ -11,8 +9,6 @@ use kalfit_lanes::{Lanes, Part, Real};
 
 /// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
 pub(crate) const BLOCK: usize = 512;
-/// Sums side by side.
-const LANES: usize = 8;
 
 /// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d. Tests side by
 /// side share φ and h.
@@ -116,29 +112,6 @@ impl<T: Lanes, const N: usize> Part for Moving<'_, T, N> {
     }
 }
 
-/// Runs the steps of a stretch that begins a piece; appends the innovations of each, and adds to e'S⁻¹e and y. False, and
-/// nothing is done, where the steps are not of the kind that it knows.
-pub(crate) fn scan(
-    design: &Design,
-    stretch: &Stretch<'_>,
-    (gains, piece): (&Gains, &Piece),
-    data: &Data,
-    work: &mut DataWork,
-    square: &mut f64,
-) -> bool {
-    let Some(states) = scanned(design, stretch) else { return false };
-    let start = work.e.len();
-    work.e.extend_from_slice(&data.values[stretch.rows.clone()]);
-    let (x, e) = (&mut *work.x, &mut work.e[start..]);
-    Scan { design, stretch, gains: (gains, piece), x, e, marks: None }.run(states);
-    let mut correction = vec![0.0; design.frame.p];
-    *square += gains.weigh((piece, stretch.rows.clone()), &work.e[start..], &[], &mut correction);
-    for (y, sum) in work.y.iter_mut().zip(&correction) {
-        *y += sum;
-    }
-    true
-}
-
 impl<T: Real, const N: usize> Steady<T, N> {
     /// `x`: the filter before them.
     #[inline(always)]
@@ -221,70 +194,4 @@ impl<T: Real, const N: usize> Steady<T, N> {
         }
         out
     }
-}
-
-impl Gains {
-    /// Σ (e - Tξ)²/S over rows of a piece, in blocks; adds Σ T'(e - Tξ)/S to `sum`. Without `xi`, ξ = 0.
-    pub(crate) fn weigh(&self, (piece, rows): (&Piece, Range<usize>), e: &[f64], xi: &[f64], sum: &mut [f64]) -> f64 {
-        let predicted = |T: &[f64]| T.iter().zip(xi).map(|(T, x)| T * x).sum::<f64>();
-        let (mut squares, width) = (0.0, piece.width);
-        let kept = (piece.row + piece.moving() * width).clamp(rows.start, rows.end);
-        let mut part = vec![0.0; sum.len()];
-        for start in (rows.start..kept).step_by(BLOCK) {
-            let block = start..kept.min(start + BLOCK);
-            let mut square = 0.0;
-            part.fill(0.0);
-            for row in block {
-                let (weight, _, T) = self.of(piece, row);
-                let left = e[row - rows.start] - predicted(T);
-                square += left * left * weight;
-                for (part, T) in part.iter_mut().zip(T) {
-                    *part += T * (left * weight);
-                }
-            }
-            squares += square;
-            for (sum, part) in sum.iter_mut().zip(&part) {
-                *sum += part;
-            }
-        }
-        for row in kept..rows.end.min(kept + width) {
-            let (weight, _, T) = self.of(piece, row);
-            let (total, square) = sums(&e[row - rows.start..], width, predicted(T));
-            squares += square * weight;
-            for (sum, T) in sum.iter_mut().zip(T) {
-                *sum += T * (total * weight);
-            }
-        }
-        squares
-    }
-}
-
-/// (Σ (e - t), Σ (e - t)²) of every `width`-th e, in blocks.
-fn sums(e: &[f64], width: usize, t: f64) -> (f64, f64) {
-    if width > 1 {
-        let add = |(sum, squares): (f64, f64), e: &f64| (sum + (e - t), squares + (e - t) * (e - t));
-        let block = |block: &[f64]| block.iter().step_by(width).fold((0.0, 0.0), add);
-        return e.chunks(BLOCK * width).map(block).fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
-    }
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for block in e.chunks(BLOCK) {
-        let (mut lanes, mut lane_squares) = ([0.0; LANES], [0.0; LANES]);
-        let chunks = block.chunks_exact(LANES);
-        let rest = chunks.remainder();
-        for chunk in chunks {
-            for l in 0..LANES {
-                let left = chunk[l] - t;
-                lanes[l] += left;
-                lane_squares[l] += left * left;
-            }
-        }
-        for (l, e) in rest.iter().enumerate() {
-            let left = e - t;
-            lanes[l] += left;
-            lane_squares[l] += left * left;
-        }
-        sum += lanes.iter().sum::<f64>();
-        squares += lane_squares.iter().sum::<f64>();
-    }
-    (sum, squares)
 }

@@ -107,25 +107,8 @@ impl Block {
     }
 
     /// What a pass found in a lane, for `active` measurements with this Σ log S.
-    pub(crate) fn outcome(&self, lane: usize, of: (usize, f64), room: &Room) -> Outcome {
-        let mut outcome = Outcome::default();
-        self.outcome_to(&mut outcome, lane, of, room);
-        outcome
-    }
-
-    /// The same in the place of another.
-    pub(crate) fn outcome_to(
-        &self,
-        outcome: &mut Outcome,
-        lane: usize,
-        (active, log_determinant): (usize, f64),
-        room: &Room,
-    ) {
-        let from = if room.is_refined[lane] { &room.refined } else { &room.d };
-        let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
-        (outcome.constant, outcome.residual) = (log_density - 0.5 * room.residual[lane], room.residual[lane]);
-        outcome.data.clear();
-        outcome.data.extend(from.iter().skip(lane).step_by(self.isa.lanes()));
+    pub(crate) fn outcome(&self, lane: usize, (active, log_determinant): (usize, f64), room: &Room) -> Outcome {
+        room.outcome((lane, self.isa.lanes()), active, log_determinant)
     }
 
     /// The innovations of the test in a lane, of as many measurements as the longest test has.
@@ -135,7 +118,7 @@ impl Block {
 
     /// x̂ of the last step of the test in a lane.
     pub(crate) fn last<'a>(&self, lane: usize, room: &'a Room) -> impl Iterator<Item = f64> + use<'a> {
-        room.last.iter().skip(lane).step_by(self.isa.lanes()).copied()
+        room.x.iter().skip(lane).step_by(self.isa.lanes()).copied()
     }
 
     /// The outcome of one test by itself, and x̂ of its last step to `x`.

@@ -13,6 +13,7 @@ use crate::reduce::kernel::{self, Spread};
 use crate::reduce::lanes::numbers::{Numbers, Side, at, put};
 use crate::reduce::lanes::pass::innovate;
 use crate::reduce::lanes::room::Room;
+use crate::reduce::lanes::squares;
 use crate::reduce::sums::{Sums, packed};
 
 /// Designs of one shape and all that their pass leaves, in lanes.
@@ -62,7 +63,8 @@ impl Kernel for Loaded<'_> {
         let sums = gained.filter::<T>(design);
         gained.finish(&sums, tests);
         if let Some(data) = data {
-            innovate::<T, _>(design, gained, data, room);
+            let square = innovate::<T, _, _>(design, gained, data, room, &mut ());
+            squares::solve::<T, _>(gained, design.frame.p, square, room);
         }
     }
 }

@@ -1,9 +1,9 @@
 //! Tests side by side, one in each lane: of one design, whose data passes are one; or of designs of one shape, whose design passes
 //! are one too.
 //!
-//! What a lane holds never depends on the others, and a test by itself goes the same way with the other lanes empty: it is
-//! reduced to the same bits in any company. Which way a test goes depends on its design alone ([`is_short`], [`fits`]); only long
-//! records of a fit that are known to be alike go side by side where one of them alone does not
+//! What a lane holds never depends on the others, and a short test by itself goes the same way with the other lanes empty: it is
+//! reduced to the same bits in any company. A long one by itself takes the data pass with one lane ([`innovations`]). Which way a test
+//! goes depends on its design alone ([`is_short`], [`fits`]); only long records of a fit that are known to be alike go side by side
 //! ([`Alike`](crate::reduce::Alike)), which depends on the ensemble.
 
 mod block;
@@ -19,6 +19,7 @@ pub(crate) use block::Block;
 pub(crate) use designs::Gained;
 pub(crate) use kept::{Columns, Kept};
 pub(crate) use numbers::at;
+pub(crate) use pass::{Look, innovations, solve};
 pub(crate) use room::Room;
 pub(crate) use woven::Woven;
 

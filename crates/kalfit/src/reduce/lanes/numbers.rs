@@ -19,6 +19,11 @@ pub(super) trait Numbers<T> {
     fn of(row: &[f64], k: usize) -> T;
     /// An entry of R, packed.
     fn R(&self, at: usize) -> T;
+    /// Rows from `row` up to `end`, at most, and what repeats among them.
+    #[inline(always)]
+    fn repeats(&self, _row: usize, end: usize) -> Repeats {
+        Repeats { still: end, end, width: 1 }
+    }
     /// Long stretches are gone over at once.
     const SCANS: bool = false;
     /// Goes over a stretch of equal steps as one: x̂ and, in the place of values, innovations. False where it does not.
@@ -26,6 +31,14 @@ pub(super) trait Numbers<T> {
     fn scan(&self, _: &Stretch<'_>, _: &mut [T], _: &mut [f64]) -> bool {
         false
     }
+}
+
+/// Rows up to `end`: from `still` on every `width`-th has the same 1/S and T.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Repeats {
+    pub(super) still: usize,
+    pub(super) end: usize,
+    pub(super) width: usize,
 }
 
 /// The data of tests, in lanes.

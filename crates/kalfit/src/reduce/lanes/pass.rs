@@ -1,11 +1,13 @@
-//! The data pass over a block: the formulas of [`data_pass`](crate::reduce::data_pass), with a test in each lane.
+//! The data pass: innovations of tests under the gains of their designs and what they add up to, a test in each lane.
+
+use std::cell::Cell;
 
 use kalfit_lanes::{Kernel, Lanes, Part};
 
-use crate::reduce::data::FEW;
+use crate::reduce::data::{Data, FEW};
 use crate::reduce::design::{Design, Moved, Pattern, Stretch};
-use crate::reduce::gains::Gains;
-use crate::reduce::lanes::numbers::{Numbers, Side, at, put};
+use crate::reduce::gains::{Gains, Piece};
+use crate::reduce::lanes::numbers::{Numbers, Repeats, Side, at, put};
 use crate::reduce::lanes::room::Room;
 use crate::reduce::lanes::squares;
 use crate::reduce::scan::{BLOCK, Scan, scanned};
@@ -14,6 +16,27 @@ use crate::reduce::scan::{BLOCK, Scan, scanned};
 struct Shared<'a> {
     design: &'a Design,
     gains: &'a Gains,
+    /// The piece that the last row was in: rows come in order.
+    piece: Cell<usize>,
+}
+
+impl<'a> Shared<'a> {
+    fn new(design: &'a Design, gains: &'a Gains) -> Shared<'a> {
+        Shared { design, gains, piece: Cell::new(0) }
+    }
+
+    /// The piece that has a row, and where it ends.
+    #[inline(always)]
+    fn piece(&self, row: usize) -> (&Piece, usize) {
+        let (pieces, last) = (&self.gains.pieces, self.piece.get());
+        let end = |at: usize| pieces.get(at + 1).map_or(usize::MAX, |next| next.row);
+        if pieces[last].row <= row && row < end(last) {
+            return (&pieces[last], end(last));
+        }
+        let at = self.gains.piece(row);
+        self.piece.set(at);
+        (&pieces[at], end(at))
+    }
 }
 
 impl<T: Lanes> Numbers<T> for Shared<'_> {
@@ -31,12 +54,12 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
 
     #[inline(always)]
     fn gains(&self, row: usize) -> &[f64] {
-        self.gains.weighted(&self.gains.pieces[self.gains.piece(row)], row)
+        self.gains.weighted(self.piece(row).0, row)
     }
 
     #[inline(always)]
     fn sensitivities(&self, row: usize) -> &[f64] {
-        self.gains.sensitive(&self.gains.pieces[self.gains.piece(row)], row)
+        self.gains.sensitive(self.piece(row).0, row)
     }
 
     #[inline(always)]
@@ -49,13 +72,20 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
         T::splat(self.gains.factor[at])
     }
 
+    #[inline(always)]
+    fn repeats(&self, row: usize, end: usize) -> Repeats {
+        let (piece, last) = self.piece(row);
+        let (end, width) = (end.min(last), piece.width);
+        Repeats { still: (piece.row + piece.moving() * width).clamp(row, end), end, width }
+    }
+
     const SCANS: bool = true;
 
     #[inline(always)]
     fn scan(&self, stretch: &Stretch<'_>, x: &mut [T], e: &mut [f64]) -> bool {
         let (design, gains) = (self.design, self.gains);
         let Some(states) = scanned(design, stretch) else { return false };
-        let gains = (gains, &gains.pieces[gains.piece(stretch.rows.start)]);
+        let gains = (gains, self.piece(stretch.rows.start).0);
         Scan { design, stretch, gains, x, e, marks: None }.run(states);
         true
     }
@@ -75,8 +105,42 @@ impl Kernel for Pass<'_> {
     #[inline(always)]
     fn run<T: Lanes>(self) {
         let Pass { design, gains, data, room } = self;
-        innovate::<T, _>(design, &Shared { design, gains }, data, room);
+        let shared = Shared::new(design, gains);
+        let square = innovate::<T, _, _>(design, &shared, data, room, &mut ());
+        squares::solve::<T, _>(&shared, design.frame.p, square, room);
     }
+}
+
+/// The innovations of a test by itself: e'S⁻¹e; y to `room.d`.
+pub(crate) fn innovations<L: Look<f64>>(
+    (design, gains): (&Design, &Gains),
+    data: &Data,
+    room: &mut Room,
+    look: &mut L,
+) -> f64 {
+    let side = Side { start: &data.start, inputs: &data.inputs, values: &data.values };
+    innovate::<f64, _, _>(design, &Shared::new(design, gains), side, room, look)
+}
+
+/// d and the residual sum of squares after [`innovations`], which were `square`.
+pub(crate) fn solve((design, gains): (&Design, &Gains), square: f64, room: &mut Room) {
+    squares::solve::<f64, _>(&Shared::new(design, gains), design.frame.p, square, room);
+}
+
+/// Sees innovations on the way.
+pub(crate) trait Look<T> {
+    /// It wants to see every one: no stretch is gone over at once.
+    const EACH: bool;
+
+    /// Sees that of a row, with its line and x̂ before the update.
+    fn see(&mut self, at: (usize, usize), e: T, x: &[T]);
+}
+
+impl<T> Look<T> for () {
+    const EACH: bool = false;
+
+    #[inline(always)]
+    fn see(&mut self, _: (usize, usize), _: T, _: &[T]) {}
 }
 
 /// What a pass carries from row to row.
@@ -92,19 +156,25 @@ struct State<T> {
     square_part: T,
 }
 
-/// The pass over tests of designs of one shape, of which `design` is one.
+/// The pass over tests of designs of one shape, of which `design` is one: e'S⁻¹e; y to `room.d`.
 #[inline(always)]
-pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, data: Side<'_>, room: &mut Room) {
+pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: Look<T>>(
+    design: &Design,
+    numbers: &N,
+    data: Side<'_>,
+    room: &mut Room,
+    look: &mut L,
+) -> T {
     let frame = &*design.frame;
     room.e.resize(data.values.len(), 0.0);
-    room.last.resize(frame.n * T::COUNT, 0.0);
+    room.x.resize(frame.n * T::COUNT, 0.0);
     let mut state = State::<T>::new((frame.n, frame.p));
     for i in 0..frame.n {
         state.x[i] = at(data.start, i);
     }
     let (mut line, mut row, mut input) = (0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
-        if N::SCANS && run.count > FEW {
+        if N::SCANS && !L::EACH && run.count > FEW {
             let (x, y) = (&mut *state.x, &mut *state.y);
             let long = Long { numbers, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut room.e };
             if let Some(square) = T::apart(long) {
@@ -122,7 +192,7 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
                 }
             }
             for line in line..run.lines {
-                let e = state.measure((design, line), (numbers, row), at(data.values, row));
+                let e = state.measure((design, line), (numbers, row), at(data.values, row), look);
                 put(&mut room.e, row, e);
                 row += 1;
                 if row % BLOCK == 0 {
@@ -134,13 +204,13 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>>(design: &Design, numbers: &N, da
     }
     state.add_up();
     for (i, x) in state.x.iter().enumerate() {
-        put(&mut room.last, i, *x);
+        put(&mut room.x, i, *x);
     }
     room.d.resize(frame.p * T::COUNT, 0.0);
     for k in 0..frame.p {
         put(&mut room.d, k, state.y[k]);
     }
-    squares::solve::<T, _>(numbers, frame.p, state.square, room);
+    state.square
 }
 
 /// A stretch of equal steps, if it is one that is gone over at once: x̂, y and innovations; e'S⁻¹e of it.
@@ -219,13 +289,20 @@ impl<T: Lanes> State<T> {
 
     /// The innovation of a scalar measurement, after which x and the sums have it.
     #[inline(always)]
-    fn measure<N: Numbers<T>>(&mut self, (design, line): (&Design, usize), (numbers, row): (&N, usize), value: T) -> T {
+    fn measure<N: Numbers<T>, L: Look<T>>(
+        &mut self,
+        (design, line): (&Design, usize),
+        (numbers, row): (&N, usize),
+        value: T,
+        look: &mut L,
+    ) -> T {
         let (states, first) = (design.terms(line).0, if line == 0 { 0 } else { design.ends[line - 1] });
         let mut e = value;
         // states that move come last: what they add is waited for
         for (k, &state) in states.iter().enumerate().rev() {
             e = numbers.h(first + k).fnma(self.x[state as usize], e);
         }
+        look.see((row, line), e, &self.x);
         let gains = numbers.gains(row);
         for (i, x) in self.x[..design.frame.r].iter_mut().enumerate() {
             *x = N::of(gains, 1 + i).fma(e, *x);

@@ -1,12 +1,14 @@
-//! The work space of a pass over a block.
+//! The work space of the data pass, and what it finds.
 
-/// Work space of a pass over a block, and what it finds. All in lanes.
+use crate::reduce::data::Outcome;
+
+/// Work space of a pass over a block or a test by itself, and what it finds. All in lanes.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Room {
     /// x̂ of the last step of each test.
-    pub(super) last: Vec<f64>,
+    pub(crate) x: Vec<f64>,
     /// The innovations, in order.
-    pub(super) e: Vec<f64>,
+    pub(crate) e: Vec<f64>,
     /// y, then d.
     pub(super) d: Vec<f64>,
     /// The best ξ.
@@ -16,4 +18,17 @@ pub(crate) struct Room {
     /// Residual sums of squares, and where d was refined.
     pub(super) residual: Vec<f64>,
     pub(super) is_refined: Vec<bool>,
+}
+
+impl Room {
+    /// What was found in one of so many lanes, for `active` measurements with this Σ log S.
+    pub(crate) fn outcome(&self, (lane, lanes): (usize, usize), active: usize, log_determinant: f64) -> Outcome {
+        let data = if self.is_refined[lane] { &self.refined } else { &self.d };
+        Outcome::new(
+            data.iter().skip(lane).step_by(lanes).copied().collect(),
+            self.residual[lane],
+            active,
+            log_determinant,
+        )
+    }
 }

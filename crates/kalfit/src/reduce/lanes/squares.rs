@@ -1,13 +1,17 @@
-//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e: see [`data_pass`](crate::reduce::data_pass).
+//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e. Where these are large, the innovations at the best
+//! ξ, e - Tξ, are what counts: nothing cancels in them. (Corrected seminormal equations, Björck 1987.)
 
 use std::ops::Range;
 
 use kalfit_lanes::Lanes;
 
 use crate::reduce::data::REFINE;
-use crate::reduce::lanes::numbers::{Numbers, at, put};
+use crate::reduce::lanes::numbers::{Numbers, Repeats, at, put};
 use crate::reduce::lanes::room::Room;
 use crate::reduce::scan::BLOCK;
+
+/// Sums side by side, so that none waits for the one before it.
+const SIDE: usize = 8;
 
 /// y → d. Where a test's squares are large, by way of its best ξ.
 #[inline(always)]
@@ -62,6 +66,21 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut Room) -> T 
 /// Σ (e - Tξ)²/S over rows, in blocks; adds Σ T'(e - Tξ)/S to `sum`. Without `xi`, ξ = 0.
 #[inline(always)]
 pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e: &[f64], xi: &[T], sum: &mut [T]) -> T {
+    let (mut total, mut from) = (T::splat(0.0), rows.start);
+    while from < rows.end {
+        let Repeats { still, end, width } = numbers.repeats(from, rows.end);
+        total = total + each::<T, N>(numbers, from..still, (e, xi), sum);
+        if still < end {
+            total = total + equal::<T, N>(numbers, (still..end, width), (e, xi), sum);
+        }
+        from = end;
+    }
+    total
+}
+
+/// [`weigh`] of rows that have 1/S and T of their own.
+#[inline(always)]
+fn each<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, (e, xi): (&[f64], &[T]), sum: &mut [T]) -> T {
     let zero = T::splat(0.0);
     let (mut total, mut part) = (zero, vec![zero; sum.len()]);
     for start in rows.clone().step_by(BLOCK) {
@@ -69,10 +88,7 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e:
         let mut square = zero;
         for row in start..rows.end.min(start + BLOCK) {
             let sensitivities = numbers.sensitivities(row);
-            let mut left = at::<T>(e, row);
-            for (k, &xi) in xi.iter().enumerate() {
-                left = N::of(sensitivities, k).fnma(xi, left);
-            }
+            let left = left::<T, N>(sensitivities, xi, at(e, row));
             let weighted = left * N::of(numbers.gains(row), 0);
             square = left.fma(weighted, square);
             add::<T, N>(sensitivities, weighted, &mut part);
@@ -83,6 +99,56 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e:
         }
     }
     total
+}
+
+/// [`weigh`] of rows of which every `width`-th has the same 1/S and T.
+#[inline(always)]
+fn equal<T: Lanes, N: Numbers<T>>(
+    numbers: &N,
+    (rows, width): (Range<usize>, usize),
+    (e, xi): (&[f64], &[T]),
+    sum: &mut [T],
+) -> T {
+    let mut total = T::splat(0.0);
+    for row in rows.start..rows.end.min(rows.start + width) {
+        let (weight, sensitivities) = (N::of(numbers.gains(row), 0), numbers.sensitivities(row));
+        let (left, squares) = moments(e, (row..rows.end, width), left::<T, N>(sensitivities, xi, T::splat(0.0)));
+        total = squares.fma(weight, total);
+        add::<T, N>(sensitivities, left * weight, sum);
+    }
+    total
+}
+
+/// Σ (e + t) and Σ (e + t)² over every `width`-th row, in blocks.
+#[inline(always)]
+fn moments<T: Lanes>(e: &[f64], (rows, width): (Range<usize>, usize), t: T) -> (T, T) {
+    let zero = T::splat(0.0);
+    let (mut sum, mut squares) = (zero, zero);
+    for start in rows.clone().step_by(BLOCK * width) {
+        let end = rows.end.min(start + BLOCK * width);
+        let (mut sums, mut parts) = ([zero; SIDE], [zero; SIDE]);
+        for group in (start..end).step_by(SIDE * width) {
+            for (side, row) in (group..end).step_by(width).take(SIDE).enumerate() {
+                let left = at::<T>(e, row) + t;
+                sums[side] = sums[side] + left;
+                parts[side] = left.fma(left, parts[side]);
+            }
+        }
+        for side in 0..SIDE {
+            (sum, squares) = (sum + sums[side], squares + parts[side]);
+        }
+    }
+    (sum, squares)
+}
+
+/// e - Tξ of a row.
+#[inline(always)]
+fn left<T: Lanes, N: Numbers<T>>(sensitivities: &[f64], xi: &[T], e: T) -> T {
+    let mut left = e;
+    for (k, &xi) in xi.iter().enumerate() {
+        left = N::of(sensitivities, k).fnma(xi, left);
+    }
+    left
 }
 
 /// sum ← sum + T'x, with T of a row.

@@ -10,8 +10,9 @@ use crate::model::{
 };
 use crate::reduce::blocks::beside::Beside;
 use crate::reduce::blocks::told::Found;
-use crate::reduce::data::{DataWork, Outcome};
+use crate::reduce::data::Outcome;
 use crate::reduce::data_pass::outcome;
+use crate::reduce::lanes::Room;
 use crate::reduce::prepare::Skeleton;
 use crate::reduce::reducer::{Reducer, information_gains};
 use crate::reduce::schedule::GainsWork;
@@ -127,7 +128,7 @@ fn lanes_agree_with_one_test_at_a_time() {
             let mut work = reducer.workspace();
             reducer.preparer().prepare(&all[number], &mut work).expect("sound");
             let gains = information_gains(&work.design, &mut GainsWork::default()).expect("well conditioned");
-            let expected = outcome(&work.design, &gains, &work.data, &mut DataWork::default()).expect("possible");
+            let expected = outcome(&work.design, &gains, &work.data, &mut Room::default()).expect("possible");
             let residual = row.residual.expect("there are data");
             let own = Outcome { constant: row.constant, residual, data: row.data.to_vec() };
             close(&own, &expected, &format!("{isa:?}, size {size}, test {number}"));

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use super::*;
 use crate::estimate::InitialLaw;
 use crate::reduce::{
-    DENSE, Data, DataWork, Design, Frame, Gains, GainsWork, Path, Pattern, Reduction, information_gains, outcome,
+    DENSE, Data, Design, Frame, Gains, GainsWork, Path, Pattern, Reduction, Room, information_gains, outcome,
     root_gains,
 };
 use crate::reduce::{Inherited, PhaseReduction, Terminal, Transition};
@@ -79,7 +79,7 @@ fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
 fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) {
     let plain = information_gains(&design, &mut GainsWork::default());
     let gains = plain.unwrap_or_else(|| root_gains(&design).expect("semidefinite").0); // a part need not determine its unknowns
-    let found = outcome(&design, &gains, &data, &mut DataWork::default()).expect("possible");
+    let found = outcome(&design, &gains, &data, &mut Room::default()).expect("possible");
     let reduction = Reduction {
         test: String::new(),
         constant: found.constant,
@@ -465,7 +465,7 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
     work.settling.off = unfrozen;
     let gains = information_gains(&design, &mut work).expect("well conditioned");
     let (mean, root) = prior();
-    let found = outcome(&design, &gains, &data, &mut DataWork::default()).expect("possible");
+    let found = outcome(&design, &gains, &data, &mut Room::default()).expect("possible");
     let reduction = Reduction {
         test: String::new(),
         constant: found.constant,
