@@ -369,27 +369,6 @@ impl Design<f64> {
         }
     }
 
-    /// So many steps more with the last step's transition and states, of so many lines and terms each, whose coefficients and noise
-    /// were appended already: each a run of its own.
-    pub(crate) fn follow(&mut self, many: usize, (width, terms): (usize, usize)) {
-        let Some(&Run { transition, lines, rows, steps, .. }) = self.runs.last() else { return };
-        let run =
-            |k: usize| Run { transition, lines: lines + k * width, count: 1, rows: rows + k * width, steps: steps + k };
-        self.runs.extend((1..=many).map(run));
-        let (line, term) = (self.ends.len() - width, self.states.len() - terms);
-        self.ends.reserve(many * width);
-        for k in line..line + many * width {
-            self.ends.push(self.ends[k] + terms);
-        }
-        self.states.reserve(many * terms);
-        let mut left = many * terms;
-        while left > 0 {
-            let most = left.min(self.states.len() - term);
-            self.states.extend_from_within(term..term + most);
-            left -= most;
-        }
-    }
-
     /// True when the lines that no run has yet, and this transition, are those of the last run.
     #[inline]
     fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {

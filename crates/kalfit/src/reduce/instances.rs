@@ -80,24 +80,6 @@ impl Instances {
         self.len += many * width;
     }
 
-    /// So many steps more, of a row each from row `first` on, that measure what the last step does.
-    pub(crate) fn follow(&mut self, first: usize, many: usize) {
-        let (from, width) = (self.step, self.entries.len() - self.step);
-        if width == 0 || many == 0 {
-            return;
-        }
-        self.begin(first);
-        self.entries.reserve(many * width);
-        for row in first..first + many {
-            for k in 0..width {
-                let meter = self.entries[from + k].meter;
-                self.entries.push(Instance { meter, row });
-            }
-        }
-        (self.step, self.row) = (self.entries.len() - width, first + many - 1);
-        self.len += many * width;
-    }
-
     /// The scalar measurement with this number.
     pub(crate) fn get(&self, row: usize) -> Instance {
         let at = self.blocks.partition_point(|block| block.first <= row) - 1;
@@ -151,23 +133,17 @@ mod tests {
     fn repeated_steps_are_as_if_written_out() {
         let (mut short, mut long) = (Instances::default(), Vec::new());
         let mut row = 0;
-        for (meters, follows, repeats) in
-            [(2, 0, 0), (1, 2, 0), (3, 0, 4), (0, 0, 2), (1, 3, 1), (1, 0, 0), (2, 1, 3), (2, 0, 1)]
-        {
+        for (meters, repeats) in [(2, 0), (1, 0), (3, 4), (0, 2), (1, 1), (1, 0), (2, 3), (2, 1)] {
             short.begin(row);
             for meter in 0..meters {
                 short.push(Instance { meter, row: row + meter });
-                long.push(Instance { meter, row: row + meter });
             }
-            row += 5;
-            short.follow(row, follows);
-            long.extend((row..row + follows).flat_map(|row| (0..meters).map(move |meter| Instance { meter, row })));
-            let spread = usize::from(follows == 0);
-            row = if follows == 0 { row } else { row + follows + 4 };
+            for _ in 0..=repeats {
+                long.extend((0..meters).map(|meter| Instance { meter, row: row + meter }));
+                row += 5;
+            }
             for _ in 0..repeats {
                 short.repeat(1, 5);
-                long.extend((0..meters).map(|meter| Instance { meter, row: row + spread * meter }));
-                row += 5;
             }
         }
         assert_eq!(short.iter().collect::<Vec<_>>(), long);

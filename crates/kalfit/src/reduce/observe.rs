@@ -1,7 +1,6 @@
 //! The measurements of a step: which there are, their equations and noise, whitened.
 
 mod backward;
-mod follow;
 mod whiten;
 
 use crate::ensemble::Test;
@@ -13,7 +12,6 @@ use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
 
 pub(crate) use backward::Unwhitened;
-pub(crate) use follow::Ahead;
 pub(crate) use whiten::{Whitening, whiten};
 
 /// A measurement of the model at α.

@@ -27,7 +27,6 @@ use crate::reduce::subject::{At, Fault, Reads, Subject};
 
 mod alike;
 mod covariates;
-mod follow;
 mod last;
 mod opening;
 mod replay;
@@ -60,8 +59,6 @@ pub(crate) struct Preparer {
     drive: Reads,
     /// Nothing is read from the data but measured values and times.
     plain: bool,
-    /// Rows can follow each other with nothing to be looked at but their cells.
-    follows: bool,
     /// The dynamics depend on the length of a step alone.
     steady: bool,
     /// No transition calls for a matrix exponential.
@@ -168,7 +165,6 @@ impl Preparer {
             plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
             shape: Reads::new(&shape),
             drive: Reads::new(&drive),
-            follows: dynamics.table.varying.is_empty() && meters.can_follow(),
             quick: dynamics.components.iter().all(|component| component.states.len() == 1),
             columnwise: !dynamics.mixes_on_rows(),
             steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
@@ -298,15 +294,8 @@ impl Preparer {
             }
             source = rows;
             number += 1;
-            if height > 1 || number == span.count {
-                continue;
-            }
-            if self.plain {
+            if self.plain && height == 1 && number < span.count {
                 number += self.repeat_values(test, source.end, span.count - number, work);
-            } else if self.follows && !again {
-                let many = self.follow(at, test, (&moment, source.end..span.rows.end), work);
-                source = source.start + many..source.end + many;
-                number += many;
             }
         }
         Ok(source)
