@@ -4,7 +4,7 @@
 
 use crate::dynamic::Coordinate;
 use crate::dynamic::bench::Bench;
-use crate::dynamic::scales::{mentions, time_constants};
+use crate::dynamic::scales::{measures, time_constants};
 use crate::dynamic::tries::{FACTOR, tried};
 use crate::estimate::Progress;
 
@@ -70,11 +70,7 @@ fn kinds(small: &Bench<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<usize>) {
         let parameter = slots[*s].parameter;
         small.coordinates[*s].log && unknown.contains(&parameter) && !constants.contains(&parameter)
     };
-    let measured = |s: &usize| {
-        let mut measurements = small.model.phases.iter().flat_map(|phase| &phase.model.measurements);
-        measurements.any(|m| mentions(&m.noise_variance, slots[*s].parameter))
-    };
-    (0..slots.len()).filter(level).partition(measured)
+    (0..slots.len()).filter(level).partition(|s| measures(small.model, slots[*s].parameter))
 }
 
 /// Points of a table, row by row, that are higher than those beside them: of equals the first.

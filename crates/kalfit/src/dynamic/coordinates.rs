@@ -4,7 +4,7 @@
 //! where zero is a bound like any other (theory §13), and elsewhere where ℓ is nearer to a quadratic in that.
 
 use crate::dynamic::scales::time_constants;
-use crate::model::{Expression, Motion, PhasedModel, Slots};
+use crate::model::{PhasedModel, Site, Slots};
 use crate::score::power;
 
 /// Curvature of ℓ in a variance below this part of its slope is none.
@@ -118,17 +118,12 @@ pub(super) fn alike(a: &[f64], b: &[f64], part: f64) -> bool {
 
 /// k where the variances that a level stands in go as its k-th power; 1 where they go otherwise.
 fn exponent(model: &PhasedModel, parameter: usize) -> f64 {
-    let models = || model.phases.iter().map(|phase| &phase.model);
-    let measured = models().flat_map(|model| model.measurements.iter().map(|m| &m.noise_variance));
-    let moved = models().flat_map(|model| &model.states).filter_map(|state| match &state.motion {
-        Motion::Constant => None,
-        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => Some(noise_variance),
-    });
-    let covariances = models().flat_map(|model| model.noise_covariance.iter().chain(&model.process_noise_covariance));
-    let crossed = covariances.map(|(.., covariance)| covariance);
-    let of = |expression: &Expression| power(expression, parameter).unwrap_or(1.0);
-    let powers = measured.chain(moved).chain(crossed).map(of).filter(|power| *power > 0.0);
-    powers.fold(f64::INFINITY, f64::min).clamp(1.0, 2.0)
+    let is_noise = |site: Site| {
+        matches!(site, Site::Noise(_) | Site::ProcessNoise(_) | Site::NoiseCovariance | Site::ProcessCovariance)
+    };
+    let noises = model.phases.iter().flat_map(|phase| phase.model.expressions()).filter(|(site, _)| is_noise(*site));
+    let powers = noises.map(|(_, expression)| power(expression, parameter).unwrap_or(1.0));
+    powers.filter(|power| *power > 0.0).fold(f64::INFINITY, f64::min).clamp(1.0, 2.0)
 }
 
 #[cfg(test)]

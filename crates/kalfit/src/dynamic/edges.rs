@@ -12,9 +12,9 @@
 use crate::dynamic::Coordinate;
 use crate::dynamic::covariances::Covariances;
 use crate::ensemble::{Label, Test};
-use crate::model::{Alpha, Expression, Model, Motion, PhasedModel, Scope, Slots, Tape};
+use crate::model::{Alpha, Expression, Model, PhasedModel, Scope, Site, Slots, Tape};
 use crate::reduce::{Evidence, PhasedTest};
-use crate::score::{Gradient, add, mentioned, power};
+use crate::score::{Gradient, add, power};
 
 /// Rows with different cells that an edge is looked for over.
 const MOST_ROWS: usize = 4096;
@@ -156,19 +156,17 @@ impl Edge {
         let here = |expression: &Expression| power(expression, parameter) != Some(0.0);
         let mut found = None;
         for (at, phase) in model.phases.iter().enumerate() {
-            let entries = entries(&phase.model);
-            let own: Vec<&Entry> = entries.iter().filter(|entry| here(entry.covariance)).collect();
-            let mut rest = phase.model.clone();
-            rest.noise_covariance.retain(|(.., covariance)| !here(covariance));
-            rest.process_noise_covariance.retain(|(.., covariance)| !here(covariance));
-            let carried = phase.carry.iter().any(|carry| {
-                carry.from.terms.iter().any(|(_, coefficient)| here(coefficient)) || here(&carry.from.constant)
-            });
-            match own[..] {
-                _ if carried || mentioned(&rest, &here) => return None,
+            let mut own = entries(&phase.model);
+            own.retain(|entry| here(entry.covariance));
+            let is_covariance = |site: Site| matches!(site, Site::NoiseCovariance | Site::ProcessCovariance);
+            let rest = phase.model.expressions().into_iter().filter(|(site, _)| !is_covariance(*site));
+            let elsewhere = rest.map(|(_, expression)| expression).chain(phase.carries()).any(here);
+            match &own[..] {
+                _ if elsewhere => return None,
                 [] => {}
                 [entry] if found.is_none() && power(entry.covariance, parameter) == Some(1.0) => {
-                    let factor = put_one(entry.covariance, parameter);
+                    let one = |index: usize| (index == parameter).then_some(Expression::Number(1.0));
+                    let factor = entry.covariance.replaced(&one);
                     found = Some((at, entry.variances.map(Expression::clone), factor));
                 }
                 _ => return None,
@@ -257,10 +255,7 @@ struct Entry<'a> {
 }
 
 fn entries(model: &Model) -> Vec<Entry<'_>> {
-    let noise = |state: usize| match &model.states[state].motion {
-        Motion::Constant => None,
-        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => Some(noise_variance),
-    };
+    let noise = |state: usize| model.states[state].motion.noise_variance();
     let measured = model.noise_covariance.iter().map(|(i, j, covariance)| {
         let of = |m: &usize| &model.measurements[*m].noise_variance;
         Some(Entry { covariance, variances: [of(i), of(j)] })
@@ -270,22 +265,6 @@ fn entries(model: &Model) -> Vec<Entry<'_>> {
         .iter()
         .map(|(i, j, covariance)| Some(Entry { covariance, variances: [noise(*i)?, noise(*j)?] }));
     measured.chain(moved).flatten().collect()
-}
-
-/// The expression with 1 for the parameter.
-fn put_one(expression: &Expression, parameter: usize) -> Expression {
-    let of = |part: &Expression| Box::new(put_one(part, parameter));
-    match expression {
-        Expression::Parameter(p) if *p == parameter => Expression::Number(1.0),
-        Expression::Negate(a) => Expression::Negate(of(a)),
-        Expression::Not(a) => Expression::Not(of(a)),
-        Expression::Binary(operator, a, b) => Expression::Binary(*operator, of(a), of(b)),
-        Expression::Call(function, list) => {
-            Expression::Call(*function, list.iter().map(|part| put_one(part, parameter)).collect())
-        }
-        Expression::If(a, b, c) => Expression::If(of(a), of(b), of(c)),
-        other => other.clone(),
-    }
 }
 
 /// Rows of tests whose cells differ where these expressions read them; `None` where they are very many.

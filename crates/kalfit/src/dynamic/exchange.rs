@@ -1,6 +1,6 @@
 //! Two processes in each other's place: what goes over into what, and whether that leaves the model as it is.
 
-use crate::model::{Expression, Initial, Linear, Model, Motion, State};
+use crate::model::{Expression, Initial, Linear, Model, Motion, Site, State};
 
 /// States of two processes of one kind, and the parameters at the same places of them, in each other's place.
 #[derive(Debug)]
@@ -40,81 +40,37 @@ impl Exchange {
     /// The exchange makes the same model of it.
     pub(super) fn leaves(&self, model: &Model) -> bool {
         let moves = |s: usize| self.states.iter().any(|&(a, b)| a == s || b == s);
-        let others = (0..model.states.len()).filter(|s| !moves(*s));
-        let state = |s: usize| {
-            let state = &model.states[s];
-            let motion = match &state.motion {
-                Motion::Constant => true,
-                Motion::Continuous { derivative: f, noise_variance: v }
-                | Motion::Discrete { next: f, noise_variance: v } => self.keeps(f) && self.expression(v) == *v,
-            };
-            let initial = match &state.initial {
-                Initial::Known { mean, variance } => {
-                    self.expression(mean) == *mean && self.expression(variance) == *variance
+        let all = model.expressions();
+        let at = |site: Site| all.iter().find(|(other, _)| *other == site).map(|(_, expression)| *expression);
+        let stays = |(site, expression): &(Site, &Expression)| {
+            let other = match *site {
+                Site::Rate { state, from } => at(Site::Rate { state, from: place(&self.states, from) }),
+                Site::Coefficient { measurement, state } => {
+                    at(Site::Coefficient { measurement, state: place(&self.states, state) })
                 }
-                _ => true,
+                _ => Some(*expression),
             };
-            motion && initial && state.offset.as_ref().is_none_or(|offset| self.expression(offset) == *offset)
+            other.is_some_and(|other| self.exchanged(expression) == *other)
         };
-        let measured = |m: &crate::model::Measurement| {
-            self.keeps(&m.equation)
-                && self.expression(&m.noise_variance) == m.noise_variance
-                && m.filter.as_ref().is_none_or(|filter| self.expression(filter) == *filter)
-        };
-        let crossed = |(i, j, c): &(usize, usize, Expression)| !moves(*i) && !moves(*j) && self.expression(c) == *c;
-        let uncrossed = |(_, _, c): &(usize, usize, Expression)| self.expression(c) == *c;
-        let named = |entry: &Expression| self.expression(entry) == *entry;
-        let matrices = match &model.covariance.kind {
-            crate::model::CovarianceKind::Fixed(m)
-            | crate::model::CovarianceKind::Proportional(m)
-            | crate::model::CovarianceKind::Correlation(m) => m.iter().flatten().all(named),
-            _ => true,
-        };
-        others.into_iter().all(state)
-            && model.measurements.iter().all(measured)
-            && model.process_noise_covariance.iter().all(crossed)
-            && model.noise_covariance.iter().all(uncrossed)
-            && matrices
-            && model.covariance.known.iter().flatten().flatten().all(named)
-            && model.clock.initial_time.as_ref().is_none_or(named)
+        let own = |site: Site| site.of_state().is_some_and(moves);
+        all.iter().filter(|(site, _)| !own(*site)).all(stays)
+            && model.process_noise_covariance.iter().all(|(i, j, _)| !moves(*i) && !moves(*j))
     }
 
-    /// A linear form stays the same.
-    fn keeps(&self, form: &Linear) -> bool {
-        let found = |(s, coefficient): &(usize, Expression)| {
-            let there = form.terms.iter().find(|(state, _)| *state == place(&self.states, *s));
-            there.is_some_and(|(_, other)| self.expression(coefficient) == *other)
-        };
-        form.terms.iter().all(found) && self.expression(&form.constant) == form.constant
-    }
-
-    fn expression(&self, expression: &Expression) -> Expression {
-        let of = |part: &Expression| Box::new(self.expression(part));
-        match expression {
-            Expression::Parameter(p) => {
-                let other = self.parameters.iter().find_map(|&(a, b)| match *p {
-                    p if p == a => Some(b),
-                    p if p == b => Some(a),
-                    _ => None,
-                });
-                Expression::Parameter(other.unwrap_or(*p))
-            }
-            Expression::Negate(a) => Expression::Negate(of(a)),
-            Expression::Not(a) => Expression::Not(of(a)),
-            Expression::Binary(operator, a, b) => Expression::Binary(*operator, of(a), of(b)),
-            Expression::Call(function, list) => {
-                Expression::Call(*function, list.iter().map(|part| self.expression(part)).collect())
-            }
-            Expression::If(a, b, c) => Expression::If(of(a), of(b), of(c)),
-            other => other.clone(),
-        }
+    /// With the parameters in each other's place.
+    fn exchanged(&self, expression: &Expression) -> Expression {
+        expression.replaced(&|parameter| partner(&self.parameters, parameter).map(Expression::Parameter))
     }
 }
 
 /// The state in whose place this one comes.
 fn place(states: &[(usize, usize)], state: usize) -> usize {
-    let other = |&(a, b): &(usize, usize)| if a == state { Some(b) } else { (b == state).then_some(a) };
-    states.iter().find_map(other).unwrap_or(state)
+    partner(states, state).unwrap_or(state)
+}
+
+/// The other one of the pair that this index is of.
+fn partner(pairs: &[(usize, usize)], index: usize) -> Option<usize> {
+    pairs.iter().find_map(|&(a, b)| if a == index { Some(b) } else { (b == index).then_some(a) })
 }
 
 /// Pairs of parameters at the same places of two states, and of the states that drive one of them each; `None` where the states are of

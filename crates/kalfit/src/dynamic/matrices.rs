@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::DMatrix;
 
-use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, PhasedModel, Scope, Slots, Tape};
+use crate::model::{Alpha, CovarianceKind, CovarianceStructure, PhasedModel, Scope, Slots, Tape};
 use crate::score::Gradient;
 
 /// dℓ/dvalue through Σ = Σ* (fixed), βΣ* (proportional) or DRD (correlation), from G with dℓ = tr(G dΣ), over all phases.
@@ -103,14 +103,7 @@ pub(crate) fn slots(model: &PhasedModel, slots: &Slots) -> Vec<usize> {
 }
 
 fn block_slots(structure: &CovarianceStructure, slots: &Slots) -> Vec<usize> {
-    let (CovarianceKind::Fixed(entries) | CovarianceKind::Proportional(entries) | CovarianceKind::Correlation(entries)) =
-        &structure.kind
-    else {
-        return Vec::new();
-    };
-    let named = |parameter: usize| {
-        let is = &mut |part: &Expression| matches!(part, Expression::Parameter(index) if *index == parameter);
-        entries.iter().flatten().any(|entry| entry.any(is))
-    };
-    (0..slots.len()).filter(|&s| named(slots.slots()[s].parameter)).collect()
+    let entries = structure.kind.expressions();
+    let named: BTreeSet<usize> = entries.into_iter().flat_map(|(_, entry)| entry.parameters()).collect();
+    (0..slots.len()).filter(|&s| named.contains(&slots.slots()[s].parameter)).collect()
 }

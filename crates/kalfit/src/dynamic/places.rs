@@ -2,11 +2,10 @@
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::End;
-use crate::dynamic::scales::{mentions, time_constants};
+use crate::dynamic::scales::{self, time_constants};
 use crate::dynamic::tries::{FACTOR, best_of, longer, other_maxima};
 use crate::dynamic::twins::Twins;
 use crate::estimate::Progress;
-use crate::model::Motion;
 
 /// Parts of what a covariance of noises may be that are tried, those that are this far from the present one.
 const PARTS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
@@ -172,16 +171,13 @@ fn all_times(bench: &Bench<'_>, values: &[f64]) -> Vec<Vec<f64>> {
 
 /// The level of a process with this time constant, and whether it is the size of the process: its noise depends on the time constant too.
 fn driven(bench: &Bench<'_>, time_constant: usize) -> Option<(usize, bool)> {
-    bench.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| match &state.motion {
-        Motion::Constant => None,
-        Motion::Continuous { derivative: motion, noise_variance }
-        | Motion::Discrete { next: motion, noise_variance } => {
-            let timed = motion.terms.iter().any(|(_, term)| mentions(term, time_constant));
-            let mentioned = |t: &usize| mentions(noise_variance, bench.slots.slots()[*t].parameter);
-            let level = |t: &usize| bench.coordinates[*t].level.is_some() && mentioned(t);
-            let found = (0..bench.coordinates.len()).find(level).filter(|_| timed)?;
-            Some((found, mentions(noise_variance, time_constant)))
-        }
+    bench.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
+        let (form, noise_variance) = state.motion.parts()?;
+        let timed = form.terms.iter().any(|(_, term)| term.mentions(time_constant));
+        let mentioned = |t: &usize| noise_variance.mentions(bench.slots.slots()[*t].parameter);
+        let level = |t: &usize| bench.coordinates[*t].level.is_some() && mentioned(t);
+        let found = (0..bench.coordinates.len()).find(level).filter(|_| timed)?;
+        Some((found, noise_variance.mentions(time_constant)))
     })
 }
 
@@ -225,13 +221,7 @@ fn is_crossed(bench: &Bench<'_>, s: usize) -> bool {
 
 /// A level of the motion of some state.
 fn drives(bench: &Bench<'_>, s: usize) -> bool {
-    let parameter = bench.slots.slots()[s].parameter;
-    bench.model.phases.iter().flat_map(|phase| &phase.model.states).any(|state| match &state.motion {
-        Motion::Constant => false,
-        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
-            mentions(noise_variance, parameter)
-        }
-    })
+    scales::drives(bench.model, bench.slots.slots()[s].parameter)
 }
 
 /// Other sizes of a level, the rest as it is, where ℓ is higher than at the sizes beside them.

@@ -1,9 +1,11 @@
 //! Sizes found in the data, and which parameters they are sizes of.
 
+use std::collections::BTreeSet;
+
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::model::{Expression, Linear, Motion, Operator, PhasedModel, State};
+use crate::model::{Expression, Operator, PhasedModel, Site};
 use crate::reduce::{Evidence, PhasedTest};
 
 /// Rows of one test that are looked at.
@@ -65,7 +67,7 @@ impl Scales {
         }
         let measurements =
             model.phases.iter().zip(&self.noise).flat_map(|(p, noise)| p.model.measurements.iter().zip(noise));
-        let own = measurements.into_iter().find(|(m, _)| mentions(&m.noise_variance, parameter));
+        let own = measurements.into_iter().find(|(m, _)| m.noise_variance.mentions(parameter));
         if let Some((measurement, &size)) = own {
             // the variance is the square of the parameter, or the parameter itself
             let as_variance = !is_square(&measurement.noise_variance);
@@ -73,13 +75,10 @@ impl Scales {
         }
         let sizes = self.noise.iter().flatten().copied().filter(|size| *size > 0.0);
         let all = median(sizes.collect()).unwrap_or(1.0);
-        let variance = |motion: &Motion| match motion {
-            Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
-                *noise_variance == Expression::Parameter(parameter)
-            }
-            Motion::Constant => false,
+        let is_variance = |(site, expression): (Site, &Expression)| {
+            matches!(site, Site::ProcessNoise(_)) && *expression == Expression::Parameter(parameter)
         };
-        if states(model).any(|state| variance(&state.motion)) { all * all } else { all }
+        if expressions(model).any(is_variance) { all * all } else { all }
     }
 }
 
@@ -94,9 +93,9 @@ pub(super) fn relative_rounding(model: &PhasedModel, tests: &[PhasedTest], order
     (0..model.phases.len()).map(of_phase).fold(SMALLEST, f64::max)
 }
 
-/// The states of all phases.
-fn states(model: &PhasedModel) -> impl Iterator<Item = &State> {
-    model.phases.iter().flat_map(|phase| &phase.model.states)
+/// The expressions of the models of all phases.
+fn expressions(model: &PhasedModel) -> impl Iterator<Item = (Site, &Expression)> {
+    model.phases.iter().flat_map(|phase| phase.model.expressions())
 }
 
 /// The rows of one phase, of the tests that have them.
@@ -105,16 +104,19 @@ fn phase_rows<'a>(tests: &'a [PhasedTest], order: &[usize], at: usize) -> Vec<&'
     evidence.filter_map(|evidence| if let Evidence::Rows(rows) = evidence { Some(rows) } else { None }).collect()
 }
 
-/// Whether a parameter stands in the variance of a noise.
-pub(super) fn is_noise(model: &PhasedModel, parameter: usize) -> bool {
-    let mut measurements = model.phases.iter().flat_map(|phase| &phase.model.measurements);
-    measurements.any(|m| mentions(&m.noise_variance, parameter))
-        || states(model).any(|state| match &state.motion {
-            Motion::Constant => false,
-            Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
-                mentions(noise_variance, parameter)
-            }
-        })
+/// Whether a parameter stands at one of these places of some phase.
+fn stands(model: &PhasedModel, parameter: usize, at: impl Fn(Site) -> bool) -> bool {
+    expressions(model).any(|(site, expression)| at(site) && expression.mentions(parameter))
+}
+
+/// Whether it stands in the variance of a measurement's noise.
+pub(super) fn measures(model: &PhasedModel, parameter: usize) -> bool {
+    stands(model, parameter, |site| matches!(site, Site::Noise(_)))
+}
+
+/// Whether it stands in the variance of the noise of some motion.
+pub(super) fn drives(model: &PhasedModel, parameter: usize) -> bool {
+    stands(model, parameter, |site| matches!(site, Site::ProcessNoise(_)))
 }
 
 /// A variance that was given as a standard deviation.
@@ -156,20 +158,9 @@ fn median(mut list: Vec<f64>) -> Option<f64> {
     list.get(list.len() / 2).copied()
 }
 
-pub(super) fn mentions(expression: &Expression, parameter: usize) -> bool {
-    expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
-}
-
 /// Positive parameters that the coefficients of a motion depend on.
 pub(crate) fn time_constants(model: &PhasedModel) -> Vec<usize> {
-    let motion = |linear: &Linear, parameter| linear.terms.iter().any(|(_, h)| mentions(h, parameter));
-    let used = |parameter: usize| {
-        states(model).any(|state| match &state.motion {
-            Motion::Constant => false,
-            Motion::Continuous { derivative, .. } => motion(derivative, parameter),
-            Motion::Discrete { next, .. } => motion(next, parameter),
-        })
-    };
-    let parameters = &model.shared().parameters;
-    (0..parameters.len()).filter(|&p| parameters[p].positive && used(p)).collect()
+    let rates = expressions(model).filter(|(site, _)| matches!(site, Site::Rate { .. }));
+    let used: BTreeSet<usize> = rates.flat_map(|(_, rate)| rate.parameters()).collect();
+    used.into_iter().filter(|&p| model.shared().parameters[p].positive).collect()
 }

@@ -12,7 +12,7 @@ use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::iterate::Start;
 use crate::dynamic::sample::{larger, nearer, promising, roughly, sample, total};
-use crate::dynamic::scales::{is_noise, time_constants};
+use crate::dynamic::scales::{drives, measures, time_constants};
 use crate::dynamic::tries::{other_maxima, scan, valued};
 use crate::estimate::Progress;
 use crate::model::Value;
@@ -124,6 +124,7 @@ fn unknown(bench: &Bench<'_>) -> Vec<usize> {
 /// A first value for each slot: those that were given where they are to be heeded.
 fn guess(bench: &Bench<'_>, heeded: bool) -> Vec<f64> {
     let scales = bench.scales();
+    let is_noise = |parameter: usize| measures(bench.model, parameter) || drives(bench.model, parameter);
     let one = |(s, slot): (usize, &crate::model::Slot)| {
         let parameter = &bench.model.shared().parameters[slot.parameter];
         let coordinate = bench.coordinates[s];
@@ -133,7 +134,7 @@ fn guess(bench: &Bench<'_>, heeded: bool) -> Vec<f64> {
         }
         let guess = match parameter.value {
             Value::Free { start: Some(start) } if heeded && !(coordinate.log && start == 0.0) => start,
-            _ if coordinate.log || is_noise(bench.model, slot.parameter) => scales.guess(bench.model, slot.parameter),
+            _ if coordinate.log || is_noise(slot.parameter) => scales.guess(bench.model, slot.parameter),
             _ => 0.0,
         };
         coordinate.inside(guess)

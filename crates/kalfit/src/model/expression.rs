@@ -1,5 +1,7 @@
 //! Coefficients: numbers that depend on a row of the data and on the parameters.
 
+use std::collections::BTreeSet;
+
 use crate::ensemble::Label;
 use crate::model::{Alpha, EvaluationError};
 
@@ -127,6 +129,41 @@ impl Expression {
                 Expression::If(a, b, c) => a.any(test) || b.any(test) || c.any(test),
                 _ => false,
             }
+    }
+
+    /// Whether the parameter with this index is a part of it.
+    pub(crate) fn mentions(&self, parameter: usize) -> bool {
+        self.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
+    }
+
+    /// The parameters in it.
+    pub(crate) fn parameters(&self) -> BTreeSet<usize> {
+        let mut all = BTreeSet::new();
+        self.any(&mut |part| {
+            if let Expression::Parameter(index) = part {
+                all.insert(*index);
+            }
+            false
+        });
+        all
+    }
+
+    /// With other expressions in the place of the parameters that have one.
+    pub(crate) fn replaced(&self, other: &dyn Fn(usize) -> Option<Expression>) -> Expression {
+        let of = |part: &Expression| Box::new(part.replaced(other));
+        match self {
+            Expression::Parameter(index) => other(*index).unwrap_or_else(|| self.clone()),
+            Expression::Negate(a) => Expression::Negate(of(a)),
+            Expression::Not(a) => Expression::Not(of(a)),
+            Expression::Binary(operator, a, b) => Expression::Binary(*operator, of(a), of(b)),
+            Expression::Call(function, arguments) => {
+                Expression::Call(*function, arguments.iter().map(|argument| argument.replaced(other)).collect())
+            }
+            Expression::If(a, b, c) => Expression::If(of(a), of(b), of(c)),
+            Expression::Number(_) | Expression::Column(_) | Expression::Step | Expression::TextEquals { .. } => {
+                self.clone()
+            }
+        }
     }
 }
 

@@ -145,6 +145,22 @@ pub enum Motion {
     },
 }
 
+impl Motion {
+    /// The form that moves the state, and the variance of its noise.
+    pub(crate) fn parts(&self) -> Option<(&Linear, &Expression)> {
+        match self {
+            Motion::Constant => None,
+            Motion::Continuous { derivative: form, noise_variance }
+            | Motion::Discrete { next: form, noise_variance } => Some((form, noise_variance)),
+        }
+    }
+
+    /// The variance of its noise.
+    pub(crate) fn noise_variance(&self) -> Option<&Expression> {
+        self.parts().map(|(_, noise_variance)| noise_variance)
+    }
+}
+
 /// How a state starts.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Initial {
@@ -184,24 +200,13 @@ impl Model {
 
     /// Two parameters stand in the motion of one state, or in one covariance of noises.
     pub(crate) fn stand_together(&self, a: usize, b: usize) -> bool {
-        let mentions = |expression: &Expression, parameter: usize| {
-            expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
+        let moved = |(form, noise): (&Linear, &Expression)| {
+            let any = |p: usize| noise.mentions(p) || form.terms.iter().any(|(_, coefficient)| coefficient.mentions(p));
+            any(a) && any(b)
         };
-        let moved = |state: &State| match &state.motion {
-            Motion::Constant => false,
-            Motion::Continuous { derivative: motion, noise_variance }
-            | Motion::Discrete { next: motion, noise_variance } => {
-                let any = |p: usize| {
-                    mentions(noise_variance, p) || motion.terms.iter().any(|(_, coefficient)| mentions(coefficient, p))
-                };
-                any(a) && any(b)
-            }
-        };
-        let crossed =
-            |(.., covariance): &(usize, usize, Expression)| mentions(covariance, a) && mentions(covariance, b);
-        self.states.iter().any(moved)
-            || self.process_noise_covariance.iter().any(crossed)
-            || self.noise_covariance.iter().any(crossed)
+        let crossed = |(.., covariance): &(usize, usize, Expression)| covariance.mentions(a) && covariance.mentions(b);
+        self.states.iter().filter_map(|state| state.motion.parts()).any(moved)
+            || self.process_noise_covariance.iter().chain(&self.noise_covariance).any(crossed)
     }
 
     /// Names of the estimated states, in the order of μ and Σ.

@@ -139,6 +139,11 @@ impl From<Model> for PhasedModel {
 }
 
 impl Phase {
+    /// The expressions of all that its x_0 inherits.
+    pub(crate) fn carries(&self) -> impl Iterator<Item = &Expression> {
+        self.carry.iter().flat_map(|carry| carry.from.expressions())
+    }
+
     /// States through which anything unknown enters, in the order of the coordinates of the phase's reduction: the estimated
     /// ones in the order of μ and Σ, then those that only inherit.
     pub fn entering(&self) -> Vec<usize> {

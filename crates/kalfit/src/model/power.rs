@@ -35,7 +35,7 @@ impl Power {
 
 impl Expression {
     fn power(&self, parameter: usize) -> Power {
-        let flat = !self.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter));
+        let flat = !self.mentions(parameter);
         match self {
             Expression::Number(0.0) => Power::Zero,
             Expression::Parameter(index) if *index == parameter => Power::Of(1.0),

@@ -62,15 +62,7 @@ pub fn roles(model: &PhasedModel) -> Vec<Role> {
 pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
     let mut occurrences = vec![Vec::new(); parameters];
     let mut note = |place, expression| {
-        let mut inside = Vec::new();
-        Expression::any(expression, &mut |part| {
-            if let Expression::Parameter(index) = part {
-                inside.push(*index);
-            }
-            false
-        });
-        inside.sort_unstable();
-        inside.dedup();
+        let inside = Expression::parameters(expression);
         inside.into_iter().for_each(|parameter| occurrences[parameter].push((place, expression)));
     };
     model.phases.iter().for_each(|phase| each_expression(phase, &mut note));
@@ -132,9 +124,7 @@ fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(Place, &'m Expres
     for (site, expression) in model.expressions() {
         visit(place(model, site), expression);
     }
-    for carry in &phase.carry {
-        carry.from.expressions().for_each(|expression| visit(Place::Elsewhere, expression));
-    }
+    phase.carries().for_each(|expression| visit(Place::Elsewhere, expression));
 }
 
 fn place(model: &Model, site: Site) -> Place {

@@ -1,6 +1,6 @@
 //! Where expressions stand in a model: the one walk over all of them.
 
-use crate::model::{CovarianceKind, Expression, Initial, Linear, Model, Motion};
+use crate::model::{CovarianceKind, Expression, Initial, Linear, Model};
 
 /// Where an expression stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,6 +68,19 @@ impl Site {
         matches!(self, Site::Rate { .. } | Site::Input(_) | Site::ProcessNoise(_) | Site::ProcessCovariance)
     }
 
+    /// The state whose motion or start it is of.
+    pub(crate) fn of_state(self) -> Option<usize> {
+        match self {
+            Site::Rate { state, .. }
+            | Site::Input(state)
+            | Site::ProcessNoise(state)
+            | Site::InitialMean(state)
+            | Site::InitialVariance(state)
+            | Site::Offset(state) => Some(state),
+            _ => None,
+        }
+    }
+
     /// A variance or covariance of noise, or of a known start.
     pub fn is_variance(self) -> bool {
         matches!(
@@ -109,13 +122,9 @@ impl Model {
 
     fn each_of_states<'m>(&'m self, all: &mut Vec<(Site, &'m Expression)>) {
         for (i, state) in self.states.iter().enumerate() {
-            match &state.motion {
-                Motion::Constant => {}
-                Motion::Continuous { derivative: form, noise_variance }
-                | Motion::Discrete { next: form, noise_variance } => {
-                    linear(form, |from| Site::Rate { state: i, from }, Site::Input(i), all);
-                    all.push((Site::ProcessNoise(i), noise_variance));
-                }
+            if let Some((form, noise_variance)) = state.motion.parts() {
+                linear(form, |from| Site::Rate { state: i, from }, Site::Input(i), all);
+                all.push((Site::ProcessNoise(i), noise_variance));
             }
             if let Initial::Known { mean, variance } = &state.initial {
                 all.extend([(Site::InitialMean(i), mean), (Site::InitialVariance(i), variance)]);

@@ -4,7 +4,7 @@ use crate::dynamic::{DynamicFit, Explored, MOST_PROFILED, Method, ParameterInfer
 use crate::ensemble::Labels;
 use crate::estimate::{Criterion, Stop};
 use crate::infer::{Inference, IntervalKind};
-use crate::model::{Expression, Model, Motion, Parameter, PhasedModel, State};
+use crate::model::{Expression, Model, Parameter, PhasedModel, State};
 use crate::record::build;
 use crate::record::diagnosis::{joined, list};
 use crate::record::parameters::{self, MethodRecord, StartRecord, ZERO, meaning};
@@ -129,15 +129,8 @@ impl FitRecord {
 
 /// States that noise of a free size drives, of the phase with most of them.
 fn processes(parts: &DynamicParts<'_>) -> usize {
-    let slots = parts.fit.slots.slots();
-    let is_free =
-        |part: &Expression| matches!(part, Expression::Parameter(p) if slots.iter().any(|slot| slot.parameter == *p));
-    let is_driven = |state: &&State| match &state.motion {
-        Motion::Constant => false,
-        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => {
-            noise_variance.any(&mut |part| is_free(part))
-        }
-    };
+    let is_free = |variance: &Expression| variance.parameters().into_iter().any(|p| parts.fit.slots.is_free(p));
+    let is_driven = |state: &&State| state.motion.noise_variance().is_some_and(is_free);
     parts.model.phases.iter().map(|phase| phase.model.states.iter().filter(is_driven).count()).max().unwrap_or(0)
 }
 

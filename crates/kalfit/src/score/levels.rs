@@ -2,12 +2,12 @@
 //!
 //! Where n noises have variances R_k = σ^d s_k, E[v_k²] = R_k + 2 R_k² ∂ℓ/∂R_k sums to σ^d_new = σ^d (1 + (2/dn) ∂ℓ/∂ln σ).
 
+use std::collections::BTreeSet;
+
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::model::{
-    CovarianceKind, Expression, Function, Initial, Linear, Model, Motion, Operator, Phase, PhasedModel, Slots,
-};
+use crate::model::{Expression, Function, Initial, Model, Motion, Operator, Phase, PhasedModel, Site, Slots};
 use crate::reduce::{Evidence, Fault, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reducer, Workspace};
 
 /// Which free values are noise levels, and of how many noises.
@@ -62,16 +62,18 @@ impl Levels {
 /// d when the parameter is a level with this d in every phase that mentions it, and stands in no carry and in no phase whose
 /// estimates a filter gives.
 fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option<f64> {
-    let here = |expression: &Expression| mentions(expression, parameter);
     let mut common = None;
     for phase in &model.phases {
-        let carried = phase.carry.iter().any(|carry| mentions_linear(&carry.from, &here));
-        let own = match degree(&phase.model, slots, parameter) {
-            None if carried || mentioned(&phase.model, &here) => return None,
-            None => continue,
-            Some(_) if carried || phase.filter.is_some() => return None,
-            Some(own) => own,
-        };
+        let carried = phase.carries().any(|expression| expression.mentions(parameter));
+        let mut places = phase.model.expressions();
+        places.retain(|(_, expression)| expression.mentions(parameter));
+        if places.is_empty() && !carried {
+            continue;
+        }
+        if carried || phase.filter.is_some() {
+            return None;
+        }
+        let own = degree(&phase.model, slots, parameter, &places)?;
         if common.is_some_and(|common| common != own) {
             return None;
         }
@@ -80,34 +82,20 @@ fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option
     common
 }
 
-/// The parameter stands anywhere in the model of a phase.
-pub(crate) fn mentioned(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
-    elsewhere(model, here)
-        || model.measurements.iter().any(|m| here(&m.noise_variance))
-        || (0..model.states.len()).any(|i| process_noise(model, i).is_some_and(here))
-}
-
 /// Free parameters that a phase or its carry depends on.
 pub(crate) fn dependences(phase: &Phase, slots: &Slots) -> Vec<usize> {
-    let depends = |&parameter: &usize| {
-        let here = |expression: &Expression| mentions(expression, parameter);
-        slots.is_free(parameter)
-            && (mentioned(&phase.model, &here) || phase.carry.iter().any(|carry| mentions_linear(&carry.from, &here)))
-    };
-    (0..phase.model.parameters.len()).filter(depends).collect()
+    free_in(phase.model.expressions().into_iter().map(|(_, expression)| expression).chain(phase.carries()), slots)
 }
 
 /// Free parameters that the carry of a phase depends on.
 pub(crate) fn carried(phase: &Phase, slots: &Slots) -> Vec<usize> {
-    let depends = |&parameter: &usize| {
-        let here = |expression: &Expression| mentions(expression, parameter);
-        slots.is_free(parameter) && phase.carry.iter().any(|carry| mentions_linear(&carry.from, &here))
-    };
-    (0..phase.model.parameters.len()).filter(depends).collect()
+    free_in(phase.carries(), slots)
 }
 
-fn mentions_linear(linear: &Linear, here: &dyn Fn(&Expression) -> bool) -> bool {
-    linear.terms.iter().any(|(_, h)| here(h)) || here(&linear.constant)
+/// Free parameters in these, ascending.
+fn free_in<'m>(expressions: impl Iterator<Item = &'m Expression>, slots: &Slots) -> Vec<usize> {
+    let all: BTreeSet<usize> = expressions.flat_map(Expression::parameters).collect();
+    all.into_iter().filter(|&parameter| slots.is_free(parameter)).collect()
 }
 
 /// The slot of each noise of a test that has one.
@@ -121,7 +109,7 @@ fn counted(
     let preparer = reducer.preparer();
     let model = &preparer.model;
     preparer.prepare(test, work)?;
-    let level = |expression: &Expression| (0..degree.len()).find(|&p| degree[p].is_some() && mentions(expression, p));
+    let level = |expression: &Expression| (0..degree.len()).find(|&p| degree[p].is_some() && expression.mentions(p));
     let mut found = Vec::new();
     let meters: Vec<Option<usize>> = model.measurements.iter().map(|m| level(&m.noise_variance)).collect();
     let lines = work.design.each_step().flat_map(|step| step.lines);
@@ -131,7 +119,7 @@ fn counted(
         }
     }
     let driven: Vec<(u32, usize)> = (0..model.states.len())
-        .filter_map(|i| Some((preparer.order.place[i] as u32, level(process_noise(model, i)?)?)))
+        .filter_map(|i| Some((preparer.order.place[i] as u32, level(model.states[i].motion.noise_variance()?)?)))
         .collect();
     let mut cells = crate::reduce::Cells::default();
     for (k, step) in work.design.each_step().enumerate() {
@@ -147,71 +135,25 @@ fn counted(
     Ok(found)
 }
 
-fn process_noise(model: &Model, state: usize) -> Option<&Expression> {
-    match &model.states[state].motion {
-        Motion::Constant => None,
-        Motion::Continuous { noise_variance, .. } | Motion::Discrete { noise_variance, .. } => Some(noise_variance),
-    }
-}
-
-pub(super) fn mentions(expression: &Expression, parameter: usize) -> bool {
-    expression.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
-}
-
-/// d when the parameter scales whole variances of noises, each with σ^d, and stands nowhere else.
-fn degree(model: &Model, slots: &Slots, parameter: usize) -> Option<f64> {
-    let here = |expression: &Expression| mentions(expression, parameter);
-    let free =
-        |expression: &Expression| (0..model.parameters.len()).any(|p| slots.is_free(p) && mentions(expression, p));
-    if elsewhere(model, &here) {
-        return None;
-    }
-    let mut degrees = Vec::new();
-    for (m, measurement) in model.measurements.iter().enumerate() {
-        if here(&measurement.noise_variance) {
-            let paired = model.noise_covariance.iter().any(|(i, j, _)| *i == m || *j == m);
-            degrees.push(if paired { None } else { scales(&measurement.noise_variance, model, slots, parameter) });
+/// d when the parameter scales whole variances of noises, each with σ^d, and stands nowhere but at these places.
+fn degree(model: &Model, slots: &Slots, parameter: usize, places: &[(Site, &Expression)]) -> Option<f64> {
+    let free = |expression: &Expression| expression.parameters().into_iter().any(|p| slots.is_free(p));
+    // the start depends on all noise of the motion
+    let is_settled = model.states.iter().any(|state| state.initial == Initial::Stationary);
+    let mut common = None;
+    for (site, expression) in places {
+        let is_alone = match *site {
+            Site::Noise(m) => !model.noise_covariance.iter().any(|(i, j, _)| *i == m || *j == m),
+            Site::ProcessNoise(state) => !is_settled && alone(model, state, &free),
+            _ => false,
+        };
+        let own = scales(expression, slots, parameter).filter(|d| is_alone && *d != 0.0)?;
+        if common.is_some_and(|common| common != own) {
+            return None;
         }
+        common = Some(own);
     }
-    for i in 0..model.states.len() {
-        if let Some(noise) = process_noise(model, i).filter(|noise| here(noise)) {
-            degrees.push(if alone(model, i, &free) { scales(noise, model, slots, parameter) } else { None });
-        }
-    }
-    let first = degrees.first().copied().flatten().filter(|d| *d != 0.0)?;
-    degrees.iter().all(|d| *d == Some(first)).then_some(first)
-}
-
-/// The parameter stands somewhere other than in variances of noises, or in the start through them.
-fn elsewhere(model: &Model, here: &dyn Fn(&Expression) -> bool) -> bool {
-    let linear = |linear: &Linear| mentions_linear(linear, here);
-    let measured = model.measurements.iter().any(|m| linear(&m.equation) || m.filter.as_ref().is_some_and(here));
-    let moved = model.states.iter().any(|state| match &state.motion {
-        Motion::Constant => false,
-        Motion::Continuous { derivative: motion, .. } | Motion::Discrete { next: motion, .. } => linear(motion),
-    });
-    let begun = model.states.iter().any(|state| {
-        state.offset.as_ref().is_some_and(here)
-            || matches!(&state.initial, Initial::Known { mean, variance } if here(mean) || here(variance))
-    });
-    let settled = model.states.iter().any(|state| state.initial == Initial::Stationary)
-        && (0..model.states.len()).any(|i| process_noise(model, i).is_some_and(here));
-    let matrices = match &model.covariance.kind {
-        CovarianceKind::Fixed(m) | CovarianceKind::Proportional(m) | CovarianceKind::Correlation(m) => {
-            m.iter().flatten().any(here)
-        }
-        _ => false,
-    };
-    let covariances = model.noise_covariance.iter().chain(&model.process_noise_covariance).any(|(.., c)| here(c));
-    let known = model.covariance.known.iter().flatten().flatten().any(here);
-    measured
-        || moved
-        || begun
-        || settled
-        || matrices
-        || covariances
-        || known
-        || model.clock.initial_time.as_ref().is_some_and(here)
+    common
 }
 
 /// The noise of a state is no other's, and what scales its variance scales that of every step.
@@ -232,9 +174,8 @@ fn alone(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> boo
 }
 
 /// d when the expression is σ^d times what holds no free parameter.
-fn scales(expression: &Expression, model: &Model, slots: &Slots, parameter: usize) -> Option<f64> {
-    let others = (0..model.parameters.len()).filter(|&p| p != parameter && slots.is_free(p));
-    if others.into_iter().any(|p| mentions(expression, p)) {
+fn scales(expression: &Expression, slots: &Slots, parameter: usize) -> Option<f64> {
+    if expression.parameters().into_iter().any(|p| p != parameter && slots.is_free(p)) {
         return None;
     }
     power(expression, parameter)
@@ -242,7 +183,7 @@ fn scales(expression: &Expression, model: &Model, slots: &Slots, parameter: usiz
 
 /// d when the expression goes as the d-th power of the parameter; 0 where it does not mention it.
 pub(crate) fn power(expression: &Expression, parameter: usize) -> Option<f64> {
-    if !mentions(expression, parameter) {
+    if !expression.mentions(parameter) {
         return Some(0.0);
     }
     let of = |part: &Expression| power(part, parameter);
@@ -251,7 +192,7 @@ pub(crate) fn power(expression: &Expression, parameter: usize) -> Option<f64> {
         Expression::Negate(a) => of(a),
         Expression::Call(Function::Sqrt, arguments) => Some(0.5 * of(&arguments[0])?),
         Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
-        Expression::If(condition, a, b) if !mentions(condition, parameter) => {
+        Expression::If(condition, a, b) if !condition.mentions(parameter) => {
             let (a, b) = (of(a)?, of(b)?);
             (a == b).then_some(a)
         }

@@ -48,8 +48,11 @@ impl Expression {
             Expression::Call(Function::Sqrt, arguments) => of(&arguments[0]),
             Expression::If(condition, a, b) if of(condition) == Decay::None => of(a).max(of(b)),
             _ => {
-                let inside = self.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter));
-                if inside { Decay::Other } else { Decay::None }
+                if self.mentions(parameter) {
+                    Decay::Other
+                } else {
+                    Decay::None
+                }
             }
         }
     }

@@ -71,11 +71,7 @@ impl Expression {
 
     /// Of an expression that holds no scales: θ is not there, or something else.
     fn flat(&self, parameter: usize) -> Use {
-        if self.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter)) {
-            Use::Other
-        } else {
-            Use::Absent
-        }
+        if self.mentions(parameter) { Use::Other } else { Use::Absent }
     }
 
     /// θ times what does not hold it.
@@ -91,17 +87,14 @@ impl Expression {
         if let Expression::If(_, a, b) = self {
             return a.adds_variances() && b.adds_variances();
         }
-        let mut inside = Vec::new();
-        let mut bare = !self.is_negative();
-        self.any(&mut |part| {
-            match part {
-                Expression::Parameter(index) => inside.push(*index),
-                Expression::Number(_) | Expression::Binary(Operator::Multiply, ..) => {}
-                _ => bare = false,
-            }
-            false
-        });
-        bare || inside.into_iter().all(|parameter| self.use_as_variance(parameter) == Use::Deviation)
+        let in_product = |part: &Expression| {
+            matches!(
+                part,
+                Expression::Parameter(_) | Expression::Number(_) | Expression::Binary(Operator::Multiply, ..)
+            )
+        };
+        let bare = !self.is_negative() && !self.any(&mut |part| !in_product(part));
+        bare || self.parameters().into_iter().all(|parameter| self.use_as_variance(parameter) == Use::Deviation)
     }
 
     /// It has a minus sign before it.
@@ -138,12 +131,12 @@ impl Expression {
                 Some(of(&arguments[0])?.into_iter().map(|k| 0.5 * k).collect())
             }
             Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
-            Expression::If(condition, a, b) if condition.flat(parameter) == Use::Absent => {
+            Expression::If(condition, a, b) if !condition.mentions(parameter) => {
                 let mut both = of(a)?;
                 both.extend(of(b)?);
                 Some(ascending(both))
             }
-            _ => (self.flat(parameter) == Use::Absent).then(|| vec![0.0]),
+            _ => (!self.mentions(parameter)).then(|| vec![0.0]),
         }
     }
 }
