@@ -5,7 +5,6 @@
 
 use crate::dynamic::scales::time_constants;
 use crate::model::{PhasedModel, Site, Slots};
-use crate::score::power;
 
 /// Curvature of ℓ in a variance below this part of its slope is none.
 const STRAIGHT: f64 = 1e-3;
@@ -122,13 +121,28 @@ fn exponent(model: &PhasedModel, parameter: usize) -> f64 {
         matches!(site, Site::Noise(_) | Site::ProcessNoise(_) | Site::NoiseCovariance | Site::ProcessCovariance)
     };
     let noises = model.phases.iter().flat_map(|phase| phase.model.expressions()).filter(|(site, _)| is_noise(*site));
-    let powers = noises.map(|(_, expression)| power(expression, parameter).unwrap_or(1.0));
+    let powers = noises.map(|(_, expression)| expression.exponent(parameter).unwrap_or(1.0));
     powers.filter(|power| *power > 0.0).fold(f64::INFINITY, f64::min).clamp(1.0, 2.0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::build::{Noise, constant, free, measurement, name, variance, when};
+
+    #[test]
+    fn a_standard_deviation_of_some_rows_moves_in_its_square() {
+        let on_first = || when(name("first").equals(1.0), name("s"), 0.0);
+        for (noise, exponent) in [(Noise::from(on_first()), 2.0), (variance(on_first()), 1.0)] {
+            let model = crate::Model::builder("")
+                .state(constant("x"))
+                .measurement(measurement("y", "x", noise))
+                .parameter(free("s"));
+            let model: PhasedModel = model.build().unwrap();
+            let slots = Slots::new(model.shared(), &crate::Labels::default(), &[]);
+            assert_eq!(Coordinate::of(&model, &slots)[0].level, Some(exponent));
+        }
+    }
 
     #[test]
     fn a_value_at_a_bound_is_held_by_a_slope_that_leads_beyond_it() {

@@ -14,7 +14,7 @@ use crate::dynamic::covariances::Covariances;
 use crate::ensemble::{Label, Test};
 use crate::model::{Alpha, Expression, Model, PhasedModel, Scope, Site, Slots, Tape};
 use crate::reduce::{Evidence, PhasedTest};
-use crate::score::{Gradient, add, power};
+use crate::score::{Gradient, add};
 
 /// Rows with different cells that an edge is looked for over.
 const MOST_ROWS: usize = 4096;
@@ -108,7 +108,7 @@ impl Edges {
 
     /// Slots of covariances beside the variances that a parameter stands in.
     pub(crate) fn beside(&self, parameter: usize) -> Vec<usize> {
-        let of = |edge: &&Edge| edge.variances.iter().any(|variance| power(variance, parameter) != Some(0.0));
+        let of = |edge: &&Edge| edge.variances.iter().any(|variance| variance.exponent(parameter) != Some(0.0));
         self.0.iter().filter(of).map(|edge| edge.slot).collect()
     }
 
@@ -153,7 +153,7 @@ impl Edges {
 
 impl Edge {
     fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest], parameter: usize) -> Option<Edge> {
-        let here = |expression: &Expression| power(expression, parameter) != Some(0.0);
+        let here = |expression: &Expression| expression.exponent(parameter) != Some(0.0);
         let mut found = None;
         for (at, phase) in model.phases.iter().enumerate() {
             let mut own = entries(&phase.model);
@@ -164,7 +164,7 @@ impl Edge {
             match &own[..] {
                 _ if elsewhere => return None,
                 [] => {}
-                [entry] if found.is_none() && power(entry.covariance, parameter) == Some(1.0) => {
+                [entry] if found.is_none() && entry.covariance.exponent(parameter) == Some(1.0) => {
                     let one = |index: usize| (index == parameter).then_some(Expression::Number(1.0));
                     let factor = entry.covariance.replaced(&one);
                     found = Some((at, entry.variances.map(Expression::clone), factor));
@@ -226,12 +226,12 @@ fn known<'a>(
 ) -> Vec<(usize, f64)> {
     let free = |expression: &Expression| -> Vec<usize> {
         let parameters = 0..model.shared().parameters.len();
-        parameters.filter(|&p| slots.is_free(p) && power(expression, p) != Some(0.0)).collect()
+        parameters.filter(|&p| slots.is_free(p) && expression.exponent(p) != Some(0.0)).collect()
     };
     let ([parameter], true) = (&free(own)[..], free(other).is_empty() && free(covariance).is_empty()) else {
         return Vec::new();
     };
-    let Some(exponent) = power(own, *parameter).filter(|k| *k > 0.0) else { return Vec::new() };
+    let Some(exponent) = own.exponent(*parameter).filter(|k| *k > 0.0) else { return Vec::new() };
     let all = [own, other, covariance];
     if all.iter().any(|e| e.any(&mut |part| matches!(part, Expression::Step))) {
         return Vec::new();

@@ -2,95 +2,83 @@
 
 use crate::model::{Expression, Function, Model, Operator, Site};
 
-/// How an expression goes with a parameter θ > 0.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Power {
-    /// It is zero.
-    Zero,
-    /// It is θ to this power, times what does not depend on θ.
-    Of(f64),
-    /// In some other way.
-    Other,
-}
-
-impl Power {
-    /// That of a sum, and of an alternative.
-    fn plus(self, other: Power) -> Power {
-        match (self, other) {
-            (Power::Zero, other) => other,
-            (own, Power::Zero) => own,
-            (Power::Of(a), Power::Of(b)) if a == b => self,
-            _ => Power::Other,
-        }
-    }
-
-    fn times(self, other: Power, sign: f64) -> Power {
-        match (self, other) {
-            (Power::Other, _) | (_, Power::Other) => Power::Other,
-            (Power::Zero, _) | (_, Power::Zero) => Power::Zero,
-            (Power::Of(a), Power::Of(b)) => Power::Of(a + sign * b),
-        }
-    }
-}
-
 impl Expression {
-    fn power(&self, parameter: usize) -> Power {
-        let flat = !self.mentions(parameter);
+    /// k, where this is θ^k times what does not hold θ, or zero, on every row; 0 where it is zero on all.
+    pub(crate) fn exponent(&self, parameter: usize) -> Option<f64> {
+        match self.exponents(parameter)?[..] {
+            [] => Some(0.0),
+            [k] => Some(k),
+            _ => None,
+        }
+    }
+
+    /// The k where this is θ^k times what does not hold θ > 0: one on each row, ascending, none where it is zero; `None` when it is not
+    /// of that form.
+    pub(super) fn exponents(&self, parameter: usize) -> Option<Vec<f64>> {
+        let of = |part: &Expression| part.exponents(parameter);
         match self {
-            Expression::Number(0.0) => Power::Zero,
-            Expression::Parameter(index) if *index == parameter => Power::Of(1.0),
-            _ if flat => Power::Of(0.0),
-            Expression::Negate(a) => a.power(parameter),
-            Expression::Binary(operator, a, b) => binary(*operator, a, b, parameter),
-            Expression::Call(function, arguments) => called(*function, arguments, parameter),
-            Expression::If(condition, a, b) if condition.power(parameter) == Power::Of(0.0) => {
-                a.power(parameter).plus(b.power(parameter))
+            Expression::Number(0.0) => Some(Vec::new()),
+            Expression::Parameter(index) if *index == parameter => Some(vec![1.0]),
+            Expression::Negate(a) => of(a),
+            Expression::Binary(Operator::Multiply, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j + k)),
+            Expression::Binary(Operator::Divide, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j - k)),
+            Expression::Binary(Operator::Power, a, n) if n.as_number().is_some() => {
+                let n = n.as_number()?;
+                Some(ascending(of(a)?.into_iter().map(|k| k * n).collect()))
             }
-            _ => Power::Other,
+            Expression::Binary(Operator::Add | Operator::Subtract, a, b) => alike(of(a)?, of(b)?),
+            Expression::Call(Function::Sqrt, arguments) => {
+                Some(of(&arguments[0])?.into_iter().map(|k| 0.5 * k).collect())
+            }
+            Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
+            // zero among the arguments is one more size, which the others may fall short of or not, whatever θ is
+            Expression::Call(Function::Min | Function::Max, arguments) => {
+                arguments.iter().try_fold(Vec::new(), |known, argument| alike(known, of(argument)?))
+            }
+            Expression::If(condition, a, b) if !condition.mentions(parameter) => {
+                let mut both = of(a)?;
+                both.extend(of(b)?);
+                Some(ascending(both))
+            }
+            _ => (!self.mentions(parameter)).then(|| vec![0.0]),
         }
     }
 }
 
-fn binary(operator: Operator, a: &Expression, b: &Expression, parameter: usize) -> Power {
-    let (left, right) = (a.power(parameter), b.power(parameter));
-    match operator {
-        Operator::Add | Operator::Subtract => left.plus(right),
-        Operator::Multiply => left.times(right, 1.0),
-        Operator::Divide if right != Power::Zero => left.times(right, -1.0),
-        Operator::Power => match (left, b.as_number()) {
-            (Power::Of(power), Some(exponent)) => Power::Of(power * exponent),
-            _ => Power::Other,
-        },
-        _ => Power::Other,
+/// Exponents of a sum: those of its terms, where these are the same one.
+fn alike(a: Vec<f64>, b: Vec<f64>) -> Option<Vec<f64>> {
+    match (&a[..], &b[..]) {
+        ([], _) => Some(b),
+        (_, []) => Some(a),
+        ([j], [k]) if j == k => Some(a),
+        _ => None,
     }
 }
 
-fn called(function: Function, arguments: &[Expression], parameter: usize) -> Power {
-    let powers = || arguments.iter().map(|argument| argument.power(parameter));
-    match (function, arguments) {
-        (Function::Sqrt, [only]) => match only.power(parameter) {
-            Power::Of(power) => Power::Of(0.5 * power),
-            other => other,
-        },
-        (Function::Abs, [only]) => only.power(parameter),
-        // zero among the arguments is one more size, which the others may fall short of or not, whatever θ is
-        (Function::Min | Function::Max, _) => powers().fold(Power::Zero, Power::plus),
-        _ => Power::Other,
-    }
+fn pairs(a: &[f64], b: &[f64], of: fn(f64, f64) -> f64) -> Vec<f64> {
+    ascending(a.iter().flat_map(|&j| b.iter().map(move |&k| of(j, k))).collect())
+}
+
+fn ascending(mut exponents: Vec<f64>) -> Vec<f64> {
+    exponents.sort_by(f64::total_cmp);
+    exponents.dedup();
+    exponents
 }
 
 impl Model {
     /// k, where every variance of the model is proportional to θ^k, and nothing else, Σ apart, depends on θ: a scale of all
     /// noise there is.
     pub(crate) fn noise_power(&self, parameter: usize) -> Option<f64> {
-        let flat = |e: &Expression| matches!(e.power(parameter), Power::Zero | Power::Of(0.0));
-        let all: Vec<(Site, &Expression)> =
-            self.expressions().into_iter().filter(|(site, _)| !matches!(site, Site::Structure { .. })).collect();
-        let fixed = all.iter().all(|(site, expression)| site.is_variance() || flat(expression));
-        let variances = all.iter().filter(|(site, _)| site.is_variance());
-        let power = variances.map(|(_, variance)| variance.power(parameter)).fold(Power::Zero, Power::plus);
-        match power {
-            Power::Of(power) if fixed && power != 0.0 => Some(power),
+        let mut found = Vec::new();
+        for (site, expression) in self.expressions() {
+            if site.is_variance() {
+                found.extend(expression.exponents(parameter)?);
+            } else if !matches!(site, Site::Structure { .. }) && expression.exponent(parameter) != Some(0.0) {
+                return None;
+            }
+        }
+        match ascending(found)[..] {
+            [power] if power != 0.0 => Some(power),
             _ => None,
         }
     }
@@ -120,9 +108,20 @@ mod tests {
         let root = Expression::Call(Function::Sqrt, vec![sum.clone()]);
         let largest = Expression::Call(Function::Max, vec![square(), product.clone(), number(0.0)]);
         for (expression, power) in [(product, 2.0), (sum, 2.0), (root, 1.0), (largest, 2.0), (number(3.0), 0.0)] {
-            assert_eq!(expression.power(0), Power::Of(power), "{expression:?}");
+            assert_eq!(expression.exponent(0), Some(power), "{expression:?}");
         }
-        assert_eq!(of(Operator::Multiply, theta(), number(0.0)).power(0), Power::Zero);
+        let zero = of(Operator::Multiply, theta(), number(0.0));
+        assert_eq!((zero.exponents(0), zero.exponent(0)), (Some(vec![]), Some(0.0)));
+    }
+
+    #[test]
+    fn what_is_zero_on_some_rows_has_the_power_of_the_others() {
+        let on_some =
+            |a: Expression, b: Expression| Expression::If(Box::new(Expression::Column(0)), Box::new(a), Box::new(b));
+        let once = on_some(theta(), number(0.0));
+        assert_eq!(of(Operator::Multiply, once.clone(), once).exponent(0), Some(2.0));
+        let either = on_some(theta(), number(1.0));
+        assert_eq!((either.exponents(0), either.exponent(0)), (Some(vec![0.0, 1.0]), None));
     }
 
     #[test]
@@ -134,7 +133,7 @@ mod tests {
         let chosen = Expression::If(Box::new(compared.clone()), Box::new(theta()), Box::new(theta()));
         let largest = Expression::Call(Function::Max, vec![theta(), number(1.0)]);
         for expression in [more, exponential, exponent, compared, chosen, largest] {
-            assert_eq!(expression.power(0), Power::Other, "{expression:?}");
+            assert_eq!(expression.exponent(0), None, "{expression:?}");
         }
     }
 }

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::model::{Expression, Function, Initial, Model, Motion, Operator, Phase, PhasedModel, Site, Slots};
+use crate::model::{Expression, Initial, Model, Motion, Phase, PhasedModel, Site, Slots};
 use crate::reduce::{Evidence, Fault, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reducer, Workspace};
 
 /// Which free values are noise levels, and of how many noises.
@@ -178,31 +178,24 @@ fn scales(expression: &Expression, slots: &Slots, parameter: usize) -> Option<f6
     if expression.parameters().into_iter().any(|p| p != parameter && slots.is_free(p)) {
         return None;
     }
-    power(expression, parameter)
+    expression.exponent(parameter)
 }
 
-/// d when the expression goes as the d-th power of the parameter; 0 where it does not mention it.
-pub(crate) fn power(expression: &Expression, parameter: usize) -> Option<f64> {
-    if !expression.mentions(parameter) {
-        return Some(0.0);
-    }
-    let of = |part: &Expression| power(part, parameter);
-    match expression {
-        Expression::Parameter(_) => Some(1.0),
-        Expression::Negate(a) => of(a),
-        Expression::Call(Function::Sqrt, arguments) => Some(0.5 * of(&arguments[0])?),
-        Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
-        Expression::If(condition, a, b) if !condition.mentions(parameter) => {
-            let (a, b) = (of(a)?, of(b)?);
-            (a == b).then_some(a)
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::{constant, free, measurement, name, when};
+
+    #[test]
+    fn a_level_of_some_rows_is_a_level() {
+        for (otherwise, degree) in [(0.0, Some(2.0)), (0.1, None)] {
+            let model = crate::Model::builder("")
+                .state(constant("x"))
+                .measurement(measurement("y", "x", when(name("first").equals(1.0), name("s"), otherwise)))
+                .parameter(free("s"));
+            let model: PhasedModel = model.build().unwrap();
+            let slots = Slots::new(model.shared(), &crate::Labels::default(), &[]);
+            assert_eq!(common_degree(&model, &slots, 0), degree, "{otherwise} on other rows");
         }
-        Expression::Binary(Operator::Multiply, a, b) => Some(of(a)? + of(b)?),
-        Expression::Binary(Operator::Divide, a, b) => Some(of(a)? - of(b)?),
-        Expression::Binary(Operator::Power, a, b) => Some(of(a)? * b.as_number()?),
-        Expression::Binary(Operator::Add | Operator::Subtract, a, b) => {
-            let (a, b) = (of(a)?, of(b)?);
-            (a == b).then_some(a)
-        }
-        _ => None,
     }
 }

@@ -31,7 +31,7 @@ pub(crate) use arrangement::Arrangement;
 pub(crate) use backward::{BackwardWork, Run, Seen, Smoothed, Wanted};
 pub(crate) use chain::{Gradient, add};
 pub(crate) use company::Companies;
-pub(crate) use levels::{Levels, carried, dependences, power};
+pub(crate) use levels::{Levels, carried, dependences};
 pub(crate) use moments::{Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};
 pub(crate) use smoother::{PhaseLaws, Plan};

@@ -107,48 +107,6 @@ impl Expression {
             _ => false,
         }
     }
-
-    /// The k where this is θ^k times what does not hold θ: one on each row, ascending, none where it is zero; `None` when it is not
-    /// of that form.
-    pub(super) fn exponents(&self, parameter: usize) -> Option<Vec<f64>> {
-        let of = |part: &Expression| part.exponents(parameter);
-        match self {
-            Expression::Number(0.0) => Some(Vec::new()),
-            Expression::Parameter(index) if *index == parameter => Some(vec![1.0]),
-            Expression::Negate(a) => of(a),
-            Expression::Binary(Operator::Multiply, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j + k)),
-            Expression::Binary(Operator::Divide, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j - k)),
-            Expression::Binary(Operator::Power, a, n) if n.as_number().is_some() => {
-                let n = n.as_number()?;
-                Some(ascending(of(a)?.into_iter().map(|k| k * n).collect()))
-            }
-            Expression::Binary(Operator::Add | Operator::Subtract, a, b) => match (&of(a)?[..], &of(b)?[..]) {
-                ([], other) | (other, []) => Some(other.to_vec()),
-                ([j], [k]) if j == k => Some(vec![*j]),
-                _ => None,
-            },
-            Expression::Call(Function::Sqrt, arguments) => {
-                Some(of(&arguments[0])?.into_iter().map(|k| 0.5 * k).collect())
-            }
-            Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
-            Expression::If(condition, a, b) if !condition.mentions(parameter) => {
-                let mut both = of(a)?;
-                both.extend(of(b)?);
-                Some(ascending(both))
-            }
-            _ => (!self.mentions(parameter)).then(|| vec![0.0]),
-        }
-    }
-}
-
-fn pairs(a: &[f64], b: &[f64], of: fn(f64, f64) -> f64) -> Vec<f64> {
-    ascending(a.iter().flat_map(|&j| b.iter().map(move |&k| of(j, k))).collect())
-}
-
-fn ascending(mut exponents: Vec<f64>) -> Vec<f64> {
-    exponents.sort_by(f64::total_cmp);
-    exponents.dedup();
-    exponents
 }
 
 /// With a minus sign what is odd in θ is no variance.
