@@ -49,7 +49,7 @@ pub(crate) use filtered::Seen;
 pub(crate) use legs::{Leg, Legs};
 pub(crate) use run::{Ending, Run, Wanted};
 pub(crate) use sink::{MeasuredBar, MovedBar, Sink};
-pub(crate) use smooth::{Driven, Smoothed, Smoothing};
+pub(crate) use smooth::{Driven, Smoothed, SmoothedTest};
 pub(crate) use work::BackwardWork;
 
 impl Run<'_> {

@@ -14,9 +14,7 @@ mod columns;
 mod gradient;
 mod groups;
 mod measured;
-mod measuring;
 mod moved;
-mod moving;
 mod response;
 mod taps;
 #[cfg(test)]
@@ -30,8 +28,6 @@ use crate::reduce::{At, Coefficient, Fault, Preparer, ReduceErrorKind, Subject};
 
 pub(crate) use adjoints::Adjoints;
 pub(crate) use gradient::{Gradient, add};
-pub(crate) use measured::Measured;
-pub(crate) use moved::Moved;
 pub(crate) use response::{Entry, Response};
 use taps::{Context, Read, Taps};
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::ensemble::Test;
 use crate::reduce::{ReduceError, Transition, Workspace};
 use crate::score::Scorer;
-use crate::score::backward::{BackwardWork, Driven, Ending, Run, Smoothed, Smoothing, Wanted};
+use crate::score::backward::{BackwardWork, Driven, Ending, Run, Smoothed, SmoothedTest, Wanted};
 use crate::score::moments::Moments;
 
 /// Moments of the complete data of a test (states and noises), given all that was measured.
@@ -42,27 +42,6 @@ pub(crate) struct Begun {
     pub(crate) second: Vec<f64>,
 }
 
-/// Gathers moments.
-struct Collect<'a> {
-    complete: &'a mut Complete,
-}
-
-impl Smoothing for Collect<'_> {
-    fn started(&mut self, mean: &[f64], variance: &[f64]) {
-        self.complete.start.take(mean, variance);
-    }
-
-    fn smoothed(&mut self, k: usize, moments: &Smoothed) {
-        self.complete.states[k] = moments.clone();
-    }
-
-    fn driven(&mut self, k: usize, moments: &Driven) {
-        if let Some(own) = &mut self.complete.moves[k] {
-            own.noise = moments.clone();
-        }
-    }
-}
-
 impl Begun {
     /// E[ζ] = P0 r and E[ζζ'] = P0 + 2 P0 G P0, with r = ∂ℓ/∂a and G = ∂ℓ/∂P0.
     fn take(&mut self, adjoint: &[f64], bar: &[f64]) {
@@ -81,23 +60,24 @@ impl Begun {
 }
 
 impl Complete {
-    /// The coefficients that the moments belong to.
-    fn of(work: &Workspace) -> Complete {
+    /// Of a test in its work space.
+    fn of(work: &Workspace, moments: SmoothedTest) -> Complete {
         let (design, data) = (&work.design, &work.data);
         let (r, driven) = (design.frame.r, design.frame.driven.len());
         let mut at = 0;
         let mut moves = Vec::with_capacity(design.steps());
-        for step in design.each_step() {
-            moves.push(step.transition.map(|transition| {
+        for (step, noise) in design.each_step().zip(moments.noises) {
+            moves.push(step.transition.zip(noise).map(|(transition, noise)| {
                 let input = data.inputs[at..at + driven].to_vec();
                 at += driven;
-                Move { transition: transition.clone(), input, noise: Driven::default() }
+                Move { transition: transition.clone(), input, noise }
             }));
         }
         let variance = (0..r * r).map(|ij| design.variance[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]).collect();
-        let start = Begun { known: data.start.clone(), variance, ..Begun::default() };
+        let mut start = Begun { known: data.start.clone(), variance, ..Begun::default() };
+        start.take(&moments.mean, &moments.variance);
         let noisy = design.each_step().flat_map(|step| step.lines).map(|line| design.noise[line] > 0.0).collect();
-        Complete { noisy, states: vec![Smoothed::default(); design.steps() + 1], moves, start }
+        Complete { noisy, states: moments.states, moves, start }
     }
 }
 
@@ -113,9 +93,7 @@ impl Scorer<'_> {
         let wanted = Wanted { motion: true, equation: false };
         self.reducer.with_gains(test, work, |gains, work| {
             let run = Run::of((work, gains), (moments, ending), wanted);
-            let mut complete = Complete::of(work);
-            run.smooth(backward, &mut Collect { complete: &mut complete });
-            complete
+            Complete::of(work, run.smooth(backward))
         })
     }
 }

@@ -16,8 +16,8 @@ use crate::ensemble::Test;
 use crate::linalg::symmetric;
 use crate::reduce::{Design, Fault, Frame, ReduceError, Step, Transition, Workspace};
 use crate::score::Scorer;
-use crate::score::backward::Smoothed;
-use crate::score::chain::{Adjoints, Gradient, Measured, Moved};
+use crate::score::backward::{MeasuredBar, MovedBar, Smoothed};
+use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::{Begun, Complete, Move};
 
 /// Scaled eigenvalues of a covariance below this part of the largest are outside its range.
@@ -57,17 +57,16 @@ fn sum(
     let mut k = design.steps();
     for step in design.each_step().rev() {
         k -= 1;
-        let Some(measured) = measurements(work, &step, (k, complete)) else { return Ok(None) };
-        value += measured.value;
-        let bars = Measured { noise: &measured.noise, value: &measured.data, h: &measured.h };
-        adjoints.step_measured(test, k, work, bars)?;
+        let Some((own, bar)) = measurements(work, &step, (k, complete)) else { return Ok(None) };
+        value += own;
+        adjoints.step_measured(test, k, work, &bar)?;
         if let (Some(new), Some(old)) = (step.transition, &complete.moves[k]) {
             input -= driven;
             let passage =
                 Passage { new, input: &work.data.inputs[input..][..driven], old, before: &complete.states[k] };
-            let Some(moved) = passage.expected(&design.frame, &mut known) else { return Ok(None) };
-            value += moved.value;
-            adjoints.step_moved(test, k, work, Moved { phi: &moved.phi, q: &moved.q, input: &moved.input })?;
+            let Some((own, bar)) = passage.expected(&design.frame, &mut known) else { return Ok(None) };
+            value += own;
+            adjoints.step_moved(test, k, work, &bar)?;
         }
     }
     let Some(begun) = start(design, &work.data.start, &complete.start) else { return Ok(None) };
@@ -75,19 +74,11 @@ fn sum(
     Ok(Some(value + begun.value))
 }
 
-/// Of the scalar measurements of a step: their part of Q, and its derivatives to R, z - d and h.
-#[derive(Debug, Default)]
-struct MeasuredPart {
-    value: f64,
-    noise: Vec<f64>,
-    data: Vec<f64>,
-    h: Vec<f64>,
-}
-
-/// `None` where a measurement gets noise that had none, or loses it.
-fn measurements(work: &Workspace, step: &Step<'_>, (k, complete): (usize, &Complete)) -> Option<MeasuredPart> {
+/// Of the scalar measurements of a step: their part of Q, and its derivatives. `None` where a measurement gets noise that had none, or
+/// loses it.
+fn measurements(work: &Workspace, step: &Step<'_>, (k, complete): (usize, &Complete)) -> Option<(f64, MeasuredBar)> {
     let (design, n, state) = (&work.design, work.design.frame.n, &complete.states[k + 1]);
-    let mut part = MeasuredPart::default();
+    let (mut value, mut bar) = (0.0, MeasuredBar::default());
     for (line, row) in step.lines.clone().zip(step.rows.clone()) {
         let (states, h) = design.terms(line);
         let (noise, z) = (design.noise[line], work.data.values[row]);
@@ -100,21 +91,21 @@ fn measurements(work: &Workspace, step: &Step<'_>, (k, complete): (usize, &Compl
         let spread = terms().map(|(i, h)| h * carried(i)).sum::<f64>();
         let second = residual * residual + spread;
         if noise > 0.0 {
-            part.value -= 0.5 * (noise.ln() + second / noise);
-            part.noise.push(0.5 * (second / noise - 1.0) / noise);
-            part.data.push(-residual / noise);
-            part.h.extend((0..n).map(|i| (residual * state.mean[i] - carried(i)) / noise));
+            value -= 0.5 * (noise.ln() + second / noise);
+            bar.noise.push(0.5 * (second / noise - 1.0) / noise);
+            bar.value.push(-residual / noise);
+            bar.h.extend((0..n).map(|i| (residual * state.mean[i] - carried(i)) / noise));
         } else {
             let size = z * z + terms().map(|(i, h)| h * h * state.variance[i * n + i]).sum::<f64>();
             if second > EXACT * size {
                 return None;
             }
-            part.noise.push(0.0);
-            part.data.push(0.0);
-            part.h.resize(part.h.len() + n, 0.0);
+            bar.noise.push(0.0);
+            bar.value.push(0.0);
+            bar.h.resize(bar.h.len() + n, 0.0);
         }
     }
-    Some(part)
+    Some((value, bar))
 }
 
 /// A transition at a new α, and what is known of it from the old one.
@@ -123,15 +114,6 @@ struct Passage<'a> {
     input: &'a [f64],
     old: &'a Move,
     before: &'a Smoothed,
-}
-
-/// Its part of Q, and the derivatives to the entries of φ and Q and to b.
-#[derive(Debug, Default)]
-struct MovedPart {
-    value: f64,
-    phi: Vec<f64>,
-    q: Vec<f64>,
-    input: Vec<f64>,
 }
 
 /// The last covariance that was turned, with the transitions it belongs to.
@@ -152,8 +134,9 @@ impl Known {
 }
 
 impl Passage<'_> {
-    /// w of the new α is that of the old plus d - Dx̃, where D = φ' - φ, d = -(Dx̄ + b' - b) and x̃ = x - x̄.
-    fn expected(&self, frame: &Frame, known: &mut Known) -> Option<MovedPart> {
+    /// Its part of Q, and the derivatives. w of the new α is that of the old plus d - Dx̃, where D = φ' - φ, d = -(Dx̄ + b' - b) and
+    /// x̃ = x - x̄.
+    fn expected(&self, frame: &Frame, known: &mut Known) -> Option<(f64, MovedBar)> {
         let (n, r) = (frame.n, frame.r);
         let pattern = &self.new.pattern;
         let turned = known.of(&self.old.transition, self.new, r)?;
@@ -180,7 +163,7 @@ impl Passage<'_> {
         let entry = |&(i, j): &(u32, u32)| part.bar[(i as usize, j as usize)] * if i == j { 1.0 } else { 2.0 };
         let q = pattern.pairs.iter().map(entry).collect();
         let input = frame.driven.iter().map(|&i| if (i as usize) < r { pull[i as usize] } else { 0.0 }).collect();
-        Some(MovedPart { value: part.value, phi, q, input })
+        Some((part.value, MovedBar { phi, q, input }))
     }
 
     /// D (r × n) and d (r); `None` where a state without noise would move otherwise.

@@ -23,7 +23,7 @@ use crate::ensemble::Test;
 use crate::model::Slots;
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
 use backward::{Ending, MeasuredBar, MovedBar, Sink};
-use chain::{Adjoints, Chain, Measured, Moved};
+use chain::{Adjoints, Chain};
 
 use smoother::Later;
 
@@ -110,13 +110,11 @@ impl Sink for Onward<'_, '_> {
     }
 
     fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Box<Fault>> {
-        let bars = Measured { noise: &bar.noise, value: &bar.value, h: &bar.h };
-        self.adjoints.step_measured(self.test, k, self.work, bars)
+        self.adjoints.step_measured(self.test, k, self.work, bar)
     }
 
     fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Box<Fault>> {
-        let bars = Moved { phi: &bar.phi, q: &bar.q, input: &bar.input };
-        self.adjoints.step_moved(self.test, k, self.work, bars)
+        self.adjoints.step_moved(self.test, k, self.work, bar)
     }
 
     fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Box<Fault>> {

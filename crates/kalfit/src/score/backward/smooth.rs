@@ -14,14 +14,17 @@ use crate::score::backward::parts::At;
 use crate::score::backward::run::Run;
 use crate::score::backward::work::BackwardWork;
 
-/// Takes moments from the last step to the first.
-pub(crate) trait Smoothing {
-    /// Of the state after step `k - 1`; of x_0 for 0.
-    fn smoothed(&mut self, k: usize, moments: &Smoothed);
-    /// Of the noise of the transition to step `k`.
-    fn driven(&mut self, k: usize, moments: &Driven);
-    /// ∂ℓ/∂a (n) and ∂ℓ/∂P0 (r × r, each place by itself).
-    fn started(&mut self, mean: &[f64], variance: &[f64]);
+/// The moments of a test.
+#[derive(Debug)]
+pub(crate) struct SmoothedTest {
+    /// Of x_0, then of the state after each step.
+    pub(crate) states: Vec<Smoothed>,
+    /// Of the noise of the transition to each step; none where there is no transition.
+    pub(crate) noises: Vec<Option<Driven>>,
+    /// ∂ℓ/∂a (n).
+    pub(crate) mean: Vec<f64>,
+    /// ∂ℓ/∂P0 (r × r, each place by itself).
+    pub(crate) variance: Vec<f64>,
 }
 
 /// E[x] and Var[x] at one time, given all data of the test.
@@ -126,41 +129,39 @@ impl Seen<'_> {
 }
 
 impl Run<'_> {
-    /// The moments of the test, into the sink: step by step, every state of the forward filter remembered. `wanted.motion` must
-    /// be set, so that the filter keeps P and ΨC.
-    pub(crate) fn smooth<S: Smoothing>(&self, work: &mut BackwardWork, sink: &mut S) {
-        let (n, r, c) = (self.design.frame.n, self.design.frame.r, self.moments.columns);
+    /// The moments of the test: step by step, every state of the forward filter remembered. `wanted.motion` must be set, so that the
+    /// filter keeps P and ΨC.
+    pub(crate) fn smooth(&self, work: &mut BackwardWork) -> SmoothedTest {
+        let (r, c) = (self.design.frame.r, self.moments.columns);
         let stride = self.stride();
         let (mut ends, mut left) = (Vec::new(), Vec::new());
         self.forward_all(work, &mut ends, &mut left);
         let BackwardWork { e, adjoint, measured, moved, variance, .. } = work;
         adjoint.begin(&self.unknown(), self.after());
         let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
-        let (mut state, mut noise) = (Smoothed::default(), Driven::default());
         let (mut k, mut transitions) = (self.design.steps(), left.len() / stride.max(1));
+        let (mut states, mut noises) = (vec![Smoothed::default(); k + 1], vec![None; k]);
         for step in self.design.each_step().rev() {
             let end = Seen::new(&ends[seen(&ends, k)], self.sizes());
-            end.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut state);
-            sink.smoothed(k, &state);
+            end.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[k]);
             k -= 1;
             self.measured_back(&step, e, |_| end, (adjoint, measured));
             let Some(transition) = step.transition else { continue };
             transitions -= 1;
             let before = Seen::new(&left[seen(&left, transitions)], self.sizes());
+            let mut noise = Driven::default();
             noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
             let mut turned = adjoint.N.clone();
             columns(&mut turned, r, transition, &mut Vec::new());
             let rho = adjoint.rho.clone();
             adjoint.moved(&self.unknown(), transition, None, moved);
             noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
-            sink.driven(k, &noise);
+            noises[k] = Some(noise);
         }
         let start = Seen::new(&ends[seen(&ends, 0)], self.sizes());
-        start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut state);
-        debug_assert_eq!(state.mean.len(), n, "a mean for each state");
-        sink.smoothed(0, &state);
+        start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[0]);
         adjoint.variance(&self.unknown(), variance);
-        sink.started(&adjoint.r, variance);
+        SmoothedTest { states, noises, mean: adjoint.r.clone(), variance: variance.clone() }
     }
 
     /// The filter at ξ = x̂, step by step: tells its state before the measurements of a step (`measured` false) and after them. `e`: what

@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::{Fault, LawAdjoint, Replay, StartAdjoint, Workspace};
+use crate::reduce::{Cells, Fault, LawAdjoint, Replay, StartAdjoint, Unwhitened, Workspace};
+use crate::score::backward::MeasuredBar;
 use crate::score::chain::Chain;
 use crate::score::chain::gradient::Gradient;
-use crate::score::chain::measuring::Measuring;
-use crate::score::chain::moving::Moving;
+use crate::score::chain::groups::Groups;
 use crate::score::chain::taps::{Pending, Read};
 
 /// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
@@ -20,6 +20,44 @@ pub(crate) struct Adjoints<'a> {
     pub(super) measuring: Measuring,
     pub(super) replay: Replay,
     pub(super) start: StartAdjoint,
+}
+
+/// What has come of the steps of a test.
+#[derive(Debug, Clone)]
+pub(super) struct Moving {
+    pub(super) groups: Groups,
+    /// Entries of φ, of Q.
+    pub(super) entries: (usize, usize),
+    pub(super) cells: Cells,
+    /// Sums of one group; adjoints of its coefficients.
+    pub(super) sums: Vec<f64>,
+    pub(super) bars: Vec<f64>,
+    pub(super) flows: Vec<f64>,
+}
+
+/// Room for measurements whose noises are correlated.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Measuring {
+    pub(super) raw: Vec<f64>,
+    pub(super) back: Unwhitened,
+    /// Of the measurements before they were whitened.
+    pub(super) bars: MeasuredBar,
+}
+
+impl Moving {
+    pub(super) fn new(chain: &Chain<'_>) -> Moving {
+        let preparer = chain.preparer;
+        let (phi, q) = preparer.plan.entries();
+        let flows = preparer.plan.flow_len(&preparer.dynamics);
+        Moving {
+            groups: Groups::new(phi + q + flows, if chain.needs.inputs { flows } else { 0 }),
+            entries: (phi, q),
+            cells: Cells::default(),
+            sums: Vec::new(),
+            bars: Vec::new(),
+            flows: Vec::new(),
+        }
+    }
 }
 
 impl Chain<'_> {

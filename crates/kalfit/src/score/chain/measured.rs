@@ -5,29 +5,18 @@ use std::ops::Range;
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::{Fault, Workspace};
-use crate::score::chain::adjoints::Adjoints;
-use crate::score::chain::measuring::Measuring;
-
-/// Adjoints of one step's whitened scalar measurements.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Measured<'a> {
-    /// ∂ℓ/∂R, one for each.
-    pub(crate) noise: &'a [f64],
-    /// ∂ℓ/∂(z - d), one for each.
-    pub(crate) value: &'a [f64],
-    /// ∂ℓ/∂h to all n kernel states, one row for each, when [`Chain::needs_equation`](super::Chain::needs_equation); else it may
-    /// be empty.
-    pub(crate) h: &'a [f64],
-}
+use crate::score::backward::MeasuredBar;
+use crate::score::chain::adjoints::{Adjoints, Measuring};
 
 impl Adjoints<'_> {
-    /// The measurements of step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`.
+    /// The measurements of step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. h̄ is
+    /// not read, and may be empty, unless [`Chain::needs_equation`](super::Chain::needs_equation).
     pub(crate) fn step_measured(
         &mut self,
         test: &Test,
         k: usize,
         work: &Workspace,
-        bars: Measured<'_>,
+        bars: &MeasuredBar,
     ) -> Result<(), Box<Fault>> {
         if !self.chain.needs.measurements {
             return Ok(());
@@ -36,10 +25,9 @@ impl Adjoints<'_> {
         if rows.len() < 2 || self.chain.pairs.is_empty() || !self.correlated(test, k, rows.clone(), work, bars)? {
             return self.scalars(test, k, rows, work, bars);
         }
-        let back = std::mem::take(&mut self.measuring.back);
-        let diagonal = std::mem::take(&mut self.measuring.diagonal);
-        let result = self.scalars(test, k, rows, work, Measured { noise: &diagonal, value: &back.value, h: &back.h });
-        (self.measuring.back, self.measuring.diagonal) = (back, diagonal);
+        let own = std::mem::take(&mut self.measuring.bars);
+        let result = self.scalars(test, k, rows, work, &own);
+        self.measuring.bars = own;
         result
     }
 
@@ -50,7 +38,7 @@ impl Adjoints<'_> {
         k: usize,
         rows: Range<usize>,
         work: &Workspace,
-        bars: Measured<'_>,
+        bars: &MeasuredBar,
     ) -> Result<(), Box<Fault>> {
         let Adjoints { chain, pending, .. } = self;
         let (context, n, step) = (chain.context(), work.design.frame.n, work.dt(k));
@@ -77,9 +65,9 @@ impl Adjoints<'_> {
         k: usize,
         rows: Range<usize>,
         work: &Workspace,
-        bars: Measured<'_>,
+        bars: &MeasuredBar,
     ) -> Result<bool, Box<Fault>> {
-        let Adjoints { chain, pending, measuring: Measuring { raw, back, diagonal }, .. } = self;
+        let Adjoints { chain, pending, measuring: Measuring { raw, back, bars: own }, .. } = self;
         let (context, meters, dt, m) = (chain.context(), &chain.preparer.meters, work.dt(k), rows.len());
         let instances = &work.instances.of(rows.clone());
         let found = meters.covariances(&context.at, test, dt, instances)?;
@@ -87,7 +75,7 @@ impl Adjoints<'_> {
             return Ok(false);
         }
         meters.noises(&context.at, test, (instances, dt), raw)?;
-        let whitened = (bars.noise, bars.value, bars.h);
+        let whitened = (&*bars.noise, &*bars.value, &*bars.h);
         let (n, lines) = (work.design.frame.n, work.design.step(k).lines);
         let mut h = vec![0.0; m * n];
         for (line, own) in lines.zip(h.chunks_exact_mut(n)) {
@@ -102,8 +90,10 @@ impl Adjoints<'_> {
                 pending.add(&context, tap, back.noise[c.i * m + c.j] + back.noise[c.j * m + c.i], &scope)?;
             }
         }
-        diagonal.clear();
-        diagonal.extend((0..m).map(|i| back.noise[i * m + i]));
+        own.noise.clear();
+        own.noise.extend((0..m).map(|i| back.noise[i * m + i]));
+        std::mem::swap(&mut own.value, &mut back.value);
+        std::mem::swap(&mut own.h, &mut back.h);
         Ok(true)
     }
 }

@@ -5,28 +5,18 @@ use std::sync::Arc;
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::{Evaluated, Fault, Transition, Workspace};
-use crate::score::chain::adjoints::Adjoints;
-use crate::score::chain::moving::Moving;
-
-/// Adjoints of one step's transition. What no free value asks for is not read, and may be empty.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Moved<'a> {
-    /// ∂ℓ/∂φ, one for each entry of the transition, when [`Chain::needs_motion`](super::Chain::needs_motion).
-    pub(crate) phi: &'a [f64],
-    /// ∂ℓ/∂Q, one for each of its pairs, when [`Chain::needs_noise`](super::Chain::needs_noise); off the diagonal for both places together.
-    pub(crate) q: &'a [f64],
-    /// ∂ℓ/∂b, one for each driven state, when [`Chain::needs_motion`](super::Chain::needs_motion).
-    pub(crate) input: &'a [f64],
-}
+use crate::score::backward::MovedBar;
+use crate::score::chain::adjoints::{Adjoints, Moving};
 
 impl Adjoints<'_> {
-    /// The transition to step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`.
+    /// The transition to step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. What no
+    /// free value asks for is not read, and may be empty.
     pub(crate) fn step_moved(
         &mut self,
         test: &Test,
         k: usize,
         work: &Workspace,
-        bars: Moved<'_>,
+        bars: &MovedBar,
     ) -> Result<(), Box<Fault>> {
         let needs = self.chain.needs;
         if !(needs.rates || needs.noise || needs.inputs) {
@@ -40,12 +30,12 @@ impl Adjoints<'_> {
         let (phi, q) = self.moving.entries;
         let sums = self.moving.groups.sums(group);
         if needs.rates {
-            add(&mut sums[..phi], bars.phi);
+            add(&mut sums[..phi], &bars.phi);
         }
         if needs.noise {
-            add(&mut sums[phi..phi + q], bars.q);
+            add(&mut sums[phi..phi + q], &bars.q);
         }
-        if bars.input.is_empty() { Ok(()) } else { self.driven(test, k, work, group, bars.input) }
+        if bars.input.is_empty() { Ok(()) } else { self.driven(test, k, work, group, &bars.input) }
     }
 
     /// The group of the step, when it is that of the last.

@@ -11,10 +11,9 @@ use std::sync::Arc;
 
 use crate::ensemble::Test;
 use crate::reduce::{Fault, Workspace};
+use crate::score::backward::{MeasuredBar, MovedBar};
 use crate::score::chain::adjoints::Adjoints;
 use crate::score::chain::gradient::Gradient;
-use crate::score::chain::measured::Measured;
-use crate::score::chain::moved::Moved;
 
 /// Where factors stand, from and to.
 pub(crate) type Span = (u32, u32);
@@ -180,33 +179,34 @@ impl Asking<'_, '_> {
         }
         let transition = work.design.step(k).transition.expect("there is one");
         let pattern = &transition.pattern;
-        let (mut phi, mut q) = (vec![0.0; transition.phi.len()], vec![0.0; transition.q.len()]);
-        let mut input = vec![0.0; frame.driven.len()];
+        let zeros = |many: usize| vec![0.0; many];
+        let (phi, q, input) = (zeros(transition.phi.len()), zeros(transition.q.len()), zeros(frame.driven.len()));
+        let mut bar = MovedBar { phi, q, input };
         let mut own = MoveResponse::default();
         own.phi.start = self.response.entries.len();
         if needs.rates {
             for (place, row) in pattern.moved.iter().enumerate() {
                 for at in row.start as usize..row.end as usize {
-                    phi[at] = 1.0;
-                    self.moved(k, (&phi, &q, &input), (place, pattern.columns[at] as usize))?;
-                    phi[at] = 0.0;
+                    bar.phi[at] = 1.0;
+                    self.moved(k, &bar, (place, pattern.columns[at] as usize))?;
+                    bar.phi[at] = 0.0;
                 }
             }
         }
         own.phi.end = self.response.entries.len();
         if needs.noise {
             for (at, &(i, j)) in pattern.pairs.iter().enumerate() {
-                q[at] = 1.0;
-                self.moved(k, (&phi, &q, &input), (i as usize, j as usize))?;
-                q[at] = 0.0;
+                bar.q[at] = 1.0;
+                self.moved(k, &bar, (i as usize, j as usize))?;
+                bar.q[at] = 0.0;
             }
         }
         own.q = own.phi.end..self.response.entries.len();
         if needs.rates || needs.inputs {
             for (at, &state) in frame.driven.iter().enumerate() {
-                input[at] = 1.0;
-                self.moved(k, (&phi, &q, &input), (state as usize, 0))?;
-                input[at] = 0.0;
+                bar.input[at] = 1.0;
+                self.moved(k, &bar, (state as usize, 0))?;
+                bar.input[at] = 0.0;
             }
         }
         own.input = own.q.end..self.response.entries.len();
@@ -214,13 +214,8 @@ impl Asking<'_, '_> {
         Ok(own)
     }
 
-    fn moved(
-        &mut self,
-        k: usize,
-        (phi, q, input): (&[f64], &[f64], &[f64]),
-        at: (usize, usize),
-    ) -> Result<(), Box<Fault>> {
-        self.adjoints.step_moved(self.test, k, self.work, Moved { phi, q, input })?;
+    fn moved(&mut self, k: usize, bar: &MovedBar, at: (usize, usize)) -> Result<(), Box<Fault>> {
+        self.adjoints.step_moved(self.test, k, self.work, bar)?;
         self.enter(at)
     }
 
@@ -230,25 +225,24 @@ impl Asking<'_, '_> {
         let chain = self.adjoints.chain;
         let taps = &chain.meters[self.work.instances.get(row).meter];
         let mut own = RowResponse::default();
-        let mut bars = [vec![0.0; many], vec![0.0; many], vec![0.0; many * n]];
-        let mut ask = |asking: &mut Self, kind: usize, at: usize| {
-            bars[kind][at] = 1.0;
-            let measured = Measured { noise: &bars[0], value: &bars[1], h: &bars[2] };
-            let done = asking.adjoints.step_measured(asking.test, k, asking.work, measured);
-            bars[kind][at] = 0.0;
+        let mut bar = MeasuredBar { noise: vec![0.0; many], value: vec![0.0; many], h: vec![0.0; many * n] };
+        let mut ask = |asking: &mut Self, list: fn(&mut MeasuredBar) -> &mut Vec<f64>, at: usize| {
+            list(&mut bar)[at] = 1.0;
+            let done = asking.adjoints.step_measured(asking.test, k, asking.work, &bar);
+            list(&mut bar)[at] = 0.0;
             done
         };
         if taps.noise.is_some() {
-            ask(self, 0, place)?;
+            ask(self, |bar| &mut bar.noise, place)?;
             own.noise = self.answer()?;
         }
         if taps.constant.is_some() {
-            ask(self, 1, place)?;
+            ask(self, |bar| &mut bar.value, place)?;
             own.value = self.answer()?;
         }
         own.h.start = self.response.entries.len();
         for &(state, _) in &taps.terms {
-            ask(self, 2, place * n + state)?;
+            ask(self, |bar| &mut bar.h, place * n + state)?;
             self.enter((state, 0))?;
         }
         own.h.end = self.response.entries.len();

@@ -8,8 +8,7 @@ use crate::model::by_hand::{
 };
 use crate::model::{Expression, Function, Initial, Measurement, Model, Motion, Operator, Parameter, State};
 use crate::reduce::Workspace;
-use crate::score::chain::measured::Measured;
-use crate::score::chain::moved::Moved;
+use crate::score::backward::{MeasuredBar, MovedBar};
 
 /// Measurement of columns 1, 2, …, in order.
 fn meter(index: usize, terms: Vec<(usize, Expression)>, constant: Expression, noise: Expression) -> Measurement {
@@ -111,12 +110,12 @@ fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: 
         let (first, m) = (step.rows.start, step.rows.len());
         let (noise, value) = (weights(3, first, m), weights(2, first, m));
         let h = when(chain.needs_equation(), weights(7, first * n, m * n));
-        adjoints.step_measured(test, k, work, Measured { noise: &noise, value: &value, h: &h }).expect("finite");
+        adjoints.step_measured(test, k, work, &MeasuredBar { noise, value, h }).expect("finite");
         if let Some(transition) = step.transition {
             let phi = when(chain.needs_motion(), weights(5, k * 100, transition.phi.len()));
             let q = when(chain.needs_noise(), weights(6, k * 100, transition.q.len()));
             let input = when(chain.needs_motion(), weights(1, moves(k) * driven, driven));
-            adjoints.step_moved(test, k, work, Moved { phi: &phi, q: &q, input: &input }).expect("finite");
+            adjoints.step_moved(test, k, work, &MovedBar { phi, q, input }).expect("finite");
         }
     }
     let mut variance = vec![0.0; r * r];
@@ -433,8 +432,9 @@ fn an_infinite_slope_is_refused() {
     let (preparer, work) = prepared(&model, &slots, &values, &test()).expect("sound");
     let chain = Chain::new(&preparer, &slots).expect("differentiable elsewhere");
     let mut adjoints = chain.adjoints();
-    let bars = [1.0; 4];
-    adjoints.step_measured(&test(), 0, &work, Measured { noise: &bars, value: &bars, h: &bars }).expect("waits");
+    let ones = || vec![1.0; 4];
+    let bar = MeasuredBar { noise: ones(), value: ones(), h: ones() };
+    adjoints.step_measured(&test(), 0, &work, &bar).expect("waits");
     let fault = adjoints.finish(&test(), &work).expect_err("infinite");
     assert_eq!((fault.subject, fault.kind), (Subject::Noise(0), ReduceErrorKind::NotFinite));
     assert_eq!(adjoints.finish(&test(), &work), Ok(Vec::new()));
