@@ -403,6 +403,7 @@ impl Design<f64> {
     }
 }
 
-fn same_bits(a: &[f64], b: &[f64]) -> bool {
+/// Equal bit for bit.
+pub(crate) fn same_bits(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
 }

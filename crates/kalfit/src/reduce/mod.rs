@@ -115,7 +115,7 @@ pub(crate) use blocks::FilteredBlock;
 pub(crate) use blocks::beside::{Beside, Entering};
 pub(crate) use carry::Inherits;
 pub(crate) use data::Data;
-pub(crate) use design::{Design, Frame, Step, Stretch, Transition};
+pub(crate) use design::{Design, Frame, Step, Stretch, Transition, same_bits};
 pub(crate) use dynamics::{Component, Table};
 pub(crate) use gains::{Gains, Piece};
 pub(crate) use instances::Instance;

@@ -25,7 +25,7 @@ use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
 use backward::{Ending, MeasuredBar, MovedBar, Sink};
 use chain::{Adjoints, Chain};
 
-use smoother::Later;
+use smoother::Smooth;
 
 pub(crate) use arrangement::Arrangement;
 pub(crate) use backward::{BackwardWork, Run, Seen, Smoothed, Wanted};
@@ -51,18 +51,17 @@ impl<'a> Scorer<'a> {
         Ok(Scorer { reducer, chain })
     }
 
-    /// What a phase's later ones say of its last state, in the order of the kernels; ρ with so many columns, those beyond its own
-    /// zero.
-    fn ending(&self, later: &Later, columns: usize) -> Ending {
-        self.ending_or_none(Some(later), columns)
+    /// What a phase's later ones say of its last state, where there are any.
+    fn ending_of(&self, smooth: &Smooth) -> Option<Ending> {
+        smooth.later.is_some().then(|| self.ending(smooth, smooth.moments.columns))
     }
 
-    /// The same, zero where there is no later phase.
-    fn ending_or_none(&self, later: Option<&Later>, columns: usize) -> Ending {
+    /// The same in the order of the kernels, zero where there is no later phase; ρ with so many columns, those beyond its own zero.
+    fn ending(&self, smooth: &Smooth, columns: usize) -> Ending {
         let order = &self.reducer.preparer().order;
         let (n, r) = (order.frame.n, order.frame.r);
         let mut ending = Ending { r: vec![0.0; n], rho: vec![0.0; n * columns], N: vec![0.0; r * r] };
-        let Some(later) = later else { return ending };
+        let Some(later) = &smooth.later else { return ending };
         for (i, &at) in order.place.iter().enumerate() {
             ending.r[at] = later.r[i];
             (0..later.rho.ncols()).for_each(|k| ending.rho[at * columns + k] = later.rho[(i, k)]);

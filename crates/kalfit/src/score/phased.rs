@@ -172,8 +172,19 @@ impl<'a> PhasedScorer<'a> {
         Ok(entry.value().smooth(pieces, &laws))
     }
 
+    /// What goes through the carries of a test.
+    fn carried(&self, test: &PhasedTest, phases: &[Smooth], room: &mut Room<'_>) -> Result<Gradient, ReduceError> {
+        let mut sum = BTreeMap::new();
+        for (at, smooth) in phases.iter().enumerate() {
+            if let (Some(bar), Some(rows)) = (&smooth.inherited, self.reducer.rows_of(at, test)) {
+                self.carry((at, rows), bar, room, &mut sum)?;
+            }
+        }
+        Ok(sum.into_iter().collect())
+    }
+
     /// Through the coefficients of the carry of a phase.
-    fn carried(
+    fn carry(
         &self,
         (at, rows): (usize, &Test),
         bar: &InheritedBar,
@@ -214,7 +225,7 @@ impl<'a> PhasedScorer<'a> {
         let one = |(at, smooth): (usize, &Smooth)| {
             let Some(rows) = self.reducer.rows_of(at, test) else { return Ok(None) };
             let scorer = &self.phases[at];
-            let ending = smooth.later.as_ref().map(|later| scorer.ending(later, smooth.moments.columns));
+            let ending = scorer.ending_of(smooth);
             let work = (&mut room.work.phases[at], &mut room.backward);
             let complete = scorer.complete(rows, (&smooth.moments, ending.as_ref()), work);
             complete.map(Some).map_err(|error| self.reducer.phases()[at].named(error))

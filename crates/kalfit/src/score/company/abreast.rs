@@ -30,19 +30,19 @@ pub(super) struct Shared<'a> {
 }
 
 /// One of the tests: what it alone has.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Own<'a> {
-    pub(super) test: &'a Test,
-    /// x̂ of ξ.
-    pub(super) mean: &'a [f64],
-    /// r after the last step; empty where it is zero.
-    pub(super) ending: &'a [f64],
+#[derive(Debug, Clone)]
+pub(crate) struct Told<'a> {
+    pub(crate) test: &'a Test,
+    /// x̂ of ξ, in the order of the kernels.
+    pub(crate) mean: Vec<f64>,
+    /// r after the last step, from which its later phases begin; empty where none follow.
+    pub(crate) ending: Vec<f64>,
 }
 
 /// Σ factor × adjoint of each test: as many numbers as slots answer, one test after the other.
 pub(super) struct Abreast<'a> {
     pub(super) shared: &'a Shared<'a>,
-    pub(super) tests: &'a [Own<'a>],
+    pub(super) tests: &'a [Told<'a>],
 }
 
 impl Kernel for Abreast<'_> {
@@ -93,7 +93,7 @@ struct Standing {
 
 /// The same number of each test; lanes beyond the last test are as the last one.
 #[inline(always)]
-fn each<T: Lanes>(tests: &[Own<'_>], mut number: impl FnMut(&Own<'_>) -> f64) -> T {
+fn each<T: Lanes>(tests: &[Told<'_>], mut number: impl FnMut(&Told<'_>) -> f64) -> T {
     let mut lanes = [0.0; MOST];
     for lane in 0..T::COUNT {
         lanes[lane] = number(&tests[lane.min(tests.len() - 1)]);
@@ -118,7 +118,7 @@ impl<T: Lanes> Pass<T> {
 
     /// x_0 = a + Ax̂ and the filter from there.
     #[inline(always)]
-    fn forth(&mut self, shared: &Shared<'_>, tests: &[Own<'_>]) {
+    fn forth(&mut self, shared: &Shared<'_>, tests: &[Told<'_>]) {
         let frame = &*shared.design.frame;
         let (n, p) = (frame.n, frame.p);
         for i in 0..n {
@@ -216,7 +216,7 @@ impl<T: Lanes> Pass<T> {
 
     /// From what later phases say of the last state back to x_0.
     #[inline(always)]
-    fn back(&mut self, shared: &Shared<'_>, tests: &[Own<'_>]) {
+    fn back(&mut self, shared: &Shared<'_>, tests: &[Told<'_>]) {
         for i in 0..self.x.len() {
             self.x[i] = each::<T>(tests, |own| own.ending.get(i).copied().unwrap_or(0.0));
         }

@@ -17,14 +17,14 @@ mod equal;
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
-use crate::ensemble::Test;
 use crate::reduce::{Design, Fault, Gains, ReduceError, Workspace};
 use crate::score::backward::{BackwardWork, Ending, Run, Wanted};
 use crate::score::chain::{Adjoints, Gradient, add};
 use crate::score::moments::Moments;
 use crate::score::{Onward, Scorer};
-use abreast::{Abreast, Own, Shared};
+use abreast::{Abreast, Shared};
 
+pub(crate) use abreast::Told;
 pub(crate) use alike::Companies;
 
 /// Numbers that one test passes through one by one and that are remembered: no more than these.
@@ -35,14 +35,6 @@ const MOST_SPREADS: usize = 1 << 20;
 const MOST_ROWS: usize = 1 << 23;
 /// Tests that one thread passes through at a time; of long ones, as many as there are lanes.
 const SHARE: usize = 256;
-
-/// One test of a company: x̂ of its ξ, and r that its later phases begin with, in the order of the kernels (empty where none follow).
-#[derive(Debug, Clone)]
-pub(crate) struct Told<'a> {
-    pub(crate) test: &'a Test,
-    pub(crate) mean: Vec<f64>,
-    pub(crate) ending: Vec<f64>,
-}
 
 impl Scorer<'_> {
     /// dℓ_j/dα of tests that are alike. `shared`: moments of ξ, and what later phases say of the last state; all but the means and
@@ -130,9 +122,7 @@ impl Blank {
 fn of_data(shared: &Shared<'_>, tests: &[Told<'_>]) -> Vec<Gradient> {
     let slots = &shared.response.slots;
     let share = |tests: &[Told<'_>]| {
-        let tests: Vec<Own<'_>> =
-            tests.iter().map(|told| Own { test: told.test, mean: &told.mean, ending: &told.ending }).collect();
-        let found = Isa::best().run(Abreast { shared, tests: &tests });
+        let found = Isa::best().run(Abreast { shared, tests });
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };

@@ -1,7 +1,5 @@
 //! Scores of tests that are in no company: phase by phase, those in blocks side by side.
 
-use std::collections::BTreeMap;
-
 use rayon::prelude::*;
 
 use crate::reduce::ReduceError;
@@ -57,13 +55,8 @@ impl PhasedScorer<'_> {
         let mut known = Known { parts: vec![Gradient::new(); self.phases.len() + 1], ..Known::default() };
         let mut begin = || {
             let phases = self.begin(of, number, &mut room.work)?;
-            let mut carried = BTreeMap::new();
-            for (at, smooth) in phases.iter().enumerate() {
-                if let (Some(bar), Some(rows)) = (&smooth.inherited, self.reducer.rows_of(at, &of.tests[number])) {
-                    self.carried((at, rows), bar, room, &mut carried)?;
-                }
-            }
-            Ok((phases, carried.into_iter().collect()))
+            let carried = self.carried(&of.tests[number], &phases, room)?;
+            Ok((phases, carried))
         };
         match begin() {
             Ok((phases, carried)) => {
@@ -93,7 +86,7 @@ impl PhasedScorer<'_> {
         let alone = |room: &mut Room<'_>, place: usize| {
             let rows = self.reducer.rows_of(at, &of.tests[numbers[place]])?;
             let (scorer, smooth) = (&self.phases[at], &known[place].phases[at]);
-            let ending = smooth.later.as_ref().map(|later| scorer.ending(later, smooth.moments.columns));
+            let ending = scorer.ending_of(smooth);
             let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
             Some((place, scorer.alone(rows, (&smooth.moments, ending.as_ref()), work)))
         };

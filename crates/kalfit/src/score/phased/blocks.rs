@@ -67,7 +67,7 @@ impl Scorer<'_> {
         let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
         let told: Vec<Moments> = own.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
         let later: Vec<Ending> = match own.iter().any(|(.., smooth)| smooth.later.is_some()) {
-            true => own.iter().map(|(.., smooth)| self.ending_or_none(smooth.later.as_ref(), columns)).collect(),
+            true => own.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
             false => Vec::new(),
         };
         // lanes of other tests are not looked at

@@ -3,12 +3,12 @@
 use rayon::prelude::*;
 
 use crate::estimate::InitialLaw;
-use crate::reduce::{PhasedFiltered, PhasedTest, ReduceError, Reductions};
-use crate::score::Companies;
+use crate::reduce::{PhasedFiltered, PhasedTest, ReduceError, Reductions, same_bits};
 use crate::score::chain::{Gradient, add};
 use crate::score::company::Told;
 use crate::score::phased::{PhasedScorer, Plans, Room};
 use crate::score::smoother::Smooth;
+use crate::score::{Companies, Scorer};
 
 /// Tests that one thread begins at a time.
 const SHARE: usize = 64;
@@ -99,7 +99,7 @@ impl PhasedScorer<'_> {
             };
             let told: Vec<Told<'_>> = numbers.iter().zip(&mut begun).map(told).collect();
             let scorer = &self.phases[at];
-            let ending = smooth.later.as_ref().map(|later| scorer.ending(later, smooth.moments.columns));
+            let ending = scorer.ending_of(smooth);
             let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
             let Some(own) = scorer.company(&told, (&smooth.moments, ending.as_ref()), work)? else {
                 return Ok(None);
@@ -128,21 +128,13 @@ impl PhasedScorer<'_> {
         if own.len() != like.len() || !own.iter().zip(like).all(|(a, b)| a.same_design(b)) {
             return Ok(None);
         }
-        let mut carried = std::collections::BTreeMap::new();
-        let mut phases = Vec::with_capacity(own.len());
-        for (at, smooth) in own.into_iter().enumerate() {
-            if let (Some(bar), Some(rows)) = (&smooth.inherited, self.reducer.rows_of(at, test)) {
-                self.carried((at, rows), bar, room, &mut carried)?;
-            }
-            let ending = smooth.later.map_or(Vec::new(), |later| self.phases[at].ending(&later, later.rho.ncols()).r);
-            phases.push((smooth.moments.mean, ending));
-        }
-        Ok(Some(Begun { phases, carried: carried.into_iter().collect() }))
+        let carried = self.carried(test, &own, room)?;
+        let phase = |(scorer, smooth): (&Scorer<'_>, Smooth)| {
+            let ending = scorer.ending_of(&smooth).map_or(Vec::new(), |ending| ending.r);
+            (smooth.moments.mean, ending)
+        };
+        Ok(Some(Begun { phases: self.phases.iter().zip(own).map(phase).collect(), carried }))
     }
-}
-
-fn same_bits(a: &[f64], b: &[f64]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
 impl Smooth {

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::linalg::{compressed, log_determinant, posterior_root, whitened, whitener};
-use crate::reduce::{PhaseReduction, unpack};
+use crate::reduce::{PhaseReduction, same_bits, unpack};
 use crate::score::smoother::{PhaseLaw, PhaseLaws, beside, inherited, terminal};
 
 /// The smoother of the tests of one design under one law.
@@ -74,11 +74,9 @@ impl PlanKey {
 
     /// Equal bit for bit.
     pub(crate) fn same(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> bool {
-        let same =
-            |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
-        let phase = |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(parts(b)).all(|(a, b)| same(a, b));
+        let phase = |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(parts(b)).all(|(a, b)| same_bits(a, b));
         self.phases.len() == pieces.len()
-            && same(&self.covariates, &laws.covariates)
+            && same_bits(&self.covariates, &laws.covariates)
             && self.phases.iter().zip(pieces).all(phase)
     }
 }
