@@ -19,7 +19,7 @@ use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, Reductions, grouping};
+use crate::reduce::{PhasedFiltered, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::remote::{Answers, Question, Remote};
 use crate::score::{Arrangement, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
@@ -217,8 +217,15 @@ impl<'a> Bench<'a> {
 
     /// Rows of all tests.
     pub(crate) fn rows(&self) -> usize {
-        let rows = |evidence: &Evidence| if let Evidence::Rows(test) = evidence { test.rows() } else { 0 };
-        self.tests.iter().flat_map(|test| &test.phases).map(rows).sum()
+        self.tests.iter().map(PhasedTest::row_count).sum()
+    }
+
+    /// The values after a part of a step in their coordinates, within bounds.
+    pub(crate) fn moved(&self, values: &[f64], step: &[f64], part: f64) -> Vec<f64> {
+        let one = |((coordinate, v), d): ((&Coordinate, &f64), &f64)| {
+            if *d == 0.0 { *v } else { coordinate.moved(*v, part * d) }
+        };
+        self.coordinates.iter().zip(values).zip(step).map(one).collect()
     }
 
     /// The same by the filters and their backward runs alone.

@@ -6,6 +6,8 @@
 use crate::dynamic::scales::time_constants;
 use crate::model::{PhasedModel, Site, Slots};
 
+/// A value that is no logarithm moves by a part of this at least.
+const LEAST: f64 = 1e-2;
 /// Curvature of ℓ in a variance below this part of its slope is none.
 const STRAIGHT: f64 = 1e-3;
 
@@ -47,6 +49,11 @@ impl Coordinate {
     /// dvalue/dcoordinate.
     pub(crate) fn slope(&self, value: f64) -> f64 {
         if self.log { value } else { 1.0 }
+    }
+
+    /// A step of this size in a logarithm; of another value, of this part of its size.
+    pub(crate) fn step(&self, value: f64, part: f64) -> f64 {
+        if self.log { part } else { part * value.abs().max(LEAST) }
     }
 
     /// The value after a step in the coordinate, within bounds.

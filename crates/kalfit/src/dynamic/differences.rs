@@ -112,10 +112,15 @@ fn sides(bench: &Bench<'_>, home: &Solved, (colour, steps): (&[usize], &[f64]), 
     let moved = |sign: f64| bench.shift(home, &beside(bench, &home.values, (colour, steps), sign));
     let upper = moved(1.0);
     let lower = if central || (upper.is_none() && !bench.is_waiting()) { moved(-1.0) } else { bench.at_home(home) };
+    two_sides(upper, lower, || bench.at_home(home))
+}
+
+/// Two sides, home being one of them where there is but another.
+pub(super) fn two_sides<T>(upper: Option<T>, lower: Option<T>, home: impl FnOnce() -> Option<T>) -> Option<[T; 2]> {
     match (upper, lower) {
         (Some(upper), Some(lower)) => Some([upper, lower]),
-        (Some(upper), None) => Some([upper, bench.at_home(home)?]),
-        (None, Some(lower)) => Some([bench.at_home(home)?, lower]),
+        (Some(upper), None) => Some([upper, home()?]),
+        (None, Some(lower)) => Some([home()?, lower]),
         (None, None) => None,
     }
 }
@@ -147,6 +152,5 @@ pub(crate) fn around(bench: &Bench<'_>, values: &[f64], active: &[bool], central
 }
 
 fn first_step(bench: &Bench<'_>, values: &[f64], s: usize, central: bool) -> f64 {
-    let h = if central { STEP } else { SHORT };
-    if bench.coordinates[s].log { h } else { h * values[s].abs().max(1e-2) }
+    bench.coordinates[s].step(values[s], if central { STEP } else { SHORT })
 }

@@ -10,15 +10,13 @@ use rayon::prelude::*;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::Covariances;
 use crate::dynamic::stepwise::{Line, Member, Moment, Moments, Motion, Place, Record};
-use crate::dynamic::{Coordinate, DynamicError, DynamicFit};
+use crate::dynamic::{DynamicError, DynamicFit};
 use crate::estimate::InitialLaw;
 use crate::model::Alpha;
 use crate::reduce::{Evidence, ReduceError};
 
 /// Step of a coordinate of α, and of the tangent basis in standard errors, for differences of coefficients.
 const STEP: f64 = 1e-4;
-/// A value that is not positive moves by this part of one at least.
-const LEAST: f64 = 1e-2;
 
 /// Covariances from the expected information; `None` where values of single tests are free, and where some side is not defined.
 pub(super) fn expected(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Option<Covariances>, DynamicError> {
@@ -74,7 +72,8 @@ impl Directions {
         let mut all = Vec::new();
         for &s in shared {
             let coordinate = &bench.coordinates[s];
-            let values = [1.0, -1.0].map(|sign| moved(coordinate, fit.sought[s], sign));
+            let step = coordinate.step(fit.sought[s], STEP);
+            let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
             let at = |value: f64| -> Result<Option<Place>, DynamicError> {
                 let mut sought = fit.sought.clone();
                 sought[s] = value;
@@ -111,11 +110,6 @@ impl Directions {
         let pairs: Vec<Pair> = self.all.iter().map(sides).collect::<Result<_, _>>()?;
         Ok(Carried::new(pairs.len()).over(&home, &pairs))
     }
-}
-
-fn moved(coordinate: &Coordinate, value: f64, sign: f64) -> f64 {
-    let step = if coordinate.log { STEP } else { STEP * value.abs().max(LEAST) };
-    coordinate.moved(value, sign * step)
 }
 
 /// Records at both sides, and the distance between them.

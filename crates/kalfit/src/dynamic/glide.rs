@@ -75,7 +75,7 @@ impl<'b> Search<'b, '_> {
             let Some(next) = self.at(&values).filter(rises) else { return };
             let inside = quadratic.is_above_bounds(&next.values);
             last = Some(std::mem::replace(&mut self.home, next));
-            self.tell(decrement);
+            self.tell(Some(decrement));
             if !inside || self.stops() {
                 return;
             }

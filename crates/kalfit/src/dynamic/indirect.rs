@@ -5,10 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rayon::prelude::*;
 
+use crate::dynamic::colours::colours;
 use crate::estimate::InitialLaw;
 use crate::model::{Alpha, PhasedModel, Slots};
 use crate::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reductions};
-use crate::score::{Gradient, PhaseLaws, Plan, dependences};
+use crate::score::{Gradient, PhaseLaws, Plan, add, dependences};
 
 /// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
 const STEP: f64 = 2e-3;
@@ -78,7 +79,7 @@ impl Indirect {
             let all: Vec<Result<Vec<PhaseReduction>, ReduceError>> = list.par_iter().map(one).collect();
             all.into_iter().collect()
         };
-        for colour in self.colours(values.len()) {
+        for colour in self.colours(values.len(), tests.len()) {
             let own = |(j, slots): &(usize, Vec<usize>)| slots.iter().find(|s| colour.contains(s)).map(|s| (*j, *s));
             let touched: Vec<(usize, usize)> = self.tests.iter().filter_map(own).collect();
             let list: Vec<usize> = touched.iter().map(|(j, _)| *j).collect();
@@ -91,7 +92,7 @@ impl Indirect {
                     let mixed = mixed(around.model, &tests[j], &home[k], &there[k]);
                     sum += weight * Plan::new(&mixed, &laws).likelihood(&mixed, &laws);
                 }
-                merge(&mut scores[j], slot, sum / steps[&slot]);
+                add(&mut scores[j], &vec![(slot, sum / steps[&slot])]);
             }
         }
         Ok(())
@@ -128,20 +129,11 @@ impl Indirect {
     }
 
     /// Sets of values that no test has in common.
-    fn colours(&self, count: usize) -> Vec<Vec<usize>> {
+    fn colours(&self, count: usize, tests: usize) -> Vec<Vec<usize>> {
         let mut touching = vec![Vec::new(); count];
         self.tests.iter().for_each(|(j, slots)| slots.iter().for_each(|&s| touching[s].push(*j)));
-        let mut colours: Vec<(Vec<usize>, BTreeSet<usize>)> = Vec::new();
-        for (s, tests) in touching.iter().enumerate().filter(|(_, tests)| !tests.is_empty()) {
-            let place = colours.iter().position(|(_, taken)| tests.iter().all(|j| !taken.contains(j)));
-            let place = place.unwrap_or_else(|| {
-                colours.push(Default::default());
-                colours.len() - 1
-            });
-            colours[place].0.push(s);
-            colours[place].1.extend(tests);
-        }
-        colours.into_iter().map(|(colour, _)| colour).collect()
+        let touching = touching.iter().enumerate().filter(|(_, tests)| !tests.is_empty());
+        colours(touching.map(|(s, tests)| (s, Some(&**tests))), tests)
     }
 }
 
@@ -164,11 +156,4 @@ fn mixed(
     let choose =
         |(at, evidence): (usize, &Evidence)| if is_indirect(model, at, evidence) { &there[at] } else { &home[at] };
     test.phases.iter().enumerate().map(choose).cloned().collect()
-}
-
-fn merge(gradient: &mut Gradient, slot: usize, bar: f64) {
-    match gradient.binary_search_by_key(&slot, |(slot, _)| *slot) {
-        Ok(at) => gradient[at].1 += bar,
-        Err(at) => gradient.insert(at, (slot, bar)),
-    }
 }

@@ -177,22 +177,16 @@ impl<'b, 'a> Search<'b, 'a> {
         self.progress.stage(stage);
     }
 
-    pub(super) fn tell(&mut self, decrement: f64) {
+    /// Says where a step has led, and how far that is from the optimum where it is known.
+    pub(super) fn tell(&mut self, decrement: Option<f64>) {
         self.trace.push(self.home.value());
         let passes = self.bench.filter_passes();
-        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: Some(decrement) });
+        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement });
     }
 
     /// Gradient along the coordinates of (μ, Σ): nothing where they have been solved for.
     pub(super) fn inner_gradient(&self) -> &DVector<f64> {
         &self.home.estimate.state.place.tangent.gradient
-    }
-
-    /// A step where the distance to the optimum is not known.
-    pub(super) fn passed(&mut self) {
-        self.trace.push(self.home.value());
-        let passes = self.bench.filter_passes();
-        self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement: None });
     }
 
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.

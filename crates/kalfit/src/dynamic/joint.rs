@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, DVectorView};
 
 use crate::dynamic::bench::{Bench, Solved, Told};
 use crate::dynamic::coordinates::in_variance;
@@ -129,8 +129,7 @@ impl Joint {
     /// All of it: the values, then the tangent basis.
     #[cfg(test)]
     pub(crate) fn undivided_matrix(&self) -> DMatrix<f64> {
-        let none = DVector::zeros(self.inner.nrows());
-        self.undivided().reduced(&vec![0.0; self.cross.nrows()], &none, 0.0).0
+        self.undivided().information()
     }
 
     fn entry(&self, s: usize, t: usize) -> f64 {
@@ -150,7 +149,12 @@ impl Joint {
         DMatrix::from_fn(block.len(), block.len(), |i, k| self.entry(block[i], block[k]))
     }
 
-    /// (shared values, inner coordinates) once private values have been eliminated, and their gradient.
+    /// In shared values and along the tangent basis, once private values have been eliminated.
+    fn information(&self) -> DMatrix<f64> {
+        self.reduced(&vec![0.0; self.cross.nrows()], &DVector::zeros(self.inner.nrows()), 0.0).0
+    }
+
+    /// The same with its gradient, and whether what was eliminated curves the right way.
     fn reduced(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> (DMatrix<f64>, DVector<f64>, bool) {
         let (k, m) = (self.shared.len(), self.inner.nrows());
         let mut matrix = DMatrix::zeros(k + m, k + m);
@@ -229,12 +233,15 @@ impl Joint {
 
     /// The direction in shared values along which ℓ curves upward most, its largest entry one; `None` where it does not.
     pub(crate) fn upward(&self) -> Option<Vec<f64>> {
-        let n = self.cross.nrows();
-        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
-        let (scale, values, vectors) = scaled_eigen(&matrix);
+        let (scale, values, vectors) = scaled_eigen(&self.information());
         let (worst, _) = values.iter().enumerate().filter(|(_, v)| **v < -1e-6).min_by(|a, b| a.1.total_cmp(b.1))?;
-        let mut direction = vec![0.0; n];
-        self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vectors[(i, worst)]);
+        self.direction(&scale, vectors.column(worst))
+    }
+
+    /// The direction in shared values of a scaled eigenvector, its largest entry one; `None` where it has none.
+    fn direction(&self, scale: &[f64], vector: DVectorView<'_, f64>) -> Option<Vec<f64>> {
+        let mut direction = vec![0.0; self.cross.nrows()];
+        self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vector[i]);
         let largest = direction.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
         (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
     }
@@ -245,7 +252,7 @@ impl Joint {
             return None;
         }
         let (k, m) = (self.shared.len(), self.inner.nrows());
-        let (matrix, _, _) = self.reduced(&vec![0.0; self.cross.nrows()], &DVector::zeros(m), 0.0);
+        let matrix = self.information();
         let (inverse, _) = positive_inverse(&matrix.view((k, k), (m, m)).into_owned(), 0.0);
         let cross = matrix.view((0, k), (k, m)).into_owned();
         Some(matrix.view((0, 0), (k, k)) - &cross * inverse * cross.transpose())
@@ -253,50 +260,39 @@ impl Joint {
 
     /// Directions in shared values along which ℓ hardly curves, their largest entries one.
     pub(crate) fn faint(&self) -> Vec<Vec<f64>> {
-        let n = self.cross.nrows();
-        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
-        let (scale, values, vectors) = scaled_eigen(&matrix);
-        let along = |k: usize| -> Option<Vec<f64>> {
-            let mut direction = vec![0.0; n];
-            self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vectors[(i, k)]);
-            let largest = direction.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
-            (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
-        };
+        let (scale, values, vectors) = scaled_eigen(&self.information());
+        let along = |k: usize| self.direction(&scale, vectors.column(k));
         (0..values.len()).filter(|&k| values[k].abs() < FAINT).filter_map(along).collect()
     }
 
     /// Covariances of all coordinates: the inverse, flat directions left out.
     pub(crate) fn covariances(&self) -> Covariances {
-        let n = self.cross.nrows();
-        let (matrix, _, _) = self.reduced(&vec![0.0; n], &DVector::zeros(self.inner.nrows()), 0.0);
-        let (law, flat) = inverse(&matrix);
-        let mut alpha = vec![None; n];
-        for (i, &s) in self.shared.iter().enumerate() {
-            alpha[s] = Some(law[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
-        }
+        let mut covariances = self.shared_covariances(&self.information());
         for block in &self.private {
             let (own, flat) = inverse(&self.block(block));
             let carried = &own * self.border(block);
-            let total = &own + &carried * &law * carried.transpose();
+            let total = &own + &carried * &covariances.whole * carried.transpose();
             for (i, &s) in block.iter().enumerate() {
-                alpha[s] = Some(total[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
+                covariances.alpha[s] = Some(total[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
             }
         }
-        Covariances { alpha, shared: self.shared.clone(), whole: law }
+        covariances
     }
 
     /// The same from another information in the shared values and along the tangent basis; `None` where values of single tests
     /// are among those that move.
     pub(crate) fn covariances_of(&self, information: &DMatrix<f64>) -> Option<Covariances> {
-        if !self.private.is_empty() {
-            return None;
-        }
+        self.is_of_shared_values().then(|| self.shared_covariances(information))
+    }
+
+    /// The same without values of single tests.
+    fn shared_covariances(&self, information: &DMatrix<f64>) -> Covariances {
         let (whole, flat) = inverse(information);
         let mut alpha = vec![None; self.cross.nrows()];
         for (i, &s) in self.shared.iter().enumerate() {
             alpha[s] = Some(whole[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
         }
-        Some(Covariances { alpha, shared: self.shared.clone(), whole })
+        Covariances { alpha, shared: self.shared.clone(), whole }
     }
 
     /// Entries on both sides of the diagonal: where a value stands in matrices of the structures only, its column has none for
@@ -324,8 +320,7 @@ fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool)
     let (scale, values, vectors) = scaled_eigen(matrix);
     let positive = values.iter().all(|v| *v > -1e-6);
     let turned = values.iter().map(|v| if v.abs() > FLAT { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });
-    let inverse =
-        &vectors * DMatrix::from_diagonal(&DVector::from_iterator(values.len(), turned)) * vectors.transpose();
+    let inverse = symmetric::by_eigenvectors(&vectors, turned);
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
 }
 
@@ -338,7 +333,7 @@ fn inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
         (0..n).filter(|&i| vectors[(i, k)].abs() > 1e-3).for_each(|i| flat[i] = true);
     }
     let turned = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
-    let inverse = &vectors * DMatrix::from_diagonal(&DVector::from_iterator(n, turned)) * vectors.transpose();
+    let inverse = symmetric::by_eigenvectors(&vectors, turned);
     (DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]), flat)
 }
 

@@ -15,8 +15,6 @@ use crate::reduce::PhasedTest;
 
 /// Step of a coordinate for derivatives of weights.
 const STEP: f64 = 1e-4;
-/// A value that is no logarithm moves by this part of one at least.
-const LEAST: f64 = 1e-2;
 /// A quantity that nothing moves by more than this part of itself is known.
 const FAINT: f64 = 1e-12;
 
@@ -108,7 +106,7 @@ impl Target for Mean<'_, '_, '_, '_> {
     fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>> {
         let slope = |&s: &usize| {
             let coordinate = &outer.bench.coordinates[s];
-            let step = if coordinate.log { STEP } else { STEP * values[s].abs().max(LEAST) };
+            let step = coordinate.step(values[s], STEP);
             let side = |sign: f64| {
                 let mut values = values.to_vec();
                 values[s] = coordinate.moved(values[s], sign * step);

@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::dynamic::DynamicFit;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::Covariances;
+use crate::dynamic::differences::two_sides;
 use crate::estimate::Mixed;
 use crate::infer::holds_any;
 
@@ -48,12 +49,7 @@ fn row(bench: &Bench<'_>, fit: &DynamicFit, covariances: &Covariances, s: usize)
         let place = coordinate.of_value(values[s]);
         Some((place, scores(bench, fit, &values)?))
     };
-    let (upper, lower) = match (at(1.0), at(-1.0)) {
-        (Some(upper), Some(lower)) => (upper, lower),
-        (Some(upper), None) => (upper, at(0.0)?),
-        (None, Some(lower)) => (at(0.0)?, lower),
-        (None, None) => return None,
-    };
+    let [upper, lower] = two_sides(at(1.0), at(-1.0), || at(0.0))?;
     let width = upper.0 - lower.0;
     (width > 0.0).then(|| (lower.1 - upper.1) / width)
 }

@@ -9,6 +9,7 @@
 mod balance;
 mod bench;
 mod branches;
+mod colours;
 mod coordinates;
 mod covariances;
 mod differences;

@@ -37,7 +37,7 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
 /// Parts of the data between the sample and all of it, each larger than the one before, where the sample breaks records off: what is
 /// slow shows in whole ones. Of short tests it holds enough.
 pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
-    let all = if tests.iter().any(|test| rows(test) > ROWS_OF_A_TEST) { total(tests) } else { 0 };
+    let all = if tests.iter().any(|test| test.row_count() > ROWS_OF_A_TEST) { total(tests) } else { 0 };
     let least = SHORTER * ROWS.min(tests.len().max(1) * ROWS_OF_A_TEST);
     let sizes = std::iter::successors(Some(GROWS), |size| Some(GROWS * size));
     let sizes = sizes.take_while(move |size| least * size <= all); // before anything is copied
@@ -63,7 +63,7 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
     let mut sample = Vec::new();
     for test in order {
         let kept = PhasedTest { id: test.id.clone(), phases: test.phases.iter().map(first).collect() };
-        many += rows(&kept);
+        many += kept.row_count();
         sample.push(kept);
         if many > ROWS * size || (common && many > ROWS_OF_MANY * size && sample.len() >= MANY * size) {
             break;
@@ -189,12 +189,7 @@ impl Progress for Beside<'_, '_> {
 }
 
 pub(super) fn total(tests: &[PhasedTest]) -> usize {
-    tests.iter().map(rows).sum()
-}
-
-/// Rows of all phases.
-fn rows(test: &PhasedTest) -> usize {
-    test.phases.iter().map(|evidence| if let Evidence::Rows(test) = evidence { test.rows() } else { 0 }).sum()
+    tests.iter().map(PhasedTest::row_count).sum()
 }
 
 #[cfg(test)]

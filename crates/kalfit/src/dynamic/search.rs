@@ -60,7 +60,12 @@ impl<'b, 'a> Search<'b, 'a> {
             }
         }
         let unseen = || (Joint::new(self.bench, &self.home, &vec![false; self.standing.len()], false), f64::NAN);
-        let (joint, certificate) = last.unwrap_or_else(unseen);
+        let last = last.unwrap_or_else(unseen);
+        Ok(self.ended(last, stop))
+    }
+
+    /// Where it ended, with what is known there and how far that is from the optimum: no better than (μ, Σ) themselves.
+    pub(super) fn ended(mut self, (joint, certificate): (Joint, f64), mut stop: Stop) -> End {
         self.name_idle(&joint);
         if stop == Stop::Certified && self.is_on_a_slope(&joint) {
             stop = Stop::Stalled;
@@ -69,11 +74,11 @@ impl<'b, 'a> Search<'b, 'a> {
             stop = self.home.estimate.stop;
         }
         let Search { home, standing, trace, before_zero, level_scale, given_up, .. } = self;
-        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up })
+        End { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up }
     }
 
     /// ℓ runs straight along a logarithm: no step of Newton's follows, yet there is no maximum.
-    pub(super) fn is_on_a_slope(&self, joint: &Joint) -> bool {
+    fn is_on_a_slope(&self, joint: &Joint) -> bool {
         let straight = |s: usize| {
             let moves = self.bench.coordinates[s].log && self.standing[s] == Standing::Inside && self.held != Some(s);
             moves && self.home.gradient[s].abs() > SLOPE && joint.curvature(s).abs() < LEVEL_GROUND
@@ -109,7 +114,7 @@ impl<'b, 'a> Search<'b, 'a> {
         }
         if self.advance(joint, step.decrement, fine) {
             self.place();
-            self.tell(step.decrement);
+            self.tell(Some(step.decrement));
             let arrived = self.glided.is_some_and(|decrement| decrement <= self.tolerance());
             return Turn::On { closer: fine || arrived };
         }
@@ -135,8 +140,7 @@ impl<'b, 'a> Search<'b, 'a> {
     pub(super) fn off_saddle(&mut self, joint: &Joint) -> bool {
         let Some(direction) = joint.upward() else { return false };
         for length in [0.5, -0.5, 0.1, -0.1, 0.02, -0.02] {
-            let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);
-            let values: Vec<f64> = direction.iter().enumerate().map(moved).collect();
+            let values = self.bench.moved(&self.home.values, &direction, length);
             if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + 1e-9) {
                 self.home = next;
                 return true;
@@ -165,8 +169,7 @@ impl<'b, 'a> Search<'b, 'a> {
         self.faint_looks += 1;
         for direction in joint.faint() {
             for length in LOOKS {
-                let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);
-                let values: Vec<f64> = direction.iter().enumerate().map(moved).collect();
+                let values = self.bench.moved(&self.home.values, &direction, length);
                 if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
                     self.arrive(next);
                     return true;
@@ -295,8 +298,7 @@ impl<'b, 'a> Search<'b, 'a> {
         let mut length = 1.0;
         for tried in 0..4 {
             length *= 2.0;
-            let moved = |(s, d): (usize, &f64)| self.bench.coordinates[s].moved(self.home.values[s], length * d);
-            let values: Vec<f64> = step.alpha.iter().enumerate().map(moved).collect();
+            let values = self.bench.moved(&self.home.values, &step.alpha, length);
             let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value()) else { return tried > 0 };
             self.arrive(next);
         }

@@ -1,6 +1,7 @@
 //! Which tests depend on which values of α: what no test has in common can move in one run of the filters.
 
 use crate::dynamic::bench::{Bench, OfTests};
+use crate::dynamic::colours::colours;
 use crate::score::Gradient;
 
 /// Which tests depend on which values.
@@ -41,23 +42,8 @@ impl Touching {
         if apart {
             return active.iter().map(|&s| vec![s]).collect();
         }
-        let mut colours: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
-        for &s in active {
-            let whole = self.matrix[s] || self.everywhere(s);
-            let free = |taken: &[bool]| !whole && self.tests[s].iter().all(|&j| !taken[j]);
-            let place = colours.iter().position(|(_, taken)| free(taken));
-            let place = place.unwrap_or_else(|| {
-                colours.push((Vec::new(), vec![false; self.count]));
-                colours.len() - 1
-            });
-            let (colour, taken) = &mut colours[place];
-            colour.push(s);
-            if whole {
-                taken.fill(true);
-            } else {
-                self.tests[s].iter().for_each(|&j| taken[j] = true);
-            }
-        }
-        colours.into_iter().map(|(colour, _)| colour).collect()
+        let is_whole = |s: usize| self.matrix[s] || self.everywhere(s);
+        let own = |&s: &usize| (s, (!is_whole(s)).then_some(&*self.tests[s]));
+        colours(active.iter().map(own), self.count)
     }
 }

@@ -129,9 +129,7 @@ fn climb(
     let slack = 1e-13 * value.abs().max(1.0);
     let mut part = 1.0;
     for _ in 0..30 {
-        let one =
-            |(s, v): (usize, &f64)| if step[s] == 0.0 { *v } else { bench.coordinates[s].moved(*v, part * step[s]) };
-        let next: Vec<f64> = values.iter().enumerate().map(one).collect();
+        let next = bench.moved(values, step, part);
         if next == values {
             return None;
         }

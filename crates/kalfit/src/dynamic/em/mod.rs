@@ -116,17 +116,8 @@ impl<'b, 'a> Em<'b, 'a> {
                 break;
             }
         }
-        let (last, mut stop) = ended.unwrap_or_else(|| (self.look(true), Stop::PassLimit));
-        self.search.name_idle(&last.joint);
-        if stop == Stop::Certified && self.search.is_on_a_slope(&last.joint) {
-            stop = Stop::Stalled;
-        }
-        let Search { home, standing, trace, before_zero, level_scale, .. } = self.search;
-        if home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
-            stop = home.estimate.stop;
-        }
-        let (joint, certificate) = (last.joint, last.decrement);
-        Ok(End { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up: false })
+        let (last, stop) = ended.unwrap_or_else(|| (self.look(true), Stop::PassLimit));
+        Ok(self.search.ended((last.joint, last.decrement), stop))
     }
 
     fn look(&self, fine: bool) -> Look {
@@ -169,7 +160,7 @@ impl<'b, 'a> Em<'b, 'a> {
             (self.ways, self.zero) = (ways(self.search.bench, &self.search.home)?, zeros(&self.search.home));
             self.forget();
         }
-        self.search.passed();
+        self.search.tell(None);
         Ok(near || !moved)
     }
 
@@ -203,7 +194,7 @@ impl<'b, 'a> Em<'b, 'a> {
         let far = |(s, d): (usize, &f64)| if self.search.bench.coordinates[s].log { d.abs() } else { 0.0 };
         let longest = step.iter().enumerate().map(far).fold(0.0, f64::max) * part;
         let part = part * if longest > LONGEST { LONGEST / longest } else { 1.0 };
-        let values = self.moved(&home.values, step, part);
+        let values = self.search.bench.moved(&home.values, step, part);
         let slack = 1e-12 * home.value().abs().max(1.0);
         match self.search.at(&values).filter(|next: &Solved| next.value() >= home.value() + gain - slack) {
             Some(next) => {
@@ -212,12 +203,6 @@ impl<'b, 'a> Em<'b, 'a> {
             }
             None => false,
         }
-    }
-
-    fn moved(&self, values: &[f64], step: &[f64], part: f64) -> Vec<f64> {
-        let coordinates = &self.search.bench.coordinates;
-        let one = |(s, (v, d)): (usize, (&f64, &f64))| if *d == 0.0 { *v } else { coordinates[s].moved(*v, part * d) };
-        values.iter().zip(step).enumerate().map(one).collect()
     }
 
     /// The values as they are sought; 0 for logarithms of zero, which stay.
@@ -238,7 +223,7 @@ impl<'b, 'a> Em<'b, 'a> {
         let smooth: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Expected).collect();
         if smooth.contains(&true) {
             let complete = bench.complete(home)?;
-            let begun = self.moved(&home.values, &step, 1.0);
+            let begun = bench.moved(&home.values, &step, 1.0);
             let reached = self.ascent.maximise(&|values| bench.expected(&complete, values), begun, &smooth, bench);
             for s in (0..active.len()).filter(|&s| smooth[s]) {
                 step[s] = bench.coordinates[s].of_value(reached[s]) - bench.coordinates[s].of_value(home.values[s]);
