@@ -1,6 +1,6 @@
 //! Whole searches for α over tests in phases.
 
-use crate::dynamic::bench::Bench;
+use crate::dynamic::tests::{check_alike, check_gradient, settings};
 use crate::dynamic::{DynamicError, DynamicFit, Method, Settings, fit};
 use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::{Combination, Criterion, Silent, Stop};
@@ -102,12 +102,6 @@ fn drawn(tests: usize, seed: u64) -> Vec<PhasedTest> {
     (0..tests).map(test).collect()
 }
 
-fn settings(method: Method, criterion: Criterion) -> Settings {
-    let mut settings = Settings { method, ..Settings::default() };
-    settings.inner.criterion = criterion;
-    settings
-}
-
 fn certified(model: &PhasedModel, tests: &[PhasedTest], settings: &Settings) -> DynamicFit {
     let labels = Labels::new(&model.shared().literals);
     let fit = fit(model, &labels, tests, settings, &mut Silent).expect("a fit");
@@ -119,23 +113,7 @@ fn certified(model: &PhasedModel, tests: &[PhasedTest], settings: &Settings) -> 
 fn the_gradient_over_phases_equals_differences_of_the_maximum_over_mean_and_covariance() {
     let (model, tests) = (bench_and_flight(), drawn(11, 3));
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
-    for criterion in [Criterion::Ml, Criterion::Reml] {
-        let settings = settings(Method::Hybrid, criterion);
-        let bench = Bench::new(&model, &tests, &slots, &settings);
-        let values = [1.2, 0.6, 0.35, 0.5, 0.45, 0.7];
-        let home = bench.solve(&values, None).expect("defined");
-        for s in 0..values.len() {
-            let at = |h: f64| {
-                let mut moved = values.to_vec();
-                moved[s] = bench.coordinates[s].moved(moved[s], h);
-                bench.value(&moved).expect("defined")
-            };
-            let h = 1e-3;
-            let expected = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
-            let found = home.gradient[s];
-            assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{criterion:?} {s}: {found} {expected}");
-        }
-    }
+    check_gradient((&model, &tests, &slots), &[1.2, 0.6, 0.35, 0.5, 0.45, 0.7]);
 }
 
 #[test]
@@ -149,11 +127,7 @@ fn the_methods_end_at_one_point_in_phases() {
             // EM crawls from afar: it starts near by
             let start = if method == Method::Em { near(&model, &hybrid.values) } else { model.clone() };
             let other = certified(&start, &tests, &settings(method, criterion));
-            let (a, b) = (hybrid.estimate.log_likelihood, other.estimate.log_likelihood);
-            assert!((a - b).abs() < 1e-8, "{method:?}, {criterion:?}: {a} {b}");
-            for (a, b) in hybrid.values.iter().zip(&other.values) {
-                assert!((a - b).abs() < 1e-5 * (1.0 + a.abs()), "{method:?}, {criterion:?}: {a} {b}");
-            }
+            check_alike(&hybrid, &other, &format!("{method:?}, {criterion:?}"));
         }
         let mut stacked = settings(Method::Hybrid, criterion);
         stacked.inner.phases = Combination::Stacked;

@@ -5,7 +5,7 @@ use crate::dynamic::iterate::Search;
 use crate::dynamic::joint::Joint;
 use crate::dynamic::sample::promising;
 use crate::dynamic::start::starts;
-use crate::dynamic::{Method, Settings, fit, infer};
+use crate::dynamic::{DynamicFit, Method, Settings, fit, infer};
 use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::{Criterion, Silent, Stop};
 use crate::infer::{Choices, IntervalKind};
@@ -14,6 +14,7 @@ use crate::model::by_hand::{
 };
 use crate::model::{Initial, Motion, PhasedModel, Slots, Value};
 use crate::reduce::PhasedTest;
+use crate::score::by_differences::slope;
 
 const TAU: usize = 0;
 const DRIFT: usize = 1;
@@ -63,10 +64,37 @@ fn ensemble(model: &PhasedModel, tests: usize, rows: usize) -> (Labels, Vec<Phas
     (labels, all)
 }
 
-fn settings(method: Method, criterion: Criterion) -> Settings {
+pub(super) fn settings(method: Method, criterion: Criterion) -> Settings {
     let mut settings = Settings { method, ..Settings::default() };
     settings.inner.criterion = criterion;
     settings
+}
+
+/// The gradient of both likelihoods at these values is that of differences.
+pub(super) fn check_gradient((model, tests, slots): (&PhasedModel, &[PhasedTest], &Slots), values: &[f64]) {
+    for criterion in [Criterion::Ml, Criterion::Reml] {
+        let settings = settings(Method::Hybrid, criterion);
+        let bench = Bench::new(model, tests, slots, &settings);
+        let home = bench.solve(values, None).expect("defined");
+        for (s, found) in home.gradient.iter().enumerate() {
+            let at = |h: f64| {
+                let mut moved = values.to_vec();
+                moved[s] = bench.coordinates[s].moved(moved[s], h);
+                bench.value(&moved).expect("defined")
+            };
+            let expected = slope(at, 1e-3);
+            assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{criterion:?} {s}: {found} {expected}");
+        }
+    }
+}
+
+/// Two fits end at one point.
+pub(super) fn check_alike(one: &DynamicFit, other: &DynamicFit, what: &str) {
+    let (a, b) = (one.estimate.log_likelihood, other.estimate.log_likelihood);
+    assert!((a - b).abs() < 1e-8, "{what}: {a} {b}");
+    for (a, b) in one.values.iter().zip(&other.values) {
+        assert!((a - b).abs() < 1e-5 * (1.0 + a.abs()), "{what}: {a} {b}");
+    }
 }
 
 #[test]
@@ -75,23 +103,7 @@ fn the_gradient_equals_differences_of_the_maximum_over_mean_and_covariance() {
     let (labels, tests) = ensemble(&model, 8, 7);
     let slots = Slots::in_phases(&model, &labels, &tests);
     assert_eq!(slots.len(), 5, "tau, sigma_drift, sigma of A and of B, slope");
-    for criterion in [Criterion::Ml, Criterion::Reml] {
-        let settings = settings(Method::Hybrid, criterion);
-        let bench = Bench::new(&model, &tests, &slots, &settings);
-        let values = [1.2, 0.6, 0.35, 0.5, 0.1];
-        let home = bench.solve(&values, None).expect("defined");
-        for s in 0..values.len() {
-            let at = |h: f64| {
-                let mut moved = values.to_vec();
-                moved[s] = bench.coordinates[s].moved(moved[s], h);
-                bench.value(&moved).expect("defined")
-            };
-            let h = 1e-3;
-            let expected = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
-            let found = home.gradient[s];
-            assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{criterion:?} {s}: {found} {expected}");
-        }
-    }
+    check_gradient((&model, &tests, &slots), &[1.2, 0.6, 0.35, 0.5, 0.1]);
 }
 
 /// [`model`] with one free value: all noise, drift and measurement, is so many times it.
@@ -243,12 +255,7 @@ fn the_methods_end_at_one_point() {
     };
     let hybrid = run(Method::Hybrid);
     for method in [Method::Innovations, Method::Em] {
-        let other = run(method);
-        let (a, b) = (hybrid.estimate.log_likelihood, other.estimate.log_likelihood);
-        assert!((a - b).abs() < 1e-8, "{method:?}: {a} {b}");
-        for (a, b) in hybrid.values.iter().zip(&other.values) {
-            assert!((a - b).abs() < 1e-5 * (1.0 + a.abs()), "{method:?}: {a} {b}");
-        }
+        check_alike(&hybrid, &run(method), &format!("{method:?}"));
     }
 }
 

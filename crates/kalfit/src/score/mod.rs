@@ -6,6 +6,8 @@
 
 mod arrangement;
 mod backward;
+#[cfg(test)]
+pub(crate) mod by_differences;
 mod chain;
 mod company;
 mod complete;

@@ -13,8 +13,7 @@ use crate::model::by_hand::{
     self, alpha, continuous, gauss_markov, known, linear, meter, minus, number, over, square, state,
 };
 use crate::model::{Initial, Model, Motion, Parameter, Value};
-use crate::reduce::ReductionRef;
-use crate::reduce::unpack;
+use crate::score::by_differences::{likelihood, slope};
 use crate::score::company::Told;
 use crate::score::moments::moments;
 
@@ -59,16 +58,6 @@ fn law() -> InitialLaw {
     InitialLaw::known(DVector::from_vec(vec![0.4]), DMatrix::from_vec(1, 1, vec![0.6]))
 }
 
-fn likelihood(reduction: ReductionRef<'_>) -> f64 {
-    let law = law();
-    let factor = unpack(reduction.factor, 1);
-    let residual = DVector::from_column_slice(reduction.data) - &factor * law.mean_of(&[]);
-    let rf = factor * &law.root;
-    let spread = DMatrix::identity(1, 1) + &rf * rf.transpose();
-    let cholesky = spread.cholesky().expect("positive definite");
-    reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
-}
-
 impl Scorer<'_> {
     /// dℓ_j/dα of each test, one by one, with the moments of its ξ.
     fn scores(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Gradient>, ReduceError> {
@@ -88,7 +77,7 @@ fn at(model: &Model, slots: &Slots, values: &[f64], test: &Test, unfrozen: bool)
     let reductions = reducer.reduce(tests).expect("sound");
     let moments = vec![moments(reductions.get(0), &law())];
     let scorer = Scorer::new(&reducer, slots).expect("differentiable");
-    (likelihood(reductions.get(0)), scorer.scores(tests, &moments).expect("sound").remove(0))
+    (likelihood(reductions.get(0), &law()), scorer.scores(tests, &moments).expect("sound").remove(0))
 }
 
 #[test]
@@ -106,9 +95,7 @@ fn the_score_of_a_long_record_equals_differences() {
                 moved[slot] += x;
                 at(&model, &slots, &moved, &test, false).0
             };
-            let h = 2e-3 * values[slot];
-            let central = |h: f64| (ell(h) - ell(-h)) / (2.0 * h);
-            let expected = (4.0 * central(h) - central(2.0 * h)) / 3.0;
+            let expected = slope(ell, 2e-3 * values[slot]);
             let (found, full) = (score[slot].1, full[slot].1);
             // ℓ is about 1e5, and is told apart to 1e-10 of that
             let bound = 1e-6 * expected.abs() + 1e-4 / values[slot];
@@ -158,9 +145,7 @@ fn the_score_of_a_process_that_coasts_equals_differences() {
                 moved[slot] += x;
                 at(&model, &slots, &moved, &test, false).0
             };
-            let h = 2e-3 * values[slot];
-            let central = |h: f64| (ell(h) - ell(-h)) / (2.0 * h);
-            let expected = (4.0 * central(h) - central(2.0 * h)) / 3.0;
+            let expected = slope(ell, 2e-3 * values[slot]);
             let bound = 1e-5 * (expected.abs() + 1.0 / values[slot]);
             let found = score[slot].1;
             assert!((found - expected).abs() <= bound, "noise {noise}, slot {slot}: {found} against {expected}");

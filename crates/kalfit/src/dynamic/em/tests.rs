@@ -12,6 +12,7 @@ use crate::model::{
     Expression, Initial, Measurement, Model, Motion, Parameter, PhasedModel, Population, Slots, State, Value,
 };
 use crate::reduce::PhasedTest;
+use crate::score::by_differences::slope;
 use crate::simulate::{Designs, Simulator};
 
 fn continuous(terms: Vec<(usize, Expression)>, noise_variance: Expression) -> Motion {
@@ -164,8 +165,7 @@ fn the_gradient_of_the_expected_likelihood_equals_difference_quotients() {
                     values[s] = bench.coordinates[s].moved(values[s], h);
                     bench.expected(&complete, &values).expect("defined").0
                 };
-                let h = 1e-4;
-                let quotient = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+                let quotient = slope(at, 1e-4);
                 let apart = (own - quotient).abs() / (1.0 + quotient.abs());
                 assert!(apart < 1e-7, "value {s}: {own}, quotient {quotient}");
             }

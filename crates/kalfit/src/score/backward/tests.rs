@@ -13,6 +13,7 @@ use crate::reduce::{
 };
 use crate::reduce::{Inherited, PhaseReduction, Terminal, Transition};
 use crate::score::backward::work::Cut;
+use crate::score::by_differences::{likelihood, slope};
 use crate::score::moments::{Moments, moments};
 use crate::score::smoother::{PhaseLaws, Plan};
 
@@ -79,8 +80,13 @@ fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
 fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) {
     let plain = information_gains(&design, &mut GainsWork::default());
     let gains = plain.unwrap_or_else(|| root_gains(&design).expect("semidefinite").0); // a part need not determine its unknowns
-    let found = outcome(&design, &gains, &data, &mut Room::default()).expect("possible");
-    let reduction = Reduction {
+    let reduction = reduction_by(&gains, &design, &data);
+    (design, data, gains, reduction)
+}
+
+fn reduction_by(gains: &Gains, design: &Design, data: &Data) -> Reduction {
+    let found = outcome(design, gains, data, &mut Room::default()).expect("possible");
+    Reduction {
         test: String::new(),
         constant: found.constant,
         residual: None,
@@ -92,25 +98,17 @@ fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) 
         path: Path::Information,
         design: 0,
         chain: None,
-    };
-    (design, data, gains, reduction)
+    }
 }
 
-fn prior() -> (DVector<f64>, DMatrix<f64>) {
+fn law() -> InitialLaw {
     let root = DMatrix::from_row_slice(3, 2, &[0.8, 0.1, -0.3, 0.9, 0.4, 0.2]);
-    (DVector::from_vec(vec![0.3, -0.2, 0.5]), root)
+    InitialLaw::known(DVector::from_vec(vec![0.3, -0.2, 0.5]), root)
 }
 
 /// ℓ = log ∫ p(z | ξ) N(ξ; μ, FF') dξ, densely.
-fn likelihood(numbers: &Numbers) -> f64 {
-    let (_, _, _, reduction) = reduced(numbers);
-    let (mean, root) = prior();
-    let factor = crate::reduce::unpack(&reduction.factor, 3);
-    let residual = DVector::from_vec(reduction.data) - &factor * mean;
-    let rf = factor * root;
-    let spread = DMatrix::identity(3, 3) + &rf * rf.transpose();
-    let cholesky = spread.cholesky().expect("positive definite");
-    reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
+fn dense(numbers: &Numbers) -> f64 {
+    likelihood(reduced(numbers).3.view(), &law())
 }
 
 #[derive(Default)]
@@ -169,30 +167,15 @@ fn numbers() -> Numbers {
 fn adjoints_equal_differences_of_the_likelihood() {
     let all = numbers();
     let (design, data, gains, reduction) = reduced(&all);
-    let (mean, root) = prior();
-    let moments = moments(reduction.view(), &InitialLaw::known(mean, root));
-    let wanted = Wanted { motion: true, equation: true };
-    let run = Run {
-        blank: false,
-        design: &design,
-        gains: &gains,
-        start: &data.start,
-        inputs: &data.inputs,
-        values: &data.values,
-        moments: &moments,
-        ending: None,
-        wanted,
-    };
-    let mut kept = Kept::default();
-    let Ok(()) = run.backward(&mut BackwardWork::default(), &mut kept);
+    let moments = moments(reduction.view(), &law());
+    let kept = adjoints(&design, &data, &gains, (&moments, None));
     let check = |what: &str, found: f64, change: &dyn Fn(&mut Numbers, f64)| {
         let at = |x: f64| {
             let mut moved = all.clone();
             change(&mut moved, x);
-            likelihood(&moved)
+            dense(&moved)
         };
-        let h = 1e-4;
-        let expected = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+        let expected = slope(at, 1e-4);
         assert!((found - expected).abs() <= 2e-9 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
     };
     for &(row, bar) in &kept.noise {
@@ -268,11 +251,18 @@ fn terminal(design: &Design, data: &Data) -> Terminal {
     Terminal { mean: x, sensitivity: psi, root: crate::linalg::symmetric::square_root(&P) }
 }
 
+fn run<'a>(
+    (design, data, gains): (&'a Design, &'a Data, &'a Gains),
+    (moments, ending): (&'a Moments, Option<&'a Ending>),
+    wanted: Wanted,
+) -> Run<'a> {
+    let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
+    Run { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+}
+
 /// Every adjoint, in the order of the numbers.
 fn adjoints(design: &Design, data: &Data, gains: &Gains, (moments, ending): (&Moments, Option<&Ending>)) -> Kept {
-    let wanted = Wanted { motion: true, equation: true };
-    let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-    let run = Run { design, gains, start, inputs, values, blank: false, moments, ending, wanted };
+    let run = run((design, data, gains), (moments, ending), ALL);
     let mut kept = Kept::default();
     let Ok(()) = run.backward(&mut BackwardWork::default(), &mut kept);
     kept
@@ -281,8 +271,7 @@ fn adjoints(design: &Design, data: &Data, gains: &Gains, (moments, ending): (&Mo
 #[test]
 fn the_adjoints_of_two_parts_are_those_of_the_whole() {
     let all = numbers();
-    let (mean, root) = prior();
-    let law = InitialLaw::known(mean, root);
+    let law = law();
     let (design, data, gains, reduction) = reduced(&all);
     let whole = adjoints(&design, &data, &gains, (&moments(reduction.view(), &law), None));
     for at in 1..STEPS {
@@ -299,7 +288,7 @@ fn the_adjoints_of_two_parts_are_those_of_the_whole() {
         ];
         let laws = PhaseLaws::new(&law, &[0..3, 3..3], &[]);
         let plan = Plan::new(&pieces, &laws);
-        let (found, expected) = (plan.likelihood(&pieces, &laws), likelihood(&all));
+        let (found, expected) = (plan.likelihood(&pieces, &laws), dense(&all));
         assert!((found - expected).abs() < 1e-12, "ℓ split at {at}: {found} against {expected}");
         let smooth = plan.smooth(&pieces, &laws);
         let later = smooth[0].later.as_ref().expect("a phase follows");
@@ -464,33 +453,8 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
     let mut work = GainsWork::default();
     work.settling.off = unfrozen;
     let gains = information_gains(&design, &mut work).expect("well conditioned");
-    let (mean, root) = prior();
-    let found = outcome(&design, &gains, &data, &mut Room::default()).expect("possible");
-    let reduction = Reduction {
-        test: String::new(),
-        constant: found.constant,
-        residual: None,
-        data: found.data,
-        factor: gains.factor.clone(),
-        covariates: Vec::new(),
-        steps: design.steps(),
-        observations: design.rows(),
-        path: Path::Information,
-        design: 0,
-        chain: None,
-    };
-    let moments = moments(reduction.view(), &InitialLaw::known(mean, root));
-    let run = Run {
-        blank: false,
-        design: &design,
-        gains: &gains,
-        start: &data.start,
-        inputs: &data.inputs,
-        values: &data.values,
-        moments: &moments,
-        ending: None,
-        wanted,
-    };
+    let moments = moments(reduction_by(&gains, &design, &data).view(), &law());
+    let run = run((&design, &data, &gains), (&moments, None), wanted);
     let mut back = BackwardWork { cut, ..BackwardWork::default() };
     back.set_unfrozen(unfrozen);
     let mut totals = Totals::new(&design, takes_sums);

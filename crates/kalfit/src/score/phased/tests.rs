@@ -10,7 +10,8 @@ pub(super) use crate::model::by_hand::{
 };
 use crate::model::by_hand::{gauss_markov, parameter};
 use crate::model::{Carry, Expression, Initial, Linear, Model, Motion, Phase, State};
-use crate::reduce::{Evidence, ReductionRef, unpack};
+use crate::reduce::Evidence;
+use crate::score::by_differences::{likelihood, slope};
 
 pub(super) const TAU: usize = 0;
 pub(super) const DRIFT: usize = 1;
@@ -136,16 +137,6 @@ pub(super) fn law() -> InitialLaw {
     InitialLaw::known(DVector::from_vec(vec![0.4, -0.3, 0.5, 0.9, -0.2]), root)
 }
 
-fn stacked(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
-    let p = law.root.nrows();
-    let factor = unpack(reduction.factor, p);
-    let residual = DVector::from_column_slice(reduction.data) - &factor * law.mean_of(&[]);
-    let rf = factor * &law.root;
-    let spread = DMatrix::identity(p, p) + &rf * rf.transpose();
-    let cholesky = spread.cholesky().expect("positive definite");
-    reduction.constant - 0.5 * cholesky.determinant().ln() - 0.5 * residual.dot(&cholesky.solve(&residual))
-}
-
 pub(super) fn reduced(
     model: &PhasedModel,
     slots: &Slots,
@@ -183,16 +174,15 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
             let (chain, whole) =
-                (Plan::new(&pieces, &laws).likelihood(&pieces, &laws), stacked(reductions.get(j), &law));
+                (Plan::new(&pieces, &laws).likelihood(&pieces, &laws), likelihood(reductions.get(j), &law));
             assert!((chain - whole).abs() < 1e-11, "ℓ of test {j}: chain {chain}, stacked {whole}");
             for slot in 0..VALUES.len() {
                 let at = |x: f64| {
                     let mut moved = VALUES.to_vec();
                     moved[slot] += x;
-                    stacked(reduced(&model, &slots, &moved, &tests[j..=j]).1.get(0), &law)
+                    likelihood(reduced(&model, &slots, &moved, &tests[j..=j]).1.get(0), &law)
                 };
-                let h = 1e-3;
-                let expected = (8.0 * (at(h) - at(-h)) - (at(2.0 * h) - at(-2.0 * h))) / (12.0 * h);
+                let expected = slope(at, 1e-3);
                 let found = score.iter().find(|(s, _)| *s == slot).map_or(0.0, |(_, bar)| *bar);
                 assert!(
                     (found - expected).abs() < 1e-7 * (1.0 + expected.abs()),
