@@ -161,7 +161,10 @@ impl Chained {
                 start.law(&work.covariates, q, link.as_ref().map(|(before, inherited)| before.link(inherited)));
             take((at, rows), gains, work, &mut law);
             let states = &phase.reducer.preparer().order.states;
-            After { law: law.posterior(), terminal: gains.end.as_ref().map(|end| end.terminal(states, &work.pass.x)) }
+            After {
+                law: law.posterior(),
+                terminal: gains.end.clone().map(|end| end.terminal(states, work.pass.x.iter().copied())),
+            }
         });
         found.map_err(|error| phase.named(error))
     }

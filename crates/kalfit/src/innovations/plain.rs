@@ -193,7 +193,7 @@ impl Stage<'_> {
         }
         let found = rows::series((self.at, rows, self.time), gains, work, |e, weight, _| figures(e, weight));
         let states = &self.known.reducer.preparer().order.states;
-        Some((found, gains.end.as_ref().map(|end| end.terminal(states, &work.pass.x))))
+        Some((found, gains.end.clone().map(|end| end.terminal(states, work.pass.x.iter().copied()))))
     }
 }
 

@@ -1,6 +1,5 @@
 //! Tests → reductions, many at a time: tests of a design that is known are recognised, and their data passes are one.
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
 use kalfit_lanes::Isa;
@@ -10,12 +9,11 @@ use crate::ensemble::Test;
 use crate::reduce::blocks::beside::Beside;
 use crate::reduce::blocks::told::Found;
 use crate::reduce::class::Class;
-use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::Block;
 use crate::reduce::prepare::{Skeleton, Workspace};
 use crate::reduce::reducer::{About, Known, Reducer};
-use crate::reduce::{Reduction, Reductions};
+use crate::reduce::{Reduction, Reductions, Terminal};
 
 /// Most classes whose blocks are filled at the same time.
 const OPEN: usize = 32;
@@ -70,8 +68,11 @@ pub(crate) struct Batch<'a> {
     /// What is wrong with tests, by their numbers.
     faults: Vec<(usize, ReduceError)>,
     /// Where the tests end; empty where that is not wanted.
-    endings: Vec<Ending<'static>>,
+    endings: Vec<Option<Terminal>>,
 }
+
+/// A reduction, and where its test ends, if that is wanted.
+pub(crate) type ToEnd = Result<(Reduction, Option<Terminal>), ReduceError>;
 
 /// Tests of a known design, gathered in a block.
 #[derive(Debug)]
@@ -138,7 +139,7 @@ impl<'a> Batch<'a> {
         self.found.numbers.clear();
         self.faults.clear();
         self.endings.clear();
-        self.endings.resize_with(if self.reducer.wants_ends() { tests.len() } else { 0 }, || Ending::None);
+        self.endings.resize_with(if self.reducer.wants_ends() { tests.len() } else { 0 }, || None);
         for (number, test) in tests.iter().enumerate() {
             let hash = match self.recognise(tests, test) {
                 Ok(()) if self.seat(tests, number) => continue,
@@ -156,13 +157,12 @@ impl<'a> Batch<'a> {
     }
 
     /// The reduction of each test, and where it ends.
-    pub(crate) fn reduce_to_end(&mut self, tests: &[&Test]) -> Vec<Result<(Reduction, Ending<'static>), ReduceError>> {
+    pub(crate) fn reduce_to_end(&mut self, tests: &[&Test]) -> Vec<ToEnd> {
         self.look(tests);
-        self.endings.resize_with(tests.len(), || Ending::None);
-        let mut all: Vec<Option<Result<_, ReduceError>>> = tests.iter().map(|_| None).collect();
+        self.endings.resize_with(tests.len(), || None);
+        let mut all: Vec<Option<ToEnd>> = tests.iter().map(|_| None).collect();
         for (&number, row) in self.found.numbers.iter().zip(&self.found.reductions) {
-            let ending = std::mem::replace(&mut self.endings[number], Ending::None);
-            all[number] = Some(Ok((row.into(), ending)));
+            all[number] = Some(Ok((row.into(), self.endings[number].take())));
         }
         self.faults.drain(..).for_each(|(number, error)| all[number] = Some(Err(error)));
         all.into_iter().map(|found| found.expect("every test was looked at")).collect()
@@ -266,7 +266,7 @@ impl<'a> Batch<'a> {
         let first = found.numbers.len();
         beside.reduce(reducer, (tests, own), &mut work.room, found);
         for (&number, terminal) in found.numbers[first..].iter().zip(found.terminals.drain(..)) {
-            self.endings[number] = Ending::Known(Cow::Owned(terminal));
+            self.endings[number] = Some(terminal);
         }
         self.spare.append(&mut self.own);
     }

@@ -17,7 +17,6 @@ pub(crate) mod told;
 mod values;
 mod whitened;
 
-use std::borrow::Cow;
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -26,14 +25,13 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Level};
-use crate::reduce::batch::{Batch, share};
+use crate::reduce::Reductions;
+use crate::reduce::batch::{Batch, ToEnd, share};
 use crate::reduce::digest::Digest;
-use crate::reduce::ending::Ending;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::Room;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reducer::Reducer;
-use crate::reduce::{Reduction, Reductions};
 use beside::by_shape;
 pub(crate) use layout::Layout;
 use told::{Found, Own};
@@ -69,9 +67,6 @@ pub(crate) struct Filtered {
     /// By block.
     values: Vec<Values>,
 }
-
-/// A reduction, and where its test ends.
-pub(crate) type ToEnd = Result<(Reduction, Ending<'static>), ReduceError>;
 
 impl Blocks {
     /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
@@ -129,8 +124,7 @@ impl Blocks {
         let mut all: Vec<Option<ToEnd>> = tests.iter().map(|_| None).collect();
         let mut terminals = found.terminals.into_iter();
         for (row, &number) in found.reductions.iter().zip(&found.numbers) {
-            let ending = terminals.next().map_or(Ending::None, |terminal| Ending::Known(Cow::Owned(terminal)));
-            all[number] = Some(Ok((row.into(), ending)));
+            all[number] = Some(Ok((row.into(), terminals.next())));
         }
         let root = |work: &mut Workspace, &number: &usize| {
             let found = reducer.rooted(tests[number], work).or_else(|_| reducer.one(tests[number], work));

@@ -52,12 +52,8 @@ impl End {
     }
 
     /// With x̂_K, in the kernels' order.
-    pub(crate) fn terminal(&self, states: &[usize], x: &[f64]) -> Terminal {
-        Terminal {
-            mean: placed(states, x.iter().copied()),
-            sensitivity: self.sensitivity.clone(),
-            root: self.root.clone(),
-        }
+    pub(crate) fn terminal(self, states: &[usize], x: impl Iterator<Item = f64>) -> Terminal {
+        Terminal { mean: placed(states, x), sensitivity: self.sensitivity, root: self.root }
     }
 
     /// Bytes it occupies.
@@ -67,7 +63,7 @@ impl End {
 }
 
 /// A state in the order of the model.
-pub(crate) fn placed(states: &[usize], x: impl Iterator<Item = f64>) -> DVector<f64> {
+fn placed(states: &[usize], x: impl Iterator<Item = f64>) -> DVector<f64> {
     let mut out = DVector::zeros(states.len());
     states.iter().zip(x).for_each(|(&state, x)| out[state] = x);
     out

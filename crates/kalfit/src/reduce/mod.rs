@@ -52,7 +52,6 @@ mod design_pass;
 mod digest;
 mod dynamics;
 mod end;
-mod ending;
 mod error;
 mod evidence;
 mod flops;

@@ -2,16 +2,15 @@
 
 use std::borrow::Cow;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Phase};
+use crate::reduce::batch::ToEnd;
 use crate::reduce::carry::Inheritance;
-use crate::reduce::ending::Ending;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::Reducer;
-use crate::reduce::stack::StackData;
 use crate::reduce::steps::Cells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{
@@ -59,7 +58,8 @@ struct Sizes {
 #[derive(Clone)]
 pub(crate) struct Part<'a> {
     pub(crate) reduction: Cow<'a, Reduction>,
-    pub(crate) ending: Ending<'a>,
+    /// `None` where no phase follows.
+    pub(crate) terminal: Option<Cow<'a, Terminal>>,
     /// `None` for the first phase.
     pub(crate) inherited: Option<Cow<'a, Inherited>>,
 }
@@ -111,14 +111,14 @@ impl PhaseReducer {
         (designs, linked): (bool, bool),
     ) -> Result<Part<'a>, ReduceError> {
         let part = match (evidence, &self.filter) {
-            (Evidence::Rows(rows), None) => self.rows(rows, (work, cells), designs),
+            (Evidence::Rows(rows), None) => self.carried(rows, self.to_end(rows, work, designs), cells),
             (Evidence::Rows(rows), Some(filter)) => {
                 filter.run(rows).and_then(|estimates| self.filtered(id, &estimates, cells))
             }
             (Evidence::Estimates(estimates), _) => self.filtered(id, estimates, cells),
             (Evidence::Reduced(piece), _) => self.given(id, piece, linked),
         };
-        part.map_err(|error| of_phase(self.place.name.as_deref(), error))
+        part.map_err(|error| self.named(error))
     }
 
     /// The phase by a filter that need not be optimal, run here or elsewhere.
@@ -127,40 +127,28 @@ impl PhaseReducer {
         let at = self.reducer.preparer().at();
         let inherited = self.inheritance.as_ref();
         let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
-        let ending = if self.place.followed { Ending::Known(Cow::Owned(terminal)) } else { Ending::None };
-        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
+        let terminal = self.place.followed.then_some(Cow::Owned(terminal));
+        Ok(Part { reduction: Cow::Owned(reduction), terminal, inherited })
     }
 
-    fn rows<'a>(
-        &'a self,
-        rows: &Test,
-        (work, cells): (&mut Workspace, &mut Cells),
-        designs: bool,
-    ) -> Result<Part<'a>, ReduceError> {
-        let (reduction, class) =
-            if designs { self.reducer.designed(rows, work)? } else { self.reducer.one(rows, work)? };
-        let ending = if designs {
-            class.end().map_or(Ending::None, |_| Ending::Class(DVector::zeros(self.sizes.n), class.clone()))
-        } else {
-            self.reducer.ending(&class, work.pass.x.iter().copied())
-        };
-        let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
-        Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
+    fn to_end(&self, rows: &Test, work: &mut Workspace, designs: bool) -> ToEnd {
+        if designs {
+            let (reduction, class) = self.reducer.designed(rows, work)?;
+            return Ok((reduction, self.reducer.ending(&class, std::iter::repeat(0.0))));
+        }
+        let (reduction, class) = self.reducer.one(rows, work)?;
+        Ok((reduction, self.reducer.ending(&class, work.pass.x.iter().copied())))
     }
 
     /// The phase of a test whose rows were reduced by themselves.
-    pub(crate) fn joined<'a>(
-        &'a self,
-        rows: &Test,
-        found: Result<(Reduction, Ending<'static>), ReduceError>,
-        cells: &mut Cells,
-    ) -> Result<Part<'a>, ReduceError> {
-        let part = || {
-            let (reduction, ending) = found?;
-            let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
-            Ok(Part { reduction: Cow::Owned(reduction), ending, inherited })
-        };
-        part().map_err(|error| self.named(error))
+    pub(crate) fn joined<'a>(&'a self, rows: &Test, found: ToEnd, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+        self.carried(rows, found, cells).map_err(|error| self.named(error))
+    }
+
+    fn carried<'a>(&'a self, rows: &Test, found: ToEnd, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+        let (reduction, terminal) = found?;
+        let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
+        Ok(Part { reduction: Cow::Owned(reduction), terminal: terminal.map(Cow::Owned), inherited })
     }
 
     /// What a later phase with these rows inherits.
@@ -220,7 +208,7 @@ impl PhaseReducer {
         }
         Ok(Part {
             reduction: Cow::Borrowed(reduction),
-            ending: terminal.as_ref().map_or(Ending::None, |terminal| Ending::Known(Cow::Borrowed(terminal))),
+            terminal: terminal.as_ref().map(Cow::Borrowed),
             inherited: inherited.as_ref().filter(|_| before.is_some()).map(Cow::Borrowed),
         })
     }
@@ -229,16 +217,12 @@ impl PhaseReducer {
 impl Part<'_> {
     /// The phase by itself.
     pub(crate) fn into_piece(self) -> PhaseReduction {
-        let terminal = match self.ending {
-            Ending::None => None,
-            Ending::Class(mean, class) => {
-                let end = class.end().expect("it was looked at");
-                Some(Terminal { mean, sensitivity: end.sensitivity.clone(), root: end.root.clone() })
-            }
-            Ending::Known(terminal) => Some(terminal.into_owned()),
-        };
-        let inherited = self.inherited.map(Cow::into_owned);
-        PhaseReduction { reduction: self.reduction.into_owned(), terminal, inherited, groups: Vec::new() }
+        PhaseReduction {
+            reduction: self.reduction.into_owned(),
+            terminal: self.terminal.map(Cow::into_owned),
+            inherited: self.inherited.map(Cow::into_owned),
+            groups: Vec::new(),
+        }
     }
 
     /// What a later phase inherits.
@@ -246,9 +230,9 @@ impl Part<'_> {
         self.inherited.as_ref().expect("a later phase inherits")
     }
 
-    /// With g of the link that leads here.
-    pub(crate) fn data<'b>(&'b self, mean: Option<&'b DVector<f64>>) -> StackData<'b> {
-        StackData { constant: self.reduction.constant, data: &self.reduction.data, mean }
+    /// The last state of a phase that another follows.
+    pub(crate) fn last(&self) -> &Terminal {
+        self.terminal.as_ref().expect("a phase that another follows has an end")
     }
 }
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
-use crate::reduce::blocks::ToEnd;
+use crate::reduce::batch::ToEnd;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
@@ -149,7 +149,7 @@ impl PhasedReducer {
     /// # Errors
     /// As [`PhasedReducer::reduce`].
     pub fn pieces(&mut self, tests: &[PhasedTest]) -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
-        self.each(tests, &|test, work| Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect()))
+        self.each(tests, &|test, work| self.pieces_of(test, work))
     }
 
     /// The phases of one test, as [`PhasedReducer::pieces`].
@@ -158,7 +158,7 @@ impl PhasedReducer {
         test: &PhasedTest,
         work: &mut PhasedWork,
     ) -> Result<Vec<PhaseReduction>, ReduceError> {
-        Ok(self.parts(test, work, false)?.into_iter().map(Part::into_piece).collect())
+        Ok(self.parts(test, Vec::new(), work, false)?.into_iter().map(Part::into_piece).collect())
     }
 
     /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which
@@ -168,7 +168,7 @@ impl PhasedReducer {
     /// As [`PhasedReducer::reduce`].
     pub fn reduce_designs(&mut self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
         let all = self.each(tests, &|test, work| {
-            let mut reduction = self.whole(test, self.parts(test, work, true))?;
+            let mut reduction = self.whole(test, self.parts(test, Vec::new(), work, true))?;
             reduction.constant = 0.0;
             reduction.residual = None;
             reduction.data.fill(0.0);
@@ -199,12 +199,14 @@ impl PhasedReducer {
         }
     }
 
-    /// The phases of a test by themselves, `found` what the filters left of those that have rows for them.
-    fn parts_of<'a>(
+    /// The phases of a test by themselves, `found` what the filters left of those that have rows for them, as far as they have run; of
+    /// `designs`, nothing that was measured.
+    fn parts<'a>(
         &'a self,
         test: &'a PhasedTest,
         found: Vec<Option<ToEnd>>,
         work: &mut PhasedWork,
+        designs: bool,
     ) -> Result<Vec<Part<'a>>, ReduceError> {
         self.check(test)?;
         let part = |((at, evidence), found): ((usize, &'a Evidence), Option<ToEnd>)| {
@@ -213,24 +215,9 @@ impl PhasedReducer {
                 return phase.joined(rows, found, &mut work.cells);
             }
             let room = (&mut work.phases[at], &mut work.cells);
-            phase.part((&test.id, evidence), room, (false, at + 1 < test.phases.len()))
+            phase.part((&test.id, evidence), room, (designs, at + 1 < test.phases.len()))
         };
+        let found = found.into_iter().chain(std::iter::repeat_with(|| None));
         test.phases.iter().enumerate().zip(found).map(part).collect()
-    }
-
-    /// The phases of a test by themselves; of `designs`, nothing that was measured.
-    fn parts<'a>(
-        &'a self,
-        test: &'a PhasedTest,
-        work: &mut PhasedWork,
-        designs: bool,
-    ) -> Result<Vec<Part<'a>>, ReduceError> {
-        self.check(test)?;
-        let found = test.phases.len();
-        let part = |(at, evidence): (usize, &'a Evidence)| {
-            let room = (&mut work.phases[at], &mut work.cells);
-            self.phases[at].part((&test.id, evidence), room, (designs, at + 1 < found))
-        };
-        test.phases.iter().enumerate().map(part).collect()
     }
 }

@@ -63,7 +63,7 @@ impl Plain {
         if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
             return Err(self.refuse("the test".to_owned(), ReduceErrorKind::NotFinite));
         }
-        let terminal = gains.end.as_ref().map(|end| end.terminal(&order.states, &pass.x));
+        let terminal = gains.end.clone().map(|end| end.terminal(&order.states, pass.x.iter().copied()));
         let Gains { factor, active, turns, .. } = gains;
         let reduction = Reduction {
             test: self.id.clone(),

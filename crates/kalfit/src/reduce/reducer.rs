@@ -15,8 +15,7 @@ use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::schedule;
-use crate::reduce::end::{End, placed};
-use crate::reduce::ending::Ending;
+use crate::reduce::end::End;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
@@ -28,7 +27,7 @@ use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::Shared;
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
+use crate::reduce::{Path, Reduction, ReductionRef, Reductions, Terminal};
 pub(crate) use alike::Alike;
 pub(crate) use known::Known;
 
@@ -181,10 +180,9 @@ impl Reducer {
         self.ends
     }
 
-    /// Where a test of a class ends, with x̂ of its last step, in the order of the kernels.
-    pub(crate) fn ending(&self, class: &Class, x: impl Iterator<Item = f64>) -> Ending<'static> {
-        let states = &self.preparer.order.states;
-        class.end().map_or(Ending::None, |_| Ending::Class(placed(states, x), class.clone()))
+    /// Where a test of a class ends, if that is wanted, with x̂ of its last step, in the order of the kernels.
+    pub(crate) fn ending(&self, class: &Class, x: impl Iterator<Item = f64>) -> Option<Terminal> {
+        class.end().cloned().map(|end| end.terminal(&self.preparer.order.states, x))
     }
 
     /// Nothing is frozen.

@@ -4,7 +4,6 @@ use crate::ensemble::Test;
 use crate::reduce::blocks::layout::Layout;
 use crate::reduce::blocks::values::Values;
 use crate::reduce::data::Outcome;
-use crate::reduce::end::{End, placed};
 use crate::reduce::lanes::Room;
 use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::{Path, Reductions, Terminal};
@@ -83,7 +82,7 @@ impl Values {
     /// Where the test in a lane ends; `None` where that calls for square-root arrays.
     fn end(&self, lane: usize, layout: &Layout, reducer: &Reducer, room: &Room) -> Option<Terminal> {
         let states = &reducer.preparer().order.states;
-        let End { sensitivity, root } = self.kept.gained.end((lane, layout.lanes), states)?;
-        Some(Terminal { mean: placed(states, self.kept.block.last(lane, room)), sensitivity, root })
+        let end = self.kept.gained.end((lane, layout.lanes), states)?;
+        Some(end.terminal(states, self.kept.block.last(lane, room)))
     }
 }

@@ -3,8 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch::{Batch, all_sound, joined, share};
-use crate::reduce::blocks::ToEnd;
+use crate::reduce::batch::{Batch, ToEnd, all_sound, joined, share};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
@@ -68,7 +67,7 @@ impl<'a> PhasedBatch<'a> {
             numbers.into_iter().zip(batch.reduce_to_end(&rows)).for_each(|(number, end)| found[number][at] = Some(end));
         }
         let (reducer, work) = (self.reducer, &mut self.work);
-        let parts = tests.iter().zip(found).map(|(test, found)| reducer.parts_of(test, found, work)).collect();
+        let parts = tests.iter().zip(found).map(|(test, found)| reducer.parts(test, found, work, false)).collect();
         reducer.wholes(tests, parts)
     }
 

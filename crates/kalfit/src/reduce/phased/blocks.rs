@@ -5,8 +5,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch::share;
-use crate::reduce::blocks::{Blocks, Filtered, FilteredBlock, ToEnd};
+use crate::reduce::batch::{ToEnd, share};
+use crate::reduce::blocks::{Blocks, Filtered, FilteredBlock};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
@@ -97,7 +97,8 @@ impl PhasedReducer {
         let size = share(tests.len(), rows);
         let chunks = tests.par_chunks(size).zip(blocks.has.par_chunks(size)).zip(found.into_par_iter().chunks(size));
         let whole = |work: &mut PhasedWork, ((tests, has), found): ((&[PhasedTest], &[bool]), Vec<_>)| {
-            let parts: Vec<_> = tests.iter().zip(found).map(|(test, found)| self.parts_of(test, found, work)).collect();
+            let parts: Vec<_> =
+                tests.iter().zip(found).map(|(test, found)| self.parts(test, found, work, false)).collect();
             let pieces = parts.iter().zip(has).map(|(parts, &has)| pieces(parts.as_deref().ok().filter(|_| has)));
             let pieces: Vec<_> = pieces.collect();
             self.wholes(tests, parts).into_iter().zip(pieces).collect::<Vec<_>>()

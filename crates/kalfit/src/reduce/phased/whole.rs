@@ -8,9 +8,9 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::part::{Part, PhaseReducer, refuse};
 use crate::reduce::phased::PhasedReducer;
-use crate::reduce::stack::{StackData, StackPhase, StackShape, Stacked, shape};
+use crate::reduce::stack::{StackPhase, StackShape, Stacked, shape};
 use crate::reduce::subject::WHOLE;
-use crate::reduce::{Chain, ChainPhase, Inherited, Link, Path, PhasedTest, Reduction};
+use crate::reduce::{Chain, ChainPhase, Inherited, Link, Path, PhasedTest, Reduction, Terminal};
 
 /// The phases of a test and how they are linked.
 struct Linked<'a> {
@@ -28,23 +28,21 @@ impl<'a> Linked<'a> {
         Linked { parts, means, design }
     }
 
-    /// What stacking depends on, the data apart.
-    fn design(&self, reducers: &[PhaseReducer]) -> Vec<StackPhase<'_>> {
+    /// What stacking depends on.
+    fn phases(&self, reducers: &[PhaseReducer]) -> Vec<StackPhase<'_>> {
         let mut phases = Vec::with_capacity(self.parts.len());
         let mut before: Option<&Part<'_>> = None;
-        for (part, reducer) in self.parts.iter().zip(reducers) {
+        for ((part, mean), reducer) in self.parts.iter().zip(&self.means).zip(reducers) {
             let link = before.map(|before| {
-                let (sensitivity, root) = before.ending.design();
+                let Terminal { sensitivity, root, .. } = before.last();
                 [sensitivity, root, &part.inherits().transition]
             });
-            phases.push(StackPhase { own: reducer.own, factor: &part.reduction.factor, link });
+            let Reduction { factor, data, constant, .. } = &*part.reduction;
+            let (own, constant, mean) = (reducer.own, *constant, mean.as_ref());
+            phases.push(StackPhase { own, factor, data, constant, link, mean });
             before = Some(part);
         }
         phases
-    }
-
-    fn data(&self) -> Vec<StackData<'_>> {
-        self.parts.iter().zip(&self.means).map(|(part, mean)| part.data(mean.as_ref())).collect()
     }
 }
 
@@ -84,22 +82,19 @@ impl PhasedReducer {
     /// The tests stacked; nothing of those in error.
     fn stacked(&self, linked: &[Result<Linked<'_>, ReduceError>]) -> Vec<Option<Stacked>> {
         let mut stacked: Vec<Option<Stacked>> = linked.iter().map(|_| None).collect();
-        let designs: Vec<Vec<StackPhase<'_>>> = linked
+        let phases: Vec<Vec<StackPhase<'_>>> = linked
             .iter()
-            .map(|linked| linked.as_ref().map_or(Vec::new(), |linked| linked.design(&self.phases)))
+            .map(|linked| linked.as_ref().map_or(Vec::new(), |linked| linked.phases(&self.phases)))
             .collect();
-        let told: Vec<Vec<StackData<'_>>> =
-            linked.iter().map(|linked| linked.as_ref().map_or(Vec::new(), Linked::data)).collect();
         let mut alike: BTreeMap<StackShape, Vec<usize>> = BTreeMap::new();
         for (number, linked) in linked.iter().enumerate() {
             if linked.is_ok() {
-                alike.entry(shape(&designs[number])).or_default().push(number);
+                alike.entry(shape(&phases[number])).or_default().push(number);
             }
         }
         for numbers in alike.values() {
-            let designs: Vec<&[StackPhase<'_>]> = numbers.iter().map(|&number| &*designs[number]).collect();
-            let told: Vec<&[StackData<'_>]> = numbers.iter().map(|&number| &*told[number]).collect();
-            for (&number, own) in numbers.iter().zip(Stacked::all(&designs, &told)) {
+            let alike: Vec<&[StackPhase<'_>]> = numbers.iter().map(|&number| &*phases[number]).collect();
+            for (&number, own) in numbers.iter().zip(Stacked::all(&alike)) {
                 stacked[number] = Some(own);
             }
         }
@@ -154,7 +149,7 @@ impl PhasedReducer {
 
 /// g = T x̂_K + t of the link to the phase with this number.
 fn link_mean(parts: &[Part<'_>], at: usize) -> Option<DVector<f64>> {
-    let mean = parts[at.checked_sub(1)?].ending.mean();
+    let mean = &parts[at.checked_sub(1)?].last().mean;
     let Inherited { transition, input } = parts[at].inherits();
     Some(transition * mean + input)
 }

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 
 use crate::reduce::root::UNINFORMED;
 use crate::reduce::stack::join::{Room, apart};
-use crate::reduce::stack::{StackData, StackPhase, constant, given, half_log_determinants, links, settle_packed};
+use crate::reduce::stack::{StackPhase, constant, given, half_log_determinants, links, settle_packed};
 
 /// The phases of one test stacked.
 #[derive(Debug, Clone)]
@@ -19,24 +19,21 @@ pub(crate) struct Stacked {
     pub(crate) data: Vec<f64>,
 }
 
-/// Stacks phases of tests of one shape, each with its data.
-pub(super) struct Abreast<'a> {
-    pub(super) tests: &'a [&'a [StackPhase<'a>]],
-    pub(super) data: &'a [&'a [StackData<'a>]],
-}
+/// Stacks phases of tests of one shape.
+pub(super) struct Abreast<'a>(pub(super) &'a [&'a [StackPhase<'a>]]);
 
 impl Kernel for Abreast<'_> {
     type Output = Vec<Stacked>;
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<Stacked> {
-        let mut all = Vec::with_capacity(self.tests.len());
+        let mut all = Vec::with_capacity(self.0.len());
         let mut room = (Room::default(), Vec::new());
-        for (tests, data) in self.tests.chunks(T::COUNT).zip(self.data.chunks(T::COUNT)) {
+        for tests in self.0.chunks(T::COUNT) {
             if tests.len() == 1 {
-                stack_abreast::<f64>(tests, data, &mut Default::default(), &mut all);
+                stack_abreast::<f64>(tests, &mut Default::default(), &mut all);
             } else {
-                stack_abreast::<T>(tests, data, &mut room, &mut all);
+                stack_abreast::<T>(tests, &mut room, &mut all);
             }
         }
         all
@@ -47,11 +44,10 @@ impl Kernel for Abreast<'_> {
 #[inline(always)]
 fn stack_abreast<T: Lanes>(
     tests: &[&[StackPhase<'_>]],
-    data: &[&[StackData<'_>]],
     (room, memory): &mut (Room<T>, Vec<T>),
     all: &mut Vec<Stacked>,
 ) {
-    let phases = given::<T>(tests, data);
+    let phases = given::<T>(tests);
     let mut array = phases[phases.len() - 1].last(std::mem::take(memory));
     let (mut residual, mut diagonals) = (T::splat(0.0), Vec::new());
     for pair in phases.windows(2).rev() {
@@ -65,8 +61,8 @@ fn stack_abreast<T: Lanes>(
     let is_regular = array.is_regular(UNINFORMED);
     let factors = apart(&array.packed(), count);
     let rest = links(&phases, count).into_iter().zip(half_log_determinants(&diagonals, count));
-    for (((mut factor, (links, half_log_determinant)), data), mut residual) in
-        factors.into_iter().zip(rest).zip(data).zip(left)
+    for (((mut factor, (links, half_log_determinant)), phases), mut residual) in
+        factors.into_iter().zip(rest).zip(tests).zip(left)
     {
         let mut d = factor.split_off(factor.len() - array.width);
         if !is_regular {
@@ -74,14 +70,14 @@ fn stack_abreast<T: Lanes>(
             settle_packed(&mut factor, array.width, &mut settled);
             settled.iter().for_each(|one| one.apply(&mut d, &mut residual));
         }
-        all.push(Stacked { factor, links, constant: constant(data, half_log_determinant, residual), data: d });
+        all.push(Stacked { factor, links, constant: constant(phases, half_log_determinant, residual), data: d });
     }
     *memory = array.entries;
 }
 
 impl Stacked {
-    /// Stacks the phases of tests of one shape, each with its data. Each comes to the bits that it has by itself.
-    pub(crate) fn all(tests: &[&[StackPhase<'_>]], data: &[&[StackData<'_>]]) -> Vec<Stacked> {
-        Isa::best().run(Abreast { tests, data })
+    /// Stacks the phases of tests of one shape. Each comes to the bits that it has by itself.
+    pub(crate) fn all(tests: &[&[StackPhase<'_>]]) -> Vec<Stacked> {
+        Isa::best().run(Abreast(tests))
     }
 }

@@ -5,7 +5,7 @@ use kalfit_lanes::{Lanes, MOST, abreast};
 use nalgebra::DMatrix;
 
 use crate::linalg::fold::fold_rows;
-use crate::reduce::stack::phase::{StackData, StackPhase};
+use crate::reduce::stack::phase::StackPhase;
 use crate::reduce::stack::square::Square;
 
 /// One phase of tests whose phases have the same sizes, a test in each lane.
@@ -68,10 +68,9 @@ pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
 }
 
 impl<T: Lanes> Given<T> {
-    /// The phase with this number of tests whose phases have the same sizes, at least one and no more than there are lanes, and their
-    /// data.
+    /// The phase with this number of tests whose phases have the same sizes, at least one and no more than there are lanes.
     #[inline(always)]
-    pub(super) fn new(tests: &[&[StackPhase<'_>]], data: &[&[StackData<'_>]], at: usize) -> Given<T> {
+    pub(super) fn new(tests: &[&[StackPhase<'_>]], at: usize) -> Given<T> {
         let (count, first) = (tests.len(), &tests[0][at]);
         let mut link = None;
         if let Some(like) = first.link {
@@ -80,8 +79,8 @@ impl<T: Lanes> Given<T> {
             let transition = Matrix::new(like[2], count, |lane| link_of(&tests[lane][at])[2].as_slice());
             link = Some(GivenLink { G: transition.times(&sensitivity), C: transition.times(&root).narrowed() });
         }
-        let mean = abreast(count, |lane| data[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
-        let data = abreast(count, |lane| data[lane][at].data);
+        let mean = abreast(count, |lane| tests[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
+        let data = abreast(count, |lane| tests[lane][at].data);
         let factor = abreast(count, |lane| tests[lane][at].factor);
         Given { own: first.own, size: first.size(), factor, link, data, mean }
     }

@@ -20,14 +20,14 @@ use crate::reduce::root::settle;
 use join::{Given, apart};
 
 pub(crate) use abreast::Stacked;
-pub(crate) use phase::{StackData, StackPhase, StackShape, shape};
+pub(crate) use phase::{StackPhase, StackShape, shape};
 
 /// The phases of tests of one shape.
 #[inline(always)]
-fn given<T: Lanes>(tests: &[&[StackPhase<'_>]], data: &[&[StackData<'_>]]) -> Vec<Given<T>> {
+fn given<T: Lanes>(tests: &[&[StackPhase<'_>]]) -> Vec<Given<T>> {
     let mut phases = Vec::with_capacity(tests[0].len());
     for at in 0..tests[0].len() {
-        phases.push(Given::new(tests, data, at));
+        phases.push(Given::new(tests, at));
     }
     phases
 }
@@ -68,7 +68,7 @@ fn half_log_determinants<T: Lanes>(diagonals: &[Vec<T>], tests: usize) -> Vec<f6
 }
 
 /// The constant of all phases together.
-fn constant(phases: &[StackData<'_>], half_log_determinant: f64, residual: f64) -> f64 {
+fn constant(phases: &[StackPhase<'_>], half_log_determinant: f64, residual: f64) -> f64 {
     phases.iter().map(|phase| phase.constant).sum::<f64>() - half_log_determinant - 0.5 * residual
 }
 
@@ -117,21 +117,16 @@ mod tests {
         all
     }
 
-    fn design<'a>(phases: &'a [Own], sizes: &[(usize, usize, usize, usize)]) -> Vec<StackPhase<'a>> {
+    fn told<'a>(phases: &'a [Own], sizes: &[(usize, usize, usize, usize)]) -> Vec<StackPhase<'a>> {
         let phase = |(own, size): (&'a Own, &(usize, usize, usize, usize))| StackPhase {
             own: size.0,
             factor: &own.factor,
+            data: &own.data,
+            constant: 0.25,
             link: own.link.as_ref().map(|(link, _)| link.each_ref()),
+            mean: own.link.as_ref().map(|(_, mean)| mean),
         };
         phases.iter().zip(sizes).map(phase).collect()
-    }
-
-    fn told(phases: &[Own]) -> Vec<StackData<'_>> {
-        let phase = |own| {
-            let Own { data, link, .. }: &Own = own;
-            StackData { constant: 0.25, data, mean: link.as_ref().map(|(_, mean)| mean) }
-        };
-        phases.iter().map(phase).collect()
     }
 
     fn bits(numbers: &[f64]) -> Vec<u64> {
@@ -151,15 +146,13 @@ mod tests {
         for sizes in shapes {
             for count in [1, 2, 4, 8, 11] {
                 let tests: Vec<Vec<Own>> = (0..count).map(|_| phases(sizes, &mut random)).collect();
-                let designs: Vec<Vec<StackPhase<'_>>> = tests.iter().map(|test| design(test, sizes)).collect();
-                let data: Vec<Vec<StackData<'_>>> = tests.iter().map(|test| told(test)).collect();
-                let designs: Vec<&[StackPhase<'_>]> = designs.iter().map(|design| &**design).collect();
-                let data: Vec<&[StackData<'_>]> = data.iter().map(|data| &**data).collect();
+                let told: Vec<Vec<StackPhase<'_>>> = tests.iter().map(|test| told(test, sizes)).collect();
+                let told: Vec<&[StackPhase<'_>]> = told.iter().map(|phases| &**phases).collect();
                 for isa in Isa::all() {
-                    let found = isa.run(Abreast { tests: &designs, data: &data });
+                    let found = isa.run(Abreast(&told));
                     assert_eq!(found.len(), count);
                     for (lane, found) in found.iter().enumerate() {
-                        let alone = &Stacked::all(&designs[lane..=lane], &data[lane..=lane])[0];
+                        let alone = &Stacked::all(&told[lane..=lane])[0];
                         let about = format!("{isa:?}, {sizes:?}, test {lane} of {count}");
                         assert_eq!(bits(&found.factor), bits(&alone.factor), "R: {about}");
                         assert_eq!(found.links, alone.links, "links: {about}");
@@ -181,7 +174,7 @@ mod tests {
         let link = ([one(psi), one(root), one(transition)], DVector::from_element(1, g));
         let test = vec![own(0, None), own(1, Some(link))];
         let sizes = [(1, 1, 0, 0), (1, 1, 1, 1)];
-        let found = &Stacked::all(&[&design(&test, &sizes)], &[&told(&test)])[0];
+        let found = &Stacked::all(&[&told(&test, &sizes)])[0];
         let spread: f64 = 1.0 + r[1] * r[1] * (transition * root) * (transition * root);
         for xi in [[0.0, 0.0], [1.0, -2.0], [0.3, 0.8]] {
             let first = d[0] - r[0] * xi[0];

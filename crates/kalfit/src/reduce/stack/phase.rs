@@ -2,23 +2,18 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// What stacking depends on, the data apart, of one phase of a test.
+/// What stacking depends on, of one phase of a test.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StackPhase<'a> {
     /// p_i.
     pub(crate) own: usize,
     /// R_i, packed by columns, q_i × q_i.
     pub(crate) factor: &'a [f64],
-    /// Ψ_K and a root of P_K of the phase before, and T; `None` for the first phase.
-    pub(crate) link: Option<[&'a DMatrix<f64>; 3]>,
-}
-
-/// The data of a phase.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct StackData<'a> {
-    pub(crate) constant: f64,
     /// d_i.
     pub(crate) data: &'a [f64],
+    pub(crate) constant: f64,
+    /// Ψ_K and a root of P_K of the phase before, and T; `None` for the first phase.
+    pub(crate) link: Option<[&'a DMatrix<f64>; 3]>,
     /// g of the link that leads here.
     pub(crate) mean: Option<&'a DVector<f64>>,
 }
