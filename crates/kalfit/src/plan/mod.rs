@@ -76,8 +76,8 @@ pub struct Plan {
 }
 
 /// Expected standard errors for each number of `tests` like those that the reductions were made of. Only information and
-/// covariates of the reductions count ([`Reducer::reduce_designs`](crate::reduce::Reducer::reduce_designs) makes such
-/// reductions); the dynamic parameters are taken as known.
+/// covariates of the reductions count ([`PhasedReducer::reduce_designs`](crate::reduce::PhasedReducer::reduce_designs)
+/// makes such reductions); the dynamic parameters are taken as known.
 ///
 /// ```
 /// use kalfit::estimate::Structure;

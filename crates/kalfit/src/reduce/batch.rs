@@ -40,15 +40,6 @@ pub(crate) fn joined(batches: Vec<Result<Reductions, ReduceError>>) -> Result<Re
     Ok(Reductions::joined(batches.into_iter().collect::<Result<_, _>>()?))
 }
 
-/// What else was found in all batches, in order, or the first error.
-pub(crate) fn all_sound<T>(batches: Vec<Vec<Result<T, ReduceError>>>) -> Result<Vec<T>, ReduceError> {
-    let mut all = Vec::with_capacity(batches.iter().map(Vec::len).sum());
-    for found in batches.into_iter().flatten() {
-        all.push(found?);
-    }
-    Ok(all)
-}
-
 /// Reduces batches of tests.
 #[derive(Debug)]
 pub(crate) struct Batch<'a> {
@@ -87,12 +78,13 @@ impl Reducer {
     /// [`Reducer::reduce`], of tests that stand anywhere.
     pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         match self.alike() {
-            Some(alike) => self.reduce_alike((alike, tests), |others| self.reduce_each(others)),
+            Some(alike) => self.reduce_alike(alike, tests),
             None => self.reduce_each(tests),
         }
     }
 
-    fn reduce_each(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
+    /// The same, each test by itself.
+    pub(super) fn reduce_each(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         let rows = tests.iter().map(|test| test.rows()).sum();
         let batches = tests
             .par_chunks(share(tests.len(), rows))
@@ -128,9 +120,7 @@ impl<'a> Batch<'a> {
         }
         let Found { reductions, numbers, .. } = &mut self.found;
         debug_assert_eq!(numbers.len(), tests.len(), "every test was looked at");
-        let mut places = vec![0; tests.len()];
-        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
-        Ok(std::mem::take(reductions).in_order(&places))
+        Ok(std::mem::take(reductions).in_order(numbers))
     }
 
     /// Reduces tests.

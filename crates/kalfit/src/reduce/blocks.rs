@@ -111,11 +111,10 @@ impl Blocks {
         reducer: &Reducer,
         tests: &[&Test],
     ) -> Result<(Reductions, Filtered), ReduceError> {
-        let (filtered, found) = self.filter(reducer, tests);
+        let (filtered, mut found) = self.filter(reducer, tests);
         let (rest, last) = self.rest(reducer, tests, found.odd)?;
-        let mut places = vec![0; tests.len()];
-        found.numbers.iter().chain(&last).enumerate().for_each(|(place, &number)| places[number] = place);
-        Ok((Reductions::joined(vec![found.reductions, rest]).in_order(&places), filtered))
+        found.numbers.extend(last);
+        Ok((Reductions::joined(vec![found.reductions, rest]).in_order(&found.numbers), filtered))
     }
 
     /// The same with where each test ends, if that is wanted; what is wrong with a test is said of it alone.

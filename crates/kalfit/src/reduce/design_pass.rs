@@ -1,6 +1,7 @@
 //! The design pass: one covariance run per design class leaves a schedule of weights, gains and sensitivities.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
+use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Frame, Stretch};
 use crate::reduce::gains::Piece;
 use crate::reduce::kernel::{self, Spread};
@@ -9,9 +10,6 @@ use crate::reduce::settling::Frozen;
 use crate::reduce::small;
 use crate::reduce::sums::Sums;
 use kalfit_lanes::Real;
-
-/// So many equal steps are not worth a kernel of their own.
-const FEW: usize = 64;
 
 /// Runs the covariance filter of a design.
 pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> Schedule<R> {

@@ -315,7 +315,8 @@ impl Preparer {
         many
     }
 
-    fn clock_previous(&self) -> bool {
+    /// Coefficients are read from the row before, not from a step's own.
+    pub(crate) fn clock_previous(&self) -> bool {
         self.model.clock.previous_inputs
     }
 

@@ -6,8 +6,6 @@ mod known;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use rayon::prelude::*;
-
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Slots};
 use crate::reduce::class::{Class, Made, class_bytes};
@@ -84,6 +82,23 @@ impl<'a> About<'a> {
     pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> About<'a> {
         let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
         About { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
+    }
+
+    /// The reduction of a test.
+    fn row(self, test: &'a Test, outcome: &'a Outcome) -> ReductionRef<'a> {
+        ReductionRef {
+            test: &test.id,
+            constant: outcome.constant,
+            residual: Some(outcome.residual),
+            data: &outcome.data,
+            factor: self.factor,
+            covariates: self.covariates,
+            steps: self.steps,
+            observations: self.observations,
+            path: self.path,
+            design: self.digest,
+            chain: None,
+        }
     }
 }
 
@@ -195,45 +210,17 @@ impl Reducer {
         self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
-    /// The reductions of designs: information and covariates as in [`Reducer::reduce`], from times, inputs and which values are
-    /// missing. What was measured is not looked at, and `data` and `constant` are zero.
-    ///
-    /// # Errors
-    /// Of several tests in error, the first one's error.
-    pub fn reduce_designs(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
-        let this = &*self;
-        let one = |work: &mut Workspace, test: &Test| this.designed(test, work).map(|(reduction, _)| reduction);
-        let all: Vec<Result<Reduction, ReduceError>> = tests.par_iter().map_init(|| this.workspace(), one).collect();
-        all.into_iter().collect()
-    }
-
-    /// The reduction of a design, as in [`Reducer::reduce_designs`], and its class.
+    /// The reduction of a design and its class: information and covariates as of [`Reducer::one`], from times, inputs and which
+    /// values are missing. What was measured is not looked at, and `data` and `constant` are zero.
     pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
-        self.design_only(test, work).map_err(|fault| fault.name(&self.preparer.model, Some(test)))
-    }
-
-    fn design_only(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), Box<Fault>> {
-        self.preparer.prepare(test, work)?;
-        let digest = work.design.digest();
-        let class = self.class(digest, work);
-        let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
-        if gains.factor.iter().any(|x| !x.is_finite()) {
-            return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
-        }
-        let reduction = Reduction {
-            test: test.id.to_string(),
-            constant: 0.0,
-            residual: None,
-            data: vec![0.0; work.design.frame.p],
-            factor: gains.factor.clone(),
-            covariates: work.covariates.clone(),
-            steps: work.design.steps(),
-            observations: gains.active,
-            path: if gains.turns.is_some() { Path::SquareRoot } else { Path::Information },
-            design: digest,
-            chain: None,
-        };
-        Ok((reduction, Class(class)))
+        self.with_class(test, work, Reducer::class, |digest, gains, work| {
+            if gains.factor.iter().any(|x| !x.is_finite()) {
+                return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
+            }
+            let outcome = Outcome { data: vec![0.0; work.design.frame.p], ..Outcome::default() };
+            let about = About::new(gains, &work.covariates, (work.design.steps(), digest));
+            Ok(Reduction { residual: None, ..about.row(test, &outcome).into() })
+        })
     }
 
     /// What has been done so far.
@@ -288,43 +275,41 @@ impl Reducer {
 
     /// The reduction of a test, and its class; x̂_K is left in the work space.
     pub(crate) fn one(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
-        self.reduced(test, work).map_err(|fault| fault.name(&self.preparer.model, Some(test)))
-    }
-
-    fn reduced(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), Box<Fault>> {
-        self.preparer.prepare(test, work)?;
-        self.prepared(test, work.design.digest(), work)
-    }
-
-    /// The same of the test in the work space.
-    pub(crate) fn prepared(
-        &self,
-        test: &Test,
-        digest: u128,
-        work: &mut Workspace,
-    ) -> Result<(Reduction, Class), Box<Fault>> {
-        let class = self.class(digest, work);
-        self.told(test, (digest, class), work)
+        self.with_class(test, work, Reducer::class, |digest, gains, work| self.told(test, (digest, gains), work))
     }
 
     /// [`Reducer::one`] of a test whose design is known to call for square-root arrays.
     pub(crate) fn rooted(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
+        let class = |reducer: &Reducer, digest, work: &mut Workspace| {
+            reducer.class_of((digest, &work.design), |design| reducer.root(design))
+        };
+        self.with_class(test, work, class, |digest, gains, work| self.told(test, (digest, gains), work))
+    }
+
+    /// Evaluates a test, and reduces it under the gains of its class.
+    fn with_class(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+        class: impl FnOnce(&Reducer, u128, &mut Workspace) -> Made,
+        reduce: impl FnOnce(u128, &Gains, &mut Workspace) -> Result<Reduction, Box<Fault>>,
+    ) -> Result<(Reduction, Class), ReduceError> {
         let found = self.preparer.prepare(test, work).and_then(|()| {
             let digest = work.design.digest();
-            let class = self.class_of((digest, &work.design), |design| self.root(design));
-            self.told(test, (digest, class), work)
+            let class = class(self, digest, work);
+            let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
+            Ok((reduce(digest, gains, work)?, Class(class)))
         });
         found.map_err(|fault| self.named(*fault, test))
     }
 
-    /// The reduction of the test in the work space, of this class.
+    /// The reduction of the test in the work space under these gains.
     fn told(
         &self,
         test: &Test,
-        (digest, class): (u128, Made),
+        (digest, gains): (u128, &Gains),
         work: &mut Workspace,
-    ) -> Result<(Reduction, Class), Box<Fault>> {
-        let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
+    ) -> Result<Reduction, Box<Fault>> {
         let outcome = own_outcome(gains, work).map_err(|miss| {
             let Instance { meter, row } = work.instances.get(miss.row);
             Fault::new(Subject::Value(meter), impossible(miss)).on(row)
@@ -333,26 +318,13 @@ impl Reducer {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
         let about = About::new(gains, &work.covariates, (work.design.steps(), digest));
-        let reduction = self.row(test, &outcome, about).into();
-        Ok((reduction, Class(class)))
+        Ok(self.row(test, &outcome, about).into())
     }
 
     /// The reduction of a test.
     pub(crate) fn row<'a>(&self, test: &'a Test, outcome: &'a Outcome, about: About<'a>) -> ReductionRef<'a> {
         self.data_runs.fetch_add(1, Ordering::Relaxed);
-        ReductionRef {
-            test: &test.id,
-            constant: outcome.constant,
-            residual: Some(outcome.residual),
-            data: &outcome.data,
-            factor: about.factor,
-            covariates: about.covariates,
-            steps: about.steps,
-            observations: about.observations,
-            path: about.path,
-            design: about.digest,
-            chain: None,
-        }
+        about.row(test, outcome)
     }
 
     /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.

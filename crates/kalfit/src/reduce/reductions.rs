@@ -145,9 +145,14 @@ impl Reductions {
         numbers.iter().map(|&number| self.get(number)).collect()
     }
 
-    /// The same in the order of these numbers, each of which is there once.
+    /// The same in the order of the numbers of these tests, from zero on.
     pub(crate) fn in_order(self, numbers: &[usize]) -> Reductions {
-        if numbers.iter().enumerate().all(|(at, number)| at == *number) { self } else { self.select(numbers) }
+        if numbers.is_sorted() {
+            return self;
+        }
+        let mut places = vec![0; numbers.len()];
+        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
+        self.select(&places)
     }
 
     /// Adds a test.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch::{Batch, ToEnd, all_sound, joined, share};
+use crate::reduce::batch::{Batch, ToEnd, joined, share};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::Part;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
@@ -44,11 +44,11 @@ impl PhasedReducer {
     pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
         let rows = |evidence: &Evidence| if let Evidence::Rows(rows) = evidence { rows.rows() } else { 0 };
         let rows = phases.iter().map(|(_, _, evidence)| rows(evidence)).sum();
-        let batches = phases
+        let batches: Vec<Vec<Result<PhaseReduction, ReduceError>>> = phases
             .par_chunks(share(phases.len(), rows))
             .map_init(|| PhasedBatch::new(self), |batch, phases| batch.pieces(phases))
             .collect();
-        all_sound(batches)
+        batches.into_iter().flatten().collect()
     }
 }
 

@@ -85,11 +85,6 @@ impl Workspace {
 }
 
 impl Preparer {
-    /// Coefficients are read from the row before, not from a step's own.
-    pub(crate) fn reads_previous(&self) -> bool {
-        self.clock_previous()
-    }
-
     /// What the transition to step `k` was evaluated on. `cells`: room for the cells of several rows.
     pub(crate) fn moving<'a>(
         &'a self,

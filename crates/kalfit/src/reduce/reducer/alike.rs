@@ -45,13 +45,8 @@ impl Alike {
 }
 
 impl Reducer {
-    /// The reductions of tests, those that are alike side by side; `others` reduces the rest, and those that must be looked at one by
-    /// one.
-    pub(crate) fn reduce_alike(
-        &self,
-        (alike, tests): (&Alike, &[&Test]),
-        others: impl Fn(&[&Test]) -> Result<Reductions, ReduceError>,
-    ) -> Result<Reductions, ReduceError> {
+    /// The reductions of tests, those that are alike side by side.
+    pub(crate) fn reduce_alike(&self, alike: &Alike, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         let (kinds, mut rest) = alike.parted(tests);
         let of = |places: &[usize]| places.iter().map(|&place| tests[place]).collect::<Vec<_>>();
         let side_by_side = |work: &mut Workspace, kind: &Vec<usize>| self.side_by_side(&of(kind), work);
@@ -67,11 +62,9 @@ impl Reducer {
             }
         }
         rest.sort_unstable(); // of several tests in error, the first one's is said
-        parts.push(others(&of(&rest)));
+        parts.push(self.reduce_each(&of(&rest)));
         order.extend(rest);
-        let mut places = vec![0; tests.len()];
-        order.iter().enumerate().for_each(|(place, &number)| places[number] = place);
-        Ok(joined(parts)?.in_order(&places))
+        Ok(joined(parts)?.in_order(&order))
     }
 
     /// Tests that are alike; `None` where they must be looked at one by one.

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::linalg::symmetric;
-use crate::reduce::ReductionRef;
+use crate::reduce::{ReductionRef, unpack};
 
 /// Information below zero by this part of the whole is rounding error.
 const ROUNDING: f64 = 1e-7;
@@ -90,7 +90,6 @@ fn parts(whole: &DMatrix<f64>, missing: &DMatrix<f64>) -> (f64, f64) {
 
 /// J = R'R.
 fn information(reduction: ReductionRef<'_>) -> DMatrix<f64> {
-    let p = reduction.data.len();
-    let factor = DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[symmetric::pair(i, k)] } else { 0.0 });
+    let factor = unpack(reduction.factor, reduction.data.len());
     factor.transpose() * factor
 }

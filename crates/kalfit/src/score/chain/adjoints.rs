@@ -87,7 +87,7 @@ impl Adjoints<'_> {
         if !work.same_dt(&steps) {
             return false;
         }
-        let rows = work.rows_of(&steps, chain.preparer.reads_previous());
+        let rows = work.rows_of(&steps, chain.preparer.clock_previous());
         let (numbers, texts) = (test.numbers(rows.start), test.texts(rows.start));
         reads.iter().all(|read| match *read {
             Read::Step => true,
