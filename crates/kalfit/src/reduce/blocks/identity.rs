@@ -14,18 +14,18 @@ impl Values {
         let own = |all, numbers, lane| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
-        let (coefficients, noise) = (gained.coefficients(), gained.noise());
+        let (coefficients, noise) = (&gained.h, &gained.noise);
         identities.resize_with(steps.len(), Identity::new);
         for (lane, identity) in identities.iter_mut().enumerate() {
-            identity.begin(&design.frame, own(gained.variance(), 0..design.variance.len(), lane));
+            identity.begin(&design.frame, own(&gained.variance, 0..design.variance.len(), lane));
         }
         let mut t = 0;
         for (k, stretch) in design.stretches().enumerate() {
             if stretch.transition.is_some() {
                 for (lane, identity) in identities.iter_mut().enumerate() {
                     if transitions.moving[t * lanes + lane] != 0.0 {
-                        let phi = own(gained.transitions(), t * terms..(t + 1) * terms, lane);
-                        identity.moves(pattern, phi, own(gained.process_noise(), t * pairs..(t + 1) * pairs, lane));
+                        let phi = own(&gained.phi, t * terms..(t + 1) * terms, lane);
+                        identity.moves(pattern, phi, own(&gained.q, t * pairs..(t + 1) * pairs, lane));
                     }
                 }
                 t += 1;
@@ -55,14 +55,14 @@ impl Values {
             now.clear();
             if stretch.transition.is_some() {
                 now.push(transitions.moving[t * lanes + lane].to_bits());
-                now.extend(own(gained.transitions(), t * terms..(t + 1) * terms));
-                now.extend(own(gained.process_noise(), t * pairs..(t + 1) * pairs));
+                now.extend(own(&gained.phi, t * terms..(t + 1) * terms));
+                now.extend(own(&gained.q, t * pairs..(t + 1) * pairs));
                 t += 1;
             }
             for line in layout.rows_of(lane, stretch.lines) {
                 now.extend(design.terms(line).0.iter().map(|&state| u64::from(state)));
-                now.extend(own(gained.coefficients(), layout.terms(line)));
-                now.push(gained.noise()[line * lanes + lane].to_bits());
+                now.extend(own(&gained.h, layout.terms(line)));
+                now.push(gained.noise[line * lanes + lane].to_bits());
             }
             alike = if now == before { alike + 1 } else { 1 };
             if alike > FEW {

@@ -19,13 +19,14 @@ use crate::reduce::sums::{Sums, packed};
 /// Designs of one shape and all that their pass leaves, in lanes.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Gained {
-    variance: Vec<f64>,
-    h: Vec<f64>,
-    noise: Vec<f64>,
+    /// P0, h, R, φ and Q.
+    pub(crate) variance: Vec<f64>,
+    pub(crate) h: Vec<f64>,
+    pub(crate) noise: Vec<f64>,
+    pub(crate) phi: Vec<f64>,
+    pub(crate) q: Vec<f64>,
     /// The transition of each run, any if it has none: φ is so many times `terms` numbers; Q likewise.
     moves: Vec<usize>,
-    phi: Vec<f64>,
-    q: Vec<f64>,
     terms: usize,
     /// 1/S and K, T of each row.
     gains: Vec<f64>,
@@ -95,12 +96,6 @@ impl Gained {
         self.terms = terms;
     }
 
-    /// P0, h, R, φ and Q, to be changed.
-    pub(super) fn numbers_mut(&mut self) -> [&mut [f64]; 5] {
-        let Gained { variance, h, noise, phi, q, .. } = self;
-        [variance, h, noise, phi, q]
-    }
-
     /// The numbers of one design, in the first lane.
     pub(super) fn load(&mut self, design: &Design, lanes: usize) {
         let Gained { variance, h, noise, moves, phi, q, .. } = self;
@@ -143,7 +138,7 @@ impl Gained {
         for (at_run, run) in design.runs.iter().enumerate() {
             let number = self.moves[at_run];
             if run.transition.is_some() && now != Some(number) {
-                state.take(self, number);
+                self.take(at_run, &mut state.transition);
                 now = Some(number);
             }
             for _ in 0..run.count {
@@ -192,30 +187,17 @@ impl Gained {
         End::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
-    /// P0, h, R, φ and Q of the designs, in lanes.
-    pub(crate) fn variance(&self) -> &[f64] {
-        &self.variance
-    }
-
-    pub(crate) fn coefficients(&self) -> &[f64] {
-        &self.h
-    }
-
-    pub(crate) fn noise(&self) -> &[f64] {
-        &self.noise
-    }
-
-    pub(crate) fn transitions(&self) -> &[f64] {
-        &self.phi
-    }
-
-    pub(crate) fn process_noise(&self) -> &[f64] {
-        &self.q
-    }
-
-    /// Number of the transition of a run that has one.
-    pub(super) fn transition(&self, run: usize) -> usize {
-        self.moves[run]
+    /// Takes the transition of a run that has one.
+    #[inline(always)]
+    pub(super) fn take<T: Lanes>(&self, run: usize, transition: &mut Transition<T>) {
+        let Transition { phi, q, .. } = transition;
+        let number = self.moves[run];
+        for k in 0..phi.len() {
+            phi[k] = at(&self.phi, number * phi.len() + k);
+        }
+        for k in 0..q.len() {
+            q[k] = at(&self.q, number * q.len() + k);
+        }
     }
 
     /// 1/S of so many measurements of one design.
@@ -269,8 +251,6 @@ impl<T: Lanes> State<T> {
         for k in 0..Psi.len() {
             Psi[k] = T::splat(frame.sensitivity[k]);
         }
-        let pattern = pattern(design).cloned().unwrap_or_default();
-        let (phi, q) = (vec![zero; pattern.columns.len()], vec![zero; pattern.pairs.len()]);
         State {
             P,
             Psi,
@@ -278,21 +258,9 @@ impl<T: Lanes> State<T> {
             K: vec![zero; frame.r],
             T: vec![zero; frame.p],
             h: Vec::new(),
-            transition: Transition { pattern, phi, q },
+            transition: transition(design),
             rows: Vec::new(),
             sums: Sums::new(frame.p),
-        }
-    }
-
-    /// Takes the transition with this number.
-    #[inline(always)]
-    fn take(&mut self, gained: &Gained, number: usize) {
-        let Transition { phi, q, .. } = &mut self.transition;
-        for k in 0..phi.len() {
-            phi[k] = at(&gained.phi, number * phi.len() + k);
-        }
-        for k in 0..q.len() {
-            q[k] = at(&gained.q, number * q.len() + k);
         }
     }
 
@@ -351,6 +319,14 @@ impl<T: Lanes> Numbers<T> for Gained {
     fn R(&self, at_: usize) -> T {
         at(&self.factor, at_)
     }
+}
+
+/// Room for a transition of a design.
+#[inline(always)]
+pub(super) fn transition<T: Lanes>(design: &Design) -> Transition<T> {
+    let pattern = pattern(design).cloned().unwrap_or_default();
+    let (phi, q) = (vec![T::splat(0.0); pattern.columns.len()], vec![T::splat(0.0); pattern.pairs.len()]);
+    Transition { pattern, phi, q }
 }
 
 /// The pattern of the transitions of a design: all have one.

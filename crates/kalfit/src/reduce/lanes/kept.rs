@@ -48,7 +48,7 @@ impl Kept {
     }
 
     pub(crate) fn columns(&mut self) -> Columns<'_> {
-        let [variance, h, noise, phi, q] = self.gained.numbers_mut();
+        let Gained { variance, h, noise, phi, q, .. } = &mut self.gained;
         let [start, inputs, values] = self.block.numbers_mut();
         Columns { variance, h, noise, phi, q, start, inputs, values }
     }

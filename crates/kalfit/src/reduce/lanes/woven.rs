@@ -4,7 +4,7 @@ use kalfit_lanes::Lanes;
 
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::lanes::Block;
-use crate::reduce::lanes::designs::Gained;
+use crate::reduce::lanes::designs::{Gained, transition};
 use crate::reduce::lanes::numbers::{Numbers, at};
 
 /// A test in each lane. Where one is shorter than the longest it goes on with measurements that say nothing, and transitions that
@@ -45,29 +45,17 @@ impl<T: Lanes> Woven<'_, T> {
     /// Room for a transition.
     #[inline(always)]
     pub(crate) fn transition(&self) -> Transition<T> {
-        let zero = T::splat(0.0);
-        let (pattern, phi, q) = match self.shape.moves.first() {
-            Some(like) => (like.pattern.clone(), like.phi.len(), like.q.len()),
-            None => Default::default(),
-        };
-        Transition { pattern, phi: vec![zero; phi], q: vec![zero; q] }
+        transition(self.shape)
     }
 
     /// Takes the transition of a run; false, and nothing is taken, where it has none.
     #[inline(always)]
     pub(crate) fn take(&self, run: usize, transition: &mut Transition<T>) -> bool {
-        if self.shape.runs[run].transition.is_none() {
-            return false;
+        let moves = self.shape.runs[run].transition.is_some();
+        if moves {
+            self.gained.take(run, transition);
         }
-        let Transition { phi, q, .. } = transition;
-        for term in 0..phi.len() {
-            phi[term] = self.gained.phi(run, term);
-        }
-        let first = self.gained.transition(run) * q.len();
-        for pair in 0..q.len() {
-            q[pair] = at(self.gained.process_noise(), first + pair);
-        }
-        true
+        moves
     }
 }
 
@@ -87,7 +75,7 @@ impl Block {
             }
         }
         let (start, inputs, values) = (all(side.start), all(side.inputs), all(side.values));
-        let (variance, h, noise) = (all(gained.variance()), all(gained.coefficients()), all(gained.noise()));
+        let (variance, h, noise) = (all(&gained.variance), all(&gained.h), all(&gained.noise));
         Woven { shape: longest, gained, variance, h, noise, start, inputs, values, gains, sizes: (r, p) }
     }
 }
