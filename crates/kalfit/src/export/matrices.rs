@@ -7,7 +7,7 @@ use crate::export::ExportError;
 use crate::export::plain::Plain;
 use crate::export::terms::{ONE, Terms};
 use crate::model::{Alpha, Expression, Scope};
-use crate::reduce::{Fault, Filled, Moves, Preparer, ReduceErrorKind, Subject, ldl};
+use crate::reduce::{Fault, Filled, Moves, Preparer, Subject, ldl};
 
 /// A model of constant coefficients, evaluated.
 #[derive(Debug)]
@@ -113,10 +113,7 @@ impl Made {
             R[(*i, *j)] += number(covariance);
             R[(*j, *i)] = R[(*i, *j)];
         }
-        ldl(&mut R.as_slice().to_vec(), m).map_err(|bad| {
-            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
-            Fault::new(Subject::StepNoise, kind).name(model, None)
-        })?;
+        ldl(&mut R.as_slice().to_vec(), m).map_err(|bad| Fault::new(Subject::StepNoise, bad).name(model, None))?;
         Ok(R)
     }
 

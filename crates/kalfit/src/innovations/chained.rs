@@ -19,7 +19,7 @@ use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
     Cells, Evidence, Gains, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind,
-    ReductionRef, Terminal, Workspace,
+    ReductionRef, Terminal, Workspace, refuse,
 };
 
 /// The filter of tests in phases at (α, μ, Σ).
@@ -46,9 +46,9 @@ impl Chained {
         let start = |(phase, own): (&Phase, Population)| -> Result<Start, ReduceError> {
             if !symmetric::is_semidefinite(&own.covariance) {
                 let (least, largest) = symmetric::scaled_range(&own.covariance);
-                let kind = Box::new(ReduceErrorKind::NotSemidefinite { left: least, variance: largest });
+                let kind = ReduceErrorKind::NotSemidefinite { left: least, variance: largest };
                 let what = format!("covariance of the initial state of phase `{}`", phase.name);
-                return Err(ReduceError { test: None, row: None, what, kind });
+                return Err(refuse(None, &what, kind));
             }
             Ok(Start {
                 regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
@@ -96,13 +96,7 @@ impl Chained {
             None => self.careful(whole, work)?,
         };
         if !rows::are_finite(&series) {
-            let kind = Box::new(ReduceErrorKind::NotFinite);
-            return Err(ReduceError {
-                test: Some(whole.id.to_string()),
-                row: None,
-                what: "innovations".to_owned(),
-                kind,
-            });
+            return Err(refuse(Some(&whole.id), "innovations", ReduceErrorKind::NotFinite));
         }
         Ok(seen.then(|| Innovations::new(whole.id.to_string(), series, rest)))
     }

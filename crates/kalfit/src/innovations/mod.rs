@@ -35,7 +35,7 @@ pub(crate) use chained::Chained;
 pub(crate) use law::Law;
 
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{PhasedTest, ReduceError, ReduceErrorKind, share};
+use crate::reduce::{PhasedTest, ReduceError, of_shape, refuse, share};
 
 /// Innovations of all tests, in their order; `None` of a test all of whose phases are given by estimates or reductions: what was
 /// measured is no longer known there. Neither is what was measured in a phase with a filter of its own, whose estimates are
@@ -87,8 +87,7 @@ fn check(model: &PhasedModel, initial: &Population) -> Result<(), ReduceError> {
     let (p, regressors) =
         (model.dimension(), model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum::<usize>());
     let shaped = |what: &str, found: (usize, usize), expected: (usize, usize)| {
-        let kind = Box::new(ReduceErrorKind::Shape { found, expected });
-        if found == expected { Ok(()) } else { Err(ReduceError { test: None, row: None, what: what.to_owned(), kind }) }
+        of_shape(found, expected).map_err(|kind| refuse(None, what, kind))
     };
     shaped("mean of the initial state", (initial.mean.len(), 1), (p, 1))?;
     shaped("regression coefficients", (initial.coefficients.len(), 1), (regressors, 1))?;

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::ensemble::{Label, Source};
+use crate::reduce::semidefinite::NotSemidefinite;
 
 /// A refusal: which test, which row, what was computed, and what was wrong with it.
 #[derive(Debug, Clone, PartialEq)]
@@ -248,6 +249,27 @@ pub enum ReduceErrorKind {
         /// Rows and columns expected.
         expected: (usize, usize),
     },
+}
+
+impl From<NotSemidefinite> for ReduceErrorKind {
+    fn from(NotSemidefinite { left, variance }: NotSemidefinite) -> ReduceErrorKind {
+        ReduceErrorKind::NotSemidefinite { left, variance }
+    }
+}
+
+/// An error of a test, or of the model.
+pub(crate) fn refuse(test: Option<&str>, what: &str, kind: impl Into<ReduceErrorKind>) -> ReduceError {
+    ReduceError { test: test.map(str::to_owned), row: None, what: what.to_owned(), kind: Box::new(kind.into()) }
+}
+
+/// A matrix or vector has the shape that it must have.
+pub(crate) fn of_shape(found: (usize, usize), expected: (usize, usize)) -> Result<(), ReduceErrorKind> {
+    if found == expected { Ok(()) } else { Err(ReduceErrorKind::Shape { found, expected }) }
+}
+
+/// All numbers are finite.
+pub(crate) fn finite(numbers: &[f64]) -> Result<(), ReduceErrorKind> {
+    if numbers.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(ReduceErrorKind::NotFinite) }
 }
 
 impl fmt::Display for ReduceError {

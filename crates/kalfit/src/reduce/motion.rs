@@ -297,8 +297,5 @@ fn semidefinite(
         let (i, j) = (local(i), local(j));
         q[i.max(j) * m + i.min(j)] = values[*slot];
     }
-    ldl(&mut q, m).map_err(|bad| {
-        let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
-        Fault::new(Subject::ProcessNoise(name(states[0])), kind)
-    })
+    ldl(&mut q, m).map_err(|bad| Fault::new(Subject::ProcessNoise(name(states[0])), bad))
 }

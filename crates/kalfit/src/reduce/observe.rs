@@ -116,10 +116,7 @@ impl Meters {
             return Ok(());
         }
         let entries: Vec<(usize, usize, f64)> = found.iter().map(|c| (c.i, c.j, c.value)).collect();
-        whiten(out.design, out.data, line, &entries).map_err(|bad| {
-            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
-            Fault::new(Subject::StepNoise, kind).on(row)
-        })
+        whiten(out.design, out.data, line, &entries).map_err(|bad| Fault::new(Subject::StepNoise, bad).on(row))
     }
 
     /// Appends which measurements a row has; false where something is wrong with one.

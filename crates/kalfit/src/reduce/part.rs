@@ -8,7 +8,7 @@ use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Phase};
 use crate::reduce::batch::ToEnd;
 use crate::reduce::carry::Inheritance;
-use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::Reducer;
 use crate::reduce::steps::Cells;
@@ -166,12 +166,9 @@ impl PhaseReducer {
         let Sizes { q, n, regressions } = self.sizes;
         let before = self.place.before;
         let PhaseReduction { reduction, terminal, inherited, .. } = piece;
+        let refuse = |what: &str, kind: ReduceErrorKind| refuse(Some(id), what, kind);
         let check = |what: &str, numbers: &[f64], found: (usize, usize), expected: (usize, usize)| {
-            if found != expected {
-                return Err(refuse(id, what, ReduceErrorKind::Shape { found, expected }));
-            }
-            let finite = numbers.iter().all(|x| x.is_finite());
-            if finite { Ok(()) } else { Err(refuse(id, what, ReduceErrorKind::NotFinite)) }
+            of_shape(found, expected).and_then(|()| finite(numbers)).map_err(|kind| refuse(what, kind))
         };
         let row =
             |what: &str, numbers: &[f64], expected: usize| check(what, numbers, (numbers.len(), 1), (expected, 1));
@@ -183,14 +180,14 @@ impl PhaseReducer {
         row("factor of the reduction", &reduction.factor, q * (q + 1) / 2)?;
         row("covariates of the reduction", &reduction.covariates, regressions)?;
         if let Some(value) = (0..q).map(|k| reduction.factor[k * (k + 3) / 2]).find(|diagonal| *diagonal < 0.0) {
-            return Err(refuse(id, "factor of the reduction", ReduceErrorKind::NegativeDiagonal { value }));
+            return Err(refuse("factor of the reduction", ReduceErrorKind::NegativeDiagonal { value }));
         }
         if let Some(terminal) = terminal {
             row("mean of the last state", terminal.mean.as_slice(), n)?;
             matrix("sensitivity of the last state", &terminal.sensitivity, n, q)?;
             matrix("covariance root of the last state", &terminal.root, n, terminal.root.ncols())?;
         } else if linked {
-            return Err(refuse(id, WHOLE, ReduceErrorKind::Absent { what: "last state" }));
+            return Err(refuse(WHOLE, ReduceErrorKind::Absent { what: "last state" }));
         }
         match (inherited, before) {
             (Some(inherited), Some(before)) => {
@@ -199,7 +196,7 @@ impl PhaseReducer {
             }
             (None, Some(_)) => {
                 let kind = ReduceErrorKind::Absent { what: "transition from the phase before" };
-                return Err(refuse(id, WHOLE, kind));
+                return Err(refuse(WHOLE, kind));
             }
             (Some(inherited), None) => {
                 matrix("transition from the phase before", &inherited.transition, 0, 0)?;
@@ -242,9 +239,4 @@ fn of_phase(name: Option<&str>, error: ReduceError) -> ReduceError {
     let what =
         if error.what == WHOLE { format!("phase `{name}`") } else { format!("{} of phase `{name}`", error.what) };
     ReduceError { what, ..error }
-}
-
-/// An error of a test.
-pub(crate) fn refuse(test: &str, what: &str, kind: ReduceErrorKind) -> ReduceError {
-    ReduceError { test: Some(test.to_owned()), row: None, what: what.to_owned(), kind: Box::new(kind) }
 }

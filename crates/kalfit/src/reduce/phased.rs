@@ -11,9 +11,9 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
 use crate::reduce::batch::ToEnd;
-use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::part::{Part, PhaseReducer, Place, refuse};
+use crate::reduce::part::{Part, PhaseReducer, Place};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::{Alike, Reducer, Work};
 use crate::reduce::steps::Cells;
@@ -191,9 +191,9 @@ impl PhasedReducer {
     /// A test has no more phases than the model, and one at least.
     pub(crate) fn check(&self, test: &PhasedTest) -> Result<(), ReduceError> {
         match (test.phases.len(), self.phases.len()) {
-            (0, _) => Err(refuse(&test.id, WHOLE, ReduceErrorKind::NoRows)),
+            (0, _) => Err(refuse(Some(&test.id), WHOLE, ReduceErrorKind::NoRows)),
             (found, expected) if found > expected => {
-                Err(refuse(&test.id, WHOLE, ReduceErrorKind::TooManyPhases { found, expected }))
+                Err(refuse(Some(&test.id), WHOLE, ReduceErrorKind::TooManyPhases { found, expected }))
             }
             _ => Ok(()),
         }

@@ -8,7 +8,7 @@ use crate::reduce::data::Data;
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::end::End;
-use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::Room;
 use crate::reduce::observe::whiten;
@@ -19,7 +19,8 @@ use crate::reduce::reducer::{impossible, information_gains};
 use crate::reduce::reduction::Reduction;
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
-use crate::reduce::semidefinite::{NotSemidefinite, ldl};
+use crate::reduce::semidefinite::ldl;
+use crate::reduce::subject::WHOLE;
 use crate::reduce::terminal::Terminal;
 
 impl Plain {
@@ -59,9 +60,9 @@ impl Plain {
         };
         let mut pass = Room::default();
         let outcome = outcome(&design, &gains, &data, &mut pass)
-            .map_err(|miss| self.refuse(format!("step {}", rows[miss.row] + 1), impossible(miss)))?;
-        if !outcome.constant.is_finite() || outcome.data.iter().any(|d| !d.is_finite()) {
-            return Err(self.refuse("the test".to_owned(), ReduceErrorKind::NotFinite));
+            .map_err(|miss| self.refuse(&format!("step {}", rows[miss.row] + 1), impossible(miss)))?;
+        if !outcome.is_finite() {
+            return Err(self.refuse(WHOLE, ReduceErrorKind::NotFinite));
         }
         let terminal = gains.end.clone().map(|end| end.terminal(&order.states, pass.x.iter().copied()));
         let Gains { factor, active, turns, .. } = gains;
@@ -85,10 +86,10 @@ impl Plain {
     fn root(&self, design: &Design, (rows, order): (&[usize], &PlainOrder)) -> Result<Gains, ReduceError> {
         let (mut gains, filter) = root_gains(design).map_err(|error| match error {
             RootError::Exact { row } => {
-                self.refuse(format!("step {}", rows[row] + 1), ReduceErrorKind::ExactMeasurement)
+                self.refuse(&format!("step {}", rows[row] + 1), ReduceErrorKind::ExactMeasurement)
             }
-            RootError::NotSemidefinite(bad) => self.refuse("process noise".to_owned(), not_semidefinite(bad)),
-            RootError::NotFinite => self.refuse("the test".to_owned(), ReduceErrorKind::NotFinite),
+            RootError::NotSemidefinite(bad) => self.refuse("process noise", bad),
+            RootError::NotFinite => self.refuse(WHOLE, ReduceErrorKind::NotFinite),
         })?;
         gains.end = Some(End::new(&order.states, &filter.Psi, &filter.U, design.frame.r));
         Ok(gains)
@@ -138,7 +139,7 @@ impl Plain {
                 .collect();
             if !covariances.is_empty() {
                 whiten(design, data, first, &covariances)
-                    .map_err(|bad| self.refuse(format!("noise of step {}", k + 1), not_semidefinite(bad)))?;
+                    .map_err(|bad| self.refuse(&format!("noise of step {}", k + 1), bad))?;
             }
             // never joined: nothing is frozen here
             design.push_step(transition.map(Arc::new).as_ref());
@@ -146,8 +147,8 @@ impl Plain {
         Ok(())
     }
 
-    fn refuse(&self, what: String, kind: ReduceErrorKind) -> ReduceError {
-        ReduceError { test: Some(self.id.clone()), row: None, what, kind: Box::new(kind) }
+    fn refuse(&self, what: &str, kind: impl Into<ReduceErrorKind>) -> ReduceError {
+        refuse(Some(&self.id), what, kind)
     }
 
     /// Shapes agree, numbers are finite, covariances symmetric and positive semidefinite.
@@ -178,33 +179,27 @@ impl Plain {
                 step.noise.shape() == (m, m) && i != j && step.noise[(i, j)].is_infinite()
             });
             if off_diagonal {
-                return Err(self.refuse(name("noise"), ReduceErrorKind::NotFinite));
+                return Err(self.refuse(&name("noise"), ReduceErrorKind::NotFinite));
             }
             self.shaped(&name("noise"), &finite, (m, m))?;
             self.symmetric(&name("noise"), &finite)?;
             let values = step.values.map(|x| if x.is_nan() { 0.0 } else { x });
             self.shaped(&name("values"), &values, (m, 1))?;
             if let Some(value) = finite.diagonal().iter().find(|value| **value < 0.0) {
-                return Err(self.refuse(name("noise"), ReduceErrorKind::NegativeVariance { value: *value }));
+                return Err(self.refuse(&name("noise"), ReduceErrorKind::NegativeVariance { value: *value }));
             }
         }
         Ok(())
     }
 
-    fn shaped<C: nalgebra::Dim, S: nalgebra::RawStorage<f64, nalgebra::Dyn, C>>(
+    fn shaped<C: nalgebra::Dim>(
         &self,
         what: &str,
-        matrix: &nalgebra::Matrix<f64, nalgebra::Dyn, C, S>,
+        matrix: &nalgebra::Matrix<f64, nalgebra::Dyn, C, nalgebra::VecStorage<f64, nalgebra::Dyn, C>>,
         expected: (usize, usize),
     ) -> Result<(), ReduceError> {
-        if matrix.shape() != expected {
-            return Err(self.refuse(what.to_owned(), ReduceErrorKind::Shape { found: matrix.shape(), expected }));
-        }
-        if matrix.iter().all(|x| x.is_finite()) {
-            Ok(())
-        } else {
-            Err(self.refuse(what.to_owned(), ReduceErrorKind::NotFinite))
-        }
+        let found = of_shape(matrix.shape(), expected).and_then(|()| finite(matrix.as_slice()));
+        found.map_err(|kind| self.refuse(what, kind))
     }
 
     fn symmetric(&self, what: &str, matrix: &DMatrix<f64>) -> Result<(), ReduceError> {
@@ -213,7 +208,7 @@ impl Plain {
                 let (lower, upper) = (matrix[(i, j)], matrix[(j, i)]);
                 let size = (matrix[(i, i)] * matrix[(j, j)]).abs().sqrt().max(lower.abs()).max(upper.abs());
                 if (lower - upper).abs() > 1e-12 * size {
-                    return Err(self.refuse(what.to_owned(), ReduceErrorKind::NotSymmetric { upper, lower }));
+                    return Err(self.refuse(what, ReduceErrorKind::NotSymmetric { upper, lower }));
                 }
             }
         }
@@ -223,10 +218,6 @@ impl Plain {
     fn semidefinite(&self, what: &str, matrix: &DMatrix<f64>) -> Result<(), ReduceError> {
         self.symmetric(what, matrix)?;
         let mut copy: Vec<f64> = matrix.transpose().as_slice().to_vec(); // row-major
-        ldl(&mut copy, matrix.nrows()).map_err(|bad| self.refuse(what.to_owned(), not_semidefinite(bad)))
+        ldl(&mut copy, matrix.nrows()).map_err(|bad| self.refuse(what, bad))
     }
-}
-
-fn not_semidefinite(bad: NotSemidefinite) -> ReduceErrorKind {
-    ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance }
 }

@@ -434,10 +434,7 @@ fn root_fault(error: RootError, instances: &Instances) -> Box<Fault> {
             let Instance { meter, row } = instances.get(row);
             Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row)
         }
-        RootError::NotSemidefinite(bad) => {
-            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
-            Fault::new(Subject::Transition, kind)
-        }
+        RootError::NotSemidefinite(bad) => Fault::new(Subject::Transition, bad),
         RootError::NotFinite => Fault::new(Subject::Test, ReduceErrorKind::NotFinite),
     }
 }

@@ -167,10 +167,7 @@ impl Start {
             matrix[i * p + j] = value;
             law.covariance.push((at.model.estimated[*i], at.model.estimated[*j], value));
         }
-        ldl(&mut matrix, p).map_err(|bad| {
-            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
-            Fault::new(Subject::KnownCovariance, kind)
-        })
+        ldl(&mut matrix, p).map_err(|bad| Fault::new(Subject::KnownCovariance, bad))
     }
 }
 
@@ -270,9 +267,7 @@ impl Group {
         let m = self.states.len();
         let (f, q) = self.matrices(values);
         let subject = Subject::StationaryLaw(self.states[0]);
-        ldl(&mut q.clone(), m).map_err(|bad| {
-            Fault::new(subject, ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance })
-        })?;
+        ldl(&mut q.clone(), m).map_err(|bad| Fault::new(subject, bad))?;
         let p = if self.continuous { stationary(&f, &q, m) } else { stationary_discrete(&f, &q, m) };
         let unstable = || ReduceErrorKind::Unstable {
             states: self.states.iter().map(|&i| at.model.states[i].name.clone()).collect(),

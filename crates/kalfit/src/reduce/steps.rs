@@ -163,17 +163,7 @@ fn first_span(step_first: bool, initial: Option<f64>, time: f64) -> Result<Span,
 }
 
 fn time(at: &At<'_>, test: &Test, column: usize, row: usize) -> Result<f64, Box<Fault>> {
-    let value = test.numbers(row)[column];
-    if value.is_finite() {
-        return Ok(value);
-    }
-    let column = at.model.columns[column].name.clone();
-    let kind = if value.is_nan() {
-        ReduceErrorKind::MissingCell { column }
-    } else {
-        ReduceErrorKind::InfiniteCell { column, value }
-    };
-    Err(Fault::new(Subject::Time, kind).on(row))
+    at.cell(test.numbers(row), column, Subject::Time).map_err(|fault| fault.on(row))
 }
 
 /// Cells gathered from several rows.

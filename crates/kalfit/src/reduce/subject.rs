@@ -82,8 +82,8 @@ pub(crate) struct Fault {
 }
 
 impl Fault {
-    pub(crate) fn new(subject: Subject, kind: ReduceErrorKind) -> Box<Fault> {
-        Box::new(Fault { subject, row: None, kind })
+    pub(crate) fn new(subject: Subject, kind: impl Into<ReduceErrorKind>) -> Box<Fault> {
+        Box::new(Fault { subject, row: None, kind: kind.into() })
     }
 
     pub(crate) fn on(mut self: Box<Fault>, row: usize) -> Box<Fault> {
@@ -179,6 +179,18 @@ impl At<'_> {
                 Err(Fault::new(subject, ReduceErrorKind::NoLevel { parameter, level }))
             }
         }
+    }
+
+    /// A cell that must be there.
+    pub(crate) fn cell(&self, numbers: &[f64], column: usize, subject: Subject) -> Result<f64, Box<Fault>> {
+        let value = numbers[column];
+        if value.is_finite() {
+            return Ok(value);
+        }
+        let column = self.model.columns[column].name.clone();
+        let infinite = |column| ReduceErrorKind::InfiniteCell { column, value };
+        let kind = if value.is_nan() { ReduceErrorKind::MissingCell { column } } else { infinite(column) };
+        Err(Fault::new(subject, kind))
     }
 
     /// Value of a coefficient on a row.

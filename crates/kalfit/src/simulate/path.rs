@@ -9,10 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::linalg::symmetric;
 use crate::model::{Model, Population};
-use crate::reduce::{
-    Cells, Design, Fault, NotSemidefinite, Preparer, ReduceErrorKind, Step, Subject, Transition, Workspace, advance,
-    ldl,
-};
+use crate::reduce::{Cells, Design, Fault, Preparer, Step, Subject, Transition, Workspace, advance, ldl};
 
 /// Roots of Q that are kept.
 const MOST_ROOTS: usize = 1024;
@@ -156,10 +153,7 @@ fn joint_noise(work: &Workspace, step: &Step<'_>) -> Result<Option<Vec<f64>>, Bo
         R[(i.max(j) - rows.start) * m + i.min(j) - rows.start] += value;
     }
     if let Some(R) = &mut R {
-        ldl(R, m).map_err(|bad: NotSemidefinite| {
-            let kind = ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance };
-            Fault::new(Subject::StepNoise, kind).on(work.instances.get(rows.start).row)
-        })?;
+        ldl(R, m).map_err(|bad| Fault::new(Subject::StepNoise, bad).on(work.instances.get(rows.start).row))?;
     }
     Ok(R)
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::digest::Digest;
-use crate::reduce::error::{ReduceError, ReduceErrorKind};
-use crate::reduce::part::{Part, PhaseReducer, refuse};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
+use crate::reduce::part::{Part, PhaseReducer};
 use crate::reduce::phased::PhasedReducer;
 use crate::reduce::stack::{StackPhase, StackShape, Stacked, shape};
 use crate::reduce::subject::WHOLE;
@@ -107,7 +107,7 @@ impl PhasedReducer {
         let Linked { parts, means, design } = linked;
         let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
         if !constant.is_finite() || !finite(&data) || !finite(&factor) {
-            return Err(refuse(&test.id, WHOLE, ReduceErrorKind::NotFinite));
+            return Err(refuse(Some(&test.id), WHOLE, ReduceErrorKind::NotFinite));
         }
         let mut reduction = Reduction {
             test: test.id.to_string(),

@@ -1,7 +1,6 @@
 //! The covariates of a test.
 
 use crate::ensemble::Test;
-use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::subject::{At, Fault, Subject};
 
@@ -21,17 +20,7 @@ impl Preparer {
     pub(super) fn covariates(&self, at: &At<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
         work.covariates.clear();
         for (r, regression) in self.model.mean.regression.iter().enumerate() {
-            let cell = work.whole.numbers[regression.column];
-            if !cell.is_finite() {
-                let column = at.model.columns[regression.column].name.clone();
-                let kind = if cell.is_nan() {
-                    ReduceErrorKind::MissingCell { column }
-                } else {
-                    ReduceErrorKind::InfiniteCell { column, value: cell }
-                };
-                return Err(Fault::new(Subject::Regression(r), kind));
-            }
-            work.covariates.push(cell);
+            work.covariates.push(at.cell(&work.whole.numbers, regression.column, Subject::Regression(r))?);
         }
         Ok(())
     }

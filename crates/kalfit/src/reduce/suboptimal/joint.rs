@@ -12,7 +12,7 @@ use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::NotSemidefinite;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::believed::Believed;
-use crate::reduce::suboptimal::matrices::{Matrices, append, fold, not_semidefinite, root_of};
+use crate::reduce::suboptimal::matrices::{Matrices, append, fold, root_of};
 
 /// What tests share that the filter processes alike.
 #[derive(Debug, Clone)]
@@ -47,7 +47,7 @@ pub(super) fn run(truth: Side<'_>, own: Side<'_>, filter: &Filter) -> Result<Fil
             continue;
         }
         let row = truth.1.instances.get(step.rows.start).row;
-        let refuse = |bad: NotSemidefinite| Fault::new(Subject::StepNoise, not_semidefinite(bad)).on(row);
+        let refuse = |bad: NotSemidefinite| Fault::new(Subject::StepNoise, bad).on(row);
         let (M, own_M) = (true_matrices.measurement(&step), own_matrices.measurement(&own_step));
         let root = root_of(&true_matrices.noise(&step)).map_err(refuse)?;
         let own_root = root_of(&own_matrices.noise(&own_step)).map_err(refuse)?;
@@ -92,7 +92,7 @@ impl Remembered {
         let Some(transition) = transition else { return Ok(None) };
         if !self.0.as_ref().is_some_and(|(known, _)| Arc::ptr_eq(known, transition)) {
             let (phi, Q) = matrices.motion(transition);
-            let root = root_of(&Q).map_err(|bad| Fault::new(Subject::Transition, not_semidefinite(bad)))?;
+            let root = root_of(&Q).map_err(|bad| Fault::new(Subject::Transition, bad))?;
             self.0 = Some((transition.clone(), Moving { phi, Q, root }));
         }
         Ok(self.0.as_ref().map(|(_, moving)| moving))

@@ -3,7 +3,7 @@
 use crate::ensemble::{Label, Test};
 use crate::linalg::symmetric::{is_semidefinite, scaled_range};
 use crate::model::{CovarianceStructure, Expression, Filter, Initial, MeanStructure, Model};
-use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::error::{ReduceErrorKind, finite, of_shape};
 
 /// One row with the cells that are the same in all rows of the test, missing ones apart; measured values and times are none of
 /// them.
@@ -47,24 +47,14 @@ fn zero() -> Expression {
 pub(super) fn check(filter: &Filter, model: &Model) -> Result<(), (&'static str, ReduceErrorKind)> {
     let n = model.states.len();
     let (mean, covariance) = ("prior mean of the filter", "prior covariance of the filter");
-    if filter.mean.len() != n {
-        return Err((mean, ReduceErrorKind::Shape { found: (filter.mean.len(), 1), expected: (n, 1) }));
-    }
-    if filter.covariance.shape() != (n, n) {
-        return Err((covariance, ReduceErrorKind::Shape { found: filter.covariance.shape(), expected: (n, n) }));
-    }
+    of_shape((filter.mean.len(), 1), (n, 1)).map_err(|kind| (mean, kind))?;
+    of_shape(filter.covariance.shape(), (n, n)).map_err(|kind| (covariance, kind))?;
     if let Some(&state) = filter.consider.iter().find(|state| **state >= n) {
-        return Err((
-            "considered state of the filter",
-            ReduceErrorKind::Shape { found: (state + 1, 1), expected: (n, 1) },
-        ));
+        let kind = ReduceErrorKind::Shape { found: (state + 1, 1), expected: (n, 1) };
+        return Err(("considered state of the filter", kind));
     }
-    if filter.mean.iter().any(|x| !x.is_finite()) {
-        return Err((mean, ReduceErrorKind::NotFinite));
-    }
-    if filter.covariance.iter().any(|x| !x.is_finite()) {
-        return Err((covariance, ReduceErrorKind::NotFinite));
-    }
+    finite(&filter.mean).map_err(|kind| (mean, kind))?;
+    finite(filter.covariance.as_slice()).map_err(|kind| (covariance, kind))?;
     for i in 0..n {
         for j in 0..i {
             let (lower, upper) = (filter.covariance[(i, j)], filter.covariance[(j, i)]);

@@ -4,7 +4,6 @@
 use nalgebra::DMatrix;
 
 use crate::reduce::design::{Step, Transition};
-use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::{NotSemidefinite, root};
 
@@ -90,8 +89,4 @@ pub(super) fn fold(root: &mut DMatrix<f64>) {
     if root.ncols() > root.nrows() && root.nrows() > 0 {
         *root = root.transpose().qr().r().transpose();
     }
-}
-
-pub(super) fn not_semidefinite(bad: NotSemidefinite) -> ReduceErrorKind {
-    ReduceErrorKind::NotSemidefinite { left: bad.left, variance: bad.variance }
 }

@@ -8,14 +8,13 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::model::{Alpha, Phase};
 use crate::reduce::digest::Digest;
-use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::root;
 use crate::reduce::shared::{Entry as Known, Shared};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::conditioned::{Conditioned, Entry, Exact};
 use crate::reduce::suboptimal::folded::Folded;
-use crate::reduce::suboptimal::matrices::not_semidefinite;
 use crate::reduce::{Estimates, Path, Reduction, Terminal};
 
 /// Bytes of conditioned designs that are kept.
@@ -86,12 +85,7 @@ impl EstimateReducer {
 
     fn reduced(&self, id: &str, estimates: &Estimates) -> Result<(Reduction, Terminal, f64), ReduceError> {
         let n = self.preparer.model.states.len();
-        let refuse = |what: &str, kind: ReduceErrorKind| ReduceError {
-            test: Some(id.to_owned()),
-            row: None,
-            what: what.to_owned(),
-            kind: Box::new(kind),
-        };
+        let refuse = |what: &str, kind: ReduceErrorKind| refuse(Some(id), what, kind);
         let widths = (self.preparer.model.columns.len(), self.preparer.model.text_columns.len());
         check(estimates, n, widths).map_err(|(what, kind)| refuse(what, kind))?;
         let named = |fault: Box<Fault>| ReduceError {
@@ -140,8 +134,7 @@ impl EstimateReducer {
         self.preparer.open(&estimates.constants, &mut work)?;
         let (order, r) = (&self.preparer.order, work.design.frame.r);
         let start = DVector::from_fn(order.states.len(), |state, _| work.data.start[order.place[state]]);
-        let U = root(&work.design.variance, r)
-            .map_err(|bad| Fault::new(Subject::KnownCovariance, not_semidefinite(bad)))?;
+        let U = root(&work.design.variance, r).map_err(|bad| Fault::new(Subject::KnownCovariance, bad))?;
         let kept: Vec<usize> = (0..r).filter(|k| U[k * r..][..r].iter().any(|x| *x != 0.0)).collect();
         let mut start_root = DMatrix::zeros(order.states.len(), kept.len());
         for (column, k) in kept.iter().enumerate() {
@@ -220,17 +213,13 @@ fn check(estimates: &Estimates, n: usize, widths: (usize, usize)) -> Result<(), 
         ("constants of the estimates", constants.widths(), widths),
     ];
     for (what, found, expected) in shapes {
-        if found != expected {
-            return Err((what, ReduceErrorKind::Shape { found, expected }));
-        }
+        of_shape(found, expected).map_err(|kind| (what, kind))?;
     }
     let vectors = [("estimates", &estimates.estimates), (shapes[0].0, offsets), (shapes[3].0, drift)];
     let matrices = [(shapes[1].0, sensitivities), (shapes[2].0, transition), (shapes[4].0, root)];
     let numbers = vectors.map(|(what, vector)| (what, vector.as_slice()));
     for (what, numbers) in numbers.into_iter().chain(matrices.map(|(what, matrix)| (what, matrix.as_slice()))) {
-        if numbers.iter().any(|x| !x.is_finite()) {
-            return Err((what, ReduceErrorKind::NotFinite));
-        }
+        finite(numbers).map_err(|kind| (what, kind))?;
     }
     Ok(())
 }

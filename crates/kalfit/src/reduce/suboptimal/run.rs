@@ -9,7 +9,7 @@ use crate::model::{Alpha, Filter, Level, Phase};
 use crate::reduce::Estimates;
 use crate::reduce::design::Design;
 use crate::reduce::digest::Digest;
-use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::kernel;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::shared::{Entry, Shared};
@@ -65,26 +65,16 @@ impl FilterRunner {
     /// A phase without a filter ([`ReduceErrorKind::NoFilter`]); a prior that is not of the model's states, not finite or not
     /// positive semidefinite; coefficients without a value, whatever the data.
     pub fn new(phase: &Phase, alpha: &Alpha) -> Result<FilterRunner, ReduceError> {
-        let named = |what: &str, kind: ReduceErrorKind| ReduceError {
-            test: None,
-            row: None,
-            what: what.to_owned(),
-            kind: Box::new(kind),
-        };
         let Some(filter) = &phase.filter else {
-            return Err(named(&format!("phase `{}`", phase.name), ReduceErrorKind::NoFilter));
+            return Err(refuse(None, &format!("phase `{}`", phase.name), ReduceErrorKind::NoFilter));
         };
-        check(filter, &phase.model).map_err(|(what, kind)| named(what, kind))?;
+        check(filter, &phase.model).map_err(|(what, kind)| refuse(None, what, kind))?;
         let model = without_start(&phase.model);
         let mut believed = alpha.clone();
         for &(parameter, value) in &filter.parameters {
             let count = believed.values.len();
-            let wrong = || {
-                named(
-                    "parameter of the filter",
-                    ReduceErrorKind::Shape { found: (parameter + 1, 1), expected: (count, 1) },
-                )
-            };
+            let kind = ReduceErrorKind::Shape { found: (parameter + 1, 1), expected: (count, 1) };
+            let wrong = || refuse(None, "parameter of the filter", kind);
             *believed.values.get_mut(parameter).ok_or_else(wrong)? = Level::Common(value);
         }
         let truth = Preparer::new(&model, alpha).map_err(|fault| fault.name(&model, None))?;
