@@ -12,7 +12,9 @@ use crate::reduce::class::Class;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::Block;
 use crate::reduce::prepare::{Skeleton, Workspace};
+use crate::reduce::recognise::Likeness;
 use crate::reduce::reducer::{About, Known, Reducer};
+use crate::reduce::shared::Entry;
 use crate::reduce::{Reduction, Reductions, Terminal};
 
 /// Most classes whose blocks are filled at the same time.
@@ -68,7 +70,7 @@ pub(crate) type ToEnd = Result<(Reduction, Option<Terminal>), ReduceError>;
 /// Tests of a known design, gathered in a block.
 #[derive(Debug)]
 struct Group {
-    known: Arc<Known>,
+    known: Arc<Entry<Likeness, Known>>,
     block: Block,
     /// Number and covariates of the test in each lane.
     seats: Vec<(usize, Vec<f64>)>,
@@ -131,12 +133,12 @@ impl<'a> Batch<'a> {
         self.endings.clear();
         self.endings.resize_with(if self.reducer.wants_ends() { tests.len() } else { 0 }, || None);
         for (number, test) in tests.iter().enumerate() {
-            let hash = match self.recognise(tests, test) {
+            let digest = match self.recognise(tests, test) {
                 Ok(()) if self.seat(tests, number) => continue,
                 Ok(()) => None,
-                Err(hash) => hash,
+                Err(digest) => digest,
             };
-            self.evaluate(tests, number, hash);
+            self.evaluate(tests, number, digest);
         }
         (0..self.groups.len()).for_each(|group| self.flush(tests, group));
         self.side_by_side(tests);
@@ -158,19 +160,19 @@ impl<'a> Batch<'a> {
         all.into_iter().map(|found| found.expect("every test was looked at")).collect()
     }
 
-    /// Makes the group of the test's design the latest one; else the hash that it is to be known by, if any.
-    fn recognise(&mut self, tests: &[&Test], test: &Test) -> Result<(), Option<u64>> {
+    /// Makes the group of the test's design the latest one; else the digest that it is to be known by, if any.
+    fn recognise(&mut self, tests: &[&Test], test: &Test) -> Result<(), Option<u128>> {
         let looks = self.reducer.preparer().looks.as_ref().ok_or(None)?;
-        if self.groups.get(self.latest).is_some_and(|group| looks.alike(test, &group.known.likeness)) {
+        if self.groups.get(self.latest).is_some_and(|group| looks.alike(test, &group.known.key)) {
             return Ok(());
         }
         // tests with designs of their own mostly differ from the first rows on
-        if !self.reducer.known().is_noted(looks.hash(test, false)) {
+        if !self.reducer.known().is_noted(looks.digest(test, false)) {
             return Err(None);
         }
-        let hash = looks.hash(test, true);
-        let known = self.reducer.known().find(hash).map_err(|seen| seen.then_some(hash))?;
-        if !looks.alike(test, &known.likeness) {
+        let digest = looks.digest(test, true);
+        let known = self.reducer.known().find(digest).map_err(|seen| seen.then_some(digest))?;
+        if !looks.alike(test, &known.key) {
             return Err(None);
         }
         let open = self.groups.iter().position(|group| Arc::ptr_eq(&group.known, &known));
@@ -179,7 +181,7 @@ impl<'a> Batch<'a> {
     }
 
     /// A new group.
-    fn open(&mut self, tests: &[&Test], known: Arc<Known>) -> usize {
+    fn open(&mut self, tests: &[&Test], known: Arc<Entry<Likeness, Known>>) -> usize {
         let group = Group::new(known);
         if self.groups.len() < OPEN {
             self.groups.push(group);
@@ -212,6 +214,7 @@ impl<'a> Batch<'a> {
         if seats.is_empty() {
             return;
         }
+        let known = known.value();
         let gains = known.class.gains().as_ref().expect("known designs have gains");
         block.run(known.class.design(), gains, &mut self.work.room);
         for (lane, (number, covariates)) in seats.drain(..).enumerate() {
@@ -229,10 +232,10 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// Evaluates a test, or puts it beside others. Others are recognised by it, if it has a hash.
-    fn evaluate(&mut self, tests: &[&Test], number: usize, hash: Option<u64>) {
+    /// Evaluates a test, or puts it beside others. Others are recognised by it, if it has a digest.
+    fn evaluate(&mut self, tests: &[&Test], number: usize, digest: Option<u128>) {
         let (test, reducer) = (tests[number], self.reducer);
-        if hash.is_none() {
+        if digest.is_none() {
             let mut own = self.spare.pop().unwrap_or_default();
             if reducer.preparer().skeleton(test, number, &mut self.work, &mut own) {
                 self.own.push(own);
@@ -244,8 +247,8 @@ impl<'a> Batch<'a> {
             self.spare.push(own);
         }
         let found = reducer.one(test, &mut self.work);
-        if let (Some(hash), Ok((_, class))) = (hash, &found) {
-            reducer.learn(test, class, hash, &self.work);
+        if let (Some(digest), Ok((_, class))) = (digest, &found) {
+            reducer.learn(test, class, digest, &self.work);
         }
         self.note_alone(number, found);
     }
@@ -277,17 +280,17 @@ impl<'a> Batch<'a> {
 }
 
 impl Group {
-    fn new(known: Arc<Known>) -> Group {
-        let mut block = Block::new(Isa::best());
-        block.clear(known.start.len(), known.inputs.len(), known.cells.len());
-        (0..block.lanes()).for_each(|lane| block.begin(lane, &known.start, &known.inputs));
+    fn new(known: Arc<Entry<Likeness, Known>>) -> Group {
+        let (mut block, own) = (Block::new(Isa::best()), known.value());
+        block.clear(own.start.len(), own.inputs.len(), own.cells.len());
+        (0..block.lanes()).for_each(|lane| block.begin(lane, &own.start, &own.inputs));
         Group { known, block, seats: Vec::new() }
     }
 
     /// Puts the values of a test into the next lane; false where one is missing or infinite.
     fn take(&mut self, test: &Test) -> bool {
         let cells = test.all_numbers();
-        self.block.values(self.seats.len(), self.known.cells.iter().map(|&(cell, d)| cells[cell] - d))
+        self.block.values(self.seats.len(), self.known.value().cells.iter().map(|&(cell, d)| cells[cell] - d))
     }
 }
 

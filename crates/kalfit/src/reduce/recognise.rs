@@ -1,20 +1,13 @@
 //! Tests of a design that was seen before, known by their cells: where all that is read but measured values is the same bit for
 //! bit, so is all that is made of it, and nothing needs to be evaluated.
 
-use std::collections::{HashMap, HashSet};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
 use crate::ensemble::{Label, Test};
-use crate::reduce::shared::Mixed;
 use crate::reduce::subject::Uses;
 
 /// Rows whose cells are looked at together.
 const TOGETHER: usize = 8;
-/// Most hashes that a shard remembers of what was seen once.
-const NOTED: usize = 1 << 16;
 
 /// Where to look: which cells of a test decide all but its measured values.
 #[derive(Debug, Clone)]
@@ -60,6 +53,12 @@ impl Looks {
             self.texts.iter().for_each(|&c| hash = mix(hash, texts[c].index() as u64));
         }
         hash
+    }
+
+    /// The hash as a digest, whose upper half tells what the lower one has not.
+    pub(crate) fn digest(&self, test: &Test, all: bool) -> u128 {
+        let hash = self.hash(test, all);
+        u128::from(hash ^ hash << 32) << 64 | u128::from(hash >> 60)
     }
 
     /// What others are compared with.
@@ -142,61 +141,4 @@ fn mixed(cells: &[f64], mask: &[u64]) -> u64 {
 pub(super) fn mix(hash: u64, word: u64) -> u64 {
     let product = (hash ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     product ^ (product >> 29)
-}
-
-/// What threads know again, bounded in bytes. What comes of it never depends on what is known.
-#[derive(Debug)]
-pub(crate) struct Memory<V> {
-    shards: Vec<Mutex<Shard<V>>>,
-    bytes: AtomicUsize,
-    limit: usize,
-}
-
-#[derive(Debug)]
-struct Shard<V> {
-    known: HashMap<u64, Arc<V>, Mixed>,
-    /// Seen once.
-    noted: HashSet<u64, Mixed>,
-}
-
-impl<V> Shard<V> {
-    /// Whether a hash was asked for before; it is from now on.
-    fn note(&mut self, hash: u64) -> bool {
-        if self.noted.len() >= NOTED {
-            self.noted.clear();
-        }
-        !self.noted.insert(hash)
-    }
-}
-
-impl<V> Memory<V> {
-    pub(crate) fn new(limit: usize) -> Memory<V> {
-        let shard = || Mutex::new(Shard { known: HashMap::default(), noted: HashSet::default() });
-        Memory { shards: (0..16).map(|_| shard()).collect(), bytes: AtomicUsize::new(0), limit }
-    }
-
-    /// What is known by a hash, or else whether it was asked for before.
-    pub(crate) fn find(&self, hash: u64) -> Result<Arc<V>, bool> {
-        let mut shard = self.shard(hash);
-        if let Some(known) = shard.known.get(&hash) {
-            return Ok(known.clone());
-        }
-        Err(shard.note(hash))
-    }
-
-    /// Whether a hash was asked for before.
-    pub(crate) fn is_noted(&self, hash: u64) -> bool {
-        self.shard(hash).note(hash)
-    }
-
-    /// Keeps a value, if there is room.
-    pub(crate) fn keep(&self, hash: u64, value: Arc<V>, bytes: usize) {
-        if self.bytes.fetch_add(bytes, Ordering::Relaxed) < self.limit {
-            self.shard(hash).known.insert(hash, value);
-        }
-    }
-
-    fn shard(&self, hash: u64) -> std::sync::MutexGuard<'_, Shard<V>> {
-        self.shards[(hash >> 60) as usize].lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }

@@ -20,7 +20,7 @@ use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::lanes::{Block, Gained, Room, fits, innovations, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::recognise::Memory;
+use crate::reduce::recognise::Likeness;
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::Shared;
@@ -46,7 +46,7 @@ pub struct Reducer {
     preparer: Preparer,
     classes: Shared<Design, Result<Gains, RootError>>,
     /// Tests of designs that were seen more than once.
-    known: Memory<Known>,
+    known: Shared<Likeness, Known>,
     /// Long tests that are known to be alike; `None` where nobody said so.
     alike: Option<Arc<Alike>>,
     unfrozen: bool,
@@ -160,7 +160,7 @@ impl Reducer {
         Reducer {
             preparer,
             classes,
-            known: Memory::new(KNOWN_BYTES),
+            known: Shared::new(KNOWN_BYTES),
             alike: None,
             unfrozen: false,
             ends: false,
@@ -356,15 +356,17 @@ impl Reducer {
     }
 
     /// Recognises others by a test, as it is in the work space.
-    pub(crate) fn learn(&self, test: &Test, class: &Class, hash: u64, work: &Workspace) {
-        if let Some(known) = Known::new(&self.preparer, test, class, work) {
-            let bytes = known.bytes();
-            self.known.keep(hash, Arc::new(known), bytes);
+    pub(crate) fn learn(&self, test: &Test, class: &Class, digest: u128, work: &Workspace) {
+        let known = Known::new(&self.preparer, test, class, work);
+        if let Some((looks, known)) = self.preparer.looks.as_ref().zip(known) {
+            let likeness = looks.likeness(test);
+            let bytes = likeness.bytes() + known.bytes();
+            self.known.keep(digest, likeness, known, bytes);
         }
     }
 
     /// Tests that others are recognised by.
-    pub(crate) fn known(&self) -> &Memory<Known> {
+    pub(crate) fn known(&self) -> &Shared<Likeness, Known> {
         &self.known
     }
 

@@ -30,12 +30,12 @@ impl<K, V> Default for Shard<K, V> {
     }
 }
 
-/// Digests and hashes are mixed already.
-pub(super) type Mixed = BuildHasherDefault<Half>;
+/// Digests are mixed already.
+type Mixed = BuildHasherDefault<Half>;
 
-/// The upper half of a digest: the lower one has told the shard. Of a hash its first bits have done so, and others take their place.
+/// The upper half of a digest: the lower one has told the shard.
 #[derive(Debug, Default)]
-pub(super) struct Half(u64);
+struct Half(u64);
 
 impl Hasher for Half {
     fn finish(&self) -> u64 {
@@ -44,10 +44,6 @@ impl Hasher for Half {
 
     fn write(&mut self, bytes: &[u8]) {
         bytes.iter().for_each(|&byte| self.0 = self.0.rotate_left(8) ^ u64::from(byte));
-    }
-
-    fn write_u64(&mut self, hash: u64) {
-        self.0 = hash ^ hash << 32;
     }
 
     fn write_u128(&mut self, digest: u128) {
@@ -105,6 +101,28 @@ impl<K, V> Shared<K, V> {
 
     fn shard(&self, digest: u128) -> MutexGuard<'_, Shard<K, V>> {
         self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is kept of a digest, or else whether it was asked for before.
+    pub(crate) fn find(&self, digest: u128) -> Result<Arc<Entry<K, V>>, bool> {
+        let mut shard = self.shard(digest);
+        match shard.entries.get(&digest) {
+            Some(entry) => Ok(entry.clone()),
+            None => Err(shard.is_known(digest)),
+        }
+    }
+
+    /// Whether a digest was asked for before; it is from now on.
+    pub(crate) fn is_noted(&self, digest: u128) -> bool {
+        self.shard(digest).is_known(digest)
+    }
+
+    /// Keeps a value, if there is room.
+    pub(crate) fn keep(&self, digest: u128, key: K, value: V, bytes: usize) {
+        if self.bytes.fetch_add(bytes, Ordering::Relaxed) < self.limit {
+            let entry = Arc::new(Entry { key, value: value.into() });
+            self.shard(digest).entries.insert(digest, entry);
+        }
     }
 
     /// The entry of a key, made if need be. `same` tells the key from others of the same digest, `size` is for the key and

@@ -4,12 +4,10 @@ use crate::ensemble::Test;
 use crate::reduce::class::{Class, class_bytes};
 use crate::reduce::lanes::fits;
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::recognise::Likeness;
 
-/// A test that others of its design are recognised by, and what they share with it.
+/// What tests that are recognised by another share with it.
 #[derive(Debug)]
 pub(crate) struct Known {
-    pub(crate) likeness: Likeness,
     pub(crate) class: Class,
     pub(crate) digest: u128,
     pub(crate) steps: usize,
@@ -22,13 +20,11 @@ pub(crate) struct Known {
 impl Known {
     /// What tests of a design are recognised by, from one of them as it was evaluated. `None` where there is nothing to gain.
     pub(crate) fn new(preparer: &Preparer, test: &Test, class: &Class, work: &Workspace) -> Option<Known> {
-        let looks = preparer.looks.as_ref()?;
         let gains = class.gains().as_ref().ok()?;
         if !fits(class.design(), gains) {
             return None;
         }
         Some(Known {
-            likeness: looks.likeness(test),
             class: class.clone(),
             digest: work.design.digest(),
             steps: work.design.steps(),
@@ -41,6 +37,6 @@ impl Known {
     /// Bytes it occupies with its class.
     pub(crate) fn bytes(&self) -> usize {
         let class = class_bytes(self.class.design(), self.class.gains());
-        self.likeness.bytes() + class + 8 * (2 * self.cells.len() + self.start.len() + self.inputs.len()) + 200
+        class + 8 * (2 * self.cells.len() + self.start.len() + self.inputs.len()) + 200
     }
 }
