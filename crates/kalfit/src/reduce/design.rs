@@ -195,27 +195,27 @@ pub(crate) struct Run {
 ///
 /// A *row* is a scalar measurement of the test. Rows of equal steps have one *line*: terms and noise are kept once.
 #[derive(Debug, Clone)]
-pub(crate) struct Design<R = f64> {
+pub(crate) struct Design {
     pub(crate) frame: Arc<Frame>,
     /// P0 on the reachable states, r × r, row-major; the lower triangle counts.
-    pub(crate) variance: Vec<R>,
+    pub(crate) variance: Vec<f64>,
     /// The transitions, each for as many runs on end as have it.
-    pub(crate) moves: Vec<Arc<Transition<R>>>,
+    pub(crate) moves: Vec<Arc<Transition>>,
     pub(crate) runs: Vec<Run>,
     /// End of the terms of each line.
     pub(crate) ends: Vec<usize>,
     /// States of the terms, ascending within a line.
     pub(crate) states: Vec<u32>,
     /// Their coefficients h.
-    pub(crate) h: Vec<R>,
+    pub(crate) h: Vec<f64>,
     /// R, one variance for each line.
-    pub(crate) noise: Vec<R>,
+    pub(crate) noise: Vec<f64>,
 }
 
 /// A run and where it stands.
 #[derive(Debug, Clone)]
-pub(crate) struct Stretch<'a, R = f64> {
-    pub(crate) transition: Option<&'a Arc<Transition<R>>>,
+pub(crate) struct Stretch<'a> {
+    pub(crate) transition: Option<&'a Arc<Transition>>,
     pub(crate) lines: Range<usize>,
     pub(crate) count: usize,
     /// Its scalar measurements, step after step.
@@ -224,16 +224,16 @@ pub(crate) struct Stretch<'a, R = f64> {
 
 /// One step of a test.
 #[derive(Debug, Clone)]
-pub(crate) struct Step<'a, R = f64> {
-    pub(crate) transition: Option<&'a Arc<Transition<R>>>,
+pub(crate) struct Step<'a> {
+    pub(crate) transition: Option<&'a Arc<Transition>>,
     pub(crate) lines: Range<usize>,
     /// Its scalar measurements: row `rows.start + i` has line `lines.start + i`.
     pub(crate) rows: Range<usize>,
 }
 
-impl<'a, R> Stretch<'a, R> {
+impl<'a> Stretch<'a> {
     /// Its steps, in order.
-    pub(crate) fn steps(&self) -> impl DoubleEndedIterator<Item = Step<'a, R>> + use<'a, R> {
+    pub(crate) fn steps(&self) -> impl DoubleEndedIterator<Item = Step<'a>> + use<'a> {
         let (transition, lines, row) = (self.transition, self.lines.clone(), self.rows.start);
         let width = lines.len();
         (0..self.count).map(move |k| {
@@ -243,9 +243,9 @@ impl<'a, R> Stretch<'a, R> {
     }
 }
 
-impl<R: Real> Design<R> {
-    pub(crate) fn new(frame: Arc<Frame>) -> Design<R> {
-        let variance = vec![R::splat(0.0); frame.r * frame.r];
+impl Design {
+    pub(crate) fn new(frame: Arc<Frame>) -> Design {
+        let variance = vec![0.0; frame.r * frame.r];
         Design {
             frame,
             variance,
@@ -259,7 +259,7 @@ impl<R: Real> Design<R> {
     }
 
     pub(crate) fn clear(&mut self) {
-        self.variance.fill(R::splat(0.0));
+        self.variance.fill(0.0);
         self.moves.clear();
         self.runs.clear();
         self.ends.clear();
@@ -270,14 +270,14 @@ impl<R: Real> Design<R> {
 
     /// (states, coefficients) of a line.
     #[inline(always)]
-    pub(crate) fn terms(&self, line: usize) -> (&[u32], &[R]) {
+    pub(crate) fn terms(&self, line: usize) -> (&[u32], &[f64]) {
         let start = if line == 0 { 0 } else { self.ends[line - 1] };
         (&self.states[start..self.ends[line]], &self.h[start..self.ends[line]])
     }
 
     /// The transition of a run.
     #[inline(always)]
-    pub(crate) fn transition(&self, run: &Run) -> Option<&Arc<Transition<R>>> {
+    pub(crate) fn transition(&self, run: &Run) -> Option<&Arc<Transition>> {
         run.transition.map(|number| &self.moves[number as usize])
     }
 
@@ -292,7 +292,7 @@ impl<R: Real> Design<R> {
     }
 
     /// The step with this number.
-    pub(crate) fn step(&self, k: usize) -> Step<'_, R> {
+    pub(crate) fn step(&self, k: usize) -> Step<'_> {
         // where no steps are equal each is a run
         let own = self.runs.get(k).is_some_and(|run| run.steps == k + 1);
         let at = if own { k } else { self.runs.partition_point(|run| run.steps <= k) };
@@ -304,24 +304,24 @@ impl<R: Real> Design<R> {
     }
 
     /// Its runs, in order.
-    pub(crate) fn stretches(&self) -> impl DoubleEndedIterator<Item = Stretch<'_, R>> {
+    pub(crate) fn stretches(&self) -> impl DoubleEndedIterator<Item = Stretch<'_>> {
         (0..self.runs.len()).map(|at| self.stretch(at))
     }
 
     /// The run with this number.
-    pub(crate) fn stretch(&self, at: usize) -> Stretch<'_, R> {
+    pub(crate) fn stretch(&self, at: usize) -> Stretch<'_> {
         let run = &self.runs[at];
         let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
         Stretch { transition: self.transition(run), lines: line..run.lines, count: run.count, rows: row..run.rows }
     }
 
     /// All steps, in order.
-    pub(crate) fn each_step(&self) -> impl DoubleEndedIterator<Item = Step<'_, R>> {
+    pub(crate) fn each_step(&self) -> impl DoubleEndedIterator<Item = Step<'_>> {
         self.stretches().flat_map(|stretch| stretch.steps())
     }
 
     /// Appends a step whose lines were appended already: a run of its own.
-    pub(crate) fn push_step(&mut self, transition: Option<&Arc<Transition<R>>>) {
+    pub(crate) fn push_step(&mut self, transition: Option<&Arc<Transition>>) {
         let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
         let lines = self.ends.len();
         let transition = transition.map(|transition| {
@@ -337,7 +337,7 @@ impl<R: Real> Design<R> {
     ///
     /// One made from other coefficients, or over another time, can be equal too, but its derivatives differ.
     #[inline]
-    fn is_latest(&self, transition: &Arc<Transition<R>>) -> bool {
+    fn is_latest(&self, transition: &Arc<Transition>) -> bool {
         self.moves.last().is_some_and(|last| Arc::ptr_eq(last, transition))
     }
 
@@ -350,9 +350,7 @@ impl<R: Real> Design<R> {
         run.steps += many;
         run.rows += many * (run.lines - before);
     }
-}
 
-impl Design<f64> {
     /// [`Design::push_step`]; a step like the last one, with the very same transition, joins its run.
     #[inline]
     pub(crate) fn join_step(&mut self, transition: Option<&Arc<Transition>>) {

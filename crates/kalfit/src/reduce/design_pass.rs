@@ -12,14 +12,13 @@ use crate::reduce::sums::Sums;
 use kalfit_lanes::Real;
 
 /// Runs the covariance filter of a design.
-pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> Schedule<R> {
-    let (frame, zero) = (&*design.frame, R::splat(0.0));
+pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> Schedule {
+    let frame = &*design.frame;
     let (p, r) = (frame.p, frame.r);
     work.P.clone_from(&design.variance);
-    work.Psi.clear();
-    work.Psi.extend(frame.sensitivity.iter().map(|&x| R::splat(x)));
+    work.Psi.clone_from(&frame.sensitivity);
     work.G.clear();
-    work.G.resize(r, zero);
+    work.G.resize(r, 0.0);
     work.settling.start(&work.Psi);
     let mut out = Schedule {
         gains: Vec::with_capacity((1 + r) * design.ends.len()),
@@ -34,9 +33,9 @@ pub(crate) fn schedule<R: Real>(design: &Design<R>, work: &mut GainsWork<R>) -> 
     out
 }
 
-impl<R: Real> Schedule<R> {
+impl Schedule {
     /// Equal steps: in full until P no longer changes, then Ψ alone until it does not change either, then all others at once.
-    fn stretch(&mut self, design: &Design<R>, stretch: &Stretch<'_, R>, work: &mut GainsWork<R>) {
+    fn stretch(&mut self, design: &Design, stretch: &Stretch<'_>, work: &mut GainsWork) {
         let frame = &*design.frame;
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
         let watched = work.settling.begin(stretch.count);
@@ -70,7 +69,7 @@ impl<R: Real> Schedule<R> {
     }
 
     /// A step in full.
-    fn step(&mut self, design: &Design<R>, stretch: &Stretch<'_, R>, work: &mut GainsWork<R>) {
+    fn step(&mut self, design: &Design, stretch: &Stretch<'_>, work: &mut GainsWork) {
         let frame = &*design.frame;
         let (p, r) = (frame.p, frame.r);
         if let Some(transition) = stretch.transition {
@@ -89,7 +88,7 @@ impl<R: Real> Schedule<R> {
     }
 
     /// A step under the gains of the last one.
-    fn sensitivities(&mut self, design: &Design<R>, stretch: &Stretch<'_, R>, work: &mut GainsWork<R>) {
+    fn sensitivities(&mut self, design: &Design, stretch: &Stretch<'_>, work: &mut GainsWork) {
         let frame = &*design.frame;
         let (p, stride) = (frame.p, 1 + frame.r);
         if let Some(transition) = stretch.transition {
@@ -115,32 +114,15 @@ impl<R: Real> Schedule<R> {
         for back in (1..=lines).rev() {
             let weight = self.gains[self.gains.len() - back * stride];
             let T = &self.sensitivities[self.sensitivities.len() - back * p..][..p];
-            kernel::inform(T, weight * R::splat(many as f64), &mut self.sums.J);
+            kernel::inform(T, weight * many as f64, &mut self.sums.J);
             self.many.push((weight.recip_or_zero().or_one(), many));
         }
     }
 }
 
 /// Room for so many more numbers, and those.
-fn append<R: Real>(numbers: &mut Vec<R>, many: usize) -> &mut [R] {
+fn append(numbers: &mut Vec<f64>, many: usize) -> &mut [f64] {
     let start = numbers.len();
-    numbers.resize(start + many, R::splat(0.0));
+    numbers.resize(start + many, 0.0);
     &mut numbers[start..]
-}
-
-#[cfg(test)]
-mod tests {
-    use crate::reduce::flops::design_pass;
-
-    fn line(flops: kalfit_lanes::Flops) -> String {
-        format!("add {} mul {} fma {} div {}", flops.add, flops.mul, flops.fma, flops.div)
-    }
-
-    #[test]
-    fn the_design_pass_keeps_its_flop_budget() {
-        // n, r, p: random coefficients; an inertial instrument; all states noisy.
-        insta::assert_snapshot!(line(design_pass(2, 0, 2, 10)), @"add 30 mul 30 fma 40 div 10");
-        insta::assert_snapshot!(line(design_pass(15, 2, 13, 10)), @"add 160 mul 210 fma 2370 div 10");
-        insta::assert_snapshot!(line(design_pass(4, 4, 4, 10)), @"add 50 mul 180 fma 2930 div 10");
-    }
 }

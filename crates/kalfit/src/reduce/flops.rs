@@ -1,10 +1,11 @@
 //! What the passes of the filter cost, counted as they run.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G, K, T")]
 
 use std::sync::Arc;
 
-use crate::reduce::design::{DENSE, Design, Frame, Pattern, Transition};
-use crate::reduce::design_pass::schedule;
-use crate::reduce::schedule::GainsWork;
+use crate::reduce::design::{DENSE, Frame, Pattern, Transition};
+use crate::reduce::kernel::{Spread, advance, measure, predict};
+use crate::reduce::sums::Sums;
 use kalfit_lanes::{Counted, Flops};
 
 /// Floating-point operations of (the design pass, the data pass) for a test of n states, r of them noisy, p uncertain and
@@ -17,25 +18,44 @@ pub fn reduction_flops(n: usize, r: usize, p: usize, rows: usize) -> (u64, u64) 
 }
 
 /// n states, the first r of them noisy and coupled, p uncertain; every step measures the sum of all states.
-pub(crate) fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
+fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     let sensitivity = (0..n * p).map(|at| if at / p == at % p + n - p { 1.0 } else { 0.0 }).collect();
     let rows = (0..n).map(|i| if i < r { DENSE } else { (i + p - n) as u32 }).collect();
-    let frame = Arc::new(Frame { n, p, r, rows, sensitivity, driven: Vec::new(), digest: 0 });
+    let frame = Frame { n, p, r, rows, sensitivity, driven: Vec::new(), digest: 0 };
     let mut pattern = Pattern::default();
     (0..r).for_each(|i| pattern.push(i, r, 0..r));
     pattern.pairs.extend((0..r as u32).map(|i| (i, i)));
     let phi = (0..r * r).map(|at| Counted(0.1 + f64::from(at / r == at % r))).collect();
     let transition = Transition { pattern: Arc::new(pattern), phi, q: vec![Counted(1.0); r] };
-    let transition = Arc::new(transition);
-    let mut design = Design::new(frame);
-    for _ in 0..steps {
-        design.states.extend(0..n as u32);
-        design.h.extend(vec![Counted(1.0); n]);
-        design.ends.push(design.states.len());
-        design.noise.push(Counted(1.0));
-        design.push_step(Some(&transition));
-    }
+    let (states, h): (Vec<u32>, Vec<Counted>) = ((0..n as u32).collect(), vec![Counted(1.0); n]);
+    let zeros = |count: usize| vec![Counted(0.0); count];
+    let mut Psi: Vec<Counted> = frame.sensitivity.iter().map(|&x| Counted(x)).collect();
+    let (mut P, mut G, mut K, mut T) = (zeros(r * r), zeros(r), zeros(r), zeros(p));
+    let (mut sums, mut work) = (Sums::new(p), Vec::new());
     Counted::count(|| {
-        schedule(&design, &mut GainsWork::default());
+        for _ in 0..steps {
+            predict(&mut P, r, &transition, &mut work);
+            advance(&mut Psi, p, &transition, &mut work);
+            let of = Spread { P: &mut P, Psi: &mut Psi, J: &mut sums.J };
+            let update = measure(&frame, (&states, &h, Counted(1.0)), of, (&mut G, &mut K, &mut T));
+            sums.count(update.S, update.kept);
+        }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(flops: Flops) -> String {
+        format!("add {} mul {} fma {} div {}", flops.add, flops.mul, flops.fma, flops.div)
+    }
+
+    #[test]
+    fn the_steps_of_the_design_pass_keep_their_flop_budget() {
+        // n, r, p: random coefficients; an inertial instrument; all states noisy.
+        insta::assert_snapshot!(line(design_pass(2, 0, 2, 10)), @"add 30 mul 30 fma 40 div 10");
+        insta::assert_snapshot!(line(design_pass(15, 2, 13, 10)), @"add 160 mul 210 fma 2370 div 10");
+        insta::assert_snapshot!(line(design_pass(4, 4, 4, 10)), @"add 50 mul 180 fma 2930 div 10");
+    }
 }

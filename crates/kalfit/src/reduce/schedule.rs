@@ -7,34 +7,33 @@ use crate::reduce::design::Stretch;
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::settling::Settling;
 use crate::reduce::sums::Sums;
-use kalfit_lanes::Real;
 
 /// What a design pass leaves.
 #[derive(Debug, Clone)]
-pub(crate) struct Schedule<R = f64> {
+pub(crate) struct Schedule {
     /// As in [`Gains`].
-    pub(crate) gains: Vec<R>,
-    pub(crate) sensitivities: Vec<R>,
+    pub(crate) gains: Vec<f64>,
+    pub(crate) sensitivities: Vec<f64>,
     pub(super) pieces: Vec<Piece>,
-    pub(crate) sums: Sums<R>,
+    pub(crate) sums: Sums,
     /// Rows that Π S lacks: (S, how many).
-    pub(super) many: Vec<(R, usize)>,
+    pub(super) many: Vec<(f64, usize)>,
 }
 
 /// Work space of the design pass; afterwards P and Ψ of the last step, those of
 /// steps that changed nothing any more included.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct GainsWork<R = f64> {
-    pub(crate) P: Vec<R>,
-    pub(crate) Psi: Vec<R>,
-    pub(super) G: Vec<R>,
-    pub(super) rows: Vec<R>,
-    pub(crate) settling: Settling<R>,
+pub(crate) struct GainsWork {
+    pub(crate) P: Vec<f64>,
+    pub(crate) Psi: Vec<f64>,
+    pub(super) G: Vec<f64>,
+    pub(super) rows: Vec<f64>,
+    pub(crate) settling: Settling,
 }
 
-impl<R: Real> Schedule<R> {
+impl Schedule {
     /// Notes what is kept of a stretch.
-    pub(super) fn note(&mut self, piece: Piece, stretch: &Stretch<'_, R>) {
+    pub(super) fn note(&mut self, piece: Piece, stretch: &Stretch<'_>) {
         let rows: Range<usize> = stretch.rows.clone();
         if rows.is_empty() {
             return;
@@ -53,9 +52,7 @@ impl<R: Real> Schedule<R> {
             self.pieces.push(Piece { width: 1, gain_steps: steps, sensitivity_steps: steps, ..piece });
         }
     }
-}
 
-impl Schedule<f64> {
     /// The finished information form, or `None` where square-root arrays are called for.
     pub(crate) fn finish(self, (r, p): (usize, usize), active: usize) -> Option<Gains> {
         let (factor, log_determinant) = self.sums.root(&self.many)?;

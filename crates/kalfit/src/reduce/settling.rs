@@ -1,8 +1,6 @@
 //! When P and Ψ of equal steps have stopped changing.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
 
-use kalfit_lanes::Real;
-
 /// Nothing is looked at before so many steps, and looks are at least so many steps apart.
 const WINDOW: usize = 32;
 /// Looks are this part of the steps so far apart.
@@ -32,23 +30,23 @@ pub(crate) enum Frozen {
 /// itself a step: over 10⁶ steps 1e-11.
 /// Without noise P falls like 1/k, a fifth over any window, and is never frozen.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Settling<R = f64> {
+pub(crate) struct Settling {
     /// Nothing is ever frozen.
     pub(crate) off: bool,
-    P: Vec<R>,
-    Psi: Vec<R>,
+    P: Vec<f64>,
+    Psi: Vec<f64>,
     /// Largest magnitudes of Ψ so far, as far as looked at.
-    peaks: Vec<R>,
+    peaks: Vec<f64>,
     /// The last look.
     last: usize,
     next: usize,
 }
 
-impl<R: Real> Settling<R> {
+impl Settling {
     /// Begins a design.
-    pub(crate) fn start(&mut self, Psi: &[R]) {
+    pub(crate) fn start(&mut self, Psi: &[f64]) {
         self.peaks.clear();
-        self.peaks.extend(Psi.iter().map(|x| x.magnitude()));
+        self.peaks.extend(Psi.iter().map(|x| x.abs()));
     }
 
     /// Begins so many equal steps. False where they are too few to look at.
@@ -64,14 +62,14 @@ impl<R: Real> Settling<R> {
 
     /// Looks, if it is time: after `step` of these steps. Shapes: `P` r × r, row-major, lower triangle.
     #[inline]
-    pub(crate) fn look(&mut self, step: usize, (P, r): (&[R], usize), Psi: &[R], frozen: Frozen) -> Frozen {
+    pub(crate) fn look(&mut self, step: usize, (P, r): (&[f64], usize), Psi: &[f64], frozen: Frozen) -> Frozen {
         if step < self.next {
             return frozen;
         }
         let slack = ((step - self.last) as f64 * CREEP).clamp(LEAST, MOST);
         let first = self.last == 0;
         for (peak, x) in self.peaks.iter_mut().zip(Psi) {
-            *peak = peak.maximum(x.magnitude());
+            *peak = peak.max(x.abs());
         }
         let frozen = match frozen {
             _ if first => frozen,
@@ -88,22 +86,20 @@ impl<R: Real> Settling<R> {
         frozen
     }
 
-    fn variance_rests(&self, P: &[R], r: usize, slack: f64) -> bool {
+    fn variance_rests(&self, P: &[f64], r: usize, slack: f64) -> bool {
         (0..r).all(|i| {
             (0..=i).all(|j| {
-                let change = (P[i * r + j] - self.P[i * r + j]).magnitude();
-                let (slack, zero) = (R::splat(slack), R::splat(0.0));
+                let change = (P[i * r + j] - self.P[i * r + j]).abs();
                 // against √(P_ii P_jj), without the root and without underflow
-                change.at_most(zero)
-                    || (change * (change / P[i * (r + 1)])).at_most(slack * slack * P[j * (r + 1)].magnitude())
+                change <= 0.0 || change * (change / P[i * (r + 1)]) <= slack * slack * P[j * (r + 1)].abs()
             })
         })
     }
 
-    fn sensitivity_rests(&self, Psi: &[R], slack: f64) -> bool {
+    fn sensitivity_rests(&self, Psi: &[f64], slack: f64) -> bool {
         Psi.iter().zip(&self.Psi).zip(&self.peaks).all(|((&now, &before), &peak)| {
-            let size = now.magnitude().maximum(peak * R::splat(FADED));
-            (now - before).magnitude().at_most(size * R::splat(slack))
+            let size = now.abs().max(peak * FADED);
+            (now - before).abs() <= size * slack
         })
     }
 }

@@ -9,67 +9,67 @@ use kalfit_lanes::Real;
 
 /// The transition of the N states that move; W columns of Ψ. Those of states that rest are constants.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Motion<R, const N: usize, const W: usize> {
-    pub(crate) phi: [[R; N]; N],
-    Q: [[R; N]; N],
+pub(crate) struct Motion<const N: usize, const W: usize> {
+    pub(crate) phi: [[f64; N]; N],
+    Q: [[f64; N]; N],
     /// What the states that rest add to φΨ.
-    pub(crate) c: [[R; W]; N],
+    pub(crate) c: [[f64; W]; N],
 }
 
 /// Steps of one measurement.
-struct Small<R, const N: usize, const W: usize> {
-    motion: Motion<R, N, W>,
-    h: [R; N],
+struct Small<const N: usize, const W: usize> {
+    motion: Motion<N, W>,
+    h: [f64; N],
     /// What they add to T.
-    t: [R; W],
-    noise: R,
+    t: [f64; W],
+    noise: f64,
 }
 
 /// So many steps of a stretch.
-pub(crate) type Steps<R> = fn(&Design<R>, &Stretch<'_, R>, usize, &mut GainsWork<R>, &mut Schedule<R>);
+pub(crate) type Steps = fn(&Design, &Stretch<'_>, usize, &mut GainsWork, &mut Schedule);
 
 /// The steps of a stretch, if it is of this kind.
-pub(crate) fn steps<R: Real>(design: &Design<R>, stretch: &Stretch<'_, R>) -> Option<Steps<R>> {
+pub(crate) fn steps(design: &Design, stretch: &Stretch<'_>) -> Option<Steps> {
     if stretch.lines.len() != 1 {
         return None;
     }
     Some(match (moving(design, stretch), design.frame.p) {
-        (1, 0) => run::<R, 1, 0>,
-        (1, 1) => run::<R, 1, 1>,
-        (1, 2) => run::<R, 1, 2>,
-        (1, 3) => run::<R, 1, 3>,
-        (2, 0) => run::<R, 2, 0>,
-        (2, 1) => run::<R, 2, 1>,
-        (2, 2) => run::<R, 2, 2>,
-        (2, 3) => run::<R, 2, 3>,
-        (3, 0) => run::<R, 3, 0>,
-        (3, 1) => run::<R, 3, 1>,
-        (3, 2) => run::<R, 3, 2>,
-        (3, 3) => run::<R, 3, 3>,
-        (4, 0) => run::<R, 4, 0>,
-        (4, 1) => run::<R, 4, 1>,
-        (4, 2) => run::<R, 4, 2>,
-        (4, 3) => run::<R, 4, 3>,
+        (1, 0) => run::<1, 0>,
+        (1, 1) => run::<1, 1>,
+        (1, 2) => run::<1, 2>,
+        (1, 3) => run::<1, 3>,
+        (2, 0) => run::<2, 0>,
+        (2, 1) => run::<2, 1>,
+        (2, 2) => run::<2, 2>,
+        (2, 3) => run::<2, 3>,
+        (3, 0) => run::<3, 0>,
+        (3, 1) => run::<3, 1>,
+        (3, 2) => run::<3, 2>,
+        (3, 3) => run::<3, 3>,
+        (4, 0) => run::<4, 0>,
+        (4, 1) => run::<4, 1>,
+        (4, 2) => run::<4, 2>,
+        (4, 3) => run::<4, 3>,
         _ => return None,
     })
 }
 
 /// States that noise reaches or that move: the first ones of the kernels' order.
-pub(crate) fn moving<R: Real>(design: &Design<R>, stretch: &Stretch<'_, R>) -> usize {
+pub(crate) fn moving(design: &Design, stretch: &Stretch<'_>) -> usize {
     let last = stretch.transition.and_then(|transition| transition.pattern.moved.last());
     design.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
 }
 
-fn run<R: Real, const N: usize, const W: usize>(
-    design: &Design<R>,
-    stretch: &Stretch<'_, R>,
+fn run<const N: usize, const W: usize>(
+    design: &Design,
+    stretch: &Stretch<'_>,
     many: usize,
-    work: &mut GainsWork<R>,
-    out: &mut Schedule<R>,
+    work: &mut GainsWork,
+    out: &mut Schedule,
 ) {
-    let (zero, r) = (R::splat(0.0), design.frame.r);
-    let step = Small::<R, N, W>::new(design, stretch, &work.Psi);
-    let (mut P, mut Psi) = ([[zero; N]; N], [[zero; W]; N]);
+    let r = design.frame.r;
+    let step = Small::<N, W>::new(design, stretch, &work.Psi);
+    let (mut P, mut Psi) = ([[0.0; N]; N], [[0.0; W]; N]);
     for i in 0..r {
         for j in 0..=i {
             (P[i][j], P[j][i]) = (work.P[i * r + j], work.P[i * r + j]);
@@ -80,12 +80,12 @@ fn run<R: Real, const N: usize, const W: usize>(
     }
     out.gains.reserve((1 + r) * many);
     out.sensitivities.reserve(W * many);
-    let mut J = vec![zero; out.sums.J.len()];
+    let mut J = vec![0.0; out.sums.J.len()];
     for _ in 0..many {
         step.take(&mut P, &mut Psi, r, &mut J, out);
     }
     for (sum, part) in out.sums.J.iter_mut().zip(&J) {
-        *sum = *sum + *part;
+        *sum += *part;
     }
     for i in 0..r {
         work.P[i * r..][..=i].copy_from_slice(&P[i][..=i]);
@@ -95,16 +95,15 @@ fn run<R: Real, const N: usize, const W: usize>(
     }
 }
 
-impl<R: Real, const N: usize, const W: usize> Motion<R, N, W> {
+impl<const N: usize, const W: usize> Motion<N, W> {
     /// Of steps without a transition, if there is none. `Psi`: n × W, or empty.
-    pub(crate) fn new(transition: Option<&Transition<R>>, Psi: &[R]) -> Motion<R, N, W> {
-        let (zero, one) = (R::splat(0.0), R::splat(1.0));
-        let mut motion = Motion { phi: [[zero; N]; N], Q: [[zero; N]; N], c: [[zero; W]; N] };
-        (0..N).for_each(|i| motion.phi[i][i] = one);
+    pub(crate) fn new(transition: Option<&Transition>, Psi: &[f64]) -> Motion<N, W> {
+        let mut motion = Motion { phi: [[0.0; N]; N], Q: [[0.0; N]; N], c: [[0.0; W]; N] };
+        (0..N).for_each(|i| motion.phi[i][i] = 1.0);
         let Some(transition) = transition else { return motion };
         for row in &transition.pattern.moved {
             let i = row.state as usize;
-            motion.phi[i] = [zero; N];
+            motion.phi[i] = [0.0; N];
             for k in row.start as usize..row.end as usize {
                 match transition.pattern.columns[k] as usize {
                     j if j < N => motion.phi[i][j] = transition.phi[k],
@@ -122,7 +121,7 @@ impl<R: Real, const N: usize, const W: usize> Motion<R, N, W> {
 
     /// φΨ.
     #[inline(always)]
-    pub(crate) fn advance(&self, Psi: &[[R; W]; N]) -> [[R; W]; N] {
+    pub(crate) fn advance(&self, Psi: &[[f64; W]; N]) -> [[f64; W]; N] {
         let mut moved = self.c;
         for i in 0..N {
             for k in 0..N {
@@ -136,9 +135,9 @@ impl<R: Real, const N: usize, const W: usize> Motion<R, N, W> {
 
     /// φPφ' + Q.
     #[inline(always)]
-    pub(crate) fn predict(&self, P: &[[R; N]; N]) -> [[R; N]; N] {
-        let (zero, mut moved) = (R::splat(0.0), self.Q);
-        let mut phiP = [[zero; N]; N];
+    pub(crate) fn predict(&self, P: &[[f64; N]; N]) -> [[f64; N]; N] {
+        let mut moved = self.Q;
+        let mut phiP = [[0.0; N]; N];
         for i in 0..N {
             for k in 0..N {
                 for j in 0..N {
@@ -148,11 +147,11 @@ impl<R: Real, const N: usize, const W: usize> Motion<R, N, W> {
         }
         for i in 0..N {
             for j in 0..=i {
-                let mut sum = zero;
+                let mut sum = 0.0;
                 for k in 0..N {
                     sum = self.phi[j][k].fma(phiP[i][k], sum);
                 }
-                moved[i][j] = sum + moved[i][j];
+                moved[i][j] += sum;
                 moved[j][i] = moved[i][j];
             }
         }
@@ -160,11 +159,11 @@ impl<R: Real, const N: usize, const W: usize> Motion<R, N, W> {
     }
 }
 
-impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
-    fn new(design: &Design<R>, stretch: &Stretch<'_, R>, Psi: &[R]) -> Small<R, N, W> {
-        let (zero, line) = (R::splat(0.0), stretch.lines.start);
+impl<const N: usize, const W: usize> Small<N, W> {
+    fn new(design: &Design, stretch: &Stretch<'_>, Psi: &[f64]) -> Small<N, W> {
+        let line = stretch.lines.start;
         let motion = Motion::new(stretch.transition.map(|transition| &**transition), Psi);
-        let mut step = Small { motion, h: [zero; N], t: [zero; W], noise: design.noise[line] };
+        let mut step = Small { motion, h: [0.0; N], t: [0.0; W], noise: design.noise[line] };
         let (states, h) = design.terms(line);
         for (&state, &h) in states.iter().zip(h) {
             match state as usize {
@@ -177,11 +176,10 @@ impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
 
     /// One step; its gains, sensitivities and information go to `out` and `J`.
     #[inline(always)]
-    fn take(&self, P: &mut [[R; N]; N], Psi: &mut [[R; W]; N], r: usize, J: &mut [R], out: &mut Schedule<R>) {
-        let zero = R::splat(0.0);
+    fn take(&self, P: &mut [[f64; N]; N], Psi: &mut [[f64; W]; N], r: usize, J: &mut [f64], out: &mut Schedule) {
         let predicted = self.motion.advance(Psi);
         *P = self.motion.predict(P);
-        let (mut G, mut K, mut T) = ([zero; N], [zero; N], self.t);
+        let (mut G, mut K, mut T) = ([0.0; N], [0.0; N], self.t);
         for i in 0..N {
             for j in 0..W {
                 T[j] = self.h[i].fma(predicted[i][j], T[j]);
@@ -203,7 +201,7 @@ impl<R: Real, const N: usize, const W: usize> Small<R, N, W> {
     }
 }
 
-fn add<R: Real>(sum: &mut [R], factor: R, row: &[R]) {
+fn add(sum: &mut [f64], factor: f64, row: &[f64]) {
     for (sum, &x) in sum.iter_mut().zip(row) {
         *sum = factor.fma(x, *sum);
     }

@@ -67,7 +67,7 @@ impl Identity {
     }
 }
 
-impl Design<f64> {
+impl Design {
     /// Of all numbers. Equal steps on end are told of one by one where they are few, as they are where designs stand side by side.
     pub(crate) fn digest(&self) -> u128 {
         let mut identity = Identity::new();

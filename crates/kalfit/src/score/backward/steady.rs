@@ -13,7 +13,7 @@ use crate::score::backward::run::{Run, Wanted};
 pub(super) struct Steady<const N: usize, const C: usize> {
     pub(super) data: DataAdjoint<f64, N>,
     /// With ΨC for Ψ.
-    motion: Motion<f64, N, C>,
+    motion: Motion<N, C>,
     noise: f64,
     moves: bool,
     wanted: Wanted,
