@@ -69,7 +69,7 @@ pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a
             filter.update(design, (line, row), &mut gains, &mut turns.folds)?;
         }
     }
-    settle(&mut filter.R, p, &mut turns.settle);
+    settle(&mut filter.R, p, UNINFORMED, &mut turns.settle);
     for k in 0..p {
         gains.factor.extend((0..=k).map(|i| filter.R[i * p + k]));
     }
@@ -198,13 +198,13 @@ impl<'a> RootFilter<'a> {
     }
 }
 
-/// Rounds directions without information to none: their rows of R go into the rows below, their data into the residual.
-/// Shape: `R` p × p, row-major, upper triangular.
-pub(crate) fn settle(R: &mut [f64], p: usize, settle: &mut Vec<Settle>) {
+/// Rounds directions without information to none, those with a diagonal below this `part` of its column: their rows of R go into the
+/// rows below, their data into the residual. Shape: `R` p × p, row-major, upper triangular.
+pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<Settle>) {
     let column = |k: usize| -> Vec<f64> { (0..=k).map(|i| R[i * p + k]).collect() };
     let norms: Vec<f64> = (0..p).map(|k| norm(&column(k))).collect();
     for i in 0..p {
-        if R[i * p + i] > UNINFORMED * norms[i] {
+        if R[i * p + i] > part * norms[i] {
             continue;
         }
         R[i * p + i] = 0.0;

@@ -16,7 +16,7 @@ use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
 use crate::reduce::gains::Settle;
-use crate::reduce::root::settle;
+use crate::reduce::root::{UNINFORMED, settle};
 use join::{Given, apart};
 
 pub(crate) use abreast::Stacked;
@@ -37,7 +37,7 @@ fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<Settle>) {
     let mut entries = vec![0.0; width * width];
     let places = || (0..width).flat_map(|k| (0..=k).map(move |i| i * width + k));
     places().zip(&*factor).for_each(|(place, x)| entries[place] = *x);
-    settle(&mut entries, width, settled);
+    settle(&mut entries, width, UNINFORMED, settled);
     places().zip(factor).for_each(|(place, x)| *x = entries[place]);
 }
 

@@ -3,8 +3,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::linalg::fold::{Rotation, fold};
+use crate::linalg::fold::fold;
 use crate::reduce::Terminal;
+use crate::reduce::root::settle;
 use crate::reduce::suboptimal::conditioned::Conditioned;
 use crate::reduce::suboptimal::matrices::{append, fold as narrow};
 
@@ -70,33 +71,13 @@ impl Folded {
         let (k, q) = (self.k, self.q);
         let logs: f64 = (0..k).map(|i| self.at(i, i).ln()).sum();
         let random = self.white.len() + self.taken.len();
-        let mut own: Vec<f64> = (0..(q + 1) * (q + 1)).map(|at| self.at(k + at / (q + 1), k + at % (q + 1))).collect();
-        settle(&mut own, q + 1);
-        let residual = own[(q + 1) * (q + 1) - 1];
-        let constant =
-            -0.5 * (random as f64 * std::f64::consts::TAU.ln() + residual * residual) - conditioned.log_spread - logs;
-        let data = (0..q).map(|i| own[i * (q + 1) + q]).collect();
-        let factor = (0..q).flat_map(|j| (0..=j).map(move |i| (i, j))).map(|(i, j)| own[i * (q + 1) + j]).collect();
+        let mut R: Vec<f64> = (0..q * q).map(|at| self.at(k + at / q, k + at % q)).collect();
+        let mut data: Vec<f64> = (0..q).map(|i| self.at(k + i, k + q)).collect();
+        let (mut residual, mut settled) = (self.at(k + q, k + q).powi(2), Vec::new());
+        settle(&mut R, q, UNINFORMED, &mut settled);
+        settled.iter().for_each(|one| one.apply(&mut data, &mut residual));
+        let constant = -0.5 * (random as f64 * std::f64::consts::TAU.ln() + residual) - conditioned.log_spread - logs;
+        let factor = (0..q).flat_map(|j| (0..=j).map(move |i| (i, j))).map(|(i, j)| R[i * q + j]).collect();
         (constant, data, factor)
-    }
-}
-
-/// Rounds directions without information to none: their rows of [R | d] go into the rows below, and into the residual.
-fn settle(info: &mut [f64], width: usize) {
-    let p = width - 1;
-    let norm = |info: &[f64], k: usize| (0..=k).fold(0.0, |sum: f64, i| sum.hypot(info[i * width + k]));
-    let norms: Vec<f64> = (0..p).map(|k| norm(info, k)).collect();
-    for i in 0..p {
-        if info[i * width + i] > UNINFORMED * norms[i] {
-            continue;
-        }
-        info[i * width + i] = 0.0;
-        for k in i + 1..width {
-            let turn = Rotation::of(info[k * width + k], info[i * width + k]);
-            for c in k..width {
-                (info[k * width + c], info[i * width + c]) = turn.turn(info[k * width + c], info[i * width + c]);
-            }
-            info[i * width + k] = 0.0;
-        }
     }
 }
