@@ -58,6 +58,23 @@ impl Table {
     }
 }
 
+/// F and Q, m × m, from the slots of their entries (i, j, slot).
+pub(crate) fn matrices(
+    m: usize,
+    [rates, noise]: [&[(usize, usize, usize)]; 2],
+    value: impl Fn(usize) -> f64,
+) -> (Vec<f64>, Vec<f64>) {
+    let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
+    for &(i, j, slot) in rates {
+        f[i * m + j] = value(slot);
+    }
+    for &(i, j, slot) in noise {
+        q[i * m + j] = value(slot);
+        q[j * m + i] = value(slot);
+    }
+    (f, q)
+}
+
 /// States of continuous motion that depend on each other. Indices i, j count within the component.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Component {

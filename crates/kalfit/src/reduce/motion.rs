@@ -10,7 +10,7 @@ use kalfit_lanes::Isa;
 
 use crate::linalg::exponential::flow;
 use crate::reduce::design::{Moved, Pattern, Transition};
-use crate::reduce::dynamics::{Component, Dynamics, Recursion};
+use crate::reduce::dynamics::{Component, Dynamics, Recursion, matrices};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::order::Order;
 use crate::reduce::semidefinite::ldl;
@@ -31,6 +31,8 @@ pub(crate) struct Plan {
     drives: Vec<Drive>,
     /// Start of each component's flow.
     offsets: Vec<usize>,
+    /// Numbers in the flows of all components.
+    pub(crate) flow_len: usize,
     /// Of each component of a single state.
     singles: Vec<Single>,
     /// For each entry of φ, that of the identity.
@@ -103,10 +105,10 @@ impl Plan {
 
     pub(crate) fn new(dynamics: &Dynamics, order: &Order) -> Plan {
         let mut offsets = Vec::new();
-        let mut size = 0;
+        let mut flow_len = 0;
         for component in &dynamics.components {
-            offsets.push(size);
-            size += 3 * component.states.len().pow(2);
+            offsets.push(flow_len);
+            flow_len += 3 * component.states.len().pow(2);
         }
         let (mut pattern, mut phi, mut drives) = (Pattern::default(), Vec::new(), Vec::new());
         for (place, &state) in order.states.iter().enumerate() {
@@ -126,7 +128,7 @@ impl Plan {
         let q = noise.into_iter().map(|entry| entry.1).collect();
         let (singles, pattern) = (singles(dynamics, &offsets), pattern.seal());
         let identity = identity(&pattern);
-        Plan { pattern: Arc::new(pattern), phi, q, drives, offsets, singles, identity }
+        Plan { pattern: Arc::new(pattern), phi, q, drives, offsets, flow_len, singles, identity }
     }
 
     /// Nothing ever moves: a transition would change no state.
@@ -259,14 +261,7 @@ fn append_flow(
     flows: &mut Vec<f64>,
 ) -> Result<(), Box<Fault>> {
     let m = component.states.len();
-    let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
-    for &(i, j, slot) in &component.rates {
-        f[i * m + j] = value(slot);
-    }
-    for &(i, j, slot) in &component.noise {
-        q[i * m + j] = value(slot);
-        q[j * m + i] = value(slot);
-    }
+    let (f, q) = matrices(m, [&component.rates, &component.noise], value);
     let fault = |_| Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite);
     let flow = flow(&f, &q, m, dt).map_err(fault)?;
     [flow.phi, flow.gamma, flow.q].iter().for_each(|matrix| flows.extend(matrix));

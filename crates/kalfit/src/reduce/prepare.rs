@@ -23,7 +23,7 @@ use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::Shared;
 use crate::reduce::start::{Law, Start};
 use crate::reduce::steps::{Cells, Span, spans};
-use crate::reduce::subject::{At, Fault, Reads, Subject};
+use crate::reduce::subject::{At, Fault, Subject, Uses};
 
 mod alike;
 mod covariates;
@@ -54,9 +54,9 @@ pub(crate) struct Preparer {
     pub(crate) plan: Plan,
     pub(crate) meters: Meters,
     /// Columns that φ, Q, h, R or which values count depend on: where their cells repeat, so do these.
-    shape: Reads,
+    shape: Uses,
     /// Columns that only known inputs and constants depend on.
-    drive: Reads,
+    drive: Uses,
     /// Nothing is read from the data but measured values and times.
     plain: bool,
     /// The dynamics depend on the length of a step alone.
@@ -163,8 +163,8 @@ impl Preparer {
         let looks = looks(&at, (&shape, &drive), (&dynamics, &start, &meters));
         Ok(Preparer {
             plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
-            shape: Reads::new(&shape),
-            drive: Reads::new(&drive),
+            shape,
+            drive,
             quick: dynamics.components.iter().all(|component| component.states.len() == 1),
             columnwise: !dynamics.mixes_on_rows(),
             steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),

@@ -39,7 +39,7 @@ impl Looks {
         let mut measured: Vec<usize> = measured.collect();
         measured.sort_unstable();
         measured.dedup();
-        Looks { isa: Isa::best(), mask: row.repeat(TOGETHER), texts: uses.texts.iter().copied().collect(), measured }
+        Looks { isa: Isa::best(), mask: row.repeat(TOGETHER), texts: uses.texts.clone(), measured }
     }
 
     /// A hash of what counts: of the first rows alone, or of all.

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::exponential::{FlowError, stationary, stationary_discrete};
 use crate::model::{Initial, Motion, Scope};
-use crate::reduce::dynamics::{Dynamics, connected};
+use crate::reduce::dynamics::{Dynamics, connected, matrices};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
@@ -93,7 +93,7 @@ impl Start {
         coefficients.iter().for_each(|coefficient| uses.add(coefficient, at.alpha));
         start.fixed = coefficients.iter().all(|coefficient| coefficient.constant().is_some());
         start.initial_time.iter().for_each(|coefficient| uses.add(coefficient, at.alpha));
-        uses.numbers.extend(at.model.mean.regression.iter().map(|regression| regression.column));
+        at.model.mean.regression.iter().for_each(|regression| uses.number(regression.column));
         start.uses = uses;
         Ok(start)
     }
@@ -235,16 +235,7 @@ fn inputs_of(dynamics: &Dynamics, states: &[usize]) -> Vec<(usize, usize)> {
 impl Group {
     /// F (or φ) and Q, m × m.
     fn matrices(&self, values: &[f64]) -> (Vec<f64>, Vec<f64>) {
-        let m = self.states.len();
-        let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
-        for &(i, j, slot) in &self.motion {
-            f[i * m + j] += values[slot];
-        }
-        for &(i, j, slot) in &self.noise {
-            q[i * m + j] = values[slot];
-            q[j * m + i] = values[slot];
-        }
-        (f, q)
+        matrices(self.states.len(), [&self.motion, &self.noise], |slot| values[slot])
     }
 
     /// A of Am = u, which is 0 = Fm + u, or m = φm + u.

@@ -1,7 +1,5 @@
 //! What is being computed, and coefficients at α.
 
-use std::collections::BTreeSet;
-
 use crate::ensemble::Test;
 use crate::model::{Alpha, EvaluationError, Expression, Level, Model, Scope};
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
@@ -271,14 +269,24 @@ impl Coefficient {
     }
 }
 
-/// Columns that expressions read.
+/// Columns that expressions read, ascending.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Uses {
-    pub(crate) numbers: BTreeSet<usize>,
-    pub(crate) texts: BTreeSet<usize>,
+    pub(crate) numbers: Vec<usize>,
+    pub(crate) texts: Vec<usize>,
 }
 
 impl Uses {
+    pub(crate) fn number(&mut self, column: usize) {
+        insert(&mut self.numbers, column);
+    }
+
+    /// Those of others too.
+    pub(crate) fn extend(&mut self, others: &Uses) {
+        others.numbers.iter().for_each(|&column| insert(&mut self.numbers, column));
+        others.texts.iter().for_each(|&column| insert(&mut self.texts, column));
+    }
+
     pub(crate) fn add(&mut self, coefficient: &Coefficient, alpha: &Alpha) {
         if let Coefficient::Varying(expression, _) = coefficient {
             self.expression(expression, alpha);
@@ -293,39 +301,17 @@ impl Uses {
     pub(crate) fn expression(&mut self, expression: &Expression, alpha: &Alpha) {
         expression.any(&mut |part| {
             match part {
-                Expression::Column(column) => {
-                    self.numbers.insert(*column);
-                }
-                Expression::TextEquals { column, .. } => {
-                    self.texts.insert(*column);
-                }
+                Expression::Column(column) => insert(&mut self.numbers, *column),
+                Expression::TextEquals { column, .. } => insert(&mut self.texts, *column),
                 Expression::Parameter(index) => {
                     if let Level::Each { column, .. } = &alpha.values[*index] {
-                        self.texts.insert(*column);
+                        insert(&mut self.texts, *column);
                     }
                 }
                 _ => {}
             }
             false
         });
-    }
-}
-
-/// The same columns, to be gone through quickly.
-#[derive(Debug, Clone)]
-pub(crate) struct Reads {
-    numbers: Vec<usize>,
-    texts: Vec<usize>,
-}
-
-impl Reads {
-    pub(crate) fn new(uses: &Uses) -> Reads {
-        Reads { numbers: uses.numbers.iter().copied().collect(), texts: uses.texts.iter().copied().collect() }
-    }
-
-    /// True when there are none.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.numbers.is_empty() && self.texts.is_empty()
     }
 
     /// True when the cells in `rows` are, bit for bit, those of as many rows before them.
@@ -338,6 +324,12 @@ impl Reads {
                 self.numbers.iter().all(|&column| now[column].to_bits() == before[column].to_bits())
                     && self.texts.iter().all(|&column| texts[column] == texts_before[column])
             })
+    }
+}
+
+fn insert(columns: &mut Vec<usize>, column: usize) {
+    if let Err(at) = columns.binary_search(&column) {
+        columns.insert(at, column);
     }
 }
 

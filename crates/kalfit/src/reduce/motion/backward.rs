@@ -1,7 +1,7 @@
 //! From ∂ℓ/∂(φ, Q, b) of steps back to ∂ℓ/∂coefficient of the dynamics.
 
 use crate::linalg::exponential::{flow_adjoint, scalar_adjoint};
-use crate::reduce::dynamics::{Component, Dynamics};
+use crate::reduce::dynamics::{Component, Dynamics, matrices};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::motion::{Drive, Entry, Plan, append_flow};
 use crate::reduce::subject::{Fault, Subject};
@@ -10,11 +10,6 @@ impl Plan {
     /// Numbers of entries of φ and of Q.
     pub(crate) fn entries(&self) -> (usize, usize) {
         (self.phi.len(), self.q.len())
-    }
-
-    /// Numbers in the flows of all components.
-    pub(crate) fn flow_len(&self, dynamics: &Dynamics) -> usize {
-        dynamics.components.iter().map(|component| 3 * component.states.len().pow(2)).sum()
     }
 
     /// φ has entries ΓG.
@@ -121,14 +116,7 @@ pub(super) fn component_backward(
         slots.iter().zip(found).for_each(|(slot, bar)| slot.iter().for_each(|&slot| out[slot] += bar));
         return if found.iter().all(|bar| bar.is_finite()) { Ok(()) } else { Err(fault()) };
     }
-    let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
-    for &(i, j, slot) in &component.rates {
-        f[i * m + j] = step.values[slot];
-    }
-    for &(i, j, slot) in &component.noise {
-        q[i * m + j] = step.values[slot];
-        q[j * m + i] = step.values[slot];
-    }
+    let (f, q) = matrices(m, [&component.rates, &component.noise], |slot| step.values[slot]);
     let (phi, rest) = bars.split_at(m * m);
     let (gamma, noise) = rest.split_at(m * m);
     let (mut f_bar, mut q_bar) = flow_adjoint(&f, &q, m, step.dt, [phi, gamma, noise]).map_err(|_| fault())?;

@@ -121,7 +121,7 @@ impl Plan {
             return [false; MOST];
         }
         let MotionColumns { values, inputs, flows } = motion;
-        flows.resize(self.flow_len(dynamics) * steps.dt.len(), 0.0);
+        flows.resize(self.flow_len * steps.dt.len(), 0.0);
         let (values, inputs) = (Slots::new(&dynamics.table, values), Slots::new(&dynamics.inputs, inputs));
         self.fill_coupled((dynamics, &values), steps, flows);
         let sound = isa.run(Fill { plan: self, steps, values, flows, phi: out.phi, q: out.q });
@@ -138,7 +138,7 @@ impl Plan {
         filled: &mut Filled,
     ) -> bool {
         let (Filled { step, flows, phi, q }, values) = (filled, Slots::steady(values));
-        let numbers = [self.flow_len(dynamics), self.phi.len(), self.q.len()].map(|numbers| numbers * isa.lanes());
+        let numbers = [self.flow_len, self.phi.len(), self.q.len()].map(|numbers| numbers * isa.lanes());
         for (column, numbers) in [(&mut *flows, numbers[0]), (&mut *phi, numbers[1]), (&mut *q, numbers[2])] {
             column.resize(numbers, 0.0);
         }

@@ -50,7 +50,6 @@ impl Plan {
             flows: &motion.flows,
             singles: self.singles.iter().map(back).collect(),
             coupled: coupled.collect(),
-            flow_len: self.flow_len(dynamics),
             values: Slots::new(&dynamics.table, &motion.values),
             inputs: Slots::new(&dynamics.inputs, &motion.inputs),
         }
@@ -82,7 +81,6 @@ pub(crate) struct MotionBack<'a> {
     flows: &'a [f64],
     singles: Vec<SingleBack<'a>>,
     coupled: Vec<Coupled<'a>>,
-    flow_len: usize,
     values: Slots<'a>,
     inputs: Slots<'a>,
 }
@@ -103,7 +101,8 @@ impl MotionBack<'_> {
     #[inline(always)]
     pub(crate) fn zero<T: Lanes>(&self) -> MotionBars<T> {
         let zero = T::splat(0.0);
-        let (flows, values, inputs) = (vec![zero; self.flow_len], self.values.fixed.len(), self.inputs.fixed.len());
+        let (flows, values, inputs) =
+            (vec![zero; self.plan.flow_len], self.values.fixed.len(), self.inputs.fixed.len());
         let (equal, last) = (flows.clone(), [None; MOST]);
         MotionBars { flows, equal, last, values: vec![zero; values], inputs: vec![zero; inputs] }
     }

@@ -18,11 +18,10 @@ pub(super) fn looks(
 ) -> Option<Looks> {
     let mut read = Uses::default();
     for uses in [shape, drive, &dynamics.uses] {
-        read.numbers.extend(&uses.numbers);
-        read.texts.extend(&uses.texts);
+        read.extend(uses);
     }
     start.coefficients().chain(&start.initial_time).for_each(|coefficient| read.add(coefficient, at.alpha));
-    read.numbers.extend(at.model.clock.time);
+    at.model.clock.time.iter().for_each(|&column| read.number(column));
     meters.can_repeat().then(|| Looks::new(at.model.columns.len(), &read, meters.columns()))
 }
 

@@ -48,7 +48,7 @@ impl Moving {
     pub(super) fn new(chain: &Chain<'_>) -> Moving {
         let preparer = chain.preparer;
         let (phi, q) = preparer.plan.entries();
-        let flows = preparer.plan.flow_len(&preparer.dynamics);
+        let flows = preparer.plan.flow_len;
         Moving {
             groups: Groups::new(phi + q + flows, if chain.needs.inputs { flows } else { 0 }),
             entries: (phi, q),
