@@ -186,8 +186,11 @@ impl At<'_> {
             return Ok(value);
         }
         let column = self.model.columns[column].name.clone();
-        let infinite = |column| ReduceErrorKind::InfiniteCell { column, value };
-        let kind = if value.is_nan() { ReduceErrorKind::MissingCell { column } } else { infinite(column) };
+        let kind = if value.is_nan() {
+            ReduceErrorKind::MissingCell { column }
+        } else {
+            ReduceErrorKind::InfiniteCell { column, value }
+        };
         Err(Fault::new(subject, kind))
     }
 
