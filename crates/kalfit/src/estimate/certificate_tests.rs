@@ -131,7 +131,7 @@ impl Spot {
         let problem = super::problem(data, &structure, &Settings::default()).expect("a legal problem");
         let frame = &problem.classes.frame;
         let point = Point {
-            mean: (0..mean.len()).map(|i| (mean[i] - frame.centre[i]) / frame.scale[i]).collect(),
+            mean: frame.mean_in(mean),
             coefficients: Vec::new(),
             root: DMatrix::from_fn(mean.len(), mean.len(), |i, c| root[(i, c)] / frame.scale[i]),
         };

@@ -97,7 +97,7 @@ impl InitialLaw {
             })
         };
         let given = |units: &Arc<Units>| match problem.classes.remote {
-            Some(_) => Given::Elsewhere(InGroups { frame: frame.told(), place: point.told() }),
+            Some(_) => Given::Elsewhere(InGroups { frame: frame.clone(), place: point.told() }),
             None => Given::here((units, frame), (point, &problem.mean.regressors), half.as_ref()),
         };
         InitialLaw {
@@ -460,7 +460,7 @@ impl Problem {
     /// answered, or nobody is asked.
     pub(crate) fn told_counts(&self) -> Option<Vec<f64>> {
         let remote = self.classes.remote.as_ref()?;
-        remote.ask(Question::Observability { frame: self.classes.apart().frame.told() })
+        remote.ask(Question::Observability { frame: self.classes.apart().frame })
     }
 
     /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.

@@ -83,11 +83,10 @@ fn local(sums: &Sums) -> Local {
 /// The population in η, which must be on the structure.
 fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedError> {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
-    let p = frame.scale.len();
-    let mean = DVector::from_fn(p, |i, _| (population.mean[i] - frame.centre[i]) / frame.scale[i]);
+    let mean = DVector::from_vec(frame.mean_in(&population.mean));
     let away = &mean - &map.offset;
     let on = &map.offset + &map.basis * (map.basis.transpose() * &away);
-    for i in 0..p {
+    for i in 0..mean.len() {
         if (mean[i] - on[i]).abs() > ROUNDING * (1.0 + on[i].abs()) {
             let (found, expected) = (population.mean[i], frame.centre[i] + frame.scale[i] * on[i]);
             return Err(ExpectedError::Off { element: Element::Mean(i), found, expected });

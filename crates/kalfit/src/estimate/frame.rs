@@ -7,19 +7,11 @@ use rayon::prelude::*;
 
 use crate::linalg::symmetric::{self, pair, pairs};
 use crate::reduce::Reductions;
-use crate::remote::Coordinates;
+
+pub(crate) use crate::remote::Coordinates as Frame;
 
 /// Tests that are added up by themselves.
 const CHUNK: usize = 1024;
-
-/// The coordinates η: ξ = centre + scale ∘ η.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Frame {
-    pub(crate) centre: Vec<f64>,
-    pub(crate) scale: Vec<f64>,
-    /// Scale of each covariate.
-    pub(crate) covariate_scale: Vec<f64>,
-}
 
 impl Frame {
     /// Centre: pooled least squares. Scale: the average informed test has unit information on each state.
@@ -56,17 +48,6 @@ impl Frame {
         DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| sigma[(i, j)] / (self.scale[i] * self.scale[j]))
     }
 
-    /// As others are told of it.
-    pub(crate) fn told(&self) -> Coordinates {
-        let Frame { centre, scale, covariate_scale } = self.clone();
-        Coordinates { centre, scale, covariate_scale }
-    }
-
-    /// As it is told of.
-    pub(super) fn from_told(Coordinates { centre, scale, covariate_scale }: &Coordinates) -> Frame {
-        Frame { centre: centre.clone(), scale: scale.clone(), covariate_scale: covariate_scale.clone() }
-    }
-
     /// The frame of some of the states.
     pub(crate) fn part(&self, states: &Range<usize>) -> Frame {
         let of = |all: &[f64]| all[states.clone()].to_vec();
@@ -76,6 +57,11 @@ impl Frame {
     /// μ in the user's units from μ in η.
     pub(crate) fn mean_out(&self, mu: &[f64]) -> Vec<f64> {
         mu.iter().zip(&self.centre).zip(&self.scale).map(|((m, c), s)| c + s * m).collect()
+    }
+
+    /// μ in η from μ in the user's units.
+    pub(crate) fn mean_in(&self, mu: &[f64]) -> Vec<f64> {
+        mu.iter().zip(&self.centre).zip(&self.scale).map(|((m, c), s)| (m - c) / s).collect()
     }
 }
 

@@ -68,9 +68,8 @@ impl Likelihood {
     /// ℓ and its derivatives at μ and a positive semidefinite Σ: one pass over the classes.
     pub fn at(&self, mean: &[f64], covariance: &DMatrix<f64>, derivatives: Derivatives) -> Evaluation {
         let frame = &self.classes.frame;
-        let p = frame.scale.len();
         let point = Point {
-            mean: (0..p).map(|i| (mean[i] - frame.centre[i]) / frame.scale[i]).collect(),
+            mean: frame.mean_in(mean),
             coefficients: Vec::new(),
             root: self.root(&frame.covariance_in(covariance)),
         };

@@ -26,7 +26,7 @@ impl MeanMap {
     pub(crate) fn new(structure: &Structure<'_>, frame: &Frame) -> MeanMap {
         let (m0, b) = structure.basis();
         let p = m0.len();
-        let offset = DVector::from_fn(p, |i, _| (m0[i] - frame.centre[i]) / frame.scale[i]);
+        let offset = DVector::from_vec(frame.mean_in(m0.as_slice()));
         let scaled = DMatrix::from_fn(p, b.ncols(), |i, c| b[(i, c)] / frame.scale[i]);
         let basis = orthonormal(scaled);
         let regressors: Vec<usize> = structure.regressions().iter().map(|r| r.element).collect();

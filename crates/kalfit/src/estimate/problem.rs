@@ -100,8 +100,7 @@ impl Problem {
         let (p, frame) = (alone.classes.dimension(), &alone.classes.frame);
         let Population { mean, covariance, .. } = self.values_of(point).together(p);
         let root = symmetric::square_root(&frame.covariance_in(&covariance));
-        let mean = (0..p).map(|i| (mean[i] - frame.centre[i]) / frame.scale[i]).collect();
-        let point = Point { mean, coefficients: point.coefficients.clone(), root };
+        let point = Point { mean: frame.mean_in(&mean), coefficients: point.coefficients.clone(), root };
         Some((alone, point))
     }
 
@@ -223,9 +222,8 @@ impl Problem {
     /// The point of values that meet the structure.
     pub(crate) fn point_of(&self, values: &Population) -> Point {
         let frame = &self.classes.frame;
-        let centred = |i: usize| (values.mean[i] - frame.centre[i]) / frame.scale[i];
         Point {
-            mean: (0..values.mean.len()).map(centred).collect(),
+            mean: frame.mean_in(&values.mean),
             coefficients: values.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c * s).collect(),
             root: self.covariance.root_of(&frame.covariance_in(&values.covariance)),
         }

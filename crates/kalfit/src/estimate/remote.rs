@@ -75,7 +75,7 @@ pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted
         jacobian: list(flat.jacobian),
         covariance: flat.covariance.map(list),
     });
-    let (frame, place) = (classes.frame.told(), point.told());
+    let (frame, place) = (classes.frame.clone(), point.told());
     let answer = remote.ask(Question::Pass { frame, place, detail: wanted.order, flat });
     let zero = || if classes.units.is_some() { wanted.zero_in_groups() } else { wanted.zero() };
     answer.and_then(|numbers| zero().of_numbers(&numbers)).unwrap_or_else(|| zero().unknown())
@@ -84,7 +84,7 @@ pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted
 /// [`Classes::excess`] of tests that are elsewhere; zero where nobody has answered.
 pub(super) fn excess(remote: &Remote, frame: &Frame, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
     let p = mean.len();
-    let answer = remote.ask(Question::Excess { frame: frame.told(), mean: mean.as_slice().to_vec() });
+    let answer = remote.ask(Question::Excess { frame: frame.clone(), mean: mean.as_slice().to_vec() });
     let numbers = answer.filter(|numbers| numbers.len() == 2 * p).unwrap_or_else(|| vec![0.0; 2 * p]);
     (DVector::from_column_slice(&numbers[..p]), DVector::from_column_slice(&numbers[p..]))
 }

@@ -68,8 +68,7 @@ const SINGULAR: f64 = 1e-6;
 /// a search that begins there.
 pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitError> {
     let (map, mean, frame) = (&problem.covariance, &problem.mean, &problem.classes.frame);
-    let p = frame.scale.len();
-    let wanted = DVector::from_fn(p, |i, _| (values.mean[i] - frame.centre[i]) / frame.scale[i]);
+    let wanted = DVector::from_vec(frame.mean_in(&values.mean));
     let b = mean.basis.transpose() * (wanted - &mean.offset);
     let coefficient = |(c, scale): (usize, &f64)| values.coefficients.get(c).map_or(0.0, |value| value * scale);
     let sigma = map.mask(&frame.covariance_in(&values.covariance));
@@ -97,11 +96,9 @@ pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Po
 /// Pooled least squares on the structure, with the model's start values where the data say nothing or the model says so.
 fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>) {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
-    let p = frame.scale.len();
-    // in η the pooled least-squares mean is the origin
     let start = structure.mean_start();
-    let told = |i: usize| start[i].map(|v| (v - frame.centre[i]) / frame.scale[i]);
-    let wanted = DVector::from_fn(p, |i, _| told(i).unwrap_or(0.0));
+    let wanted: Vec<f64> = start.iter().zip(&frame.centre).map(|(told, pooled)| told.unwrap_or(*pooled)).collect();
+    let wanted = DVector::from_vec(frame.mean_in(&wanted));
     let information = map.basis.transpose() * &problem.classes.information * &map.basis;
     let score = map.basis.transpose() * &problem.classes.information * (&wanted - &map.offset);
     let b = if start.iter().any(Option::is_some) {

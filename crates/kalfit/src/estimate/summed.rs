@@ -17,7 +17,7 @@ use crate::estimate::structure::Structure;
 use crate::estimate::{InitialLaw, Settings};
 use crate::linalg::elements::Elements;
 use crate::reduce::Reductions;
-use crate::remote::{Answer, Coordinates, Flat, Law, Place, Question};
+use crate::remote::{Answer, Flat, Law, Place, Question};
 
 /// The reductions of one place at one α, ready to be asked for sums over them.
 #[derive(Debug)]
@@ -31,7 +31,7 @@ pub(crate) struct Summed {
     elements: Elements,
     regressors: Vec<usize>,
     /// The classes in the coordinates that were asked for last.
-    gathered: Option<(Coordinates, Classes)>,
+    gathered: Option<(Frame, Classes)>,
 }
 
 impl Summed {
@@ -79,14 +79,13 @@ impl Summed {
     }
 
     /// The classes in these coordinates, with the elements that regressions act on; `None` where the coordinates are not of this model.
-    pub(crate) fn classes(&mut self, frame: &Coordinates) -> Option<(&Classes, &Regressors)> {
+    pub(crate) fn classes(&mut self, frame: &Frame) -> Option<(&Classes, &Regressors)> {
         let fits = self.is_state(&frame.centre) && self.is_state(&frame.scale);
         if !fits || frame.covariate_scale.len() != self.regressors.len() {
             return None;
         }
         if self.gathered.as_ref().is_none_or(|(known, _)| known != frame) {
-            let own = Frame::from_told(frame);
-            let classes = Classes::in_frame(self.evidence(), &own, self.elements.clone(), true);
+            let classes = Classes::in_frame(self.evidence(), frame, self.elements.clone(), true);
             let classes = match &self.grouping {
                 Some(grouping) => classes.in_groups(self.evidence(), grouping),
                 None => classes,
@@ -98,7 +97,7 @@ impl Summed {
     }
 
     /// The classes of the tests as if each stood alone, in these coordinates; `None` where they are not of this model.
-    pub(crate) fn apart(&mut self, frame: &Coordinates) -> Option<Cow<'_, Classes>> {
+    pub(crate) fn apart(&mut self, frame: &Frame) -> Option<Cow<'_, Classes>> {
         if self.grouping.is_none() {
             return self.classes(frame).map(|(classes, _)| Cow::Borrowed(classes));
         }
@@ -107,7 +106,7 @@ impl Summed {
             return None;
         }
         let elements = Elements::new(self.elements.blocks()[..1].to_vec());
-        Some(Cow::Owned(Classes::in_frame(&self.reductions, &Frame::from_told(frame), elements, true)))
+        Some(Cow::Owned(Classes::in_frame(&self.reductions, frame, elements, true)))
     }
 
     /// The law of ξ of each test, as it is told; `None` where it is not of this model.

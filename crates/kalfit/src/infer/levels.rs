@@ -48,11 +48,6 @@ impl Ensemble<'_> {
     }
 
     /// In the user's units.
-    fn mean(&self, mean: &[f64]) -> Vec<f64> {
-        let frame = &self.problem.classes.frame;
-        mean.iter().zip(&frame.centre).zip(&frame.scale).map(|((x, centre), scale)| centre + scale * x).collect()
-    }
-
     fn covariance(&self, numbers: &[f64]) -> DMatrix<f64> {
         let (p, scale) = (self.units.states, &self.problem.classes.frame.scale);
         symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
@@ -61,7 +56,7 @@ impl Ensemble<'_> {
     fn group(&self, found: &crate::estimate::GroupPosterior, tests: usize) -> GroupPosterior {
         GroupPosterior {
             log_likelihood: found.log_density,
-            mean: self.mean(&found.mean),
+            mean: self.problem.classes.frame.mean_out(&found.mean),
             covariance: self.covariance(&found.covariance),
             distance: Distance::new(found.squared, found.degrees_of_freedom),
             within: found.within,
@@ -88,7 +83,7 @@ pub(super) fn posteriors(
         let (log_likelihood, distance) = distance(problem, point, evidence, j);
         Posterior {
             log_likelihood,
-            mean: ensemble.mean(mean),
+            mean: problem.classes.frame.mean_out(mean),
             covariances: vec![ensemble.covariance(covariance)],
             distance,
         }
