@@ -1,11 +1,9 @@
 //! Newton's method from a place onwards, for objectives near one that is solved already: no start to find, few steps.
 
-use nalgebra::DVector;
-
 use crate::estimate::certificate::{Escape, certificate};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::Objective;
-use crate::estimate::newton::{Attempt, Damping, Place, retract};
+use crate::estimate::newton::{Attempt, Damping, Place};
 use crate::estimate::point::Point;
 use crate::estimate::stop::Stop;
 
@@ -60,9 +58,7 @@ pub(crate) fn escaped(objective: &dyn Objective, map: &CovarianceMap, tests: f64
 
 fn grown(objective: &dyn Objective, map: &CovarianceMap, place: &Place, escape: &Escape, length: f64) -> Option<Place> {
     let sigma = place.point.covariance() + &escape.direction * length;
-    let chart = map.chart(&map.root_of(&sigma));
-    let still = DVector::zeros(chart.coordinates.len());
-    let root = retract(map, &chart, still)?;
+    let root = map.onto(&map.root_of(&sigma))?;
     let next = Place::new(objective, map, Point { root, ..place.point.clone() }, place.near())?;
     (next.local.value > place.local.value).then_some(next)
 }

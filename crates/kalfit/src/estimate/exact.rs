@@ -8,13 +8,14 @@ use crate::estimate::covariance::{CovarianceMap, place, sub};
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::newton::{Attempt, Damping, Place};
 use crate::estimate::point::Point;
-use crate::linalg::symmetric::{over_pairs, pairs};
+use crate::linalg::elements::Elements;
 
 /// n tests whose ξ is known exactly, with second moment M̄ about the mean.
 struct Exact<'a> {
     second: &'a DMatrix<f64>,
     n: f64,
     random: &'a [usize],
+    elements: &'a Elements,
     jacobian: DMatrix<f64>,
 }
 
@@ -37,8 +38,8 @@ impl Objective for Exact<'_> {
             mean_score: DVector::zeros(0),
             mean_information: DMatrix::zeros(0, 0),
             score,
-            cross: DMatrix::zeros(0, pairs(p)),
-            information: Arc::new(over_pairs(p, |k, l, a, b| weight[(l, a)] * inner[(b, k)])),
+            cross: DMatrix::zeros(0, self.elements.count()),
+            information: Arc::new(self.elements.over(|k, l, a, b| weight[(l, a)] * inner[(b, k)])),
             weight: weight * self.n,
             mean_covariance: None,
         })
@@ -55,7 +56,7 @@ impl Objective for Exact<'_> {
 
 /// Newton steps from the current root; every step raises the objective, so a step that is cut short is still a GEM step.
 pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
-    let objective = Exact { second, n, random: &map.random, jacobian: DMatrix::zeros(0, 0) };
+    let objective = Exact { second, n, random: &map.random, elements: &map.elements, jacobian: DMatrix::zeros(0, 0) };
     let point = Point { mean: vec![0.0; map.p], coefficients: Vec::new(), root: root.clone() };
     let Some(mut place) = Place::new(&objective, map, point, None) else { return root };
     let mut damping = Damping::default();

@@ -102,12 +102,12 @@ pub(crate) use forms::forms_in_parts;
 pub(crate) use joint_law::{JointLaw, Mixed, Values};
 pub(crate) use levels::{GroupPosterior, LevelPosteriors, TestPosterior, Units, posteriors as level_posteriors};
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
-pub(crate) use newton::{Place, retract};
+pub(crate) use newton::Place;
 pub(crate) use noise::{NoiseInformation, Noisy};
 pub(crate) use order::Order;
 pub(crate) use point::Point;
 pub(crate) use problem::Problem;
-pub(crate) use remote::RemoteCounts;
+pub(crate) use remote::Counts;
 pub(crate) use residual::Residual;
 pub(crate) use result::State;
 pub(crate) use start::generic_root;
@@ -127,9 +127,7 @@ pub fn fit(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    let evidence = evidence(reductions, structure, settings)?;
-    let problem = problem(&evidence, structure, settings)?;
-    ended(problem, structure, None, settings, progress)?.of_all(reductions)
+    fit_near(None, reductions, structure, settings, progress)
 }
 
 /// As [`fit`], from values that are near the optimum: those of a fit under another structure or to other tests. They
@@ -141,9 +139,19 @@ pub fn fit_from(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
+    fit_near(Some(start), reductions, structure, settings, progress)
+}
+
+fn fit_near(
+    near: Option<&Population>,
+    reductions: &Reductions,
+    structure: &Structure<'_>,
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<Estimate, FitError> {
     let evidence = evidence(reductions, structure, settings)?;
     let problem = problem(&evidence, structure, settings)?;
-    ended(problem, structure, Some(start), settings, progress)?.of_all(reductions)
+    ended(problem, structure, near, settings, progress)?.of_all(reductions)
 }
 
 /// As [`fit`], from the end of another search, under other reductions of the same tests and in its coordinates.

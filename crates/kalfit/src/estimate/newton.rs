@@ -174,8 +174,17 @@ pub(crate) fn moved(
     Some(point)
 }
 
+impl CovarianceMap {
+    /// The root nearby whose FF' meets the constraints, if there is one.
+    pub(crate) fn onto(&self, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let chart = self.chart(root);
+        let still = DVector::zeros(chart.coordinates.len());
+        retract(self, &chart, still)
+    }
+}
+
 /// F after a step ψ, with ψ corrected by Newton's method until Σ = FF' meets the constraints.
-pub(crate) fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>) -> Option<DMatrix<f64>> {
+fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>) -> Option<DMatrix<f64>> {
     let mut root = chart.moved(step.as_slice());
     if map.constraints.is_empty() {
         return Some(root);

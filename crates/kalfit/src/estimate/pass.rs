@@ -69,7 +69,7 @@ pub(crate) fn pass(
     classes.blocks.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
     classes.shared.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
     let refused = add_chains(&mut sums, classes, point, wanted);
-    if refused.is_empty() { sums } else { sums.add(&one_by_one(&refused, point, wanted)) }
+    if refused.is_empty() { sums } else { sums.and(1.0, &one_by_one(&refused, point, wanted)) }
 }
 
 /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.

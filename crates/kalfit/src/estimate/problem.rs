@@ -150,7 +150,7 @@ impl Problem {
     pub(crate) fn without(&self, all: Sums, class: &Class, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Sums> {
         let flat = self.flat(near);
         let own = of_class(&self.classes, class, (&self.mean.regressors, flat.as_ref()), point, Order::Second);
-        self.restricted(all.less(&own))
+        self.restricted(all.and(-1.0, &own))
     }
 
     /// Whether the next place may be the last one, of which the expected information is wanted too: it is then found in the same pass.

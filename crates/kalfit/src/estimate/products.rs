@@ -5,6 +5,11 @@ use nalgebra::DMatrix;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric::{pair, pairs};
 
+/// Adds another matrix times a sign.
+pub(super) fn add_times(own: &mut DMatrix<f64>, sign: f64, other: &DMatrix<f64>) {
+    own.zip_apply(other, |own, x| *own += sign * x);
+}
+
 /// Sums block by block; none where they are not wanted.
 #[derive(Debug, Clone)]
 pub(crate) struct Blocks(Vec<Block>);
@@ -48,14 +53,10 @@ impl Block {
 }
 
 impl Blocks {
-    pub(crate) fn plus(&mut self, other: &Blocks) {
+    /// Adds other sums, times a sign.
+    pub(crate) fn add(&mut self, sign: f64, other: &Blocks) {
         let added = self.0.iter_mut().zip(&other.0).filter(|(_, other)| !other.sum.is_empty());
-        added.for_each(|(own, other)| *own.whole() += &other.sum);
-    }
-
-    pub(crate) fn minus(&mut self, other: &Blocks) {
-        let added = self.0.iter_mut().zip(&other.0).filter(|(_, other)| !other.sum.is_empty());
-        added.for_each(|(own, other)| *own.whole() -= &other.sum);
+        added.for_each(|(own, other)| add_times(own.whole(), sign, &other.sum));
     }
 
     /// Adds sums, those of each block by rows.

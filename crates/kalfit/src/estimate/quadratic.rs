@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::climb::{Limits, climb};
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::local::{Local, Objective};
-use crate::estimate::newton::{Place, retract};
+use crate::estimate::newton::Place;
 use crate::estimate::point::Point;
 use crate::linalg::elements::Elements;
 
@@ -69,10 +69,8 @@ fn flattened(
     limits: Limits,
 ) -> Place {
     for _ in 0..end.point.root.ncols() {
-        let Some(root) = without_least_column(map, &end.point.root) else { break };
-        let chart = map.chart(&root);
-        let still = DVector::zeros(chart.coordinates.len());
-        let Some(root) = retract(map, &chart, still) else { break };
+        let root = without_least_column(map, &end.point.root).and_then(|root| map.onto(&root));
+        let Some(root) = root else { break };
         let next = end.surpassed(model, |end| {
             let next = Place::new(model, map, Point { root, ..end.point.clone() }, None)?;
             (next.local.value >= end.local.value - noise).then_some(next)

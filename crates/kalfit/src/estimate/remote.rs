@@ -1,8 +1,7 @@
 //! Sums over tests that are elsewhere: what is asked for, and how an answer is read.
 
-use std::collections::BTreeSet;
-
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 use crate::estimate::classes::Classes;
 use crate::estimate::frame::{Frame, Pooled};
@@ -15,7 +14,7 @@ use crate::remote::{Flat, Place, Question, Remote};
 
 /// Counts of the tests of one place or of all, at the head of its answer to [`Question::Survey`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct RemoteCounts {
+pub(crate) struct Counts {
     pub(crate) tests: usize,
     pub(crate) steps: usize,
     pub(crate) observations: usize,
@@ -24,22 +23,24 @@ pub(crate) struct RemoteCounts {
     pub(crate) designs: usize,
 }
 
-impl RemoteCounts {
+impl Counts {
     const LENGTH: usize = 5;
 
-    /// Of the tests behind reductions that are elsewhere.
-    pub(crate) fn of(remote: &Remote) -> RemoteCounts {
-        let survey = remote.ask(Question::Survey).unwrap_or_default();
-        survey.first_chunk().map_or_else(RemoteCounts::default, |head| RemoteCounts::read(*head))
-    }
-
-    pub(super) fn here(reductions: &Reductions) -> RemoteCounts {
-        RemoteCounts {
+    /// Of the tests behind reductions, wherever they are.
+    pub(crate) fn of(reductions: &Reductions) -> Counts {
+        if let Some(remote) = reductions.remote() {
+            let survey = remote.ask(Question::Survey).unwrap_or_default();
+            return survey.first_chunk().map_or_else(Counts::default, |head| Counts::read(*head));
+        }
+        let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
+        designs.par_sort_unstable();
+        designs.dedup();
+        Counts {
             tests: reductions.len(),
             steps: reductions.iter().map(|r| r.steps).sum(),
             observations: reductions.iter().map(|r| r.observations).sum(),
             square_root_tests: reductions.iter().filter(|r| r.path == Path::SquareRoot).count(),
-            designs: reductions.iter().map(|r| r.design).collect::<BTreeSet<u128>>().len(),
+            designs: designs.len(),
         }
     }
 
@@ -47,9 +48,9 @@ impl RemoteCounts {
         [self.tests, self.steps, self.observations, self.square_root_tests, self.designs].map(|n| n as f64)
     }
 
-    fn read(head: [f64; Self::LENGTH]) -> RemoteCounts {
+    fn read(head: [f64; Self::LENGTH]) -> Counts {
         let [tests, steps, observations, square_root_tests, designs] = head.map(|n| n as usize);
-        RemoteCounts { tests, steps, observations, square_root_tests, designs }
+        Counts { tests, steps, observations, square_root_tests, designs }
     }
 }
 
@@ -61,7 +62,7 @@ impl Classes {
             let numbers = remote.ask(Question::Survey)?;
             let (head, rest) = numbers.split_first_chunk()?;
             let (present, pooled) = rest.split_at_checked(blocks)?;
-            Some((RemoteCounts::read(*head).tests, present.to_vec(), Pooled::of_numbers(sizes, pooled)?))
+            Some((Counts::read(*head).tests, present.to_vec(), Pooled::of_numbers(sizes, pooled)?))
         };
         let (tests, present, pooled) = told().unwrap_or_else(|| (0, vec![0.0; blocks], Pooled::none(sizes)));
         Classes::of_survey(remote, (tests, present, &pooled), (elements, chained))

@@ -9,7 +9,7 @@ use crate::estimate::climb::escaped;
 use crate::estimate::em::{self, Turn};
 use crate::estimate::error::FitError;
 use crate::estimate::local::{Local, Objective};
-use crate::estimate::newton::{Attempt, Damping, Place, retract};
+use crate::estimate::newton::{Attempt, Damping, Place};
 use crate::estimate::order::Order;
 use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
@@ -58,28 +58,29 @@ impl<'a> Search<'a> {
     }
 
     /// From a start that is not known to be good.
-    pub(crate) fn run(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
-        let (place, stop) = match self.settings.solver {
-            Solver::Newton => {
-                let began = start.root.clone();
-                let near = match self.piloted(&start, structure)? {
-                    Some(place) => place,
-                    None => self.scored_start(start)?,
-                };
-                let (place, stop) = self.newton(near)?;
-                (self.restored(place, &began)?, stop)
-            }
-            Solver::Em => self.em(start)?,
-        };
-        self.finish(place, stop, structure)
+    pub(crate) fn run(self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+        self.from(start, structure, |search, start| match search.piloted(&start, structure)? {
+            Some(place) => Ok(place),
+            None => search.scored_start(start),
+        })
     }
 
     /// From a start that is near the optimum.
-    pub(crate) fn resume(mut self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+    pub(crate) fn resume(self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+        self.from(start, structure, |search, start| search.place(start, None))
+    }
+
+    /// From a start; Newton's method begins at what `first` makes of it.
+    fn from(
+        mut self,
+        start: Point,
+        structure: &Structure<'_>,
+        first: impl FnOnce(&mut Self, Point) -> Result<Place, FitError>,
+    ) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
             Solver::Newton => {
                 let began = start.root.clone();
-                let near = self.place(start, None)?;
+                let near = first(&mut self, start)?;
                 let (place, stop) = self.newton(near)?;
                 (self.restored(place, &began)?, stop)
             }
@@ -328,9 +329,7 @@ impl<'a> Search<'a> {
         if !changed {
             return Ok(None);
         }
-        let chart = self.problem.covariance.chart(&root);
-        let still = nalgebra::DVector::zeros(chart.coordinates.len());
-        let Some(root) = retract(&self.problem.covariance, &chart, still) else { return Ok(None) };
+        let Some(root) = self.problem.covariance.onto(&root) else { return Ok(None) };
         let point = Point { root, ..place.point.clone() };
         self.surpassed(place, point, |next, place| is_as_good(next, place) && next.decrement() <= enough)
     }

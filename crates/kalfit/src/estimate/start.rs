@@ -2,9 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::chart::Chart;
 use crate::estimate::covariance::{CovarianceMap, Part, sub};
-use crate::estimate::newton::retract;
 use crate::estimate::point::Point;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::{Classes, FitError, Structure, linear, pilot};
@@ -42,7 +40,7 @@ fn part_root(map: &CovarianceMap, linear: bool, sigma: &DMatrix<f64>) -> Result<
     }
     if linear {
         let root = map.root_of(&linear::member(map, &map.mask(sigma)));
-        return Ok(onto(map, &root).ok_or(StructureError::NoMember)?);
+        return Ok(map.onto(&root).ok_or(StructureError::NoMember)?);
     }
     feasible(map, sigma)
 }
@@ -145,12 +143,5 @@ fn feasible(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, F
         }
         wanted = next;
     }
-    onto(map, &map.root_of(&wanted)).ok_or(FitError::Structure(StructureError::Contradiction))
-}
-
-/// The root nearby whose FF' meets the constraints, if there is one.
-fn onto(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let chart: Chart = map.chart(root);
-    let still = DVector::zeros(chart.coordinates.len());
-    retract(map, &chart, still)
+    map.onto(&map.root_of(&wanted)).ok_or(FitError::Structure(StructureError::Contradiction))
 }

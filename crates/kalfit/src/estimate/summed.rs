@@ -12,7 +12,7 @@ use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::order::FlatMean;
 use crate::estimate::pass;
 use crate::estimate::point::{Point, Regressors};
-use crate::estimate::remote::{RemoteCounts, matrix};
+use crate::estimate::remote::{Counts, matrix};
 use crate::estimate::structure::Structure;
 use crate::estimate::{InitialLaw, Settings};
 use crate::linalg::elements::Elements;
@@ -121,7 +121,7 @@ impl Summed {
     fn survey(&self) -> Vec<f64> {
         let (evidence, all) = (self.evidence(), (0..self.reductions.len()).collect::<Vec<usize>>());
         let pooled = Pooled::all(evidence, &all, (self.elements.states(), self.regressors.len()));
-        let head = RemoteCounts::here(evidence).numbers();
+        let head = Counts::of(evidence).numbers();
         let present = match &self.grouping {
             Some(grouping) => {
                 let groups = (0..grouping.depth()).map(|level| grouping.groups(level).len());

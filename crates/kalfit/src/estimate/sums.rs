@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::lanes::Totals;
 use crate::estimate::order::{FlatMean, Order};
 use crate::estimate::point::Regressors;
-use crate::estimate::products::{Blocks, Crosses, Products};
+use crate::estimate::products::{Blocks, Crosses, Products, add_times};
 use crate::estimate::reml::Restricted;
 use crate::linalg::elements::Elements;
 use crate::linalg::folded::Folded;
@@ -77,32 +77,21 @@ impl Sums {
         }
     }
 
-    pub(super) fn add(mut self, other: &Sums) -> Sums {
-        self.value += other.value;
-        self.quadratic += other.quadratic;
-        self.mean_score += &other.mean_score;
-        self.mean_information += &other.mean_information;
-        self.outer += &other.outer;
-        self.weight += &other.weight;
-        self.spread += &other.spread;
-        self.curvature.blocks.plus(&other.curvature.blocks);
-        self.cross.blocks.plus(&other.cross.blocks);
-        self.expected.blocks.plus(&other.expected.blocks);
-        self
-    }
-
-    /// Without what some of the tests say. What was added up of fewer derivatives of them is left as it is.
-    pub(super) fn less(mut self, other: &Sums) -> Sums {
-        self.value -= other.value;
-        self.quadratic -= other.quadratic;
-        self.mean_score -= &other.mean_score;
-        self.mean_information -= &other.mean_information;
-        self.outer -= &other.outer;
-        self.weight -= &other.weight;
-        self.spread -= &other.spread;
-        self.curvature.blocks.minus(&other.curvature.blocks);
-        self.cross.blocks.minus(&other.cross.blocks);
-        self.expected.blocks.minus(&other.expected.blocks);
+    /// With what other tests say, times a sign: -1 takes it away. What was added up of fewer derivatives of them is left as it is.
+    pub(super) fn and(mut self, sign: f64, other: &Sums) -> Sums {
+        self.value += sign * other.value;
+        self.quadratic += sign * other.quadratic;
+        self.mean_score.axpy(sign, &other.mean_score, 1.0);
+        let matrices = [
+            (&mut self.mean_information, &other.mean_information),
+            (&mut self.outer, &other.outer),
+            (&mut self.weight, &other.weight),
+            (&mut self.spread, &other.spread),
+        ];
+        matrices.into_iter().for_each(|(own, other)| add_times(own, sign, other));
+        self.curvature.blocks.add(sign, &other.curvature.blocks);
+        self.cross.blocks.add(sign, &other.cross.blocks);
+        self.expected.blocks.add(sign, &other.expected.blocks);
         self
     }
 

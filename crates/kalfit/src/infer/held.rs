@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{
-    Constraint, CovarianceMap, Form, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb, retract,
+    Constraint, CovarianceMap, Form, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb,
 };
 use crate::infer::holdable::Holdable;
 use crate::infer::law::Law;
@@ -133,9 +133,7 @@ impl<'a> Holder<'a> {
         let problem = &*self.state.problem;
         let mut map = problem.covariance.clone();
         map.constraints.push(Constraint { terms, value });
-        let chart = map.chart(&begin(&problem.covariance, &map.constraints, near));
-        let still = DVector::zeros(chart.coordinates.len());
-        let root = retract(&map, &chart, still)?;
+        let root = map.onto(&begin(&problem.covariance, &map.constraints, near))?;
         let place = self.climb(problem, &map, Point { root, ..near.clone() })?;
         let slope = *place.tangent.multipliers.last().expect("the constraint has a multiplier");
         Some(HeldMaximum { value: place.local.value, slope, place })

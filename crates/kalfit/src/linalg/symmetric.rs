@@ -154,22 +154,6 @@ pub(crate) fn is_semidefinite(a: &DMatrix<f64>) -> bool {
     least >= -1e-10 * largest.abs().max(f64::MIN_POSITIVE)
 }
 
-/// Matrix over pairs of elements of symmetric matrices whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the places
-/// that the two elements stand in: one for a diagonal element, two for another.
-pub(crate) fn over_pairs(p: usize, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
-    let mut result = DMatrix::zeros(pairs(p), pairs(p));
-    for k in 0..p {
-        for l in 0..p {
-            for a in 0..p {
-                for b in 0..p {
-                    result[(pair(k, l), pair(a, b))] += term(k, l, a, b);
-                }
-            }
-        }
-    }
-    (&result + result.transpose()) * 0.5
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

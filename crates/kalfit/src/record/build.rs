@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Labels;
-use crate::estimate::{Certificate, Combination, Criterion, Estimate, RemoteCounts, Solver, Stop};
+use crate::estimate::{Certificate, Combination, Counts, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel, Slots};
 use crate::record::cut::{Cut, phases_of};
@@ -16,7 +16,7 @@ use crate::record::{
     CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, EstimatesRecord, FitRecord,
     ParameterRecord, PosteriorRecord, SolverRecord, TestRecord, parameters,
 };
-use crate::reduce::{Path, Reductions};
+use crate::reduce::Reductions;
 
 /// Digits of a figure in a note.
 const DIGITS: usize = 4;
@@ -115,21 +115,8 @@ impl DataRecord {
 }
 
 fn data(reductions: &Reductions, files: Vec<String>) -> DataRecord {
-    if let Some(remote) = reductions.remote() {
-        let RemoteCounts { tests, steps, observations, square_root_tests, designs } = RemoteCounts::of(remote);
-        return DataRecord { tests, steps, observations, design_classes: designs, square_root_tests, files };
-    }
-    let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
-    designs.par_sort_unstable();
-    designs.dedup();
-    DataRecord {
-        tests: reductions.len(),
-        steps: reductions.iter().map(|r| r.steps).sum(),
-        observations: reductions.iter().map(|r| r.observations).sum(),
-        design_classes: designs.len(),
-        square_root_tests: reductions.iter().filter(|r| r.path == Path::SquareRoot).count(),
-        files,
-    }
+    let Counts { tests, steps, observations, square_root_tests, designs } = Counts::of(reductions);
+    DataRecord { tests, steps, observations, design_classes: designs, square_root_tests, files }
 }
 
 /// Scores below rounding errors say nothing, so these stand in their place.
