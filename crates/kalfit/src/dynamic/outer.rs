@@ -202,15 +202,15 @@ impl<'b, 'a> Outer<'b, 'a> {
         let point = near.point.as_ref().unwrap_or(&near.state.place.point);
         let state = near.state.at(&reduced.reductions, &alpha, point.clone())?;
         let found = what.maximum((&Holder::new(&state), &alpha), x, &state.place.point)?;
-        let scores = bench.scores(&values, &reduced, &state.law_at(&found.place)).ok()?;
-        let there = state.problem.values_of(&found.place.point);
-        let score = state.residual_score_at(&found.place);
+        let scores = bench.scores(&values, &reduced, &state.law_at(&found.near)).ok()?;
+        let there = state.problem.values_of(&found.near.point);
+        let score = state.residual_score_at(&found.near);
         let matrix = matrix_gradient(bench.model, &alpha, bench.slots, &there.covariance, &score);
         let mut gradient = bench.gradient(&values, &scores, &matrix);
         for (&s, own) in self.slots.iter().zip(what.slopes_at(self, &values, &there)?.iter()) {
             gradient[s] -= found.slope * own;
         }
-        let (place, slope) = (found.place, found.slope);
+        let (place, slope) = (found.near, found.slope);
         gradient.iter().all(|g| g.is_finite()).then_some(Here { values, state, place, slope, gradient })
     }
 

@@ -9,14 +9,24 @@ use crate::infer::holdable::Holdable;
 use crate::infer::law::Law;
 use crate::linalg::symmetric;
 
-/// A point of the profile.
-#[derive(Debug, Clone)]
-pub(crate) struct HeldMaximum {
-    pub(crate) place: Place,
+/// A maximum with one quantity held: a point of the profile.
+pub(crate) struct Held<N> {
+    /// Where it is, and where a search for another one nearby may begin.
+    pub(crate) near: N,
     /// ℓ_max with the quantity held.
     pub(crate) value: f64,
     /// dℓ_max / d(value held): the Lagrange multiplier.
     pub(crate) slope: f64,
+}
+
+/// With all that is known there.
+pub(crate) type HeldMaximum = Held<Place>;
+
+impl HeldMaximum {
+    /// Where it is alone.
+    pub(super) fn point(self) -> Held<Point> {
+        Held { near: self.near.point, value: self.value, slope: self.slope }
+    }
 }
 
 /// Within this many standard errors a held maximum is found: ℓ is then right to half its square.
@@ -79,12 +89,12 @@ impl<'a> Holder<'a> {
                 let unit = frame.scale[i];
                 let found = self.covariance(vec![(i, i, 1.0)], (value / unit).powi(2), near)?;
                 let slope = found.slope * 2.0 * value / unit.powi(2);
-                Some(HeldMaximum { slope, ..found })
+                Some(Held { slope, ..found })
             }
             Holdable::Covariance(i, j) => {
                 let unit = frame.scale[i] * frame.scale[j];
                 let found = self.covariance(vec![(i.max(j), i.min(j), 1.0)], value / unit, near)?;
-                Some(HeldMaximum { slope: found.slope / unit, ..found })
+                Some(Held { slope: found.slope / unit, ..found })
             }
             Holdable::Correlation(i, j) => self.correlation((i.max(j), i.min(j)), value, near),
         }
@@ -125,7 +135,7 @@ impl<'a> Holder<'a> {
         let place = self.climb(&objective, &problem.covariance, moved)?;
         let score = problem.mean.jacobian().transpose() * &place.local.mean_score;
         let slope = score.dot(row) / size / unit;
-        Some(HeldMaximum { value: place.local.value, slope, place })
+        Some(Held { value: place.local.value, slope, near: place })
     }
 
     /// Σ coefficient σ_pair held at a value, in η.
@@ -136,7 +146,7 @@ impl<'a> Holder<'a> {
         let root = map.onto(&begin(&problem.covariance, &map.constraints, near))?;
         let place = self.climb(problem, &map, Point { root, ..near.clone() })?;
         let slope = *place.tangent.multipliers.last().expect("the constraint has a multiplier");
-        Some(HeldMaximum { value: place.local.value, slope, place })
+        Some(Held { value: place.local.value, slope, near: place })
     }
 
     /// σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: there the two have the same value and the same
@@ -152,12 +162,12 @@ impl<'a> Holder<'a> {
         for _ in 0..TURNS {
             let terms = vec![(i, j, 2.0), (i, i, -rho * t), (j, j, -rho / t)];
             let found = self.covariance(terms, 0.0, &near)?;
-            let next = ratio(&found.place.point)?;
+            let next = ratio(&found.near.point)?;
             if (next / t).ln().abs() < 1e-7 {
-                let sigma = found.place.point.covariance();
-                return Some(HeldMaximum { slope: found.slope * (t * sigma[(i, i)] + sigma[(j, j)] / t), ..found });
+                let sigma = found.near.point.covariance();
+                return Some(Held { slope: found.slope * (t * sigma[(i, i)] + sigma[(j, j)] / t), ..found });
             }
-            (t, near) = (next, found.place.point);
+            (t, near) = (next, found.near.point);
         }
         None
     }

@@ -6,6 +6,7 @@ use crate::estimate::{CovarianceMap, Estimate, Form, Part, State};
 use crate::infer::direction::{Direction, Quantity};
 use crate::infer::estimated::Estimated;
 use crate::infer::estimates::EstimateCovariance;
+use crate::infer::holdable::Holdable;
 use crate::infer::law::Law;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::elements::Elements;
@@ -33,6 +34,19 @@ pub struct Uncertainty {
     pub scale: Vec<Option<f64>>,
     /// Blocks of Σ that are singular.
     pub boundary: Vec<Boundary>,
+}
+
+impl Uncertainty {
+    /// The standard error of a quantity.
+    pub(crate) fn of(&self, what: Holdable) -> Option<f64> {
+        match what {
+            Holdable::Mean(i) => self.mean[i],
+            Holdable::Coefficient(c) => self.coefficients[c],
+            Holdable::StdDev(i) => self.std_dev[i],
+            Holdable::Covariance(i, j) => self.covariance[i][j],
+            Holdable::Correlation(i, j) => self.correlation[i][j],
+        }
+    }
 }
 
 /// A block of Σ on the boundary of the positive semidefinite cone.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::estimate::{Criterion, Estimate, Point};
-use crate::infer::held::Holder;
+use crate::infer::held::{Held, HeldMaximum, Holder};
 use crate::infer::holdable::Holdable;
 use crate::infer::information::{Free, Uncertainty};
 use crate::linalg::elements::Elements;
@@ -94,7 +94,7 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
     let elements = &estimate.state.problem.covariance.elements;
     for what in quantities(elements, estimate.coefficients.len()) {
         let value = value(estimate, what);
-        let interval = error(uncertainty, what).zip(value).and_then(|(e, x)| {
+        let interval = uncertainty.of(what).zip(value).and_then(|(e, x)| {
             let around = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
             let ends = match what {
                 Holdable::StdDev(_) if x > 0.0 => around(x.ln(), e / x).map(f64::exp),
@@ -147,7 +147,7 @@ impl Intervals {
             .par_iter()
             .map(|&what| {
                 let centre = value(estimate, what)?;
-                let step = error(uncertainty, what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
+                let step = uncertainty.of(what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
                 let maximum = estimate.state.place.local.value;
                 let profile = Profile { holder, what, centre, maximum, quantile: QUANTILE, limits: limits(what) };
                 Some([profile.end(start, -step), profile.end(start, step)])
@@ -180,27 +180,7 @@ fn is_free(free: &Free, estimate: &Estimate, what: Holdable) -> bool {
 }
 
 pub(crate) fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
-    let sigma = &estimate.covariance;
-    match what {
-        Holdable::Mean(i) => Some(estimate.mean[i]),
-        Holdable::Coefficient(c) => Some(estimate.coefficients[c]),
-        Holdable::StdDev(i) => Some(sigma[(i, i)].max(0.0).sqrt()),
-        Holdable::Covariance(i, j) => Some(sigma[(i, j)]),
-        Holdable::Correlation(i, j) => {
-            let unit = (sigma[(i, i)] * sigma[(j, j)]).sqrt();
-            (unit > 0.0).then(|| (sigma[(i, j)] / unit).clamp(-1.0, 1.0))
-        }
-    }
-}
-
-fn error(uncertainty: &Uncertainty, what: Holdable) -> Option<f64> {
-    match what {
-        Holdable::Mean(i) => uncertainty.mean[i],
-        Holdable::Coefficient(c) => uncertainty.coefficients[c],
-        Holdable::StdDev(i) => uncertainty.std_dev[i],
-        Holdable::Covariance(i, j) => uncertainty.covariance[i][j],
-        Holdable::Correlation(i, j) => uncertainty.correlation[i][j],
-    }
+    what.value(&estimate.mean, &estimate.coefficients, &estimate.covariance)
 }
 
 /// A first step for a quantity of Σ without a standard error, from Σ_j W_j alone.
@@ -232,23 +212,13 @@ pub(crate) trait Holds: Sync {
     fn held(&self, what: Self::What, value: f64, near: &Self::Near) -> Option<Held<Self::Near>>;
 }
 
-/// A maximum with one quantity held.
-pub(crate) struct Held<N> {
-    pub(crate) near: N,
-    /// ℓ_max with the quantity held.
-    pub(crate) value: f64,
-    /// dℓ_max / d(value held).
-    pub(crate) slope: f64,
-}
-
 impl Holds for Holder<'_> {
     const PRECISION: f64 = 1e-6;
     type What = Holdable;
     type Near = Point;
 
     fn held(&self, what: Holdable, value: f64, near: &Point) -> Option<Held<Point>> {
-        let found = self.maximum(what, value, near)?;
-        Some(Held { near: found.place.point, value: found.value, slope: found.slope })
+        self.maximum(what, value, near).map(HeldMaximum::point)
     }
 }
 

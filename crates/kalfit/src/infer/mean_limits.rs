@@ -4,8 +4,8 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::estimate::{Estimate, Point};
-use crate::infer::held::Holder;
-use crate::infer::interval::{Held, Holds, Profile};
+use crate::infer::held::{Held, HeldMaximum, Holder};
+use crate::infer::interval::{Holds, Profile};
 use crate::infer::law::Law;
 use crate::model::Population;
 
@@ -40,8 +40,7 @@ impl Holds for Combinations<'_> {
 
     fn held(&self, what: usize, value: f64, near: &Point) -> Option<Held<Point>> {
         let MeanCombination { weights, constant } = &self.all[what];
-        let found = self.holder.combination(weights, value - constant, near)?;
-        Some(Held { near: found.place.point, value: found.value, slope: found.slope })
+        self.holder.combination(weights, value - constant, near).map(HeldMaximum::point)
     }
 }
 

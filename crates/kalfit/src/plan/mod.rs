@@ -14,6 +14,7 @@ mod error;
 mod levels;
 mod lost;
 
+pub use crate::infer::holdable::Holdable as Quantity;
 pub use error::PlanError;
 pub use levels::{Arrangement, plan_groups};
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
@@ -23,21 +24,6 @@ use crate::infer::{self, Direction, Uncertainty};
 use crate::linalg::elements::Elements;
 use crate::model::Population;
 use crate::reduce::Reductions;
-
-/// What is estimated. Indices are places in μ and Σ of all phases together.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Quantity {
-    /// An element of μ.
-    Mean(usize),
-    /// A regression coefficient, by its place among them.
-    Coefficient(usize),
-    /// A standard deviation: the square root of a variance in Σ.
-    StdDev(usize),
-    /// A correlation (i > j).
-    Correlation(usize, usize),
-    /// An element of Σ (i ≥ j).
-    Covariance(usize, usize),
-}
 
 /// Why a quantity has no standard error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -184,29 +170,12 @@ struct Found<'a> {
 
 impl Found<'_> {
     fn value(&self, quantity: Quantity) -> Option<f64> {
-        let sigma = &self.population.covariance;
-        match quantity {
-            Quantity::Mean(i) => Some(self.population.mean[i]),
-            Quantity::Coefficient(c) => Some(self.population.coefficients[c]),
-            Quantity::StdDev(i) => Some(sigma[(i, i)].max(0.0).sqrt()),
-            Quantity::Correlation(i, j) => {
-                let unit = (sigma[(i, i)] * sigma[(j, j)]).max(0.0).sqrt();
-                (unit > 0.0).then(|| (sigma[(i, j)] / unit).clamp(-1.0, 1.0))
-            }
-            Quantity::Covariance(i, j) => Some(sigma[(i, j)]),
-        }
+        let Population { mean, coefficients, covariance } = self.population;
+        quantity.value(mean, coefficients, covariance)
     }
 
     fn error(&self, quantity: Quantity) -> Option<f64> {
-        let uncertainty = self.uncertainty;
-        let error = match quantity {
-            Quantity::Mean(i) => uncertainty.mean[i],
-            Quantity::Coefficient(c) => uncertainty.coefficients[c],
-            Quantity::StdDev(i) => uncertainty.std_dev[i],
-            Quantity::Correlation(i, j) => uncertainty.correlation[i][j],
-            Quantity::Covariance(i, j) => uncertainty.covariance[i][j],
-        };
-        error.filter(|error| error.is_finite())
+        self.uncertainty.of(quantity).filter(|error| error.is_finite())
     }
 
     /// The number of an element of Σ.
