@@ -7,10 +7,10 @@
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
 use crate::estimate::covariance::{Constraint, CovarianceMap, Form, Part, place as place_block, sub};
+use crate::estimate::curvature::Curvature;
 use crate::estimate::local::natural_sizes;
 use crate::estimate::newton::Place;
 use crate::estimate::relaxed::{relax, undetermined};
-use crate::linalg::regular::Regular;
 use crate::linalg::symmetric;
 
 /// Rounding errors above this many standard errors are told, those above the other one withhold the certificate.
@@ -104,20 +104,10 @@ fn scores(place: &Place) -> (f64, f64) {
 }
 
 fn decrement(information: DMatrixView<'_, f64>, gradient: &DVector<f64>) -> f64 {
-    let scale = DVector::from_fn(gradient.len(), |i, _| {
-        let h = information[(i, i)].abs();
-        if h > 0.0 { h.sqrt().recip() } else { 0.0 }
-    });
-    let n = gradient.len();
-    let scaled = || DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j]);
+    let size = |h: f64| if h.abs() > 0.0 { h.abs().sqrt().recip() } else { 0.0 };
+    let scale = DVector::from_fn(gradient.len(), |i, _| size(information[(i, i)]));
     let gradient = gradient.component_mul(&scale);
-    if let Some(root) = Regular::within(scaled()) {
-        return root.below(&gradient).norm();
-    }
-    let (values, vectors) = symmetric::eigen(&scaled());
-    let along = vectors.transpose() * gradient;
-    let term = |(v, g): (&f64, &f64)| if v.abs() > crate::estimate::curvature::FLAT { g * g / v.abs() } else { 0.0 };
-    values.iter().zip(along.iter()).map(term).fold(0.0, |a, b| a + b).sqrt()
+    Curvature::scaled_by(scale, gradient, information).decrement()
 }
 
 /// The worst direction of the null space of Σ within the structure.

@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DMatrixView, DVector};
 
 use crate::estimate::local::Tangent;
 use crate::linalg::regular::Regular;
@@ -47,7 +47,7 @@ const LONGEST: f64 = 0.5;
 /// Information in a coordinate, at its natural size, below this part of the largest is rounding.
 pub(crate) const NOTHING: f64 = 1e-14;
 /// Scaled eigenvalues below this are flat: the data say nothing there.
-pub(crate) const FLAT: f64 = 1e-10;
+const FLAT: f64 = 1e-10;
 
 impl Curvature {
     pub(crate) fn new(tangent: &Tangent) -> Curvature {
@@ -58,10 +58,15 @@ impl Curvature {
         let unit = |i: usize| if own(i) > NOTHING * largest { h[(i, i)].abs().sqrt().recip() } else { 0.0 };
         let scale = DVector::from_fn(n, |i, _| unit(i));
         let gradient = tangent.gradient.component_mul(&scale);
-        Curvature::scaled_by(scale, gradient, h)
+        Curvature::scaled_by(scale, gradient, h.as_view())
     }
 
-    fn scaled_by(scale: DVector<f64>, gradient: DVector<f64>, information: &DMatrix<f64>) -> Curvature {
+    /// Of information and a gradient that this scale, which is already on the gradient, brings to size one.
+    pub(super) fn scaled_by(
+        scale: DVector<f64>,
+        gradient: DVector<f64>,
+        information: DMatrixView<'_, f64>,
+    ) -> Curvature {
         let mut found = Curvature { scale, gradient, plain: None, spectrum: OnceLock::new() };
         // of many states neither the matrix nor its root can stay: what they say can
         found.plain = Regular::within(found.scaled(information)).map(|root| Plain::of(&root, &found.gradient));
@@ -71,13 +76,13 @@ impl Curvature {
         found
     }
 
-    fn scaled(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
+    fn scaled(&self, information: DMatrixView<'_, f64>) -> DMatrix<f64> {
         let (n, scale) = (self.scale.len(), &self.scale);
         DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j])
     }
 
     /// The information is that of the tangent space.
-    fn spectrum(&self, information: &DMatrix<f64>) -> &Spectrum {
+    fn spectrum(&self, information: DMatrixView<'_, f64>) -> &Spectrum {
         self.spectrum.get_or_init(|| {
             let scaled = self.scaled(information);
             // where there is a root, of what it is the root of
@@ -110,7 +115,7 @@ impl Curvature {
     /// The damping for the next try after a step with this much gave only `gain`: the value along the step as a parabola with
     /// the slope at the place says how much shorter, between a quarter and a half. The information is that of the tangent space.
     pub(crate) fn shorter(&self, information: &DMatrix<f64>, damping: f64, gain: f64) -> f64 {
-        let spectrum = self.spectrum(information);
+        let spectrum = self.spectrum(information.as_view());
         let length = |d: f64| spectrum.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
         let slope: f64 = spectrum.terms().map(|(_, h, g)| g * g / (h + damping)).sum();
         let part = slope / (2.0 * (slope - gain)); // zero where there is no value
@@ -131,7 +136,7 @@ impl Curvature {
     pub(crate) fn step(&self, information: &DMatrix<f64>, damping: f64) -> (DVector<f64>, f64) {
         let (step, gain) = match &self.plain {
             Some(plain) if damping == 0.0 => (plain.step.clone(), plain.gain),
-            _ => self.spectrum(information).step(damping),
+            _ => self.spectrum(information.as_view()).step(damping),
         };
         (step.component_mul(&self.scale), gain)
     }
@@ -176,7 +181,7 @@ mod tests {
 
     fn of(scaled: &DMatrix<f64>, gradient: DVector<f64>) -> Curvature {
         let scale = DVector::from_element(gradient.len(), 1.0);
-        Curvature::scaled_by(scale, gradient, scaled)
+        Curvature::scaled_by(scale, gradient, scaled.as_view())
     }
 
     #[test]
@@ -187,7 +192,7 @@ mod tests {
         let curvature = of(&h, DVector::from_fn(n, |i, _| (i as f64).cos()));
         assert!(curvature.plain.is_some(), "it is regular");
         let (step, gain) = curvature.step(&h, 0.0);
-        let (expected, promised) = curvature.spectrum(&h).step(0.0);
+        let (expected, promised) = curvature.spectrum(h.as_view()).step(0.0);
         assert!((&step - &expected).norm() < 1e-11 * expected.norm(), "{step} {expected}");
         assert!((gain - promised).abs() < 1e-11 * promised, "{gain} {promised}");
         let (decrement, by_values) = (curvature.decrement(), curvature.known().decrement());

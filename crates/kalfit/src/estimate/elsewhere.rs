@@ -11,6 +11,7 @@ use crate::estimate::classes::Classes;
 use crate::estimate::covariance::{CovarianceMap, Form};
 use crate::estimate::frame::Frame;
 use crate::estimate::levels::{self, TestPosterior, Units};
+use crate::estimate::local::Objective;
 use crate::estimate::newton::{self, Place};
 use crate::estimate::order::{Order, Wanted};
 use crate::estimate::point::{Point, Regressors};
@@ -78,8 +79,7 @@ impl InitialLaw {
 
     fn of(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
         let frame = &problem.classes.frame;
-        let all = frame.scale.len();
-        let unit = |k: usize| if k < all { frame.scale[k] } else { problem.mean.coefficient_scale[k - all].recip() };
+        let (all, units) = (frame.scale.len(), problem.mean_units());
         let coefficients = point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s);
         // of a test in groups ξ is the sum over the levels
         let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
@@ -93,7 +93,7 @@ impl InitialLaw {
         });
         let in_units = |half: &DMatrix<f64>| {
             DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| {
-                unit(if k < p { k } else { k - p + all }) * half[(k, c)]
+                units[if k < p { k } else { k - p + all }] * half[(k, c)]
             })
         };
         let given = |units: &Arc<Units>| match problem.classes.remote {
@@ -343,14 +343,10 @@ impl State {
 
     /// A gradient in mean coordinates and Σ along the tangent basis.
     fn along(&self, sums: &Sums, problem: &Problem, point: &Point) -> DVector<f64> {
-        let tangent = &self.place.tangent;
         let chart = problem.covariance.chart(&point.root);
-        let mut gradient = DVector::zeros(tangent.basis.nrows());
-        gradient.rows_mut(0, tangent.mean).copy_from(&(problem.mean.jacobian().transpose() * &sums.mean_score));
         let score = self.problem.covariance.elements.pack_score(&sums.score());
-        let of_sigma = chart.jacobian_at(&chart.root).transposed_times(&score);
-        gradient.rows_mut(tangent.mean, of_sigma.len()).copy_from(&of_sigma);
-        tangent.basis.transposed_times(&gradient)
+        let of_psi = chart.jacobian_at(&chart.root).transposed_times(&score);
+        self.place.tangent.pulled_back(problem.mean_jacobian(), &sums.mean_score, &of_psi)
     }
 }
 

@@ -122,9 +122,7 @@ pub(crate) fn member(map: &CovarianceMap, wanted: &DMatrix<f64>) -> DMatrix<f64>
         sigma -= map.elements.unpack(&step);
         let own = sub(&sigma, &map.random);
         let floor = if round < ROUNDS / 2 { INTERIOR } else { 0.0 };
-        let size = symmetric::sizes(&own);
-        let (values, vectors) =
-            symmetric::eigen(&DMatrix::from_fn(own.nrows(), own.ncols(), |i, j| own[(i, j)] / size[i] / size[j]));
+        let (size, values, vectors) = symmetric::scaled_eigen(&own);
         if values.first().is_none_or(|least| *least >= 0.5 * floor) {
             break;
         }

@@ -104,13 +104,10 @@ impl Tangent {
         let held = held_coordinates(&chart, &sigma_gradient);
         let basis = tangent_basis(q, &normals, &held, jacobian.ncols());
         let sizes = coordinate_sizes(mean_jacobian, &map.regressors, &chart, root);
-        let mut gradient = DVector::zeros(q + jacobian.ncols());
-        gradient.rows_mut(0, q).copy_from(&(mean_jacobian.transpose() * &local.mean_score));
-        gradient.rows_mut(q, jacobian.ncols()).copy_from(&sigma_gradient);
         let mut tangent = Tangent {
             mean: q,
             jacobian,
-            gradient: basis.transposed_times(&gradient),
+            gradient: DVector::zeros(0),
             information: DMatrix::zeros(0, 0),
             sizes: basis.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect(),
             chart,
@@ -118,8 +115,21 @@ impl Tangent {
             multipliers: multipliers.as_slice().to_vec(),
             residual_score,
         };
+        tangent.gradient = tangent.pulled_back(mean_jacobian, &local.mean_score, &sigma_gradient);
         tangent.inform(local, mean_jacobian);
         tangent
+    }
+
+    /// Derivatives by mean coordinates and by ψ, along the basis.
+    pub(crate) fn pulled_back(
+        &self,
+        mean_jacobian: &DMatrix<f64>,
+        of_mean: &DVector<f64>,
+        of_psi: &DVector<f64>,
+    ) -> DVector<f64> {
+        let of_mean = mean_jacobian.transpose() * of_mean;
+        let all = of_mean.iter().chain(of_psi.iter()).copied();
+        self.basis.transposed_times(&DVector::from_iterator(self.basis.nrows(), all))
     }
 
     /// Works the information out.

@@ -20,6 +20,7 @@ use nalgebra::DVector;
 
 use crate::estimate::classes::Classes;
 use crate::estimate::evidence::evidence;
+use crate::estimate::local::Objective;
 use crate::estimate::problem::Problem;
 use crate::estimate::residual::Residual;
 use crate::estimate::{Estimate, FitError, Settings, Silent, State, Structure, ended, problem};
@@ -99,13 +100,10 @@ impl State {
         let curved = &*local.information * &sigma;
         let of_mean = &local.mean_score - &local.cross * &sigma;
         let of_sigma = &outer * 0.5 + elements.pack_score(&local.score) - &curved;
-        let mut cross = DVector::zeros(tangent.basis.nrows());
-        let mean = self.problem.mean.jacobian().transpose() * of_mean;
-        cross.rows_mut(0, mean.len()).copy_from(&mean);
-        cross.rows_mut(mean.len(), tangent.jacobian.ncols()).copy_from(&tangent.jacobian.transposed_times(&of_sigma));
+        let of_psi = tangent.jacobian.transposed_times(&of_sigma);
         let informed = measurements - self.problem.informed() as f64;
         let own = 0.5 * informed + slope - outer.dot(&sigma) + sigma.dot(&curved);
-        NoiseInformation { own, cross: tangent.basis.transposed_times(&cross) }
+        NoiseInformation { own, cross: tangent.pulled_back(self.problem.mean_jacobian(), &of_mean, &of_psi) }
     }
 }
 

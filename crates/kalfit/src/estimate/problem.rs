@@ -219,6 +219,12 @@ impl Problem {
         Population { mean, coefficients, covariance }
     }
 
+    /// What one unit in η of each mean coordinate is in the user's units.
+    pub(crate) fn mean_units(&self) -> Vec<f64> {
+        let coefficients = self.mean.coefficient_scale.iter().map(|scale| scale.recip());
+        self.classes.frame.scale.iter().copied().chain(coefficients).collect()
+    }
+
     /// The point of values that meet the structure.
     pub(crate) fn point_of(&self, values: &Population) -> Point {
         let frame = &self.classes.frame;

@@ -61,10 +61,7 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64
 
 /// tr(Σ⁺D Σ⁺E) over the free directions: the size of a change relative to Σ = FF'.
 fn metric(root: &DMatrix<f64>, free: &Sparse, elements: &Elements) -> DMatrix<f64> {
-    let sigma = root * root.transpose();
-    let (p, size) = (root.nrows(), symmetric::sizes(&sigma));
-    let inverse = symmetric::pseudo_inverse(&DMatrix::from_fn(p, p, |i, j| sigma[(i, j)] / size[i] / size[j]));
-    let inverse = DMatrix::from_fn(p, p, |i, j| inverse[(i, j)] / size[i] / size[j]);
+    let inverse = symmetric::scaled_inverse(&(root * root.transpose()));
     free.congruence_of(elements.over(|k, l, a, b| inverse[(l, a)] * inverse[(b, k)]))
 }
 
@@ -81,11 +78,10 @@ fn solved(mut information: DMatrix<f64>, score: &DVector<f64>) -> Option<DVector
 /// The smallest solution of I x = g in a metric: what the data do not determine changes as little as it can relative to Σ.
 /// That keeps the regression of an unobserved state on the observed ones (the paper's §2.3), and so keeps Σ positive.
 fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMatrix<f64>) -> DVector<f64> {
-    let (n, size) = (metric.nrows(), symmetric::sizes(metric));
-    let (values, vectors) = symmetric::eigen(&DMatrix::from_fn(n, n, |i, j| metric[(i, j)] / size[i] / size[j]));
+    let (size, values, vectors) = symmetric::scaled_eigen(metric);
     let floor = values.last().copied().unwrap_or(0.0) * 1e-14;
     let unit = |k: usize| if values[k] > floor { values[k].sqrt().recip() } else { 0.0 };
-    let half = DMatrix::from_fn(n, n, |i, k| vectors[(i, k)] * unit(k) / size[i]);
+    let half = DMatrix::from_fn(size.len(), size.len(), |i, k| vectors[(i, k)] * unit(k) / size[i]);
     let relative = half.transpose() * information * &half;
     let right = half.transpose() * score;
     half * symmetric::pseudo_solve(&relative, &right)
@@ -94,10 +90,7 @@ fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMa
 /// Σ + change, with the change cut where it would leave less than a tenth of Σ = FF': direction by direction, or, so as to
 /// keep constraints, as a whole.
 fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Option<DMatrix<f64>> {
-    let sigma = root * root.transpose();
-    let size = symmetric::sizes(&sigma);
-    let scaled = DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| sigma[(i, j)] / size[i] / size[j]);
-    let (values, vectors) = symmetric::eigen(&scaled);
+    let (size, values, vectors) = symmetric::scaled_eigen(&(root * root.transpose()));
     let largest = values.last().copied().filter(|v| *v > 0.0)?;
     // only within the range of Σ, where a relative change has a meaning; zero rows (fixed variances) stay
     let range: Vec<usize> = (0..values.len()).filter(|&k| values[k] > 1e-14 * largest).collect();

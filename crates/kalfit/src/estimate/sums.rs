@@ -223,6 +223,15 @@ impl Sums {
         }
     }
 
+    /// Expected information of mean coordinates and elements of Σ: no cross terms.
+    pub(crate) fn all_expected_information(&self) -> DMatrix<f64> {
+        let (m, s) = (self.mean_score.len(), self.elements.count());
+        let mut information = DMatrix::zeros(m + s, m + s);
+        information.view_mut((0, 0), (m, m)).copy_from(&self.mean_information);
+        information.view_mut((m, m), (s, s)).copy_from(&self.expected_information());
+        information
+    }
+
     fn expected_term(&self) -> impl Fn(usize, usize, usize, usize) -> f64 {
         |k, l, a, b| 0.5 * self.expected.get((l, a), (b, k))
     }

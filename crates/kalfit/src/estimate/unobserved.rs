@@ -47,15 +47,8 @@ pub(crate) fn restored(
 
 /// V with orthonormal columns: the directions that are observed, where some are not.
 fn observed(information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let n = information.nrows();
-    let size = symmetric::sizes(information);
-    let (values, vectors) = symmetric::eigen(&DMatrix::from_fn(n, n, |i, j| information[(i, j)] / size[i] / size[j]));
-    let seen: Vec<usize> = (0..n).filter(|&k| values[k] >= NONE).collect();
-    if seen.len() == n {
-        return None;
-    }
-    let range = DMatrix::from_fn(n, seen.len(), |i, c| size[i] * vectors[(i, seen[c])]);
-    Some(range.qr().q())
+    let range = symmetric::range(information, |value| value >= NONE);
+    (range.ncols() < information.nrows()).then_some(range)
 }
 
 /// A square root of K S K' + Σ0 - K (V'Σ0V) K', S = V'FF'V.

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Estimate, Form, Mixed, State};
+use crate::estimate::{Estimate, Form, Mixed, Objective, State};
 use crate::infer::law::Law;
 use crate::linalg::elements::Element;
 use crate::linalg::symmetric::pair;
@@ -157,11 +157,7 @@ fn lost(
 /// Cross information between an element and the free coordinates along the tangent basis.
 fn tangent_cross(state: &State, mean: &DVector<f64>, sigma: &DVector<f64>) -> DVector<f64> {
     let tangent = &state.place.tangent;
-    let jacobian: DMatrix<f64> = state.problem.mean.jacobian();
-    let mut cross = DVector::zeros(tangent.basis.nrows());
-    cross.rows_mut(0, tangent.mean).copy_from(&(jacobian.transpose() * mean));
-    cross.rows_mut(tangent.mean, tangent.jacobian.ncols()).copy_from(&tangent.jacobian.transposed_times(sigma));
-    tangent.basis.transposed_times(&cross)
+    tangent.pulled_back(state.problem.mean_jacobian(), mean, &tangent.jacobian.transposed_times(sigma))
 }
 
 /// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted, which leaves

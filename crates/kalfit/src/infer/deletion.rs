@@ -38,10 +38,9 @@ pub(super) fn alone(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<
     }
     let all = &All::of(estimate);
     let without = |j: usize| {
-        let near = climbed(estimate, all, (reductions, j));
-        let others = match near {
+        let others = match climbed(estimate, all, (reductions, j)) {
             Some(others) => others,
-            None => searched(estimate, reductions, j)?,
+            None => Others { point: searched(estimate, reductions, &[j])?.0, log_likelihood: None },
         };
         Some(deletion(estimate, all, (reductions, j), &others))
     };
@@ -120,15 +119,17 @@ fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)
     (stop == Stop::Certified).then_some(Others { point: place.point, log_likelihood })
 }
 
-/// A search over the other tests, from the optimum of all; its end in the coordinates of the estimate of all.
-fn searched(estimate: &Estimate, reductions: &Reductions, j: usize) -> Option<Others> {
-    let others: Vec<usize> = (0..reductions.len()).filter(|other| *other != j).collect();
-    let others = reductions.select(&others);
-    let state = &estimate.state;
+/// A search without some tests, from the optimum of all: its end in the coordinates of the estimate of all, and the other tests.
+pub(super) fn searched(estimate: &Estimate, reductions: &Reductions, removed: &[usize]) -> Option<(Point, Reductions)> {
+    let kept: Vec<usize> = (0..reductions.len()).filter(|j| !removed.contains(j)).collect();
+    if kept.is_empty() {
+        return None;
+    }
+    let (state, others) = (&estimate.state, reductions.select(&kept));
     let start = Population::from(estimate);
     let found = fit_from(&others, &state.structure(), &start, &state.settings, &mut Silent).ok()?;
     let point = || state.problem.point_of(&Population::from(&found));
-    (found.stop == Stop::Certified).then(|| Others { point: point(), log_likelihood: None })
+    (found.stop == Stop::Certified).then(|| (point(), others))
 }
 
 fn deletion(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize), others: &Others) -> Deletion {

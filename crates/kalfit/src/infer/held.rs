@@ -111,10 +111,7 @@ impl<'a> Holder<'a> {
 
     /// Derivatives by (b, γ) of what has these by (μ, γ).
     fn scaled(&self, weights: &DVector<f64>) -> DVector<f64> {
-        let (scale, of_coefficient) =
-            (&self.state.problem.classes.frame.scale, &self.state.problem.mean.coefficient_scale);
-        let units = scale.iter().copied().chain(of_coefficient.iter().map(|scale| scale.recip()));
-        DVector::from_iterator(weights.len(), weights.iter().zip(units).map(|(weight, unit)| weight * unit))
+        weights.component_mul(&DVector::from_vec(self.state.problem.mean_units()))
     }
 
     /// row'(b, γ) moved by `shift` and held; `unit` is one unit of it in the user's.

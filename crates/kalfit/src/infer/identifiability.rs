@@ -5,7 +5,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Class, Estimate, FitError, Point, Problem, Structure, Sums, harmonic, natural_sizes};
+use crate::estimate::{Estimate, FitError, Objective, Point, Problem, Structure, Sums, harmonic, natural_sizes};
 use crate::infer::direction::{Direction, NONE, Quantity, simplest, unit};
 use crate::infer::observability::{Observability, observability};
 use crate::infer::phases::{PhaseObservability, phases};
@@ -91,56 +91,22 @@ fn of_single_groups(problem: &Problem, free: &[f64]) -> Vec<Direction> {
 }
 
 fn mean_directions(problem: &Problem) -> Vec<Direction> {
-    let basis = problem.mean.jacobian();
-    let information = basis.transpose() * mean_information(problem) * &basis;
-    let coefficients = problem.mean.coefficient_scale.iter().map(|x| x.recip());
-    let scale: Vec<f64> = problem.classes.frame.scale.iter().copied().chain(coefficients).collect();
-    let out = |v: DVector<f64>| {
-        let direction = &basis * v;
-        Direction {
-            quantity: Quantity::Mean,
-            direction: unit(direction.iter().zip(&scale).map(|(d, s)| d * s).collect()),
-        }
+    let (basis, regressors, pooled) = (problem.mean_jacobian(), &problem.mean.regressors, &problem.classes.information);
+    let information = match regressors.is_empty() {
+        true => basis.transpose() * pooled * basis,
+        false => basis.transpose() * problem.classes.mean_information(regressors) * basis,
     };
+    let units = problem.mean_units();
     // in η the average test has unit information on each element, so 1 is the natural size
-    null_space(&|| information.clone(), &vec![1.0; basis.ncols()], problem.classes.information.diagonal().amax())
+    null_space(&|| information.clone(), &vec![1.0; basis.ncols()], pooled.diagonal().amax())
         .into_iter()
-        .map(out)
+        .map(|v| out(Quantity::Mean, &(basis * v), &units))
         .collect()
 }
 
-/// Σ_j E_j'J_jE_j over μ and the regression coefficients, in η.
-fn mean_information(problem: &Problem) -> DMatrix<f64> {
-    let (p, regressors) = (problem.classes.dimension(), &problem.mean.regressors);
-    let m = p + regressors.len();
-    let mut information = DMatrix::zeros(m, m);
-    information.view_mut((0, 0), (p, p)).copy_from(&problem.classes.information);
-    if regressors.is_empty() {
-        return information;
-    }
-    if !problem.covariance.elements.is_single() || problem.classes.remote.is_some() {
-        return problem.classes.mean_information(regressors);
-    }
-    let mut room = Class::default();
-    for number in 0..problem.classes.len() {
-        let class = problem.classes.get(number, &mut room);
-        let factor = DMatrix::from_row_slice(p, p, class.factor);
-        let own = factor.transpose() * &factor * class.count;
-        for (c, &i) in regressors.iter().enumerate() {
-            for k in 0..p {
-                information[(p + c, k)] += class.covariates[c] * own[(i, k)];
-            }
-            for (d, &k) in regressors.iter().enumerate() {
-                information[(p + c, p + d)] += class.covariates[c] * own[(i, k)] * class.covariates[d];
-            }
-        }
-    }
-    for c in p..m {
-        for k in 0..p {
-            information[(k, c)] = information[(c, k)];
-        }
-    }
-    information
+/// A direction in η, in the user's units.
+fn out(quantity: Quantity, direction: &DVector<f64>, units: &[f64]) -> Direction {
+    Direction { quantity, direction: unit(direction.iter().zip(units).map(|(d, s)| d * s).collect()) }
 }
 
 fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Sparse), sums: &Sums) -> Vec<Direction> {
@@ -148,17 +114,13 @@ fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Spars
     let scale = &problem.classes.frame.scale;
     let elements = &problem.covariance.elements;
     let units: Vec<f64> = elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
-    let out = |v: DVector<f64>| {
-        let direction = free.times(&v);
-        Direction {
-            quantity: Quantity::Covariance,
-            direction: unit(direction.iter().zip(&units).map(|(d, s)| d * s).collect()),
-        }
-    };
     let sizes = natural_sizes(root);
     let sizes: Vec<f64> = elements.all().map(|(i, j)| sizes[i] * sizes[j]).collect();
     let own = free.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect::<Vec<_>>();
-    null_space(&information, &own, 0.0).into_iter().map(out).collect()
+    null_space(&information, &own, 0.0)
+        .into_iter()
+        .map(|v| out(Quantity::Covariance, &free.times(&v), &units))
+        .collect()
 }
 
 /// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A coordinate is one

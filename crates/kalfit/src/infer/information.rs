@@ -15,6 +15,8 @@ use crate::reduce::Reductions;
 
 /// A squared correlation this near to one is one.
 const END: f64 = 1e-6;
+/// Eigenvalues of a correlation matrix up to this are zero.
+const ROUNDING: f64 = 1e-11;
 
 /// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, a variance of zero or a correlation of
 /// one. Where Σ is singular, they are those of matrices of its rank.
@@ -216,18 +218,7 @@ fn boundary(map: &CovarianceMap, root: &DMatrix<f64>) -> Vec<Boundary> {
         }
     };
     let blocks: Vec<Vec<usize>> = map.parts.iter().flat_map(of_part).collect();
-    let rank = |block: &[usize]| {
-        let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
-        let norms: Vec<f64> = (0..block.len()).map(|i| own.row(i).norm()).collect();
-        let scaled =
-            DMatrix::from_fn(
-                block.len(),
-                own.ncols(),
-                |i, c| if norms[i] > 0.0 { own[(i, c)] / norms[i] } else { 0.0 },
-            );
-        let (values, _) = symmetric::eigen(&(&scaled * scaled.transpose()));
-        values.iter().filter(|v| **v > 1e-11).count()
-    };
+    let rank = |block: &[usize]| block.len() - null_space(root, block, ROUNDING).ncols();
     blocks
         .into_iter()
         .map(|states| Boundary {
@@ -237,4 +228,16 @@ fn boundary(map: &CovarianceMap, root: &DMatrix<f64>) -> Vec<Boundary> {
         })
         .filter(|b| b.rank < b.states.len())
         .collect()
+}
+
+/// Null space of (FF') on a block, in units of its standard deviations: what has eigenvalues up to `floor` in these.
+pub(super) fn null_space(root: &DMatrix<f64>, block: &[usize], floor: f64) -> DMatrix<f64> {
+    let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
+    let norms: Vec<f64> = own.row_iter().map(|r| r.norm()).collect();
+    let unit = |i: usize| if norms[i] > 0.0 { norms[i] } else { 1.0 };
+    let scaled = DMatrix::from_fn(own.nrows(), own.ncols(), |i, c| own[(i, c)] / unit(i));
+    let (values, vectors) = symmetric::eigen(&(&scaled * scaled.transpose()));
+    let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= floor).collect();
+    let vectors = vectors.select_columns(&null);
+    DMatrix::from_fn(block.len(), null.len(), |i, c| vectors[(i, c)] / unit(i))
 }

@@ -62,7 +62,7 @@ impl<'a> Law<'a> {
             }
             StdErrors::Observed => inverse(&tangent.information),
             StdErrors::Expected => {
-                let information = jacobian.congruence(&expected(state, m, s));
+                let information = jacobian.congruence(&state.sums.all_expected_information());
                 inverse(&information)
             }
             StdErrors::Sandwich => {
@@ -192,8 +192,7 @@ impl<'a> Law<'a> {
 
     /// Derivative of weights'(μ, γ) along the tangent basis.
     pub(crate) fn derivative_of_means(&self, weights: &DVector<f64>) -> DVector<f64> {
-        let scales = self.state.problem.mean.coefficient_scale.iter().map(|scale| scale.recip());
-        let units = self.scale().iter().copied().chain(scales);
+        let units = self.state.problem.mean_units();
         let entries: Vec<(usize, f64)> =
             weights.iter().zip(units).map(|(weight, unit)| weight * unit).enumerate().collect();
         self.jacobian.transposed_times(&self.weights(&entries))
@@ -235,14 +234,6 @@ fn error(jacobian: &Sparse, law: &DMatrix<f64>, weights: &DVector<f64>) -> Optio
     let of = |k: usize| moved.iter().map(|&(i, x)| x * law[(i, k)]).sum::<f64>();
     let variance = moved.iter().map(|&(k, x)| x * of(k)).sum::<f64>() * unit * unit;
     (size > 1e-12 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
-}
-
-/// Expected information of mean coordinates and elements of Σ: no cross terms.
-fn expected(state: &State, m: usize, s: usize) -> DMatrix<f64> {
-    let mut information = DMatrix::zeros(m + s, m + s);
-    information.view_mut((0, 0), (m, m)).copy_from(&state.sums.mean_information);
-    information.view_mut((m, m), (s, s)).copy_from(&state.sums.expected_information());
-    information
 }
 
 /// Σ s s' over what is independent, in mean coordinates and elements of Σ.

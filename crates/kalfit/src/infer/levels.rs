@@ -4,13 +4,10 @@
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::estimate::{
-    Estimate, LevelPosteriors, Order, Point, Problem, Silent, Stop, TestPosterior, Units, fit_from, level_posteriors,
-};
-use crate::infer::deletion::Deletion;
+use crate::estimate::{Estimate, LevelPosteriors, Order, Point, Problem, TestPosterior, Units, level_posteriors};
+use crate::infer::deletion::{Deletion, searched};
 use crate::infer::posterior::{Distance, Posterior, distance};
 use crate::linalg::symmetric;
-use crate::model::Population;
 use crate::reduce::Reductions;
 
 /// The answer without each test, or each group of a level.
@@ -128,20 +125,11 @@ pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(D
 impl Ensemble<'_> {
     /// The fit without some tests, and where it ends; its distance is not looked at.
     fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
-        let kept: Vec<usize> = (0..self.evidence.len()).filter(|j| !removed.contains(j)).collect();
-        if kept.is_empty() {
-            return None;
-        }
-        let (state, problem) = (&estimate.state, self.problem);
-        let (others, structure) = (self.evidence.select(&kept), state.structure());
-        let start = Population::from(estimate);
-        let found = fit_from(&others, &structure, &start, &state.settings, &mut Silent).ok()?;
-        if found.stop != Stop::Certified {
-            return None;
-        }
-        let point = problem.point_of(&Population::from(&found));
+        let problem = self.problem;
+        let (point, others) = searched(estimate, self.evidence, removed)?;
         let there = problem.likelihood(&point, Order::First).value;
-        let of_others = Problem::within(&others, &structure, problem).ok()?.likelihood(&point, Order::First).value;
+        let of_others =
+            Problem::within(&others, &estimate.state.structure(), problem).ok()?.likelihood(&point, Order::First).value;
         let deletion = Deletion {
             estimate: problem.values_of(&point),
             log_density: there - of_others,

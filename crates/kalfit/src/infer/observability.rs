@@ -130,12 +130,7 @@ pub(crate) fn observability(
             leading: known[i].as_ref().and_then(|_| leading.next().expect("one for each direction")),
         })
         .collect();
-    let scale = &problem.classes.frame.scale;
-    let weak = weak.into_iter().map(|(direction, condition)| WeakDirection {
-        direction: unit(direction.iter().zip(scale).map(|(d, s)| d * s).collect()),
-        condition,
-        leading: leading.next().expect("one for each direction"),
-    });
+    let weak = weak.into_iter().map(|own| out(problem, own, leading.next().expect("one for each direction")));
     Observability {
         states,
         weak: weak.collect(),
@@ -150,7 +145,6 @@ fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
     let counts =
         problem.told_counts().filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
     let count = |at: usize| counts[at] as usize;
-    let scale = &problem.classes.frame.scale;
     let (_, weak) = known_and_weak(problem, weight);
     let state = |i: usize| StateObservability {
         informed_by: count(i),
@@ -158,11 +152,7 @@ fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
         tests: Vec::new(),
         leading: None,
     };
-    let weak = weak.into_iter().map(|(direction, condition)| WeakDirection {
-        direction: unit(direction.iter().zip(scale).map(|(d, s)| d * s).collect()),
-        condition,
-        leading: None,
-    });
+    let weak = weak.into_iter().map(|own| out(problem, own, None));
     Observability {
         states: (0..p).map(state).collect(),
         together: (0..p).map(|i| (0..p).map(|k| count(p * (2 + i) + k)).collect()).collect(),
@@ -256,6 +246,12 @@ impl<'a> Designs<'a> {
 
 /// A direction of the mean in η and its condition index.
 type Weak = (DVector<f64>, f64);
+
+/// The same in the user's units.
+fn out(problem: &Problem, (direction, condition): Weak, leading: Option<Leading>) -> WeakDirection {
+    let direction = direction.iter().zip(&problem.classes.frame.scale).map(|(d, s)| d * s).collect();
+    WeakDirection { direction: unit(direction), condition, leading }
+}
 
 /// In η: for each element of μ the direction I⁺e_i when its mean is free and identified; and the weak directions.
 fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVector<f64>>>, Vec<Weak>) {

@@ -80,24 +80,12 @@ fn gathered(chains: &[&Kept], highest: usize, size: usize, of: &dyn Fn(&Chained)
 }
 
 fn rank(information: &DMatrix<f64>) -> usize {
-    scaled(information).0.iter().filter(|v| **v > NONE).count()
-}
-
-/// Eigenvalues and eigenvectors after scaling to unit diagonal.
-fn scaled(information: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
-    let (n, size) = (information.nrows(), symmetric::sizes(information));
-    symmetric::eigen(&DMatrix::from_fn(n, n, |i, k| information[(i, k)] / size[i] / size[k]))
+    symmetric::scaled_eigen(information).1.iter().filter(|v| **v > NONE).count()
 }
 
 /// An orthonormal basis of the range.
 fn range(information: &DMatrix<f64>) -> DMatrix<f64> {
-    let size = symmetric::sizes(information);
-    let (values, vectors) = scaled(information);
-    let seen: Vec<usize> = (0..values.len()).filter(|&k| values[k] > NONE).collect();
-    if seen.is_empty() {
-        return DMatrix::zeros(information.nrows(), 0);
-    }
-    DMatrix::from_fn(values.len(), seen.len(), |i, c| size[i] * vectors[(i, seen[c])]).qr().q()
+    symmetric::range(information, |value| value > NONE)
 }
 
 /// What of a range is not in the one before, as weights in the user's units.

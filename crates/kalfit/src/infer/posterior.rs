@@ -77,10 +77,7 @@ fn posterior(
     class: ClassRef<'_>,
     reduction: ReductionRef<'_>,
 ) -> Posterior {
-    let mut mean = DVector::from_column_slice(&point.mean);
-    for (c, &element) in problem.mean.regressors.iter().enumerate() {
-        mean[element] += class.covariates[c] * point.coefficients[c];
-    }
+    let mut mean = DVector::from_vec(point.mean_of(class, &problem.mean.regressors));
     mean += sigma * DVector::from_column_slice(&terms.r);
     let frame = &problem.classes.frame;
     Posterior {

@@ -114,9 +114,35 @@ pub(crate) fn by_eigenvectors(vectors: &DMatrix<f64>, values: impl Iterator<Item
 /// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero. They are those after
 /// scaling to unit diagonal, so that a large element costs a small one no digits.
 pub fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
-    let size = sizes(a);
-    let (values, vectors) = eigen(&DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j]));
+    let (size, values, vectors) = scaled_eigen(a);
     DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| size[i] * vectors[(i, k)] * values[k].max(0.0).sqrt())
+}
+
+/// [`sizes`], and eigenvalues and eigenvectors after scaling to unit diagonal by them.
+pub(crate) fn scaled_eigen(a: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
+    let size = sizes(a);
+    let (values, vectors) = eigen(&over_sizes(a, &size));
+    (size, values, vectors)
+}
+
+/// [`pseudo_inverse`] by way of a unit diagonal.
+pub(crate) fn scaled_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
+    let size = sizes(a);
+    over_sizes(&pseudo_inverse(&over_sizes(a, &size)), &size)
+}
+
+/// An orthonormal basis of what has scaled eigenvalues that are `seen`.
+pub(crate) fn range(a: &DMatrix<f64>, seen: impl Fn(f64) -> bool) -> DMatrix<f64> {
+    let (size, values, vectors) = scaled_eigen(a);
+    let seen: Vec<usize> = (0..values.len()).filter(|&k| seen(values[k])).collect();
+    if seen.is_empty() {
+        return DMatrix::zeros(a.nrows(), 0);
+    }
+    DMatrix::from_fn(values.len(), seen.len(), |i, c| size[i] * vectors[(i, seen[c])]).qr().q()
+}
+
+fn over_sizes(a: &DMatrix<f64>, size: &[f64]) -> DMatrix<f64> {
+    DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j])
 }
 
 /// √a_ii, or one where that is zero.

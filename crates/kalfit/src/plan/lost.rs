@@ -59,8 +59,7 @@ fn log_determinant(state: &State) -> Option<f64> {
     let (problem, tangent) = (&state.problem, &state.place.tangent);
     let (scale, mean) = (&problem.classes.frame.scale, problem.mean.jacobian());
     let m = mean.nrows();
-    let mut units: Vec<f64> = scale.clone();
-    units.extend(problem.mean.coefficient_scale.iter().map(|scale| scale.recip()));
+    let mut units = problem.mean_units();
     units.extend(problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]));
     let mut jacobian = DMatrix::zeros(units.len(), mean.ncols() + tangent.jacobian.ncols());
     jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);

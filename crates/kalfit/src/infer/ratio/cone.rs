@@ -11,6 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::estimate::{CovarianceMap, Estimate, Form, Order, Part, Problem, generic_root};
+use crate::infer::information::null_space;
 use crate::infer::ratio::law::{Component, ReferenceLaw};
 use crate::infer::ratio::nested::regressions;
 use crate::linalg::elements::Elements;
@@ -58,12 +59,7 @@ fn information(null: &Estimate, outer: &Problem, places: &[usize]) -> DMatrix<f6
     let mut coefficients = vec![0.0; outer.mean.regressors.len()];
     places.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
     point.coefficients = coefficients;
-    let sums = outer.likelihood(&point, Order::Expected);
-    let (m, s) = (sums.mean_score.len(), sums.elements.count());
-    let mut information = DMatrix::zeros(m + s, m + s);
-    information.view_mut((0, 0), (m, m)).copy_from(&sums.mean_information);
-    information.view_mut((m, m), (s, s)).copy_from(&sums.expected_information());
-    information
+    outer.likelihood(&point, Order::Expected).all_expected_information()
 }
 
 /// d(mean coordinates of the model) / d(free mean coordinates of the hypothesis).
@@ -117,7 +113,7 @@ fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> Sides {
             Form::Factor(blocks) => {
                 for block in blocks {
                     let null = null_space_at(here, &narrow, block);
-                    let own = null_space(&wide, block).ncols();
+                    let own = null_space(&wide, block, NONE).ncols();
                     match null.ncols() {
                         n if n == own => {}
                         1 => lines.push(line(&null.column(0).into_owned(), block, elements)),
@@ -144,20 +140,8 @@ fn along_scale(part: &Part, star: &DMatrix<f64>, elements: &Elements) -> DVector
 /// Null space that a hypothesis gives a block where it ended: the directions follow its estimates (as with DRD and a singular R);
 /// their number is that of a generic member, and where the end has more of them, so do the directions.
 fn null_space_at(here: &DMatrix<f64>, generic: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
-    let (own, of_any) = (null_space(here, block), null_space(generic, block));
+    let (own, of_any) = (null_space(here, block, NONE), null_space(generic, block, NONE));
     if own.ncols() == of_any.ncols() { own } else { of_any }
-}
-
-/// Null space of (FF') on a block, in units of its standard deviations.
-fn null_space(root: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
-    let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
-    let norms: Vec<f64> = own.row_iter().map(|r| r.norm()).collect();
-    let unit = |i: usize| if norms[i] > 0.0 { norms[i] } else { 1.0 };
-    let scaled = DMatrix::from_fn(own.nrows(), own.ncols(), |i, c| own[(i, c)] / unit(i));
-    let (values, vectors) = symmetric::eigen(&(&scaled * scaled.transpose()));
-    let null: Vec<usize> = (0..values.len()).filter(|&k| values[k] <= NONE).collect();
-    let vectors = vectors.select_columns(&null);
-    DMatrix::from_fn(block.len(), null.len(), |i, c| vectors[(i, c)] / unit(i))
 }
 
 /// D ↦ n'Dn over the elements of D.
@@ -175,18 +159,14 @@ fn line(n: &DVector<f64>, block: &[usize], elements: &Elements) -> DVector<f64> 
 fn null_is_generic(null: &Estimate, inner: &Problem) -> bool {
     let map: &CovarianceMap = &inner.covariance;
     let generic = generic_root(inner);
-    let rank = |root: &DMatrix<f64>| map.random.len() - null_space(root, &map.random).ncols();
+    let rank = |root: &DMatrix<f64>| map.random.len() - null_space(root, &map.random, NONE).ncols();
     rank(&null.state.place.point.root) >= rank(&generic)
 }
 
 /// Covariance of the estimates along lines, once all other free quantities have adapted.
 fn covariance_of(lines: &[DVector<f64>], wide: &DMatrix<f64>, information: &DMatrix<f64>, m: usize) -> DMatrix<f64> {
     let free = wide.transpose() * information * wide;
-    let size = symmetric::sizes(&free);
-    let n = free.nrows();
-    let scaled = DMatrix::from_fn(n, n, |i, j| free[(i, j)] / size[i] / size[j]);
-    let inverse = symmetric::pseudo_inverse(&scaled);
-    let inverse = DMatrix::from_fn(n, n, |i, j| inverse[(i, j)] / size[i] / size[j]);
+    let inverse = symmetric::scaled_inverse(&free);
     let rows = DMatrix::from_fn(lines.len(), wide.nrows(), |k, c| if c < m { 0.0 } else { lines[k][c - m] });
     let along = rows * wide;
     &along * inverse * along.transpose()
