@@ -16,6 +16,11 @@ pub(super) struct Members {
 }
 
 impl Members {
+    /// Each of some tests a class to itself.
+    pub(super) fn each(tests: &[usize]) -> Members {
+        Members { tests: tests.to_vec(), ends: (1..=tests.len()).collect() }
+    }
+
     /// All tests, class after class.
     pub(super) fn tests(&self) -> &[usize] {
         &self.tests

@@ -173,7 +173,18 @@ impl Classes {
         (frame, pooled): (Frame, &Pooled),
         (elements, chained): (Elements, bool),
     ) -> Classes {
-        let chains = if chained { side_by_side(reductions, &members, (&frame, &elements)) } else { Vec::new() };
+        let found = (reductions.len(), pooled.information(&frame), present(reductions, &elements));
+        let classes = Classes::of_members(reductions, members, (&frame, &elements, chained), found);
+        Classes { stamp: Some(reductions.stamp()), ..classes }
+    }
+
+    fn of_members(
+        reductions: &Reductions,
+        members: Members,
+        (frame, elements, chained): (&Frame, &Elements, bool),
+        found: (usize, DMatrix<f64>, Vec<f64>),
+    ) -> Classes {
+        let chains = if chained { side_by_side(reductions, &members, (frame, elements)) } else { Vec::new() };
         let lanes = in_lanes(&chains, members.len());
         let in_blocks = elements.is_single() && !frame.scale.is_empty();
         let kind = |class: usize| match members.class(class) {
@@ -184,15 +195,14 @@ impl Classes {
         let fill = |class: usize, room: &mut Class| {
             let tests = members.class(class);
             if chained && reductions.chain(tests[0]).is_some() {
-                gather_chains((reductions, tests), (&frame, &elements), lanes.get(class).cloned().flatten(), room);
+                gather_chains((reductions, tests), (frame, elements), lanes.get(class).cloned().flatten(), room);
             } else {
-                gather(reductions, tests, &frame, room);
+                gather(reductions, tests, frame, room);
             }
         };
         let kinds = (0..members.len()).map(kind).collect();
-        let found = (reductions.len(), pooled.information(&frame), present(reductions, &elements));
-        let classes = Classes::arranged((kinds, &fill), chains, (&frame, &elements, chained), found);
-        Classes { members: Some(Arc::new(members)), stamp: Some(reductions.stamp()), ..classes }
+        let classes = Classes::arranged((kinds, &fill), chains, (frame, elements, chained), found);
+        Classes { members: Some(Arc::new(members)), ..classes }
     }
 
     /// The classes, and who is worked on side by side with whom; `fill` puts a class into a place.
@@ -284,6 +294,14 @@ impl Classes {
     /// Every test has a class to itself, of those that these are the classes of.
     pub(crate) fn are_single(&self) -> bool {
         self.stamp.is_some() && self.len() == self.tests
+    }
+
+    /// Some tests, each a class to itself, in the same η. The pooled information is the share that goes with them.
+    pub(crate) fn each(&self, reductions: &Reductions, tests: &[usize]) -> Classes {
+        let share = tests.len() as f64 / reductions.len() as f64;
+        let present = self.present.iter().map(|tests| tests * share).collect();
+        let found = (tests.len(), &self.information * share, present);
+        Classes::of_members(reductions, Members::each(tests), (&self.frame, &self.elements, self.chained), found)
     }
 
     /// The same where all noise is λ times as large, from what each class says of it, in coordinates that are √λ times as large.

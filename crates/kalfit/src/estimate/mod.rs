@@ -114,7 +114,7 @@ pub(crate) use start::generic_root;
 pub(crate) use summed::Summed;
 pub(crate) use sums::Sums;
 pub(crate) use terms::Terms;
-pub(crate) use together::{each, in_parts};
+pub(crate) use together::in_parts;
 
 use crate::model::Population;
 use crate::reduce::Reductions;

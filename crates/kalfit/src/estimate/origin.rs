@@ -3,13 +3,18 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::chained::Detail;
-use crate::estimate::class::Class;
+use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
 use crate::estimate::order::Order;
 use crate::estimate::pass::pass;
 use crate::estimate::point::Point;
 use crate::estimate::remote;
-use crate::estimate::together::each_packed;
+use crate::estimate::terms::Terms;
+use crate::estimate::together::in_parts;
+
+/// Of a class its number of tests and, for each element i, Σ (y - Jμ)_i² - J_ii over them, which has the mean Σ (JΣJ)_ii, and J_ii of
+/// one of them.
+type Excess = (f64, Vec<(f64, f64)>);
 
 impl Classes {
     /// Σ_j E_j'J_jE_j: information on the p elements of μ and the scaled regression coefficients at Σ = 0.
@@ -58,9 +63,8 @@ impl Classes {
         (excess, weight)
     }
 
-    /// For each class its number of tests and, for each element i, Σ (y - Jμ)_i² - J_ii over them, which has the mean
-    /// Σ (JΣJ)_ii, and J_ii of one of them.
-    fn excesses(&self, mean: &DVector<f64>) -> Vec<(f64, Vec<(f64, f64)>)> {
+    /// Of each class, in their order.
+    fn excesses(&self, mean: &DVector<f64>) -> Vec<Excess> {
         if !self.is_chained() {
             let mut room = Class::default();
             let mut told = |number: usize| {
@@ -69,17 +73,16 @@ impl Classes {
             };
             return (0..self.len()).map(&mut told).collect();
         }
-        let (p, listed) = (mean.len(), &self.listed);
+        let p = mean.len();
         let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
-        let mut told: Vec<(f64, Vec<(f64, f64)>)> = vec![(0.0, Vec::new()); listed.len()];
-        let packed = (self.blocks.isa(), &self.chains[..]);
-        let alone = self.beside.iter().copied();
-        each_packed((alone, &|k| listed.get(k)), packed, &[], &point, Detail::Phases, &mut |k, terms| {
-            let count = listed.get(k).count;
-            let one = |at: usize| (terms.outer[at] - count * terms.W[at], terms.W[at]);
-            told[k] = (count, (0..p).map(|i| one(i * p + i)).collect());
-        });
-        told
+        let of = |told: &mut Vec<(usize, Excess)>, k: usize, class: ClassRef<'_>, terms: &Terms| {
+            let one = |at: usize| (terms.outer[at] - class.count * terms.W[at], terms.W[at]);
+            told.push((k, (class.count, (0..p).map(|i| one(i * p + i)).collect())));
+        };
+        let parts = in_parts(self, &[], &point, Detail::Phases, &Vec::new, &of);
+        let mut told: Vec<(usize, Excess)> = parts.into_iter().flatten().collect();
+        told.sort_unstable_by_key(|(k, _)| *k);
+        told.into_iter().map(|(_, told)| told).collect()
     }
 
     /// Some are kept phase by phase.

@@ -3,10 +3,10 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use kalfit_lanes::{Isa, Kernel, Lanes};
+use kalfit_lanes::{Kernel, Lanes};
 use rayon::prelude::*;
 
-use crate::estimate::chained::{Detail, Kept, Packed, Root, grouped};
+use crate::estimate::chained::{Detail, Packed, Root};
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
 use crate::estimate::point::{Point, Regressors};
@@ -17,44 +17,6 @@ const CHUNK: usize = 256;
 
 /// Classes by their numbers.
 type Numbered<'a, 'c> = &'a (dyn Fn(usize) -> ClassRef<'c> + Sync);
-
-/// Calls `of` with each class and what it says, in an order that depends on nothing but the classes.
-pub(crate) fn each(
-    classes: &[ClassRef<'_>],
-    regressors: &Regressors,
-    point: &Point,
-    detail: Detail,
-    of: &mut dyn FnMut(usize, &Terms),
-) {
-    let isa = Isa::best();
-    let shapes = classes.iter().map(|class| class.chain.and_then(Kept::shape));
-    let groups = grouped(shapes.enumerate(), isa.lanes());
-    let chained = |k: usize| classes[k].chain.expect("it has a shape").chained();
-    let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, isa.lanes(), chained));
-    let packed: Vec<Arc<Packed>> = groups.into_iter().map(pack).collect();
-    let alone = (0..classes.len()).filter(|&k| classes[k].chain.is_none_or(Kept::is_careful));
-    each_packed((alone, &|k| classes[k]), (isa, &packed), regressors, point, detail, of);
-}
-
-/// The same of classes those of which that can be are packed already; the others are `alone`.
-pub(crate) fn each_packed(
-    (alone, class): (impl Iterator<Item = usize>, Numbered<'_, '_>),
-    (isa, packed): (Isa, &[Arc<Packed>]),
-    regressors: &Regressors,
-    point: &Point,
-    detail: Detail,
-    of: &mut dyn FnMut(usize, &Terms),
-) {
-    let mut terms = Terms::new(point.mean.len());
-    for k in alone {
-        terms.evaluate(class(k), regressors, point, detail);
-        of(k, &terms);
-    }
-    let root = &Root::of(&point.root);
-    for packed in packed {
-        isa.run(Tell { packed, class, regressors, point, root, detail, terms: &mut terms, of });
-    }
-}
 
 /// What `of` makes of each class and what it says, beginning with `start`: some classes by themselves, whatever thread they are on.
 pub(crate) fn in_parts<T: Send>(

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Class, ClassRef, Classes, Detail, Point, Problem, Terms, each, in_parts};
+use crate::estimate::{ClassRef, Classes, Detail, Point, Problem, Terms, in_parts};
 use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
 
@@ -40,35 +40,32 @@ const CHUNK: usize = 64;
 /// Posteriors of all tests at a point, in their order, each by itself.
 pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Vec<Posterior> {
     let classes = problem.classes.of(reductions);
-    if classes.are_single() {
-        return of_classes((problem, &classes), point, reductions);
-    }
-    let all: Vec<usize> = (0..reductions.len()).collect();
-    all.par_chunks(CHUNK).flat_map_iter(|numbers| chunk((problem, point), reductions, numbers)).collect()
+    let of = |classes: &Classes| of_classes((problem, classes), point, reductions);
+    let mut found: Vec<(usize, Posterior)> = if classes.are_single() {
+        of(&classes)
+    } else {
+        let all: Vec<usize> = (0..reductions.len()).collect();
+        all.par_chunks(CHUNK).flat_map_iter(|tests| of(&classes.each(reductions, tests))).collect()
+    };
+    found.sort_unstable_by_key(|(test, _)| *test);
+    found.into_iter().map(|(_, posterior)| posterior).collect()
 }
 
-/// Of tests that are classes to themselves.
-fn of_classes((problem, classes): (&Problem, &Classes), point: &Point, reductions: &Reductions) -> Vec<Posterior> {
+/// Of tests that are classes to themselves, by their numbers.
+fn of_classes(
+    (problem, classes): (&Problem, &Classes),
+    point: &Point,
+    reductions: &Reductions,
+) -> Vec<(usize, Posterior)> {
     let sigma = point.covariance();
     let told = |found: &mut Vec<(usize, Posterior)>, k: usize, class: ClassRef<'_>, terms: &Terms| {
         let test = classes.tests_of(k)[0];
         found.push((test, posterior((problem, point, &sigma), terms, class, reductions.get(test))));
     };
-    let parts = in_parts(classes, &problem.mean.regressors, point, Detail::Posterior, &Vec::new, &told);
-    let mut found: Vec<Option<Posterior>> = vec![None; reductions.len()];
-    parts.into_iter().flatten().for_each(|(test, posterior)| found[test] = Some(posterior));
-    found.into_iter().map(|one| one.expect("every test has a class")).collect()
-}
-
-fn chunk((problem, point): (&Problem, &Point), reductions: &Reductions, numbers: &[usize]) -> Vec<Posterior> {
-    let classes: Vec<Class> = numbers.iter().map(|&j| problem.classes.single(reductions, j)).collect();
-    let classes: Vec<ClassRef<'_>> = classes.iter().map(Class::view).collect();
-    let mut found: Vec<Option<Posterior>> = vec![None; classes.len()];
-    let sigma = point.covariance();
-    each(&classes, &problem.mean.regressors, point, Detail::Posterior, &mut |k, terms| {
-        found[k] = Some(posterior((problem, point, &sigma), terms, classes[k], reductions.get(numbers[k])));
-    });
-    found.into_iter().map(|one| one.expect("every class has its turn")).collect()
+    in_parts(classes, &problem.mean.regressors, point, Detail::Posterior, &Vec::new, &told)
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 fn posterior(
