@@ -5,7 +5,7 @@ use crate::infer::{Bootstrap, BootstrapResult, LikelihoodRatio};
 use crate::record::diagnosis::list;
 use crate::record::dynamic::{DynamicParts, converged};
 use crate::record::parameters;
-use crate::record::ratio::{FEW, side};
+use crate::record::ratio::{add_doubts, side};
 use crate::record::{PartRecord, RatioProvenance, RatioRecord, SideRecord};
 
 /// The two fits of a test.
@@ -72,18 +72,6 @@ fn notes(
             list(without.iter().map(String::as_str), "and")
         ));
     }
-    if ratio.law.is_bound {
-        notes.push(
-            "the hypothesis puts several quantities on their boundary. The distribution used is an upper bound, so the p-value may be too large but not too small; `--bootstrap` avoids this"
-                .to_owned(),
-        );
-    }
-    if ratio.null_on_boundary {
-        notes.push(
-            "under the hypothesis the estimated covariance is singular, and the large-sample distribution does not hold exactly; `--bootstrap` does not use it"
-                .to_owned(),
-        );
-    }
     let of = |parts: &DynamicParts<'_>| {
         let estimate = &parts.fit.estimate;
         estimate.declared_mean() + estimate.declared_covariance()
@@ -91,19 +79,7 @@ fn notes(
     let tests = sides.alternative.fit.reductions.len();
     // χ² for values of α alone comes with the measurements, not with the tests
     let by_tests = of(&sides.null) != of(&sides.alternative) || !ratio.law.is_chi_squared();
-    if tests < FEW && !drawn && notes.is_empty() && by_tests {
-        notes.push(format!(
-            "with {} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it",
-            if tests == 1 { "1 test".to_owned() } else { format!("{tests} tests") }
-        ));
-    }
-    let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
-    if declared != ratio.degrees_of_freedom {
-        notes.push(format!(
-            "the hypothesis removes {declared} free quantities; the data identify {} of them",
-            ratio.degrees_of_freedom
-        ));
-    }
+    add_doubts(&mut notes, ratio, (null, alternative), "quantities", (!drawn && by_tests).then_some(tests));
     notes
 }
 

@@ -146,7 +146,8 @@ impl RatioRecord {
         provenance: RatioProvenance,
     ) -> RatioRecord {
         let sides = (side(model, null), side(model, alternative));
-        let notes = notes(ratio, &sides.0, &sides.1, (reductions.len(), bootstrap.is_some()));
+        let (mut notes, tests) = (Vec::new(), bootstrap.is_none().then_some(reductions.len()));
+        add_doubts(&mut notes, ratio, (&sides.0, &sides.1), "variances with free covariances", tests);
         RatioRecord::at(reductions, sides, ratio, bootstrap, (parts, notes), provenance)
     }
 
@@ -241,20 +242,21 @@ fn words(components: &[Component]) -> String {
 }
 
 /// Fewer tests than this, and large-sample laws are a rough guide.
-pub(super) const FEW: usize = 50;
+const FEW: usize = 50;
 
-fn notes(
+/// Adds to notes how far the large-sample law is to be trusted, and what the hypothesis removes. `several`: what it puts on a boundary
+/// where the law is a bound; `tests`: how many there are, where it depends on them how good a guide the law is.
+pub(super) fn add_doubts(
+    notes: &mut Vec<String>,
     ratio: &LikelihoodRatio,
-    null: &SideRecord,
-    alternative: &SideRecord,
-    (tests, drawn): (usize, bool),
-) -> Vec<String> {
-    let mut notes = Vec::new();
+    (null, alternative): (&SideRecord, &SideRecord),
+    several: &str,
+    tests: Option<usize>,
+) {
     if ratio.law.is_bound {
-        notes.push(
-            "the hypothesis puts several variances with free covariances on their boundary. The distribution used is an upper bound, so the p-value may be too large but not too small; `--bootstrap` avoids this"
-                .to_owned(),
-        );
+        notes.push(format!(
+            "the hypothesis puts several {several} on their boundary. The distribution used is an upper bound, so the p-value may be too large but not too small; `--bootstrap` avoids this"
+        ));
     }
     if ratio.null_on_boundary {
         notes.push(
@@ -262,9 +264,10 @@ fn notes(
                 .to_owned(),
         );
     }
-    if tests < FEW && !drawn && notes.is_empty() {
+    if let Some(tests) = tests.filter(|tests| *tests < FEW && notes.is_empty()) {
         notes.push(format!(
-            "with {tests} tests the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it"
+            "with {tests} test{} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it",
+            if tests == 1 { "" } else { "s" }
         ));
     }
     let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
@@ -274,5 +277,4 @@ fn notes(
             ratio.degrees_of_freedom
         ));
     }
-    notes
 }
