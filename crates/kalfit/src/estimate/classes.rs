@@ -450,7 +450,7 @@ fn side_by_side(
     let chains_of =
         |k: usize| -> Vec<&Chain> { members.class(k).iter().filter_map(|&j| reductions.chain(j)).collect() };
     let shapes: Vec<Option<Shape>> =
-        (0..members.len()).into_par_iter().map(|k| Shape::of(&chains_of(k), ranges)).collect();
+        (0..members.len()).into_par_iter().map(|k| Shape::side_by_side(&chains_of(k), ranges)).collect();
     let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
     let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), chains_of));
     groups.into_par_iter().map(pack).collect()

@@ -25,16 +25,16 @@ impl Kept {
     }
 
     /// The sizes of its matrices.
-    fn sizes(&self) -> Cow<'_, Shape> {
+    fn sizes(&self) -> &Shape {
         match self {
-            Kept::Apart(chained) => Cow::Owned(chained.shape()),
-            Kept::Lane(packed, _) => Cow::Borrowed(packed.shape()),
+            Kept::Apart(chained) => &chained.shape,
+            Kept::Lane(packed, _) => packed.shape(),
         }
     }
 
     /// Its shape; `None` where it needs square-root arithmetic, and so to be worked on by itself.
     pub(crate) fn shape(&self) -> Option<Cow<'_, Shape>> {
-        (!self.is_careful()).then(|| self.sizes())
+        (!self.is_careful()).then(|| Cow::Borrowed(self.sizes()))
     }
 
     /// Needs square-root arithmetic.

@@ -10,17 +10,17 @@ mod phase;
 mod shape;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use kalfit_lanes::Real;
 use nalgebra::DMatrix;
 
 use crate::estimate::chained::kernel::{Phases, Prior, compressed};
 use crate::estimate::chained::phase::{Link, Phase};
-use crate::estimate::chained::shape::PhaseShape;
 use crate::estimate::frame::Frame;
 use crate::linalg::factors::{Factors, Plain, Rotations};
 use crate::linalg::rows::Rows;
-use crate::reduce::{Chain, ChainPhase, Path};
+use crate::reduce::{Chain, ChainPhase};
 
 pub(crate) use kept::{Kept, grouped};
 pub(crate) use kernel::{Detail, Root, Said};
@@ -31,8 +31,8 @@ pub(crate) use shape::Shape;
 #[derive(Debug, Clone)]
 pub(crate) struct Chained<T = f64> {
     phases: Vec<Phase<Rows<T>, Rows<T>>>,
-    /// The mean of the data of the tests, then columns for the scatter about it.
-    columns: usize,
+    /// The sizes of its matrices.
+    shape: Arc<Shape>,
     /// n.
     count: T,
     /// Some phase needs square-root arithmetic.
@@ -40,27 +40,11 @@ pub(crate) struct Chained<T = f64> {
 }
 
 impl Chained {
-    /// Tests with equal matrices, in a frame; `ranges` says where the states of each phase of the model stand.
+    /// Tests with equal matrices, at least one, in a frame; `ranges` says where the states of each phase of the model stand.
     pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Chained {
-        let careful = chains.iter().any(|chain| chain.phases.iter().any(|phase| phase.path == Path::SquareRoot));
-        let data: Vec<Vec<Vec<f64>>> = chains.iter().map(|chain| centred(chain, ranges, frame)).collect();
-        let columns = columns(&data);
-        let mut row = 0;
-        let mut before: Option<Vec<f64>> = None;
-        let phases = chains[0].phases.iter().zip(ranges).map(|(phase, own)| {
-            let (q, mut scale) = (phase.data.len(), Vec::new());
-            scales(q, own, frame, &mut scale);
-            let own_data = Rows::from_fn(q, columns.ncols(), |i, k| columns[(row + i, k)]);
-            row += q;
-            let link = phase.link.as_ref().zip(before.as_ref()).map(|(link, from)| Link {
-                sensitivity: Rows::from_fn(q, from.len(), |i, k| link.sensitivity[(i, k)] * from[k] / scale[i]),
-                root: Rows::from_fn(link.root.ncols(), q, |c, i| link.root[(i, c)] / scale[i]),
-            });
-            let factor = Rows::from_fn(q, q, |i, k| packed(&phase.factor, i, k) * scale[k]);
-            before = Some(scale);
-            Phase { own: own.clone(), factor, data: own_data, link }
-        });
-        Chained { phases: phases.collect(), columns: columns.ncols(), count: chains.len() as f64, careful }
+        let shape = Arc::new(Shape::of(chains, ranges));
+        let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
+        Chained { careful: shape::is_careful(chains), ..packed.chained(0) }
     }
 
     /// n J of a phase by itself, in what enters it.
@@ -96,16 +80,6 @@ impl Chained {
         let prior = Prior { root: &Root::of(root), mean };
         let plain = if self.careful { None } else { self.through::<Plain<f64>>().said(&prior, detail) };
         plain.unwrap_or_else(|| self.through::<Rotations<f64>>().said(&prior, detail).expect(BEARS))
-    }
-
-    /// The sizes of its matrices.
-    fn shape(&self) -> Shape {
-        let phase = |phase: &Phase<Rows, Rows>| PhaseShape {
-            own: phase.own.clone(),
-            size: phase.factor.nrows(),
-            noise: phase.link.as_ref().map(|link| link.root.nrows()),
-        };
-        Shape { columns: self.columns, phases: self.phases.iter().map(phase).collect() }
     }
 
     /// The same matrices of no tests, which say nothing.
@@ -158,25 +132,21 @@ fn told(phase: &ChainPhase, i: usize, sigma: &[f64]) -> f64 {
     (i..sigma.len()).map(|k| packed(&phase.factor, i, k) * sigma[k]).sum()
 }
 
-/// d_i - R_i × (σ_i at the centre of the frame without noise), by phase.
-fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<Vec<f64>> {
-    let (mut sigma, mut before) = (Vec::new(), Vec::new());
-    let one = |(phase, own): (&ChainPhase, &Range<usize>)| {
+/// d_i - R_i × (σ_i at the centre of the frame without noise), phase after phase.
+fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<f64> {
+    let (mut all, mut sigma, mut before) = (Vec::new(), Vec::new(), Vec::new());
+    for (phase, own) in chain.phases.iter().zip(ranges) {
         centre(phase, own, frame, &before, &mut sigma);
+        all.extend((0..phase.data.len()).map(|i| phase.data[i] - told(phase, i, &sigma)));
         std::mem::swap(&mut sigma, &mut before);
-        (0..phase.data.len()).map(|i| phase.data[i] - told(phase, i, &before)).collect()
-    };
-    chain.phases.iter().zip(ranges).map(one).collect()
+    }
+    all
 }
 
-/// The mean of the data of the tests, then columns whose outer products add up to the scatter about it: one for each test, or, if
+/// The mean of the data of several tests, then columns whose outer products add up to the scatter about it: one for each test, or, if
 /// that is less, one for each number of data.
-fn columns(data: &[Vec<Vec<f64>>]) -> Rows {
-    if let [alone] = data {
-        let all = alone.concat();
-        return Rows::from_vec(all.len(), 1, all);
-    }
-    let all: Vec<Vec<f64>> = data.iter().map(|test| test.concat()).collect();
+fn columns(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Rows {
+    let all: Vec<Vec<f64>> = chains.iter().map(|chain| centred(chain, ranges, frame)).collect();
     let (n, size) = (all.len(), all[0].len());
     let mut mean = vec![0.0; size];
     all.iter().for_each(|test| mean.iter_mut().zip(test).for_each(|(m, d)| *m += d));
@@ -200,6 +170,7 @@ mod tests {
     use nalgebra::DVector;
 
     use super::*;
+    use crate::reduce::Path;
     use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
 
     /// Phases of three states.
@@ -246,7 +217,7 @@ mod tests {
         };
         Chained {
             phases: chained.phases.iter().map(phase).collect(),
-            columns: chained.columns,
+            shape: chained.shape.clone(),
             count: Counted(chained.count),
             careful: false,
         }
@@ -299,7 +270,7 @@ mod tests {
                 _ => 0.0,
             });
             for isa in Isa::all() {
-                let (shape, members) = (std::sync::Arc::new(chained.shape()), vec![0, 1, 2]);
+                let (shape, members) = (chained.shape.clone(), vec![0, 1, 2]);
                 let of = |_| std::borrow::Cow::Borrowed(&chained);
                 let packed = Packed::new(shape.clone(), members.clone(), isa.lanes(), of);
                 assert_eq!(

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use kalfit_lanes::{Lanes, Part, Real};
 
 use crate::estimate::chained::kernel::{Detail, Phases, Prior, Root, Said};
-use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, scales, told};
+use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, columns, scales, told};
 use crate::estimate::frame::Frame;
 use crate::linalg::algebra::Algebra;
 use crate::linalg::factors::Plain;
@@ -35,7 +35,7 @@ impl Packed {
     ) -> Packed {
         Packed::filled(shape, members, lanes, |member, to| {
             let chained = of(member);
-            debug_assert!(chained.columns > 0, "data of one test at least");
+            debug_assert!(chained.shape.columns > 0, "data of one test at least");
             put(&chained, to, lanes);
         })
     }
@@ -48,10 +48,7 @@ impl Packed {
         (ranges, frame): (&[Range<usize>], &Frame),
         of: impl Fn(usize) -> Vec<&'a Chain>,
     ) -> Packed {
-        Packed::filled(shape, members, lanes, |member, to| match &of(member)[..] {
-            [chain] => put_test(chain, (ranges, frame), to, lanes),
-            chains => put(&Chained::new(chains, ranges, frame), to, lanes),
-        })
+        Packed::filled(shape, members, lanes, |member, to| put_tests(&of(member), (ranges, frame), to, lanes))
     }
 
     /// Each class put by `put` where the first of every so many numbers stands.
@@ -95,7 +92,7 @@ impl Packed {
     /// The class in one lane.
     pub(crate) fn chained(&self, lane: usize) -> Chained {
         let phases = self.phases::<Plain<f64>>(self.lanes, |entry| entry[lane]);
-        Chained { phases, columns: self.shape.columns, count: self.numbers[lane], careful: false }
+        Chained { phases, shape: self.shape.clone(), count: self.numbers[lane], careful: false }
     }
 
     /// [`Chained::at`] of all; `None` where one of them needs more care. Tests by themselves, with few states, by sizes that the
@@ -178,17 +175,19 @@ fn put(chained: &Chained, to: &mut [f64], every: usize) {
     }
 }
 
-/// The same of a test by itself, to the bits of [`Chained::new`].
-fn put_test(chain: &Chain, (ranges, frame): (&[Range<usize>], &Frame), to: &mut [f64], every: usize) {
+/// The same of a class as its tests are, which have equal matrices.
+fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: &mut [f64], every: usize) {
     let mut at = 0;
     let mut write = |x: f64| {
         to[at] = x;
         at += every;
     };
-    write(1.0);
+    write(chains.len() as f64);
+    let shared = (chains.len() > 1).then(|| columns(chains, ranges, frame));
+    let mut row = 0;
     let (mut sigma, mut before) = (Vec::new(), Vec::new());
     let (mut scale, mut scale_before) = (Vec::new(), Vec::new());
-    for (phase, own) in chain.phases.iter().zip(ranges) {
+    for (phase, own) in chains[0].phases.iter().zip(ranges) {
         let q = phase.data.len();
         scales(q, own, frame, &mut scale);
         centre(phase, own, frame, &before, &mut sigma);
@@ -199,7 +198,11 @@ fn put_test(chain: &Chain, (ranges, frame): (&[Range<usize>], &Frame), to: &mut 
                 place += k + 1;
             }
         }
-        (0..q).for_each(|i| write(phase.data[i] - told(phase, i, &sigma)));
+        match &shared {
+            Some(columns) => (row..row + q).flat_map(|i| columns.row(i)).for_each(|x| write(*x)),
+            None => (0..q).for_each(|i| write(phase.data[i] - told(phase, i, &sigma))),
+        }
+        row += q;
         if let Some(link) = &phase.link {
             let sensitivity = link.sensitivity.as_slice();
             for (i, scale) in scale.iter().enumerate() {

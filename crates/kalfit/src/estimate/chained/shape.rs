@@ -24,22 +24,21 @@ pub(super) struct PhaseShape {
 }
 
 impl Shape {
-    /// Of tests with equal matrices; `ranges` says where the states of each phase of the model stand. `None` where some phase needs
-    /// rotations: such a class is worked on by itself.
-    pub(crate) fn of(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<Shape> {
-        let plain = |chain: &&Chain| chain.phases.iter().all(|phase| phase.path != Path::SquareRoot);
-        if !chains.iter().all(plain) {
-            return None;
-        }
-        let chain = chains.first()?;
+    /// That of tests which can be worked on side by side with others: some, and no phase needs rotations.
+    pub(crate) fn side_by_side(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<Shape> {
+        (!chains.is_empty() && !is_careful(chains)).then(|| Shape::of(chains, ranges))
+    }
+
+    /// Of tests with equal matrices, at least one; `ranges` says where the states of each phase of the model stand.
+    pub(super) fn of(chains: &[&Chain], ranges: &[Range<usize>]) -> Shape {
         let phase = |(phase, own): (&ChainPhase, &Range<usize>)| PhaseShape {
             own: own.clone(),
             size: phase.data.len(),
             noise: phase.link.as_ref().map(|link| link.root.ncols()),
         };
-        let phases: Vec<PhaseShape> = chain.phases.iter().zip(ranges).map(phase).collect();
+        let phases: Vec<PhaseShape> = chains[0].phases.iter().zip(ranges).map(phase).collect();
         let data = phases.iter().map(|phase| phase.size).sum();
-        Some(Shape { columns: columns(chains.len(), data), phases })
+        Shape { columns: columns(chains.len(), data), phases }
     }
 
     /// How many numbers it takes.
@@ -63,6 +62,11 @@ impl Shape {
     pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
         self.phases.iter().map(|phase| &phase.own)
     }
+}
+
+/// Some phase of tests needs rotations: such a class is worked on by itself.
+pub(super) fn is_careful(chains: &[&Chain]) -> bool {
+    chains.iter().flat_map(|chain| &chain.phases).any(|phase| phase.path == Path::SquareRoot)
 }
 
 /// Columns of the data of so many tests with so many numbers each: their mean, and the scatter about it.
