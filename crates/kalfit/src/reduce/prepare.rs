@@ -108,8 +108,7 @@ pub(crate) struct Workspace {
     constants: Vec<f64>,
     whole: Cells,
     step: Cells,
-    values: Vec<f64>,
-    inputs: Vec<f64>,
+    replay: Replay,
     filled: Filled,
     key: Vec<u64>,
     last: Option<Last>,
@@ -215,8 +214,7 @@ impl Preparer {
             spans: Vec::new(),
             whole: Cells::default(),
             step: Cells::default(),
-            values: Vec::new(),
-            inputs: Vec::new(),
+            replay: Replay::default(),
             filled: Filled::default(),
             key: Vec::new(),
             last: None,
@@ -343,9 +341,9 @@ impl Preparer {
         let inputs = work.data.inputs.len();
         if driven > 0 && moment.moves {
             if fresh_inputs {
-                self.evaluate_inputs(at, test, moment, work)?;
+                self.evaluate(at, test, moment, work, Preparer::inputs)?;
                 let last = work.last.as_ref().expect("a step that repeats has had a transition");
-                self.plan.inputs(last.moves(), &work.inputs, &mut work.data.inputs);
+                self.plan.inputs(last.moves(), &work.replay.inputs, &mut work.data.inputs);
             } else {
                 work.data.inputs.extend_from_within(inputs - driven..);
             }
@@ -371,11 +369,14 @@ impl Preparer {
                 if self.start.settles() {
                     let rows = work.spans[0].step(0);
                     let moment = Moment { source: rows.clone(), rows, dt, moves: true };
-                    self.evaluate(at, test, &moment, work, true)?;
+                    self.evaluate(at, test, &moment, work, Preparer::settling)?;
                 }
                 let scope =
                     Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: dt, alpha: &self.alpha };
-                own = self.start.law(at, &scope, &work.values, &work.inputs).map_err(|fault| fault.on(0))?;
+                own = self
+                    .start
+                    .law(at, &scope, &work.replay.values, &work.replay.inputs)
+                    .map_err(|fault| fault.on(0))?;
                 &own
             }
         };
@@ -394,39 +395,17 @@ impl Preparer {
         Ok(())
     }
 
-    /// Values of the dynamics' coefficients and inputs on a step; for the start, only those that the stationary distribution needs.
+    /// What of the dynamics is wanted on a step.
     fn evaluate(
         &self,
         at: &At<'_>,
         test: &Test,
         moment: &Moment,
         work: &mut Workspace,
-        start: bool,
-    ) -> Result<(), Box<Fault>> {
-        let first = moment.source.start;
-        let Workspace { step, values, inputs: known, .. } = work;
-        let scope = self.motion_scope(at, test, moment, step)?;
-        let (table, inputs) = (&self.dynamics.table, &self.dynamics.inputs);
-        if start {
-            let needed = |slot| self.start.needs(slot);
-            table.evaluate_some(at, &scope, needed, values).map_err(|fault| fault.on(first))?;
-            let needed = |slot| self.start.needs_input(slot);
-            return inputs.evaluate_some(at, &scope, needed, known).map_err(|fault| fault.on(first));
-        }
-        table.evaluate(at, &scope, values).map_err(|fault| fault.on(first))?;
-        inputs.evaluate(at, &scope, known).map_err(|fault| fault.on(first))
-    }
-
-    /// Values of the dynamics' inputs on a step.
-    fn evaluate_inputs(
-        &self,
-        at: &At<'_>,
-        test: &Test,
-        moment: &Moment,
-        work: &mut Workspace,
+        wanted: impl FnOnce(&Preparer, &Scope<'_>, &mut Replay) -> Result<(), Box<Fault>>,
     ) -> Result<(), Box<Fault>> {
         let scope = self.motion_scope(at, test, moment, &mut work.step)?;
-        self.dynamics.inputs.evaluate(at, &scope, &mut work.inputs).map_err(|fault| fault.on(moment.source.start))
+        wanted(self, &scope, &mut work.replay).map_err(|fault| fault.on(moment.source.start))
     }
 
     /// What the dynamics of a step are evaluated on. `cells`: work space for steps of several rows.

@@ -49,13 +49,16 @@ impl Preparer {
             && let Some(last) = &work.last
             && last.key()[0] == if continuous { dt.to_bits() } else { 0 }
         {
-            self.plan.inputs(last.moves(), &work.inputs, &mut work.data.inputs);
+            self.plan.inputs(last.moves(), &work.replay.inputs, &mut work.data.inputs);
             return Ok(());
         }
-        self.evaluate(at, test, moment, work, false)?;
+        self.evaluate(at, test, moment, work, |all, scope, out| {
+            all.values(scope, out)?;
+            all.inputs(scope, out)
+        })?;
         work.key.clear();
         work.key.push(if continuous { dt.to_bits() } else { 0 });
-        work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.values[*slot].to_bits()));
+        work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.replay.values[*slot].to_bits()));
         if work.last.as_ref().is_none_or(|last| last.key() != work.key) {
             if self.quick {
                 self.own_moves(work, dt).map_err(|fault| fault.on(row))?;
@@ -65,16 +68,16 @@ impl Preparer {
                 work.last = Some(Last::Shared(shared));
             }
         }
-        let Workspace { last, inputs, data, .. } = work;
+        let Workspace { last, replay, data, .. } = work;
         let last = last.as_ref().expect("there is one");
-        self.plan.inputs(last.moves(), inputs, &mut data.inputs);
+        self.plan.inputs(last.moves(), &replay.inputs, &mut data.inputs);
         Ok(())
     }
 
     /// Makes the moves of a step, in place of the last ones.
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
-        let Workspace { key, values, filled, spare, last, .. } = work;
-        let moves = self.plan.moves(&self.dynamics, values, dt, (filled, spare.pop()))?;
+        let Workspace { key, replay, filled, spare, last, .. } = work;
+        let moves = self.plan.moves(&self.dynamics, &replay.values, dt, (filled, spare.pop()))?;
         // the memory of the key before is that of the next
         if let Some(Last::Own(before, _)) = last.replace(Last::Own(std::mem::take(key), moves)) {
             *key = before;
@@ -85,14 +88,14 @@ impl Preparer {
     fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
         let mut digest = Digest::new();
         work.key.iter().for_each(|&word| digest.word(word));
-        let Workspace { key, values, filled, .. } = work;
+        let Workspace { key, replay, filled, .. } = work;
         self.transitions.get(
             digest.finish(),
             |known| known == key,
             || key.clone(),
             |_| {
                 self.computed.fetch_add(1, Ordering::Relaxed);
-                self.plan.moves(&self.dynamics, values, dt, (filled, None))
+                self.plan.moves(&self.dynamics, &replay.values, dt, (filled, None))
             },
             |key, moves| {
                 let numbers = moves.as_ref().map_or(0, |m| m.transition.phi.len() + m.transition.q.len());
