@@ -4,7 +4,7 @@
 //! where zero is a bound like any other (theory §13), and elsewhere where ℓ is nearer to a quadratic in that.
 
 use crate::dynamic::scales::time_constants;
-use crate::model::{PhasedModel, Site, Slots};
+use crate::model::{Expression, PhasedModel, Site, Slots};
 
 /// A value that is no logarithm moves by a part of this at least.
 const LEAST: f64 = 1e-2;
@@ -26,14 +26,14 @@ pub(crate) struct Coordinate {
 impl Coordinate {
     /// Of all free values of a model.
     pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<Coordinate> {
-        let constants = time_constants(model);
+        let (constants, noises) = (time_constants(model), noises(model));
         let one = |slot: &crate::model::Slot| {
             let parameter = &model.shared().parameters[slot.parameter];
             let least = if parameter.positive { 0.0 } else { f64::NEG_INFINITY };
             let is_level = parameter.positive && !constants.contains(&slot.parameter);
             Coordinate {
                 log: parameter.positive,
-                level: is_level.then(|| exponent(model, slot.parameter)),
+                level: is_level.then(|| exponent(&noises, slot.parameter)),
                 lower: parameter.lower.unwrap_or(least).max(least),
                 upper: parameter.upper.unwrap_or(f64::INFINITY),
             }
@@ -122,13 +122,18 @@ pub(super) fn alike(a: &[f64], b: &[f64], part: f64) -> bool {
     a.iter().zip(b).all(|(a, b)| (a - b).abs() <= part * a.abs().max(b.abs()))
 }
 
-/// k where the variances that a level stands in go as its k-th power; 1 where they go otherwise.
-fn exponent(model: &PhasedModel, parameter: usize) -> f64 {
+/// The variances and covariances of all noises.
+fn noises(model: &PhasedModel) -> Vec<&Expression> {
     let is_noise = |site: Site| {
         matches!(site, Site::Noise(_) | Site::ProcessNoise(_) | Site::NoiseCovariance | Site::ProcessCovariance)
     };
-    let noises = model.phases.iter().flat_map(|phase| phase.model.expressions()).filter(|(site, _)| is_noise(*site));
-    let powers = noises.map(|(_, expression)| expression.exponent(parameter).unwrap_or(1.0));
+    let all = model.phases.iter().flat_map(|phase| phase.model.expressions());
+    all.filter(|(site, _)| is_noise(*site)).map(|(_, expression)| expression).collect()
+}
+
+/// k where the variances that a level stands in go as its k-th power; 1 where they go otherwise.
+fn exponent(noises: &[&Expression], parameter: usize) -> f64 {
+    let powers = noises.iter().map(|expression| expression.exponent(parameter).unwrap_or(1.0));
     powers.filter(|power| *power > 0.0).fold(f64::INFINITY, f64::min).clamp(1.0, 2.0)
 }
 
