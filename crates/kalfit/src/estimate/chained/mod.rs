@@ -40,13 +40,6 @@ pub(crate) struct Chained<T = f64> {
 }
 
 impl Chained {
-    /// Tests with equal matrices, at least one, in a frame; `ranges` says where the states of each phase of the model stand.
-    pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Chained {
-        let shape = Arc::new(Shape::of(chains, ranges));
-        let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
-        Chained { careful: shape::is_careful(chains), ..packed.chained(0) }
-    }
-
     /// n J of a phase by itself, in what enters it.
     pub(crate) fn own_information(&self, phase: usize) -> DMatrix<f64> {
         let factor = &self.phases[phase].factor;

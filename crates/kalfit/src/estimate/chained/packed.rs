@@ -8,6 +8,7 @@ use std::sync::Arc;
 use kalfit_lanes::{Lanes, Part, Real};
 
 use crate::estimate::chained::kernel::{Detail, Phases, Prior, Root, Said};
+use crate::estimate::chained::shape::is_careful;
 use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, columns, scales, told};
 use crate::estimate::frame::Frame;
 use crate::linalg::algebra::Algebra;
@@ -147,6 +148,15 @@ impl Packed {
             before = q;
         }
         phases
+    }
+}
+
+impl Chained {
+    /// Tests with equal matrices, at least one, in a frame; `ranges` says where the states of each phase of the model stand.
+    pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Chained {
+        let shape = Arc::new(Shape::of(chains, ranges));
+        let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
+        Chained { careful: is_careful(chains), ..packed.chained(0) }
     }
 }
 
