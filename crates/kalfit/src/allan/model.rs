@@ -8,15 +8,15 @@ use crate::model::Expression;
 
 /// What a span of rows does to [x; s], s the sum of what was measured: [x; s] becomes M [x; s] + d + e, e ~ N(0, W).
 #[derive(Debug, Clone)]
-struct Span {
+struct SpanMap {
     M: DMatrix<f64>,
     d: DVector<f64>,
     W: DMatrix<f64>,
 }
 
-impl Span {
+impl SpanMap {
     /// Of one row: it is measured, then a step is done.
-    fn row(filter: &Exported, measurement: usize) -> Span {
+    fn row(filter: &Exported, measurement: usize) -> SpanMap {
         let n = filter.F.nrows();
         // of the inputs all columns are zero, and the constant is what it is
         let constant = |u: &Expression| if *u == Expression::Number(1.0) { 1.0 } else { 0.0 };
@@ -29,12 +29,12 @@ impl Span {
         W[(n, n)] = filter.R[(measurement, measurement)];
         d.rows_mut(0, n).copy_from(&(&filter.B * &u));
         d[n] = (filter.D.row(measurement) * &u)[0];
-        Span { M, d, W }
+        SpanMap { M, d, W }
     }
 
     /// This span, and then another.
-    fn then(&self, next: &Span) -> Span {
-        Span {
+    fn then(&self, next: &SpanMap) -> SpanMap {
+        SpanMap {
             M: &next.M * &self.M,
             d: &next.M * &self.d + &next.d,
             W: &next.M * &self.W * next.M.transpose() + &next.W,
@@ -42,11 +42,11 @@ impl Span {
     }
 
     /// m of it, one after the other, by doubling.
-    fn times(self, m: usize) -> Span {
+    fn times(self, m: usize) -> SpanMap {
         let (mut whole, mut doubled, mut left) = (None, self, m);
         while left > 0 {
             if left & 1 == 1 {
-                whole = Some(whole.map_or_else(|| doubled.clone(), |own: Span| own.then(&doubled)));
+                whole = Some(whole.map_or_else(|| doubled.clone(), |own: SpanMap| own.then(&doubled)));
             }
             left >>= 1;
             if left > 0 {
@@ -68,7 +68,7 @@ pub fn variance(filter: &Exported, measurement: usize, m: usize) -> Option<f64> 
         return None;
     }
     let n = mean.len();
-    let Span { M, d, W } = Span::row(filter, measurement).times(m);
+    let SpanMap { M, d, W } = SpanMap::row(filter, measurement).times(m);
     let g = M.view((n, 0), (1, n)).into_owned();
     let c = &g * (M.view((0, 0), (n, n)) - DMatrix::<f64>::identity(n, n));
     let mut along = DMatrix::zeros(1, n + 1);

@@ -18,7 +18,7 @@ pub(super) struct Walk<'a> {
 }
 
 /// A value that was measured.
-struct Measured {
+struct MeasuredValue {
     at: f64,
     measured: f64,
     predicted: f64,
@@ -30,12 +30,12 @@ impl Walk<'_> {
     pub(super) fn test(&self, test: &PhasedTest, place: usize) -> Result<TestAlong, ApplyError> {
         let of = |kind| self.applied.states(kind, place..place + 1).map(|mut all| all.pop().unwrap_or_default());
         let predicted = of(StateKind::Predicted)?;
-        let measured: Vec<Vec<Vec<Measured>>> = predicted.iter().map(|phase| self.measured(test, phase)).collect();
+        let measured: Vec<Vec<Vec<MeasuredValue>>> = predicted.iter().map(|phase| self.measured(test, phase)).collect();
         drop(predicted); // one of the two at a time: records may be very long
         let seen = self.filter.run(std::slice::from_ref(test)).pop().transpose()?.flatten();
         let seen = seen.map_or(Vec::new(), |own| own.series);
         let smoothed = of(StateKind::Smoothed)?;
-        let one = |(states, measured): (&PhaseStates, Vec<Vec<Measured>>)| {
+        let one = |(states, measured): (&PhaseStates, Vec<Vec<MeasuredValue>>)| {
             let phase = &self.model.phases[states.phase];
             let kept = thinned(states.steps.len(), self.values);
             let measurements = measured.into_iter().enumerate().map(|(m, values)| {
@@ -54,24 +54,25 @@ impl Walk<'_> {
     }
 
     /// What was measured in a phase, by measurement.
-    fn measured(&self, test: &PhasedTest, states: &PhaseStates) -> Vec<Vec<Measured>> {
+    fn measured(&self, test: &PhasedTest, states: &PhaseStates) -> Vec<Vec<MeasuredValue>> {
         let model = &self.model.phases[states.phase].model;
-        let mut all: Vec<Vec<Measured>> = model.measurements.iter().map(|_| Vec::new()).collect();
+        let mut all: Vec<Vec<MeasuredValue>> = model.measurements.iter().map(|_| Vec::new()).collect();
         let Some(Evidence::Rows(rows)) = test.phases.get(states.phase) else { return all };
         for step in &states.steps {
             for one in &step.measurements {
                 let measured = rows.numbers(one.row)[model.measurements[one.measurement].column];
-                let own = Measured { at: time(step.time), measured, predicted: one.value, std_dev: one.std_dev };
+                let own = MeasuredValue { at: time(step.time), measured, predicted: one.value, std_dev: one.std_dev };
                 all[one.measurement].push(own);
             }
         }
         all
     }
 
-    fn measurement(&self, name: &str, values: &[Measured], seen: &[&Innovation]) -> MeasurementAlong {
-        let off = |one: &Measured| if one.std_dev > 0.0 { (one.measured - one.predicted) / one.std_dev } else { 0.0 };
+    fn measurement(&self, name: &str, values: &[MeasuredValue], seen: &[&Innovation]) -> MeasurementAlong {
+        let off =
+            |one: &MeasuredValue| if one.std_dev > 0.0 { (one.measured - one.predicted) / one.std_dev } else { 0.0 };
         let kept = with_far(&values.iter().map(off).collect::<Vec<f64>>(), self.values);
-        let of = |own: &dyn Fn(&Measured) -> f64| kept.iter().map(|&place| own(&values[place])).collect();
+        let of = |own: &dyn Fn(&MeasuredValue) -> f64| kept.iter().map(|&place| own(&values[place])).collect();
         let sizes: Vec<f64> = seen.iter().map(|one| one.standardised).collect();
         let shown = with_far(&sizes, self.values);
         MeasurementAlong {

@@ -32,7 +32,7 @@ pub(super) struct Doubt<'a> {
 }
 
 /// How a parameter that was estimated moves what is expected of sums of squares, as long as its value is small.
-pub(super) struct Moved {
+pub(super) struct ValueEffect {
     /// Its place among what was estimated; `None` of one that the data do not determine.
     pub(super) place: Option<usize>,
     /// Of all distances together.
@@ -104,17 +104,17 @@ impl<'a> Doubt<'a> {
     }
 
     /// The variance of the expectation by errors of covariances and parameters.
-    pub(super) fn variance(&self, weights: &Weights, moved: &[(&Moved, f64)]) -> f64 {
+    pub(super) fn variance(&self, weights: &Weights, moved: &[(&ValueEffect, f64)]) -> f64 {
         let known = self.knowledge.quantities.iter().map(|known| self.by(weights, known));
         self.variance_along(DVector::from_iterator(self.knowledge.quantities.len(), known), moved)
     }
 
     /// The same by errors of parameters alone.
-    pub(super) fn variance_by_parameters(&self, moved: &[(&Moved, f64)]) -> f64 {
+    pub(super) fn variance_by_parameters(&self, moved: &[(&ValueEffect, f64)]) -> f64 {
         self.variance_along(DVector::zeros(self.knowledge.quantities.len()), moved)
     }
 
-    fn variance_along(&self, mut slopes: DVector<f64>, moved: &[(&Moved, f64)]) -> f64 {
+    fn variance_along(&self, mut slopes: DVector<f64>, moved: &[(&ValueEffect, f64)]) -> f64 {
         for (one, slope) in moved {
             if let Some(place) = one.place {
                 slopes[place] = *slope;
@@ -124,14 +124,14 @@ impl<'a> Doubt<'a> {
     }
 
     /// Whether what is expected hangs on something that the data of the fit do not determine.
-    pub(super) fn is_open(&self, weights: &Weights, moved: &[(&Moved, f64)], degrees: f64) -> bool {
+    pub(super) fn is_open(&self, weights: &Weights, moved: &[(&ValueEffect, f64)], degrees: f64) -> bool {
         let largest = weights.of_level.iter().map(DMatrix::amax).fold(0.0, f64::max);
         let by_sigma = self.knowledge.open.iter().any(|known| self.by(weights, known).abs() > FAINT * largest);
         by_sigma || self.is_moved_openly(moved, degrees)
     }
 
     /// The same by parameters alone.
-    pub(super) fn is_moved_openly(&self, moved: &[(&Moved, f64)], degrees: f64) -> bool {
+    pub(super) fn is_moved_openly(&self, moved: &[(&ValueEffect, f64)], degrees: f64) -> bool {
         moved.iter().any(|(one, slope)| one.place.is_none() && slope.abs() > FAINT * degrees)
     }
 

@@ -6,17 +6,17 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::apply::predicted::Record;
-use crate::apply::states::{Known, PhaseStates, StateKind};
+use crate::apply::predicted::EvaluatedPhase;
+use crate::apply::states::{PhaseStates, StateKind, StepMoments};
 use crate::apply::{Applied, ApplyError};
-use crate::innovations::{Chained, Law};
+use crate::innovations::{ChainedFilter, EnteringLaw};
 use crate::reduce::{Gains, PhasedTest, PhasedWork, ReduceError, Workspace, own_innovations};
-use crate::score::{BackwardWork, Moments, Run, Seen, Wanted};
+use crate::score::{AdjointsWanted, BackwardWork, Moments, Seen, TestRun};
 
 impl Applied<'_> {
     pub(super) fn forward(&self, kind: StateKind, tests: Range<usize>) -> Result<Vec<Vec<PhaseStates>>, ApplyError> {
         let alone = self.population.together(self.model.dimension());
-        let filter = Chained::new(self.model, self.alpha, &alone)?;
+        let filter = ChainedFilter::new(self.model, self.alpha, &alone)?;
         let states: Vec<Result<Vec<PhaseStates>, ReduceError>> = self.tests[tests]
             .par_iter()
             .map_init(|| filter.reducer().workspace(), |work, test| of_test(&filter, kind, test, work))
@@ -26,7 +26,7 @@ impl Applied<'_> {
 }
 
 fn of_test(
-    filter: &Chained,
+    filter: &ChainedFilter,
     kind: StateKind,
     test: &PhasedTest,
     work: &mut PhasedWork,
@@ -35,7 +35,7 @@ fn of_test(
     let mut backward = BackwardWork::default();
     filter.through(test, work, &mut |(at, rows), gains, work, law| {
         let known = filtered(kind, gains, (work, &mut backward), law);
-        let record = Record::new(&filter.reducer().phases()[at], rows);
+        let record = EvaluatedPhase::new(&filter.reducer().phases()[at], rows);
         states.push(record.map(|record| record.states(at, known.into_iter(), kind == StateKind::Predicted)));
     })?;
     states.into_iter().collect()
@@ -46,13 +46,13 @@ fn filtered(
     kind: StateKind,
     gains: &Gains,
     (work, backward): (&mut Workspace, &mut BackwardWork),
-    law: &mut Law,
-) -> Vec<Known> {
+    law: &mut EnteringLaw,
+) -> Vec<StepMoments> {
     own_innovations(gains, work);
     let q = work.design.frame.p;
     // at σ = 0, with a column for each element of σ
     let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-    let run = Run::of((work, gains), (&unknown, None), Wanted { motion: true, equation: false });
+    let run = TestRun::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());
     run.forth(backward, &work.pass.e, |step, measured, seen| {
         if measured {
@@ -70,11 +70,11 @@ fn filtered(
     states
 }
 
-fn known(seen: Seen<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> Known {
+fn known(seen: Seen<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> StepMoments {
     let Psi = seen.sensitivity();
     let spread = &Psi * root;
     let mut covariance = &spread * spread.transpose();
     seen.add_noise(&mut covariance);
     let mean = DVector::from_column_slice(seen.x) + Psi * mean;
-    Known { mean: mean.as_slice().to_vec(), covariance }
+    StepMoments { mean: mean.as_slice().to_vec(), covariance }
 }

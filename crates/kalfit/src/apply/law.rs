@@ -77,7 +77,7 @@ impl Law {
 
 /// A sum of squared distances, and what estimation adds to it, to first order.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sum {
+pub(super) struct DistanceSum {
     /// How many distances it is of.
     pub(super) count: f64,
     /// Their degrees of freedom together.
@@ -99,10 +99,10 @@ pub(super) struct Sum {
 /// A relative variance below this is none.
 const KNOWN: f64 = 1e-12;
 
-impl Sum {
+impl DistanceSum {
     /// Of so many tests, against as many others as told all of their states exactly, by maximum likelihood.
-    pub(super) fn of_tests(count: f64, degrees: f64, tests: f64) -> Sum {
-        Sum {
+    pub(super) fn of_tests(count: f64, degrees: f64, tests: f64) -> DistanceSum {
+        DistanceSum {
             count,
             degrees,
             dimension: degrees / count,
@@ -181,8 +181,8 @@ mod tests {
     use super::*;
 
     /// n new tests of p states against N tests that tell their states exactly, by maximum likelihood.
-    fn exact(p: f64, n: f64, tests: f64) -> Sum {
-        Sum::of_tests(n, n * p, tests)
+    fn exact(p: f64, n: f64, tests: f64) -> DistanceSum {
+        DistanceSum::of_tests(n, n * p, tests)
     }
 
     #[test]
@@ -203,7 +203,7 @@ mod tests {
     /// Of one state whose mean is known the ratio of two variances.
     #[test]
     fn many_tests_of_one_state_have_the_law_of_fisher() {
-        let sum = Sum { of_mean: 0.0, means: 0.0, ..exact(1.0, 20.0, 12.0) };
+        let sum = DistanceSum { of_mean: 0.0, means: 0.0, ..exact(1.0, 20.0, 12.0) };
         let found = sum.law().expect("enough tests");
         for (what, found, expected) in
             [("scale", found.scale, 20.0), ("a", found.numerator, 20.0), ("b", found.denominator, 12.0)]
@@ -220,7 +220,7 @@ mod tests {
         let expected = tests * n * (1.0 + 1.0 / tests) * p / (tests - 1.0 - p - 1.0);
         assert!((found.mean() - expected).abs() < 1e-9 * expected, "{} against {expected}", found.mean());
         // the mean known: Var = E[2h tr V²] + h² Var[tr V], V the inverse of W
-        let known = Sum { of_mean: 0.0, means: 0.0, ..exact(p, n, tests) }.law().expect("enough tests");
+        let known = DistanceSum { of_mean: 0.0, means: 0.0, ..exact(p, n, tests) }.law().expect("enough tests");
         let (nu, c) = (tests, (tests - p) * (tests - p - 1.0) * (tests - p - 3.0));
         // E[V_ii V_kk] and E[V_ik²] of W of the unit matrix
         let same = 1.0 / ((nu - p - 1.0) * (nu - p - 3.0));
@@ -240,7 +240,7 @@ mod tests {
 
     #[test]
     fn what_is_known_has_the_law_of_chi_squared() {
-        let sum = Sum { variance: 0.0, of_mean: 0.0, means: 0.0, ..exact(2.0, 6.0, 10.0) };
+        let sum = DistanceSum { variance: 0.0, of_mean: 0.0, means: 0.0, ..exact(2.0, 6.0, 10.0) };
         assert_eq!(sum.law(), Some(Law::chi_squared(12.0)));
     }
 

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use crate::apply::doubt::{Doubt, Moved, Trust};
-use crate::apply::law::{Law, Sum};
-use crate::apply::tree::{Tree, Weights};
+use crate::apply::doubt::{Doubt, Trust, ValueEffect};
+use crate::apply::law::{DistanceSum, Law};
+use crate::apply::tree::{TestTree, Weights};
 use crate::apply::{Applied, ApplyError, Said};
 use crate::infer::{Distance, Estimand, Knowledge};
 use crate::model::{Alpha, Slots};
@@ -69,14 +69,14 @@ impl Applied<'_> {
         Ok(judge.laws())
     }
 
-    fn tree(&self, reductions: &Reductions, doubt: &Doubt<'_>) -> Tree {
+    fn tree(&self, reductions: &Reductions, doubt: &Doubt<'_>) -> TestTree {
         let own = (reductions, self.model.dimension());
-        Tree::new(own, self.population, self.grouping.as_deref(), &|reduction| doubt.effect(reduction))
+        TestTree::new(own, self.population, self.grouping.as_deref(), &|reduction| doubt.effect(reduction))
     }
 
     /// How each parameter that was estimated moves what is expected, by the model at both sides of it. Nothing does where tests are no rows
     /// that are filtered here.
-    fn moved(&self, tree: &Tree, doubt: &Doubt<'_>) -> Result<Vec<Moved>, ApplyError> {
+    fn moved(&self, tree: &TestTree, doubt: &Doubt<'_>) -> Result<Vec<ValueEffect>, ApplyError> {
         let is_reduced = self.tests.iter().any(|test| test.phases.iter().any(|own| !matches!(own, Evidence::Rows(_))));
         if is_reduced {
             return Ok(Vec::new());
@@ -97,9 +97,9 @@ impl Applied<'_> {
             };
             let (residuals, groups) = ((0..self.tests.len()).map(residual).collect(), 1..=tree.depth());
             let (tests, groups) = (level(0), groups.map(level).collect());
-            Ok(Some(Moved { place, all: per(tree.difference(trees)), tests, groups, residuals }))
+            Ok(Some(ValueEffect { place, all: per(tree.difference(trees)), tests, groups, residuals }))
         };
-        let all: Result<Vec<Option<Moved>>, ApplyError> = doubt.parameters().map(of).collect();
+        let all: Result<Vec<Option<ValueEffect>>, ApplyError> = doubt.parameters().map(of).collect();
         Ok(all?.into_iter().flatten().collect())
     }
 
@@ -114,8 +114,8 @@ struct Judge<'a> {
     said: &'a Said,
     trust: &'a Trust<'a>,
     doubt: Doubt<'a>,
-    tree: Tree,
-    moved: Vec<Moved>,
+    tree: TestTree,
+    moved: Vec<ValueEffect>,
 }
 
 impl Judge<'_> {
@@ -126,7 +126,7 @@ impl Judge<'_> {
             of_groups.iter().enumerate().map(|(level, all)| self.groups(level, all)).collect();
         let [distance, within, residual] = self.said.degrees();
         let outermost = of_groups.last().map(|all| Weights::sum(all.iter()));
-        let by_groups = |moved: &Moved| -> f64 {
+        let by_groups = |moved: &ValueEffect| -> f64 {
             moved.groups.last().map_or_else(|| moved.tests.iter().sum(), |groups| groups.iter().sum())
         };
         let top = outermost.as_ref().unwrap_or(&of_tests);
@@ -184,7 +184,7 @@ impl Judge<'_> {
         weights: &Weights,
         (count, degrees): (usize, usize),
         level: usize,
-        moved: &dyn Fn(&Moved) -> f64,
+        moved: &dyn Fn(&ValueEffect) -> f64,
     ) -> Option<Law> {
         if count == 0 || degrees == 0 {
             return None;
@@ -195,10 +195,10 @@ impl Judge<'_> {
             return if is_within {
                 Some(Law::chi_squared(degrees))
             } else {
-                Sum::of_tests(count, degrees, tests as f64).law()
+                DistanceSum::of_tests(count, degrees, tests as f64).law()
             };
         }
-        let own: Vec<(&Moved, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
+        let own: Vec<(&ValueEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
         if self.doubt.is_open(weights, &own, degrees) {
             return None;
         }
@@ -209,16 +209,16 @@ impl Judge<'_> {
         let means = if is_of_means { self.doubt.means as f64 } else { 0.0 };
         let knowledge = self.doubt.knowledge;
         let (is_biased, tests) = (!knowledge.is_restricted && is_of_means, knowledge.tests);
-        Sum { count, degrees, dimension, variance, of_mean, means, is_biased, tests }.law()
+        DistanceSum { count, degrees, dimension, variance, of_mean, means, is_biased, tests }.law()
     }
 
     /// Of residuals: variances by themselves, which errors of the parameters alone move.
-    fn residual(&self, degrees: usize, moved: &dyn Fn(&Moved) -> f64) -> Option<Law> {
+    fn residual(&self, degrees: usize, moved: &dyn Fn(&ValueEffect) -> f64) -> Option<Law> {
         let degrees = degrees as f64;
         if degrees == 0.0 {
             return None;
         }
-        let own: Vec<(&Moved, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
+        let own: Vec<(&ValueEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
         if self.doubt.is_moved_openly(&own, degrees) {
             return None;
         }

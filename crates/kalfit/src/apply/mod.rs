@@ -28,7 +28,7 @@ pub use doubt::Trust;
 pub use error::ApplyError;
 pub use law::Law;
 pub use laws::Laws;
-pub(crate) use predicted::{Form, Record, Subject};
+pub(crate) use predicted::{EvaluatedPhase, StateForm, ValueSubject};
 pub use states::{PhaseStates, Prediction, StateKind, StepStates};
 pub use verdict::{Joint, Verdict};
 

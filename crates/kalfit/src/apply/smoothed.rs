@@ -5,8 +5,8 @@ use std::ops::Range;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::apply::predicted::Record;
-use crate::apply::states::{Known, PhaseStates};
+use crate::apply::predicted::EvaluatedPhase;
+use crate::apply::states::{PhaseStates, StepMoments};
 use crate::apply::{Applied, ApplyError};
 use crate::estimate::InitialLaw;
 use crate::reduce::{Evidence, PhasedTest, ReduceError};
@@ -28,10 +28,10 @@ impl Applied<'_> {
         let mut states = Vec::with_capacity(phases.len());
         for (at, (evidence, found)) in test.phases.iter().zip(phases).enumerate() {
             let (Evidence::Rows(rows), Some(found)) = (evidence, found) else { continue };
-            let record = Record::new(&self.reducer.phases()[at], rows)?;
+            let record = EvaluatedPhase::new(&self.reducer.phases()[at], rows)?;
             let known = found.into_iter().skip(1).map(|one| {
                 let n = one.mean.len();
-                Known { covariance: DMatrix::from_row_slice(n, n, &one.variance), mean: one.mean }
+                StepMoments { covariance: DMatrix::from_row_slice(n, n, &one.variance), mean: one.mean }
             });
             states.push(record.states(at, known, false));
         }

@@ -56,7 +56,7 @@ pub struct Prediction {
 }
 
 /// Mean and covariance of the states after each step, by place in the kernels: n and n × n numbers.
-pub(super) struct Known {
+pub(super) struct StepMoments {
     pub(super) mean: Vec<f64>,
     pub(super) covariance: DMatrix<f64>,
 }

@@ -17,7 +17,7 @@ use crate::model::Population;
 use crate::reduce::{ReductionRef, Reductions, unpack};
 
 /// A test, or a group of tests.
-pub(super) struct Node {
+pub(super) struct TreeNode {
     /// J.
     pub(super) information: DMatrix<f64>,
     /// W at Σ of its own level.
@@ -27,10 +27,10 @@ pub(super) struct Node {
 }
 
 /// Tests and groups, the tests first, then the groups of each level, the innermost first.
-pub(super) struct Tree {
+pub(super) struct TestTree {
     /// Σ of each level, that of the tests first, p × p.
     sigmas: Vec<DMatrix<f64>>,
-    pub(super) nodes: Vec<Vec<Node>>,
+    pub(super) nodes: Vec<Vec<TreeNode>>,
     /// Of each level but the last, the node of the next one that each node is a member of.
     parents: Vec<Vec<usize>>,
 }
@@ -47,13 +47,13 @@ pub(super) struct Weights {
 /// How means that were estimated enter a test: p × means.
 pub(super) type Effect<'a> = dyn Fn(ReductionRef<'_>) -> DMatrix<f64> + Sync + 'a;
 
-impl Tree {
+impl TestTree {
     pub(super) fn new(
         (reductions, p): (&Reductions, usize),
         population: &Population,
         grouping: Option<&Grouping>,
         effect: &Effect<'_>,
-    ) -> Tree {
+    ) -> TestTree {
         let depth = grouping.map_or(0, Grouping::depth);
         let sigma = |level: usize| population.covariance.view((level * p, level * p), (p, p)).into_owned();
         let sigmas: Vec<DMatrix<f64>> = (0..=depth).map(sigma).collect();
@@ -62,9 +62,9 @@ impl Tree {
             let root = unpack(reduction.factor, p);
             let information = root.transpose() * &root;
             let shift = &information * effect(reduction);
-            Node { weight: weight(&root, &sigmas[0]), information, shift }
+            TreeNode { weight: weight(&root, &sigmas[0]), information, shift }
         };
-        let mut nodes: Vec<Vec<Node>> = vec![reductions.par_iter().map(test).collect()];
+        let mut nodes: Vec<Vec<TreeNode>> = vec![reductions.par_iter().map(test).collect()];
         let mut parents = Vec::new();
         for level in 0..depth {
             let grouping = grouping.expect("there are levels");
@@ -87,12 +87,12 @@ impl Tree {
             }
             let group = |(information, shift): (DMatrix<f64>, DMatrix<f64>)| {
                 let root = symmetric::square_root(&information).transpose();
-                Node { weight: weight(&root, &sigmas[level + 1]), information, shift }
+                TreeNode { weight: weight(&root, &sigmas[level + 1]), information, shift }
             };
             nodes.push(sums.into_iter().map(group).collect());
             parents.push(parent);
         }
-        Tree { sigmas, nodes, parents }
+        TestTree { sigmas, nodes, parents }
     }
 
     pub(super) fn depth(&self) -> usize {
@@ -143,7 +143,7 @@ impl Tree {
     }
 
     /// Of one node, as far as its own level and those beyond go; and M.
-    fn distance(&self, node: &Node, level: usize, beyond: &DMatrix<f64>) -> (Weights, DMatrix<f64>) {
+    fn distance(&self, node: &TreeNode, level: usize, beyond: &DMatrix<f64>) -> (Weights, DMatrix<f64>) {
         let j = &node.information;
         let m = scaled_inverse(&(j + j * beyond * j));
         let own = j * &m * j;
@@ -170,7 +170,7 @@ impl Tree {
 
     /// How log |J⁻¹ + Σ₊| of each node of a level, of which its distance is a square, differs between two values of a parameter: this tree is
     /// at the one between.
-    pub(super) fn differences(&self, level: usize, [low, high]: [&Tree; 2]) -> Vec<f64> {
+    pub(super) fn differences(&self, level: usize, [low, high]: [&TestTree; 2]) -> Vec<f64> {
         let beyond = self.beyond(level);
         let one = |at: usize| {
             let [low, high] = [low, high].map(|tree| &tree.nodes[level][at].information);
@@ -180,7 +180,7 @@ impl Tree {
     }
 
     /// The same of all distances together.
-    pub(super) fn difference(&self, [low, high]: [&Tree; 2]) -> f64 {
+    pub(super) fn difference(&self, [low, high]: [&TestTree; 2]) -> f64 {
         let mut sum = 0.0;
         for (level, sigma) in self.sigmas.iter().enumerate() {
             for (at, [low, high]) in (0..self.nodes[level].len()).map(|at| (at, [low, high])) {
@@ -341,11 +341,11 @@ mod tests {
             covariance.view_mut((P * level, P * level), (P, P)).copy_from(own);
         }
         let population = Population { mean: vec![0.0; P * LEVELS], coefficients: vec![], covariance };
-        let tree = Tree::new((&reductions, P), &population, Some(&grouping), &|_| DMatrix::zeros(P, 0));
+        let tree = TestTree::new((&reductions, P), &population, Some(&grouping), &|_| DMatrix::zeros(P, 0));
         // V of a lot is (Σ⁻¹ + J)⁻¹, of a unit what its own tests leave of it and what the lot does, from the joint law
         let lots: Vec<DMatrix<f64>> =
             tree.nodes[2].iter().map(|node| posterior(&node.information, &sigmas[2])).collect();
-        let of_unit = |(unit, node): (usize, &Node)| {
+        let of_unit = |(unit, node): (usize, &TreeNode)| {
             let lot = &lots[tree.parents[1][unit]];
             let own = posterior(&node.information, &sigmas[1]);
             let left = &own * sigmas[1].clone().try_inverse().expect("positive");

@@ -32,32 +32,32 @@ pub(super) enum Key {
     /// Phase, state and column.
     Regression(String, String, String),
     /// Phase or level of groups, and two states in the order of their texts.
-    Covariance(Block, String, String),
+    Covariance(CovarianceOf, String, String),
     /// Name, and level of its column.
     Parameter(String, Option<String>),
 }
 
 /// Whose Σ.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Block {
+pub(super) enum CovarianceOf {
     Phase(String),
     Level(String),
 }
 
 /// All elements of a fit.
-pub(super) type Elements = BTreeMap<Key, StandingRecord>;
+pub(super) type FitElements = BTreeMap<Key, StandingRecord>;
 
-pub(super) fn elements(fit: &FitRecord) -> Elements {
+pub(super) fn elements(fit: &FitRecord) -> FitElements {
     let mean = |(key, fixed): (Key, bool)| {
         let value = mean_value(fit, &key);
         (key, StandingRecord { fixed, value })
     };
-    let mut all: Elements = means(fit).into_iter().map(mean).collect();
+    let mut all: FitElements = means(fit).into_iter().map(mean).collect();
     for phase in &fit.phases {
-        add(&mut all, &Block::Phase(phase.name.clone()), &phase.states, &phase.covariance);
+        add(&mut all, &CovarianceOf::Phase(phase.name.clone()), &phase.states, &phase.covariance);
     }
     for level in fit.levels.iter().filter(|level| level.column.is_some()) {
-        add(&mut all, &Block::Level(level.name.clone()), &level.states, &level.covariance);
+        add(&mut all, &CovarianceOf::Level(level.name.clone()), &level.states, &level.covariance);
     }
     for parameter in &fit.parameters {
         let key = Key::Parameter(parameter.name.clone(), parameter.level.clone());
@@ -66,7 +66,7 @@ pub(super) fn elements(fit: &FitRecord) -> Elements {
     all
 }
 
-fn add(all: &mut Elements, block: &Block, states: &[String], covariance: &CovarianceRecord) {
+fn add(all: &mut FitElements, block: &CovarianceOf, states: &[String], covariance: &CovarianceRecord) {
     for (i, (estimates, fixed)) in covariance.estimate.iter().zip(&covariance.fixed).enumerate().take(states.len()) {
         for (k, (&value, &fixed)) in estimates.iter().zip(fixed).enumerate().take(i + 1) {
             let (first, second) = (states[i].clone().min(states[k].clone()), states[i].clone().max(states[k].clone()));
@@ -111,8 +111,8 @@ pub(super) fn words(key: &Key, several: bool) -> String {
     match key {
         Key::Mean(phase, state) => format!("mean[{}]", of(phase, state)),
         Key::Regression(phase, state, column) => format!("mean[{}] on {column}", of(phase, state)),
-        Key::Covariance(Block::Phase(phase), a, b) => format!("covariance[{}, {}]", of(phase, a), of(phase, b)),
-        Key::Covariance(Block::Level(level), a, b) => format!("covariance[{level}.{a}, {level}.{b}]"),
+        Key::Covariance(CovarianceOf::Phase(phase), a, b) => format!("covariance[{}, {}]", of(phase, a), of(phase, b)),
+        Key::Covariance(CovarianceOf::Level(level), a, b) => format!("covariance[{level}.{a}, {level}.{b}]"),
         Key::Parameter(name, None) => name.clone(),
         Key::Parameter(name, Some(level)) => format!("{name}[{level}]"),
     }
@@ -121,8 +121,8 @@ pub(super) fn words(key: &Key, several: bool) -> String {
 /// What is not the same in all fits.
 pub(super) fn differences(fits: &[&FitRecord]) -> Vec<DifferenceRecord> {
     let several = fits.iter().any(|fit| fit.phases.len() > 1);
-    let all: Vec<Elements> = fits.iter().map(|fit| elements(fit)).collect();
-    let mut keys: Vec<&Key> = all.iter().flat_map(Elements::keys).collect();
+    let all: Vec<FitElements> = fits.iter().map(|fit| elements(fit)).collect();
+    let mut keys: Vec<&Key> = all.iter().flat_map(FitElements::keys).collect();
     keys.sort_unstable();
     keys.dedup();
     let same = |a: &Option<StandingRecord>, b: &Option<StandingRecord>| match (a, b) {

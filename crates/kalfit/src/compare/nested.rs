@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::compare::elements::{Block, Elements, Key, elements, equal};
+use crate::compare::elements::{CovarianceOf, FitElements, Key, elements, equal};
 use crate::compare::lines;
 use crate::record::FitRecord;
 
@@ -46,7 +46,7 @@ pub enum PValueKind {
 
 /// What a smaller fit takes away from a larger one.
 #[derive(Debug, Default)]
-struct Restricted {
+struct NestedRestriction {
     /// Values of the larger one that are not free any more.
     df: usize,
     /// Variances of Σ and parameters that are fixed where their range ends, in words.
@@ -59,7 +59,7 @@ struct Restricted {
 
 /// Every fit within every other.
 pub(super) fn all(fits: &[(String, FitRecord)], notes: &mut Vec<String>) -> Vec<NestedRecord> {
-    let own: Vec<Elements> = fits.iter().map(|(_, fit)| elements(fit)).collect();
+    let own: Vec<FitElements> = fits.iter().map(|(_, fit)| elements(fit)).collect();
     let mut found = Vec::new();
     for null in 0..fits.len() {
         for alternative in (0..fits.len()).filter(|&other| other != null) {
@@ -88,7 +88,7 @@ fn record(
     (null, alternative): (usize, usize),
     lr: f64,
     (small, large): (&FitRecord, &FitRecord),
-    restricted: &Restricted,
+    restricted: &NestedRestriction,
 ) -> NestedRecord {
     let (p_value_kind, reason) = law((small, large), restricted);
     let tail = |df: usize| ChiSquared::new(df as f64).ok().map(|law| law.sf(lr.max(0.0)));
@@ -97,7 +97,7 @@ fn record(
 }
 
 /// What the tail probability of χ² is.
-fn law((small, large): (&FitRecord, &FitRecord), restricted: &Restricted) -> (PValueKind, Option<String>) {
+fn law((small, large): (&FitRecord, &FitRecord), restricted: &NestedRestriction) -> (PValueKind, Option<String>) {
     let none = |reason: &str| (PValueKind::None, Some(reason.to_owned()));
     if !small.converged || !large.converged {
         return none("a fit is not certified");
@@ -138,17 +138,20 @@ fn is_on_boundary(fit: &FitRecord) -> bool {
 }
 
 /// What the first takes away from the second; `None` where it is not shown to lie within it.
-fn restricted((small, own): (&FitRecord, &Elements), (large, others): (&FitRecord, &Elements)) -> Option<Restricted> {
-    let judged = |fit: &FitRecord, own: &Elements| lines::is_plain(fit) && free(fit, own) == fit.free_parameters;
+fn restricted(
+    (small, own): (&FitRecord, &FitElements),
+    (large, others): (&FitRecord, &FitElements),
+) -> Option<NestedRestriction> {
+    let judged = |fit: &FitRecord, own: &FitElements| lines::is_plain(fit) && free(fit, own) == fit.free_parameters;
     if !same_states(small, large) || !lines::same(small, large) || !judged(small, own) || !judged(large, others) {
         return None;
     }
-    let mut found = Restricted::default();
+    let mut found = NestedRestriction::default();
     let keys = own.keys().chain(others.keys().filter(|key| !own.contains_key(key)));
     for key in keys.filter(|key| !matches!(key, Key::Parameter(..))) {
         // what is not there adds nothing
-        let absent = matches!(key, Key::Regression(..) | Key::Covariance(Block::Level(_), ..));
-        let of = |all: &Elements| match all.get(key) {
+        let absent = matches!(key, Key::Regression(..) | Key::Covariance(CovarianceOf::Level(_), ..));
+        let of = |all: &FitElements| match all.get(key) {
             Some(standing) => Some((standing.fixed, standing.value)),
             None => absent.then_some((true, 0.0)),
         };
@@ -173,7 +176,7 @@ fn restricted((small, own): (&FitRecord, &Elements), (large, others): (&FitRecor
 }
 
 /// All values of a parameter; `None` where those of the smaller fit are not shown to be some of the larger one's.
-fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut Restricted) -> Option<()> {
+fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut NestedRestriction) -> Option<()> {
     let of = |fit: &'_ FitRecord| -> Vec<(Option<String>, bool, f64)> {
         let own = fit.parameters.iter().filter(|own| own.name == name);
         own.map(|own| (own.level.clone(), own.fixed, own.estimate)).collect()
@@ -213,7 +216,7 @@ fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut R
 }
 
 /// Free quantities, if each element that is not fixed is one.
-fn free(fit: &FitRecord, own: &Elements) -> usize {
+fn free(fit: &FitRecord, own: &FitElements) -> usize {
     let scaled = fit.phases.iter().any(|phase| phase.mean.scale.is_some() || phase.covariance.scale.is_some());
     match scaled || fit.levels.iter().any(|level| level.covariance.scale.is_some()) {
         true => usize::MAX,

@@ -2,7 +2,7 @@
 
 use crate::allan::{Estimate, estimate, median_step, spans, stretches, variance};
 use crate::datasheet::noise::measured_unit;
-use crate::datasheet::units::Unit;
+use crate::datasheet::units::ShownUnit;
 use crate::ensemble::Test;
 use crate::export::bind::columns_read;
 use crate::export::{ExportError, Exported, Wanted, export};
@@ -15,16 +15,21 @@ const MOST: usize = 100_000;
 
 /// The records of one measurement.
 #[derive(Debug)]
-pub(super) struct Records {
+pub(super) struct CurveRecords {
     /// Those of each test, as (time, value).
     pub(super) own: Vec<Vec<(f64, f64)>>,
     /// Their usual step, if they have one.
     pub(super) step: Option<f64>,
 }
 
-impl Records {
+impl CurveRecords {
     /// What a measurement of a phase recorded, less what its equation has without a state.
-    pub(super) fn of((model, at): (&PhasedModel, usize), m: usize, alpha: &Alpha, tests: &[PhasedTest]) -> Records {
+    pub(super) fn of(
+        (model, at): (&PhasedModel, usize),
+        m: usize,
+        alpha: &Alpha,
+        tests: &[PhasedTest],
+    ) -> CurveRecords {
         let model = &model.phases[at].model;
         let rows = tests.iter().filter_map(|test| match test.phases.get(at)? {
             Evidence::Rows(rows) => Some(record(model, m, alpha, rows)),
@@ -32,7 +37,7 @@ impl Records {
         });
         let own: Vec<Vec<(f64, f64)>> = rows.collect();
         let step = median_step(&own);
-        Records { own, step }
+        CurveRecords { own, step }
     }
 }
 
@@ -51,19 +56,25 @@ fn record(model: &Model, m: usize, alpha: &Alpha, rows: &Test) -> Vec<(f64, f64)
 
 /// What a curve is drawn for.
 #[derive(Debug)]
-pub(super) struct Asked<'a> {
+pub(super) struct CurveRequest<'a> {
     pub(super) model: &'a PhasedModel,
     pub(super) alpha: &'a Alpha,
     pub(super) population: &'a Population,
     pub(super) at: &'a [(String, String)],
 }
 
-impl Asked<'_> {
+impl CurveRequest<'_> {
     /// The curve of a measurement of a phase whose values are `step` apart.
-    pub(super) fn curve(&self, phase: usize, m: usize, step: Option<f64>, records: Option<&Records>) -> CurveRecord {
+    pub(super) fn curve(
+        &self,
+        phase: usize,
+        m: usize,
+        step: Option<f64>,
+        records: Option<&CurveRecords>,
+    ) -> CurveRecord {
         let own = &self.model.phases[phase];
         let measurement = &own.model.measurements[m];
-        let unit = Unit::shown(measured_unit(&own.model, m).as_deref());
+        let unit = ShownUnit::shown(measured_unit(&own.model, m).as_deref());
         let mut curve = CurveRecord {
             measurement: measurement.name.clone(),
             column: own.model.columns[measurement.column].name.clone(),

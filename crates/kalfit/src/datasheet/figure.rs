@@ -19,7 +19,7 @@ pub(super) struct Reader<'a> {
 
 /// A number.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) struct Figure {
+pub(super) struct ShownFigure {
     /// `None` where it differs from row to row.
     pub(super) value: Option<f64>,
     pub(super) interval: Interval,
@@ -32,7 +32,7 @@ pub(super) struct Figure {
 }
 
 /// How a number follows from the values of expressions.
-pub(super) type Form<'a> = &'a dyn Fn(&[f64]) -> f64;
+pub(super) type FigureForm<'a> = &'a dyn Fn(&[f64]) -> f64;
 
 impl Reader<'_> {
     /// The number that follows from expressions at a step; where it differs with a column alone that parameters have values of their own by, one
@@ -41,8 +41,8 @@ impl Reader<'_> {
         &self,
         of: &[&Expression],
         step: Option<f64>,
-        form: Form<'_>,
-    ) -> Result<Vec<Figure>, ExportError> {
+        form: FigureForm<'_>,
+    ) -> Result<Vec<ShownFigure>, ExportError> {
         let whole = self.figure(of, step, form)?;
         let levels = match whole.varies_with.as_slice() {
             [column] => self.levels(column),
@@ -55,7 +55,7 @@ impl Reader<'_> {
             let here = (whole.varies_with[0].clone(), level);
             let at = [self.at, std::slice::from_ref(&here)].concat();
             let figure = Reader { at: &at, ..*self }.figure(of, step, form)?;
-            Ok(Figure { at: Some(here), ..figure })
+            Ok(ShownFigure { at: Some(here), ..figure })
         };
         levels.into_iter().map(one).collect()
     }
@@ -78,12 +78,17 @@ impl Reader<'_> {
 
     /// The number that follows from expressions at a step. Its interval is that of the parameter that it follows, where it follows one
     /// alone: a likelihood does not care in which form a parameter is written.
-    pub(super) fn figure(&self, of: &[&Expression], step: Option<f64>, form: Form<'_>) -> Result<Figure, ExportError> {
+    pub(super) fn figure(
+        &self,
+        of: &[&Expression],
+        step: Option<f64>,
+        form: FigureForm<'_>,
+    ) -> Result<ShownFigure, ExportError> {
         let varies_with = self.varies_with(of, step);
         if !varies_with.is_empty() {
-            return Ok(Figure { varies_with, ..Figure::default() });
+            return Ok(ShownFigure { varies_with, ..ShownFigure::default() });
         }
-        let Some(value) = self.at_alpha(self.alpha, of, step, form)? else { return Ok(Figure::default()) };
+        let Some(value) = self.at_alpha(self.alpha, of, step, form)? else { return Ok(ShownFigure::default()) };
         let mut follows = Vec::new();
         for index in self.parameters(of) {
             let own = self.value(index)?;
@@ -98,7 +103,7 @@ impl Reader<'_> {
             _ => None,
         };
         let from = follows.iter().map(|(index, _)| self.name(*index)).collect();
-        Ok(Figure { value: Some(value), interval, from, varies_with, at: None })
+        Ok(ShownFigure { value: Some(value), interval, from, varies_with, at: None })
     }
 
     /// The number that an expression is.
@@ -136,7 +141,7 @@ impl Reader<'_> {
         alpha: &Alpha,
         of: &[&Expression],
         step: Option<f64>,
-        form: Form<'_>,
+        form: FigureForm<'_>,
     ) -> Result<Option<f64>, ExportError> {
         let binder = Binder::new((self.model, alpha), step, self.at)?;
         let values: Option<Vec<f64>> = of.iter().map(|expression| binder.bind(expression).as_number()).collect();

@@ -12,7 +12,7 @@ mod start;
 mod tests;
 mod units;
 
-use crate::datasheet::curve::{Asked, Records};
+use crate::datasheet::curve::{CurveRecords, CurveRequest};
 use crate::datasheet::figure::Reader;
 use crate::datasheet::noise::Sheet;
 use crate::export::ExportError;
@@ -48,7 +48,7 @@ pub fn datasheet(
 ) -> Result<DatasheetRecord, ExportError> {
     population.check(model)?;
     check(model, source)?;
-    let asked = Asked { model, alpha, population, at: source.at };
+    let asked = CurveRequest { model, alpha, population, at: source.at };
     let (mut entries, mut allan) = (Vec::new(), Vec::new());
     for (at, phase) in model.phases.iter().enumerate() {
         let own = &phase.model;
@@ -60,7 +60,7 @@ pub fn datasheet(
         let mut sheet = Sheet { phase: &phase.name, reader, entries: Vec::new() };
         let mut usual = None;
         for m in 0..own.measurements.len() {
-            let records = source.tests.map(|tests| Records::of((model, at), m, alpha, tests));
+            let records = source.tests.map(|tests| CurveRecords::of((model, at), m, alpha, tests));
             let given = if own.clock.time.is_some() { source.step } else { Some(1.0) };
             let step = records.as_ref().map_or(given, |records| records.step);
             usual = usual.or(step);
@@ -94,10 +94,10 @@ pub fn allan(
     tests: &[PhasedTest],
 ) -> Result<(Vec<CurveRecord>, Vec<String>), ExportError> {
     population.check(model)?;
-    let asked = Asked { model, alpha, population, at: &[] };
+    let asked = CurveRequest { model, alpha, population, at: &[] };
     let measured = |at: usize| (0..model.phases[at].model.measurements.len()).map(move |m| (at, m));
     let curve = |(at, m): (usize, usize)| {
-        let records = Records::of((model, at), m, alpha, tests);
+        let records = CurveRecords::of((model, at), m, alpha, tests);
         asked.curve(at, m, records.step, Some(&records))
     };
     let curves: Vec<CurveRecord> = (0..model.phases.len()).flat_map(measured).map(curve).collect();

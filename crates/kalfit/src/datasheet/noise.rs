@@ -1,7 +1,7 @@
 //! Noises of measurements, and the motion of states: random walks and Gauss-Markov pairs.
 
-use crate::datasheet::figure::{Figure, Form, Reader};
-use crate::datasheet::units::{Quantity, Unit};
+use crate::datasheet::figure::{FigureForm, Reader, ShownFigure};
+use crate::datasheet::units::{ShownUnit, UnitQuantity};
 use crate::export::ExportError;
 use crate::model::{Expression, Initial, Linear, Model, Motion};
 use crate::record::EntryRecord;
@@ -15,42 +15,44 @@ pub(super) struct Sheet<'a> {
 }
 
 /// What an entry is called and means.
-struct Said {
+struct NoiseMeaning {
     name: &'static str,
     definition: &'static str,
 }
 
-const NOISE: Said =
-    Said { name: "measurement noise", definition: "standard deviation of the white noise of one measured value" };
-const ANGLE: Said = Said {
+const NOISE: NoiseMeaning = NoiseMeaning {
+    name: "measurement noise",
+    definition: "standard deviation of the white noise of one measured value",
+};
+const ANGLE: NoiseMeaning = NoiseMeaning {
     name: "angle random walk",
     definition: "N: standard deviation of the integrated white noise of the rate, per square root of time; for a measurement, its standard deviation times the square root of the step",
 };
-const VELOCITY: Said = Said {
+const VELOCITY: NoiseMeaning = NoiseMeaning {
     name: "velocity random walk",
     definition: "N: standard deviation of the integrated white noise of the acceleration, per square root of time; for a measurement, its standard deviation times the square root of the step",
 };
-const WHITE: Said = Said {
+const WHITE: NoiseMeaning = NoiseMeaning {
     name: "white noise",
     definition: "N: standard deviation of one measured value times the square root of the step, which is that of its integral per square root of time",
 };
-const RATE: Said = Said {
+const RATE: NoiseMeaning = NoiseMeaning {
     name: "rate random walk",
     definition: "K: standard deviation that the rate gains as a random walk, per square root of time",
 };
-const ACCELERATION: Said = Said {
+const ACCELERATION: NoiseMeaning = NoiseMeaning {
     name: "acceleration random walk",
     definition: "K: standard deviation that the acceleration gains as a random walk, per square root of time",
 };
-const WALK: Said = Said {
+const WALK: NoiseMeaning = NoiseMeaning {
     name: "random walk",
     definition: "standard deviation that the driving noise adds to the state, per square root of time (of the number of steps, if rows have no times)",
 };
-const SIGMA: Said = Said {
+const SIGMA: NoiseMeaning = NoiseMeaning {
     name: "Gauss-Markov sigma",
     definition: "standard deviation of a state with finite memory, in its stationary distribution",
 };
-const TAU: Said = Said {
+const TAU: NoiseMeaning = NoiseMeaning {
     name: "Gauss-Markov time constant",
     definition: "correlation time of a state with finite memory: its correlation falls as exp(-t/tau), for second order as (1 + t/tau) exp(-t/tau)",
 };
@@ -64,15 +66,15 @@ impl<'a> Sheet<'a> {
         if is_zero(of[0]) {
             return Ok(());
         }
-        let unit = Unit::shown(measured_unit(model, m).as_deref());
+        let unit = ShownUnit::shown(measured_unit(model, m).as_deref());
         let timed = model.clock.time.is_some()
-            && matches!(unit.quantity, Quantity::Rate | Quantity::Acceleration | Quantity::Other);
+            && matches!(unit.quantity, UnitQuantity::Rate | UnitQuantity::Acceleration | UnitQuantity::Other);
         let (said, factor, label) = if timed {
             let (factor, label) = unit.white(model.clock.unit.as_deref());
             (
                 match unit.quantity {
-                    Quantity::Rate => &ANGLE,
-                    Quantity::Acceleration => &VELOCITY,
+                    UnitQuantity::Rate => &ANGLE,
+                    UnitQuantity::Acceleration => &VELOCITY,
                     _ => &WHITE,
                 },
                 factor,
@@ -82,7 +84,7 @@ impl<'a> Sheet<'a> {
             (&NOISE, unit.factor, unit.label.clone())
         };
         let figures = match (timed, step) {
-            (true, None) => vec![Figure { varies_with: vec!["step".to_owned()], ..Figure::default() }],
+            (true, None) => vec![ShownFigure { varies_with: vec!["step".to_owned()], ..ShownFigure::default() }],
             (true, Some(length)) => self.reader.figures(&of, step, &|v| factor * (v[0] * length).sqrt())?,
             (false, _) => self.reader.figures(&of, step, &|v| factor * v[0].sqrt())?,
         };
@@ -140,7 +142,7 @@ impl<'a> Sheet<'a> {
                 match length {
                     Some(length) => self.walk(i, noise_variance, step, &|v| (v[0] / length).sqrt()),
                     None => {
-                        let figure = Figure { varies_with: vec!["step".to_owned()], ..Figure::default() };
+                        let figure = ShownFigure { varies_with: vec!["step".to_owned()], ..ShownFigure::default() };
                         self.walked(i, vec![figure]);
                         Ok(())
                     }
@@ -154,10 +156,10 @@ impl<'a> Sheet<'a> {
         i: usize,
         of: &[&Expression],
         step: Option<f64>,
-        (tau, sigma): (Form<'_>, Form<'_>),
+        (tau, sigma): (FigureForm<'_>, FigureForm<'_>),
     ) -> Result<(), ExportError> {
         let model = self.reader.model;
-        let (name, unit) = (model.states[i].name.clone(), Unit::shown(model.states[i].unit.as_deref()));
+        let (name, unit) = (model.states[i].name.clone(), ShownUnit::shown(model.states[i].unit.as_deref()));
         let figures = self.reader.figures(of, step, &|v| unit.factor * sigma(v))?;
         self.add(&SIGMA, ("state", &name), &unit.label, figures);
         let figures = self.reader.figures(&of[..1], step, tau)?;
@@ -166,16 +168,22 @@ impl<'a> Sheet<'a> {
         Ok(())
     }
 
-    fn walk(&mut self, i: usize, noise: &Expression, step: Option<f64>, form: Form<'_>) -> Result<(), ExportError> {
+    fn walk(
+        &mut self,
+        i: usize,
+        noise: &Expression,
+        step: Option<f64>,
+        form: FigureForm<'_>,
+    ) -> Result<(), ExportError> {
         let figures = self.reader.figures(&[noise], step, form)?;
         self.walked(i, figures);
         Ok(())
     }
 
     /// A random walk whose density is known in the units of the model.
-    fn walked(&mut self, i: usize, mut figures: Vec<Figure>) {
+    fn walked(&mut self, i: usize, mut figures: Vec<ShownFigure>) {
         let model = self.reader.model;
-        let unit = Unit::shown(model.states[i].unit.as_deref());
+        let unit = ShownUnit::shown(model.states[i].unit.as_deref());
         let time = if model.clock.time.is_some() { model.clock.unit.as_deref() } else { Some("step") };
         let (factor, label) = unit.walk(time);
         for figure in &mut figures {
@@ -183,10 +191,10 @@ impl<'a> Sheet<'a> {
             figure.interval = figure.interval.map(|ends| ends.map(|end| end.map(|end| factor * end)));
         }
         let said = match unit.quantity {
-            Quantity::Rate => &RATE,
-            Quantity::Acceleration => &ACCELERATION,
-            Quantity::Angle => &ANGLE,
-            Quantity::Velocity => &VELOCITY,
+            UnitQuantity::Rate => &RATE,
+            UnitQuantity::Acceleration => &ACCELERATION,
+            UnitQuantity::Angle => &ANGLE,
+            UnitQuantity::Velocity => &VELOCITY,
             _ => &WALK,
         };
         self.add(said, ("state", &model.states[i].name.clone()), &label, figures);
@@ -216,8 +224,8 @@ impl<'a> Sheet<'a> {
         }
     }
 
-    fn add(&mut self, said: &Said, (kind, of): (&str, &str), unit: &Option<String>, figures: Vec<Figure>) {
-        let entry = |figure: Figure| EntryRecord {
+    fn add(&mut self, said: &NoiseMeaning, (kind, of): (&str, &str), unit: &Option<String>, figures: Vec<ShownFigure>) {
+        let entry = |figure: ShownFigure| EntryRecord {
             name: said.name.to_owned(),
             of: of.to_owned(),
             kind: kind.to_owned(),

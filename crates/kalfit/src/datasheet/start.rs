@@ -1,6 +1,6 @@
 //! What differs from turn-on to turn-on and from unit to unit: mean and spread of the initial states.
 
-use crate::datasheet::units::{Quantity, Unit};
+use crate::datasheet::units::{ShownUnit, UnitQuantity};
 use crate::model::{Expression, Model, PhasedModel, Population};
 use crate::record::{EntryRecord, FitRecord, Interval, PhaseRecord};
 
@@ -20,7 +20,7 @@ pub(super) fn entries(
     let mut entries = Vec::new();
     for (k, &state) in phase.model.estimated.iter().enumerate() {
         let of = &phase.model.states[state];
-        let unit = Unit::shown(of.unit.as_deref());
+        let unit = ShownUnit::shown(of.unit.as_deref());
         let word = word(&phase.model, state, unit.quantity);
         let i = model.ranges()[at].start + k;
         let own = StateEntries { model, phase: at, name: &of.name, unit, word, record, own };
@@ -41,7 +41,7 @@ struct StateEntries<'a> {
     model: &'a PhasedModel,
     phase: usize,
     name: &'a str,
-    unit: Unit,
+    unit: ShownUnit,
     word: String,
     record: Option<&'a FitRecord>,
     /// The results of the phase.
@@ -119,7 +119,7 @@ impl StateEntries<'_> {
 }
 
 /// What a state is to its measurements: added as it is, or times columns.
-fn word(model: &Model, state: usize, quantity: Quantity) -> String {
+fn word(model: &Model, state: usize, quantity: UnitQuantity) -> String {
     let mut columns: Vec<&str> = Vec::new();
     let mut measured = false;
     for (_, coefficient) in
@@ -137,7 +137,7 @@ fn word(model: &Model, state: usize, quantity: Quantity) -> String {
         });
     }
     match (quantity, columns.is_empty()) {
-        (Quantity::Part, _) => "scale factor".to_owned(),
+        (UnitQuantity::Part, _) => "scale factor".to_owned(),
         (_, false) => format!("sensitivity to {}", columns.join(", ")),
         (_, true) if measured => "turn-on".to_owned(),
         _ => "initial".to_owned(),

@@ -7,7 +7,7 @@ const GRAVITY: f64 = 9.80665;
 
 /// What is measured in a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Quantity {
+pub(super) enum UnitQuantity {
     /// An angular rate, shown in deg/h.
     Rate,
     /// An acceleration, shown in ug.
@@ -24,35 +24,35 @@ pub(super) enum Quantity {
 
 /// A unit as a datasheet shows it.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Unit {
-    pub(super) quantity: Quantity,
+pub(super) struct ShownUnit {
+    pub(super) quantity: UnitQuantity,
     /// Values are multiplied by this.
     pub(super) factor: f64,
     pub(super) label: Option<String>,
 }
 
-impl Unit {
+impl ShownUnit {
     /// What stands for a label of the model.
-    pub(super) fn shown(label: Option<&str>) -> Unit {
+    pub(super) fn shown(label: Option<&str>) -> ShownUnit {
         let own = label.map(str::trim);
         let known = |own: &str| {
             let (quantity, factor, label) = match own {
-                "deg/h" => (Quantity::Rate, 1.0, "deg/h"),
-                "deg/s" => (Quantity::Rate, 3600.0, "deg/h"),
-                "rad/s" => (Quantity::Rate, 3600.0 * 180.0 / PI, "deg/h"),
-                "m/s^2" => (Quantity::Acceleration, 1e6 / GRAVITY, "ug"),
-                "g" => (Quantity::Acceleration, 1e6, "ug"),
-                "mg" => (Quantity::Acceleration, 1e3, "ug"),
-                "ug" => (Quantity::Acceleration, 1.0, "ug"),
-                "deg" => (Quantity::Angle, 1.0, "deg"),
-                "rad" => (Quantity::Angle, 180.0 / PI, "deg"),
-                "m/s" => (Quantity::Velocity, 1.0, "m/s"),
-                "ppm" => (Quantity::Part, 1.0, "ppm"),
+                "deg/h" => (UnitQuantity::Rate, 1.0, "deg/h"),
+                "deg/s" => (UnitQuantity::Rate, 3600.0, "deg/h"),
+                "rad/s" => (UnitQuantity::Rate, 3600.0 * 180.0 / PI, "deg/h"),
+                "m/s^2" => (UnitQuantity::Acceleration, 1e6 / GRAVITY, "ug"),
+                "g" => (UnitQuantity::Acceleration, 1e6, "ug"),
+                "mg" => (UnitQuantity::Acceleration, 1e3, "ug"),
+                "ug" => (UnitQuantity::Acceleration, 1.0, "ug"),
+                "deg" => (UnitQuantity::Angle, 1.0, "deg"),
+                "rad" => (UnitQuantity::Angle, 180.0 / PI, "deg"),
+                "m/s" => (UnitQuantity::Velocity, 1.0, "m/s"),
+                "ppm" => (UnitQuantity::Part, 1.0, "ppm"),
                 _ => return None,
             };
-            Some(Unit { quantity, factor, label: Some(label.to_owned()) })
+            Some(ShownUnit { quantity, factor, label: Some(label.to_owned()) })
         };
-        let other = || Unit { quantity: Quantity::Other, factor: 1.0, label: own.map(str::to_owned) };
+        let other = || ShownUnit { quantity: UnitQuantity::Other, factor: 1.0, label: own.map(str::to_owned) };
         own.and_then(known).or_else(|| own.and_then(per)).unwrap_or_else(other)
     }
 
@@ -60,8 +60,8 @@ impl Unit {
     /// angle, of an acceleration a velocity.
     pub(super) fn white(&self, time: Option<&str>) -> (f64, Option<String>) {
         match (self.quantity, hours(time)) {
-            (Quantity::Rate, Some(hours)) => (self.factor * hours.sqrt(), Some("deg/sqrt(h)".to_owned())),
-            (Quantity::Acceleration, Some(hours)) => {
+            (UnitQuantity::Rate, Some(hours)) => (self.factor * hours.sqrt(), Some("deg/sqrt(h)".to_owned())),
+            (UnitQuantity::Acceleration, Some(hours)) => {
                 (self.factor * 1e-6 * GRAVITY * 3600.0 * hours.sqrt(), Some("m/s/sqrt(h)".to_owned()))
             }
             _ => (self.factor, self.with("*", time)),
@@ -71,7 +71,7 @@ impl Unit {
     /// The factor and the label of a density of noise that drives a state in it.
     pub(super) fn walk(&self, time: Option<&str>) -> (f64, Option<String>) {
         match (self.quantity, hours(time)) {
-            (Quantity::Other | Quantity::Part, _) | (_, None) => (self.factor, self.with("/", time)),
+            (UnitQuantity::Other | UnitQuantity::Part, _) | (_, None) => (self.factor, self.with("/", time)),
             (_, Some(hours)) => (self.factor / hours.sqrt(), self.with("/", Some("h"))),
         }
     }
@@ -82,12 +82,12 @@ impl Unit {
 }
 
 /// A rate or an acceleration per something else: `deg/s/g`.
-fn per(label: &str) -> Option<Unit> {
+fn per(label: &str) -> Option<ShownUnit> {
     let rates = ["deg/h", "deg/s", "rad/s", "m/s^2", "mg", "ug", "g"];
     let (own, rest) = rates.iter().find_map(|own| Some((*own, label.strip_prefix(own)?)))?;
-    let unit = Unit::shown(Some(own));
+    let unit = ShownUnit::shown(Some(own));
     let label = Some(format!("{}{}", unit.label?, rest.strip_prefix('/').map(|rest| format!("/{rest}"))?));
-    Some(Unit { quantity: Quantity::Other, factor: unit.factor, label })
+    Some(ShownUnit { quantity: UnitQuantity::Other, factor: unit.factor, label })
 }
 
 /// Hours in a unit of time.
@@ -111,32 +111,32 @@ mod tests {
     #[test]
     fn numbers_are_those_of_datasheets() {
         // 0.01 deg/s at 1 s: 0.01 deg/sqrt(s), 0.6 deg/sqrt(h)
-        let (factor, label) = Unit::shown(Some("deg/s")).white(Some("s"));
+        let (factor, label) = ShownUnit::shown(Some("deg/s")).white(Some("s"));
         near(0.01 * factor, 0.6);
         assert_eq!(label.as_deref(), Some("deg/sqrt(h)"));
-        let (factor, _) = Unit::shown(Some("deg/h")).white(Some("min"));
+        let (factor, _) = ShownUnit::shown(Some("deg/h")).white(Some("min"));
         near(factor, 1.0 / 60.0_f64.sqrt());
         // 1 mg at 1 s: 0.00980665 m/s/sqrt(s) over 3600 s, that is times 60
-        let (factor, label) = Unit::shown(Some("mg")).white(Some("s"));
+        let (factor, label) = ShownUnit::shown(Some("mg")).white(Some("s"));
         near(factor, 0.00980665 * 60.0);
         assert_eq!(label.as_deref(), Some("m/s/sqrt(h)"));
-        near(Unit::shown(Some("m/s^2")).white(Some("s")).0, 60.0);
-        let (factor, label) = Unit::shown(Some("deg/s")).walk(Some("s"));
+        near(ShownUnit::shown(Some("m/s^2")).white(Some("s")).0, 60.0);
+        let (factor, label) = ShownUnit::shown(Some("deg/s")).walk(Some("s"));
         near(factor, 3600.0 * 60.0);
         assert_eq!(label.as_deref(), Some("deg/h/sqrt(h)"));
-        near(Unit::shown(Some("rad")).walk(Some("h")).0, 57.29577951308232);
-        near(Unit::shown(Some("rad/s")).factor, 206264.80624709636);
+        near(ShownUnit::shown(Some("rad")).walk(Some("h")).0, 57.29577951308232);
+        near(ShownUnit::shown(Some("rad/s")).factor, 206264.80624709636);
     }
 
     #[test]
     fn other_labels_stay() {
-        let unit = Unit::shown(Some("furlong"));
+        let unit = ShownUnit::shown(Some("furlong"));
         assert_eq!((unit.factor, unit.label.as_deref()), (1.0, Some("furlong")));
         assert_eq!(unit.walk(Some("s")), (1.0, Some("furlong/sqrt(s)".to_owned())));
-        assert_eq!(Unit::shown(Some("deg/s")).white(Some("day")).1.as_deref(), Some("deg/h*sqrt(day)"));
-        assert_eq!(Unit::shown(None).walk(Some("s")).1, None);
-        let unit = Unit::shown(Some("deg/s/g"));
+        assert_eq!(ShownUnit::shown(Some("deg/s")).white(Some("day")).1.as_deref(), Some("deg/h*sqrt(day)"));
+        assert_eq!(ShownUnit::shown(None).walk(Some("s")).1, None);
+        let unit = ShownUnit::shown(Some("deg/s/g"));
         assert_eq!((unit.factor, unit.label.as_deref()), (3600.0, Some("deg/h/g")));
-        assert_eq!(Unit::shown(Some("gauss")).label.as_deref(), Some("gauss"));
+        assert_eq!(ShownUnit::shown(Some("gauss")).label.as_deref(), Some("gauss"));
     }
 }

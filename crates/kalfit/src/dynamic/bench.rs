@@ -21,7 +21,7 @@ use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInfo
 use crate::model::{Alpha, PhasedModel, Population, Slots};
 use crate::reduce::{PhasedFiltered, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::remote::{Answers, Question, Remote};
-use crate::score::{Arrangement, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
+use crate::score::{Batching, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
 /// So many tests are few, and so many rows,
 const NARROW: usize = 64;
@@ -52,7 +52,7 @@ pub(crate) struct Bench<'a> {
     scale: Option<Scale>,
     /// What is known of the tests, where they are elsewhere.
     answers: Option<Arc<Answers>>,
-    arrangement: Arrangement,
+    arrangement: Batching,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
@@ -69,19 +69,19 @@ pub(crate) struct Reduced {
 
 /// ℓ at α with its gradient, at the best (μ, Σ).
 #[derive(Debug, Clone)]
-pub(crate) struct Solved {
+pub(crate) struct ProfilePoint {
     /// The free values.
     pub(crate) values: Vec<f64>,
     pub(crate) alpha: Alpha,
     pub(crate) estimate: Estimate,
     /// dℓ/dcoordinate.
     pub(crate) gradient: Vec<f64>,
-    pub(crate) told: Told,
+    pub(crate) told: SecondDerivatives,
 }
 
 /// What second derivatives are made of.
 #[derive(Debug, Clone)]
-pub(crate) enum Told {
+pub(crate) enum SecondDerivatives {
     /// Results of each test.
     Tests(Box<OfTests>),
     /// The information in the only value, which scales all noise, and with (μ, Σ) along the tangent basis. What each test says is
@@ -97,7 +97,7 @@ pub(crate) struct OfTests {
     pub(crate) scores: Vec<Gradient>,
 }
 
-impl Solved {
+impl ProfilePoint {
     pub(crate) fn value(&self) -> f64 {
         self.estimate.log_likelihood
     }
@@ -143,7 +143,7 @@ impl<'a> Bench<'a> {
             indirect: Indirect::of(model, tests, slots),
             scale: Scale::of(model, tests, slots),
             answers: None,
-            arrangement: Arrangement::default(),
+            arrangement: Batching::default(),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
@@ -307,11 +307,11 @@ impl<'a> Bench<'a> {
     }
 
     /// ℓ(α) and its gradient; `near` is a population near the best one.
-    pub(crate) fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<Solved, DynamicError> {
+    pub(crate) fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<ProfilePoint, DynamicError> {
         let alpha = self.alpha(values);
         if let Some(AtScale { estimate, gradient, information }) = self.scaled(values, &alpha, near, scale::EXACT)? {
-            let (gradient, told) = (vec![gradient], Told::Scale(information));
-            return Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, told });
+            let (gradient, told) = (vec![gradient], SecondDerivatives::Scale(information));
+            return Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, told });
         }
         let reduced = self.reduce(values)?;
         let estimate = self.inner(&reduced.reductions, &alpha, near)?;
@@ -325,13 +325,13 @@ impl<'a> Bench<'a> {
         alpha: Alpha,
         reduced: Reduced,
         estimate: Estimate,
-    ) -> Result<Solved, DynamicError> {
+    ) -> Result<ProfilePoint, DynamicError> {
         let scores = self.scores(values, &reduced, &estimate.state.law())?;
         let matrix =
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
-        let told = Told::Tests(Box::new(OfTests { reductions: reduced.reductions, scores }));
-        Ok(Solved { values: values.to_vec(), alpha, estimate, gradient, told })
+        let told = SecondDerivatives::Tests(Box::new(OfTests { reductions: reduced.reductions, scores }));
+        Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, told })
     }
 
     /// The same where one value scales all noise.
@@ -352,16 +352,16 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at a solved α.
-    fn reductions_at<'s>(&self, home: &'s Solved) -> Result<Cow<'s, Reductions>, DynamicError> {
+    fn reductions_at<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, Reductions>, DynamicError> {
         match &home.told {
-            Told::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
-            Told::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
+            SecondDerivatives::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
+            SecondDerivatives::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
         }
     }
 
     /// What each test says at a solved α.
-    pub(crate) fn of_tests<'s>(&self, home: &'s Solved) -> Result<Cow<'s, OfTests>, DynamicError> {
-        if let Told::Tests(tests) = &home.told {
+    pub(crate) fn of_tests<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, OfTests>, DynamicError> {
+        if let SecondDerivatives::Tests(tests) = &home.told {
             return Ok(Cow::Borrowed(&**tests));
         }
         let reduced = self.reduce(&home.values)?;
@@ -413,7 +413,7 @@ impl<'a> Bench<'a> {
     }
 
     /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
-    pub(crate) fn shift(&self, home: &Solved, values: &[f64]) -> Option<Shifted> {
+    pub(crate) fn shift(&self, home: &ProfilePoint, values: &[f64]) -> Option<Shifted> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
@@ -426,7 +426,7 @@ impl<'a> Bench<'a> {
     }
 
     /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
-    pub(crate) fn step(&self, home: &Solved, values: &[f64], inner: &DVector<f64>) -> Option<Solved> {
+    pub(crate) fn step(&self, home: &ProfilePoint, values: &[f64], inner: &DVector<f64>) -> Option<ProfilePoint> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
@@ -435,7 +435,7 @@ impl<'a> Bench<'a> {
     }
 
     /// ℓ(α) and its gradient where (μ, Σ) moved along with α: they are solved for by themselves.
-    pub(crate) fn settle(&self, home: &Solved) -> Result<Solved, DynamicError> {
+    pub(crate) fn settle(&self, home: &ProfilePoint) -> Result<ProfilePoint, DynamicError> {
         let (values, alpha) = (&home.values, self.alpha(&home.values));
         let reduced = self.reduce(values)?;
         let structure = self.structure(&alpha);
@@ -445,7 +445,7 @@ impl<'a> Bench<'a> {
     }
 
     /// What [`Bench::shift`] gives at home.
-    pub(crate) fn at_home(&self, home: &Solved) -> Option<Shifted> {
+    pub(crate) fn at_home(&self, home: &ProfilePoint) -> Option<Shifted> {
         let state = &home.estimate.state;
         let sigma = &home.estimate.covariance;
         Some(Shifted {
@@ -457,9 +457,9 @@ impl<'a> Bench<'a> {
     }
 
     /// The reductions at a solved α, and the estimate on them.
-    pub(crate) fn grounded(&self, home: Solved) -> Result<(Reductions, Estimate), DynamicError> {
-        let Solved { values, estimate, told, .. } = home;
-        if let Told::Tests(tests) = told {
+    pub(crate) fn grounded(&self, home: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
+        let ProfilePoint { values, estimate, told, .. } = home;
+        if let SecondDerivatives::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
         }
         let run = |value| Ok(self.filter(&[value])?.reductions);
@@ -528,7 +528,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Moments of the complete data of each test at a solved α.
-    pub(crate) fn complete(&self, home: &Solved) -> Result<Vec<PhasedComplete>, DynamicError> {
+    pub(crate) fn complete(&self, home: &ProfilePoint) -> Result<Vec<PhasedComplete>, DynamicError> {
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let law = home.estimate.state.law();

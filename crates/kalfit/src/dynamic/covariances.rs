@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 
 /// Covariances from the inverse of the information.
 #[derive(Debug, Clone)]
-pub(crate) struct Covariances {
+pub(crate) struct ValueCovariances {
     /// Variance of each coordinate of α; `None` where it does not move or is flat.
     pub(crate) alpha: Vec<Option<f64>>,
     /// Values that are not of single tests: the first rows and columns of `whole`.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DVector, RowDVector};
 
-use crate::dynamic::bench::{Bench, Shifted, Solved};
+use crate::dynamic::bench::{Bench, ProfilePoint, Shifted};
 use crate::dynamic::touching::Touching;
 
 /// Step of a logarithm for differences to both sides.
@@ -19,7 +19,7 @@ const ATTEMPTS: usize = 5;
 /// What they are taken of.
 pub(super) struct Differences<'s> {
     pub(super) bench: &'s Bench<'s>,
-    pub(super) home: &'s Solved,
+    pub(super) home: &'s ProfilePoint,
     pub(super) touching: &'s Touching,
     /// To both sides, not to one.
     pub(super) central: bool,
@@ -27,7 +27,7 @@ pub(super) struct Differences<'s> {
 
 /// The columns of values that no test has in common.
 #[derive(Default)]
-pub(super) struct Columns {
+pub(super) struct OwnColumns {
     /// By (other value, value).
     pub(super) own: BTreeMap<(usize, usize), f64>,
     /// Along the tangent basis of (μ, Σ), by value.
@@ -36,10 +36,10 @@ pub(super) struct Columns {
 
 impl Differences<'_> {
     /// Those of a colour, from one run of the filters or two.
-    pub(super) fn columns(&self, colour: &[usize]) -> Columns {
+    pub(super) fn columns(&self, colour: &[usize]) -> OwnColumns {
         let Differences { bench, home, central, .. } = *self;
         let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(bench, &home.values, s, central)).collect();
-        let mut columns = Columns::default();
+        let mut columns = OwnColumns::default();
         for attempt in 0..ATTEMPTS {
             let sides = sides(bench, home, (colour, &steps), central);
             let Some(sides) = sides.filter(|sides| widths(bench, colour, sides).values().all(|w| *w > 0.0)) else {
@@ -67,7 +67,7 @@ impl Differences<'_> {
     }
 
     /// The columns of a colour from the two sides.
-    fn between(&self, colour: &[usize], sides: &[Shifted; 2]) -> Columns {
+    fn between(&self, colour: &[usize], sides: &[Shifted; 2]) -> OwnColumns {
         let Differences { bench, touching, .. } = *self;
         let width = widths(bench, colour, sides);
         let mut own = BTreeMap::new();
@@ -89,7 +89,7 @@ impl Differences<'_> {
             }
         }
         let cross = colour.iter().map(|&s| (s, self.cross((colour, s), sides).transpose() / width[&s])).collect();
-        Columns { own, cross }
+        OwnColumns { own, cross }
     }
 
     /// Along the tangent basis, of a value of a colour.
@@ -108,7 +108,12 @@ impl Differences<'_> {
 }
 
 /// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.
-fn sides(bench: &Bench<'_>, home: &Solved, (colour, steps): (&[usize], &[f64]), central: bool) -> Option<[Shifted; 2]> {
+fn sides(
+    bench: &Bench<'_>,
+    home: &ProfilePoint,
+    (colour, steps): (&[usize], &[f64]),
+    central: bool,
+) -> Option<[Shifted; 2]> {
     let moved = |sign: f64| bench.shift(home, &beside(bench, &home.values, (colour, steps), sign));
     let upper = moved(1.0);
     let lower = if central || (upper.is_none() && !bench.is_waiting()) { moved(-1.0) } else { bench.at_home(home) };

@@ -10,7 +10,7 @@
 //! ```
 
 use crate::dynamic::Coordinate;
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::ensemble::{Label, Test};
 use crate::model::{Alpha, Expression, Model, PhasedModel, Scope, Site, Slots, Tape};
 use crate::reduce::{Evidence, PhasedTest};
@@ -38,7 +38,7 @@ struct Edge {
 }
 
 /// e and its derivatives to the other values.
-struct At {
+struct EdgeValue {
     slot: usize,
     edge: f64,
     slopes: Gradient,
@@ -131,7 +131,7 @@ impl Edges {
         (sought, alpha): (&[f64], &Alpha),
         (slots, coordinates): (&Slots, &[Coordinate]),
         values: &[f64],
-        covariances: &mut Covariances,
+        covariances: &mut ValueCovariances,
     ) {
         for at in self.0.iter().map(|edge| edge.at(alpha, slots)) {
             let mut weights = vec![0.0; covariances.shared.len()];
@@ -194,8 +194,8 @@ impl Edge {
         all.reduce(|least, other| if other.0 < least.0 { other } else { least })
     }
 
-    fn at(&self, alpha: &Alpha, slots: &Slots) -> At {
-        let none = At { slot: self.slot, edge: 0.0, slopes: Gradient::new() };
+    fn at(&self, alpha: &Alpha, slots: &Slots) -> EdgeValue {
+        let none = EdgeValue { slot: self.slot, edge: 0.0, slopes: Gradient::new() };
         let Some((edge, row)) = self.least(alpha).filter(|(edge, _)| *edge > 0.0) else { return none };
         let scope = self.scope(row, alpha);
         let (mut slopes, mut tape) = (Gradient::new(), Tape::default());
@@ -207,7 +207,7 @@ impl Edge {
                 }
             });
         }
-        At { edge, slopes, ..none }
+        EdgeValue { edge, slopes, ..none }
     }
 
     fn scope<'a>(&'a self, row: usize, alpha: &'a Alpha) -> Scope<'a> {
@@ -249,21 +249,21 @@ fn known<'a>(
 }
 
 /// A covariance of two noises beside their variances.
-struct Entry<'a> {
+struct CrossNoise<'a> {
     covariance: &'a Expression,
     variances: [&'a Expression; 2],
 }
 
-fn entries(model: &Model) -> Vec<Entry<'_>> {
+fn entries(model: &Model) -> Vec<CrossNoise<'_>> {
     let noise = |state: usize| model.states[state].motion.noise_variance();
     let measured = model.noise_covariance.iter().map(|(i, j, covariance)| {
         let of = |m: &usize| &model.measurements[*m].noise_variance;
-        Some(Entry { covariance, variances: [of(i), of(j)] })
+        Some(CrossNoise { covariance, variances: [of(i), of(j)] })
     });
     let moved = model
         .process_noise_covariance
         .iter()
-        .map(|(i, j, covariance)| Some(Entry { covariance, variances: [noise(*i)?, noise(*j)?] }));
+        .map(|(i, j, covariance)| Some(CrossNoise { covariance, variances: [noise(*i)?, noise(*j)?] }));
     measured.chain(moved).flatten().collect()
 }
 

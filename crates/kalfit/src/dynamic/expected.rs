@@ -8,8 +8,10 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::covariances::Covariances;
-use crate::dynamic::stepwise::{Line, Member, Moment, Moments, Motion, Place, Record};
+use crate::dynamic::covariances::ValueCovariances;
+use crate::dynamic::stepwise::{
+    GroupedTest, LineValues, MotionValues, RecordMoments, RecordPoint, TimeStep, TimeSteps,
+};
 use crate::dynamic::{DynamicError, DynamicFit};
 use crate::estimate::InitialLaw;
 use crate::model::Alpha;
@@ -19,10 +21,10 @@ use crate::reduce::{Evidence, ReduceError};
 const STEP: f64 = 1e-4;
 
 /// Covariances from the expected information; `None` where values of single tests are free, and where some side is not defined.
-pub(super) fn expected(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Option<Covariances>, DynamicError> {
+pub(super) fn expected(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Option<ValueCovariances>, DynamicError> {
     let shared = fit.joint.shared();
     let Some(directions) = Directions::of(bench, fit, shared)? else { return Ok(None) };
-    let one = |unit: &Vec<Member<'_>>| -> Result<DMatrix<f64>, DynamicError> {
+    let one = |unit: &Vec<GroupedTest<'_>>| -> Result<DMatrix<f64>, DynamicError> {
         directions.information(unit).map_err(|error| DynamicError::Reduce(Box::new(error)))
     };
     let all: Vec<Result<DMatrix<f64>, DynamicError>> = units(bench).par_iter().map(one).collect();
@@ -40,17 +42,21 @@ pub(super) fn is_possible(bench: &Bench<'_>) -> bool {
 
 /// Tests that know of each other, in an order that does not depend on theirs: those of one group of the outermost level, or each by
 /// itself.
-fn units<'a>(bench: &Bench<'a>) -> Vec<Vec<Member<'a>>> {
+fn units<'a>(bench: &Bench<'a>) -> Vec<Vec<GroupedTest<'a>>> {
     let Some(grouping) = bench.grouping() else {
-        return bench.order().iter().map(|&j| vec![Member { test: &bench.tests[j], groups: Vec::new() }]).collect();
+        return bench
+            .order()
+            .iter()
+            .map(|&j| vec![GroupedTest { test: &bench.tests[j], groups: Vec::new() }])
+            .collect();
     };
-    let mut units: BTreeMap<usize, Vec<Member<'a>>> = BTreeMap::new();
+    let mut units: BTreeMap<usize, Vec<GroupedTest<'a>>> = BTreeMap::new();
     for &j in bench.order() {
         let groups: Vec<usize> = (0..grouping.depth()).map(|level| grouping.group_of(j, level)).collect();
         let unit = units.entry(groups.last().copied().unwrap_or(j)).or_default();
-        unit.push(Member { test: &bench.tests[j], groups });
+        unit.push(GroupedTest { test: &bench.tests[j], groups });
     }
-    let mut units: Vec<Vec<Member<'a>>> = units.into_values().collect();
+    let mut units: Vec<Vec<GroupedTest<'a>>> = units.into_values().collect();
     // groups within groups one after the other
     units
         .iter_mut()
@@ -60,21 +66,21 @@ fn units<'a>(bench: &Bench<'a>) -> Vec<Vec<Member<'a>>> {
 
 /// The place of a fit, and places to both sides of it along each coordinate, with the distance between them.
 struct Directions {
-    home: Place,
-    all: Vec<([Place; 2], f64)>,
+    home: RecordPoint,
+    all: Vec<([RecordPoint; 2], f64)>,
 }
 
 impl Directions {
     /// `None` where (μ, Σ) have no law to some side.
     fn of(bench: &Bench<'_>, fit: &DynamicFit, shared: &[usize]) -> Result<Option<Directions>, DynamicError> {
         let state = &fit.estimate.state;
-        let place = |alpha: &Alpha, law: InitialLaw| Place::new(bench, alpha, law);
+        let place = |alpha: &Alpha, law: InitialLaw| RecordPoint::new(bench, alpha, law);
         let mut all = Vec::new();
         for &s in shared {
             let coordinate = &bench.coordinates[s];
             let step = coordinate.step(fit.sought[s], STEP);
             let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
-            let at = |value: f64| -> Result<Option<Place>, DynamicError> {
+            let at = |value: f64| -> Result<Option<RecordPoint>, DynamicError> {
                 let mut sought = fit.sought.clone();
                 sought[s] = value;
                 let alpha = bench.alpha(&sought);
@@ -89,7 +95,7 @@ impl Directions {
         for i in 0..tangent.gradient.len() {
             let information = tangent.information[(i, i)];
             let step = STEP * if information > 0.0 { information.sqrt().recip() } else { tangent.sizes[i] };
-            let at = |sign: f64| -> Result<Option<Place>, DynamicError> {
+            let at = |sign: f64| -> Result<Option<RecordPoint>, DynamicError> {
                 let mut along = DVector::zeros(tangent.gradient.len());
                 along[i] = sign * step;
                 let there = state.moved(&fit.reductions, &fit.alpha, &along);
@@ -102,24 +108,24 @@ impl Directions {
     }
 
     /// What tests that know of each other are expected to say.
-    fn information(&self, unit: &[Member<'_>]) -> Result<DMatrix<f64>, ReduceError> {
+    fn information(&self, unit: &[GroupedTest<'_>]) -> Result<DMatrix<f64>, ReduceError> {
         let home = self.home.record(unit)?;
-        let sides = |([up, down], width): &([Place; 2], f64)| -> Result<Pair, ReduceError> {
-            Ok(Pair { up: up.record(unit)?, down: down.record(unit)?, width: *width })
+        let sides = |([up, down], width): &([RecordPoint; 2], f64)| -> Result<RecordPair, ReduceError> {
+            Ok(RecordPair { up: up.record(unit)?, down: down.record(unit)?, width: *width })
         };
-        let pairs: Vec<Pair> = self.all.iter().map(sides).collect::<Result<_, _>>()?;
+        let pairs: Vec<RecordPair> = self.all.iter().map(sides).collect::<Result<_, _>>()?;
         Ok(Carried::new(pairs.len()).over(&home, &pairs))
     }
 }
 
 /// Records at both sides, and the distance between them.
-struct Pair {
-    up: Record,
-    down: Record,
+struct RecordPair {
+    up: RecordMoments,
+    down: RecordMoments,
     width: f64,
 }
 
-impl Pair {
+impl RecordPair {
     fn slope<T>(&self, up: T, down: T) -> T
     where
         T: std::ops::Sub<Output = T> + std::ops::Mul<f64, Output = T>,
@@ -129,21 +135,21 @@ impl Pair {
     }
 
     /// Slopes of a moment, which is `own` at home.
-    fn moment(&self, own: &Moment, up: Moment, down: Moment) -> Moment {
+    fn moment(&self, own: &TimeStep, up: TimeStep, down: TimeStep) -> TimeStep {
         let motion = own.motion.as_ref().map(|own| match (up.motion, down.motion) {
-            (Some(up), Some(down)) => Motion {
+            (Some(up), Some(down)) => MotionValues {
                 phi: self.slope(up.phi, down.phi),
                 noise: self.slope(up.noise, down.noise),
                 input: self.slope(up.input, down.input),
             },
-            _ => Motion::still(own.phi.shape()),
+            _ => MotionValues::still(own.phi.shape()),
         });
-        let line = |(up, down): (Line, Line)| Line {
+        let line = |(up, down): (LineValues, LineValues)| LineValues {
             h: self.slope(up.h, down.h),
             noise: self.slope(up.noise, down.noise),
             value: self.slope(up.value, down.value),
         };
-        Moment { motion, lines: up.lines.into_iter().zip(down.lines).map(line).collect() }
+        TimeStep { motion, lines: up.lines.into_iter().zip(down.lines).map(line).collect() }
     }
 }
 
@@ -171,20 +177,20 @@ impl Carried {
     }
 
     /// All moments of a record.
-    fn over(mut self, home: &Record, pairs: &[Pair]) -> DMatrix<f64> {
-        let mut beside: Vec<[Moments<'_>; 2]> =
+    fn over(mut self, home: &RecordMoments, pairs: &[RecordPair]) -> DMatrix<f64> {
+        let mut beside: Vec<[TimeSteps<'_>; 2]> =
             pairs.iter().map(|pair| [pair.up.moments(), pair.down.moments()]).collect();
         for own in home.moments() {
             let sides = pairs.iter().zip(&mut beside);
-            let slopes: Option<Vec<Moment>> =
+            let slopes: Option<Vec<TimeStep>> =
                 sides.map(|(pair, [up, down])| Some(pair.moment(&own, up.next()?, down.next()?))).collect();
             let Some(slopes) = slopes else { break };
             if let Some(motion) = &own.motion {
-                let slopes: Vec<&Motion> = slopes.iter().filter_map(|slope| slope.motion.as_ref()).collect();
+                let slopes: Vec<&MotionValues> = slopes.iter().filter_map(|slope| slope.motion.as_ref()).collect();
                 self.advance(motion, &slopes);
             }
             for (k, line) in own.lines.iter().enumerate() {
-                let slopes: Vec<&Line> = slopes.iter().map(|slope| &slope.lines[k]).collect();
+                let slopes: Vec<&LineValues> = slopes.iter().map(|slope| &slope.lines[k]).collect();
                 self.measure(line, &slopes);
             }
         }
@@ -192,7 +198,7 @@ impl Carried {
     }
 
     /// Over a motion: x̂ → φx̂ + b, P → φPφ' + Q.
-    fn advance(&mut self, own: &Motion, slopes: &[&Motion]) {
+    fn advance(&mut self, own: &MotionValues, slopes: &[&MotionValues]) {
         let ((to, from), k) = (own.phi.shape(), slopes.len());
         let mut map = DMatrix::zeros(to * (k + 1), from * (k + 1));
         map.view_mut((0, 0), (to, from)).copy_from(&own.phi);
@@ -214,7 +220,7 @@ impl Carried {
     }
 
     /// A measurement z = h'x + d + v: its innovation is informative through its variance and its mean, and updates what is carried.
-    fn measure(&mut self, own: &Line, slopes: &[&Line]) {
+    fn measure(&mut self, own: &LineValues, slopes: &[&LineValues]) {
         let n = self.n;
         let carried = &self.variance * &own.h;
         let variance = own.h.dot(&carried) + own.noise;

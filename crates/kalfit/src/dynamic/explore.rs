@@ -7,9 +7,9 @@
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::iterate::{End, RISE, Search, Start};
+use crate::dynamic::iterate::{RISE, SearchEnd, SearchStart, SearchState};
 use crate::dynamic::places::places;
-use crate::dynamic::sample::{ALIKE, Beside, CLOSE, FOLLOWED, larger, nearer, roughly, sample, total};
+use crate::dynamic::sample::{ALIKE, CLOSE, FOLLOWED, SubsampleProgress, larger, nearer, roughly, sample, total};
 use crate::dynamic::search::search;
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
@@ -36,7 +36,7 @@ const LITTLE: f64 = 1e-5;
 /// Adds the ends that are found, and says where it was looked; `told`: all start values were given.
 pub(super) fn explore(
     bench: &Bench<'_>,
-    ends: &mut Vec<End>,
+    ends: &mut Vec<SearchEnd>,
     told: bool,
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
@@ -58,28 +58,28 @@ pub(super) fn explore(
 /// Adds the best certified end that a part of the data leads to.
 fn on_part(
     (bench, hybrid, small): (&Bench<'_>, &Bench<'_>, &Bench<'_>),
-    ends: &mut Vec<End>,
+    ends: &mut Vec<SearchEnd>,
     told: bool,
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
-    let Some(home) = best(ends).map(End::restart) else { return Ok(Explored::No) };
-    let mut beside = Beside { small, progress: &mut *progress };
+    let Some(home) = best(ends).map(SearchEnd::restart) else { return Ok(Explored::No) };
+    let mut beside = SubsampleProgress { small, progress: &mut *progress };
     let Ok(start) = small.solve(&home, None) else { return Ok(Explored::No) };
-    let mut found = vec![Search::new(small, &mut beside, start).run()?];
+    let mut found = vec![SearchState::new(small, &mut beside, start).run()?];
     let known = ordered(&bench.twins, &found[0].restart());
     let looked = look_around((small, small), &mut found, (told, CLOSE), &mut beside)?;
     found.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let highest = found[0].home.value();
-    let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(End::restart);
+    let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(SearchEnd::restart);
     let elsewhere = near.filter(|values| !alike(&ordered(&bench.twins, values), &known, ALIKE));
-    let elsewhere: Vec<Start> = elsewhere.take(FOLLOWED).map(Start::from).collect();
+    let elsewhere: Vec<SearchStart> = elsewhere.take(FOLLOWED).map(SearchStart::from).collect();
     for start in apart_from(&home, elsewhere, (bench, hybrid), progress) {
         let floor = best(ends).map(|best| best.home.value() + RISE);
         let Ok(home) = hybrid.solve(&start.values, None) else { continue };
         if progress.stops() {
             return Ok(Explored::Part);
         }
-        let mut search = Search::new(hybrid, progress, home).beyond(floor);
+        let mut search = SearchState::new(hybrid, progress, home).beyond(floor);
         search.begin_with(start.curvature);
         let end = search.run()?;
         if is_higher(&end, floor) {
@@ -92,14 +92,14 @@ fn on_part(
 /// Those of these starts that on larger parts of the data, too, lead away from `home`, and nearly as high.
 fn apart_from(
     home: &[f64],
-    elsewhere: Vec<Start>,
+    elsewhere: Vec<SearchStart>,
     (bench, hybrid): (&Bench<'_>, &Bench<'_>),
     progress: &mut dyn Progress,
-) -> Vec<Start> {
+) -> Vec<SearchStart> {
     if elsewhere.is_empty() {
         return elsewhere;
     }
-    let mut starts = vec![Start::from(home.to_vec())];
+    let mut starts = vec![SearchStart::from(home.to_vec())];
     starts.extend(elsewhere);
     let settings = roughly(hybrid.settings);
     for part in larger(bench.tests, true) {
@@ -110,12 +110,12 @@ fn apart_from(
 }
 
 /// A certified end above another.
-fn is_higher(end: &End, floor: Option<f64>) -> bool {
+fn is_higher(end: &SearchEnd, floor: Option<f64>) -> bool {
     end.stop == Stop::Certified && floor.is_none_or(|floor| end.home.value() > floor)
 }
 
 /// The end by the method that was asked for.
-fn by_method(bench: &Bench<'_>, found: End, progress: &mut dyn Progress) -> Result<End, DynamicError> {
+fn by_method(bench: &Bench<'_>, found: SearchEnd, progress: &mut dyn Progress) -> Result<SearchEnd, DynamicError> {
     match bench.settings.method {
         Method::Hybrid => Ok(found),
         _ => search(bench, found.restart().into(), None, progress),
@@ -123,14 +123,14 @@ fn by_method(bench: &Bench<'_>, found: End, progress: &mut dyn Progress) -> Resu
 }
 
 /// The best end that is found around another while a value is held; the other where none is higher.
-pub(super) fn around(bench: &Bench<'_>, end: End, held: usize) -> End {
+pub(super) fn around(bench: &Bench<'_>, end: SearchEnd, held: usize) -> SearchEnd {
     let most = bench.filter_passes() + most(bench);
     let floor = end.home.value() + RISE;
     let mut places = places(bench, &end, Some(held), &mut Silent);
     places.extend(start::from_data(bench, Some((held, end.home.values[held])), &mut Silent));
     let mut found = places.into_iter().take_while(|_| bench.filter_passes() < most).filter_map(|place| {
         let (home, mut silent) = (bench.solve(&place, None).ok()?, Silent);
-        let mut search = Search::new(bench, &mut silent, home).beyond(Some(floor));
+        let mut search = SearchState::new(bench, &mut silent, home).beyond(Some(floor));
         search.hold(held);
         search.run().ok().filter(|found| found.stop == Stop::Certified && found.home.value() > floor)
     });
@@ -152,7 +152,7 @@ fn most(bench: &Bench<'_>) -> usize {
 /// Adds ends that are higher than the best one, or no further below it than by `slack`; `told`: all start values were given.
 fn look_around(
     (bench, hybrid): (&Bench<'_>, &Bench<'_>),
-    ends: &mut Vec<End>,
+    ends: &mut Vec<SearchEnd>,
     (told, slack): (bool, f64),
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
@@ -178,7 +178,7 @@ fn look_around(
             tried.push(place.clone());
             let Ok(home) = hybrid.solve(&place, None) else { continue };
             let within = floor.map(|floor| floor - slack);
-            let found = Search::new(hybrid, progress, home).beyond(within).run()?;
+            let found = SearchState::new(hybrid, progress, home).beyond(within).run()?;
             if !is_higher(&found, within) {
                 continue;
             }
@@ -198,7 +198,7 @@ fn look_around(
 }
 
 /// The best certified end.
-pub(super) fn best(ends: &[End]) -> Option<&End> {
+pub(super) fn best(ends: &[SearchEnd]) -> Option<&SearchEnd> {
     let certified = ends.iter().filter(|end| end.stop == Stop::Certified);
     certified.max_by(|a, b| a.home.value().total_cmp(&b.home.value()))
 }

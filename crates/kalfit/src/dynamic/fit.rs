@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::End;
+use crate::dynamic::iterate::SearchEnd;
 use crate::dynamic::{
     DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
 };
@@ -42,7 +42,7 @@ pub fn fit(
     let (at, vanishing) = unbounded::find(&bench, &ends, at).unwrap_or((at, Vec::new()));
     let best = ends.remove(at);
     ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
-    let other = |end: End| OtherEnd {
+    let other = |end: SearchEnd| OtherEnd {
         log_likelihood: end.home.value(),
         values: bench.values(&twins::aligned(&bench.twins, &end.home.values, &best.home.values)),
         stop: end.stop,
@@ -67,14 +67,14 @@ pub(crate) fn fit_elsewhere(
 
 /// Where an end without a certificate is higher than the best one with it, another search begins: steps that failed on the way there,
 /// or runs that were used up, may lead on from a fresh start. If they do not, all stays as it was.
-fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<End>, progress: &mut dyn Progress) {
+fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
     if progress.stops() {
         return;
     }
     let Some(certified) = explore::best(ends).map(|end| end.home.value()) else { return };
     let higher = ends.iter().filter(|end| end.home.value() > certified + HIGHER);
     let highest = higher.max_by(|a, b| a.home.value().total_cmp(&b.home.value()));
-    if let Some(start) = highest.map(End::restart) {
+    if let Some(start) = highest.map(SearchEnd::restart) {
         ends.extend(search::search(bench, start.into(), None, progress));
     }
 }
@@ -82,7 +82,7 @@ fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<End>, progress: &mut dyn Prog
 /// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.
 fn finished(
     bench: &Bench<'_>,
-    best: End,
+    best: SearchEnd,
     (others, explored, unbounded): (Vec<OtherEnd>, Explored, Vec<String>),
 ) -> Result<DynamicFit, DynamicError> {
     let (filter_passes, score_passes, passes) = (bench.filter_passes(), bench.score_passes(), bench.passes());
@@ -121,7 +121,10 @@ pub(crate) fn best(bench: &Bench<'_>, progress: &mut dyn Progress) -> Option<Vec
 }
 
 /// Where the searches from all starts end, and the first error of those that do not.
-fn searched(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<(Vec<End>, Option<DynamicError>), DynamicError> {
+fn searched(
+    bench: &Bench<'_>,
+    progress: &mut dyn Progress,
+) -> Result<(Vec<SearchEnd>, Option<DynamicError>), DynamicError> {
     let (mut ends, mut first_error, mut floor) = (Vec::new(), None, None);
     for start in start::starts(bench, progress)? {
         if progress.stops() && !ends.is_empty() {
@@ -163,13 +166,13 @@ fn on_edges(bench: &Bench<'_>, standing: Vec<Standing>) -> Vec<Standing> {
 
 /// The best certified end, of equals the first: what is not certified may be on its way to where ℓ has no bound. But no answer
 /// lies below the first start.
-fn chosen(ends: &[End]) -> Option<usize> {
-    let highest = |among: &dyn Fn(&End) -> bool| {
+fn chosen(ends: &[SearchEnd]) -> Option<usize> {
+    let highest = |among: &dyn Fn(&SearchEnd) -> bool| {
         let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
         ends.reduce(|a, b| if b.1.home.value() > a.1.home.value() { b } else { a }).map(|(at, _)| at)
     };
     let begun = ends.first()?.trace.first().copied().unwrap_or(f64::NEG_INFINITY);
-    let above = |end: &End| end.stop == Stop::Certified && end.home.value() >= begun - ROUNDING * begun.abs();
+    let above = |end: &SearchEnd| end.stop == Stop::Certified && end.home.value() >= begun - ROUNDING * begun.abs();
     highest(&above).or_else(|| highest(&|_| true))
 }
 

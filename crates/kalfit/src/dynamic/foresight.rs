@@ -1,15 +1,15 @@
 //! Fewer rounds where tests are elsewhere: with a step in (α, μ, Σ) goes the question for what is wanted once it is taken.
 
-use crate::dynamic::bench::Solved;
+use crate::dynamic::bench::ProfilePoint;
 use crate::dynamic::differences::around;
-use crate::dynamic::iterate::Search;
-use crate::dynamic::joint::Step;
+use crate::dynamic::iterate::SearchState;
+use crate::dynamic::joint::JointStep;
 use crate::dynamic::search::HARDLY;
 
-impl Search<'_, '_> {
+impl SearchState<'_, '_> {
     /// [`Bench::step`](crate::dynamic::bench::Bench::step) from home. Where nobody has answered what the tests say there, the differences
     /// about that place are asked for, too.
-    pub(super) fn stepped(&self, values: &[f64], step: &Step, fine: bool) -> Option<Solved> {
+    pub(super) fn stepped(&self, values: &[f64], step: &JointStep, fine: bool) -> Option<ProfilePoint> {
         self.bench.together(|| {
             let next = self.bench.step(&self.home, values, &step.inner);
             if self.bench.is_waiting() {
@@ -20,7 +20,7 @@ impl Search<'_, '_> {
     }
 
     /// Asks for the differences about the place of a step, to both sides where the search may end there.
-    fn foresee(&self, values: &[f64], step: &Step, fine: bool) {
+    fn foresee(&self, values: &[f64], step: &JointStep, fine: bool) {
         let bench = self.bench;
         let Ok(reduced) = bench.reduce(values) else { return };
         let state = &self.home.estimate.state;

@@ -4,10 +4,10 @@
 //! gradient has done on the way corrects the information (Broyden, Fletcher, Goldfarb and Shanno's update), and the next step costs
 //! one run. The end is certified by differences all the same.
 
-use crate::dynamic::bench::Solved;
-use crate::dynamic::iterate::{LONGEST, Search};
-use crate::dynamic::joint::Joint;
-use crate::dynamic::quadratic::{Curvature, LevelScale, Quadratic};
+use crate::dynamic::bench::ProfilePoint;
+use crate::dynamic::iterate::{LONGEST, SearchState};
+use crate::dynamic::joint::JointInformation;
+use crate::dynamic::quadratic::{LevelScale, ProfileInformation, Quadratic};
 use crate::dynamic::{Coordinate, Method};
 
 /// Most steps before the next look.
@@ -17,23 +17,24 @@ const KEPT: f64 = 0.2;
 /// Levels sink in their variances: a slope below and a curvature of its logarithm about it leave that to others.
 const SINKING: f64 = 2.5;
 
-impl<'b> Search<'b, '_> {
+impl<'b> SearchState<'b, '_> {
     /// Goes on from where a step led; `before`: where it began, `joint` the information there.
-    pub(super) fn glide(&mut self, joint: &Joint, before: &Solved) {
-        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.level_scale, (joint, before)) {
+    pub(super) fn glide(&mut self, joint: &JointInformation, before: &ProfilePoint) {
+        if let Some(curvature) = ProfileInformation::of(&self.bench.coordinates, self.level_scale, (joint, before)) {
             self.glide_on(curvature, (Some(before.clone()), true));
         }
     }
 
     /// The same by information that serves here, too; nothing is learnt on the way.
-    pub(super) fn glide_by(&mut self, joint: &Joint) {
-        if let Some(curvature) = Curvature::of(&self.bench.coordinates, self.level_scale, (joint, &self.home)) {
+    pub(super) fn glide_by(&mut self, joint: &JointInformation) {
+        if let Some(curvature) = ProfileInformation::of(&self.bench.coordinates, self.level_scale, (joint, &self.home))
+        {
             self.glide_on(curvature, (None, false));
         }
     }
 
     /// Goes on by the curvature at a maximum of a part of the data: by its scale of levels, or where that fails by the other one.
-    pub(super) fn begin_with(&mut self, curvature: Option<Curvature>) {
+    pub(super) fn begin_with(&mut self, curvature: Option<ProfileInformation>) {
         let Some(curvature) = curvature else { return };
         let start = self.home.value();
         self.level_scale = curvature.level_scale;
@@ -51,7 +52,7 @@ impl<'b> Search<'b, '_> {
     }
 
     /// Goes on by a curvature at hand; `last`: where it was known, if that is not here; `learns`: it is corrected on the way.
-    pub(super) fn glide_on(&mut self, curvature: Curvature, (mut last, learns): (Option<Solved>, bool)) {
+    pub(super) fn glide_on(&mut self, curvature: ProfileInformation, (mut last, learns): (Option<ProfilePoint>, bool)) {
         if self.bench.settings.method != Method::Hybrid {
             return;
         }
@@ -71,7 +72,7 @@ impl<'b> Search<'b, '_> {
             }
             let Some(values) = quadratic.moved(&self.home.values, &step, LONGEST) else { return };
             let slack = 1e-12 * self.home.value().abs().max(1.0);
-            let rises = |next: &Solved| next.value() >= self.home.value() + KEPT * promised - slack;
+            let rises = |next: &ProfilePoint| next.value() >= self.home.value() + KEPT * promised - slack;
             let Some(next) = self.at(&values).filter(rises) else { return };
             let inside = quadratic.is_above_bounds(&next.values);
             last = Some(std::mem::replace(&mut self.home, next));
@@ -83,12 +84,12 @@ impl<'b> Search<'b, '_> {
     }
 
     /// By which scale of levels the gradient after a step was foreseen better; as before where that cannot be said.
-    pub(super) fn straighter(&self, joint: &Joint, next: &Solved) -> LevelScale {
+    pub(super) fn straighter(&self, joint: &JointInformation, next: &ProfilePoint) -> LevelScale {
         if self.bench.settings.method != Method::Hybrid {
             return self.level_scale; // the gradient is not at the best (μ, Σ)
         }
         let by = |scale| {
-            let curvature = Curvature::of(&self.bench.coordinates, scale, (joint, &self.home))?;
+            let curvature = ProfileInformation::of(&self.bench.coordinates, scale, (joint, &self.home))?;
             Some(Quadratic::about(&self.bench.coordinates, curvature, &self.home.values))
         };
         let (Some(logarithm), Some(variance)) = (by(LevelScale::Logarithm), by(LevelScale::Variance)) else {

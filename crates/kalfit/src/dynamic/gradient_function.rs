@@ -4,9 +4,9 @@
 //! time constant, its correlations) has no effect while it is zero, and D depends on it: D ≤ 0 must hold over its whole range.
 
 use crate::dynamic::Standing;
-use crate::dynamic::bench::{Bench, Solved};
-use crate::dynamic::iterate::{RISE, Search};
-use crate::dynamic::joint::{Joint, LEVEL_GROUND};
+use crate::dynamic::bench::{Bench, ProfilePoint};
+use crate::dynamic::iterate::{RISE, SearchState};
+use crate::dynamic::joint::{JointInformation, LEVEL_GROUND};
 use crate::dynamic::scales::time_constants;
 
 /// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
@@ -31,14 +31,14 @@ const MOST_TIMES: usize = 40;
 const FAR: [f64; 3] = [30.0, 1e3, 1e6];
 
 /// Values for some slots.
-type Change = Vec<(usize, f64)>;
+type ChangedValues = Vec<(usize, f64)>;
 
 /// A derivative at zero times the variance it had, of a level, with this shape of what it drives.
-type Derivative = (f64, usize, Change);
+type Derivative = (f64, usize, ChangedValues);
 
-impl Search<'_, '_> {
+impl SearchState<'_, '_> {
     /// A level at zero returns where ℓ rises with its variance, for some shape of what it drives.
-    pub(super) fn revived(&mut self, joint: &Joint) -> bool {
+    pub(super) fn revived(&mut self, joint: &JointInformation) -> bool {
         let mut zeros = self.zeros();
         zeros.retain(|&s| self.bench.coordinates[s].lower == 0.0 && self.held != Some(s));
         if zeros.is_empty() {
@@ -65,12 +65,12 @@ impl Search<'_, '_> {
             let parameter = self.bench.slots.slots()[s].parameter;
             self.bench.edges.beside(parameter).into_iter().flat_map(move |t| PARTS.map(|part| (s, vec![(t, part)])))
         };
-        let ways: Vec<(usize, Change)> = zeros.iter().flat_map(crossed).collect();
+        let ways: Vec<(usize, ChangedValues)> = zeros.iter().flat_map(crossed).collect();
         ways.into_iter().any(|(s, shape)| self.returns(s, &shape))
     }
 
     /// Back from zero at the largest size at which ℓ is higher than at zero.
-    fn returns(&mut self, s: usize, shape: &Change) -> bool {
+    fn returns(&mut self, s: usize, shape: &ChangedValues) -> bool {
         let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
         for size in 0..SIZES {
             let mut values = self.home.values.clone();
@@ -96,21 +96,21 @@ impl Search<'_, '_> {
     }
 
     /// Shapes of what levels at zero drive: the present one, and values without effect over their ranges.
-    fn shapes(&self, joint: &Joint) -> Vec<Change> {
-        let mut all = vec![Change::new()];
+    fn shapes(&self, joint: &JointInformation) -> Vec<ChangedValues> {
+        let mut all = vec![ChangedValues::new()];
         let idle = self.idle(joint);
         let constants = time_constants(self.bench.model);
         let is_time = |t: &usize| constants.contains(&self.bench.slots.slots()[*t].parameter);
         let (times, others): (Vec<usize>, Vec<usize>) = idle.into_iter().partition(is_time);
         if !times.is_empty() {
-            let at = |time: f64| -> Change {
+            let at = |time: f64| -> ChangedValues {
                 let within = |t: usize| time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper);
                 times.iter().map(|&t| (t, within(t))).collect()
             };
             let scales = self.bench.scales();
             all.extend(scales.range(PART, SPANS, FACTOR).take(MOST_TIMES).chain(scales.beyond(FAR)).map(at));
         }
-        let few: Vec<Change> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
+        let few: Vec<ChangedValues> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
         for t in others {
             for value in self.bench.coordinates[t].spread(self.home.values[t]) {
                 all.extend(few.iter().map(|shape| {
@@ -140,14 +140,14 @@ impl Search<'_, '_> {
             let (left, right) = ((time / short).ln(), (long / time).ln());
             let (fall, drop) = ((gain - before) / left, (gain - after) / right);
             let shift = 0.5 * (fall * right - drop * left) / (fall + drop);
-            let change: Change = shape.iter().map(|&(t, _)| (t, time * shift.exp())).collect();
+            let change: ChangedValues = shape.iter().map(|&(t, _)| (t, time * shift.exp())).collect();
             tops.extend(self.at_zero().derivatives(&[s], &change));
         }
         tops
     }
 
     /// Values along which ℓ does not move at all.
-    fn idle(&self, joint: &Joint) -> Vec<usize> {
+    fn idle(&self, joint: &JointInformation) -> Vec<usize> {
         let flat = |t: &usize| {
             let level_ground = self.home.gradient[*t].abs() < FLAT && joint.curvature(*t).abs() < LEVEL_GROUND;
             level_ground && !self.is_at_zero(*t) && self.held != Some(*t)
@@ -156,7 +156,7 @@ impl Search<'_, '_> {
     }
 
     /// Values without effect while levels are zero are told from those that ℓ never depends on.
-    pub(super) fn name_idle(&mut self, joint: &Joint) {
+    pub(super) fn name_idle(&mut self, joint: &JointInformation) {
         let zeros = self.zeros();
         let is_open = |t: &usize| matches!(self.standing[*t], Standing::Inside | Standing::Unidentified);
         let idle: Vec<usize> = self.idle(joint).into_iter().filter(is_open).collect();
@@ -175,13 +175,13 @@ impl Search<'_, '_> {
 #[derive(Clone, Copy)]
 struct AtZero<'s> {
     bench: &'s Bench<'s>,
-    home: &'s Solved,
+    home: &'s ProfilePoint,
     before_zero: &'s [f64],
 }
 
 impl AtZero<'_> {
     /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
-    fn derivatives(self, zeros: &[usize], shape: &Change) -> Vec<Derivative> {
+    fn derivatives(self, zeros: &[usize], shape: &ChangedValues) -> Vec<Derivative> {
         let AtZero { bench, home, before_zero } = self;
         let mut values = home.values.clone();
         shape.iter().for_each(|&(t, value)| values[t] = value);
@@ -198,7 +198,7 @@ impl AtZero<'_> {
 }
 
 /// The one time that a shape has.
-fn alone(shape: &Change) -> Option<f64> {
+fn alone(shape: &ChangedValues) -> Option<f64> {
     let (_, time) = *shape.first()?;
     shape.iter().all(|(_, other)| *other == time).then_some(time)
 }

@@ -9,7 +9,7 @@ use crate::dynamic::colours::colours;
 use crate::estimate::InitialLaw;
 use crate::model::{Alpha, PhasedModel, Slots};
 use crate::reduce::{Evidence, PhaseReduction, PhasedReducer, PhasedTest, ReduceError, Reductions};
-use crate::score::{Gradient, PhaseLaws, Plan, add, dependences};
+use crate::score::{Gradient, PhaseLaws, SmootherPlan, add, dependences};
 
 /// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
 const STEP: f64 = 2e-3;
@@ -90,7 +90,7 @@ impl Indirect {
                 let mut sum = 0.0;
                 for (there, (_, weight)) in moved.iter().zip(WEIGHTS) {
                     let mixed = mixed(around.model, &tests[j], &home[k], &there[k]);
-                    sum += weight * Plan::new(&mixed, &laws).likelihood(&mixed, &laws);
+                    sum += weight * SmootherPlan::new(&mixed, &laws).likelihood(&mixed, &laws);
                 }
                 add(&mut scores[j], &vec![(slot, sum / steps[&slot])]);
             }

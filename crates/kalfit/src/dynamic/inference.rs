@@ -1,7 +1,7 @@
 //! What each number of a fit with free α is worth.
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, expected, interval, law, profile, sandwich, worth};
 use crate::estimate::{Criterion, Estimate, JointLaw, Stop};
@@ -21,7 +21,7 @@ pub fn infer(
         Some(remote) => Bench::elsewhere(model, (&fit.slots, &fit.settings), (&remote.answers, fit.values.clone())),
         None => Bench::new(model, tests, &fit.slots, &fit.settings),
     };
-    let spread = |covariances: Covariances| spread(&bench, fit, covariances);
+    let spread = |covariances: ValueCovariances| spread(&bench, fit, covariances);
     let (estimate, observed) = with_law(&bench, fit);
     // by profiles only once the maximum is certain
     let wald = Choices { intervals: IntervalKind::Wald, ..choices };
@@ -55,7 +55,7 @@ pub fn infer(
 }
 
 /// The estimate with the law of (α, μ, Σ) from the observed information, and that law.
-pub(super) fn with_law(bench: &Bench<'_>, fit: &DynamicFit) -> (Estimate, Covariances) {
+pub(super) fn with_law(bench: &Bench<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
     let observed = spread(bench, fit, fit.joint.covariances());
     let joint = law::joint(bench.model, fit, &observed);
     let mut estimate = fit.estimate.clone();
@@ -64,14 +64,14 @@ pub(super) fn with_law(bench: &Bench<'_>, fit: &DynamicFit) -> (Estimate, Covari
 }
 
 /// Covariances with those of noises that are as large as their variances allow.
-fn spread(bench: &Bench<'_>, fit: &DynamicFit, mut covariances: Covariances) -> Covariances {
+fn spread(bench: &Bench<'_>, fit: &DynamicFit, mut covariances: ValueCovariances) -> ValueCovariances {
     let known = (&fit.slots, &bench.coordinates[..]);
     bench.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
     covariances
 }
 
 /// Covariances from the expected information, where it is worked out.
-fn of_expectation(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Covariances, DynamicError> {
+fn of_expectation(bench: &Bench<'_>, fit: &DynamicFit) -> Result<ValueCovariances, DynamicError> {
     let found = if expected::is_possible(bench) { expected::expected(bench, fit)? } else { None };
     found.ok_or_else(|| {
         let parameter = fit.slots.slots().first().map_or(0, |slot| slot.parameter);

@@ -5,12 +5,12 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::bench::{Bench, ProfilePoint};
 use crate::dynamic::branches::{ALIKE, others};
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::explore;
-use crate::dynamic::iterate::{End, Search};
+use crate::dynamic::iterate::{SearchEnd, SearchState};
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, Standing};
 use crate::estimate::Silent;
 use crate::model::Population;
@@ -34,7 +34,7 @@ pub(crate) const MOST_PROFILED: usize = 40;
 pub(crate) fn profiles(
     bench: &Bench<'_>,
     fit: &DynamicFit,
-    covariances: &Covariances,
+    covariances: &ValueCovariances,
     parameters: &mut [ParameterInference],
 ) -> Result<usize, DynamicError> {
     let is_open = |parameter: &ParameterInference| {
@@ -52,7 +52,7 @@ pub(crate) fn profiles(
             kept += 1;
         } else if is_open(parameter) {
             let error = covariances.alpha[slot].map_or(0.5, f64::sqrt);
-            let end = |sign: f64| Side { bench, best: &best, slot, sign, others: others.clone() }.limit(error);
+            let end = |sign: f64| IntervalSide { bench, best: &best, slot, sign, others: others.clone() }.limit(error);
             parameter.interval = Some([end(-1.0), end(1.0)]);
         }
     }
@@ -60,9 +60,9 @@ pub(crate) fn profiles(
 }
 
 /// One side of the interval of the value in a slot.
-struct Side<'b, 'a> {
+struct IntervalSide<'b, 'a> {
     bench: &'b Bench<'a>,
-    best: &'b Solved,
+    best: &'b ProfilePoint,
     slot: usize,
     sign: f64,
     /// Places of other branches.
@@ -71,13 +71,13 @@ struct Side<'b, 'a> {
 
 /// A held value with the best ℓ beside it.
 struct Tried {
-    home: Solved,
+    home: ProfilePoint,
     root: f64,
     /// It is on a branch that was not known before.
     new: bool,
 }
 
-impl Side<'_, '_> {
+impl IntervalSide<'_, '_> {
     /// The end on this side; `error` is the standard error of the coordinate. The signed root of the deviance is nearly linear in the
     /// coordinate, so that secants meet it in a few tries. `None` where no value is unlikely enough.
     fn limit(mut self, error: f64) -> Option<f64> {
@@ -126,16 +126,16 @@ impl Side<'_, '_> {
     }
 
     /// The best ℓ with the value held here: from nearby, where that is too low from other ends, and at the quantile from around it.
-    fn highest(&mut self, near: &Solved, tried: f64) -> Option<Tried> {
+    fn highest(&mut self, near: &ProfilePoint, tried: f64) -> Option<Tried> {
         let wanted = wanted();
-        let root = |home: &Solved| (2.0 * (self.best.value() - home.value())).max(0.0).sqrt();
+        let root = |home: &ProfilePoint| (2.0 * (self.best.value() - home.value())).max(0.0).sqrt();
         let mut end = held(self.bench, near, &near.values, (self.slot, tried));
         for other in &self.others {
             if end.as_ref().is_some_and(|end| root(&end.home) < wanted - NEAR) {
                 break;
             }
             let from = held(self.bench, near, other, (self.slot, tried));
-            let value = |end: &Option<End>| end.as_ref().map_or(f64::NEG_INFINITY, |end| end.home.value());
+            let value = |end: &Option<SearchEnd>| end.as_ref().map_or(f64::NEG_INFINITY, |end| end.home.value());
             end = if value(&from) > value(&end) { from } else { end };
         }
         let end = end?;
@@ -172,19 +172,19 @@ fn next(inner: (f64, f64), outer: Option<(f64, f64)>) -> f64 {
 }
 
 /// The largest of the values.
-fn scale(best: &Solved) -> f64 {
+fn scale(best: &ProfilePoint) -> f64 {
     let largest = best.values.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
     if largest > 0.0 { largest } else { 1.0 }
 }
 
 /// The best ℓ with a value held, from these values.
-fn held(bench: &Bench<'_>, near: &Solved, values: &[f64], (slot, value): (usize, f64)) -> Option<End> {
+fn held(bench: &Bench<'_>, near: &ProfilePoint, values: &[f64], (slot, value): (usize, f64)) -> Option<SearchEnd> {
     let mut values = values.to_vec();
     values[slot] = value;
     let population = Population::from(&near.estimate);
     let home = bench.solve(&values, Some(&population)).ok()?;
     let mut silent = Silent;
-    let mut search = Search::new(bench, &mut silent, home);
+    let mut search = SearchState::new(bench, &mut silent, home);
     search.hold(slot);
     let end = search.run().ok()?;
     debug_assert!(end.home.values[slot] == value, "a held value stays");

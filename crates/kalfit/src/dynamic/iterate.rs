@@ -3,9 +3,9 @@
 use nalgebra::DVector;
 
 use crate::dynamic::Standing;
-use crate::dynamic::bench::{Bench, Solved};
-use crate::dynamic::joint::Joint;
-use crate::dynamic::quadratic::{Curvature, LevelScale};
+use crate::dynamic::bench::{Bench, ProfilePoint};
+use crate::dynamic::joint::JointInformation;
+use crate::dynamic::quadratic::{LevelScale, ProfileInformation};
 use crate::estimate::{Progress, Stage, Step, Stop};
 use crate::model::Population;
 
@@ -26,23 +26,23 @@ pub(super) const RISE: f64 = 1e-8;
 
 /// Where a search begins.
 #[derive(Debug, Clone)]
-pub(crate) struct Start {
+pub(crate) struct SearchStart {
     pub(crate) values: Vec<f64>,
     /// How ℓ curves about it, as far as a part of the data tells.
-    pub(crate) curvature: Option<Curvature>,
+    pub(crate) curvature: Option<ProfileInformation>,
 }
 
-impl From<Vec<f64>> for Start {
-    fn from(values: Vec<f64>) -> Start {
-        Start { values, curvature: None }
+impl From<Vec<f64>> for SearchStart {
+    fn from(values: Vec<f64>) -> SearchStart {
+        SearchStart { values, curvature: None }
     }
 }
 
 /// Where a search is.
-pub(crate) struct Search<'b, 'a> {
+pub(crate) struct SearchState<'b, 'a> {
     pub(super) bench: &'b Bench<'a>,
     pub(super) progress: &'b mut dyn Progress,
-    pub(crate) home: Solved,
+    pub(crate) home: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
     pub(crate) trace: Vec<f64>,
     /// The value of each coordinate before it was set to zero.
@@ -65,10 +65,10 @@ pub(crate) struct Search<'b, 'a> {
 }
 
 /// Where it ended.
-pub(crate) struct End {
-    pub(crate) home: Solved,
+pub(crate) struct SearchEnd {
+    pub(crate) home: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
-    pub(crate) joint: Joint,
+    pub(crate) joint: JointInformation,
     pub(crate) certificate: f64,
     pub(crate) stop: Stop,
     pub(crate) trace: Vec<f64>,
@@ -78,7 +78,7 @@ pub(crate) struct End {
     pub(crate) given_up: bool,
 }
 
-impl End {
+impl SearchEnd {
     /// A level at zero, or as near to it as ℓ is defined.
     pub(crate) fn is_at_zero(&self, s: usize) -> bool {
         self.home.values[s] == 0.0 || self.standing[s] == Standing::Vanishing
@@ -91,14 +91,14 @@ impl End {
     }
 }
 
-impl<'b, 'a> Search<'b, 'a> {
-    pub(crate) fn new(bench: &'b Bench<'a>, progress: &'b mut dyn Progress, home: Solved) -> Search<'b, 'a> {
+impl<'b, 'a> SearchState<'b, 'a> {
+    pub(crate) fn new(bench: &'b Bench<'a>, progress: &'b mut dyn Progress, home: ProfilePoint) -> SearchState<'b, 'a> {
         let n = home.values.len();
         let trace = vec![home.value()];
         let unit = |(value, unit): (&f64, &f64)| if *value > FAR_BELOW * unit { *value } else { *unit };
         let before_zero = home.values.iter().zip(bench.units()).map(unit).collect();
         let bottom = bench.coordinates.iter().map(|coordinate| coordinate.lower).collect();
-        let mut search = Search {
+        let mut search = SearchState {
             bench,
             progress,
             home,
@@ -190,14 +190,14 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.
-    pub(super) fn at(&self, values: &[f64]) -> Option<Solved> {
+    pub(super) fn at(&self, values: &[f64]) -> Option<ProfilePoint> {
         let near = Population::from(&self.home.estimate);
         let solved = self.bench.solve(values, Some(&near)).ok()?;
         solved.value().is_finite().then_some(solved)
     }
 
     /// Takes up a place.
-    pub(super) fn arrive(&mut self, next: Solved) {
+    pub(super) fn arrive(&mut self, next: ProfilePoint) {
         for s in 0..next.values.len() {
             let (before, value) = (self.home.values[s], next.values[s]);
             if value <= self.bottom[s] && before > self.bottom[s] && before > FAR_BELOW * self.before_zero[s] {

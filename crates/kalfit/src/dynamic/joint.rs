@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector, DVectorView};
 
-use crate::dynamic::bench::{Bench, Solved, Told};
+use crate::dynamic::bench::{Bench, ProfilePoint, SecondDerivatives};
 use crate::dynamic::coordinates::in_variance;
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::differences::Differences;
 use crate::dynamic::touching::Touching;
 use crate::estimate::{NOTHING, NoiseInformation, Tangent};
@@ -27,7 +27,7 @@ pub(crate) const FLAT: f64 = 1e-10;
 
 /// The information in coordinates of α and along the tangent basis of (μ, Σ).
 #[derive(Debug, Clone)]
-pub(crate) struct Joint {
+pub(crate) struct JointInformation {
     /// Values that move.
     pub(crate) active: Vec<usize>,
     /// Values of single tests, by test.
@@ -44,7 +44,7 @@ pub(crate) struct Joint {
 
 /// Solution of Joint × step = gradient, or as near as positive curvature allows.
 #[derive(Debug, Clone)]
-pub(crate) struct Step {
+pub(crate) struct JointStep {
     /// Of α, zero for values that do not move.
     pub(crate) alpha: Vec<f64>,
     /// Along the tangent basis of (μ, Σ).
@@ -55,16 +55,18 @@ pub(crate) struct Step {
     pub(crate) concave: bool,
 }
 
-impl Joint {
+impl JointInformation {
     /// The information at a solved α among the values that are `active`. With differences to both sides it is good to
     /// about 1e-7.
-    pub(crate) fn new(bench: &Bench<'_>, home: &Solved, active: &[bool], central: bool) -> Joint {
+    pub(crate) fn new(bench: &Bench<'_>, home: &ProfilePoint, active: &[bool], central: bool) -> JointInformation {
         let n = home.values.len();
         let inner = informed(&home.estimate.state.place.tangent);
         let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
         let tests = match &home.told {
-            Told::Tests(tests) => tests,
-            Told::Scale(exact) => return Joint::of_scale(exact, list, inner).without_flat(bench, home),
+            SecondDerivatives::Tests(tests) => tests,
+            SecondDerivatives::Scale(exact) => {
+                return JointInformation::of_scale(exact, list, inner).without_flat(bench, home);
+            }
         };
         let touching = Touching::of(bench, tests, n);
         let alone = |s: usize| {
@@ -72,7 +74,7 @@ impl Joint {
         };
         let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
-        let mut joint = Joint {
+        let mut joint = JointInformation {
             shared: list.iter().copied().filter(|&s| !alone(s)).collect(),
             private: by_test.into_values().collect(),
             active: list,
@@ -91,14 +93,14 @@ impl Joint {
     }
 
     /// Of a value that scales all noise, which needs no differences.
-    fn of_scale(exact: &NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> Joint {
+    fn of_scale(exact: &NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> JointInformation {
         let own = list.iter().map(|&s| ((s, s), exact.own)).collect();
         let cross = DMatrix::from_row_slice(1, inner.nrows(), exact.cross.as_slice());
-        Joint { shared: list.clone(), private: Vec::new(), active: list, own, cross, inner }
+        JointInformation { shared: list.clone(), private: Vec::new(), active: list, own, cross, inner }
     }
 
     /// Logarithms that neither slope nor curve do not move: what differences show of them is rounding.
-    fn without_flat(mut self, bench: &Bench<'_>, home: &Solved) -> Joint {
+    fn without_flat(mut self, bench: &Bench<'_>, home: &ProfilePoint) -> JointInformation {
         let flat = |s: usize| {
             bench.coordinates[s].log && self.entry(s, s).abs() < LEVEL_GROUND && home.gradient[s].abs() < LEVEL_GROUND
         };
@@ -122,8 +124,8 @@ impl Joint {
 
     /// The same with no value eliminated by itself.
     #[cfg(test)]
-    pub(crate) fn undivided(&self) -> Joint {
-        Joint { shared: self.active.clone(), private: Vec::new(), ..self.clone() }
+    pub(crate) fn undivided(&self) -> JointInformation {
+        JointInformation { shared: self.active.clone(), private: Vec::new(), ..self.clone() }
     }
 
     /// All of it: the values, then the tangent basis.
@@ -180,7 +182,7 @@ impl Joint {
     }
 
     /// The same with these noise levels, (slot, exponent), in their variances.
-    pub(crate) fn in_variances(&self, levels: &[(usize, f64)], gradient: &[f64]) -> Joint {
+    pub(crate) fn in_variances(&self, levels: &[(usize, f64)], gradient: &[f64]) -> JointInformation {
         let mut joint = self.clone();
         for &(s, exponent) in levels {
             let own = joint.own.entry((s, s)).or_insert(0.0);
@@ -191,7 +193,7 @@ impl Joint {
 
     /// Newton's step with Levenberg's damping, in coordinates of unit curvature; where the curvature has the wrong sign its
     /// absolute value stands for it.
-    pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> Step {
+    pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> JointStep {
         self.step_beside(gradient, inner, damping, &[])
     }
 
@@ -202,7 +204,7 @@ impl Joint {
         inner: &DVector<f64>,
         damping: f64,
         pinned: &[(usize, f64)],
-    ) -> Step {
+    ) -> JointStep {
         let (mut matrix, mut right, mut concave) = self.reduced(gradient, inner, damping);
         for &(s, step) in pinned {
             let Some(at) = self.shared.iter().position(|&shared| shared == s) else { continue };
@@ -228,7 +230,7 @@ impl Joint {
         }
         let inner_step = x.rows(k, x.len() - k).into_owned();
         let promised = self.active.iter().map(|&s| alpha[s] * gradient[s]).sum::<f64>() + inner_step.dot(inner);
-        Step { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
+        JointStep { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
     }
 
     /// The direction in shared values along which ℓ curves upward most, its largest entry one; `None` where it does not.
@@ -266,7 +268,7 @@ impl Joint {
     }
 
     /// Covariances of all coordinates: the inverse, flat directions left out.
-    pub(crate) fn covariances(&self) -> Covariances {
+    pub(crate) fn covariances(&self) -> ValueCovariances {
         let mut covariances = self.shared_covariances(&self.information());
         for block in &self.private {
             let (own, flat) = inverse(&self.block(block));
@@ -281,18 +283,18 @@ impl Joint {
 
     /// The same from another information in the shared values and along the tangent basis; `None` where values of single tests
     /// are among those that move.
-    pub(crate) fn covariances_of(&self, information: &DMatrix<f64>) -> Option<Covariances> {
+    pub(crate) fn covariances_of(&self, information: &DMatrix<f64>) -> Option<ValueCovariances> {
         self.is_of_shared_values().then(|| self.shared_covariances(information))
     }
 
     /// The same without values of single tests.
-    fn shared_covariances(&self, information: &DMatrix<f64>) -> Covariances {
+    fn shared_covariances(&self, information: &DMatrix<f64>) -> ValueCovariances {
         let (whole, flat) = inverse(information);
         let mut alpha = vec![None; self.cross.nrows()];
         for (i, &s) in self.shared.iter().enumerate() {
             alpha[s] = Some(whole[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
         }
-        Covariances { alpha, shared: self.shared.clone(), whole }
+        ValueCovariances { alpha, shared: self.shared.clone(), whole }
     }
 
     /// Entries on both sides of the diagonal: where a value stands in matrices of the structures only, its column has none for

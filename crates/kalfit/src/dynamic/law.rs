@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
 
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_derivatives;
 use crate::dynamic::{Coordinate, DynamicFit, Standing};
 use crate::estimate::{JointLaw, Values};
@@ -15,7 +15,7 @@ const MOST: usize = 400;
 
 /// The covariance of the inner coordinates and of the values that stand in matrices of the structures, with what those move; and that of
 /// all free values with everything else.
-pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &Covariances) -> JointLaw {
+pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCovariances) -> JointLaw {
     let coordinates = Coordinate::of(model, &fit.slots);
     let (state, sigma) = (&fit.estimate.state, &fit.estimate.covariance);
     let slope = |slot: usize| coordinates[slot].slope(fit.values[slot]);

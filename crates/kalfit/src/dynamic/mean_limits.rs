@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use crate::dynamic::DynamicFit;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::inference::with_law;
-use crate::dynamic::outer::{Near, Outer, Target};
+use crate::dynamic::outer::{HeldQuantity, Outer, WarmStart};
 use crate::estimate::{Estimate, Point};
-use crate::infer::{Held, HeldMaximum, Holder, Holds, Law, MeanCombination, Profile};
+use crate::infer::{AsymptoticLaw, Held, HeldMaximum, Holder, Holds, MeanCombination, Profile};
 use crate::model::{Alpha, PhasedModel, Population};
 use crate::reduce::PhasedTest;
 
@@ -39,7 +39,7 @@ pub fn mean_limits(
     let means = Means { outer: &outer, means, fit };
     let limits = |number: usize| {
         let centre = home[number].value(&population);
-        let mean = Mean { means: &means, number };
+        let mean = LimitedMean { means: &means, number };
         let moved = home[number].weights.amax().max(mean.slopes(&outer).amax());
         if moved <= FAINT * centre.abs() {
             return Some([centre; 2]);
@@ -47,7 +47,7 @@ pub fn mean_limits(
         let step = quantile * outer.error(mean)?;
         let maximum = estimate.state.place.local.value;
         let profile = Profile { holder: &means, what: number, centre, maximum, quantile, limits: [None; 2] };
-        profile.ends(&Near::best(fit, &estimate), step)
+        profile.ends(&WarmStart::best(fit, &estimate), step)
     };
     (0..home.len()).into_par_iter().map(limits).collect()
 }
@@ -63,27 +63,27 @@ impl Holds for Means<'_, '_, '_> {
     const PRECISION: f64 = 1e-4;
     /// Its number.
     type What = usize;
-    type Near = Near;
+    type Near = WarmStart;
 
-    fn held(&self, what: usize, x: f64, near: &Near) -> Option<Held<Near>> {
-        self.outer.highest(Mean { means: self, number: what }, x, near)
+    fn held(&self, what: usize, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
+        self.outer.highest(LimitedMean { means: self, number: what }, x, near)
     }
 }
 
 /// One of them.
 #[derive(Clone, Copy)]
-struct Mean<'m, 'o, 'b, 'a> {
+struct LimitedMean<'m, 'o, 'b, 'a> {
     means: &'m Means<'o, 'b, 'a>,
     number: usize,
 }
 
-impl Mean<'_, '_, '_, '_> {
+impl LimitedMean<'_, '_, '_, '_> {
     fn at(self, alpha: &Alpha) -> Option<MeanCombination> {
         (self.means.means)(alpha)?.into_iter().nth(self.number)
     }
 }
 
-impl Target for Mean<'_, '_, '_, '_> {
+impl HeldQuantity for LimitedMean<'_, '_, '_, '_> {
     fn maximum(self, (holder, alpha): (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum> {
         let MeanCombination { weights, constant } = self.at(alpha)?;
         holder.combination(&weights, x - constant, near)
@@ -93,7 +93,7 @@ impl Target for Mean<'_, '_, '_, '_> {
         Some(self.at(&self.means.fit.alpha)?.value(&Population::from(outer.estimate)))
     }
 
-    fn along(self, law: &Law<'_>, _: &Estimate) -> DVector<f64> {
+    fn along(self, law: &AsymptoticLaw<'_>, _: &Estimate) -> DVector<f64> {
         let weights = self.at(&self.means.fit.alpha).map_or_else(|| DVector::zeros(0), |own| own.weights);
         law.derivative_of_means(&weights)
     }

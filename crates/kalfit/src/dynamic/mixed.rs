@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::DynamicFit;
 use crate::dynamic::bench::Bench;
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::differences::two_sides;
 use crate::estimate::Mixed;
 use crate::infer::holds_any;
@@ -21,7 +21,7 @@ const MOST: usize = 24;
 
 /// Of the values that move at the end of a fit; `None` where none does or no element is held, where very many values move or those of single tests
 /// do, and where ℓ is not defined beside the end.
-pub(super) fn mixed(bench: &Bench<'_>, fit: &DynamicFit, covariances: &Covariances) -> Option<Mixed> {
+pub(super) fn mixed(bench: &Bench<'_>, fit: &DynamicFit, covariances: &ValueCovariances) -> Option<Mixed> {
     let shared = &covariances.shared;
     if shared.is_empty() || shared.len() > MOST || !fit.joint.is_of_shared_values() || !holds_any(&fit.estimate.state) {
         return None;
@@ -38,7 +38,7 @@ pub(super) fn mixed(bench: &Bench<'_>, fit: &DynamicFit, covariances: &Covarianc
 }
 
 /// -∂²ℓ/∂α∂(every element) for one value, by differences to both sides where there are both.
-fn row(bench: &Bench<'_>, fit: &DynamicFit, covariances: &Covariances, s: usize) -> Option<DVector<f64>> {
+fn row(bench: &Bench<'_>, fit: &DynamicFit, covariances: &ValueCovariances, s: usize) -> Option<DVector<f64>> {
     let (coordinate, value) = (&bench.coordinates[s], fit.sought[s]);
     let error = covariances.alpha[s].map(f64::sqrt);
     let most = PART * value.abs().max(PART);

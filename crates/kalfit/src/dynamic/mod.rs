@@ -66,7 +66,7 @@ pub use fit::{fit, start_values};
 pub use inference::infer;
 pub(crate) use interval::MOST_PROFILED;
 pub use mean_limits::{MeansAt, mean_limits};
-pub(crate) use opening::{Opening, opening};
+pub(crate) use opening::{SuggestedValues, opening};
 pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};
 pub use result::{DynamicFit, Explored, OtherEnd};
 pub(crate) use scale::Scale;

@@ -45,15 +45,15 @@ fn suggested(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<f64> {
 
 /// What all places suggest: the mean over their tests.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Opening {
+pub(crate) struct SuggestedValues {
     pub(crate) tests: usize,
     pub(crate) start: Vec<f64>,
     pub(crate) units: Vec<f64>,
 }
 
-impl Opening {
+impl SuggestedValues {
     /// From the sum of the answers; `None` where they are not of these values.
-    pub(crate) fn of(numbers: &[f64], coordinates: &[Coordinate]) -> Option<Opening> {
+    pub(crate) fn of(numbers: &[f64], coordinates: &[Coordinate]) -> Option<SuggestedValues> {
         let (tests, rest) = numbers.split_first()?;
         if rest.len() != 2 * coordinates.len() {
             return None;
@@ -65,6 +65,6 @@ impl Opening {
             value.clamp(coordinate.lower, coordinate.upper)
         };
         let start = starts.iter().zip(coordinates).map(value).collect();
-        Some(Opening { tests: *tests as usize, start, units: units.iter().map(|unit| unit.exp()).collect() })
+        Some(SuggestedValues { tests: *tests as usize, start, units: units.iter().map(|unit| unit.exp()).collect() })
     }
 }

@@ -14,11 +14,11 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::bench::Bench;
 use crate::dynamic::branches::{WITHIN, others};
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_gradient;
 use crate::dynamic::{DynamicFit, Standing};
-use crate::estimate::{Estimate, Place, Point, State};
-use crate::infer::{Held, HeldMaximum, Holdable, Holder, Holds, Law, value};
+use crate::estimate::{Estimate, FinalState, NewtonIterate, Point};
+use crate::infer::{AsymptoticLaw, Held, HeldMaximum, Holdable, Holder, Holds, value};
 use crate::model::{Alpha, Population};
 
 /// α is found to this part of its standard error: ℓ is then right to half its square.
@@ -35,20 +35,20 @@ const LONGEST: f64 = 2.0;
 const RELEASED: f64 = 0.3;
 
 /// A quantity that can be held at a value while α moves.
-pub(super) trait Target: Copy + Sync {
+pub(super) trait HeldQuantity: Copy + Sync {
     /// The best (μ, Σ) at some α with it held, from a point nearby.
     fn maximum(self, at: (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum>;
     /// Its estimate.
     fn value(self, outer: &Outer<'_, '_>) -> Option<f64>;
     /// Its derivative along the tangent basis at the estimate.
-    fn along(self, law: &Law<'_>, estimate: &Estimate) -> DVector<f64>;
+    fn along(self, law: &AsymptoticLaw<'_>, estimate: &Estimate) -> DVector<f64>;
     /// Its derivative by the coordinates of the values that move, at the estimate.
     fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64>;
     /// The same at other values, with (μ, Σ) there.
     fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>>;
 }
 
-impl Target for Holdable {
+impl HeldQuantity for Holdable {
     fn maximum(self, (holder, _): (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum> {
         holder.maximum(self, x, near)
     }
@@ -57,7 +57,7 @@ impl Target for Holdable {
         value(outer.estimate, self)
     }
 
-    fn along(self, law: &Law<'_>, estimate: &Estimate) -> DVector<f64> {
+    fn along(self, law: &AsymptoticLaw<'_>, estimate: &Estimate) -> DVector<f64> {
         law.derivative(&estimate.covariance, self)
     }
 
@@ -74,7 +74,7 @@ impl Target for Holdable {
 pub(super) struct Outer<'b, 'a> {
     pub(super) bench: &'b Bench<'a>,
     pub(super) estimate: &'b Estimate,
-    law: Law<'b>,
+    law: AsymptoticLaw<'b>,
     /// Values that may move.
     pub(super) slots: Vec<usize>,
     /// Their covariance.
@@ -89,27 +89,27 @@ pub(super) struct Outer<'b, 'a> {
 
 /// A maximum with a quantity held, to begin near.
 #[derive(Clone)]
-pub(super) struct Near {
+pub(super) struct WarmStart {
     values: Vec<f64>,
-    state: State,
+    state: FinalState,
     /// Where in the coordinates of the state's problem; `None` where the state itself is.
     point: Option<Point>,
     /// The value of the quantity; `None` at the maximum of all.
     at: Option<f64>,
 }
 
-impl Near {
+impl WarmStart {
     /// The maximum of all.
-    pub(super) fn best(fit: &DynamicFit, estimate: &Estimate) -> Near {
-        Near { values: fit.sought.clone(), state: estimate.state.clone(), point: None, at: None }
+    pub(super) fn best(fit: &DynamicFit, estimate: &Estimate) -> WarmStart {
+        WarmStart { values: fit.sought.clone(), state: estimate.state.clone(), point: None, at: None }
     }
 }
 
 /// The best (μ, Σ) at some α with a quantity held.
 struct Here {
     values: Vec<f64>,
-    state: State,
-    place: Place,
+    state: FinalState,
+    place: NewtonIterate,
     slope: f64,
     /// dℓ/dcoordinate of all free values.
     gradient: Vec<f64>,
@@ -120,9 +120,9 @@ impl Here {
         self.place.local.value
     }
 
-    fn near(&self, at: f64) -> Near {
+    fn near(&self, at: f64) -> WarmStart {
         let (values, state) = (self.values.clone(), self.state.clone());
-        Near { values, state, point: Some(self.place.point.clone()), at: Some(at) }
+        WarmStart { values, state, point: Some(self.place.point.clone()), at: Some(at) }
     }
 }
 
@@ -130,7 +130,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     pub(super) fn new(
         (bench, fit): (&'b Bench<'a>, &DynamicFit),
         estimate: &'b Estimate,
-        covariances: &Covariances,
+        covariances: &ValueCovariances,
     ) -> Self {
         let shared = &covariances.shared;
         let place = |s: usize| shared.iter().position(|&other| other == s).filter(|_| covariances.alpha[s].is_some());
@@ -151,7 +151,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         Outer {
             bench,
             estimate,
-            law: Law::new(&estimate.state),
+            law: AsymptoticLaw::new(&estimate.state),
             slots,
             alpha,
             cross,
@@ -161,7 +161,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     }
 
     /// Covariance of the values with a quantity, and its variance.
-    fn with(&self, what: impl Target) -> (DVector<f64>, f64) {
+    fn with(&self, what: impl HeldQuantity) -> (DVector<f64>, f64) {
         let (along, slopes) = (what.along(&self.law, self.estimate), what.slopes(self));
         let with = &self.cross * &along + &self.alpha * &slopes;
         let variance = along.dot(&(&self.inner * &along)) + slopes.dot(&(&with + &self.cross * &along));
@@ -169,12 +169,12 @@ impl<'b, 'a> Outer<'b, 'a> {
     }
 
     /// Standard error of a quantity; `None` where it has none.
-    pub(super) fn error(&self, what: impl Target) -> Option<f64> {
+    pub(super) fn error(&self, what: impl HeldQuantity) -> Option<f64> {
         Some(self.with(what).1.sqrt()).filter(|error| error.is_finite() && *error > 0.0)
     }
 
     /// Covariance of the values given a quantity, and how they follow it.
-    fn given(&self, what: impl Target) -> (DMatrix<f64>, DVector<f64>) {
+    fn given(&self, what: impl HeldQuantity) -> (DMatrix<f64>, DVector<f64>) {
         let (with, variance) = self.with(what);
         if variance > 0.0 && variance.is_finite() {
             (&self.alpha - &with * with.transpose() / variance, with / variance)
@@ -195,7 +195,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     }
 
     /// The best (μ, Σ) at these values, and which way ℓ rises from there.
-    fn at(&self, (what, x): (impl Target, f64), values: Vec<f64>, near: &Near) -> Option<Here> {
+    fn at(&self, (what, x): (impl HeldQuantity, f64), values: Vec<f64>, near: &WarmStart) -> Option<Here> {
         let bench = self.bench;
         let reduced = bench.reduce(&values).ok()?;
         let alpha = bench.alpha(&values);
@@ -231,7 +231,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     }
 
     /// Up from here; `None` where no step raises ℓ.
-    fn next(&self, held: (impl Target, f64), here: &Here, step: &DVector<f64>, promised: f64) -> Option<Here> {
+    fn next(&self, held: (impl HeldQuantity, f64), here: &Here, step: &DVector<f64>, promised: f64) -> Option<Here> {
         let slack = 1e-12 * here.value().abs().max(1.0);
         let near = here.near(held.1);
         let mut length = 1.0;
@@ -268,16 +268,16 @@ impl<'b, 'a> Outer<'b, 'a> {
 impl Holds for Outer<'_, '_> {
     const PRECISION: f64 = 1e-4;
     type What = Holdable;
-    type Near = Near;
+    type Near = WarmStart;
 
-    fn held(&self, what: Holdable, x: f64, near: &Near) -> Option<Held<Near>> {
+    fn held(&self, what: Holdable, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
         self.highest(what, x, near)
     }
 }
 
 impl Outer<'_, '_> {
     /// The highest maximum with a quantity held that is found from nearby, or where that is too low from other branches.
-    pub(super) fn highest(&self, what: impl Target, x: f64, near: &Near) -> Option<Held<Near>> {
+    pub(super) fn highest(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
         let mut best = self.nearby(what, x, near);
         let value = |found: &Option<Here>| found.as_ref().map_or(f64::NEG_INFINITY, Here::value);
         let high = self.estimate.log_likelihood - WITHIN;
@@ -286,7 +286,7 @@ impl Outer<'_, '_> {
                 break;
             }
             let state = self.estimate.state.clone();
-            let found = self.nearby(what, x, &Near { values: other.clone(), state, point: None, at: Some(x) });
+            let found = self.nearby(what, x, &WarmStart { values: other.clone(), state, point: None, at: Some(x) });
             best = if value(&found) > value(&best) { found } else { best };
         }
         let found = best?;
@@ -294,7 +294,7 @@ impl Outer<'_, '_> {
     }
 
     /// The maximum that a search from nearby ends at.
-    fn nearby(&self, what: impl Target, x: f64, near: &Near) -> Option<Here> {
+    fn nearby(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Here> {
         let (mut inverse, follows) = self.given(what);
         let from = near.at.or_else(|| what.value(self))?;
         let expected = self.moved(&near.values, &(follows * (x - from)));

@@ -1,7 +1,7 @@
 //! Places from which a search may lead to another maximum than the one that is known: what another part of the model may explain.
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::End;
+use crate::dynamic::iterate::SearchEnd;
 use crate::dynamic::scales::{self, time_constants};
 use crate::dynamic::tries::{FACTOR, best_of, longer, other_maxima};
 use crate::dynamic::twins::Twins;
@@ -20,7 +20,12 @@ const APART_TRIED: usize = 3;
 const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
 /// Where to look from an end: at common values but the one that is held.
-pub(super) fn places(bench: &Bench<'_>, end: &End, held: Option<usize>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+pub(super) fn places(
+    bench: &Bench<'_>,
+    end: &SearchEnd,
+    held: Option<usize>,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
     let values = &end.home.values;
     let (mut all, mut bases) = (Vec::new(), vec![values.clone()]);
     for twins in &bench.twins {
@@ -95,7 +100,7 @@ fn set_apart(bench: &Bench<'_>, one: &[f64], twins: &Twins, progress: &mut dyn P
 }
 
 /// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
-fn given_back(bench: &Bench<'_>, end: &End, levels: &[usize]) -> Vec<Vec<f64>> {
+fn given_back(bench: &Bench<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
     let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(bench, s));
     let values = &end.home.values;
     let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
@@ -135,7 +140,7 @@ fn handed_over(bench: &Bench<'_>, values: &[f64], (s, t): (usize, usize)) -> Opt
 }
 
 /// A process whose time constant may be a quarter of what it is for no loss of ℓ.
-fn is_white(bench: &Bench<'_>, end: &End, time_constant: usize) -> bool {
+fn is_white(bench: &Bench<'_>, end: &SearchEnd, time_constant: usize) -> bool {
     let Some(slot) = bench.slots.common(time_constant) else { return false };
     let mut shorter = end.home.values.clone();
     shorter[slot] = bench.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
@@ -143,7 +148,12 @@ fn is_white(bench: &Bench<'_>, end: &End, time_constant: usize) -> bool {
 }
 
 /// A process that is all but white, with the time constant that suits it best among those from which it is told apart from white noise.
-fn less_white(bench: &Bench<'_>, end: &End, time_constant: usize, progress: &mut dyn Progress) -> Option<Vec<f64>> {
+fn less_white(
+    bench: &Bench<'_>,
+    end: &SearchEnd,
+    time_constant: usize,
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
     let (best, value) = best_of(bench, time_constant, &end.home.values, progress)?;
     let is_level = (value - end.home.value()).abs() <= LEVEL;
     is_level.then(|| longer(bench, time_constant, (best, value), progress))
@@ -225,7 +235,7 @@ fn drives(bench: &Bench<'_>, s: usize) -> bool {
 }
 
 /// Other sizes of a level, the rest as it is, where ℓ is higher than at the sizes beside them.
-fn sizes(bench: &Bench<'_>, end: &End, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
+fn sizes(bench: &Bench<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
     let value = end.home.values[s];
     if value > 0.0 && !end.is_at_zero(s) {
         return Vec::new();

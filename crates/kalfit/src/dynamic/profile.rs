@@ -8,9 +8,9 @@
 use std::collections::BTreeSet;
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_derivatives;
-use crate::dynamic::outer::{Near, Outer};
+use crate::dynamic::outer::{Outer, WarmStart};
 use crate::dynamic::{DynamicFit, ParameterInference};
 use crate::estimate::{Criterion, Estimate};
 use crate::infer::{Holdable, Inference, IntervalKind, free, profiled, quantities};
@@ -25,7 +25,7 @@ const MOST_VALUES: usize = 24;
 pub(crate) fn profiles(
     (bench, fit): (&Bench<'_>, &DynamicFit),
     estimate: &Estimate,
-    covariances: &Covariances,
+    covariances: &ValueCovariances,
     (inference, parameters): (&mut Inference, &[ParameterInference]),
 ) {
     let all = quantities(&estimate.state.problem.covariance.elements, estimate.coefficients.len());
@@ -47,7 +47,7 @@ pub(crate) fn profiles(
     let is_done = |what: &Holdable| wanted.contains(what) || entries.iter().any(|(entry, _)| entry == what);
     intervals.unprofiled = due.iter().filter(|what| !is_done(what)).count();
     let outer = Outer::new((bench, fit), estimate, covariances);
-    intervals.follow((estimate, &inference.uncertainty), &wanted, &outer, &Near::best(fit, estimate));
+    intervals.follow((estimate, &inference.uncertainty), &wanted, &outer, &WarmStart::best(fit, estimate));
 }
 
 /// Elements of Σ beside its diagonal that parameters in matrices of its structure move.

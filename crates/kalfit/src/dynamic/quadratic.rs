@@ -7,9 +7,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::Coordinate;
-use crate::dynamic::bench::Solved;
+use crate::dynamic::bench::ProfilePoint;
 use crate::dynamic::coordinates::in_variance;
-use crate::dynamic::joint::{Joint, solved};
+use crate::dynamic::joint::{JointInformation, solved};
 
 /// What ℓ is taken to be quadratic in, of a level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,20 +20,20 @@ pub(crate) enum LevelScale {
 
 /// Information in some values once (μ, Σ) follow them.
 #[derive(Debug, Clone)]
-pub(crate) struct Curvature {
+pub(crate) struct ProfileInformation {
     slots: Vec<usize>,
     information: DMatrix<f64>,
     /// What levels stand by in it: that in which ℓ has been nearer to a quadratic.
     pub(super) level_scale: LevelScale,
 }
 
-impl Curvature {
+impl ProfileInformation {
     /// At a place with this joint information; `None` where values of single tests stand between.
     pub(super) fn of(
         coordinates: &[Coordinate],
         level_scale: LevelScale,
-        (joint, place): (&Joint, &Solved),
-    ) -> Option<Curvature> {
+        (joint, place): (&JointInformation, &ProfilePoint),
+    ) -> Option<ProfileInformation> {
         let (slots, mut information) = (joint.shared().to_vec(), joint.followed()?);
         if level_scale == LevelScale::Variance {
             for (i, &s) in slots.iter().enumerate() {
@@ -42,21 +42,21 @@ impl Curvature {
                 }
             }
         }
-        Some(Curvature { slots, information, level_scale })
+        Some(ProfileInformation { slots, information, level_scale })
     }
 
     /// The same at a maximum, by the other scale of levels.
-    pub(super) fn other(self) -> Curvature {
+    pub(super) fn other(self) -> ProfileInformation {
         let level_scale = match self.level_scale {
             LevelScale::Logarithm => LevelScale::Variance,
             LevelScale::Variance => LevelScale::Logarithm,
         };
-        Curvature { level_scale, ..self }
+        ProfileInformation { level_scale, ..self }
     }
 
     /// What so many times the data would say.
-    pub(super) fn times(self, factor: f64) -> Curvature {
-        Curvature { information: self.information * factor, ..self }
+    pub(super) fn times(self, factor: f64) -> ProfileInformation {
+        ProfileInformation { information: self.information * factor, ..self }
     }
 }
 
@@ -67,8 +67,8 @@ pub(super) struct Iterate<'a> {
     gradient: &'a [f64],
 }
 
-impl<'a> From<&'a Solved> for Iterate<'a> {
-    fn from(solved: &'a Solved) -> Iterate<'a> {
+impl<'a> From<&'a ProfilePoint> for Iterate<'a> {
+    fn from(solved: &'a ProfilePoint) -> Iterate<'a> {
         Iterate { values: &solved.values, gradient: &solved.gradient }
     }
 }
@@ -87,8 +87,8 @@ pub(super) struct Quadratic<'b> {
 
 impl<'b> Quadratic<'b> {
     /// About a place where the curvature is known.
-    pub(super) fn about(coordinates: &'b [Coordinate], curvature: Curvature, values: &[f64]) -> Quadratic<'b> {
-        let Curvature { slots, information, level_scale } = curvature;
+    pub(super) fn about(coordinates: &'b [Coordinate], curvature: ProfileInformation, values: &[f64]) -> Quadratic<'b> {
+        let ProfileInformation { slots, information, level_scale } = curvature;
         Quadratic { coordinates, slots, about: values.to_vec(), level_scale, information }
     }
 
@@ -222,7 +222,7 @@ mod tests {
         if scale == LevelScale::Logarithm {
             information[(0, 0)] -= 2.0 * gradient(values)[0];
         }
-        let curvature = Curvature { slots: vec![0, 1], information, level_scale: scale };
+        let curvature = ProfileInformation { slots: vec![0, 1], information, level_scale: scale };
         Quadratic::about(coordinates, curvature, &values)
     }
 

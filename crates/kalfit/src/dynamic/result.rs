@@ -1,6 +1,6 @@
 //! μ, Σ and α at the end of a search, and where other searches ended.
 
-use crate::dynamic::joint::Joint;
+use crate::dynamic::joint::JointInformation;
 use crate::dynamic::{Method, Settings, Standing};
 use crate::estimate::{Estimate, Stop};
 use crate::model::{Alpha, Slots};
@@ -43,7 +43,7 @@ pub struct DynamicFit {
     /// where ℓ has a maximum.
     pub unbounded: Vec<String>,
     /// Observed information of (α, μ, Σ).
-    pub(crate) joint: Joint,
+    pub(crate) joint: JointInformation,
     /// Where each free value lies.
     pub(crate) standing: Vec<Standing>,
     /// What was asked.

@@ -3,8 +3,8 @@
 use crate::dynamic::Settings;
 use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::iterate::Start;
-use crate::dynamic::quadratic::Curvature;
+use crate::dynamic::iterate::SearchStart;
+use crate::dynamic::quadratic::ProfileInformation;
 use crate::dynamic::search::search;
 use crate::dynamic::twins::ordered;
 use crate::estimate::{Progress, Stage, Step};
@@ -80,18 +80,18 @@ pub(super) fn promising(
     given: Option<Vec<f64>>,
     others: Vec<Vec<f64>>,
     progress: &mut dyn Progress,
-) -> Vec<Start> {
-    let mut part = Part { small, more: bench.rows() as f64 / small.rows() as f64, floor: None, progress };
+) -> Vec<SearchStart> {
+    let mut part = Subsample { small, more: bench.rows() as f64 / small.rows() as f64, floor: None, progress };
     let (mut kept, mut seen) = (Vec::new(), Vec::new());
     if let Some(given) = given {
         let (start, _, places) = part.nearer(bench, given.into());
         kept.push(start);
         seen.extend(places);
     }
-    let mut ends: Vec<(f64, Start)> = others.iter().filter_map(|start| part.end(start.clone().into())).collect();
+    let mut ends: Vec<(f64, SearchStart)> = others.iter().filter_map(|start| part.end(start.clone().into())).collect();
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
     let Some(&(best, _)) = ends.first() else {
-        kept.extend(others.into_iter().map(Start::from));
+        kept.extend(others.into_iter().map(SearchStart::from));
         return kept;
     };
     let most = kept.len() + FOLLOWED;
@@ -109,11 +109,11 @@ pub(super) fn promising(
 /// others those that end near another do not, nor those that end far below.
 pub(super) fn nearer(
     (bench, larger): (&Bench<'_>, &Bench<'_>),
-    starts: Vec<Start>,
+    starts: Vec<SearchStart>,
     progress: &mut dyn Progress,
-) -> Vec<Start> {
-    let mut part = Part { small: larger, more: bench.rows() as f64 / larger.rows() as f64, floor: None, progress };
-    let mut kept: Vec<Start> = Vec::new();
+) -> Vec<SearchStart> {
+    let mut part = Subsample { small: larger, more: bench.rows() as f64 / larger.rows() as f64, floor: None, progress };
+    let mut kept: Vec<SearchStart> = Vec::new();
     let mut seen: Vec<Vec<f64>> = Vec::new();
     for start in starts {
         if part.progress.stops() {
@@ -133,7 +133,7 @@ pub(super) fn nearer(
 }
 
 /// A part of the data, of which all are `more` times as many.
-struct Part<'a, 'b> {
+struct Subsample<'a, 'b> {
     small: &'a Bench<'b>,
     more: f64,
     /// Searches that cannot come so high give up.
@@ -141,22 +141,22 @@ struct Part<'a, 'b> {
     progress: &'a mut dyn Progress,
 }
 
-impl Part<'_, '_> {
+impl Subsample<'_, '_> {
     /// Where a search ends, and ℓ there.
-    fn end(&mut self, start: Start) -> Option<(f64, Start)> {
-        let mut beside = Beside { small: self.small, progress: &mut *self.progress };
-        let start = Start { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
+    fn end(&mut self, start: SearchStart) -> Option<(f64, SearchStart)> {
+        let mut beside = SubsampleProgress { small: self.small, progress: &mut *self.progress };
+        let start = SearchStart { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
         let end = search(self.small, start, self.floor, &mut beside).ok()?;
-        let curvature = Curvature::of(&self.small.coordinates, end.level_scale, (&end.joint, &end.home))
+        let curvature = ProfileInformation::of(&self.small.coordinates, end.level_scale, (&end.joint, &end.home))
             .map(|curvature| curvature.times(self.more));
-        Some((end.home.value(), Start { values: end.restart(), curvature }))
+        Some((end.home.value(), SearchStart { values: end.restart(), curvature }))
     }
 
     /// A start, or where it leads if ℓ of all data is no lower there; ℓ of the part where it leads. The last are places that are the
     /// same: the start, and where it leads if that is no other maximum.
-    fn nearer(&mut self, bench: &Bench<'_>, start: Start) -> (Start, Option<f64>, Vec<Vec<f64>>) {
+    fn nearer(&mut self, bench: &Bench<'_>, start: SearchStart) -> (SearchStart, Option<f64>, Vec<Vec<f64>>) {
         let here = bench.value(&start.values);
-        let place = |start: &Start| ordered(&self.small.twins, &start.values);
+        let place = |start: &SearchStart| ordered(&self.small.twins, &start.values);
         let own = place(&start);
         let Some((value, end)) = self.end(start.clone()) else { return (start, None, vec![own]) };
         let led = place(&end);
@@ -169,12 +169,12 @@ impl Part<'_, '_> {
 }
 
 /// Listens to a search on a part of the data: it is about start values still.
-pub(super) struct Beside<'a, 'b> {
+pub(super) struct SubsampleProgress<'a, 'b> {
     pub(super) small: &'a Bench<'b>,
     pub(super) progress: &'a mut dyn Progress,
 }
 
-impl Progress for Beside<'_, '_> {
+impl Progress for SubsampleProgress<'_, '_> {
     fn stage(&mut self, _: Stage) {
         self.progress.stage(Stage::StartValues { filter_runs: self.small.filter_passes() });
     }

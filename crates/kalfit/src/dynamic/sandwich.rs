@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_gradient;
 use crate::dynamic::{DynamicError, DynamicFit};
 use crate::estimate::Sums;
@@ -15,8 +15,8 @@ use crate::estimate::Sums;
 pub(crate) fn sandwich(
     bench: &Bench<'_>,
     fit: &DynamicFit,
-    observed: &Covariances,
-) -> Result<Covariances, DynamicError> {
+    observed: &ValueCovariances,
+) -> Result<ValueCovariances, DynamicError> {
     let reduced = bench.reduce(&fit.sought)?;
     let scores = bench.scores(&fit.sought, &reduced, &fit.estimate.state.law())?;
     let n = observed.whole.nrows();
@@ -32,7 +32,7 @@ pub(crate) fn sandwich(
     for (place, &s) in observed.shared.iter().enumerate() {
         alpha[s] = alpha[s].map(|_| whole[(place, place)]).filter(|v| *v > 0.0);
     }
-    Ok(Covariances { alpha, shared: observed.shared.clone(), whole })
+    Ok(ValueCovariances { alpha, shared: observed.shared.clone(), whole })
 }
 
 /// The score of a test, or of all of a unit, in the coordinates of the shared values, then along the tangent basis.

@@ -57,7 +57,7 @@ pub(crate) struct AtScale {
 }
 
 /// Runs the filters at a value of θ.
-type Run<'a> = &'a dyn Fn(f64) -> Result<Reductions, DynamicError>;
+type FilterRun<'a> = &'a dyn Fn(f64) -> Result<Reductions, DynamicError>;
 
 impl Scale {
     /// `None` where α is not of this kind, where there are several phases, and where something is known otherwise than by rows.
@@ -73,7 +73,7 @@ impl Scale {
     }
 
     /// The ensemble at a θ_0 from which θ is not further than this, and λ; `None` where θ is not one that others can be had from.
-    fn home(&self, value: f64, far: f64, run: Run<'_>) -> Result<Option<(Arc<Home>, f64)>, DynamicError> {
+    fn home(&self, value: f64, far: f64, run: FilterRun<'_>) -> Result<Option<(Arc<Home>, f64)>, DynamicError> {
         if !(value > 0.0 && value.is_finite()) {
             return Ok(None);
         }
@@ -106,13 +106,13 @@ impl Scale {
     }
 
     /// The reductions at θ. `None` where θ is not one that others can be had from.
-    pub(crate) fn reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Reductions>, DynamicError> {
+    pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         Ok(scaled(home.reductions.clone(), &home.residuals, variance))
     }
 
     /// The same at the end of a search: nothing is left here that others are had from.
-    pub(crate) fn last_reductions(&self, value: f64, run: Run<'_>) -> Result<Option<Reductions>, DynamicError> {
+    pub(crate) fn last_reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         *self.home.lock().unwrap_or_else(PoisonError::into_inner) = None;
         let (reductions, residuals) = match Arc::try_unwrap(home) {
@@ -127,7 +127,7 @@ impl Scale {
         &self,
         origin: f64,
         value: f64,
-        run: Run<'_>,
+        run: FilterRun<'_>,
     ) -> Result<Option<Reductions>, DynamicError> {
         match self.home(origin, 1.0, run)? {
             Some(_) => self.reductions(value, run),
@@ -153,7 +153,7 @@ impl Scale {
     pub(crate) fn fit(
         &self,
         (value, coordinate): (f64, Coordinate),
-        (far, run): (f64, Run<'_>),
+        (far, run): (f64, FilterRun<'_>),
         (structure, near, settings): (&Structure<'_>, Option<&Population>, &Settings),
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some((home, variance)) = self.home(value, far, run)? else { return Ok(None) };

@@ -1,9 +1,9 @@
 //! The outer search (the paper's Figure 1): μ and Σ are solved for each α, and Newton's method moves α.
 
-use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::bench::{Bench, ProfilePoint};
 use crate::dynamic::em::Em;
-use crate::dynamic::iterate::{DRIFT, End, LONGEST, NEAR_ENOUGH, RISE, Search, Start};
-use crate::dynamic::joint::{self, Joint, LEVEL_GROUND};
+use crate::dynamic::iterate::{DRIFT, LONGEST, NEAR_ENOUGH, RISE, SearchEnd, SearchStart, SearchState};
+use crate::dynamic::joint::{self, JointInformation, LEVEL_GROUND};
 use crate::dynamic::quadratic::LevelScale;
 use crate::dynamic::twins::Twins;
 use crate::dynamic::{DynamicError, Method, Standing};
@@ -29,16 +29,16 @@ const FAINT_LOOKS: usize = 3;
 const SLOPE: f64 = 1e-3;
 
 /// How a search goes on.
-enum Turn {
+enum NextStep {
     /// With differences to both sides, or to one.
     On { closer: bool },
     /// Not at all.
     End(Stop),
 }
 
-impl<'b, 'a> Search<'b, 'a> {
+impl<'b, 'a> SearchState<'b, 'a> {
     /// To the optimum, certified by differences to both sides.
-    pub(crate) fn run(mut self) -> Result<End, DynamicError> {
+    pub(crate) fn run(mut self) -> Result<SearchEnd, DynamicError> {
         let mut fine = self.glided.is_some_and(|decrement| decrement <= self.tolerance()); // differences to both sides
         let mut stop = Stop::PassLimit;
         let mut last = None;
@@ -47,25 +47,26 @@ impl<'b, 'a> Search<'b, 'a> {
                 self.given_up = true;
                 break;
             }
-            let joint = Joint::new(self.bench, &self.home, &self.active(), fine);
+            let joint = JointInformation::new(self.bench, &self.home, &self.active(), fine);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
             let turn = self.turn(&joint, &step, fine);
             last = Some((joint, step.decrement));
             match turn {
-                Turn::On { closer } => fine = closer,
-                Turn::End(how) => {
+                NextStep::On { closer } => fine = closer,
+                NextStep::End(how) => {
                     stop = how;
                     break;
                 }
             }
         }
-        let unseen = || (Joint::new(self.bench, &self.home, &vec![false; self.standing.len()], false), f64::NAN);
+        let unseen =
+            || (JointInformation::new(self.bench, &self.home, &vec![false; self.standing.len()], false), f64::NAN);
         let last = last.unwrap_or_else(unseen);
         Ok(self.ended(last, stop))
     }
 
     /// Where it ended, with what is known there and how far that is from the optimum: no better than (μ, Σ) themselves.
-    pub(super) fn ended(mut self, (joint, certificate): (Joint, f64), mut stop: Stop) -> End {
+    pub(super) fn ended(mut self, (joint, certificate): (JointInformation, f64), mut stop: Stop) -> SearchEnd {
         self.name_idle(&joint);
         if stop == Stop::Certified && self.is_on_a_slope(&joint) {
             stop = Stop::Stalled;
@@ -73,12 +74,12 @@ impl<'b, 'a> Search<'b, 'a> {
         if self.home.estimate.stop != Stop::Certified && stop != Stop::Interrupted {
             stop = self.home.estimate.stop;
         }
-        let Search { home, standing, trace, before_zero, level_scale, given_up, .. } = self;
-        End { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up }
+        let SearchState { home, standing, trace, before_zero, level_scale, given_up, .. } = self;
+        SearchEnd { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up }
     }
 
     /// ℓ runs straight along a logarithm: no step of Newton's follows, yet there is no maximum.
-    fn is_on_a_slope(&self, joint: &Joint) -> bool {
+    fn is_on_a_slope(&self, joint: &JointInformation) -> bool {
         let straight = |s: usize| {
             let moves = self.bench.coordinates[s].log && self.standing[s] == Standing::Inside && self.held != Some(s);
             moves && self.home.gradient[s].abs() > SLOPE && joint.curvature(s).abs() < LEVEL_GROUND
@@ -87,42 +88,44 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// What to do where this is known; `fine` when it is by differences to both sides.
-    fn turn(&mut self, joint: &Joint, step: &joint::Step, fine: bool) -> Turn {
+    fn turn(&mut self, joint: &JointInformation, step: &joint::JointStep, fine: bool) -> NextStep {
         if self.progress.stops() {
-            return Turn::End(Stop::Interrupted);
+            return NextStep::End(Stop::Interrupted);
         }
         let sunk = step.decrement < HARDLY && self.sunk(joint);
         if (step.decrement < NEAR && self.joined()) || sunk || self.leap(joint) || self.drifted(joint, step) {
             self.place();
-            return Turn::On { closer: false };
+            return NextStep::On { closer: false };
         }
         let still = step.decrement <= self.tolerance();
         if still && !step.concave && (self.settled() || self.off_saddle(joint)) {
-            return Turn::On { closer: false };
+            return NextStep::On { closer: false };
         }
         if self.hopeless(step.decrement) {
             self.given_up = !self.revived(joint);
-            return if self.given_up { Turn::End(Stop::PassLimit) } else { Turn::On { closer: false } };
+            return if self.given_up { NextStep::End(Stop::PassLimit) } else { NextStep::On { closer: false } };
         }
         if still && step.concave {
             return match fine {
-                false => Turn::On { closer: true },
-                true if self.settled() => Turn::On { closer: true },
-                true if self.nearer_zero() || self.revived(joint) || self.beside(joint) => Turn::On { closer: false },
-                true => Turn::End(Stop::Certified),
+                false => NextStep::On { closer: true },
+                true if self.settled() => NextStep::On { closer: true },
+                true if self.nearer_zero() || self.revived(joint) || self.beside(joint) => {
+                    NextStep::On { closer: false }
+                }
+                true => NextStep::End(Stop::Certified),
             };
         }
         if self.advance(joint, step.decrement, fine) {
             self.place();
             self.tell(Some(step.decrement));
             let arrived = self.glided.is_some_and(|decrement| decrement <= self.tolerance());
-            return Turn::On { closer: fine || arrived };
+            return NextStep::On { closer: fine || arrived };
         }
         if !fine {
-            return Turn::On { closer: true };
+            return NextStep::On { closer: true };
         }
         let enough = step.decrement <= NEAR_ENOUGH * self.tolerance() && step.concave;
-        Turn::End(if enough { Stop::Certified } else { Stop::Stalled })
+        NextStep::End(if enough { Stop::Certified } else { Stop::Stalled })
     }
 
     /// Two processes that coincide become one, and the other is at zero: how they share what they explain is no matter of ℓ.
@@ -137,7 +140,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Off a stationary point that is no maximum, along the direction in which ℓ curves upward most.
-    pub(super) fn off_saddle(&mut self, joint: &Joint) -> bool {
+    pub(super) fn off_saddle(&mut self, joint: &JointInformation) -> bool {
         let Some(direction) = joint.upward() else { return false };
         for length in [0.5, -0.5, 0.1, -0.1, 0.02, -0.02] {
             let values = self.bench.moved(&self.home.values, &direction, length);
@@ -162,7 +165,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// Off a certified point along directions in which ℓ hardly curves, where it rises further out.
-    fn beside(&mut self, joint: &Joint) -> bool {
+    fn beside(&mut self, joint: &JointInformation) -> bool {
         if self.faint_looks >= FAINT_LOOKS {
             return false;
         }
@@ -180,7 +183,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides.
-    fn advance(&mut self, joint: &Joint, decrement: f64, fine: bool) -> bool {
+    fn advance(&mut self, joint: &JointInformation, decrement: f64, fine: bool) -> bool {
         let levels = match self.level_scale {
             LevelScale::Logarithm => self.levels_near_zero(joint),
             LevelScale::Variance => self.all_levels(joint),
@@ -209,9 +212,9 @@ impl<'b, 'a> Search<'b, 'a> {
     /// Takes a step if it has done what it promised, and goes on from there.
     fn accept(
         &mut self,
-        next: Solved,
-        (joint, levels): (&Joint, &[(usize, f64)]),
-        (step, decrement): (&joint::Step, f64),
+        next: ProfilePoint,
+        (joint, levels): (&JointInformation, &[(usize, f64)]),
+        (step, decrement): (&joint::JointStep, f64),
     ) -> bool {
         let slack = 1e-12 * self.home.value().abs().max(1.0);
         let (promised, gain) = (0.5 * step.decrement.powi(2), next.value() - self.home.value());
@@ -239,7 +242,7 @@ impl<'b, 'a> Search<'b, 'a> {
 
     /// The step with so much damping that no value goes too far; values of single tests are cut off by themselves. `levels` move
     /// in their variances, to zero at most.
-    fn within_reach(&mut self, joint: &Joint, levels: &[(usize, f64)]) -> joint::Step {
+    fn within_reach(&mut self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let reach = |s: usize| match levels.iter().find(|(level, _)| *level == s) {
             Some((_, exponent)) => Some((-exponent.recip(), HIGHEST / exponent)),
             None => self.bench.coordinates[s].log.then_some((-LONGEST, LONGEST)),
@@ -260,7 +263,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// The step, what reaches zero going no further, and the rest beside it.
-    fn to_zero_at_most(&self, joint: &Joint, levels: &[(usize, f64)]) -> joint::Step {
+    fn to_zero_at_most(&self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let mut pinned: Vec<(usize, f64)> = Vec::new();
         loop {
             let step = joint.step_beside(&self.home.gradient, self.inner_gradient(), self.damping, &pinned);
@@ -290,7 +293,7 @@ impl<'b, 'a> Search<'b, 'a> {
     }
 
     /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level. Whether it did.
-    fn stride(&mut self, step: &joint::Step) -> bool {
+    fn stride(&mut self, step: &joint::JointStep) -> bool {
         let far = step.alpha.iter().zip(&self.bench.coordinates).any(|(d, c)| c.log && d.abs() > DRIFT);
         if !far || step.decrement > 0.3 {
             return false;
@@ -309,12 +312,12 @@ impl<'b, 'a> Search<'b, 'a> {
 /// A search from a start, by the method that was asked for; it gives up where `floor` is out of reach.
 pub(crate) fn search(
     bench: &Bench<'_>,
-    start: Start,
+    start: SearchStart,
     floor: Option<f64>,
     progress: &mut dyn Progress,
-) -> Result<End, DynamicError> {
+) -> Result<SearchEnd, DynamicError> {
     let home = bench.solve(&start.values, None)?;
-    let mut search = Search::new(bench, progress, home).beyond(floor);
+    let mut search = SearchState::new(bench, progress, home).beyond(floor);
     search.begin_with(start.curvature);
     match bench.settings.method {
         Method::Hybrid | Method::Innovations => search.run(),

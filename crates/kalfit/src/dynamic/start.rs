@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::dynamic::DynamicError;
 use crate::dynamic::balance::balance;
 use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::Start;
+use crate::dynamic::iterate::SearchStart;
 use crate::dynamic::sample::{larger, nearer, promising, roughly, sample, total};
 use crate::dynamic::scales::{drives, measures, time_constants};
 use crate::dynamic::tries::{other_maxima, scan, valued};
@@ -25,7 +25,7 @@ const SPREAD: f64 = 1.5;
 
 /// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
 /// in a time constant, and as many random ones as the settings say.
-pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<Vec<Start>, DynamicError> {
+pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<Vec<SearchStart>, DynamicError> {
     let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
     let sample = sample(bench.tests, common);
     let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
@@ -46,7 +46,7 @@ pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<V
     }
     all.extend((0..bench.settings.starts).map(|k| random(bench, &first, k)));
     if total(&sample) == total(bench.tests) {
-        return Ok(all.into_iter().map(Start::from).collect());
+        return Ok(all.into_iter().map(SearchStart::from).collect());
     }
     // values that were given are one start, whatever becomes of the others on a part of the data
     let free = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).count();

@@ -10,10 +10,12 @@ use crate::dynamic::DynamicError;
 use crate::dynamic::bench::Bench;
 use crate::estimate::InitialLaw;
 use crate::model::Alpha;
-use crate::reduce::{Data, Design, Evidence, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Step, Transition};
+use crate::reduce::{
+    Data, Design, DesignStep, Evidence, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Transition,
+};
 
 /// A place in all coordinates.
-pub(super) struct Place {
+pub(super) struct RecordPoint {
     reducer: PhasedReducer,
     law: InitialLaw,
     /// Roots of the covariances of tests and of their groups, from the innermost on.
@@ -21,19 +23,19 @@ pub(super) struct Place {
 }
 
 /// A test and its groups, from the innermost on.
-pub(super) struct Member<'t> {
+pub(super) struct GroupedTest<'t> {
     pub(super) test: &'t PhasedTest,
     pub(super) groups: Vec<usize>,
 }
 
 /// Tests that follow each other, at a place.
-pub(super) struct Record {
+pub(super) struct RecordMoments {
     sections: Vec<Section>,
 }
 
 /// A phase of a test: what enters it, and its steps.
 struct Section {
-    entry: Motion,
+    entry: MotionValues,
     design: Design,
     data: Data,
     /// (i, j, covariance) of noises of the same step, by scalar measurement.
@@ -43,36 +45,36 @@ struct Section {
 }
 
 /// x → φx + b + w, w ~ N(0, Q), or the slopes of φ, Q and b; φ has as many columns as there were states.
-pub(super) struct Motion {
+pub(super) struct MotionValues {
     pub(super) phi: DMatrix<f64>,
     pub(super) noise: DMatrix<f64>,
     pub(super) input: DVector<f64>,
 }
 
 /// h, R and z - d of a scalar measurement, or their slopes.
-pub(super) struct Line {
+pub(super) struct LineValues {
     pub(super) h: DVector<f64>,
     pub(super) noise: f64,
     pub(super) value: f64,
 }
 
 /// A motion and the measurements after it.
-pub(super) struct Moment {
-    pub(super) motion: Option<Motion>,
-    pub(super) lines: Vec<Line>,
+pub(super) struct TimeStep {
+    pub(super) motion: Option<MotionValues>,
+    pub(super) lines: Vec<LineValues>,
 }
 
-impl Place {
-    pub(super) fn new(bench: &Bench<'_>, alpha: &Alpha, law: InitialLaw) -> Result<Place, DynamicError> {
+impl RecordPoint {
+    pub(super) fn new(bench: &Bench<'_>, alpha: &Alpha, law: InitialLaw) -> Result<RecordPoint, DynamicError> {
         let reducer = PhasedReducer::scoring(bench.model, alpha, bench.slots).map_err(Box::new)?;
         let levels = bench.model.levels.len() + 1;
         let width = law.root.ncols() / levels;
         let roots = (0..levels).map(|level| law.root.columns(level * width, width).into_owned()).collect();
-        Ok(Place { reducer, law, roots })
+        Ok(RecordPoint { reducer, law, roots })
     }
 
     /// Tests one after the other.
-    pub(super) fn record(&self, members: &[Member<'_>]) -> Result<Record, ReduceError> {
+    pub(super) fn record(&self, members: &[GroupedTest<'_>]) -> Result<RecordMoments, ReduceError> {
         let mut work = self.reducer.workspace();
         work.phases.iter_mut().for_each(|phase| phase.covariances = Some(Vec::new()));
         let mut sections: Vec<Section> = Vec::new();
@@ -80,14 +82,14 @@ impl Place {
             let last = k.checked_sub(1).map(|k| &members[k]).zip(sections.last().map(Section::states));
             sections.extend(self.sections(member, last, &mut work)?);
         }
-        Ok(Record { sections })
+        Ok(RecordMoments { sections })
     }
 
     /// The phases of a test. `last`: the test before, and how many states it left.
     fn sections(
         &self,
-        member: &Member<'_>,
-        last: Option<(&Member<'_>, usize)>,
+        member: &GroupedTest<'_>,
+        last: Option<(&GroupedTest<'_>, usize)>,
         work: &mut PhasedWork,
     ) -> Result<Vec<Section>, ReduceError> {
         let held = member.groups.len() * self.law.root.nrows();
@@ -97,7 +99,7 @@ impl Place {
             let (design, data, own) = phase.reducer.evaluated(rows, room).map_err(|error| phase.named(error))?;
             covariates.extend(own);
             let covariances = room.covariances.clone().unwrap_or_default();
-            sections.push(Section { entry: Motion::still((0, 0)), design, data, covariances, held });
+            sections.push(Section { entry: MotionValues::still((0, 0)), design, data, covariances, held });
         }
         let mean = self.law.mean_of(&covariates);
         let (mut first, mut before) = (0, last.map_or(0, |(_, states)| states));
@@ -118,7 +120,12 @@ impl Place {
     }
 
     /// Adds what groups give: that of groups of the test before stays, other groups are new.
-    fn groups(&self, entry: &mut Motion, a: &DMatrix<f64>, (member, last): (&Member<'_>, Option<&Member<'_>>)) {
+    fn groups(
+        &self,
+        entry: &mut MotionValues,
+        a: &DMatrix<f64>,
+        (member, last): (&GroupedTest<'_>, Option<&GroupedTest<'_>>),
+    ) {
         let (p, held) = (self.law.root.nrows(), member.groups.len() * self.law.root.nrows());
         for (level, group) in member.groups.iter().enumerate() {
             let place = level * p;
@@ -138,8 +145,8 @@ impl Place {
     /// Adds what a later phase inherits.
     fn carry(
         &self,
-        (entry, a): (&mut Motion, &DMatrix<f64>),
-        (at, member, held): (usize, &Member<'_>, usize),
+        (entry, a): (&mut MotionValues, &DMatrix<f64>),
+        (at, member, held): (usize, &GroupedTest<'_>, usize),
         work: &mut PhasedWork,
     ) -> Result<(), ReduceError> {
         let [before, phase] = [&self.reducer.phases()[at - 1], &self.reducer.phases()[at]];
@@ -167,9 +174,9 @@ impl Section {
     }
 
     /// What enters it from `before` states, of which nothing is kept yet; `own`: what the mean gives.
-    fn start(&self, before: usize, own: DVector<f64>) -> Motion {
+    fn start(&self, before: usize, own: DVector<f64>) -> MotionValues {
         let (held, n, r) = (self.held, self.design.frame.n, self.design.frame.r);
-        let mut entry = Motion::still((held + n, before));
+        let mut entry = MotionValues::still((held + n, before));
         entry.input.rows_mut(held, n).copy_from(&(own + DVector::from_column_slice(&self.data.start)));
         for i in 0..r {
             for j in 0..r {
@@ -180,16 +187,16 @@ impl Section {
     }
 }
 
-impl Record {
+impl RecordMoments {
     /// All moments, in order.
-    pub(super) fn moments(&self) -> Moments<'_> {
-        Moments { record: self, section: 0, step: None, inputs: 0, crossed: 0, extra: 0 }
+    pub(super) fn moments(&self) -> TimeSteps<'_> {
+        TimeSteps { record: self, section: 0, step: None, inputs: 0, crossed: 0, extra: 0 }
     }
 }
 
 /// A record on its way through its moments.
-pub(super) struct Moments<'r> {
-    record: &'r Record,
+pub(super) struct TimeSteps<'r> {
+    record: &'r RecordMoments,
     section: usize,
     /// The next step of the section; `None` before what enters it.
     step: Option<usize>,
@@ -200,15 +207,15 @@ pub(super) struct Moments<'r> {
     extra: usize,
 }
 
-impl Iterator for Moments<'_> {
-    type Item = Moment;
+impl Iterator for TimeSteps<'_> {
+    type Item = TimeStep;
 
-    fn next(&mut self) -> Option<Moment> {
+    fn next(&mut self) -> Option<TimeStep> {
         let section = self.record.sections.get(self.section)?;
         let Some(k) = self.step else {
             (self.step, self.inputs, self.crossed) = (Some(0), 0, 0);
             let entry = section.entry.with_noises(std::mem::take(&mut self.extra), &DMatrix::zeros(0, 0));
-            return Some(Moment { motion: Some(entry), lines: Vec::new() });
+            return Some(TimeStep { motion: Some(entry), lines: Vec::new() });
         };
         if k == section.design.steps() {
             (self.section, self.step) = (self.section + 1, None);
@@ -225,18 +232,18 @@ impl Iterator for Moments<'_> {
             0 => motion,
             _ => {
                 let covariance = section.covariance(&step, &noises, crossed);
-                Some(motion.unwrap_or_else(|| Motion::none(states)).with_noises(before, &covariance))
+                Some(motion.unwrap_or_else(|| MotionValues::none(states)).with_noises(before, &covariance))
             }
         };
         let line =
             |(line, row)| section.line((line, row), (states + noises.len(), noises.iter().position(|&at| at == row)));
-        Some(Moment { motion, lines: step.lines.zip(step.rows).map(line).collect() })
+        Some(TimeStep { motion, lines: step.lines.zip(step.rows).map(line).collect() })
     }
 }
 
-impl Moments<'_> {
+impl TimeSteps<'_> {
     /// The covariances of noises of a step, which are taken.
-    fn crossed<'s>(&mut self, section: &'s Section, step: &Step<'_>) -> &'s [(usize, usize, f64)] {
+    fn crossed<'s>(&mut self, section: &'s Section, step: &DesignStep<'_>) -> &'s [(usize, usize, f64)] {
         let left = &section.covariances[self.crossed..];
         let own = left.iter().take_while(|(i, ..)| *i < step.rows.end).count();
         self.crossed += own;
@@ -244,9 +251,9 @@ impl Moments<'_> {
     }
 
     /// φ, Q and b of a transition, which takes its inputs.
-    fn motion(&mut self, section: &Section, transition: &Transition) -> Motion {
+    fn motion(&mut self, section: &Section, transition: &Transition) -> MotionValues {
         let (n, held) = (section.design.frame.n, section.held);
-        let mut motion = Motion::none(held + n);
+        let mut motion = MotionValues::none(held + n);
         motion.phi.view_mut((held, held), (n, n)).copy_from(&transition.phi_of(n, |i| i));
         motion.noise.view_mut((held, held), (n, n)).copy_from(&transition.noise_of(n, |i| i));
         for &state in &section.design.frame.driven {
@@ -259,13 +266,13 @@ impl Moments<'_> {
 
 impl Section {
     /// Scalar measurements of a step whose noises are correlated.
-    fn noises(&self, step: &Step<'_>, crossed: &[(usize, usize, f64)]) -> Vec<usize> {
+    fn noises(&self, step: &DesignStep<'_>, crossed: &[(usize, usize, f64)]) -> Vec<usize> {
         let is_crossed = |row: &usize| crossed.iter().any(|(i, j, _)| i == row || j == row);
         step.rows.clone().filter(is_crossed).collect()
     }
 
     /// Their covariance.
-    fn covariance(&self, step: &Step<'_>, noises: &[usize], crossed: &[(usize, usize, f64)]) -> DMatrix<f64> {
+    fn covariance(&self, step: &DesignStep<'_>, noises: &[usize], crossed: &[(usize, usize, f64)]) -> DMatrix<f64> {
         let mut covariance = DMatrix::zeros(noises.len(), noises.len());
         for (k, row) in noises.iter().enumerate() {
             covariance[(k, k)] = self.design.noise[step.lines.start + row - step.rows.start];
@@ -281,7 +288,7 @@ impl Section {
     }
 
     /// A scalar measurement on so many states, `noise` the place of its noise among those that are states.
-    fn line(&self, (line, row): (usize, usize), (states, noise): (usize, Option<usize>)) -> Line {
+    fn line(&self, (line, row): (usize, usize), (states, noise): (usize, Option<usize>)) -> LineValues {
         let (of, terms) = self.design.terms(line);
         let mut h = DVector::zeros(states);
         of.iter().zip(terms).for_each(|(&state, &term)| h[self.held + state as usize] = term);
@@ -289,19 +296,19 @@ impl Section {
             h[self.states() + place] = 1.0;
         }
         let own = if noise.is_some() { 0.0 } else { self.design.noise[line] };
-        Line { h, noise: own, value: self.data.values[row] }
+        LineValues { h, noise: own, value: self.data.values[row] }
     }
 }
 
-impl Motion {
+impl MotionValues {
     /// To nothing at all, of so many states from so many: slopes of what does not change.
-    pub(super) fn still((to, from): (usize, usize)) -> Motion {
-        Motion { phi: DMatrix::zeros(to, from), noise: DMatrix::zeros(to, to), input: DVector::zeros(to) }
+    pub(super) fn still((to, from): (usize, usize)) -> MotionValues {
+        MotionValues { phi: DMatrix::zeros(to, from), noise: DMatrix::zeros(to, to), input: DVector::zeros(to) }
     }
 
     /// Of n states that stay.
-    fn none(n: usize) -> Motion {
-        Motion { phi: DMatrix::identity(n, n), ..Motion::still((n, n)) }
+    fn none(n: usize) -> MotionValues {
+        MotionValues { phi: DMatrix::identity(n, n), ..MotionValues::still((n, n)) }
     }
 
     /// Adds noise with this root to states from `first` on.
@@ -312,9 +319,9 @@ impl Motion {
     }
 
     /// The same where so many noises were states before, and these are now.
-    fn with_noises(&self, before: usize, covariance: &DMatrix<f64>) -> Motion {
+    fn with_noises(&self, before: usize, covariance: &DMatrix<f64>) -> MotionValues {
         let ((to, from), now) = (self.phi.shape(), covariance.nrows());
-        let mut motion = Motion::still((to + now, from + before));
+        let mut motion = MotionValues::still((to + now, from + before));
         motion.phi.view_mut((0, 0), (to, from)).copy_from(&self.phi);
         motion.noise.view_mut((0, 0), (to, to)).copy_from(&self.noise);
         motion.noise.view_mut((to, to), (now, now)).copy_from(covariance);

@@ -1,8 +1,8 @@
 //! Gradients, information and searches on a small bench of instruments: two noise levels that vary within a test, a drift.
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::Search;
-use crate::dynamic::joint::Joint;
+use crate::dynamic::iterate::SearchState;
+use crate::dynamic::joint::JointInformation;
 use crate::dynamic::sample::promising;
 use crate::dynamic::start::starts;
 use crate::dynamic::{DynamicFit, Method, Settings, fit, infer};
@@ -184,8 +184,8 @@ fn the_information_in_a_scale_of_all_noise_is_that_of_differences() {
             for value in [0.3, 0.9] {
                 let home = bench.solve(&[value], None).expect("defined");
                 let by_filters = filtered.solve(&[value], None).expect("defined");
-                let found = Joint::new(&bench, &home, &[true], false).undivided_matrix();
-                let expected = Joint::new(&filtered, &by_filters, &[true], true).undivided_matrix();
+                let found = JointInformation::new(&bench, &home, &[true], false).undivided_matrix();
+                let expected = JointInformation::new(&filtered, &by_filters, &[true], true).undivided_matrix();
                 let off = (&found - &expected).amax() / expected.amax();
                 assert!(off < 1e-6, "{criterion:?} {value} {positive}: {found} {expected}");
             }
@@ -223,7 +223,7 @@ fn the_joint_information_is_that_of_the_gradient_at_the_best_mean_and_covariance
         let bench = Bench::new(&model, &tests, &slots, &settings);
         let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
         let home = bench.solve(&values, None).expect("defined");
-        let found = Joint::new(&bench, &home, &[true; 5], true).covariances();
+        let found = JointInformation::new(&bench, &home, &[true; 5], true).covariances();
         // the profile information by differences of gradients that each come with their own mean and covariance
         let h = 1e-4;
         let information = nalgebra::DMatrix::from_fn(5, 5, |i, s| {
@@ -282,7 +282,7 @@ fn values_of_single_tests_are_eliminated_exactly() {
     let bench = Bench::new(&model, &tests, &slots, &settings);
     let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
     let home = bench.solve(&values, None).expect("defined");
-    let joint = Joint::new(&bench, &home, &[true; 33], true);
+    let joint = JointInformation::new(&bench, &home, &[true; 33], true);
     assert_eq!(joint.shared().len(), 3, "the others are of single tests");
     let whole = joint.undivided();
     let inner = home.estimate.state.place.tangent.gradient.clone();
@@ -366,7 +366,7 @@ fn processes_that_coincide_become_one_in_a_search_unless_they_are_held() {
     let search = |values: [f64; 5], held: Option<usize>, silent: &mut Silent| {
         let home = bench.solve(&values, None).expect("defined");
         let before = home.value();
-        let mut search = Search::new(&bench, silent, home);
+        let mut search = SearchState::new(&bench, silent, home);
         held.into_iter().for_each(|s| search.hold(s));
         (search.joined(), search.home.value() - before, search.home.values.clone())
     };

@@ -9,7 +9,7 @@
 //! noise in the data ℓ falls before that.
 
 use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::End;
+use crate::dynamic::iterate::SearchEnd;
 use crate::dynamic::scales::relative_rounding;
 use crate::dynamic::{Standing, coordinates::Coordinate};
 use crate::estimate::Stop;
@@ -30,7 +30,7 @@ const FEW: usize = 8;
 
 /// The end, of the best one and of one that is higher and not certified, where ℓ rises without bound, and the levels that go to zero
 /// there.
-pub(super) fn find(bench: &Bench<'_>, ends: &[End], best: usize) -> Option<(usize, Vec<usize>)> {
+pub(super) fn find(bench: &Bench<'_>, ends: &[SearchEnd], best: usize) -> Option<(usize, Vec<usize>)> {
     let value = |at: usize| ends[at].home.value();
     let higher = (0..ends.len()).filter(|&at| ends[at].stop != Stop::Certified && value(at) > value(best));
     let highest = higher.max_by(|&a, &b| value(a).total_cmp(&value(b)));
@@ -39,7 +39,7 @@ pub(super) fn find(bench: &Bench<'_>, ends: &[End], best: usize) -> Option<(usiz
 }
 
 /// What is not certified, or has levels that a search left behind on their way, or that rounding of the data held up.
-fn is_open(bench: &Bench<'_>, end: &End) -> bool {
+fn is_open(bench: &Bench<'_>, end: &SearchEnd) -> bool {
     let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
     let tiny = |s: usize| {
         let value = end.home.values[s];
@@ -54,7 +54,7 @@ fn is_open(bench: &Bench<'_>, end: &End) -> bool {
 }
 
 /// The fewest levels found that ℓ rises without bound with as they go to zero together.
-fn levels(bench: &Bench<'_>, end: &End) -> Option<Vec<usize>> {
+fn levels(bench: &Bench<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
     let depth = depth(bench)?;
     let (values, units) = (&end.home.values, bench.units());
     let all: Vec<usize> = (0..values.len()).filter(|&s| can_vanish(&bench.coordinates[s])).collect();

@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::dynamic::covariances::Covariances;
+use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::{Coordinate, DynamicFit, ParameterInference, Standing};
 use crate::model::PhasedModel;
 
@@ -10,7 +10,11 @@ use crate::model::PhasedModel;
 const UNDETERMINED: f64 = 10.0;
 
 /// Standard errors by the delta method; intervals by Wald in the coordinate, so that those of positive values are positive.
-pub(crate) fn parameters(model: &PhasedModel, fit: &DynamicFit, covariances: &Covariances) -> Vec<ParameterInference> {
+pub(crate) fn parameters(
+    model: &PhasedModel,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+) -> Vec<ParameterInference> {
     let coordinates = Coordinate::of(model, &fit.slots);
     let normal = Normal::standard().inverse_cdf(0.975);
     let one = |s: usize| {

@@ -1,9 +1,9 @@
 //! Values on their way to zero and to infinity. A noise level moves in its variance, where zero is a bound like any other.
 
 use crate::dynamic::Standing;
-use crate::dynamic::bench::Solved;
-use crate::dynamic::iterate::{DRIFT, Search};
-use crate::dynamic::joint::{self, Joint};
+use crate::dynamic::bench::ProfilePoint;
+use crate::dynamic::iterate::{DRIFT, SearchState};
+use crate::dynamic::joint::{self, JointInformation};
 
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
 /// as 1/x, x² or the like.
@@ -25,7 +25,7 @@ const NEARER: f64 = 0.1;
 const FEW_PARTS: f64 = 1e-2;
 const UNFELT: f64 = 1e-6;
 
-impl Search<'_, '_> {
+impl SearchState<'_, '_> {
     /// Levels at zero, or as near to it as ℓ is defined.
     pub(super) fn zeros(&self) -> Vec<usize> {
         (0..self.home.values.len()).filter(|&s| self.is_at_zero(s)).collect()
@@ -43,7 +43,7 @@ impl Search<'_, '_> {
 
     /// Levels whose variance is nearer to ℓ's own coordinate than its logarithm, with their exponents: those that would reach zero,
     /// and those far below their optimum.
-    pub(super) fn levels_near_zero(&self, joint: &Joint) -> Vec<(usize, f64)> {
+    pub(super) fn levels_near_zero(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let near = |&s: &usize| -> Option<(usize, f64)> {
             let exponent = self.bench.coordinates[s].level?;
             let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
@@ -56,7 +56,7 @@ impl Search<'_, '_> {
     }
 
     /// All levels that move, with their exponents, but those far from where ℓ curves downward in their variances.
-    pub(super) fn all_levels(&self, joint: &Joint) -> Vec<(usize, f64)> {
+    pub(super) fn all_levels(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let level = |&s: &usize| {
             let exponent = self.bench.coordinates[s].level?;
             let bend = exponent * self.home.gradient[s];
@@ -66,7 +66,7 @@ impl Search<'_, '_> {
     }
 
     /// Where ℓ is not defined with levels at zero, the same with them a little above it, which is as low as they go from now on.
-    pub(super) fn above_zero(&mut self, values: &[f64]) -> Option<Solved> {
+    pub(super) fn above_zero(&mut self, values: &[f64]) -> Option<ProfilePoint> {
         let mut raised = values.to_vec();
         let fell =
             |&s: &usize| self.bench.coordinates[s].level.is_some() && values[s] == 0.0 && self.home.values[s] > 0.0;
@@ -107,7 +107,7 @@ impl Search<'_, '_> {
 
     /// Logarithms along which ℓ runs level downwards are tried at their lower bound, at zero say: all at once, then a few of
     /// them one by one.
-    pub(super) fn leap(&mut self, joint: &Joint) -> bool {
+    pub(super) fn leap(&mut self, joint: &JointInformation) -> bool {
         let sinking = |&s: &usize| {
             let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
             let tail = (-TAIL..0.0).contains(&slope) && bend > 0.0 && bend <= LEVEL * slope.abs();
@@ -140,7 +140,7 @@ impl Search<'_, '_> {
     }
 
     /// Levels so small that ℓ does not feel them are at zero.
-    pub(super) fn sunk(&mut self, joint: &Joint) -> bool {
+    pub(super) fn sunk(&mut self, joint: &JointInformation) -> bool {
         let faint = |s: &usize| {
             let level = self.bench.coordinates[*s].level.is_some() && self.standing[*s] == Standing::Inside;
             level
@@ -162,7 +162,7 @@ impl Search<'_, '_> {
 
     /// Logarithms that would still go far for next to nothing are left where they are: at zero, as far as the data can tell, or
     /// at infinity.
-    pub(super) fn drifted(&mut self, joint: &Joint, step: &joint::Step) -> bool {
+    pub(super) fn drifted(&mut self, joint: &JointInformation, step: &joint::JointStep) -> bool {
         if 0.5 * step.decrement.powi(2) > BEYOND {
             return false;
         }

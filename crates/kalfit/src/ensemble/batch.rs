@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::ensemble::records::Records;
+use crate::ensemble::records::RowStore;
 use crate::ensemble::{Label, Source, Test, TestId};
 
 /// Tests on their way from a table, one after the other: their ids and cells stand in a few pieces of memory, however many tests
@@ -21,7 +21,7 @@ use crate::ensemble::{Label, Source, Test, TestId};
 #[derive(Debug, Clone, Default)]
 pub struct TestBatch {
     ids: String,
-    records: Records,
+    records: RowStore,
     /// Where the id and the rows of each test begin.
     begins: Vec<(usize, usize)>,
 }
@@ -29,7 +29,7 @@ pub struct TestBatch {
 impl TestBatch {
     /// No tests, whose rows have this many numeric and text cells.
     pub fn new(columns: usize, text_columns: usize) -> TestBatch {
-        TestBatch { records: Records::new(columns, text_columns), ..TestBatch::default() }
+        TestBatch { records: RowStore::new(columns, text_columns), ..TestBatch::default() }
     }
 
     /// Begins another test.

@@ -6,7 +6,7 @@ use crate::ensemble::{Label, Source};
 
 /// Rows of cells, and where they came from.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Records {
+pub(super) struct RowStore {
     columns: usize,
     text_columns: usize,
     numbers: Vec<f64>,
@@ -16,10 +16,10 @@ pub(super) struct Records {
     sources: Vec<(usize, Source)>,
 }
 
-impl Records {
+impl RowStore {
     /// No rows of so many numeric and text cells.
-    pub(super) fn new(columns: usize, text_columns: usize) -> Records {
-        Records { columns, text_columns, ..Records::default() }
+    pub(super) fn new(columns: usize, text_columns: usize) -> RowStore {
+        RowStore { columns, text_columns, ..RowStore::default() }
     }
 
     pub(super) fn widths(&self) -> (usize, usize) {
@@ -62,7 +62,7 @@ impl Records {
     }
 
     /// Appends rows of others.
-    pub(super) fn push_from(&mut self, others: &Records, rows: Range<usize>) {
+    pub(super) fn push_from(&mut self, others: &RowStore, rows: Range<usize>) {
         let mut start = rows.start;
         while start < rows.end {
             let end = others.follow(start).min(rows.end);

@@ -4,7 +4,7 @@ use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::ensemble::records::Records;
+use crate::ensemble::records::RowStore;
 use crate::ensemble::{Label, TestId};
 
 /// Where a row came from. The core only carries it, for messages.
@@ -24,7 +24,7 @@ pub struct Source {
 pub struct Test {
     /// Its id, as text.
     pub id: TestId,
-    records: Arc<Records>,
+    records: Arc<RowStore>,
     /// Its first row among the records.
     first: usize,
     rows: usize,
@@ -33,11 +33,11 @@ pub struct Test {
 impl Test {
     /// An empty test whose rows have this many numeric and text cells.
     pub fn new(id: impl Into<TestId>, columns: usize, text_columns: usize) -> Test {
-        Test { id: id.into(), records: Arc::new(Records::new(columns, text_columns)), first: 0, rows: 0 }
+        Test { id: id.into(), records: Arc::new(RowStore::new(columns, text_columns)), first: 0, rows: 0 }
     }
 
     /// Rows of records.
-    pub(super) fn part(id: TestId, records: &Arc<Records>, rows: Range<usize>) -> Test {
+    pub(super) fn part(id: TestId, records: &Arc<RowStore>, rows: Range<usize>) -> Test {
         Test { id, records: records.clone(), first: rows.start, rows: rows.len() }
     }
 
@@ -71,12 +71,12 @@ impl Test {
     }
 
     /// Its records, which nobody else has and which have no other rows.
-    fn own(&mut self) -> &mut Records {
+    fn own(&mut self) -> &mut RowStore {
         let (first, rows) = (self.first, self.rows);
         let alone = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
         if !alone {
             let (columns, text_columns) = self.records.widths();
-            let mut own = Records::new(columns, text_columns);
+            let mut own = RowStore::new(columns, text_columns);
             own.push_from(&self.records, first..first + rows);
             (self.records, self.first) = (Arc::new(own), 0);
         }

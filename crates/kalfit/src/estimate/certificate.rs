@@ -6,10 +6,10 @@
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
-use crate::estimate::covariance::{Constraint, CovarianceMap, Form, Part, place as place_block, sub};
+use crate::estimate::covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm, place as place_block, sub};
 use crate::estimate::curvature::Curvature;
 use crate::estimate::local::natural_sizes;
-use crate::estimate::newton::Place;
+use crate::estimate::newton::NewtonIterate;
 use crate::estimate::relaxed::{relax, undetermined};
 use crate::linalg::symmetric;
 
@@ -82,7 +82,7 @@ pub(crate) struct Escape {
 }
 
 /// The certificate at a place, and the way off the boundary when it fails there.
-pub(crate) fn certificate(map: &CovarianceMap, place: &Place, tests: f64) -> (Certificate, Option<Escape>) {
+pub(crate) fn certificate(map: &CovarianceMap, place: &NewtonIterate, tests: f64) -> (Certificate, Option<Escape>) {
     let escape = escape(map, place, tests);
     let (mean, covariance) = scores(place);
     let null_space = escape.as_ref().map_or(0.0, |e| e.score.max(0.0));
@@ -93,7 +93,7 @@ pub(crate) fn certificate(map: &CovarianceMap, place: &Place, tests: f64) -> (Ce
 }
 
 /// Decrements of the mean and of Σ, each with the other held.
-fn scores(place: &Place) -> (f64, f64) {
+fn scores(place: &NewtonIterate) -> (f64, f64) {
     let tangent = &place.tangent;
     let (q, n) = (tangent.mean, tangent.gradient.len());
     let part = |from: usize, size: usize| {
@@ -111,15 +111,15 @@ fn decrement(information: DMatrixView<'_, f64>, gradient: &DVector<f64>) -> f64 
 }
 
 /// The worst direction of the null space of Σ within the structure.
-fn escape(map: &CovarianceMap, place: &Place, tests: f64) -> Option<Escape> {
+fn escape(map: &CovarianceMap, place: &NewtonIterate, tests: f64) -> Option<Escape> {
     map.parts.iter().filter_map(|part| part_escape(map, part, place, tests)).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-fn part_escape(map: &CovarianceMap, part: &Part, place: &Place, tests: f64) -> Option<Escape> {
+fn part_escape(map: &CovarianceMap, part: &PhaseForm, place: &NewtonIterate, tests: f64) -> Option<Escape> {
     let residual = &place.tangent.residual_score;
     let weight = &place.local.weight;
     match &part.form {
-        Form::Factor(blocks) => {
+        CoordinateForm::Factor(blocks) => {
             let root = &place.point.root;
             let own = |c: &&Constraint| c.terms.iter().all(|(i, _, _)| part.states.contains(i));
             let constraints: Vec<Constraint> = map.constraints.iter().filter(own).cloned().collect();
@@ -131,12 +131,12 @@ fn part_escape(map: &CovarianceMap, part: &Part, place: &Place, tests: f64) -> O
                 |block: &Vec<usize>| null_escape(std::slice::from_ref(block), root, (residual, &[]), weight, tests);
             blocks.iter().filter_map(of_block).max_by(|a, b| a.score.total_cmp(&b.score))
         }
-        Form::Scale(star) if part.of(&place.point.root).amax() <= 1e-9 * star.amax() => {
+        CoordinateForm::Scale(star) if part.of(&place.point.root).amax() <= 1e-9 * star.amax() => {
             let direction = part.placed(&(star * star.transpose()), map.p);
             let slope = (residual * &direction).trace();
             Some(along(direction, slope, weight, tests))
         }
-        Form::StdDevs(correlation, states) => {
+        CoordinateForm::StdDevs(correlation, states) => {
             let r = part.placed(&(correlation * correlation.transpose()), map.p);
             std_dev_escape(&r, states, place, tests)
         }
@@ -147,7 +147,7 @@ fn part_escape(map: &CovarianceMap, part: &Part, place: &Place, tests: f64) -> O
 /// Σ = DRD where standard deviations are zero: ℓ is flat in them there to first order, unless others that are not zero are
 /// correlated with them, which the gradient sees. To second order ℓ rises by u'(G∘R)u when they grow to u ≥ 0; tried one by
 /// one and two by two.
-fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &Place, tests: f64) -> Option<Escape> {
+fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tests: f64) -> Option<Escape> {
     let (residual, weight) = (&place.tangent.residual_score, &place.local.weight);
     let sigma = place.point.covariance();
     let is_zero = |i: usize| sigma[(i, i)].sqrt() <= NO_STD_DEV;

@@ -6,8 +6,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::certificate::{Certificate, certificate};
-use super::climb::{Limits, climb, escaped};
-use super::{Place, Point, Problem, Settings, Stop, Structure};
+use super::climb::{ClimbLimits, climb, escaped};
+use super::{NewtonIterate, Point, Problem, Settings, Stop, Structure};
 use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanStructure};
 use crate::reduce::{Path, Reduction, Reductions};
 
@@ -121,7 +121,7 @@ impl Case {
 /// A point, looked at.
 struct Spot {
     problem: Problem,
-    place: Place,
+    place: NewtonIterate,
 }
 
 impl Spot {
@@ -135,7 +135,7 @@ impl Spot {
             coefficients: Vec::new(),
             root: DMatrix::from_fn(mean.len(), mean.len(), |i, c| root[(i, c)] / frame.scale[i]),
         };
-        let place = Place::new(&problem, &problem.covariance, point, None).expect("a finite place");
+        let place = NewtonIterate::new(&problem, &problem.covariance, point, None).expect("a finite place");
         Spot { problem, place }
     }
 
@@ -144,7 +144,8 @@ impl Spot {
         let spot = Spot::new(data, covariance, mean, &DMatrix::zeros(mean.len(), mean.len()));
         let map = &spot.problem.covariance;
         let root = map.root_of(&spot.problem.classes.frame.covariance_in(sigma));
-        let place = Place::new(&spot.problem, map, Point { root, ..spot.place.point }, None).expect("a finite place");
+        let place =
+            NewtonIterate::new(&spot.problem, map, Point { root, ..spot.place.point }, None).expect("a finite place");
         Spot { place, problem: spot.problem }
     }
 
@@ -306,7 +307,7 @@ fn a_trap_of_zero_columns_is_left_for_the_maximum() {
         let case = Case::new(design(3), &range, &off);
         let spot = case.spot(&full());
         assert!(spot.place.decrement() < 1e-7, "no gradient in L leads away from here: {}", spot.place.decrement());
-        let limits = Limits { tolerance: 1e-8, steps: 60 };
+        let limits = ClimbLimits { tolerance: 1e-8, steps: 60 };
         let map = &spot.problem.covariance;
         let (end, stop) = climb(&spot.problem, map, TESTS as f64, spot.place.clone(), limits);
         assert_eq!(stop, Stop::Certified);
@@ -316,11 +317,11 @@ fn a_trap_of_zero_columns_is_left_for_the_maximum() {
         let found = spot.problem.values_of(&end.point).covariance;
         assert!((&found - &expected).amax() < 1e-6, "rank {}: {found} {expected}", range.len());
         // one step leaves it
-        let (end, _) = climb(&spot.problem, map, TESTS as f64, spot.place.clone(), Limits { steps: 1, ..limits });
+        let (end, _) = climb(&spot.problem, map, TESTS as f64, spot.place.clone(), ClimbLimits { steps: 1, ..limits });
         let gain = end.local.value - spot.place.local.value;
         assert!(gain > 0.1, "rank {}: {gain}", range.len());
         // and where no step may follow, the end is not called a maximum
-        let none = Limits { steps: 0, ..limits };
+        let none = ClimbLimits { steps: 0, ..limits };
         assert_eq!(climb(&spot.problem, map, TESTS as f64, spot.place.clone(), none).1, Stop::PassLimit);
     }
 }

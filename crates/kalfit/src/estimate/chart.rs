@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::DMatrix;
 
-use crate::estimate::covariance::{CovarianceMap, Form};
+use crate::estimate::covariance::{CoordinateForm, CovarianceMap};
 use crate::linalg::elements::Elements;
 use crate::linalg::sparse::Sparse;
 
@@ -27,14 +27,14 @@ impl CovarianceMap {
         for part in &self.parts {
             let (start, end) = (part.states.start, part.states.end);
             match &part.form {
-                Form::Factor(blocks) => factor_chart(blocks, root, &part.states, &mut chart),
-                Form::Scale(star) => {
+                CoordinateForm::Factor(blocks) => factor_chart(blocks, root, &part.states, &mut chart),
+                CoordinateForm::Scale(star) => {
                     let entries = (start..end).flat_map(|i| (start..end).map(move |c| (i, c)));
                     let entries = entries.map(|(i, c)| (i, c, star[(i - start, c - start)])).collect();
                     chart.coordinates.push(entries);
                     chart.bounded.push(None);
                 }
-                Form::StdDevs(correlation, states) => {
+                CoordinateForm::StdDevs(correlation, states) => {
                     for &i in states {
                         let row = (start..end).map(|c| (i, c, correlation[(i - start, c - start)])).collect();
                         chart.coordinates.push(row);
@@ -42,7 +42,7 @@ impl CovarianceMap {
                         chart.bounded.push(Some(std_dev(&own, correlation, i - start)));
                     }
                 }
-                Form::Fixed(_) => {}
+                CoordinateForm::Fixed(_) => {}
             }
         }
         chart

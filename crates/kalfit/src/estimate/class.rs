@@ -1,6 +1,6 @@
 //! Tests that share R and covariates.
 
-use crate::estimate::chained::Kept;
+use crate::estimate::chained::ChainStore;
 
 /// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
 #[derive(Debug, Clone, Copy)]
@@ -21,7 +21,7 @@ pub(crate) struct ClassRef<'a, T = f64> {
     /// Some test of it needs square-root arithmetic.
     pub(crate) square_root: bool,
     /// The same phase by phase; R, d and their scatter are then empty.
-    pub(crate) chain: Option<&'a Kept>,
+    pub(crate) chain: Option<&'a ChainStore>,
 }
 
 /// A class with its numbers, and room for others in its place.
@@ -34,7 +34,7 @@ pub(crate) struct Class {
     pub(crate) scatter: Vec<f64>,
     pub(crate) covariates: Vec<f64>,
     pub(crate) square_root: bool,
-    pub(crate) chain: Option<Kept>,
+    pub(crate) chain: Option<ChainStore>,
 }
 
 impl Class {

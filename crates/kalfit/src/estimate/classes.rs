@@ -15,14 +15,14 @@ use rayon::prelude::*;
 
 use crate::ensemble::Grouping;
 use crate::estimate::canonical::{Members, ordered};
-use crate::estimate::chained::{Kept, Packed, Shape, grouped};
+use crate::estimate::chained::{ChainShape, ChainStore, Packed, grouped};
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::gather::{gather, gather_chains};
-use crate::estimate::lanes::Blocks;
+use crate::estimate::lanes::ClassBlocks;
 use crate::estimate::levels::Units;
 use crate::estimate::listed::Listed;
-use crate::estimate::residual::{Noise, Residual};
+use crate::estimate::residual::{NoiseScale, Residual};
 use crate::linalg::elements::Elements;
 use crate::reduce::{Chain, Path, Reductions};
 use crate::remote::Remote;
@@ -31,14 +31,14 @@ use crate::remote::Remote;
 #[derive(Debug, Clone)]
 pub(crate) struct Classes {
     /// Where each class stands, in an order that does not depend on the order of the tests.
-    places: Arc<Vec<Place>>,
+    places: Arc<Vec<ClassIndex>>,
     /// How much larger all noise is than where they were gathered; their numbers are those of this noise, but for the constants that
     /// blocks know one by one.
-    noise: Option<Noise>,
+    noise: Option<NoiseScale>,
     /// Those of a single test that are worked on side by side.
-    pub(crate) blocks: Blocks,
+    pub(crate) blocks: ClassBlocks,
     /// The same of several tests each.
-    pub(crate) shared: Blocks,
+    pub(crate) shared: ClassBlocks,
     /// The others.
     pub(crate) listed: Listed,
     /// Numbers of those of them that are worked on one by one.
@@ -67,14 +67,14 @@ pub(crate) struct Classes {
 
 /// Where a class stands.
 #[derive(Debug, Clone, Copy)]
-struct Place {
-    kind: Kind,
+struct ClassIndex {
+    kind: ClassKind,
     at: u32,
 }
 
 /// How a class is worked on.
 #[derive(Debug, Clone, Copy)]
-enum Kind {
+enum ClassKind {
     /// In blocks of single tests.
     Single,
     /// In blocks of several tests.
@@ -83,7 +83,7 @@ enum Kind {
 }
 
 /// Puts the class with a number into a place.
-type Fill<'a> = &'a (dyn Fn(usize, &mut Class) + Sync);
+type ClassFill<'a> = &'a (dyn Fn(usize, &mut Class) + Sync);
 
 /// Classes that one thread puts together.
 const CHUNK: usize = 64;
@@ -188,9 +188,9 @@ impl Classes {
         let lanes = in_lanes(&chains, members.len());
         let in_blocks = elements.is_single() && !frame.scale.is_empty();
         let kind = |class: usize| match members.class(class) {
-            tests if !in_blocks || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot) => Kind::Listed,
-            [_] => Kind::Single,
-            _ => Kind::Several,
+            tests if !in_blocks || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot) => ClassKind::Listed,
+            [_] => ClassKind::Single,
+            _ => ClassKind::Several,
         };
         let fill = |class: usize, room: &mut Class| {
             let tests = members.class(class);
@@ -207,7 +207,7 @@ impl Classes {
 
     /// The classes, and who is worked on side by side with whom; `fill` puts a class into a place.
     fn arranged(
-        (kinds, fill): (Vec<Kind>, Fill<'_>),
+        (kinds, fill): (Vec<ClassKind>, ClassFill<'_>),
         chains: Vec<Arc<Packed>>,
         (frame, elements, chained): (&Frame, &Elements, bool),
         (tests, information, present): (usize, DMatrix<f64>, Vec<f64>),
@@ -215,18 +215,18 @@ impl Classes {
         let (mut places, mut numbers) = (Vec::with_capacity(kinds.len()), [const { Vec::new() }; 3]);
         for (class, kind) in kinds.into_iter().enumerate() {
             let numbers: &mut Vec<usize> = &mut numbers[kind as usize];
-            places.push(Place { kind, at: numbers.len() as u32 });
+            places.push(ClassIndex { kind, at: numbers.len() as u32 });
             numbers.push(class);
         }
         let [single, several, listed] = &numbers;
         let (p, regressors) = (frame.scale.len(), frame.covariate_scale.len());
         let filled = |several: bool, numbers: &[usize]| {
             let fill = |at: usize, room: &mut Class| fill(numbers[at], room);
-            Blocks::filled((p, regressors, several), Isa::best(), numbers.len(), &fill)
+            ClassBlocks::filled((p, regressors, several), Isa::best(), numbers.len(), &fill)
         };
         let (blocks, shared) = (filled(false, single), filled(true, several));
         let listed = list(listed, fill);
-        let alone = |&number: &usize| listed.get(number).chain.is_none_or(Kept::is_careful);
+        let alone = |&number: &usize| listed.get(number).chain.is_none_or(ChainStore::is_careful);
         Classes {
             beside: (0..listed.len()).filter(alone).collect(),
             places: Arc::new(places),
@@ -255,7 +255,7 @@ impl Classes {
 
     /// The class with this number; there is room for its numbers.
     pub(crate) fn get<'a>(&'a self, number: usize, room: &'a mut Class) -> ClassRef<'a> {
-        if let Place { kind: Kind::Listed, at } = self.places[number] {
+        if let ClassIndex { kind: ClassKind::Listed, at } = self.places[number] {
             return self.listed.get(at as usize);
         }
         self.read(number, room);
@@ -264,11 +264,11 @@ impl Classes {
 
     /// Puts the class with this number into a place.
     fn read(&self, number: usize, class: &mut Class) {
-        let Place { kind, at } = self.places[number];
+        let ClassIndex { kind, at } = self.places[number];
         match kind {
-            Kind::Single => self.blocks.read(at as usize, class),
-            Kind::Several => self.shared.read(at as usize, class),
-            Kind::Listed => return class.set(self.listed.get(at as usize)),
+            ClassKind::Single => self.blocks.read(at as usize, class),
+            ClassKind::Several => self.shared.read(at as usize, class),
+            ClassKind::Listed => return class.set(self.listed.get(at as usize)),
         }
         class.constant += self.noise.as_ref().map_or(0.0, |noise| noise.change(number));
     }
@@ -308,13 +308,13 @@ impl Classes {
     /// They are the classes of no reductions, and of tests in one phase.
     pub(crate) fn with_noise(&self, variance: f64, told: &Arc<Vec<Residual>>) -> Classes {
         debug_assert!(self.chains.is_empty(), "between phases noise has links of its own");
-        let noise = Noise { variance, told: told.clone() };
+        let noise = NoiseScale { variance, told: told.clone() };
         let (mut changes, mut listed) = ([Residual::default(); 2], Vec::with_capacity(self.listed.len()));
         for (place, told) in self.places.iter().zip(told.iter()) {
             match place.kind {
-                Kind::Single => changes[0] = changes[0].and(*told),
-                Kind::Several => changes[1] = changes[1].and(*told),
-                Kind::Listed => listed.push(told.change(variance)),
+                ClassKind::Single => changes[0] = changes[0].and(*told),
+                ClassKind::Several => changes[1] = changes[1].and(*told),
+                ClassKind::Listed => listed.push(told.change(variance)),
             }
         }
         let [single, several] = changes.map(|change| change.change(variance));
@@ -377,9 +377,9 @@ impl Classes {
     fn repacked(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
         let lanes = Isa::best().lanes();
         let mut room = Class::default();
-        let kept: Vec<Option<Kept>> =
+        let kept: Vec<Option<ChainStore>> =
             numbers.iter().map(|&number| self.get(number, &mut room).chain.cloned()).collect();
-        let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(Kept::shape)).enumerate(), lanes);
+        let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(ChainStore::shape)).enumerate(), lanes);
         let of = |k: usize| kept[k].as_ref().expect("it has a shape").chained();
         let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
         groups.into_par_iter().map(pack).collect()
@@ -411,7 +411,7 @@ impl Classes {
 }
 
 /// Those with these numbers, one after the other.
-fn list(numbers: &[usize], fill: Fill<'_>) -> Listed {
+fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
     let some = |numbers: &[usize]| {
         let (mut listed, mut room) = (Listed::default(), Class::default());
         for &number in numbers {
@@ -449,22 +449,22 @@ fn side_by_side(
     let (ranges, lanes) = (elements.blocks(), Isa::best().lanes());
     let chains_of =
         |k: usize| -> Vec<&Chain> { members.class(k).iter().filter_map(|&j| reductions.chain(j)).collect() };
-    let shapes: Vec<Option<Shape>> =
-        (0..members.len()).into_par_iter().map(|k| Shape::side_by_side(&chains_of(k), ranges)).collect();
+    let shapes: Vec<Option<ChainShape>> =
+        (0..members.len()).into_par_iter().map(|k| ChainShape::side_by_side(&chains_of(k), ranges)).collect();
     let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
     let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), chains_of));
     groups.into_par_iter().map(pack).collect()
 }
 
 /// Where each of so many classes in phases stands; of none where none is side by side with others.
-fn in_lanes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<Kept>> {
+fn in_lanes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<ChainStore>> {
     if chains.is_empty() {
         return Vec::new();
     }
     let mut places = vec![None; classes];
     for packed in chains {
         for (lane, &number) in packed.members().iter().enumerate() {
-            places[number] = Some(Kept::Lane(packed.clone(), lane));
+            places[number] = Some(ChainStore::Lane(packed.clone(), lane));
         }
     }
     places

@@ -3,13 +3,13 @@
 use crate::estimate::certificate::{Escape, certificate};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::Objective;
-use crate::estimate::newton::{Attempt, Damping, Place};
+use crate::estimate::newton::{Attempt, Damping, NewtonIterate};
 use crate::estimate::point::Point;
 use crate::estimate::stop::Stop;
 
 /// When a climb ends.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Limits {
+pub(crate) struct ClimbLimits {
     /// Newton decrement that counts as the optimum.
     pub(crate) tolerance: f64,
     /// Most accepted steps.
@@ -21,9 +21,9 @@ pub(crate) fn climb(
     objective: &dyn Objective,
     map: &CovarianceMap,
     tests: f64,
-    start: Place,
-    limits: Limits,
-) -> (Place, Stop) {
+    start: NewtonIterate,
+    limits: ClimbLimits,
+) -> (NewtonIterate, Stop) {
     let mut place = start;
     let mut damping = Damping::default();
     for _ in 0..limits.steps {
@@ -43,7 +43,12 @@ pub(crate) fn climb(
 }
 
 /// A better place off the boundary, when the certificate fails on the null space of Σ.
-pub(crate) fn escaped(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &mut Place) -> Option<Place> {
+pub(crate) fn escaped(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    tests: f64,
+    place: &mut NewtonIterate,
+) -> Option<NewtonIterate> {
     let (_, escape) = certificate(map, place, tests);
     let escape = escape?;
     let mut length = escape.length;
@@ -56,9 +61,15 @@ pub(crate) fn escaped(objective: &dyn Objective, map: &CovarianceMap, tests: f64
     None
 }
 
-fn grown(objective: &dyn Objective, map: &CovarianceMap, place: &Place, escape: &Escape, length: f64) -> Option<Place> {
+fn grown(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    place: &NewtonIterate,
+    escape: &Escape,
+    length: f64,
+) -> Option<NewtonIterate> {
     let sigma = place.point.covariance() + &escape.direction * length;
     let root = map.onto(&map.root_of(&sigma))?;
-    let next = Place::new(objective, map, Point { root, ..place.point.clone() }, place.near())?;
+    let next = NewtonIterate::new(objective, map, Point { root, ..place.point.clone() }, place.near())?;
     (next.local.value > place.local.value).then_some(next)
 }

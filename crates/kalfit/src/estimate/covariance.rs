@@ -17,7 +17,7 @@ use crate::model::StructureError;
 
 /// How the Σ of a phase is built from coordinates. Matrices are those of the phase, states are counted over all phases.
 #[derive(Debug, Clone)]
-pub(crate) enum Form {
+pub(crate) enum CoordinateForm {
     /// Blocks Σ_b = L_b L_b'.
     Factor(Vec<Vec<usize>>),
     /// Σ = ψ² root root'.
@@ -30,10 +30,10 @@ pub(crate) enum Form {
 
 /// The structure of the Σ of one phase, in η.
 #[derive(Debug, Clone)]
-pub(crate) struct Part {
+pub(crate) struct PhaseForm {
     /// Its states.
     pub(crate) states: Range<usize>,
-    pub(crate) form: Form,
+    pub(crate) form: CoordinateForm,
     /// Its members are those of a linear covariance structure.
     pub(crate) linear: bool,
     /// Start value from the model.
@@ -52,7 +52,7 @@ pub(crate) struct Constraint {
 pub(crate) struct CovarianceMap {
     pub(crate) p: usize,
     /// By phase.
-    pub(crate) parts: Vec<Part>,
+    pub(crate) parts: Vec<PhaseForm>,
     pub(crate) constraints: Vec<Constraint>,
     /// States whose variance is not held at zero.
     pub(crate) random: Vec<usize>,
@@ -88,7 +88,7 @@ impl CovarianceMap {
     }
 
     /// The structure of one phase by itself.
-    pub(crate) fn of_part(&self, part: &Part) -> CovarianceMap {
+    pub(crate) fn of_part(&self, part: &PhaseForm) -> CovarianceMap {
         let states = &part.states;
         let back = -(states.start as isize);
         let own = |c: &&Constraint| c.terms.iter().all(|(i, _, _)| states.contains(i));
@@ -105,13 +105,13 @@ impl CovarianceMap {
     /// Blocks Σ_b = L_b L_b' of all phases that have such.
     pub(crate) fn blocks(&self) -> impl Iterator<Item = &Vec<usize>> {
         self.parts.iter().flat_map(|part| match &part.form {
-            Form::Factor(blocks) => blocks.as_slice(),
+            CoordinateForm::Factor(blocks) => blocks.as_slice(),
             _ => &[],
         })
     }
 
     /// The form of the Σ that a state has part in.
-    pub(crate) fn form_of(&self, state: usize) -> &Form {
+    pub(crate) fn form_of(&self, state: usize) -> &CoordinateForm {
         &self.parts[self.elements.block_of(state)].form
     }
 
@@ -129,7 +129,7 @@ impl CovarianceMap {
     pub(crate) fn is_structural_zero(&self, i: usize, j: usize) -> bool {
         match self.form_of(i) {
             _ if self.elements.get(i, j).is_none() => true,
-            Form::Factor(blocks) => !blocks.iter().any(|b| b.contains(&i) && b.contains(&j)),
+            CoordinateForm::Factor(blocks) => !blocks.iter().any(|b| b.contains(&i) && b.contains(&j)),
             _ => !(self.random.contains(&i) && self.random.contains(&j)),
         }
     }
@@ -157,11 +157,11 @@ impl CovarianceMap {
 
     /// Number of free covariance quantities, as declared.
     pub(crate) fn declared(&self) -> usize {
-        let of_form = |part: &Part| match &part.form {
-            Form::Factor(blocks) => blocks.iter().map(|b| pairs(b.len())).sum(),
-            Form::Scale(_) => 1,
-            Form::StdDevs(_, states) => states.len(),
-            Form::Fixed(_) => 0,
+        let of_form = |part: &PhaseForm| match &part.form {
+            CoordinateForm::Factor(blocks) => blocks.iter().map(|b| pairs(b.len())).sum(),
+            CoordinateForm::Scale(_) => 1,
+            CoordinateForm::StdDevs(_, states) => states.len(),
+            CoordinateForm::Fixed(_) => 0,
         };
         self.parts.iter().map(of_form).sum::<usize>() - self.constraints.len()
     }
@@ -173,30 +173,30 @@ impl CovarianceMap {
             let start = part.states.start;
             let mut whole = |own: DMatrix<f64>| root.view_mut((start, start), own.shape()).copy_from(&own);
             match &part.form {
-                Form::Factor(blocks) => {
+                CoordinateForm::Factor(blocks) => {
                     for block in blocks {
                         let own = symmetric::square_root(&sub(sigma, block));
                         place(&mut root, block, &own);
                     }
                 }
-                Form::Scale(star) => {
+                CoordinateForm::Scale(star) => {
                     let star_trace: f64 = star.norm_squared();
                     let trace: f64 = part.states.clone().map(|i| sigma[(i, i)]).sum();
                     whole(star * (trace.max(0.0) / star_trace.max(f64::MIN_POSITIVE)).sqrt());
                 }
-                Form::StdDevs(correlation, states) => {
+                CoordinateForm::StdDevs(correlation, states) => {
                     let sd = |i| if states.contains(&i) { sigma[(i, i)].max(0.0).sqrt() } else { 0.0 };
                     let n = part.states.len();
                     whole(DMatrix::from_fn(n, n, |i, c| sd(start + i) * correlation[(i, c)]));
                 }
-                Form::Fixed(known) => whole(symmetric::square_root(known)),
+                CoordinateForm::Fixed(known) => whole(symmetric::square_root(known)),
             }
         }
         root
     }
 }
 
-impl Part {
+impl PhaseForm {
     /// Its block of a matrix.
     pub(crate) fn of(&self, matrix: &DMatrix<f64>) -> DMatrix<f64> {
         let (start, n) = (self.states.start, self.states.len());
@@ -211,16 +211,18 @@ impl Part {
     }
 
     /// The same for states that are counted from elsewhere.
-    fn moved(&self, by: isize) -> Part {
+    fn moved(&self, by: isize) -> PhaseForm {
         let at = |i: usize| i.strict_add_signed(by);
         let form = match &self.form {
-            Form::Factor(blocks) => {
-                Form::Factor(blocks.iter().map(|block| block.iter().map(|&i| at(i)).collect()).collect())
+            CoordinateForm::Factor(blocks) => {
+                CoordinateForm::Factor(blocks.iter().map(|block| block.iter().map(|&i| at(i)).collect()).collect())
             }
-            Form::StdDevs(root, states) => Form::StdDevs(root.clone(), states.iter().map(|&i| at(i)).collect()),
+            CoordinateForm::StdDevs(root, states) => {
+                CoordinateForm::StdDevs(root.clone(), states.iter().map(|&i| at(i)).collect())
+            }
             other => other.clone(),
         };
-        Part { states: at(self.states.start)..at(self.states.end), form, ..self.clone() }
+        PhaseForm { states: at(self.states.start)..at(self.states.end), form, ..self.clone() }
     }
 }
 

@@ -15,14 +15,14 @@ pub(crate) struct Curvature {
     /// Scaled as well.
     gradient: DVector<f64>,
     /// Where no eigenvalue is negative or flat.
-    plain: Option<Plain>,
+    plain: Option<UndampedStep>,
     /// Otherwise, or worked out when asked for.
     spectrum: OnceLock<Spectrum>,
 }
 
 /// The step without damping, by the root of the model; what it promises, and the decrement.
 #[derive(Debug, Clone)]
-struct Plain {
+struct UndampedStep {
     step: DVector<f64>,
     gain: f64,
     decrement: f64,
@@ -69,7 +69,7 @@ impl Curvature {
     ) -> Curvature {
         let mut found = Curvature { scale, gradient, plain: None, spectrum: OnceLock::new() };
         // of many states neither the matrix nor its root can stay: what they say can
-        found.plain = Regular::within(found.scaled(information)).map(|root| Plain::of(&root, &found.gradient));
+        found.plain = Regular::within(found.scaled(information)).map(|root| UndampedStep::of(&root, &found.gradient));
         if found.plain.is_none() {
             found.spectrum(information);
         }
@@ -142,10 +142,10 @@ impl Curvature {
     }
 }
 
-impl Plain {
-    fn of(root: &Regular, gradient: &DVector<f64>) -> Plain {
+impl UndampedStep {
+    fn of(root: &Regular, gradient: &DVector<f64>) -> UndampedStep {
         let half = root.below(gradient);
-        Plain { gain: 0.5 * half.norm_squared(), decrement: half.norm(), step: root.above(half) }
+        UndampedStep { gain: 0.5 * half.norm_squared(), decrement: half.norm(), step: root.above(half) }
     }
 }
 

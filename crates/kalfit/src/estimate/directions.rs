@@ -1,7 +1,7 @@
 //! Directions in which Σ may move.
 
 use crate::estimate::chart::Chart;
-use crate::estimate::covariance::{CovarianceMap, Form};
+use crate::estimate::covariance::{CoordinateForm, CovarianceMap};
 use crate::estimate::local::normals;
 use crate::linalg::sparse::Sparse;
 use crate::linalg::symmetric;
@@ -22,10 +22,10 @@ impl CovarianceMap {
         let along = chart.jacobian_at(&chart.root);
         let mut all = Sparse::of_height(elements.count());
         for part in &self.parts {
-            if let (true, Form::Scale(star)) = (by_scale, &part.form) {
+            if let (true, CoordinateForm::Scale(star)) = (by_scale, &part.form) {
                 let star = part.placed(&(star * star.transpose()), self.p);
                 all.push(elements.all().map(|at| star[at]).enumerate());
-            } else if let Form::Factor(_) = part.form {
+            } else if let CoordinateForm::Factor(_) = part.form {
                 let own = |(i, j): &(usize, usize)| part.states.contains(i) && !self.is_structural_zero(*i, *j);
                 elements.all().filter(own).for_each(|(i, j)| all.push([(elements.index(i, j), 1.0)].into_iter()));
             } else {

@@ -8,18 +8,18 @@ use nalgebra::{DMatrix, DVector};
 use crate::ensemble::Grouping;
 use crate::estimate::class::Class;
 use crate::estimate::classes::Classes;
-use crate::estimate::covariance::{CovarianceMap, Form};
+use crate::estimate::covariance::{CoordinateForm, CovarianceMap};
 use crate::estimate::frame::Frame;
 use crate::estimate::levels::{self, TestPosterior, Units};
 use crate::estimate::local::Objective;
-use crate::estimate::newton::{self, Place};
-use crate::estimate::order::{Order, Wanted};
+use crate::estimate::newton::{self, NewtonIterate};
+use crate::estimate::order::{Order, SumsWanted};
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::problem::Problem;
 use crate::estimate::remote::{list, matrix};
 use crate::estimate::structure::Assumed;
 use crate::estimate::sums::Sums;
-use crate::estimate::{Criterion, State, Structure};
+use crate::estimate::{Criterion, FinalState, Structure};
 use crate::linalg::symmetric;
 use crate::model::{Alpha, StructureError};
 use crate::reduce::{ReductionRef, Reductions};
@@ -35,7 +35,7 @@ pub(crate) struct Elsewhere {
 }
 
 /// A place that a search of tests that are elsewhere is about to reach.
-pub(crate) struct Ahead {
+pub(crate) struct UpcomingPoint {
     problem: Problem,
     point: Point,
     assumed: Assumed,
@@ -51,12 +51,12 @@ pub(crate) struct InitialLaw {
     /// Root of the covariance of (μ, coefficients) at a known Σ, under the restricted likelihood.
     mean_half: Option<DMatrix<f64>>,
     /// Where tests stand in groups: ξ of each given all tests of its unit.
-    given: Option<Arc<Given>>,
+    given: Option<Arc<JointPosteriors>>,
 }
 
 /// The posterior of ξ of every test, which depends on other tests too.
 #[derive(Debug)]
-enum Given {
+enum JointPosteriors {
     Here {
         grouping: Arc<Grouping>,
         /// x̂ and a root of V of each test, by its number in the grouping; under the restricted likelihood with what the mean adds to V.
@@ -97,8 +97,8 @@ impl InitialLaw {
             })
         };
         let given = |units: &Arc<Units>| match problem.classes.remote {
-            Some(_) => Given::Elsewhere(InGroups { frame: frame.clone(), place: point.told() }),
-            None => Given::here((units, frame), (point, &problem.mean.regressors), half.as_ref()),
+            Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.told() }),
+            None => JointPosteriors::here((units, frame), (point, &problem.mean.regressors), half.as_ref()),
         };
         InitialLaw {
             mean: DVector::from_fn(p, |i, _| (0..levels).map(|l| mean[l * p + i]).sum()),
@@ -120,7 +120,7 @@ impl InitialLaw {
             root: list(&self.root),
             mean_half: self.mean_half.as_ref().map(list),
             given: match self.given.as_deref() {
-                Some(Given::Elsewhere(told)) => Some(told.clone()),
+                Some(JointPosteriors::Elsewhere(told)) => Some(told.clone()),
                 _ => None,
             },
         }
@@ -151,7 +151,7 @@ impl InitialLaw {
         (units, frame): (&Units, &Frame),
         (point, regressors): (&Point, &Regressors),
     ) -> InitialLaw {
-        InitialLaw { given: Some(Arc::new(Given::here((units, frame), (point, regressors), None))), ..self }
+        InitialLaw { given: Some(Arc::new(JointPosteriors::here((units, frame), (point, regressors), None))), ..self }
     }
 
     /// ξ given the data is known of each test, other tests of its unit among them.
@@ -161,7 +161,7 @@ impl InitialLaw {
 
     /// x̂ and a root of V of a test, where they depend on other tests too.
     pub(crate) fn given(&self, test: &str) -> Option<(&DVector<f64>, &DMatrix<f64>)> {
-        let Given::Here { grouping, tests } = self.given.as_deref()? else { return None };
+        let JointPosteriors::Here { grouping, tests } = self.given.as_deref()? else { return None };
         let (mean, root) = &tests[grouping.number(test)?];
         Some((mean, root))
     }
@@ -192,13 +192,13 @@ impl InitialLaw {
     }
 }
 
-impl Given {
+impl JointPosteriors {
     /// `half`: a root of the covariance of the mean coordinates of a test, under the restricted likelihood.
     fn here(
         (units, frame): (&Units, &Frame),
         (point, regressors): (&Point, &Regressors),
         half: Option<&DMatrix<f64>>,
-    ) -> Given {
+    ) -> JointPosteriors {
         let p = units.states;
         let found = levels::posteriors(units, (point, regressors), None, half.is_some());
         let one = |test: &TestPosterior| {
@@ -216,23 +216,23 @@ impl Given {
             let root = DMatrix::from_fn(p, columns, |i, c| frame.scale[i] * entry(i, c));
             (DVector::from_iterator(p, mean), root)
         };
-        Given::Here { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(one).collect() }
+        JointPosteriors::Here { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(one).collect() }
     }
 }
 
-impl State {
+impl FinalState {
     /// The law of ξ_j where the search ended.
     pub(crate) fn law(&self) -> InitialLaw {
         InitialLaw::of(&self.problem, &self.place.point, self.place.near())
     }
 
     /// The same at a place of its own.
-    pub(crate) fn law_at(&self, place: &Place) -> InitialLaw {
+    pub(crate) fn law_at(&self, place: &NewtonIterate) -> InitialLaw {
         InitialLaw::of(&self.problem, &place.point, place.near())
     }
 
     /// What is left of ∂ℓ/∂Σ at a place once constraints have taken their share, in the user's units.
-    pub(crate) fn residual_score_at(&self, place: &Place) -> DMatrix<f64> {
+    pub(crate) fn residual_score_at(&self, place: &NewtonIterate) -> DMatrix<f64> {
         out(&self.problem, &place.tangent.residual_score)
     }
 
@@ -253,11 +253,11 @@ impl State {
 
     /// Where a step along the tangent basis of this place leads, of tests that are elsewhere: nobody has answered yet what they say
     /// there.
-    pub(crate) fn ahead(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<Ahead> {
+    pub(crate) fn ahead(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<UpcomingPoint> {
         let point = newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?;
         let (problem, point) = self.carried_to(reductions, &self.assumed.at(alpha), point).ok()?;
         let point = charted(&problem, &point);
-        Some(Ahead { problem, point, assumed: self.assumed.clone() })
+        Some(UpcomingPoint { problem, point, assumed: self.assumed.clone() })
     }
 
     /// A point of this problem in that of other reductions of the same tests.
@@ -274,21 +274,21 @@ impl State {
 
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
     /// is not defined.
-    pub(crate) fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<State> {
+    pub(crate) fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<FinalState> {
         self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?)
     }
 
     /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
-    pub(crate) fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<State> {
+    pub(crate) fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<FinalState> {
         let structure = self.assumed.at(alpha);
         let (problem, point) = self.carried_to(reductions, &structure, point).ok()?;
         let charted = charted(&problem, &point);
         problem.ends_soon(true); // nothing more is asked of this place
-        let place =
-            problem.with_score(&charted, || Place::new(&problem, &problem.covariance, point, self.place.near()))?;
+        let place = problem
+            .with_score(&charted, || NewtonIterate::new(&problem, &problem.covariance, point, self.place.near()))?;
         // the restricted likelihood's second derivatives want the covariance of the mean at the place itself
         let place = match place.near().cloned() {
-            Some(own) => Place::new(&problem, &problem.covariance, place.point, Some(&own))?,
+            Some(own) => NewtonIterate::new(&problem, &problem.covariance, place.point, Some(&own))?,
             None => place,
         };
         problem.ends_soon(false);
@@ -298,7 +298,7 @@ impl State {
         };
         let assumed = (&structure).into();
         let settings = self.settings.clone();
-        Some(State { problem: Arc::new(problem), place, sums, assumed, settings, joint: None })
+        Some(FinalState { problem: Arc::new(problem), place, sums, assumed, settings, joint: None })
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
@@ -315,7 +315,7 @@ impl State {
         let (point, regressors) = (&self.place.point, &self.problem.mean.regressors[..]);
         if let Some(units) = &classes.units {
             let elements = &classes.elements;
-            let wanted = Wanted { elements, regressors, order: Order::First, flat: None };
+            let wanted = SumsWanted { elements, regressors, order: Order::First, flat: None };
             return levels::each_unit(units, point, wanted, of);
         }
         let mut order: Vec<usize> = (0..evidence.len()).collect();
@@ -350,7 +350,7 @@ impl State {
     }
 }
 
-impl Ahead {
+impl UpcomingPoint {
     /// Asks for what [`State::elsewhere`] will ask for from there.
     pub(crate) fn ask(&self, reductions: &Reductions, alpha: &Alpha) {
         _ = Elsewhere::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
@@ -386,7 +386,7 @@ impl Elsewhere {
     }
 
     /// The gradient along the tangent basis of the place it was taken from.
-    pub(crate) fn gradient(&self, home: &State) -> DVector<f64> {
+    pub(crate) fn gradient(&self, home: &FinalState) -> DVector<f64> {
         home.along(&self.sums, &self.problem, &self.point)
     }
 
@@ -422,20 +422,20 @@ fn carried(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMa
     to.assembled(parts.map(|(old, new)| carried_part(&old.form, &new.form, old.of(root))))
 }
 
-fn carried_part(from: &Form, to: &Form, root: DMatrix<f64>) -> DMatrix<f64> {
+fn carried_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>) -> DMatrix<f64> {
     match (from, to) {
-        (Form::Scale(old), Form::Scale(new)) => {
+        (CoordinateForm::Scale(old), CoordinateForm::Scale(new)) => {
             let star = old.norm_squared();
             new * if star > 0.0 { (root.norm_squared() / star).sqrt() } else { 0.0 }
         }
-        (Form::StdDevs(old, _), Form::StdDevs(new, _)) => {
+        (CoordinateForm::StdDevs(old, _), CoordinateForm::StdDevs(new, _)) => {
             let size = |i: usize| {
                 let unit = old.row(i).norm();
                 if unit > 0.0 { root.row(i).norm() / unit } else { 0.0 }
             };
             DMatrix::from_fn(new.nrows(), new.ncols(), |i, c| size(i) * new[(i, c)])
         }
-        (_, Form::Fixed(known)) => symmetric::square_root(known),
+        (_, CoordinateForm::Fixed(known)) => symmetric::square_root(known),
         _ => root,
     }
 }

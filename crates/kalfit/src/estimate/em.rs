@@ -6,7 +6,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::Criterion;
-use crate::estimate::covariance::{CovarianceMap, Form, Part, place, sub};
+use crate::estimate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, place, sub};
 use crate::estimate::exact::maximise_exact;
 use crate::estimate::local::Objective;
 use crate::estimate::order::Order;
@@ -17,7 +17,7 @@ use crate::linalg::symmetric;
 
 /// Which conditional maximisation comes next, when μ and Σ cannot move together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Turn {
+pub(crate) enum ConditionalStep {
     Mean,
     Covariance,
 }
@@ -32,7 +32,7 @@ pub(crate) fn order(problem: &Problem) -> Order {
 /// One EM step from the sums at a point. Where μ has no closed form beside Σ (a singular Σ with a constrained mean,
 /// or a regression), μ and Σ take turns: generalised least squares for μ, EM for Σ (ECM). So they do under the restricted
 /// likelihood, where the mean is missing data too, with a flat prior: its uncertainty adds to the second moment.
-pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Turn) -> Point {
+pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut ConditionalStep) -> Point {
     let tests = counts(problem);
     let sigma = point.covariance();
     let mu = DVector::from_column_slice(&point.mean);
@@ -45,18 +45,18 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Tur
     let next_mean = match together {
         Some(next) if random => next,
         _ => {
-            if *turn == Turn::Mean {
-                *turn = Turn::Covariance;
+            if *turn == ConditionalStep::Mean {
+                *turn = ConditionalStep::Covariance;
                 return problem.move_mean(point, problem.least_squares_step(sums).as_slice());
             }
-            *turn = Turn::Mean;
+            *turn = ConditionalStep::Mean;
             mu.clone()
         }
     };
     let delta = &next_mean - &mu;
     let second = second_moment(&sigma, sums, &shift, &delta, &tests);
     let map = &problem.covariance;
-    let of = |(part, tests): (&Part, &f64)| {
+    let of = |(part, tests): (&PhaseForm, &f64)| {
         maximise(&map.of_part(part), &part.of(&second), part.of(&point.root), tests.max(1.0))
     };
     let root = map.assembled(map.parts.iter().zip(&problem.classes.present).map(of));
@@ -86,18 +86,18 @@ fn second_moment(
 /// The Σ of the structure of one phase that maximises -log|Σ| - tr(Σ⁻¹M̄), as a root.
 fn maximise(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
     match &map.parts[0].form {
-        Form::Fixed(_) => root,
-        Form::Factor(_) if map.constraints.is_empty() => map.root_of(&map.mask(second)),
-        Form::Factor(blocks) => match regression_form(map, blocks, second) {
+        CoordinateForm::Fixed(_) => root,
+        CoordinateForm::Factor(_) if map.constraints.is_empty() => map.root_of(&map.mask(second)),
+        CoordinateForm::Factor(blocks) => match regression_form(map, blocks, second) {
             Some(sigma) => map.root_of(&sigma),
             None => maximise_exact(map, second, root, n),
         },
-        Form::Scale(star) => {
+        CoordinateForm::Scale(star) => {
             let inverse = symmetric::pseudo_inverse(&(star * star.transpose()));
             let rank = (&inverse * star * star.transpose()).trace();
             star * ((inverse * second).trace() / rank).max(0.0).sqrt()
         }
-        Form::StdDevs(correlation, states) => correlation_step(correlation, states, second),
+        CoordinateForm::StdDevs(correlation, states) => correlation_step(correlation, states, second),
     }
 }
 

@@ -6,12 +6,12 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::covariance::{CovarianceMap, place, sub};
 use crate::estimate::local::{Local, Objective};
-use crate::estimate::newton::{Attempt, Damping, Place};
+use crate::estimate::newton::{Attempt, Damping, NewtonIterate};
 use crate::estimate::point::Point;
 use crate::linalg::elements::Elements;
 
 /// n tests whose ξ is known exactly, with second moment M̄ about the mean.
-struct Exact<'a> {
+struct ExactTests<'a> {
     second: &'a DMatrix<f64>,
     n: f64,
     random: &'a [usize],
@@ -19,7 +19,7 @@ struct Exact<'a> {
     jacobian: DMatrix<f64>,
 }
 
-impl Objective for Exact<'_> {
+impl Objective for ExactTests<'_> {
     fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
         let p = self.second.nrows();
         let factor = sub(&point.covariance(), self.random).cholesky()?;
@@ -56,9 +56,10 @@ impl Objective for Exact<'_> {
 
 /// Newton steps from the current root; every step raises the objective, so a step that is cut short is still a GEM step.
 pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
-    let objective = Exact { second, n, random: &map.random, elements: &map.elements, jacobian: DMatrix::zeros(0, 0) };
+    let objective =
+        ExactTests { second, n, random: &map.random, elements: &map.elements, jacobian: DMatrix::zeros(0, 0) };
     let point = Point { mean: vec![0.0; map.p], coefficients: Vec::new(), root: root.clone() };
-    let Some(mut place) = Place::new(&objective, map, point, None) else { return root };
+    let Some(mut place) = NewtonIterate::new(&objective, map, point, None) else { return root };
     let mut damping = Damping::default();
     for _ in 0..50 {
         if place.decrement() < 1e-10 * n.sqrt() {

@@ -11,7 +11,7 @@ use crate::estimate::local::{Local, Tangent};
 use crate::estimate::order::Order;
 use crate::estimate::point::Point;
 use crate::estimate::sums::Sums;
-use crate::estimate::{FitError, Place, Problem, Settings, State, Structure};
+use crate::estimate::{FinalState, FitError, NewtonIterate, Problem, Settings, Structure};
 use crate::linalg::elements::Element;
 use crate::model::Population;
 use crate::reduce::{Chain, Reductions};
@@ -42,7 +42,7 @@ pub(crate) fn at_population(
     reductions: &Reductions,
     structure: &Structure<'_>,
     population: &Population,
-) -> Result<State, ExpectedError> {
+) -> Result<FinalState, ExpectedError> {
     let mut blanks = reductions.clone();
     for number in 0..blanks.len() {
         let test = blanks.get_mut(number);
@@ -60,8 +60,8 @@ pub(crate) fn at_population(
         return Err(FitError::NotFinite.into());
     }
     point.root = tangent.chart.root.clone();
-    let place = Place { curvature: Curvature::new(&tangent), point, local, tangent };
-    Ok(State { problem: Arc::new(problem), place, sums, assumed: structure.into(), settings, joint: None })
+    let place = NewtonIterate { curvature: Curvature::new(&tangent), point, local, tangent };
+    Ok(FinalState { problem: Arc::new(problem), place, sums, assumed: structure.into(), settings, joint: None })
 }
 
 /// At the truth the score is zero on average, the information of μ is Σ E'WE, that of Σ is ½ Σ tr(W D W E), and they are

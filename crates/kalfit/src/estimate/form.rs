@@ -2,9 +2,9 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::covariance::{Constraint, CovarianceMap, Form, Part};
+use crate::estimate::covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm};
 use crate::estimate::frame::Frame;
-use crate::estimate::linear::Linear;
+use crate::estimate::linear::LinearStructure;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, CovarianceKind, CovarianceStructure, Expression, Scope, StructureError};
@@ -20,7 +20,7 @@ impl CovarianceMap {
         let zero = zero_variances(structure, p);
         let linear = match &structure.kind {
             CovarianceKind::Linear { constant, generators } => {
-                Some(Linear::new(structure, constant, generators, frame)?)
+                Some(LinearStructure::new(structure, constant, generators, frame)?)
             }
             _ => None,
         };
@@ -30,30 +30,30 @@ impl CovarianceMap {
         };
         let numbers = |entries: &[Vec<Expression>], what| matrix(entries, alpha, what);
         let form = match &structure.kind {
-            CovarianceKind::Full | CovarianceKind::Linear { .. } => Form::Factor(vec![random.clone()]),
-            CovarianceKind::Diagonal => Form::Factor(random.iter().map(|&i| vec![i]).collect()),
-            CovarianceKind::Blocks(blocks) => Form::Factor(restrict(blocks, &zero)),
+            CovarianceKind::Full | CovarianceKind::Linear { .. } => CoordinateForm::Factor(vec![random.clone()]),
+            CovarianceKind::Diagonal => CoordinateForm::Factor(random.iter().map(|&i| vec![i]).collect()),
+            CovarianceKind::Blocks(blocks) => CoordinateForm::Factor(restrict(blocks, &zero)),
             CovarianceKind::Proportional(entries) => {
                 let sigma = frame.covariance_in(&numbers(entries, "the matrix of the proportional covariance")?);
-                Form::Scale(symmetric::square_root(&sigma))
+                CoordinateForm::Scale(symmetric::square_root(&sigma))
             }
             CovarianceKind::Correlation(entries) => {
                 let root = symmetric::square_root(&numbers(entries, "the correlation matrix")?);
-                Form::StdDevs(root, random.clone())
+                CoordinateForm::StdDevs(root, random.clone())
             }
             CovarianceKind::Fixed(entries) => {
-                Form::Fixed(frame.covariance_in(&numbers(entries, "the fixed covariance")?))
+                CoordinateForm::Fixed(frame.covariance_in(&numbers(entries, "the fixed covariance")?))
             }
         };
         let form = match form {
-            Form::Factor(blocks) => Form::Factor(split(blocks, &|i, j| match &linear {
+            CoordinateForm::Factor(blocks) => CoordinateForm::Factor(split(blocks, &|i, j| match &linear {
                 Some(linear) => linear.is_zero(i, j),
                 None => is_fixed_zero(structure, i, j),
             })),
             other => other,
         };
         let start = structure.start.as_ref().map(|start| frame.covariance_in(start));
-        let part = Part { states: 0..p, form, linear: linear.is_some(), start };
+        let part = PhaseForm { states: 0..p, form, linear: linear.is_some(), start };
         let elements = Elements::single(p);
         let mut map =
             CovarianceMap { p, parts: vec![part], constraints: Vec::new(), random, regressors: Vec::new(), elements };
@@ -132,7 +132,7 @@ fn split(blocks: Vec<Vec<usize>>, is_zero: &dyn Fn(usize, usize) -> bool) -> Vec
 
 /// Fixed and equal elements that the form does not give by itself, in η, scaled to coefficients of order one.
 fn constraints(structure: &CovarianceStructure, frame: &Frame, map: &CovarianceMap) -> Vec<Constraint> {
-    if !matches!(map.parts[0].form, Form::Factor(_)) {
+    if !matches!(map.parts[0].form, CoordinateForm::Factor(_)) {
         return Vec::new();
     }
     let unit = |i: usize, j: usize| frame.scale[i] * frame.scale[j];

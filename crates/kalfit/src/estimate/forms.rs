@@ -6,14 +6,14 @@ use std::ops::Range;
 use kalfit_lanes::{Kernel, Lanes};
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::{Detail, Packed, Root, Said};
+use crate::estimate::chained::{ChainDetail, ChainTerms, Packed, Root};
 use crate::estimate::class::ClassRef;
 use crate::estimate::classes::Classes;
 use crate::estimate::listed::Listed;
 use crate::estimate::point::{Point, Regressors};
-use crate::estimate::terms::Terms;
+use crate::estimate::terms::ClassTerms;
 use crate::estimate::together::in_pieces;
-use crate::linalg::parts::{Columns, in_parts};
+use crate::linalg::parts::{ColumnWork, in_parts};
 use crate::linalg::rows::Rows;
 
 /// What `of` makes of each class and of its W: u'Wu for every column u of `directions`. Some classes by themselves, as
@@ -27,8 +27,8 @@ pub(crate) fn forms_in_parts<T: Send>(
 ) -> Vec<T> {
     let isa = classes.blocks.isa();
     let p = point.mean.len();
-    let one = |(terms, forms): (&mut Terms, &mut Vec<f64>), class: ClassRef<'_>| {
-        terms.evaluate(class, regressors, point, Detail::Between);
+    let one = |(terms, forms): (&mut ClassTerms, &mut Vec<f64>), class: ClassRef<'_>| {
+        terms.evaluate(class, regressors, point, ChainDetail::Between);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let form = |u: &[f64]| terms.W.chunks_exact(p).zip(u).map(|(row, own)| own * dot(row, u)).sum::<f64>();
         forms.clear();
@@ -37,7 +37,7 @@ pub(crate) fn forms_in_parts<T: Send>(
     let root = &Root::of(&point.root);
     let parts = in_pieces(
         classes,
-        &|| (start(), Terms::new(p), Vec::new()),
+        &|| (start(), ClassTerms::new(p), Vec::new()),
         &|(made, terms, forms), k, class| {
             one((terms, forms), class);
             of(made, k, forms);
@@ -75,7 +75,7 @@ impl Kernel for Forms<'_> {
     fn run<T: Lanes>(self) -> Option<Vec<f64>> {
         let covariates = self.packed.covariates::<T>(|k| self.classes.get(k), self.regressors.len());
         let mean = self.packed.means(&covariates, self.point, self.regressors);
-        let said = self.packed.said::<T>(&mean, self.root, Detail::Between)?;
+        let said = self.packed.said::<T>(&mean, self.root, ChainDetail::Between)?;
         let columns = self.directions.ncols();
         let mut forms = vec![T::splat(0.0); columns];
         let ranges: Vec<&Range<usize>> = self.packed.shape().ranges().collect();
@@ -92,13 +92,13 @@ impl Kernel for Forms<'_> {
 
 /// A few directions at a time.
 struct OfDirections<'a, T> {
-    said: &'a Said<T>,
+    said: &'a ChainTerms<T>,
     ranges: &'a [&'a Range<usize>],
     directions: &'a DMatrix<f64>,
     forms: &'a mut [T],
 }
 
-impl<T: Lanes> Columns for OfDirections<'_, T> {
+impl<T: Lanes> ColumnWork for OfDirections<'_, T> {
     #[inline(always)]
     fn count(&self) -> usize {
         self.forms.len()
@@ -208,7 +208,7 @@ mod tests {
         let found = forms_in_parts(&classes, (regressors, &point), &directions, &none, &|all, k, forms| {
             all.push((k, forms.to_vec()));
         });
-        let expected = tell_in_parts(&classes, regressors, &point, Detail::Between, &none, &|all, k, _, terms| {
+        let expected = tell_in_parts(&classes, regressors, &point, ChainDetail::Between, &none, &|all, k, _, terms| {
             let W = DMatrix::from_column_slice(6, 6, &terms.W);
             let form = |u: nalgebra::DVectorView<'_, f64>| (u.transpose() * &W * u)[0];
             all.push((k, directions.column_iter().map(form).collect::<Vec<f64>>()));

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::{Chained, Kept};
+use crate::estimate::chained::{ChainStore, ChainedClass};
 use crate::estimate::class::Class;
 use crate::estimate::frame::Frame;
 use crate::linalg::elements::Elements;
@@ -42,7 +42,7 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
 pub(super) fn gather_chains(
     (reductions, tests): (&Reductions, &[usize]),
     (frame, elements): (&Frame, &Elements),
-    place: Option<Kept>,
+    place: Option<ChainStore>,
     class: &mut Class,
 ) {
     let chains: Vec<&Chain> = tests.iter().filter_map(|&j| reductions.chain(j)).collect();
@@ -50,7 +50,7 @@ pub(super) fn gather_chains(
     [&mut class.factor, &mut class.mean, &mut class.scatter].into_iter().for_each(Vec::clear);
     class.constant = chains.iter().map(constant).sum();
     class.square_root = false;
-    let made = || Kept::Apart(Chained::new(&chains, elements.blocks(), frame).into());
+    let made = || ChainStore::Apart(ChainedClass::new(&chains, elements.blocks(), frame).into());
     class.chain = Some(place.unwrap_or_else(made));
     about(reductions, tests, frame, class);
 }

@@ -11,7 +11,7 @@ use crate::estimate::order::Order;
 use crate::estimate::pass;
 use crate::estimate::point::Point;
 use crate::estimate::sums::Sums;
-use crate::estimate::terms::Terms;
+use crate::estimate::terms::ClassTerms;
 use crate::linalg::symmetric::{self, pairs};
 use crate::reduce::Reductions;
 use kalfit_lanes::{Counted, Real};
@@ -126,7 +126,7 @@ pub fn pass_flops(p: usize, derivatives: Derivatives) -> u64 {
         chain: None,
     };
     let point = Point { mean: vec![0.0; p], coefficients: Vec::new(), root: DMatrix::identity(p, p) };
-    let mut terms = Terms::<Counted>::new(p);
+    let mut terms = ClassTerms::<Counted>::new(p);
     let flops = Counted::count(|| {
         terms.factorise(class, &point.root);
         terms.finish(class, &[], &point);

@@ -20,18 +20,18 @@ const ROUNDING: f64 = 1e-14;
 
 /// A linear structure in η.
 #[derive(Debug, Clone)]
-pub(crate) struct Linear {
+pub(crate) struct LinearStructure {
     constant: DMatrix<f64>,
     generators: Vec<DMatrix<f64>>,
 }
 
-impl Linear {
+impl LinearStructure {
     pub(crate) fn new(
         structure: &CovarianceStructure,
         constant: &DMatrix<f64>,
         generators: &[DMatrix<f64>],
         frame: &Frame,
-    ) -> Result<Linear, StructureError> {
+    ) -> Result<LinearStructure, StructureError> {
         let p = frame.scale.len();
         if !(structure.fixed.is_empty() && structure.equal.is_empty()) {
             return Err(StructureError::NotAlone);
@@ -42,7 +42,7 @@ impl Linear {
         }
         let constant = frame.covariance_in(constant);
         let generators: Vec<_> = generators.iter().map(|g| frame.covariance_in(g)).collect();
-        Ok(Linear { constant, generators })
+        Ok(LinearStructure { constant, generators })
     }
 
     /// Whether an element is zero in every member.

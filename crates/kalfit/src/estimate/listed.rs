@@ -1,20 +1,20 @@
 //! Classes that stand in no blocks.
 
-use crate::estimate::chained::Kept;
+use crate::estimate::chained::ChainStore;
 use crate::estimate::class::ClassRef;
-use crate::linalg::column::Column;
+use crate::linalg::column::RowLists;
 
 /// Classes one after the other, their numbers in columns.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Listed {
     counts: Vec<f64>,
     constants: Vec<f64>,
-    factors: Column,
-    means: Column,
-    scatters: Column,
-    covariates: Column,
+    factors: RowLists,
+    means: RowLists,
+    scatters: RowLists,
+    covariates: RowLists,
     square_root: Vec<bool>,
-    chains: Vec<Option<Kept>>,
+    chains: Vec<Option<ChainStore>>,
 }
 
 impl Listed {

@@ -89,31 +89,31 @@ pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, S
 pub use stop::Stop;
 pub use structure::{PhaseStructure, Structure};
 
-pub(crate) use chained::{Chained, Detail, Kept};
+pub(crate) use chained::{ChainDetail, ChainStore, ChainedClass};
 pub(crate) use class::{Class, ClassRef};
 pub(crate) use classes::Classes;
-pub(crate) use climb::{Limits, climb};
-pub(crate) use covariance::{Constraint, CovarianceMap, Form, Part};
+pub(crate) use climb::{ClimbLimits, climb};
+pub(crate) use covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm};
 pub(crate) use curvature::NOTHING;
 pub(crate) use elsewhere::InitialLaw;
 pub(crate) use evidence::evidence;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
 pub(crate) use joint_law::{JointLaw, Mixed, Values};
-pub(crate) use levels::{GroupPosterior, LevelPosteriors, TestPosterior, Units, posteriors as level_posteriors};
+pub(crate) use levels::{LevelPosteriors, ScaledGroupPosterior, TestPosterior, Units, posteriors as level_posteriors};
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
-pub(crate) use newton::Place;
+pub(crate) use newton::NewtonIterate;
 pub(crate) use noise::{NoiseInformation, Noisy};
 pub(crate) use order::Order;
 pub(crate) use point::Point;
 pub(crate) use problem::Problem;
 pub(crate) use remote::Counts;
 pub(crate) use residual::Residual;
-pub(crate) use result::State;
+pub(crate) use result::FinalState;
 pub(crate) use start::generic_root;
 pub(crate) use summed::Summed;
 pub(crate) use sums::Sums;
-pub(crate) use terms::Terms;
+pub(crate) use terms::ClassTerms;
 pub(crate) use together::in_parts;
 
 use crate::model::Population;
@@ -156,7 +156,7 @@ fn fit_near(
 
 /// As [`fit`], from the end of another search, under other reductions of the same tests and in its coordinates.
 pub(crate) fn fit_on(
-    end: &State,
+    end: &FinalState,
     reductions: &Reductions,
     structure: &Structure<'_>,
     progress: &mut dyn Progress,

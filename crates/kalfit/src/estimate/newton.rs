@@ -17,22 +17,22 @@ use crate::linalg::symmetric;
 
 /// A point with all that is known there.
 #[derive(Debug, Clone)]
-pub(crate) struct Place {
+pub(crate) struct NewtonIterate {
     pub(crate) point: Point,
     pub(crate) local: Local,
     pub(crate) tangent: Tangent,
     pub(crate) curvature: Curvature,
 }
 
-impl Place {
+impl NewtonIterate {
     /// Evaluates the objective: one pass.
     pub(crate) fn new(
         objective: &dyn Objective,
         map: &CovarianceMap,
         point: Point,
         near: Option<&DMatrix<f64>>,
-    ) -> Option<Place> {
-        Place::at(objective.local(&point, near)?, objective.mean_jacobian(), map, point)
+    ) -> Option<NewtonIterate> {
+        NewtonIterate::at(objective.local(&point, near)?, objective.mean_jacobian(), map, point)
     }
 
     /// The place where this is known; `None` where it is not finite, or so far out that its derivatives overflow.
@@ -41,14 +41,14 @@ impl Place {
         mean_jacobian: &DMatrix<f64>,
         map: &CovarianceMap,
         mut point: Point,
-    ) -> Option<Place> {
+    ) -> Option<NewtonIterate> {
         if !local.value.is_finite() {
             return None;
         }
         let tangent = Tangent::new(&local, mean_jacobian, map, &point.root);
         point.root = tangent.chart.root.clone();
         let curvature = Curvature::new(&tangent);
-        let place = Place { point, local, tangent, curvature };
+        let place = NewtonIterate { point, local, tangent, curvature };
         place.decrement().is_finite().then_some(place)
     }
 
@@ -67,8 +67,8 @@ impl Place {
     pub(crate) fn surpassed(
         &mut self,
         objective: &dyn Objective,
-        make: impl FnOnce(&Place) -> Option<Place>,
-    ) -> Option<Place> {
+        make: impl FnOnce(&NewtonIterate) -> Option<NewtonIterate>,
+    ) -> Option<NewtonIterate> {
         self.slim();
         let own = Arc::get_mut(&mut self.local.information).filter(|own| own.nrows() >= LARGE);
         let folded = own.map(|own| Folded::of(std::mem::replace(own, DMatrix::zeros(0, 0))));
@@ -103,7 +103,7 @@ const LARGE: usize = 500;
 /// What became of one attempt to step.
 pub(crate) enum Attempt {
     /// A better place.
-    Better(Box<Place>),
+    Better(Box<NewtonIterate>),
     /// No damping helped.
     Failed,
     /// The step promised less than the rounding errors of the value, and the value fell: it cannot tell any step from another.
@@ -119,7 +119,12 @@ const TRIES: usize = 6;
 
 impl Damping {
     /// Steps from `place`, with more damping until the value rises. Of the place nothing may be asked after a better one is found.
-    pub(crate) fn attempt(&mut self, objective: &dyn Objective, map: &CovarianceMap, place: &mut Place) -> Attempt {
+    pub(crate) fn attempt(
+        &mut self,
+        objective: &dyn Objective,
+        map: &CovarianceMap,
+        place: &mut NewtonIterate,
+    ) -> Attempt {
         let slack = 1e-13 * place.local.value.abs().max(1.0);
         self.0 = self.0.max(place.curvature.doubtful());
         for _ in 0..TRIES {
@@ -127,7 +132,7 @@ impl Damping {
             let point = moved(objective, map, place, &step);
             let mut gain = None;
             let next = place.surpassed(objective, |place| {
-                let next = Place::new(objective, map, point?, place.near())?;
+                let next = NewtonIterate::new(objective, map, point?, place.near())?;
                 let gain = *gain.insert(next.local.value - place.local.value);
                 (gain >= -slack && (gain >= 0.05 * promised || promised <= slack)).then_some(next)
             });
@@ -163,7 +168,7 @@ impl Damping {
 pub(crate) fn moved(
     objective: &dyn Objective,
     map: &CovarianceMap,
-    place: &Place,
+    place: &NewtonIterate,
     step: &DVector<f64>,
 ) -> Option<Point> {
     let free = place.tangent.basis.times(step);
@@ -211,18 +216,18 @@ mod tests {
     use std::cell::RefCell;
 
     use super::*;
-    use crate::estimate::covariance::{Form, Part};
+    use crate::estimate::covariance::{CoordinateForm, PhaseForm};
     use crate::linalg::elements::Elements;
 
     /// A value of one mean whose model is everywhere slope x - ½ x²; where it has been asked.
-    struct Along<F> {
+    struct LineStep<F> {
         slope: f64,
         value: F,
         jacobian: DMatrix<f64>,
         asked: RefCell<Vec<f64>>,
     }
 
-    impl<F: Fn(f64) -> Option<f64>> Objective for Along<F> {
+    impl<F: Fn(f64) -> Option<f64>> Objective for LineStep<F> {
         fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
             self.asked.borrow_mut().push(point.mean[0]);
             let zero = || DMatrix::zeros(1, 1);
@@ -249,8 +254,9 @@ mod tests {
 
     /// One attempt from zero, with this much damping before it: where it ends, what is left of the damping, where it asked.
     fn attempt(slope: f64, damping: f64, value: impl Fn(f64) -> Option<f64>) -> (Attempt, f64, Vec<f64>) {
-        let objective = Along { slope, value, jacobian: DMatrix::identity(1, 1), asked: RefCell::default() };
-        let fixed = Part { states: 0..1, form: Form::Fixed(DMatrix::zeros(1, 1)), linear: false, start: None };
+        let objective = LineStep { slope, value, jacobian: DMatrix::identity(1, 1), asked: RefCell::default() };
+        let fixed =
+            PhaseForm { states: 0..1, form: CoordinateForm::Fixed(DMatrix::zeros(1, 1)), linear: false, start: None };
         let map = CovarianceMap {
             p: 1,
             parts: vec![fixed],
@@ -260,7 +266,7 @@ mod tests {
             elements: Elements::single(1),
         };
         let point = Point { mean: vec![0.0], coefficients: Vec::new(), root: DMatrix::zeros(1, 1) };
-        let mut place = Place::new(&objective, &map, point, None).expect("a finite place");
+        let mut place = NewtonIterate::new(&objective, &map, point, None).expect("a finite place");
         objective.asked.borrow_mut().clear();
         let mut damping = Damping(damping);
         let end = damping.attempt(&objective, &map, &mut place);

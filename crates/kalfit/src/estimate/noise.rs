@@ -23,7 +23,7 @@ use crate::estimate::evidence::evidence;
 use crate::estimate::local::Objective;
 use crate::estimate::problem::Problem;
 use crate::estimate::residual::Residual;
-use crate::estimate::{Estimate, FitError, Settings, Silent, State, Structure, ended, problem};
+use crate::estimate::{Estimate, FinalState, FitError, Settings, Silent, Structure, ended, problem};
 use crate::model::{Population, StructureError};
 use crate::reduce::Reductions;
 
@@ -68,7 +68,7 @@ impl Noisy {
     }
 
     /// ∂ℓ/∂u where a fit at this λ ended.
-    pub(crate) fn slope(&self, variance: f64, state: &State) -> f64 {
+    pub(crate) fn slope(&self, variance: f64, state: &FinalState) -> f64 {
         let Residual { measurements, squares } = self.all;
         let (sums, sigma) = (&state.sums, state.place.point.covariance());
         let own = squares / variance - measurements + sums.quadratic + (&sums.weight - &sums.outer).dot(&sigma);
@@ -77,7 +77,7 @@ impl Noisy {
     }
 
     /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ) there, from ∂ℓ/∂u.
-    pub(crate) fn information(&self, slope: f64, state: &State) -> NoiseInformation {
+    pub(crate) fn information(&self, slope: f64, state: &FinalState) -> NoiseInformation {
         state.noise_information(self.all.measurements, slope)
     }
 }
@@ -89,7 +89,7 @@ pub(crate) struct NoiseInformation {
     pub(crate) cross: DVector<f64>,
 }
 
-impl State {
+impl FinalState {
     fn noise_information(&self, measurements: f64, slope: f64) -> NoiseInformation {
         let (local, tangent, elements) = (&self.place.local, &self.place.tangent, &self.sums.elements);
         let levels = self.problem.classes.units.is_some();
@@ -107,14 +107,14 @@ impl State {
     }
 }
 
-impl State {
+impl FinalState {
     /// The same, its classes those of reductions of the same tests.
-    pub(crate) fn grounded(self, reductions: &Reductions) -> Result<State, StructureError> {
+    pub(crate) fn grounded(self, reductions: &Reductions) -> Result<FinalState, StructureError> {
         let problem = match self.problem.classes.grounded(reductions) {
             Some(classes) => Problem::of(classes, &self.structure(), self.problem.criterion())?,
             None => Problem::within(&self.evidence(reductions), &self.structure(), &self.problem)?,
         };
-        Ok(State { problem: Arc::new(problem), ..self })
+        Ok(FinalState { problem: Arc::new(problem), ..self })
     }
 }
 

@@ -42,7 +42,7 @@ pub(crate) struct FlatMean<'a> {
 
 /// What a pass adds up.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted<'a> {
+pub(crate) struct SumsWanted<'a> {
     pub(crate) elements: &'a Elements,
     pub(crate) regressors: &'a Regressors,
     pub(crate) order: Order,

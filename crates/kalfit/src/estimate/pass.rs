@@ -5,16 +5,16 @@ use std::sync::Arc;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::estimate::chained::{Detail, Packed};
+use crate::estimate::chained::{ChainDetail, Packed};
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
-use crate::estimate::lanes::{Accumulator, ChainPass, Found, Says, Totals};
+use crate::estimate::lanes::{Accumulator, ChainPass, ChainSums, ClassSums, Says};
 use crate::estimate::levels;
-use crate::estimate::order::{FlatMean, Order, Wanted, most_tasks};
+use crate::estimate::order::{FlatMean, Order, SumsWanted, most_tasks};
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::remote;
 use crate::estimate::sums::{OfLevels, Sums};
-use crate::estimate::terms::Terms;
+use crate::estimate::terms::ClassTerms;
 use crate::linalg::elements::Elements;
 
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
@@ -23,14 +23,14 @@ const CHUNK: usize = 128;
 /// Most tasks that tests in phases are summed by: each needs much room for second derivatives.
 const CHAIN_TASKS: usize = 16;
 
-impl Wanted<'_> {
+impl SumsWanted<'_> {
     pub(super) fn zero(&self) -> Sums {
         Sums::zero(self.elements, self.regressors.len(), self.order, self.flat)
     }
 
     /// Of tests in groups: their second derivatives are matrices of their own.
     pub(super) fn zero_in_groups(self) -> Sums {
-        let mut zero = Wanted { order: self.order.min(Order::Mean), ..self }.zero();
+        let mut zero = SumsWanted { order: self.order.min(Order::Mean), ..self }.zero();
         let second = if self.order >= Order::Second { self.elements.count() } else { 0 };
         let of = |rows: usize| DMatrix::zeros(if second > 0 { rows } else { 0 }, second);
         let coordinates = zero.mean_score.len();
@@ -43,8 +43,8 @@ impl Wanted<'_> {
         self.order >= Order::Mean
     }
 
-    pub(super) fn detail(&self) -> Detail {
-        if self.between() { Detail::Between } else { Detail::Phases }
+    pub(super) fn detail(&self) -> ChainDetail {
+        if self.between() { ChainDetail::Between } else { ChainDetail::Phases }
     }
 }
 
@@ -73,13 +73,13 @@ pub(crate) fn pass(
 }
 
 /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
-fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: Wanted<'_>) -> Vec<ClassRef<'a>> {
+fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();
     let of = |blocks: &[Arc<Packed>]| isa.run(ChainPass { blocks, classes: &classes.listed, point, wanted });
     let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
-    let all: Vec<Found> = classes.chains.par_chunks(each).map(of).collect();
+    let all: Vec<ChainSums> = classes.chains.par_chunks(each).map(of).collect();
     let mut left = Vec::new();
-    for Found { totals, constant, refused } in all {
+    for ChainSums { totals, constant, refused } in all {
         sums.value += constant;
         sums.take(totals);
         left.extend(refused.into_iter().map(|number| classes.listed.get(number)));
@@ -88,9 +88,9 @@ fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: 
 }
 
 /// Sums over classes one by one.
-pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: Wanted<'_>) -> Sums {
+pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let of_chunk = |chunk: &[ClassRef<'_>]| {
-        let (mut sums, mut terms) = (Accumulator::new(wanted), Terms::new(point.mean.len()));
+        let (mut sums, mut terms) = (Accumulator::new(wanted), ClassTerms::new(point.mean.len()));
         for &class in chunk {
             terms.evaluate(class, wanted.regressors, point, wanted.detail());
             sums.add(&Alone { terms: &terms, class, wanted }, class.covariates);
@@ -98,7 +98,7 @@ pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: Wanted
         (chunk.iter().map(|class| class.constant).sum(), sums.totals())
     };
     let each = CHUNK.max(classes.len().div_ceil(most_tasks(wanted.elements.states())));
-    let chunks: Vec<(f64, Totals)> = classes.par_chunks(each).map(of_chunk).collect();
+    let chunks: Vec<(f64, ClassSums)> = classes.par_chunks(each).map(of_chunk).collect();
     let mut sums = wanted.zero();
     for (constant, totals) in chunks {
         sums.value += constant;
@@ -124,16 +124,16 @@ fn wanted<'a>(
     regressors: &'a Regressors,
     order: Order,
     flat: Option<&'a FlatMean<'a>>,
-) -> Wanted<'a> {
+) -> SumsWanted<'a> {
     let least = if regressors.is_empty() && flat.is_none() { Order::First } else { Order::Mean };
-    Wanted { elements, regressors, order: order.max(least), flat }
+    SumsWanted { elements, regressors, order: order.max(least), flat }
 }
 
 /// A class by itself.
 struct Alone<'a> {
-    terms: &'a Terms,
+    terms: &'a ClassTerms,
     class: ClassRef<'a>,
-    wanted: Wanted<'a>,
+    wanted: SumsWanted<'a>,
 }
 
 impl Alone<'_> {

@@ -10,7 +10,7 @@ use crate::estimate::classes::Classes;
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::{Local, Objective};
 use crate::estimate::mean::MeanMap;
-use crate::estimate::newton::Place;
+use crate::estimate::newton::NewtonIterate;
 use crate::estimate::order::{FlatMean, Order};
 use crate::estimate::pass::{of_class, pass};
 use crate::estimate::point::Point;
@@ -159,7 +159,7 @@ impl Problem {
     }
 
     /// All that is known of a place where the search ends: one pass, if the search did not do it.
-    pub(crate) fn at_end(&self, place: &Place) -> Option<Sums> {
+    pub(crate) fn at_end(&self, place: &NewtonIterate) -> Option<Sums> {
         let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
         match last {
             Some((point, sums)) if point == place.point => Some(sums),

@@ -12,19 +12,19 @@ pub(super) fn add_times(own: &mut DMatrix<f64>, sign: f64, other: &DMatrix<f64>)
 
 /// Sums block by block; none where they are not wanted.
 #[derive(Debug, Clone)]
-pub(crate) struct Blocks(Vec<Block>);
+pub(crate) struct ProductBlocks(Vec<ProductBlock>);
 
 /// Sums of so many rows and columns.
 #[derive(Debug, Clone)]
-struct Block {
+struct ProductBlock {
     shape: (usize, usize),
     /// Empty until something is added.
     sum: DMatrix<f64>,
 }
 
-impl Block {
-    fn zero(rows: usize, columns: usize) -> Block {
-        Block { shape: (rows, columns), sum: DMatrix::zeros(0, 0) }
+impl ProductBlock {
+    fn zero(rows: usize, columns: usize) -> ProductBlock {
+        ProductBlock { shape: (rows, columns), sum: DMatrix::zeros(0, 0) }
     }
 
     fn whole(&mut self) -> &mut DMatrix<f64> {
@@ -52,9 +52,9 @@ impl Block {
     }
 }
 
-impl Blocks {
+impl ProductBlocks {
     /// Adds other sums, times a sign.
-    pub(crate) fn add(&mut self, sign: f64, other: &Blocks) {
+    pub(crate) fn add(&mut self, sign: f64, other: &ProductBlocks) {
         let added = self.0.iter_mut().zip(&other.0).filter(|(_, other)| !other.sum.is_empty());
         added.for_each(|(own, other)| add_times(own.whole(), sign, &other.sum));
     }
@@ -66,7 +66,7 @@ impl Blocks {
 
     /// All numbers.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
-        let of = |block: &Block| {
+        let of = |block: &ProductBlock| {
             let missing = block.shape.0 * block.shape.1 - block.sum.len();
             std::iter::repeat_n(0.0, missing)
         };
@@ -86,17 +86,17 @@ impl Blocks {
 pub(crate) struct Products {
     elements: Elements,
     /// For phases f ≥ g at f(f+1)/2 + g.
-    pub(super) blocks: Blocks,
+    pub(super) blocks: ProductBlocks,
 }
 
 impl Products {
     pub(crate) fn zero(elements: &Elements, wanted: bool) -> Products {
         let sizes: Vec<usize> = elements.blocks().iter().map(ExactSizeIterator::len).collect();
         let places = |f: usize, g: usize| if f == g { pairs(sizes[f]) } else { sizes[f] * sizes[g] };
-        let square = |(f, g)| Block::zero(places(f, g), places(f, g));
+        let square = |(f, g)| ProductBlock::zero(places(f, g), places(f, g));
         let count = if wanted { sizes.len() } else { 0 };
         let blocks = (0..count).flat_map(|f| (0..=f).map(move |g| (f, g))).map(square).collect();
-        Products { elements: elements.clone(), blocks: Blocks(blocks) }
+        Products { elements: elements.clone(), blocks: ProductBlocks(blocks) }
     }
 
     /// A_la B_bk, k and l of one phase, a and b of one phase.
@@ -121,14 +121,14 @@ pub(crate) struct Crosses {
     elements: Elements,
     coordinates: usize,
     /// By phase: entry (m, k, l) at (k × coordinates + m, l).
-    pub(super) blocks: Blocks,
+    pub(super) blocks: ProductBlocks,
 }
 
 impl Crosses {
     pub(crate) fn zero(elements: &Elements, coordinates: usize, wanted: bool) -> Crosses {
         let ranges = if wanted { elements.blocks() } else { &[] };
-        let blocks = ranges.iter().map(|range| Block::zero(range.len() * coordinates, range.len())).collect();
-        Crosses { elements: elements.clone(), coordinates, blocks: Blocks(blocks) }
+        let blocks = ranges.iter().map(|range| ProductBlock::zero(range.len() * coordinates, range.len())).collect();
+        Crosses { elements: elements.clone(), coordinates, blocks: ProductBlocks(blocks) }
     }
 
     /// A_mk r_l.

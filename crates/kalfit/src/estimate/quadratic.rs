@@ -9,10 +9,10 @@ use std::sync::Arc;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::climb::{Limits, climb};
-use crate::estimate::covariance::{CovarianceMap, Form};
+use crate::estimate::climb::{ClimbLimits, climb};
+use crate::estimate::covariance::{CoordinateForm, CovarianceMap};
 use crate::estimate::local::{Local, Objective};
-use crate::estimate::newton::Place;
+use crate::estimate::newton::NewtonIterate;
 use crate::estimate::point::Point;
 use crate::linalg::elements::Elements;
 
@@ -28,7 +28,12 @@ const NOISE: f64 = 1e-13;
 const ENOUGH: f64 = 0.05;
 
 /// The better place at the model's maximum; `None` where it is not better by what the model promised. One pass.
-pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &mut Place) -> Option<Place> {
+pub(crate) fn step(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    tests: f64,
+    place: &mut NewtonIterate,
+) -> Option<NewtonIterate> {
     place.slim();
     let Some((point, promised)) = aim(objective, map, tests, place) else {
         place.restore(objective);
@@ -36,7 +41,7 @@ pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, p
     };
     let noise = noise(place);
     place.surpassed(objective, |place| {
-        let next = Place::new(objective, map, point, place.near())?;
+        let next = NewtonIterate::new(objective, map, point, place.near())?;
         let gain = next.local.value - place.local.value;
         // where the value has no digits left to tell, the decrement does
         let closer = gain >= -noise && next.decrement() < 0.5 * place.decrement();
@@ -45,15 +50,15 @@ pub(crate) fn step(objective: &dyn Objective, map: &CovarianceMap, tests: f64, p
 }
 
 /// What a value of ℓ near a place may be off by.
-fn noise(place: &Place) -> f64 {
+fn noise(place: &NewtonIterate) -> f64 {
     NOISE * place.local.value.abs().max(1.0)
 }
 
 /// The model's maximum, and the gain that it promises; `None` where it is out of reach.
-fn aim(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place) -> Option<(Point, f64)> {
-    let model = Quadratic::new(objective, place, &map.elements);
-    let start = Place::new(&model, map, place.point.clone(), None)?;
-    let limits = Limits { tolerance: 1e-4 * place.decrement().min(1.0), steps: STEPS };
+fn aim(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &NewtonIterate) -> Option<(Point, f64)> {
+    let model = LocalQuadratic::new(objective, place, &map.elements);
+    let start = NewtonIterate::new(&model, map, place.point.clone(), None)?;
+    let limits = ClimbLimits { tolerance: 1e-4 * place.decrement().min(1.0), steps: STEPS };
     let (end, _) = climb(&model, map, tests, start, limits);
     let end = flattened(&model, map, (tests, noise(place)), end, limits);
     let promised = end.local.value - place.local.value;
@@ -62,17 +67,17 @@ fn aim(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Place
 
 /// The end with columns of F set to zero, the smallest first, as long as the model does not mind: it nears a boundary slowly.
 fn flattened(
-    model: &Quadratic<'_>,
+    model: &LocalQuadratic<'_>,
     map: &CovarianceMap,
     (tests, noise): (f64, f64),
-    mut end: Place,
-    limits: Limits,
-) -> Place {
+    mut end: NewtonIterate,
+    limits: ClimbLimits,
+) -> NewtonIterate {
     for _ in 0..end.point.root.ncols() {
         let root = without_least_column(map, &end.point.root).and_then(|root| map.onto(&root));
         let Some(root) = root else { break };
         let next = end.surpassed(model, |end| {
-            let next = Place::new(model, map, Point { root, ..end.point.clone() }, None)?;
+            let next = NewtonIterate::new(model, map, Point { root, ..end.point.clone() }, None)?;
             (next.local.value >= end.local.value - noise).then_some(next)
         });
         let Some(next) = next else { break };
@@ -83,7 +88,7 @@ fn flattened(
 
 /// F with the smallest column that is small, but not zero, set to zero.
 fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-    let is_factor = |c: &usize| matches!(map.form_of(*c), Form::Factor(_));
+    let is_factor = |c: &usize| matches!(map.form_of(*c), CoordinateForm::Factor(_));
     let small = |c: &usize| (0.0..SMALL).contains(&root.column(*c).amax()) && root.column(*c).amax() > 0.0;
     let least = (0..root.ncols())
         .filter(is_factor)
@@ -95,23 +100,23 @@ fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMat
 }
 
 /// ℓ near a place to second order, curvature by absolute value.
-struct Quadratic<'a> {
+struct LocalQuadratic<'a> {
     objective: &'a dyn Objective,
-    place: &'a Place,
+    place: &'a NewtonIterate,
     elements: &'a Elements,
     sigma: DMatrix<f64>,
     /// In mean coordinates, then elements of Σ.
     gradient: DVector<f64>,
 }
 
-impl<'a> Quadratic<'a> {
-    fn new(objective: &'a dyn Objective, place: &'a Place, elements: &'a Elements) -> Quadratic<'a> {
+impl<'a> LocalQuadratic<'a> {
+    fn new(objective: &'a dyn Objective, place: &'a NewtonIterate, elements: &'a Elements) -> LocalQuadratic<'a> {
         let local = &place.local;
         let (m, s) = (local.mean_score.len(), local.information.nrows());
         let mut gradient = DVector::zeros(m + s);
         gradient.rows_mut(0, m).copy_from(&local.mean_score);
         gradient.rows_mut(m, s).copy_from(&elements.pack_score(&local.score));
-        Quadratic { objective, elements, sigma: place.point.covariance(), place, gradient }
+        LocalQuadratic { objective, elements, sigma: place.point.covariance(), place, gradient }
     }
 
     /// The information in mean coordinates and elements of Σ, times a vector.
@@ -151,7 +156,7 @@ fn is_near(point: &Point, from: &Point) -> bool {
     (0..point.mean.len()).all(|i| spread(point, i) <= REACH * (1.0 + spread(from, i)))
 }
 
-impl Objective for Quadratic<'_> {
+impl Objective for LocalQuadratic<'_> {
     fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
         let (p, m) = (point.mean.len(), self.place.local.mean_score.len());
         let away = self.away(point);

@@ -33,7 +33,7 @@ pub(crate) struct Restriction {
 
 /// a(Σ) at a point, with its derivatives.
 #[derive(Debug, Clone)]
-pub(crate) struct Restricted {
+pub(crate) struct RemlTerm {
     /// a.
     pub(crate) value: f64,
     /// V = C⁻¹ on the informed directions, zero elsewhere: covariance of β at a known Σ, in η (q × q).
@@ -87,7 +87,7 @@ impl Restriction {
         information: &DMatrix<f64>,
         spread: &DMatrix<f64>,
         elements: &Elements,
-    ) -> Option<Restricted> {
+    ) -> Option<RemlTerm> {
         let own = self.informed.transpose() * information * &self.informed;
         let factor = own.cholesky()?.l();
         let half = factor.solve_lower_triangular(&self.informed.transpose())?.transpose(); // V = half half'
@@ -95,7 +95,7 @@ impl Restriction {
         let value = self.constant - factor.diagonal().iter().map(|x| x.ln()).sum::<f64>();
         let score = score(&covariance, spread, elements);
         let curvature = curvature(&half, spread, elements);
-        Some(Restricted { value, covariance, score, curvature })
+        Some(RemlTerm { value, covariance, score, curvature })
     }
 }
 

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::estimate::classes::Classes;
 use crate::estimate::frame::{Frame, Pooled};
-use crate::estimate::order::Wanted;
+use crate::estimate::order::SumsWanted;
 use crate::estimate::point::Point;
 use crate::estimate::sums::Sums;
 use crate::linalg::elements::Elements;
@@ -70,7 +70,7 @@ impl Classes {
 }
 
 /// ℓ and its derivatives at a point; NaN where nobody has answered.
-pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted: Wanted<'_>) -> Sums {
+pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let flat = wanted.flat.map(|flat| Flat {
         free: flat.jacobian.ncols(),
         jacobian: list(flat.jacobian),

@@ -24,13 +24,13 @@ impl Residual {
 
 /// All noise λ times as large, in coordinates that are √λ times as large: R stays, d is d/√λ.
 #[derive(Debug, Clone)]
-pub(crate) struct Noise {
+pub(crate) struct NoiseScale {
     pub(crate) variance: f64,
     /// Of each class.
     pub(crate) told: Arc<Vec<Residual>>,
 }
 
-impl Noise {
+impl NoiseScale {
     /// 1/√λ.
     pub(crate) fn unit(&self) -> f64 {
         self.variance.sqrt().recip()

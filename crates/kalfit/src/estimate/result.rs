@@ -7,11 +7,11 @@ use nalgebra::DMatrix;
 
 use crate::ensemble::Grouping;
 use crate::estimate::certificate::Certificate;
-use crate::estimate::covariance::Form;
+use crate::estimate::covariance::CoordinateForm;
 use crate::estimate::error::FitError;
 use crate::estimate::evidence::evidence;
 use crate::estimate::joint_law::JointLaw;
-use crate::estimate::newton::Place;
+use crate::estimate::newton::NewtonIterate;
 use crate::estimate::order::Order;
 use crate::estimate::problem::Problem;
 use crate::estimate::rounding::rounding;
@@ -52,7 +52,7 @@ pub struct Estimate {
     /// What was maximised.
     pub criterion: Criterion,
     /// What inference needs: the problem, the final point in its own coordinates, and the derivatives there.
-    pub(crate) state: State,
+    pub(crate) state: FinalState,
 }
 
 impl Estimate {
@@ -88,7 +88,9 @@ impl Estimate {
         let part = &self.state.problem.covariance.parts[phase];
         let sigma = self.state.place.point.covariance();
         match &part.form {
-            Form::Scale(star) => part.states.clone().map(|i| sigma[(i, i)]).sum::<f64>() / star.norm_squared(),
+            CoordinateForm::Scale(star) => {
+                part.states.clone().map(|i| sigma[(i, i)]).sum::<f64>() / star.norm_squared()
+            }
             _ => 0.0,
         }
     }
@@ -106,9 +108,9 @@ impl From<&Estimate> for Population {
 
 /// The end of the search in the estimator's own coordinates.
 #[derive(Debug, Clone)]
-pub(crate) struct State {
+pub(crate) struct FinalState {
     pub(crate) problem: Arc<Problem>,
-    pub(crate) place: Place,
+    pub(crate) place: NewtonIterate,
     pub(crate) sums: Sums,
     pub(crate) assumed: Assumed,
     pub(crate) settings: Settings,
@@ -116,7 +118,7 @@ pub(crate) struct State {
     pub(crate) joint: Option<JointLaw>,
 }
 
-impl State {
+impl FinalState {
     /// The reductions whose likelihood was maximised, from those that the estimate was made from.
     pub(crate) fn evidence<'a>(&self, reductions: &'a Reductions) -> Cow<'a, Reductions> {
         evidence(reductions, &self.structure(), &self.settings).expect("the estimate was made from such")

@@ -11,14 +11,14 @@
 //! much, in its own standard errors. In a frame μ_i counts by its parts, the centre, the mean in η and the regression: they cancel too.
 
 use crate::estimate::frame::Frame;
-use crate::estimate::newton::Place;
+use crate::estimate::newton::NewtonIterate;
 
 /// ε in units of that of the arithmetic. Fits of numbers up to 1e13 at noise 1, by up to 40,000 rows a test with and without process
 /// noise, were off by no more than 0.8 of them whatever the number of rows: errors of single rows do not add up all in one sense.
 const UNITS: f64 = 2.0;
 
 /// By mean coordinate (elements of μ, then regression coefficients), in standard errors.
-pub(crate) fn rounding(frame: &Frame, place: &Place) -> Vec<f64> {
+pub(crate) fn rounding(frame: &Frame, place: &NewtonIterate) -> Vec<f64> {
     let (point, information) = (&place.point, &place.local.mean_information);
     let epsilon = UNITS * f64::EPSILON;
     let p = point.mean.len();

@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{Form, Part};
+use crate::estimate::covariance::{CoordinateForm, PhaseForm};
 use crate::estimate::local::Objective;
 use crate::estimate::order::Order;
 use crate::estimate::point::Point;
@@ -47,10 +47,10 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64
         .unwrap_or_else(|| relative_solve(&information(), &score, &metric(&chart.root, &free, &map.elements)));
     let promised = 0.5 * (along.dot(&score) + shift.dot(&sums.mean_score));
     let change = map.elements.unpack(&free.times(&along));
-    let of = |part: &Part| {
+    let of = |part: &PhaseForm| {
         let (own, before) = (map.of_part(part), part.of(&point.root));
         match &part.form {
-            Form::Fixed(_) => before,
+            CoordinateForm::Fixed(_) => before,
             _ => grown(&part.of(&chart.root), &part.of(&change), own.constraints.is_empty())
                 .map_or(before, |sigma| own.root_of(&sigma)),
         }

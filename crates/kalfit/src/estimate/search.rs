@@ -6,14 +6,14 @@ use nalgebra::DMatrix;
 
 use crate::estimate::certificate::{Certificate, certificate};
 use crate::estimate::climb::escaped;
-use crate::estimate::em::{self, Turn};
+use crate::estimate::em::{self, ConditionalStep};
 use crate::estimate::error::FitError;
 use crate::estimate::local::{Local, Objective};
-use crate::estimate::newton::{Attempt, Damping, Place};
+use crate::estimate::newton::{Attempt, Damping, NewtonIterate};
 use crate::estimate::order::Order;
 use crate::estimate::point::Point;
 use crate::estimate::problem::Problem;
-use crate::estimate::result::{Estimate, State};
+use crate::estimate::result::{Estimate, FinalState};
 use crate::estimate::rounding::rounding;
 use crate::estimate::settings::{Progress, Settings, Silent, Solver, Step};
 use crate::estimate::stop::Stop;
@@ -75,7 +75,7 @@ impl<'a> Search<'a> {
         mut self,
         start: Point,
         structure: &Structure<'_>,
-        first: impl FnOnce(&mut Self, Point) -> Result<Place, FitError>,
+        first: impl FnOnce(&mut Self, Point) -> Result<NewtonIterate, FitError>,
     ) -> Result<Estimate, FitError> {
         let (place, stop) = match self.settings.solver {
             Solver::Newton => {
@@ -102,14 +102,15 @@ impl<'a> Search<'a> {
         (self.problem.passes() >= self.settings.max_passes).then_some(Stop::PassLimit)
     }
 
-    fn place(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<Place, FitError> {
-        Place::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
+    fn place(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<NewtonIterate, FitError> {
+        NewtonIterate::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
     }
 
     /// The place where these are the sums.
-    fn known(&self, point: Point, mut sums: Sums) -> Result<Place, FitError> {
+    fn known(&self, point: Point, mut sums: Sums) -> Result<NewtonIterate, FitError> {
         let problem = &self.problem;
-        Place::at(Local::of(&mut sums), problem.mean_jacobian(), &problem.covariance, point).ok_or(FitError::NotFinite)
+        NewtonIterate::at(Local::of(&mut sums), problem.mean_jacobian(), &problem.covariance, point)
+            .ok_or(FitError::NotFinite)
     }
 
     fn sums(&self, point: &Point, order: Order) -> Result<Sums, FitError> {
@@ -117,7 +118,7 @@ impl<'a> Search<'a> {
     }
 
     /// Newton, and EM where Newton finds no step.
-    fn newton(&mut self, mut place: Place) -> Result<(Place, Stop), FitError> {
+    fn newton(&mut self, mut place: NewtonIterate) -> Result<(NewtonIterate, Stop), FitError> {
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
         let mut failures = 0;
@@ -173,7 +174,7 @@ impl<'a> Search<'a> {
     }
 
     /// The best place of a part of the tests, where they are very many; `None` where it is no better than the start may be.
-    fn piloted(&self, start: &Point, structure: &Structure<'_>) -> Result<Option<Place>, FitError> {
+    fn piloted(&self, start: &Point, structure: &Structure<'_>) -> Result<Option<NewtonIterate>, FitError> {
         let Some(problem) = pilot::problem(&self.problem, structure)? else { return Ok(None) };
         let settings = Settings { tolerance: ROUGH.max(self.settings.tolerance), ..self.settings.clone() };
         let mut silent = Silent;
@@ -186,7 +187,7 @@ impl<'a> Search<'a> {
 
     /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
     /// better point is kept, which needs no new pass.
-    fn scored_start(&mut self, start: Point) -> Result<Place, FitError> {
+    fn scored_start(&mut self, start: Point) -> Result<NewtonIterate, FitError> {
         let mut best: Option<(Sums, Point)> = None;
         let mut point = start;
         let mut expected = 0.0;
@@ -218,25 +219,25 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn on_the_cone(&self, place: &mut Place) -> Option<Place> {
+    fn on_the_cone(&self, place: &mut NewtonIterate) -> Option<NewtonIterate> {
         let tests = self.problem.classes.tests as f64;
         quadratic::step(&self.problem, &self.problem.covariance, tests, place)
     }
 
     /// An EM step, where it raises ℓ and is wanted.
-    fn safeguard(&mut self, place: &mut Place, wanted: bool) -> Result<Option<Place>, FitError> {
+    fn safeguard(&mut self, place: &mut NewtonIterate, wanted: bool) -> Result<Option<NewtonIterate>, FitError> {
         let sums = self.sums(&place.point, Order::Mean)?;
-        let next = em::step(&self.problem, &place.point, &sums, &mut Turn::Covariance);
+        let next = em::step(&self.problem, &place.point, &sums, &mut ConditionalStep::Covariance);
         self.surpassed(place, next, |next, place| wanted && next.local.value > place.local.value)
     }
 
     /// The place at a point, where it is good: of the other one nothing may be asked then.
     fn surpassed(
         &self,
-        place: &mut Place,
+        place: &mut NewtonIterate,
         point: Point,
-        good: impl FnOnce(&Place, &Place) -> bool,
-    ) -> Result<Option<Place>, FitError> {
+        good: impl FnOnce(&NewtonIterate, &NewtonIterate) -> bool,
+    ) -> Result<Option<NewtonIterate>, FitError> {
         let mut failed = None;
         let next = place.surpassed(&self.problem, |place| {
             let next = self.place(point, place.near()).map_err(|error| failed = Some(error)).ok()?;
@@ -246,14 +247,14 @@ impl<'a> Search<'a> {
     }
 
     /// The paper's algorithm. ℓ is checked to rise at every step; the certificate is looked at now and then.
-    fn em(&mut self, mut point: Point) -> Result<(Place, Stop), FitError> {
-        let mut turn = Turn::Mean;
+    fn em(&mut self, mut point: Point) -> Result<(NewtonIterate, Stop), FitError> {
+        let mut turn = ConditionalStep::Mean;
         let mut before = f64::NEG_INFINITY;
         let mut steps = 0_usize;
         let order = em::order(&self.problem);
         loop {
             let sums = self.sums(&point, order)?;
-            if self.problem.criterion() == Criterion::Reml && turn == Turn::Mean {
+            if self.problem.criterion() == Criterion::Reml && turn == ConditionalStep::Mean {
                 // the restricted likelihood is that at the mean of least squares, which comes first
                 point = em::step(&self.problem, &point, &sums, &mut turn);
                 continue;
@@ -281,7 +282,12 @@ impl<'a> Search<'a> {
     }
 
     /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
-    fn finish(mut self, mut place: Place, mut stop: Stop, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+    fn finish(
+        mut self,
+        mut place: NewtonIterate,
+        mut stop: Stop,
+        structure: &Structure<'_>,
+    ) -> Result<Estimate, FitError> {
         let enough = place.decrement().max(self.settings.tolerance);
         place = self.snapped(&mut place, SNAP, enough)?.unwrap_or(place);
         if self.problem.criterion() == Criterion::Reml {
@@ -297,24 +303,35 @@ impl<'a> Search<'a> {
             stop = Stop::Stalled;
         }
         let settings = self.settings.clone();
-        let state =
-            State { place, sums, problem: Arc::new(self.problem), assumed: structure.into(), settings, joint: None };
+        let state = FinalState {
+            place,
+            sums,
+            problem: Arc::new(self.problem),
+            assumed: structure.into(),
+            settings,
+            joint: None,
+        };
         Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
     }
 
     /// What no test observes put back to the law it started with, where Newton's steps have moved it.
-    fn restored(&mut self, mut place: Place, start: &DMatrix<f64>) -> Result<Place, FitError> {
+    fn restored(&mut self, mut place: NewtonIterate, start: &DMatrix<f64>) -> Result<NewtonIterate, FitError> {
         let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
         let Some(root) = unobserved::restored(map, information, start, &place.point.root) else { return Ok(place) };
         let point = Point { root, ..place.point.clone() };
         let enough = place.decrement().max(self.settings.tolerance);
-        let fine = |next: &Place, place: &Place| is_as_good(next, place) && next.decrement() <= enough;
+        let fine = |next: &NewtonIterate, place: &NewtonIterate| is_as_good(next, place) && next.decrement() <= enough;
         Ok(self.surpassed(&mut place, point, fine)?.unwrap_or(place))
     }
 
     /// The place with trailing columns of the factor up to this size set to zero; `None` where there are none, where ℓ minds, or where the
     /// decrement is more than `enough`.
-    fn snapped(&mut self, place: &mut Place, size: f64, enough: f64) -> Result<Option<Place>, FitError> {
+    fn snapped(
+        &mut self,
+        place: &mut NewtonIterate,
+        size: f64,
+        enough: f64,
+    ) -> Result<Option<NewtonIterate>, FitError> {
         let mut root = place.point.root.clone();
         let mut changed = false;
         for block in self.problem.covariance.blocks() {
@@ -336,26 +353,26 @@ impl<'a> Search<'a> {
 }
 
 /// ℓ is no less, but for rounding.
-fn is_as_good(next: &Place, place: &Place) -> bool {
+fn is_as_good(next: &NewtonIterate, place: &NewtonIterate) -> bool {
     next.local.value >= place.local.value - 1e-9
 }
 
 impl Estimate {
     /// What is known at a place that no search has ended at.
-    pub(crate) fn unfinished(state: State) -> Estimate {
+    pub(crate) fn unfinished(state: FinalState) -> Estimate {
         let certificate = certified(&state.problem, &state.place);
         leave(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
     }
 }
 
 /// The certificate of a place, with what rounding leaves open there.
-fn certified(problem: &Problem, place: &Place) -> Certificate {
+fn certified(problem: &Problem, place: &NewtonIterate) -> Certificate {
     let (certificate, _) = certificate(&problem.covariance, place, problem.classes.tests as f64);
     certificate.with_rounding(&rounding(&problem.classes.frame, place))
 }
 
 /// The estimate in the user's units.
-fn leave(state: State, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
+fn leave(state: FinalState, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
     let problem = &state.problem;
     let Population { mean, coefficients, covariance } = problem.values_of(&state.place.point);
     Estimate {

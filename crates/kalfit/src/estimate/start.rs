@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{CovarianceMap, Part, sub};
+use crate::estimate::covariance::{CovarianceMap, PhaseForm, sub};
 use crate::estimate::point::Point;
 use crate::estimate::problem::{Problem, scaled_solve};
 use crate::estimate::{Classes, FitError, Structure, linear, pilot};
@@ -25,7 +25,7 @@ pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Poin
             DMatrix::from_diagonal(&variances(classes, &mean))
         }
     };
-    let of = |part: &Part| {
+    let of = |part: &PhaseForm| {
         let sigma = part.start.clone().unwrap_or_else(|| part.of(&from_data));
         part_root(&map.of_part(part), part.linear, &sigma)
     };
@@ -48,7 +48,7 @@ fn part_root(map: &CovarianceMap, linear: bool, sigma: &DMatrix<f64>) -> Result<
 /// A root of the highest rank that the structure has: that of a start from nothing but the structure.
 pub(crate) fn generic_root(problem: &Problem) -> DMatrix<f64> {
     let map = &problem.covariance;
-    let of = |part: &Part| {
+    let of = |part: &PhaseForm| {
         let own = map.of_part(part);
         let sigma = DMatrix::identity(own.p, own.p);
         if own.constraints.is_empty() {
@@ -70,7 +70,7 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
     let b = mean.basis.transpose() * (wanted - &mean.offset);
     let coefficient = |(c, scale): (usize, &f64)| values.coefficients.get(c).map_or(0.0, |value| value * scale);
     let sigma = map.mask(&frame.covariance_in(&values.covariance));
-    let of = |part: &Part| {
+    let of = |part: &PhaseForm| {
         let (own, mut sigma) = (map.of_part(part), part.of(&sigma));
         if symmetric::scaled_range(&sub(&sigma, &own.random)).0 < SINGULAR {
             own.random.iter().for_each(|&i| sigma[(i, i)] += LEAST.max(0.01 * sigma[(i, i)]));

@@ -2,11 +2,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::lanes::Totals;
+use crate::estimate::lanes::ClassSums;
 use crate::estimate::order::{FlatMean, Order};
 use crate::estimate::point::Regressors;
-use crate::estimate::products::{Blocks, Crosses, Products, add_times};
-use crate::estimate::reml::Restricted;
+use crate::estimate::products::{Crosses, ProductBlocks, Products, add_times};
+use crate::estimate::reml::RemlTerm;
 use crate::linalg::elements::Elements;
 use crate::linalg::folded::Folded;
 use crate::linalg::symmetric::{pair, pairs};
@@ -27,7 +27,7 @@ pub(crate) struct Sums {
     /// Σ W, zero between phases.
     pub(crate) weight: DMatrix<f64>,
     /// What the restricted likelihood adds, already part of `value`.
-    pub(crate) restricted: Option<Restricted>,
+    pub(crate) restricted: Option<RemlTerm>,
     /// Σ X'W ⊗ WX, pairs of free mean coordinates × elements; nothing under maximum likelihood.
     pub(super) spread: DMatrix<f64>,
     /// Σ W ⊗ (r r' - ½W); under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
@@ -96,7 +96,7 @@ impl Sums {
     }
 
     /// Adds what classes say, their constants apart.
-    pub(super) fn take(&mut self, totals: Totals) {
+    pub(super) fn take(&mut self, totals: ClassSums) {
         self.value += totals.value;
         self.quadratic += totals.quadratic;
         self.mean_score.iter_mut().zip(&totals.score).for_each(|(sum, x)| *sum += x);
@@ -154,7 +154,7 @@ impl Sums {
     }
 
     /// With what the restricted likelihood adds.
-    pub(crate) fn restrict(mut self, restricted: Restricted) -> Sums {
+    pub(crate) fn restrict(mut self, restricted: RemlTerm) -> Sums {
         self.value += restricted.value;
         self.restricted = Some(restricted);
         self.spread = DMatrix::zeros(0, 0);
@@ -291,7 +291,7 @@ impl Sums {
         let of_levels = self.of_levels.iter().flat_map(|own| [&own.observed, &own.cross, &own.expected]);
         let plain = [self.value, self.quadratic].into_iter().chain(self.mean_score.iter().copied());
         let blocks = [&self.curvature.blocks, &self.cross.blocks, &self.expected.blocks];
-        let products = blocks.into_iter().flat_map(Blocks::numbers);
+        let products = blocks.into_iter().flat_map(ProductBlocks::numbers);
         plain.chain(matrices.into_iter().chain(of_levels).flatten().copied()).chain(products).collect()
     }
 
@@ -302,7 +302,7 @@ impl Sums {
             self.of_levels.iter_mut().flat_map(|own| [&mut own.observed, &mut own.cross, &mut own.expected]);
         let plain = [&mut self.value, &mut self.quadratic].into_iter().chain(self.mean_score.iter_mut());
         let blocks = [&mut self.curvature.blocks, &mut self.cross.blocks, &mut self.expected.blocks];
-        let products = blocks.into_iter().flat_map(Blocks::places_mut);
+        let products = blocks.into_iter().flat_map(ProductBlocks::places_mut);
         let places =
             plain.chain(matrices.into_iter().chain(of_levels).flat_map(|matrix| matrix.iter_mut())).chain(products);
         let mut count = 0;

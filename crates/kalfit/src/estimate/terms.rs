@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::{Detail, Said};
+use crate::estimate::chained::{ChainDetail, ChainTerms};
 use crate::estimate::class::ClassRef;
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::fold::fold;
@@ -20,7 +20,7 @@ use kalfit_lanes::Real;
 
 /// What one class says at a point, and the room to work it out. Matrices p × p by rows.
 #[derive(Debug, Clone)]
-pub(crate) struct Terms<T = f64> {
+pub(crate) struct ClassTerms<T = f64> {
     p: usize,
     /// RF, then work.
     work: Vec<T>,
@@ -48,12 +48,12 @@ pub(crate) struct Terms<T = f64> {
     pub(crate) link_log_det: f64,
 }
 
-impl<T: Real> Terms<T> {
-    pub(crate) fn new(p: usize) -> Terms<T> {
+impl<T: Real> ClassTerms<T> {
+    pub(crate) fn new(p: usize) -> ClassTerms<T> {
         let zero = T::splat(0.0);
         let square = || vec![zero; p * p];
         let vector = || vec![zero; p];
-        Terms {
+        ClassTerms {
             p,
             work: square(),
             other: square(),
@@ -210,10 +210,16 @@ impl<T: Real> Terms<T> {
     }
 }
 
-impl Terms<f64> {
+impl ClassTerms<f64> {
     /// All that the class says at a point; of tests kept phase by phase in as much detail as is wanted, with zeros where nothing is:
     /// between phases, or, for posteriors, in all of W and Σ r r'.
-    pub(crate) fn evaluate(&mut self, class: ClassRef<'_>, regressors: &Regressors, point: &Point, detail: Detail) {
+    pub(crate) fn evaluate(
+        &mut self,
+        class: ClassRef<'_>,
+        regressors: &Regressors,
+        point: &Point,
+        detail: ChainDetail,
+    ) {
         if let Some(chain) = class.chain {
             let said = chain.chained().at(&point.mean_of(class, regressors), &point.root, detail);
             return self.take((&chain.ranges(), class), &said, detail, |x| x);
@@ -242,8 +248,8 @@ impl Terms<f64> {
     pub(crate) fn take<N: Real>(
         &mut self,
         (ranges, class): (&[Range<usize>], ClassRef<'_>),
-        said: &Said<N>,
-        detail: Detail,
+        said: &ChainTerms<N>,
+        detail: ChainDetail,
         of: impl Fn(N) -> f64,
     ) {
         let (mantissa, exponent) = said.root_det;
@@ -255,7 +261,7 @@ impl Terms<f64> {
                 *to = of(r[(a, 0)]);
             }
         }
-        if detail == Detail::Posterior {
+        if detail == ChainDetail::Posterior {
             let (mantissa, exponent) = said.link_root_det;
             self.link_log_det = 2.0 * (of(mantissa).ln() + of(exponent) * std::f64::consts::LN_2);
             let lane = |m: &Rows<N>| Rows::from_fn(m.nrows(), m.ncols(), |i, k| of(m[(i, k)]));
@@ -270,7 +276,7 @@ impl Terms<f64> {
     fn take_pairs<N: Real>(
         &mut self,
         (own, class): (&[Range<usize>], ClassRef<'_>),
-        said: &Said<N>,
+        said: &ChainTerms<N>,
         of: impl Fn(N) -> f64,
     ) {
         let p = self.p;

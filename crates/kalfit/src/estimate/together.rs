@@ -6,11 +6,11 @@ use std::sync::Arc;
 use kalfit_lanes::{Kernel, Lanes};
 use rayon::prelude::*;
 
-use crate::estimate::chained::{Detail, Packed, Root};
+use crate::estimate::chained::{ChainDetail, Packed, Root};
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
 use crate::estimate::point::{Point, Regressors};
-use crate::estimate::terms::Terms;
+use crate::estimate::terms::ClassTerms;
 
 /// Classes that one thread takes at a time.
 const CHUNK: usize = 256;
@@ -23,21 +23,21 @@ pub(crate) fn in_parts<T: Send>(
     classes: &Classes,
     regressors: &Regressors,
     point: &Point,
-    detail: Detail,
+    detail: ChainDetail,
     start: &(dyn Fn() -> T + Sync),
-    of: &(dyn Fn(&mut T, usize, ClassRef<'_>, &Terms) + Sync),
+    of: &(dyn Fn(&mut T, usize, ClassRef<'_>, &ClassTerms) + Sync),
 ) -> Vec<T> {
     let (isa, class) = (classes.blocks.isa(), &|k: usize| classes.listed.get(k));
     let root = &Root::of(&point.root);
     let parts = in_pieces(
         classes,
-        &|| (start(), Terms::new(point.mean.len())),
+        &|| (start(), ClassTerms::new(point.mean.len())),
         &|(made, terms), k, class| {
             terms.evaluate(class, regressors, point, detail);
             of(made, k, class, terms);
         },
         &|(made, terms), packed| {
-            let of: &mut dyn FnMut(usize, &Terms) = &mut |k, terms| of(made, k, class(k), terms);
+            let of: &mut dyn FnMut(usize, &ClassTerms) = &mut |k, terms| of(made, k, class(k), terms);
             isa.run(Tell { packed, class, regressors, point, root, detail, terms, of });
         },
     );
@@ -76,9 +76,9 @@ struct Tell<'a, 'b, 'c> {
     regressors: &'a Regressors,
     point: &'a Point,
     root: &'a Root<'a>,
-    detail: Detail,
-    terms: &'a mut Terms,
-    of: &'b mut dyn FnMut(usize, &Terms),
+    detail: ChainDetail,
+    terms: &'a mut ClassTerms,
+    of: &'b mut dyn FnMut(usize, &ClassTerms),
 }
 
 impl Kernel for Tell<'_, '_, '_> {

@@ -9,7 +9,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::covariance::{CovarianceMap, Form, Part, sub};
+use crate::estimate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, sub};
 use crate::linalg::symmetric;
 
 /// Scaled information below this is none.
@@ -23,9 +23,9 @@ pub(crate) fn restored(
     start: &DMatrix<f64>,
     root: &DMatrix<f64>,
 ) -> Option<DMatrix<f64>> {
-    let loose = |part: &&Part| map.of_part(part).constraints.is_empty();
+    let loose = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
     let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
-        Form::Factor(blocks) => blocks.as_slice(),
+        CoordinateForm::Factor(blocks) => blocks.as_slice(),
         _ => &[],
     });
     let mut found = root.clone();

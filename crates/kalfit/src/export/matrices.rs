@@ -4,22 +4,22 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::export::ExportError;
-use crate::export::plain::Plain;
+use crate::export::plain::PlainModel;
 use crate::export::terms::{ONE, Terms};
 use crate::model::{Alpha, Expression, Scope};
 use crate::reduce::{Fault, Filled, Moves, Preparer, Subject, ldl};
 
 /// A model of constant coefficients, evaluated.
 #[derive(Debug)]
-pub(super) struct Made {
+pub(super) struct ConstantModel {
     preparer: Preparer,
     moves: Moves,
     /// u.
     pub(super) inputs: Vec<Expression>,
 }
 
-impl Made {
-    pub(super) fn new(plain: &Plain, step: Option<f64>) -> Result<Made, ExportError> {
+impl ConstantModel {
+    pub(super) fn new(plain: &PlainModel, step: Option<f64>) -> Result<ConstantModel, ExportError> {
         let named = |fault: Box<Fault>| ExportError::from(fault.name(&plain.model, None));
         let preparer = Preparer::new(&plain.model, &Alpha::default()).map_err(named)?;
         let dynamics = &preparer.dynamics;
@@ -37,7 +37,7 @@ impl Made {
             }
         }
         inputs.sort_by_key(|term| *term == ONE); // the constant is the last
-        Ok(Made { preparer, moves, inputs })
+        Ok(ConstantModel { preparer, moves, inputs })
     }
 
     /// F.
@@ -53,7 +53,7 @@ impl Made {
     }
 
     /// B: what one unit of each input does in a step.
-    pub(super) fn driven(&self, plain: &Plain) -> DMatrix<f64> {
+    pub(super) fn driven(&self, plain: &PlainModel) -> DMatrix<f64> {
         let (order, dynamics) = (&self.preparer.order, &self.preparer.dynamics);
         let mut B = DMatrix::zeros(order.states.len(), self.inputs.len());
         for (column, input) in self.inputs.iter().enumerate() {
@@ -96,7 +96,7 @@ impl Made {
     }
 
     /// D.
-    pub(super) fn offsets(&self, plain: &Plain) -> DMatrix<f64> {
+    pub(super) fn offsets(&self, plain: &PlainModel) -> DMatrix<f64> {
         let of = |m: usize, input: usize| coefficient(&plain.offsets[m], &self.inputs[input]);
         DMatrix::from_fn(plain.offsets.len(), self.inputs.len(), of)
     }

@@ -24,8 +24,8 @@ use nalgebra::{DMatrix, DVector};
 pub use error::{ExportError, Varies};
 
 use crate::export::bind::Binder;
-use crate::export::matrices::Made;
-use crate::export::plain::Plain;
+use crate::export::matrices::ConstantModel;
+use crate::export::plain::PlainModel;
 use crate::model::{Alpha, Expression, Phase, PhasedModel, Population};
 use crate::reduce::Subject;
 
@@ -86,13 +86,13 @@ pub fn export(
     check_step(phase, wanted.step)?;
     let starts = phase.carry.is_empty();
     let mut binder = Binder::new((&phase.model, alpha), wanted.step, &wanted.at)?;
-    let plain = Plain::new(&phase.model, &mut binder, starts)?;
+    let plain = PlainModel::new(&phase.model, &mut binder, starts)?;
     let own = population.together(model.dimension()).apart(model).swap_remove(at);
     let mean = if starts { mean(phase, &own, &mut binder)? } else { own.mean.clone() };
     if !binder.varies.is_empty() {
         return Err(ExportError::Varies { varies: binder.varies });
     }
-    let made = Made::new(&plain, wanted.step)?;
+    let made = ConstantModel::new(&plain, wanted.step)?;
     let start = starts.then(|| made.start(&mean, &own.covariance)).transpose()?;
     let measured = |m: &crate::model::Measurement| phase.model.measurements.iter().position(|own| own.name == m.name);
     Ok(Exported {

@@ -8,7 +8,7 @@ use crate::reduce::Subject;
 
 /// A model at fixed columns, parameters and length of step: only known inputs read the data.
 #[derive(Debug)]
-pub(super) struct Plain {
+pub(super) struct PlainModel {
     pub(super) model: Model,
     /// Inputs of each state.
     pub(super) drives: Vec<Terms>,
@@ -18,10 +18,11 @@ pub(super) struct Plain {
     pub(super) filters: Vec<Option<Expression>>,
 }
 
-impl Plain {
+impl PlainModel {
     /// What differs from row to row is left in the binder. `starts`: x_0 is wanted.
-    pub(super) fn new(model: &Model, binder: &mut Binder<'_>, starts: bool) -> Result<Plain, ExportError> {
-        let mut plain = Plain { model: model.clone(), drives: Vec::new(), offsets: Vec::new(), filters: Vec::new() };
+    pub(super) fn new(model: &Model, binder: &mut Binder<'_>, starts: bool) -> Result<PlainModel, ExportError> {
+        let mut plain =
+            PlainModel { model: model.clone(), drives: Vec::new(), offsets: Vec::new(), filters: Vec::new() };
         plain.model.clock.initial_time = None;
         plain.states(binder, starts)?;
         plain.measurements(binder)?;

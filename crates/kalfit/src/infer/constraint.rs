@@ -3,8 +3,8 @@
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{Estimate, Form, Mixed, Objective, State};
-use crate::infer::law::Law;
+use crate::estimate::{CoordinateForm, Estimate, FinalState, Mixed, Objective};
+use crate::infer::law::AsymptoticLaw;
 use crate::linalg::elements::Element;
 use crate::linalg::symmetric::pair;
 use crate::model::MeanElement;
@@ -33,7 +33,7 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     if !holds_any(state) {
         return Vec::new();
     }
-    let law = Law::new(state);
+    let law = AsymptoticLaw::new(state);
     let mut found: Vec<Sensitivity> = Vec::new();
     let elements = state.structure().elements();
     let own = state.structure().reduced_dimension(); // what groups add has no mean
@@ -51,14 +51,14 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
 }
 
 /// Some element is held by a constraint, so that there is something to test.
-pub(crate) fn holds_any(state: &State) -> bool {
+pub(crate) fn holds_any(state: &FinalState) -> bool {
     let fixed = |element: &MeanElement| matches!(element, MeanElement::Fixed(_));
     state.structure().elements().iter().any(fixed)
         || state.problem.covariance.elements.all().any(|(i, j)| held(state, i, j).is_some())
 }
 
 /// How an element of Σ is held.
-enum Held {
+enum HeldElement {
     /// By a constraint with this multiplier, in η.
     Multiplier(f64),
     /// By the form.
@@ -66,25 +66,30 @@ enum Held {
 }
 
 /// True when the structure holds element (i, j) of Σ.
-pub(crate) fn is_held(state: &State, i: usize, j: usize) -> bool {
+pub(crate) fn is_held(state: &FinalState, i: usize, j: usize) -> bool {
     held(state, i, j).is_some()
 }
 
-fn held(state: &State, i: usize, j: usize) -> Option<Held> {
+fn held(state: &FinalState, i: usize, j: usize) -> Option<HeldElement> {
     let map = &state.problem.covariance;
     let constrained =
         map.constraints.iter().position(|c| c.terms.len() == 1 && pair(c.terms[0].0, c.terms[0].1) == pair(i, j));
     if let Some(k) = constrained {
-        return Some(Held::Multiplier(state.place.tangent.multipliers[k]));
+        return Some(HeldElement::Multiplier(state.place.tangent.multipliers[k]));
     }
     match map.form_of(i) {
-        Form::Fixed(_) => Some(Held::Form),
-        _ => map.is_structural_zero(i, j).then_some(Held::Form),
+        CoordinateForm::Fixed(_) => Some(HeldElement::Form),
+        _ => map.is_structural_zero(i, j).then_some(HeldElement::Form),
     }
 }
 
 /// The mean moves with a fixed element, and with it the elements tied to that one.
-fn of_mean(state: &State, law: &Law<'_>, elements: &[MeanElement], (i, value): (usize, f64)) -> Sensitivity {
+fn of_mean(
+    state: &FinalState,
+    law: &AsymptoticLaw<'_>,
+    elements: &[MeanElement],
+    (i, value): (usize, f64),
+) -> Sensitivity {
     let scale = &state.problem.classes.frame.scale;
     let local = &state.place.local;
     let mut direction = DVector::zeros(local.mean_score.len());
@@ -104,7 +109,12 @@ fn of_mean(state: &State, law: &Law<'_>, elements: &[MeanElement], (i, value): (
     Sensitivity { element: Element::Mean(i), value, sensitivity: score, ..test }
 }
 
-fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), held: Held) -> Sensitivity {
+fn of_covariance(
+    estimate: &Estimate,
+    law: &AsymptoticLaw<'_>,
+    (i, j): (usize, usize),
+    held: HeldElement,
+) -> Sensitivity {
     let state = &estimate.state;
     let scale = &state.problem.classes.frame.scale;
     let unit = (scale[i] * scale[j]).recip();
@@ -112,8 +122,8 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
     let places = if i == j { 1.0 } else { 2.0 };
     let score = unit
         * match held {
-            Held::Multiplier(multiplier) => multiplier,
-            Held::Form => places * local.score[(i, j)],
+            HeldElement::Multiplier(multiplier) => multiplier,
+            HeldElement::Form => places * local.score[(i, j)],
         };
     let k = state.problem.covariance.elements.index(i, j);
     let mean: DVector<f64> = local.cross.column(k) * unit;
@@ -126,7 +136,7 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
     let column = local.mean_score.len() + k;
     let lost = lost(state, law, (&mean, &sigma), &|mixed| mixed.column(column) * unit);
     let test = score_test(score, own, own - lost, one_sided);
-    let test = if alone && !matches!(state.problem.covariance.form_of(i), Form::Fixed(_)) {
+    let test = if alone && !matches!(state.problem.covariance.form_of(i), CoordinateForm::Fixed(_)) {
         test
     } else {
         without_test(score)
@@ -137,8 +147,8 @@ fn of_covariance(estimate: &Estimate, law: &Law<'_>, (i, j): (usize, usize), hel
 /// I_ez I_zz⁻¹ I_ze: what of the information on an element is lost as the free coordinates adapt, those of α among them where the
 /// information of all is known. `sigma` and `mean` are the element's cross information, `of_alpha` takes the same from that of α.
 fn lost(
-    state: &State,
-    law: &Law<'_>,
+    state: &FinalState,
+    law: &AsymptoticLaw<'_>,
     (mean, sigma): (&DVector<f64>, &DVector<f64>),
     of_alpha: &dyn Fn(&DMatrix<f64>) -> DVector<f64>,
 ) -> f64 {
@@ -155,7 +165,7 @@ fn lost(
 }
 
 /// Cross information between an element and the free coordinates along the tangent basis.
-fn tangent_cross(state: &State, mean: &DVector<f64>, sigma: &DVector<f64>) -> DVector<f64> {
+fn tangent_cross(state: &FinalState, mean: &DVector<f64>, sigma: &DVector<f64>) -> DVector<f64> {
     let tangent = &state.place.tangent;
     tangent.pulled_back(state.problem.mean_jacobian(), mean, &tangent.jacobian.transposed_times(sigma))
 }

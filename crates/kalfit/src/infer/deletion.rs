@@ -7,8 +7,8 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::{
-    Class, CovarianceMap, Criterion, Estimate, Limits, Local, Objective, Order, Place, Point, Problem, Silent, Stop,
-    Sums, climb, fit_from,
+    Class, ClimbLimits, CovarianceMap, Criterion, Estimate, Local, NewtonIterate, Objective, Order, Point, Problem,
+    Silent, Stop, Sums, climb, fit_from,
 };
 use crate::infer::posterior::{Distance, distance};
 use crate::model::Population;
@@ -112,8 +112,8 @@ fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)
         return None; // log|ΣX'WX| is over fewer directions
     }
     let local = objective.from(all.sums.clone(), &state.place.point, state.place.near())?;
-    let start = Place::at(local, objective.mean_jacobian(), map, state.place.point.clone())?;
-    let limits = Limits { tolerance: state.settings.tolerance, steps: STEPS };
+    let start = NewtonIterate::at(local, objective.mean_jacobian(), map, state.place.point.clone())?;
+    let limits = ClimbLimits { tolerance: state.settings.tolerance, steps: STEPS };
     let (place, stop) = climb(&objective, map, problem.classes.tests as f64 - 1.0, start, limits);
     let log_likelihood = (estimate.criterion == Criterion::Ml).then_some(place.local.value);
     (stop == Stop::Certified).then_some(Others { point: place.point, log_likelihood })

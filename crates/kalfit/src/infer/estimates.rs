@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::infer::estimated::Estimated;
-use crate::infer::law::Law;
+use crate::infer::law::AsymptoticLaw;
 
 /// The asymptotic covariance of the estimates, in the user's units. Numbers that are fixed, on a bound or at zero are not among them.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -23,7 +23,7 @@ const MOST: usize = 200;
 /// Of something fixed, in η.
 const STILL: f64 = 1e-12;
 
-impl Law<'_> {
+impl AsymptoticLaw<'_> {
     /// The covariance of all that was estimated; `None` of very many numbers. `is_open`: whether the data do not determine one.
     pub(super) fn estimates(&self, is_open: &dyn Fn(Estimated) -> bool) -> Option<EstimateCovariance> {
         let joint = self.state.joint.as_ref().map(|joint| &joint.values);

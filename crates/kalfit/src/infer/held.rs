@@ -3,10 +3,11 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::{
-    Constraint, CovarianceMap, Form, Limits, Local, Objective, Place, Point, Problem, State, Stop, climb,
+    ClimbLimits, Constraint, CoordinateForm, CovarianceMap, FinalState, Local, NewtonIterate, Objective, Point,
+    Problem, Stop, climb,
 };
 use crate::infer::holdable::Holdable;
-use crate::infer::law::Law;
+use crate::infer::law::AsymptoticLaw;
 use crate::linalg::symmetric;
 
 /// A maximum with one quantity held: a point of the profile.
@@ -20,7 +21,7 @@ pub(crate) struct Held<N> {
 }
 
 /// With all that is known there.
-pub(crate) type HeldMaximum = Held<Place>;
+pub(crate) type HeldMaximum = Held<NewtonIterate>;
 
 impl HeldMaximum {
     /// Where it is alone.
@@ -37,13 +38,13 @@ const STEPS: usize = 40;
 const TURNS: usize = 30;
 
 /// ℓ with free mean coordinates restricted to the columns of Z.
-struct Restricted<'a> {
+struct RestrictedMean<'a> {
     problem: &'a Problem,
     directions: DMatrix<f64>,
     jacobian: DMatrix<f64>,
 }
 
-impl Objective for Restricted<'_> {
+impl Objective for RestrictedMean<'_> {
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
         self.problem.local(point, near)
     }
@@ -60,15 +61,15 @@ impl Objective for Restricted<'_> {
 
 /// Holds quantities near an estimate.
 pub(crate) struct Holder<'a> {
-    state: &'a State,
-    law: Law<'a>,
-    limits: Limits,
+    state: &'a FinalState,
+    law: AsymptoticLaw<'a>,
+    limits: ClimbLimits,
 }
 
 impl<'a> Holder<'a> {
-    pub(crate) fn new(state: &'a State) -> Holder<'a> {
+    pub(crate) fn new(state: &'a FinalState) -> Holder<'a> {
         let tolerance = state.settings.tolerance.max(TOLERANCE);
-        Holder { state, law: Law::new(state), limits: Limits { tolerance, steps: STEPS } }
+        Holder { state, law: AsymptoticLaw::new(state), limits: ClimbLimits { tolerance, steps: STEPS } }
     }
 
     /// The maximum with `what` held at `value`, from a point nearby. `None` where no certified one is found.
@@ -128,7 +129,7 @@ impl<'a> Holder<'a> {
         let along = self.law.coordinates().view((0, 0), (n, n)) * row;
         let along = if row.dot(&along) > 0.0 { along } else { row.clone() };
         let moved = problem.move_mean(near, (&along * (shift / row.dot(&along))).as_slice());
-        let objective = Restricted { problem, directions, jacobian };
+        let objective = RestrictedMean { problem, directions, jacobian };
         let place = self.climb(&objective, &problem.covariance, moved)?;
         let score = problem.mean.jacobian().transpose() * &place.local.mean_score;
         let slope = score.dot(row) / size / unit;
@@ -169,8 +170,8 @@ impl<'a> Holder<'a> {
         None
     }
 
-    fn climb(&self, objective: &dyn Objective, map: &CovarianceMap, start: Point) -> Option<Place> {
-        let start = Place::new(objective, map, start, self.state.place.near())?;
+    fn climb(&self, objective: &dyn Objective, map: &CovarianceMap, start: Point) -> Option<NewtonIterate> {
+        let start = NewtonIterate::new(objective, map, start, self.state.place.near())?;
         let tests = self.state.problem.classes.tests as f64;
         let (place, stop) = climb(objective, map, tests, start, self.limits);
         (stop == Stop::Certified).then_some(place)
@@ -182,7 +183,7 @@ impl<'a> Holder<'a> {
 fn begin(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
     let Some(Constraint { terms, value }) = constraints.last() else { return near.root.clone() };
     let &[(i, k, _)] = &terms[..] else { return near.root.clone() };
-    if i != k || !matches!(map.form_of(i), Form::Factor(_)) {
+    if i != k || !matches!(map.form_of(i), CoordinateForm::Factor(_)) {
         return near.root.clone();
     }
     let mut sigma = near.covariance();

@@ -2,12 +2,12 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::{CovarianceMap, Estimate, Form, Part, State};
+use crate::estimate::{CoordinateForm, CovarianceMap, Estimate, FinalState, PhaseForm};
 use crate::infer::direction::{Direction, Quantity};
 use crate::infer::estimated::Estimated;
 use crate::infer::estimates::EstimateCovariance;
 use crate::infer::holdable::Holdable;
-use crate::infer::law::Law;
+use crate::infer::law::AsymptoticLaw;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
@@ -97,7 +97,7 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
             .is_some_and(|k| directions[k] > 1e-12 && !takes_part(unidentified, Quantity::Covariance, k))
     };
     let bends = |i: usize, j: usize| {
-        matches!(map.form_of(i), Form::Factor(_))
+        matches!(map.form_of(i), CoordinateForm::Factor(_))
             && i != j
             && (moves(i, j)
                 || (estimate.covariance[(i, j)] != 0.0
@@ -125,7 +125,7 @@ pub(super) fn uncertainty_of(
     unidentified: &[Direction],
     kind: StdErrors,
 ) -> (Uncertainty, Option<EstimateCovariance>) {
-    let law = Law::of(&estimate.state, evidence, kind);
+    let law = AsymptoticLaw::of(&estimate.state, evidence, kind);
     let elements = &estimate.state.problem.covariance.elements;
     let p = estimate.mean.len();
     let is_open = |one: Estimated| match one {
@@ -134,7 +134,7 @@ pub(super) fn uncertainty_of(
         Estimated::Covariance(i, j) => element_takes_part(unidentified, elements, i, j),
         Estimated::Value(_) => false,
     };
-    let uncertainty = uncertainty_by(&law, &estimate.covariance, unidentified, Singular::Face);
+    let uncertainty = uncertainty_by(&law, &estimate.covariance, unidentified, SingularBlock::Face);
     let zeros = uncertainty.boundary.iter().flat_map(|boundary| &boundary.zero_variances);
     let zeros: Vec<Estimated> = zeros.map(|&i| Estimated::Covariance(i, i)).collect();
     let estimates = law.estimates(&is_open).map(|mut estimates| {
@@ -146,20 +146,25 @@ pub(super) fn uncertainty_of(
 
 /// Standard errors from the information in a state of the estimator, at the end of a search or anywhere else; `sigma` is Σ
 /// there, in the user's units.
-pub(crate) fn uncertainty_at(state: &State, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
-    uncertainty_by(&Law::new(state), sigma, unidentified, Singular::Nothing)
+pub(crate) fn uncertainty_at(state: &FinalState, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
+    uncertainty_by(&AsymptoticLaw::new(state), sigma, unidentified, SingularBlock::Nothing)
 }
 
 /// What is said of a block of Σ that is singular.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Singular {
+enum SingularBlock {
     /// Standard errors on the face of the cone that the estimate lies in, the matrices of its rank.
     Face,
     /// None: a value that is assumed, not estimated, will have estimates off the face.
     Nothing,
 }
 
-fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction], singular: Singular) -> Uncertainty {
+fn uncertainty_by(
+    law: &AsymptoticLaw<'_>,
+    sigma: &DMatrix<f64>,
+    unidentified: &[Direction],
+    singular: SingularBlock,
+) -> Uncertainty {
     let state = law.state;
     let map = &state.problem.covariance;
     let boundary = boundary(map, &state.place.point.root);
@@ -167,8 +172,8 @@ fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction
     let parts = |quantity: Quantity, k: usize| takes_part(unidentified, quantity, k);
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
     let without = |i: usize| match singular {
-        Singular::Face => boundary.iter().any(|b| b.zero_variances.contains(&i)),
-        Singular::Nothing => on_boundary(i),
+        SingularBlock::Face => boundary.iter().any(|b| b.zero_variances.contains(&i)),
+        SingularBlock::Nothing => on_boundary(i),
     };
     let elements = &map.elements;
     let known = |i: usize, j: usize| !(without(i) || without(j) || element_takes_part(unidentified, elements, i, j));
@@ -198,20 +203,22 @@ fn uncertainty_by(law: &Law<'_>, sigma: &DMatrix<f64>, unidentified: &[Direction
     let coefficients = (0..state.problem.mean.regressors.len())
         .map(|c| if parts(Quantity::Mean, p + c) { None } else { law.coefficient_error(c) })
         .collect();
-    let of_part = |part: &Part| matches!(part.form, Form::Scale(_)).then(|| law.scale_error(sigma, part)).flatten();
+    let of_part = |part: &PhaseForm| {
+        matches!(part.form, CoordinateForm::Scale(_)).then(|| law.scale_error(sigma, part)).flatten()
+    };
     let scale = map.parts.iter().map(of_part).collect();
     Uncertainty { mean, coefficients, covariance, std_dev, correlation, scale, boundary }
 }
 
 /// Blocks of Σ that are singular.
 fn boundary(map: &CovarianceMap, root: &DMatrix<f64>) -> Vec<Boundary> {
-    let of_part = |part: &Part| -> Vec<Vec<usize>> {
+    let of_part = |part: &PhaseForm| -> Vec<Vec<usize>> {
         match &part.form {
-            Form::Factor(blocks) => blocks.clone(),
-            Form::StdDevs(_, states) => {
+            CoordinateForm::Factor(blocks) => blocks.clone(),
+            CoordinateForm::StdDevs(_, states) => {
                 states.iter().filter(|&&i| root.row(i).norm() == 0.0).map(|&i| vec![i]).collect()
             }
-            Form::Scale(_) if part.of(root).amax() == 0.0 => {
+            CoordinateForm::Scale(_) if part.of(root).amax() == 0.0 => {
                 vec![map.random.iter().copied().filter(|i| part.states.contains(i)).collect()]
             }
             _ => Vec::new(),

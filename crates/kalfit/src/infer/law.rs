@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{JointLaw, Part, State};
+use crate::estimate::{FinalState, JointLaw, PhaseForm};
 use crate::infer::estimated::Estimated;
 use crate::infer::holdable::Holdable;
 use crate::infer::std_errors::{PART, StdErrors};
@@ -15,8 +15,8 @@ use crate::reduce::Reductions;
 const FLAT: f64 = 1e-10;
 
 /// The asymptotic normal law of the free coordinates, carried to mean coordinates and elements of Σ.
-pub(crate) struct Law<'a> {
-    pub(super) state: &'a State,
+pub(crate) struct AsymptoticLaw<'a> {
+    pub(super) state: &'a FinalState,
     /// Covariance of the coordinates along the tangent basis.
     coordinates: DMatrix<f64>,
     /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ.
@@ -35,13 +35,13 @@ struct WithParameters {
     open: Sparse,
 }
 
-impl<'a> Law<'a> {
+impl<'a> AsymptoticLaw<'a> {
     /// From the observed information.
-    pub(crate) fn new(state: &'a State) -> Law<'a> {
-        Law::of(state, &Reductions::new(), StdErrors::Observed)
+    pub(crate) fn new(state: &'a FinalState) -> AsymptoticLaw<'a> {
+        AsymptoticLaw::of(state, &Reductions::new(), StdErrors::Observed)
     }
 
-    pub(super) fn of(state: &'a State, reductions: &Reductions, kind: StdErrors) -> Law<'a> {
+    pub(super) fn of(state: &'a FinalState, reductions: &Reductions, kind: StdErrors) -> AsymptoticLaw<'a> {
         let tangent = &state.place.tangent;
         let mean = state.problem.mean.jacobian();
         let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
@@ -76,7 +76,7 @@ impl<'a> Law<'a> {
         let mean = gls.filter(|_| kind != StdErrors::Sandwich);
         let joint = state.joint.as_ref().filter(|joint| joint.moves.ncols() + joint.open.ncols() > 0);
         let joint = joint.map(|joint| WithParameters::of(joint, &jacobian));
-        Law { state, coordinates, mean, jacobian, joint }
+        AsymptoticLaw { state, coordinates, mean, jacobian, joint }
     }
 
     /// Inverse of the information along the tangent basis.
@@ -199,7 +199,7 @@ impl<'a> Law<'a> {
     }
 
     /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
-    pub(super) fn scale_error(&self, sigma: &DMatrix<f64>, part: &Part) -> Option<f64> {
+    pub(super) fn scale_error(&self, sigma: &DMatrix<f64>, part: &PhaseForm) -> Option<f64> {
         let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
         (sigma[(i, i)] > 0.0).then(|| self.sigma_error(i, i).map(|e| e / sigma[(i, i)])).flatten()
     }
@@ -237,7 +237,7 @@ fn error(jacobian: &Sparse, law: &DMatrix<f64>, weights: &DVector<f64>) -> Optio
 }
 
 /// Σ s s' over what is independent, in mean coordinates and elements of Σ.
-fn outer_scores(state: &State, reductions: &Reductions, m: usize, s: usize) -> DMatrix<f64> {
+fn outer_scores(state: &FinalState, reductions: &Reductions, m: usize, s: usize) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(m + s, m + s);
     state.each_independent(reductions, &mut |_, own| {
         let mut score = DVector::zeros(m + s);
@@ -302,7 +302,7 @@ mod tests {
     #[test]
     fn standard_deviations_and_correlations_move_with_the_covariances_that_they_are_made_of() {
         let estimate = fitted();
-        let (sigma, law) = (&estimate.covariance, Law::new(&estimate.state));
+        let (sigma, law) = (&estimate.covariance, AsymptoticLaw::new(&estimate.state));
         let (a, b, c) = (sigma[(0, 0)], sigma[(1, 1)], sigma[(1, 0)]);
         assert!(a < 1.0 && b > 2.0 && c > 0.1, "{sigma}");
         let of = |i, j| law.derivative(sigma, Holdable::Covariance(i, j));

@@ -32,13 +32,13 @@ pub struct GroupPosterior {
 }
 
 /// Tests in groups, with their reductions in what is a test's own and what each of its groups adds.
-struct Ensemble<'a> {
+struct GroupedTests<'a> {
     problem: &'a Problem,
     evidence: &'a Reductions,
     units: &'a Units,
 }
 
-impl Ensemble<'_> {
+impl GroupedTests<'_> {
     fn at(&self, point: &Point) -> LevelPosteriors {
         let constants: Vec<f64> = self.evidence.iter().map(|reduction| reduction.constant).collect();
         level_posteriors(self.units, (point, &self.problem.mean.regressors), Some(&constants), false)
@@ -50,7 +50,7 @@ impl Ensemble<'_> {
         symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
     }
 
-    fn group(&self, found: &crate::estimate::GroupPosterior, tests: usize) -> GroupPosterior {
+    fn group(&self, found: &crate::estimate::ScaledGroupPosterior, tests: usize) -> GroupPosterior {
         GroupPosterior {
             log_likelihood: found.log_density,
             mean: self.problem.classes.frame.mean_out(&found.mean),
@@ -71,7 +71,7 @@ pub(super) fn posteriors(
 ) -> Option<(Vec<Posterior>, Vec<Vec<GroupPosterior>>)> {
     problem.classes.units.as_ref()?;
     let classes = problem.classes.of(evidence);
-    let ensemble = Ensemble { problem, evidence, units: classes.units.as_ref()? };
+    let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
     let found = ensemble.at(point);
     let grouping = &ensemble.units.grouping;
     let one = |j: usize| {
@@ -86,7 +86,7 @@ pub(super) fn posteriors(
         }
     };
     let tests = (0..evidence.len()).into_par_iter().map(one).collect();
-    let of_level = |(level, groups): (usize, &Vec<crate::estimate::GroupPosterior>)| {
+    let of_level = |(level, groups): (usize, &Vec<crate::estimate::ScaledGroupPosterior>)| {
         groups.iter().zip(grouping.groups(level)).map(|(one, group)| ensemble.group(one, group.tests)).collect()
     };
     Some((tests, found.groups.iter().enumerate().map(of_level).collect()))
@@ -97,7 +97,7 @@ pub(super) fn posteriors(
 pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(Deletions, Vec<Deletions>)> {
     let problem = &estimate.state.problem;
     let classes = problem.classes.of(evidence);
-    let ensemble = Ensemble { problem, evidence, units: classes.units.as_ref()? };
+    let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
     let whole = problem.likelihood(&estimate.state.place.point, Order::First).value;
     let tests = (0..evidence.len()).into_par_iter().map(|j| {
         let (point, found) = ensemble.without(estimate, &[j], whole)?;
@@ -122,7 +122,7 @@ pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(D
     Some((tests, (0..grouping.depth()).map(of_level).collect()))
 }
 
-impl Ensemble<'_> {
+impl GroupedTests<'_> {
     /// The fit without some tests, and where it ends; its distance is not looked at.
     fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
         let problem = self.problem;

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::estimate::{Estimate, Point};
 use crate::infer::held::{Held, HeldMaximum, Holder};
 use crate::infer::interval::{Holds, Profile};
-use crate::infer::law::Law;
+use crate::infer::law::AsymptoticLaw;
 use crate::model::Population;
 
 /// constant + weights'(μ, γ), in the user's units.
@@ -48,7 +48,7 @@ impl Holds for Combinations<'_> {
 /// half the square of `quantile` of the maximum. Both are the estimate where nothing that was estimated moves it; `None` where an end
 /// is not found.
 pub fn mean_limits(estimate: &Estimate, all: &[MeanCombination], quantile: f64) -> Vec<Option<[f64; 2]>> {
-    let (law, population) = (Law::new(&estimate.state), Population::from(estimate));
+    let (law, population) = (AsymptoticLaw::new(&estimate.state), Population::from(estimate));
     let holder = Combinations { holder: Holder::new(&estimate.state), all };
     let limits = |(what, combination): (usize, &MeanCombination)| {
         let along = law.derivative_of_means(&combination.weights);

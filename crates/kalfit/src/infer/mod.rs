@@ -61,7 +61,7 @@ pub(crate) use identifiability::directions;
 pub(crate) use information::uncertainty_at;
 pub(crate) use interval::{Holds, Profile, profiled, quantities, value};
 pub(crate) use knowledge::MOST as MOST_OF_A_VALUE;
-pub(crate) use law::Law;
+pub(crate) use law::AsymptoticLaw;
 pub(crate) use observability::counted;
 pub(crate) use ratio::replicates;
 pub(crate) use std_errors::PART;

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Classes, Form, Part, Point, Problem, Summed, forms_in_parts};
+use crate::estimate::{Classes, CoordinateForm, PhaseForm, Point, Problem, Summed, forms_in_parts};
 use crate::infer::direction::{NONE, unit};
 use crate::infer::observed::{PART, column_norm, observe};
 use crate::linalg::symmetric;
@@ -89,7 +89,7 @@ pub struct Shortage {
 }
 
 /// The classes of the tests, and which states each of them informs and observes.
-struct Designs<'a> {
+struct ClassViews<'a> {
     classes: &'a Classes,
     reductions: &'a Reductions,
     /// p of each class.
@@ -98,7 +98,7 @@ struct Designs<'a> {
 }
 
 /// Tests of one class.
-struct Design<'a> {
+struct ClassView<'a> {
     /// Their numbers, in order of their ids.
     tests: &'a [usize],
     informs: &'a [bool],
@@ -116,7 +116,7 @@ pub(crate) fn observability(
     }
     let p = problem.classes.dimension();
     let classes = problem.classes.of(reductions);
-    let designs = Designs::new(&classes, reductions);
+    let designs = ClassViews::new(&classes, reductions);
     let shares = Shares { problem, point, designs: &designs };
     let (known, weak) = known_and_weak(problem, weight);
     let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();
@@ -166,7 +166,7 @@ pub(crate) fn counted(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f6
     let p = frame.centre.len();
     let reductions = summed.reductions.clone();
     let classes = summed.apart(frame)?;
-    let designs = Designs::new(&classes, &reductions);
+    let designs = ClassViews::new(&classes, &reductions);
     let informed = (0..p).map(|i| designs.count(|d| d.informs[i]));
     let observed = (0..p).map(|i| designs.count(|d| d.observes[i]));
     let together = designs.together(p);
@@ -187,8 +187,8 @@ impl Observability {
     }
 }
 
-impl<'a> Designs<'a> {
-    fn new(classes: &'a Classes, reductions: &'a Reductions) -> Designs<'a> {
+impl<'a> ClassViews<'a> {
+    fn new(classes: &'a Classes, reductions: &'a Reductions) -> ClassViews<'a> {
         let (p, count) = (classes.dimension(), classes.len());
         let first = |class: usize| reductions.factor(classes.tests_of(class)[0]);
         let mut norms = vec![0.0; count * p];
@@ -204,13 +204,13 @@ impl<'a> Designs<'a> {
         observes.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, observes)| {
             observe(first(class), &informs[class * p..][..p], observes);
         });
-        Designs { classes, reductions, informs, observes }
+        ClassViews { classes, reductions, informs, observes }
     }
 
     /// Class by class.
-    fn iter(&self) -> impl Iterator<Item = Design<'_>> {
+    fn iter(&self) -> impl Iterator<Item = ClassView<'_>> {
         let p = self.classes.dimension();
-        (0..self.classes.len()).map(move |class| Design {
+        (0..self.classes.len()).map(move |class| ClassView {
             tests: self.classes.tests_of(class),
             informs: &self.informs[class * p..][..p],
             observes: &self.observes[class * p..][..p],
@@ -218,12 +218,12 @@ impl<'a> Designs<'a> {
     }
 
     /// Number of tests of designs that `of` picks.
-    fn count(&self, of: impl Fn(&Design<'_>) -> bool) -> usize {
+    fn count(&self, of: impl Fn(&ClassView<'_>) -> bool) -> usize {
         self.iter().filter(of).map(|design| design.tests.len()).sum()
     }
 
     /// Ids of the tests of designs that `of` picks, when they are few.
-    fn listed(&self, of: impl Fn(&Design<'_>) -> bool) -> Vec<String> {
+    fn listed(&self, of: impl Fn(&ClassView<'_>) -> bool) -> Vec<String> {
         let tests = self.iter().filter(of).flat_map(|design| design.tests).take(MOST_TESTS + 1);
         let mut ids: Vec<String> = tests.map(|&test| self.reductions.id(test).to_owned()).collect();
         if ids.len() > MOST_TESTS {
@@ -288,13 +288,13 @@ fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVect
 struct Shares<'a> {
     problem: &'a Problem,
     point: &'a Point,
-    designs: &'a Designs<'a>,
+    designs: &'a ClassViews<'a>,
 }
 
 impl Shares<'_> {
     /// For each direction u the test with the largest u'W_ju, and its share of their sum.
     fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
-        let Designs { classes, reductions, .. } = self.designs;
+        let ClassViews { classes, reductions, .. } = self.designs;
         let p = classes.dimension();
         let mut all = Parts::none(directions.len());
         let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
@@ -346,11 +346,11 @@ impl<'a> Parts<'a> {
 }
 
 /// Blocks of a Σ without fixed or equal elements that fewer tests inform than a regular estimate takes.
-fn shortages(problem: &Problem, designs: &Designs<'_>) -> Vec<Shortage> {
+fn shortages(problem: &Problem, designs: &ClassViews<'_>) -> Vec<Shortage> {
     let map = &problem.covariance;
-    let loose = |part: &&Part| map.of_part(part).constraints.is_empty();
+    let loose = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
     let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
-        Form::Factor(blocks) => blocks.as_slice(),
+        CoordinateForm::Factor(blocks) => blocks.as_slice(),
         _ => &[],
     });
     let shortage = |block: &Vec<usize>| {

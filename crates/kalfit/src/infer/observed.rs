@@ -28,7 +28,9 @@ pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     }
     let states: Vec<usize> = informed().collect();
     let norms: Vec<f64> = states.iter().map(|&k| column_norm(factor, k)).collect();
-    if states.iter().enumerate().all(|(c, &state)| c == state) && Isa::best().run(Regular { factor, norms: &norms }) {
+    if states.iter().enumerate().all(|(c, &state)| c == state)
+        && Isa::best().run(WellConditioned { factor, norms: &norms })
+    {
         return;
     }
     let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
@@ -41,12 +43,12 @@ pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
 
 /// Whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least one is at least 1 / ‖D R⁻¹‖², D the norms of the
 /// columns of R, which is packed by columns.
-struct Regular<'a> {
+struct WellConditioned<'a> {
     factor: &'a [f64],
     norms: &'a [f64],
 }
 
-impl Kernel for Regular<'_> {
+impl Kernel for WellConditioned<'_> {
     type Output = bool;
 
     /// Columns are worked on by as many numbers as registers hold.
@@ -88,7 +90,7 @@ mod tests {
             let factor = [2.0, 0.5, 1.0, 1e6, 2e6, off * 1e6];
             let norms: Vec<f64> = (0..3).map(|k| norm(&factor[k * (k + 1) / 2..][..=k])).collect();
             for isa in Isa::all() {
-                assert_eq!(isa.run(Regular { factor: &factor, norms: &norms }), expected, "{isa:?}: {off}");
+                assert_eq!(isa.run(WellConditioned { factor: &factor, norms: &norms }), expected, "{isa:?}: {off}");
             }
             assert_eq!(observed(&factor, [true; 3]), [true, expected, expected], "{off}");
         }

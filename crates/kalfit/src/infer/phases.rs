@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::{Chained, Kept, Problem};
+use crate::estimate::{ChainStore, ChainedClass, Problem};
 use crate::infer::direction::{NONE, simplest, unit};
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
@@ -33,15 +33,15 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
         return Vec::new(); // levels of groups, of one phase; tests that are elsewhere
     }
     let classes = problem.classes.by_phase(reductions);
-    let chains: Option<Vec<&Kept>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();
+    let chains: Option<Vec<&ChainStore>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();
     let Some(chains) = chains else { return Vec::new() };
-    let chains: Vec<(&Kept, Vec<usize>)> = chains.into_iter().map(|kept| (kept, kept.entering())).collect();
+    let chains: Vec<(&ChainStore, Vec<usize>)> = chains.into_iter().map(|kept| (kept, kept.entering())).collect();
     let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);
     let mut before = DMatrix::zeros(elements.states(), 0);
     for f in 0..count {
         let having = chains.iter().filter(|(_, entering)| entering.len() > f);
         let entering = having.clone().next().map_or(0, |(_, entering)| entering[f]);
-        let having: Vec<&Kept> = having.map(|(kept, _)| *kept).collect();
+        let having: Vec<&ChainStore> = having.map(|(kept, _)| *kept).collect();
         let states = elements.blocks()[f].end;
         let so_far = gathered(&having, states, elements.states(), &|chain| chain.information(f + 1, elements.states()));
         let own = gathered(&having, entering, entering, &|chain| chain.own_information(f));
@@ -68,7 +68,12 @@ fn single(problem: &Problem) -> PhaseObservability {
 }
 
 /// Σ of what the chains say, until the rank is as high as it can be.
-fn gathered(chains: &[&Kept], highest: usize, size: usize, of: &dyn Fn(&Chained) -> DMatrix<f64>) -> DMatrix<f64> {
+fn gathered(
+    chains: &[&ChainStore],
+    highest: usize,
+    size: usize,
+    of: &dyn Fn(&ChainedClass) -> DMatrix<f64>,
+) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(size, size);
     for chunk in chains.chunks(CHUNK) {
         chunk.iter().for_each(|chain| sum += of(&chain.chained()));

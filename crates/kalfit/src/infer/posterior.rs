@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{ClassRef, Classes, Detail, Point, Problem, Terms, in_parts};
+use crate::estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, in_parts};
 use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
 
@@ -58,11 +58,11 @@ fn of_classes(
     reductions: &Reductions,
 ) -> Vec<(usize, Posterior)> {
     let sigma = point.covariance();
-    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, class: ClassRef<'_>, terms: &Terms| {
+    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms| {
         let test = classes.tests_of(k)[0];
         found.push((test, posterior((problem, point, &sigma), terms, class, reductions.get(test))));
     };
-    in_parts(classes, &problem.mean.regressors, point, Detail::Posterior, &Vec::new, &told)
+    in_parts(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &Vec::new, &told)
         .into_iter()
         .flatten()
         .collect()
@@ -70,7 +70,7 @@ fn of_classes(
 
 fn posterior(
     (problem, point, sigma): (&Problem, &Point, &DMatrix<f64>),
-    terms: &Terms,
+    terms: &ClassTerms,
     class: ClassRef<'_>,
     reduction: ReductionRef<'_>,
 ) -> Posterior {
@@ -92,9 +92,9 @@ pub(crate) fn distance(problem: &Problem, point: &Point, reductions: &Reductions
     (terms.value(class.view()), Distance::of(&terms, class.view(), reductions.get(test)))
 }
 
-fn terms(problem: &Problem, point: &Point, class: ClassRef<'_>) -> Terms {
-    let mut terms = Terms::new(point.mean.len());
-    terms.evaluate(class, &problem.mean.regressors, point, Detail::Posterior);
+fn terms(problem: &Problem, point: &Point, class: ClassRef<'_>) -> ClassTerms {
+    let mut terms = ClassTerms::new(point.mean.len());
+    terms.evaluate(class, &problem.mean.regressors, point, ChainDetail::Posterior);
     terms
 }
 
@@ -105,7 +105,7 @@ impl Distance {
         Distance { squared, degrees_of_freedom, p_value }
     }
 
-    fn of(terms: &Terms, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
+    fn of(terms: &ClassTerms, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
         let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
@@ -123,7 +123,7 @@ impl Distance {
 fn covariances(
     problem: &Problem,
     class: ClassRef<'_>,
-    terms: &Terms,
+    terms: &ClassTerms,
     (point, sigma): (&Point, &DMatrix<f64>),
 ) -> Vec<DMatrix<f64>> {
     let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &point.root));

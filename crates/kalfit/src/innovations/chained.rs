@@ -10,47 +10,47 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
 use crate::innovations::innovation::Innovation;
-use crate::innovations::law::Law;
-use crate::innovations::plain::{Plain, Waiting};
+use crate::innovations::law::EnteringLaw;
+use crate::innovations::plain::{PhaseFilters, PhaseWorkspace};
 use crate::innovations::rows::{self, Figures};
 use crate::innovations::series::Innovations;
-use crate::innovations::start::Start;
+use crate::innovations::start::OwnLaw;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
-    Cells, Evidence, Gains, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind,
+    Evidence, Gains, GatheredCells, Inherited, PhasedReducer, PhasedTest, PhasedWork, ReduceError, ReduceErrorKind,
     ReductionRef, Terminal, Workspace, refuse,
 };
 
 /// The filter of tests in phases at (α, μ, Σ).
 #[derive(Debug)]
-pub(crate) struct Chained {
+pub(crate) struct ChainedFilter {
     reducer: PhasedReducer,
-    phases: Vec<Start>,
-    plain: Plain,
+    phases: Vec<OwnLaw>,
+    plain: PhaseFilters,
 }
 
 /// Work space for a test.
-pub(crate) struct Room {
+pub(crate) struct InnovationWorkspace {
     phases: PhasedWork,
-    plain: Vec<Waiting>,
+    plain: Vec<PhaseWorkspace>,
 }
 
 /// Takes the rows of a phase, by its place, into the law of its σ.
-pub(crate) type Take<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut Law) + 'a;
+pub(crate) type Take<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut EnteringLaw) + 'a;
 
-impl Chained {
+impl ChainedFilter {
     /// `initial` is of the shape of the model.
-    pub(crate) fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<Chained, ReduceError> {
+    pub(crate) fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<ChainedFilter, ReduceError> {
         let reducer = PhasedReducer::new(model, alpha)?;
-        let start = |(phase, own): (&Phase, Population)| -> Result<Start, ReduceError> {
+        let start = |(phase, own): (&Phase, Population)| -> Result<OwnLaw, ReduceError> {
             if !symmetric::is_semidefinite(&own.covariance) {
                 let (least, largest) = symmetric::scaled_range(&own.covariance);
                 let kind = ReduceErrorKind::NotSemidefinite { left: least, variance: largest };
                 let what = format!("covariance of the initial state of phase `{}`", phase.name);
                 return Err(refuse(None, &what, kind));
             }
-            Ok(Start {
+            Ok(OwnLaw {
                 regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
                 root: symmetric::square_root(&own.covariance),
                 covariance: own.covariance,
@@ -60,22 +60,22 @@ impl Chained {
             })
         };
         let phases = model.phases.iter().zip(initial.apart(model)).map(start).collect::<Result<_, _>>()?;
-        Ok(Chained { reducer, phases, plain: Plain::new(model, alpha)? })
+        Ok(ChainedFilter { reducer, phases, plain: PhaseFilters::new(model, alpha)? })
     }
 
     pub(crate) fn reducer(&self) -> &PhasedReducer {
         &self.reducer
     }
 
-    pub(crate) fn workspace(&self) -> Room {
-        Room { phases: self.reducer.workspace(), plain: self.plain.workspace() }
+    pub(crate) fn workspace(&self) -> InnovationWorkspace {
+        InnovationWorkspace { phases: self.reducer.workspace(), plain: self.plain.workspace() }
     }
 
     /// The innovations of tests; `None` where no phase is given by rows alone.
     pub(crate) fn innovations(
         &self,
         tests: &[PhasedTest],
-        room: &mut Room,
+        room: &mut InnovationWorkspace,
     ) -> Vec<Result<Option<Innovations>, ReduceError>> {
         let carries = self.reducer.phases();
         let plain = self.plain.series(tests, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells));
@@ -143,7 +143,7 @@ impl Chained {
     fn filtered(
         &self,
         (at, rows): (usize, &Test),
-        (work, cells): (&mut Workspace, &mut Cells),
+        (work, cells): (&mut Workspace, &mut GatheredCells),
         before: Option<&After>,
         take: &mut Take<'_>,
     ) -> Result<After, ReduceError> {
@@ -168,7 +168,7 @@ impl Chained {
         &self,
         at: usize,
         (whole, linked): (&PhasedTest, bool),
-        room: (&mut Workspace, &mut Cells),
+        room: (&mut Workspace, &mut GatheredCells),
         before: Option<&After>,
         log_density: &mut f64,
     ) -> Result<After, ReduceError> {
@@ -204,7 +204,7 @@ impl After {
 }
 
 /// Takes in what is known of a phase otherwise than by rows; its log p given all earlier phases.
-fn absorb(phase: ReductionRef<'_>, law: &mut Law) -> f64 {
+fn absorb(phase: ReductionRef<'_>, law: &mut EnteringLaw) -> f64 {
     let q = phase.data.len();
     let mut log_density = phase.constant;
     let mut line = vec![0.0; q];

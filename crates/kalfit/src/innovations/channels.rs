@@ -8,11 +8,11 @@ use crate::innovations::innovation::Innovation;
 #[derive(Debug)]
 pub(super) struct Channels {
     standardised: Vec<f64>,
-    spans: Vec<Span>,
+    spans: Vec<ChannelSpan>,
 }
 
 #[derive(Debug)]
-struct Span {
+struct ChannelSpan {
     phase: usize,
     measurement: usize,
     range: Range<usize>,
@@ -44,7 +44,7 @@ impl Channels {
                 let range = start..start + *next;
                 (start, *next) = (range.end, start);
                 if !range.is_empty() {
-                    channels.spans.push(Span { phase: phase[0].phase, measurement, range });
+                    channels.spans.push(ChannelSpan { phase: phase[0].phase, measurement, range });
                 }
             }
             for one in phase {
@@ -58,7 +58,7 @@ impl Channels {
 
     /// Each of them.
     pub(super) fn each(&self) -> impl Iterator<Item = Channel<'_>> {
-        let channel = |span: &Span| Channel {
+        let channel = |span: &ChannelSpan| Channel {
             phase: span.phase,
             measurement: span.measurement,
             standardised: &self.standardised[span.range.clone()],

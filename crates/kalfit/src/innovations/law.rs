@@ -12,7 +12,7 @@ use crate::linalg::fold::{fold, fold_row};
 ///
 /// R begins as the identity, so that it always has an inverse, whatever F is: Σ may be singular, zero or huge.
 #[derive(Debug, Clone)]
-pub(crate) struct Law {
+pub(crate) struct EnteringLaw {
     mean: DVector<f64>,
     /// F, q × c.
     root: DMatrix<f64>,
@@ -24,14 +24,14 @@ pub(crate) struct Law {
     white: Vec<f64>,
 }
 
-impl Law {
+impl EnteringLaw {
     /// N(mean, root root').
-    pub(crate) fn new(mean: DVector<f64>, root: &DMatrix<f64>) -> Law {
+    pub(crate) fn new(mean: DVector<f64>, root: &DMatrix<f64>) -> EnteringLaw {
         let root = compact(root);
         let width = root.ncols() + 1;
         let mut information = vec![0.0; width * width];
         (0..width - 1).for_each(|k| information[k * (width + 1)] = 1.0);
-        Law { mean, root, information, row: Vec::with_capacity(width), white: Vec::with_capacity(width) }
+        EnteringLaw { mean, root, information, row: Vec::with_capacity(width), white: Vec::with_capacity(width) }
     }
 
     /// Takes e = t'σ + v, v ~ N(0, 1/weight), in; what was not expected of it, and the variance of that.
@@ -138,7 +138,7 @@ mod tests {
         let thin = DMatrix::from_row_slice(3, 1, &[1.0, 2.0, 0.0]);
         for root in [wide, thin, DMatrix::zeros(3, 3), DMatrix::zeros(3, 0)] {
             let (seen, last, covariance) = naive(&mean, &root);
-            let mut law = Law::new(mean.clone(), &root);
+            let mut law = EnteringLaw::new(mean.clone(), &root);
             for ((weight, e, t), (value, variance)) in ROWS.into_iter().zip(seen) {
                 let found = law.take(e, &t, weight);
                 assert_near("innovation", found.0, value, 10.0);
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn a_huge_start_costs_no_digits_of_what_is_measured_well() {
         // σ_1 + σ_2 is measured twice, σ_1 - σ_2 never
-        let mut law = Law::new(DVector::zeros(2), &(DMatrix::identity(2, 2) * 1e9));
+        let mut law = EnteringLaw::new(DVector::zeros(2), &(DMatrix::identity(2, 2) * 1e9));
         law.take(3.0, &[1.0, 1.0], 1e4);
         let (value, variance) = law.take(3.5, &[1.0, 1.0], 1e4);
         assert_near("innovation", value, 0.5, 1.0);

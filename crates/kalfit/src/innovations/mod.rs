@@ -31,8 +31,8 @@ pub use innovation::Innovation;
 pub use series::{Innovations, Part, Summary};
 pub use whiteness::Whiteness;
 
-pub(crate) use chained::Chained;
-pub(crate) use law::Law;
+pub(crate) use chained::ChainedFilter;
+pub(crate) use law::EnteringLaw;
 
 use crate::model::{Alpha, PhasedModel, Population};
 use crate::reduce::{PhasedTest, ReduceError, of_shape, refuse, share};
@@ -56,7 +56,7 @@ pub fn innovations(
 /// The filter behind [`innovations`], for ensembles that come in batches: it keeps design classes from batch to batch. `None` of
 /// the only phase's filter, whose estimates are what counts.
 #[derive(Debug)]
-pub struct InnovationFilter(Option<Box<Chained>>);
+pub struct InnovationFilter(Option<Box<ChainedFilter>>);
 
 impl InnovationFilter {
     /// A filter of a model at (α, μ, Σ), of all phases together.
@@ -66,7 +66,7 @@ impl InnovationFilter {
     pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<InnovationFilter, ReduceError> {
         check(model, initial)?;
         let silent = matches!(&model.phases[..], [only] if only.filter.is_some());
-        let chained = (!silent).then(|| Chained::new(model, alpha, initial)).transpose()?;
+        let chained = (!silent).then(|| ChainedFilter::new(model, alpha, initial)).transpose()?;
         Ok(InnovationFilter(chained.map(Box::new)))
     }
 

@@ -16,22 +16,22 @@ use nalgebra::{DMatrix, DVector};
 use crate::ensemble::Test;
 use crate::innovations::innovation::Innovation;
 use crate::innovations::rows::{self, Figures};
-use crate::innovations::start::Start;
+use crate::innovations::start::OwnLaw;
 use crate::model::{Alpha, Phase, PhasedModel};
 use crate::reduce::{
-    Beside, Cells, Entering, Evidence, Gains, Inherited, PhaseReducer, PhasedTest, ReduceError, Reducer, Skeleton,
-    Terminal, Workspace,
+    EnteringMoments, Evidence, Gains, GatheredCells, Inherited, OneBatch, PhaseReducer, PhasedTest, ReduceError,
+    Reducer, Skeleton, Terminal, Workspace,
 };
 
 /// The filters of the phases.
 #[derive(Debug)]
-pub(super) struct Plain {
-    phases: Vec<Known>,
+pub(super) struct PhaseFilters {
+    phases: Vec<PhaseFilter>,
 }
 
 /// The filter of a phase that nothing unknown enters.
 #[derive(Debug)]
-struct Known {
+struct PhaseFilter {
     reducer: Reducer,
     /// Through which states σ enters.
     entering: Vec<usize>,
@@ -41,9 +41,9 @@ struct Known {
 
 /// Work space of a phase, and tests that wait to be filtered side by side.
 #[derive(Debug)]
-pub(super) struct Waiting {
+pub(super) struct PhaseWorkspace {
     work: Workspace,
-    beside: Beside,
+    beside: OneBatch,
     /// Tests with designs of their own, and room for them.
     own: Vec<Skeleton>,
     spare: Vec<Skeleton>,
@@ -61,28 +61,28 @@ struct Track {
 }
 
 /// A phase, and its rows in the tests of a batch that have it and are sound so far.
-struct Stage<'a> {
+struct PhaseBatch<'a> {
     at: usize,
-    known: &'a Known,
+    known: &'a PhaseFilter,
     time: Option<usize>,
     rows: Vec<Option<&'a Test>>,
 }
 
-impl Plain {
-    pub(super) fn new(model: &PhasedModel, alpha: &Alpha) -> Result<Plain, ReduceError> {
+impl PhaseFilters {
+    pub(super) fn new(model: &PhasedModel, alpha: &Alpha) -> Result<PhaseFilters, ReduceError> {
         let last = model.phases.len() - 1;
-        let of = |(at, phase): (usize, &Phase)| -> Result<Known, ReduceError> {
+        let of = |(at, phase): (usize, &Phase)| -> Result<PhaseFilter, ReduceError> {
             let reducer = Reducer::of_known_starts(&phase.entry_model(), alpha)?;
             let reducer = if at < last { reducer.with_ends() } else { reducer };
-            Ok(Known { reducer, entering: phase.entering(), alone: last == 0 })
+            Ok(PhaseFilter { reducer, entering: phase.entering(), alone: last == 0 })
         };
-        Ok(Plain { phases: model.phases.iter().enumerate().map(of).collect::<Result<_, _>>()? })
+        Ok(PhaseFilters { phases: model.phases.iter().enumerate().map(of).collect::<Result<_, _>>()? })
     }
 
-    pub(super) fn workspace(&self) -> Vec<Waiting> {
-        let of = |Known { reducer, .. }: &Known| {
-            let (work, beside) = (reducer.workspace(), Beside::new(Isa::best(), reducer));
-            Waiting { work, beside, own: Vec::new(), spare: Vec::new() }
+    pub(super) fn workspace(&self) -> Vec<PhaseWorkspace> {
+        let of = |PhaseFilter { reducer, .. }: &PhaseFilter| {
+            let (work, beside) = (reducer.workspace(), OneBatch::new(Isa::best(), reducer));
+            PhaseWorkspace { work, beside, own: Vec::new(), spare: Vec::new() }
         };
         self.phases.iter().map(of).collect()
     }
@@ -91,16 +91,16 @@ impl Plain {
     pub(super) fn series(
         &self,
         tests: &[PhasedTest],
-        (starts, carries): (&[Start], &[PhaseReducer]),
-        (room, cells): (&mut [Waiting], &mut Cells),
+        (starts, carries): (&[OwnLaw], &[PhaseReducer]),
+        (room, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
     ) -> Vec<Option<Vec<Innovation>>> {
-        let plain = |(evidence, start): (&Evidence, &Start)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
+        let plain = |(evidence, start): (&Evidence, &OwnLaw)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
         let track = |test: &PhasedTest| test.phases.iter().zip(starts).all(plain).then(Track::default);
         let mut tracks: Vec<Option<Track>> = tests.iter().map(track).collect();
         for (at, (known, room)) in self.phases.iter().zip(room).enumerate() {
             let rows = |(test, track): (_, &Option<Track>)| rows_of(test, at).filter(|_| track.is_some());
             let rows: Vec<Option<&Test>> = tests.iter().zip(&tracks).map(rows).collect();
-            let stage = Stage { at, known, time: starts[at].time, rows };
+            let stage = PhaseBatch { at, known, time: starts[at].time, rows };
             stage.run((&starts[at], &carries[at]), &mut tracks, (room, cells));
         }
         tracks.into_iter().map(|track| track.map(|track| track.series)).collect()
@@ -121,18 +121,18 @@ fn figures(value: f64, weight: f64) -> Figures {
     Figures { value, variance, standardised }
 }
 
-impl Stage<'_> {
+impl PhaseBatch<'_> {
     /// The phase of all tests that have it.
     fn run(
         &self,
-        of: (&Start, &PhaseReducer),
+        of: (&OwnLaw, &PhaseReducer),
         tracks: &mut [Option<Track>],
-        (Waiting { work, beside, own, spare }, cells): (&mut Waiting, &mut Cells),
+        (PhaseWorkspace { work, beside, own, spare }, cells): (&mut PhaseWorkspace, &mut GatheredCells),
     ) {
-        let Known { reducer, alone, .. } = self.known;
+        let PhaseFilter { reducer, alone, .. } = self.known;
         let members = self.rows.iter().enumerate().filter_map(|(number, rows)| Some((number, (*rows)?)));
         let (numbers, tests): (Vec<usize>, Vec<&Test>) = members.unzip();
-        let mut entering: Vec<Entering> = tests.iter().map(|_| Entering::default()).collect();
+        let mut entering: Vec<EnteringMoments> = tests.iter().map(|_| EnteringMoments::default()).collect();
         for (place, (&number, rows)) in numbers.iter().zip(&tests).enumerate() {
             let Some(track) = &mut tracks[number] else { continue };
             let before = track.before.take();
@@ -173,13 +173,13 @@ impl Stage<'_> {
     fn by_itself(
         &self,
         rows: &Test,
-        of: (&Start, &PhaseReducer),
+        of: (&OwnLaw, &PhaseReducer),
         before: Option<&Terminal>,
-        (work, cells): (&mut Workspace, &mut Cells),
+        (work, cells): (&mut Workspace, &mut GatheredCells),
     ) -> Option<Left> {
-        let Known { reducer, .. } = self.known;
+        let PhaseFilter { reducer, .. } = self.known;
         reducer.preparer().prepare(rows, work).ok()?;
-        let Entering { mean, variance } = self.known.entering((rows, &work.covariates), of, before, cells)?;
+        let EnteringMoments { mean, variance } = self.known.entering((rows, &work.covariates), of, before, cells)?;
         mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
         variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
         let look = |gains: &Gains, work: &mut Workspace| self.look(rows, gains, work);
@@ -208,15 +208,15 @@ fn note(track: &mut Option<Track>, found: Option<Left>) {
     }
 }
 
-impl Known {
+impl PhaseFilter {
     /// The law of σ of a test with these rows and covariates, where it enters a and P0; `None` where something is wrong with it.
     fn entering(
         &self,
         (rows, covariates): (&Test, &[f64]),
-        (start, carry): (&Start, &PhaseReducer),
+        (start, carry): (&OwnLaw, &PhaseReducer),
         before: Option<&Terminal>,
-        cells: &mut Cells,
-    ) -> Option<Entering> {
+        cells: &mut GatheredCells,
+    ) -> Option<EnteringMoments> {
         let q = self.entering.len();
         let mut mean: DVector<f64> = start.mean_of(covariates, q);
         let mut carried = DMatrix::zeros(q, 0);
@@ -238,6 +238,6 @@ impl Known {
             let (a, b) = (place(i).max(place(k)), place(i).min(place(k)));
             (a * order.frame.r + b, covariance(i, k))
         });
-        Some(Entering { mean: (0..q).map(|i| (place(i), mean[i])).collect(), variance: variance.collect() })
+        Some(EnteringMoments { mean: (0..q).map(|i| (place(i), mean[i])).collect(), variance: variance.collect() })
     }
 }

@@ -2,11 +2,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::innovations::law::Law;
+use crate::innovations::law::EnteringLaw;
 
 /// What a phase adds of its own.
 #[derive(Debug)]
-pub(super) struct Start {
+pub(super) struct OwnLaw {
     pub(super) mean: Vec<f64>,
     /// (element of μ, coefficient), in the order of the covariates.
     pub(super) regressions: Vec<(usize, f64)>,
@@ -19,7 +19,7 @@ pub(super) struct Start {
     pub(super) filtered: bool,
 }
 
-impl Start {
+impl OwnLaw {
     /// What the phase adds to the mean of σ, q numbers.
     pub(super) fn mean_of(&self, covariates: &[f64], q: usize) -> DVector<f64> {
         let mut mean = DVector::from_fn(q, |i, _| self.mean.get(i).copied().unwrap_or(0.0));
@@ -30,15 +30,20 @@ impl Start {
     }
 
     /// The law of σ of a phase, q numbers, given all earlier ones; `inherited`: mean and root of what comes from the phase before.
-    pub(super) fn law(&self, covariates: &[f64], q: usize, inherited: Option<(DVector<f64>, DMatrix<f64>)>) -> Law {
+    pub(super) fn law(
+        &self,
+        covariates: &[f64],
+        q: usize,
+        inherited: Option<(DVector<f64>, DMatrix<f64>)>,
+    ) -> EnteringLaw {
         let p = self.mean.len();
         let mut mean = self.mean_of(covariates, q);
         let own = self.root.clone().resize_vertically(q, 0.0);
-        let Some((more, carried)) = inherited else { return Law::new(mean, &own) };
+        let Some((more, carried)) = inherited else { return EnteringLaw::new(mean, &own) };
         mean += more;
         let mut all = DMatrix::zeros(q, p + carried.ncols());
         all.columns_mut(0, p).copy_from(&own);
         all.columns_mut(p, carried.ncols()).copy_from(&carried);
-        Law::new(mean, &all)
+        EnteringLaw::new(mean, &all)
     }
 }

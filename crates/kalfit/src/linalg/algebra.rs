@@ -251,7 +251,7 @@ impl<F: Factors> Algebra for F {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::linalg::factors::{Plain, Rotations};
+    use crate::linalg::factors::{CrossFactors, Rotations};
 
     /// Cross products of 10⁵ and more lose the one beside them; rotations bear them.
     #[test]
@@ -261,7 +261,7 @@ mod tests {
             let large = Rows::from_fn(1, 2, |_, k| if k == 0 { -size } else { 0.5 });
             for parts in [vec![&small, &large], vec![&large, &small], vec![&large]] {
                 let (mut plain, mut careful) = (true, true);
-                <Plain<f64> as Algebra>::identity_plus(&parts, &mut plain);
+                <CrossFactors<f64> as Algebra>::identity_plus(&parts, &mut plain);
                 <Rotations as Algebra>::identity_plus(&parts, &mut careful);
                 assert_eq!((plain, careful), (sound, true), "{size} among {} parts", parts.len());
             }

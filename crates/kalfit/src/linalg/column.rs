@@ -4,7 +4,7 @@ use std::ops::Range;
 
 /// Rows of numbers: mostly of one length, and then nothing but the numbers.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Column {
+pub(crate) struct RowLists {
     numbers: Vec<f64>,
     /// Length of the first row, and of all where they are of one.
     width: usize,
@@ -12,7 +12,7 @@ pub(crate) struct Column {
     ends: Vec<usize>,
 }
 
-impl Column {
+impl RowLists {
     /// Adds a row to so many.
     pub(crate) fn push(&mut self, rows: usize, numbers: impl Iterator<Item = f64>) {
         let start = self.numbers.len();
@@ -30,7 +30,7 @@ impl Column {
     }
 
     /// Adds so many rows of another to so many.
-    pub(crate) fn append(&mut self, rows: usize, other: &Column, more: usize) {
+    pub(crate) fn append(&mut self, rows: usize, other: &RowLists, more: usize) {
         if self.width == other.width && self.ends.is_empty() && other.ends.is_empty() {
             self.numbers.extend_from_slice(&other.numbers);
         } else {
@@ -76,7 +76,7 @@ mod tests {
         let rows: [&[f64]; 5] = [&[1.0, 2.0], &[3.0, 4.0], &[], &[5.0], &[6.0, 7.0]];
         for split in 0..=rows.len() {
             let column = |rows: &[&[f64]]| {
-                let mut column = Column::default();
+                let mut column = RowLists::default();
                 rows.iter().enumerate().for_each(|(at, row)| column.push(at, row.iter().copied()));
                 column
             };

@@ -25,13 +25,13 @@ pub(crate) trait Factors {
 
 /// From cross products and reflections: fast.
 #[derive(Debug)]
-pub(crate) struct Plain<T>(PhantomData<T>);
+pub(crate) struct CrossFactors<T>(PhantomData<T>);
 
 /// By plane rotations, row by row: rows of very different size do no harm.
 #[derive(Debug)]
 pub(crate) struct Rotations<T = f64>(PhantomData<T>);
 
-impl<T: Real> Factors for Plain<T> {
+impl<T: Real> Factors for CrossFactors<T> {
     type Number = T;
     const CAREFUL: bool = false;
 
@@ -116,7 +116,7 @@ mod tests {
     fn both_ways_to_a_factor_have_the_same_cross_products() {
         let rows = sample(5, 3, 0.3);
         let expected = gram(&rows).plus(&Rows::identity(3));
-        for upper in [Plain::<f64>::identity_plus(&rows), Rotations::<f64>::identity_plus(&rows)] {
+        for upper in [CrossFactors::<f64>::identity_plus(&rows), Rotations::<f64>::identity_plus(&rows)] {
             close(&gram(&upper), &expected, 1e-14);
             assert!((0..3).all(|i| (0..i).all(|k| upper[(i, k)] == 0.0)), "{upper:?}");
         }
@@ -134,14 +134,14 @@ mod tests {
 
     #[test]
     fn absorbing_rows_keeps_the_cross_products_and_tells_what_is_left() {
-        absorbs::<Plain<f64>>();
+        absorbs::<CrossFactors<f64>>();
         absorbs::<Rotations>();
     }
 
     #[test]
     fn rows_of_zeros_change_nothing() {
         let mut upper = Rows::zeros(2, 3);
-        let left = Plain::<f64>::absorb(&mut upper, Rows::zeros(2, 3), 2);
+        let left = CrossFactors::<f64>::absorb(&mut upper, Rows::zeros(2, 3), 2);
         assert_eq!((upper, left), (Rows::zeros(2, 3), Rows::zeros(2, 3)));
     }
 

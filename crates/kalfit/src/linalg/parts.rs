@@ -8,7 +8,7 @@ use crate::linalg::rows::Rows;
 const WIDEST: usize = 6;
 
 /// Something that is done to columns, so many of them at once.
-pub(crate) trait Columns {
+pub(crate) trait ColumnWork {
     /// How many there are.
     fn count(&self) -> usize;
 
@@ -18,7 +18,7 @@ pub(crate) trait Columns {
 
 /// Does it to all columns from one on, in parts of nearly equal size.
 #[inline(always)]
-pub(crate) fn in_parts(first: usize, columns: &mut impl Columns) {
+pub(crate) fn in_parts(first: usize, columns: &mut impl ColumnWork) {
     let (mut from, end) = (first, columns.count());
     while from < end {
         let left = end - from;
@@ -46,7 +46,7 @@ pub(crate) struct Sum<'a, T, const MINUS: bool> {
     pub(crate) count: usize,
 }
 
-impl<T: Real, const MINUS: bool> Columns for Sum<'_, T, MINUS> {
+impl<T: Real, const MINUS: bool> ColumnWork for Sum<'_, T, MINUS> {
     #[inline(always)]
     fn count(&self) -> usize {
         self.y.len()
@@ -74,7 +74,7 @@ pub(crate) struct Dots<'a, T> {
     pub(crate) rows: &'a Rows<T>,
 }
 
-impl<T: Real> Columns for Dots<'_, T> {
+impl<T: Real> ColumnWork for Dots<'_, T> {
     #[inline(always)]
     fn count(&self) -> usize {
         self.y.len()
@@ -104,7 +104,7 @@ pub(crate) struct Reflection<'a, T> {
     pub(crate) scale: T,
 }
 
-impl<T: Real> Columns for Reflection<'_, T> {
+impl<T: Real> ColumnWork for Reflection<'_, T> {
     #[inline(always)]
     fn count(&self) -> usize {
         self.upper.len()

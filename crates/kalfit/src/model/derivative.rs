@@ -4,10 +4,10 @@ use crate::model::{EvaluationError, Expression, Function, Operator, Scope};
 
 /// What an evaluation computed, each part after its own parts. Room that is used again.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Tape(Vec<Node>);
+pub(crate) struct Tape(Vec<TapeNode>);
 
 #[derive(Debug, Clone, Copy)]
-struct Node {
+struct TapeNode {
     value: f64,
     /// Where the nodes of this part begin; its own node is the last of them.
     start: usize,
@@ -15,7 +15,7 @@ struct Node {
 
 impl Tape {
     fn push(&mut self, start: usize, value: f64) -> Result<f64, EvaluationError> {
-        self.0.push(Node { value, start });
+        self.0.push(TapeNode { value, start });
         if value.is_finite() { Ok(value) } else { Err(EvaluationError::NotFinite) }
     }
 

@@ -30,7 +30,7 @@ pub enum Role {
 
 /// Where an expression stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Place {
+enum RolePlace {
     /// A variance of noise, of a known start, or of a matrix of Σ.
     Variance,
     /// A covariance of these.
@@ -70,7 +70,7 @@ pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
     occurrences.iter().enumerate().map(|(parameter, places)| role(parameter, places)).collect()
 }
 
-fn role(parameter: usize, occurrences: &[(Place, &Expression)]) -> Role {
+fn role(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Role {
     match scale(parameter, occurrences) {
         Some(power) => Role::Scale { power },
         None if is_time_constant(parameter, occurrences) => Role::TimeConstant,
@@ -79,17 +79,17 @@ fn role(parameter: usize, occurrences: &[(Place, &Expression)]) -> Role {
 }
 
 /// k, where the parameter scales noise as v = θ^k.
-fn scale(parameter: usize, occurrences: &[(Place, &Expression)]) -> Option<i32> {
-    let paired = occurrences.iter().any(|(place, _)| *place == Place::Covariance);
+fn scale(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Option<i32> {
+    let paired = occurrences.iter().any(|(place, _)| *place == RolePlace::Covariance);
     let mut power = None;
     for (place, expression) in occurrences {
         if paired && expression.exponents(parameter).is_none() {
             return None;
         }
         match (place, expression.use_as_variance(parameter)) {
-            (Place::Variance, Use::Deviation) => power = power.or(Some(2)),
-            (Place::Variance, Use::Variance) => power = Some(1),
-            (Place::Covariance, _) => {}
+            (RolePlace::Variance, Use::Deviation) => power = power.or(Some(2)),
+            (RolePlace::Variance, Use::Variance) => power = Some(1),
+            (RolePlace::Covariance, _) => {}
             _ => return None,
         }
     }
@@ -97,17 +97,17 @@ fn scale(parameter: usize, occurrences: &[(Place, &Expression)]) -> Option<i32> 
 }
 
 /// Every motion that it stands in decays with it, one at least by itself.
-fn is_time_constant(parameter: usize, occurrences: &[(Place, &Expression)]) -> bool {
+fn is_time_constant(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> bool {
     let mut decays = false;
     for (place, expression) in occurrences {
         let (found, own) = match place {
-            Place::Variance | Place::Covariance => {
+            RolePlace::Variance | RolePlace::Covariance => {
                 let scaled = expression.exponents(parameter).is_some();
                 (if scaled { Decay::None } else { expression.decay(parameter) }, false)
             }
-            Place::Derivative { own } => (expression.rate(parameter), *own),
-            Place::Next { own } => (expression.decay(parameter), *own),
-            Place::Elsewhere => return false,
+            RolePlace::Derivative { own } => (expression.rate(parameter), *own),
+            RolePlace::Next { own } => (expression.decay(parameter), *own),
+            RolePlace::Elsewhere => return false,
         };
         match found {
             Decay::Other => return false,
@@ -119,40 +119,40 @@ fn is_time_constant(parameter: usize, occurrences: &[(Place, &Expression)]) -> b
 }
 
 /// Every expression of a phase and where it stands.
-fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(Place, &'m Expression)) {
+fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(RolePlace, &'m Expression)) {
     let model = &phase.model;
     for (site, expression) in model.expressions() {
         visit(place(model, site), expression);
     }
-    phase.carries().for_each(|expression| visit(Place::Elsewhere, expression));
+    phase.carries().for_each(|expression| visit(RolePlace::Elsewhere, expression));
 }
 
-fn place(model: &Model, site: Site) -> Place {
+fn place(model: &Model, site: Site) -> RolePlace {
     let moved = |state: usize, own: bool| match model.states[state].motion {
-        Motion::Discrete { .. } => Place::Next { own },
-        _ => Place::Derivative { own },
+        Motion::Discrete { .. } => RolePlace::Next { own },
+        _ => RolePlace::Derivative { own },
     };
     match site {
         Site::Rate { state, from } => moved(state, state == from),
         Site::Input(state) => moved(state, false),
-        Site::ProcessNoise(_) | Site::InitialVariance(_) | Site::Noise(_) => Place::Variance,
-        Site::ProcessCovariance | Site::NoiseCovariance => Place::Covariance,
+        Site::ProcessNoise(_) | Site::InitialVariance(_) | Site::Noise(_) => RolePlace::Variance,
+        Site::ProcessCovariance | Site::NoiseCovariance => RolePlace::Covariance,
         Site::KnownCovariance { diagonal } => of_matrix(diagonal),
         Site::Structure { diagonal } => of_structure(&model.covariance.kind, diagonal),
-        _ => Place::Elsewhere,
+        _ => RolePlace::Elsewhere,
     }
 }
 
-fn of_matrix(diagonal: bool) -> Place {
-    if diagonal { Place::Variance } else { Place::Covariance }
+fn of_matrix(diagonal: bool) -> RolePlace {
+    if diagonal { RolePlace::Variance } else { RolePlace::Covariance }
 }
 
-fn of_structure(kind: &CovarianceKind, diagonal: bool) -> Place {
-    if matches!(kind, CovarianceKind::Correlation(_)) { Place::Elsewhere } else { of_matrix(diagonal) }
+fn of_structure(kind: &CovarianceKind, diagonal: bool) -> RolePlace {
+    if matches!(kind, CovarianceKind::Correlation(_)) { RolePlace::Elsewhere } else { of_matrix(diagonal) }
 }
 
 /// Every expression of the matrix of a level.
-fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(Place, &'m Expression)) {
+fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(RolePlace, &'m Expression)) {
     for (site, expression) in covariance.kind.expressions() {
         let diagonal = site == Site::Structure { diagonal: true };
         visit(of_structure(&covariance.kind, diagonal), expression);

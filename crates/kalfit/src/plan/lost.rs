@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimate::{State, Structure, at_population};
+use crate::estimate::{FinalState, Structure, at_population};
 use crate::model::Population;
 use crate::plan::{PlanError, Quantity, off_structure, plan};
 use crate::reduce::Reductions;
@@ -55,7 +55,7 @@ pub fn information_lost(
 }
 
 /// log |I| of the free directions, over an orthonormal basis of them in the user's units.
-fn log_determinant(state: &State) -> Option<f64> {
+fn log_determinant(state: &FinalState) -> Option<f64> {
     let (problem, tangent) = (&state.problem, &state.place.tangent);
     let (scale, mean) = (&problem.classes.frame.scale, problem.mean.jacobian());
     let m = mean.nrows();

@@ -19,7 +19,7 @@ pub use error::PlanError;
 pub use levels::{Arrangement, plan_groups};
 pub use lost::{InformationLost, StdErrorRatio, information_lost};
 
-use crate::estimate::{ExpectedError, State, Structure, at_population};
+use crate::estimate::{ExpectedError, FinalState, Structure, at_population};
 use crate::infer::{self, Direction, Uncertainty};
 use crate::linalg::elements::Elements;
 use crate::model::Population;
@@ -125,7 +125,7 @@ pub fn plan(
 
 /// What is expected of some tests at a population.
 struct Expected {
-    state: State,
+    state: FinalState,
     unidentified: Vec<Direction>,
     uncertainty: Uncertainty,
 }
@@ -162,7 +162,7 @@ fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
 
 /// What was found at the population.
 struct Found<'a> {
-    state: &'a State,
+    state: &'a FinalState,
     population: &'a Population,
     unidentified: &'a [Direction],
     uncertainty: &'a Uncertainty,

@@ -18,7 +18,7 @@ use std::sync::Mutex;
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal, StudentsT};
 
-use crate::predict::root::{Near, crossing, rising};
+use crate::predict::root::{KnownRoots, crossing, rising};
 use crate::predict::widths::Widths;
 use crate::predict::{MeanLimits, Predicted};
 
@@ -206,8 +206,8 @@ impl Bounds {
         }
         let law = ChiSquared::new(spread.degrees).ok()?;
         let holds = |h: f64| {
-            let mut near = Near::default();
-            let needed = |x: f64, near: &mut Near| match spread.is_all() {
+            let mut near = KnownRoots::default();
+            let needed = |x: f64, near: &mut KnownRoots| match spread.is_all() {
                 true => (z * s - x * off) / h,
                 false => crossing(&|c| z * spread.at(c) - x * off / c, h, near),
             };
@@ -230,7 +230,7 @@ impl Bounds {
         };
         // either side of the mean is as the other
         let holds = |h: f64| {
-            let mut near = Near::default();
+            let mut near = KnownRoots::default();
             let half = (NODES / 2..=NODES).map(node).map(|(x, weight)| {
                 let both = if x > 0.0 { 2.0 } else { 1.0 };
                 let c = match spread.is_all() {

@@ -30,7 +30,7 @@ use rayon::prelude::*;
 
 use crate::infer::{Knowledge, MeanCombination};
 use crate::model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
-use crate::predict::steps::Steps;
+use crate::predict::steps::ValueSteps;
 use crate::predict::trajectory::{Propagator, Trajectory};
 use crate::reduce::{Evidence, PhasedTest};
 
@@ -200,7 +200,7 @@ pub struct Predictor {
     knowledge: Option<Knowledge>,
     /// The model at α, and at α with each free value moved to both sides.
     propagators: Vec<Propagator>,
-    steps: Steps,
+    steps: ValueSteps,
 }
 
 impl Predictor {
@@ -216,7 +216,7 @@ impl Predictor {
         knowledge: Option<Knowledge>,
     ) -> Result<Predictor, PredictError> {
         let model = with_outputs(design, outputs);
-        let steps = Steps::new(&model, alpha, knowledge.as_ref());
+        let steps = ValueSteps::new(&model, alpha, knowledge.as_ref());
         let alphas = std::iter::once(alpha).chain(steps.moved());
         let propagators = alphas.map(|alpha| Propagator::new(&model, alpha)).collect::<Result<_, _>>()?;
         Ok(Predictor { model, coefficients: coefficients.to_vec(), knowledge, propagators, steps })

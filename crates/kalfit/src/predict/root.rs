@@ -25,12 +25,12 @@ fn between(of: &dyn Fn(f64) -> f64, mut before: (f64, f64), mut last: (f64, f64)
 
 /// Where roots of a function that changes little from one search to the next were found.
 #[derive(Debug, Default)]
-pub(super) struct Near {
+pub(super) struct KnownRoots {
     /// Logarithms of the last two.
     last: [Option<f64>; 2],
 }
 
-impl Near {
+impl KnownRoots {
     /// Where to begin, and how far the next point is.
     fn start(&self) -> (f64, f64) {
         match self.last {
@@ -47,7 +47,7 @@ impl Near {
 
 /// Where a function that falls from above comes down to a level; zero where it is below from the start. About a power of c, it is sought
 /// in logarithms, from where it was found before.
-pub(super) fn crossing(of: &dyn Fn(f64) -> f64, level: f64, near: &mut Near) -> f64 {
+pub(super) fn crossing(of: &dyn Fn(f64) -> f64, level: f64, near: &mut KnownRoots) -> f64 {
     const FAR: f64 = 20.0;
     let above = |u: f64| {
         let found = of(u.exp());

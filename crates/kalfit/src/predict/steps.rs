@@ -6,7 +6,7 @@ use nalgebra::DVector;
 
 use crate::infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
 use crate::model::{Alpha, Phase, PhasedModel};
-use crate::predict::value::Value;
+use crate::predict::value::PredictedValue;
 use crate::predict::{Estimation, Initial};
 
 /// What hangs on something that is not determined by less than this part does not hang on it.
@@ -14,7 +14,7 @@ const FAINT: f64 = 1e-9;
 
 /// Free values of α moved to both sides, for derivatives.
 #[derive(Debug)]
-pub(super) struct Steps {
+pub(super) struct ValueSteps {
     /// Of each quantity, and then of each one that is open: (place of its lower side among `moved`, distance of the sides).
     places: Vec<Option<(usize, f64)>>,
     /// Of each noise level that was estimated as zero, its place among `moved`, where it is one.
@@ -24,14 +24,14 @@ pub(super) struct Steps {
     moved: Vec<Alpha>,
 }
 
-impl Steps {
-    pub(super) fn new(model: &PhasedModel, alpha: &Alpha, knowledge: Option<&Knowledge>) -> Steps {
+impl ValueSteps {
+    pub(super) fn new(model: &PhasedModel, alpha: &Alpha, knowledge: Option<&Knowledge>) -> ValueSteps {
         let of_phase = |(phase, range): (&Phase, Range<usize>)| {
             let own = phase.model.mean.regression.iter();
             own.map(move |regression| (range.start + regression.element, regression.column)).collect::<Vec<_>>()
         };
         let regressions = model.phases.iter().zip(model.ranges()).flat_map(of_phase).collect();
-        let mut steps = Steps { places: Vec::new(), probes: Vec::new(), regressions, moved: Vec::new() };
+        let mut steps = ValueSteps { places: Vec::new(), probes: Vec::new(), regressions, moved: Vec::new() };
         let Some(knowledge) = knowledge else { return steps };
         let errors = (0..knowledge.quantities.len()).map(|i| Some(knowledge.covariance[(i, i)].max(0.0).sqrt()));
         let all = knowledge.quantities.iter().zip(errors).chain(knowledge.open.iter().map(|open| (open, None)));
@@ -58,8 +58,8 @@ impl Steps {
         &self,
         knowledge: &Knowledge,
         initial: &Initial,
-        value: &Value,
-        sides: &[&Value],
+        value: &PredictedValue,
+        sides: &[&PredictedValue],
     ) -> bool {
         let p = initial.mean.len();
         let own = value.sensitivity.rows(0, p);
@@ -69,7 +69,7 @@ impl Steps {
             }
             _ => false,
         };
-        let variance = |side: &Value| side.population(&initial.covariance) + side.process;
+        let variance = |side: &PredictedValue| side.population(&initial.covariance) + side.process;
         let moves = |&place: &usize| variance(sides[place]) > variance(value) * (1.0 + FAINT);
         knowledge.at_zero.iter().any(is_seen) || self.probes.iter().any(moves)
     }
@@ -84,8 +84,8 @@ impl Steps {
         &self,
         knowledge: &Knowledge,
         initial: &Initial,
-        value: &Value,
-        sides: &[&Value],
+        value: &PredictedValue,
+        sides: &[&PredictedValue],
     ) -> Option<Estimation> {
         let of = Slopes::new(self, initial, value, sides);
         let count = knowledge.quantities.len();
@@ -134,17 +134,22 @@ impl Steps {
 
 /// The derivatives of one value by what was estimated.
 struct Slopes<'a> {
-    steps: &'a Steps,
+    steps: &'a ValueSteps,
     initial: &'a Initial,
-    value: &'a Value,
-    sides: &'a [&'a Value],
+    value: &'a PredictedValue,
+    sides: &'a [&'a PredictedValue],
     /// By ξ, and by μ.
     own: DVector<f64>,
     by_mean: DVector<f64>,
 }
 
 impl<'a> Slopes<'a> {
-    fn new(steps: &'a Steps, initial: &'a Initial, value: &'a Value, sides: &'a [&'a Value]) -> Slopes<'a> {
+    fn new(
+        steps: &'a ValueSteps,
+        initial: &'a Initial,
+        value: &'a PredictedValue,
+        sides: &'a [&'a PredictedValue],
+    ) -> Slopes<'a> {
         let own = value.sensitivity.rows(0, initial.mean.len()).into_owned();
         let by_mean = initial.shrinkage.as_ref().map_or(own.clone(), |shrinkage| shrinkage.transpose() * &own);
         Slopes { steps, initial, value, sides, own, by_mean }
@@ -164,8 +169,8 @@ impl<'a> Slopes<'a> {
             Estimand::Parameter { .. } => {
                 let Some((place, width)) = self.steps.places[at] else { return [0.0; 3] };
                 let [below, above] = [self.sides[place], self.sides[place + 1]];
-                let slope = |of: &dyn Fn(&Value) -> f64| (of(above) - of(below)) / width;
-                let population = |side: &Value| side.population(&self.initial.covariance);
+                let slope = |of: &dyn Fn(&PredictedValue) -> f64| (of(above) - of(below)) / width;
+                let population = |side: &PredictedValue| side.population(&self.initial.covariance);
                 [slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
             }
         }
@@ -180,9 +185,10 @@ impl<'a> Slopes<'a> {
         }
         let Some((place, _)) = self.steps.places[at] else { return false };
         let [below, above] = [self.sides[place], self.sides[place + 1]];
-        let variance = |side: &Value| side.population(&self.initial.covariance) + side.process;
-        let moves =
-            |of: &dyn Fn(&Value) -> f64, size: f64| (of(above) - of(below)).abs() > FAINT * MOST_OF_A_VALUE * size;
+        let variance = |side: &PredictedValue| side.population(&self.initial.covariance) + side.process;
+        let moves = |of: &dyn Fn(&PredictedValue) -> f64, size: f64| {
+            (of(above) - of(below)).abs() > FAINT * MOST_OF_A_VALUE * size
+        };
         moves(&|side| side.mean, self.value.mean.abs() + size) || moves(&variance, variance(self.value))
     }
 }

@@ -6,15 +6,15 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::apply::{Form, Record, Subject};
+use crate::apply::{EvaluatedPhase, StateForm, ValueSubject};
 use crate::ensemble::Test;
 use crate::infer::{Knowledge, MeanCombination};
 use crate::model::{Alpha, PhasedModel};
-use crate::predict::steps::Steps;
-use crate::predict::value::Value;
+use crate::predict::steps::ValueSteps;
+use crate::predict::value::PredictedValue;
 use crate::predict::{Initial, MeanLimits, PhasePredictions, PredictError, Predicted, StepPredictions, What};
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest, PhasedWork, Terminal, own_innovations};
-use crate::score::{BackwardWork, Moments, Run, Seen, Wanted};
+use crate::score::{AdjointsWanted, BackwardWork, Moments, Seen, TestRun};
 
 /// The model at one α.
 #[derive(Debug)]
@@ -23,7 +23,7 @@ pub(super) struct Propagator {
 }
 
 /// What enters a phase: σ = mean + sensitivity (ξ, γ) + noise.
-struct Entering {
+struct EnteringState {
     mean: DVector<f64>,
     /// q × (Σ p_i + regressions of all phases).
     sensitivity: DMatrix<f64>,
@@ -38,7 +38,7 @@ pub(super) struct Trajectory {
 }
 
 /// Rows of a step among those of the phase, its time, and its values.
-type StepValues = (Range<usize>, Option<f64>, Vec<Value>);
+type StepValues = (Range<usize>, Option<f64>, Vec<PredictedValue>);
 
 #[derive(Debug)]
 struct PhaseTrajectory {
@@ -60,7 +60,7 @@ impl Propagator {
     ) -> Result<Trajectory, PredictError> {
         let mut work = self.reducer.workspace();
         let mut phases = Vec::with_capacity(design.phases.len());
-        let mut before: Option<(Entering, Terminal)> = None;
+        let mut before: Option<(EnteringState, Terminal)> = None;
         let (ranges, mut regression) = (model.ranges(), 0);
         for (at, evidence) in design.phases.iter().enumerate() {
             let Evidence::Rows(rows) = evidence else { break };
@@ -79,19 +79,19 @@ impl Propagator {
         (model, at): (&PhasedModel, usize),
         rows: &Test,
         (initial, coefficients, (elements, regression)): (&Initial, &[f64], (Range<usize>, usize)),
-        before: Option<&(Entering, Terminal)>,
+        before: Option<&(EnteringState, Terminal)>,
         work: &mut PhasedWork,
-    ) -> Result<(PhaseTrajectory, Option<(Entering, Terminal)>), PredictError> {
+    ) -> Result<(PhaseTrajectory, Option<(EnteringState, Terminal)>), PredictError> {
         let phase = &self.reducer.phases()[at];
         let (blank, read) = (filled(rows, f64::NAN), filled(rows, 0.0));
         let inherited = before.map(|before| Ok::<_, PredictError>((before, phase.inherited(&blank, &mut work.cells)?)));
         let inherited = inherited.transpose()?;
-        let record = Record::new(phase, &read)?;
+        let record = EvaluatedPhase::new(phase, &read)?;
         let forms = record.forms();
         let structure = &model.phases[at].model.mean.regression;
         let follow = |gains: &crate::reduce::Gains, work: &mut crate::reduce::Workspace| {
             let q = work.design.frame.p;
-            let mut entering = Entering {
+            let mut entering = EnteringState {
                 mean: DVector::zeros(q),
                 sensitivity: DMatrix::zeros(q, initial.mean.len() + coefficients.len()),
                 covariance: DMatrix::zeros(q, q),
@@ -109,7 +109,7 @@ impl Propagator {
             }
             own_innovations(gains, work);
             let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-            let run = Run::of((work, gains), (&unknown, None), Wanted { motion: true, equation: false });
+            let run = TestRun::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
             let mut steps = forms.into_iter();
             let mut trajectory = Vec::with_capacity(work.design.steps());
             run.forth(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
@@ -141,9 +141,9 @@ fn filled(rows: &Test, value: f64) -> Test {
     test
 }
 
-impl Entering {
+impl EnteringState {
     /// Adds T x_K + t of the phase before.
-    fn add(&mut self, last: &Entering, terminal: &Terminal, inherited: &crate::reduce::Inherited) {
+    fn add(&mut self, last: &EnteringState, terminal: &Terminal, inherited: &crate::reduce::Inherited) {
         let T = &inherited.transition;
         let along = T * &terminal.sensitivity;
         self.mean += T * &terminal.mean + &inherited.input + &along * &last.mean;
@@ -162,7 +162,7 @@ struct Reached {
 }
 
 impl Reached {
-    fn new(seen: Seen<'_>, entering: &Entering) -> Reached {
+    fn new(seen: Seen<'_>, entering: &EnteringState) -> Reached {
         let Psi = seen.sensitivity();
         let mut covariance = &Psi * &entering.covariance * Psi.transpose();
         seen.add_noise(&mut covariance);
@@ -173,12 +173,12 @@ impl Reached {
         }
     }
 
-    fn value(&self, (subject, first): (Subject, usize), form: &Form) -> Value {
+    fn value(&self, (subject, first): (ValueSubject, usize), form: &StateForm) -> PredictedValue {
         let (what, row) = match subject {
-            Subject::State(state) => (What::State(state), first),
-            Subject::Measurement(output, row) => (What::Output(output), row),
+            ValueSubject::State(state) => (What::State(state), first),
+            ValueSubject::Measurement(output, row) => (What::Output(output), row),
         };
-        Value {
+        PredictedValue {
             what,
             row,
             mean: form.of(self.mean.as_slice()),
@@ -222,10 +222,11 @@ impl Trajectory {
         &self,
         sides: &[Trajectory],
         initial: &Initial,
-        known: Option<(&Knowledge, &Steps)>,
+        known: Option<(&Knowledge, &ValueSteps)>,
     ) -> Vec<PhasePredictions> {
-        let predicted = |phase: usize, step: usize, place: usize, value: &Value| {
-            let beside: Vec<&Value> = sides.iter().map(|side| &side.phases[phase].steps[step].2[place]).collect();
+        let predicted = |phase: usize, step: usize, place: usize, value: &PredictedValue| {
+            let beside: Vec<&PredictedValue> =
+                sides.iter().map(|side| &side.phases[phase].steps[step].2[place]).collect();
             Predicted {
                 what: value.what,
                 row: value.row,

@@ -6,7 +6,7 @@ use crate::predict::What;
 
 /// One value.
 #[derive(Debug)]
-pub(super) struct Value {
+pub(super) struct PredictedValue {
     pub(super) what: What,
     pub(super) row: usize,
     pub(super) mean: f64,
@@ -16,7 +16,7 @@ pub(super) struct Value {
     pub(super) process: f64,
 }
 
-impl Value {
+impl PredictedValue {
     /// g'Σg.
     pub(super) fn population(&self, covariance: &DMatrix<f64>) -> f64 {
         let own = self.sensitivity.rows(0, covariance.nrows());

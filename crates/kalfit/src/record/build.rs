@@ -6,11 +6,11 @@ use crate::ensemble::Labels;
 use crate::estimate::{Certificate, Combination, Counts, Criterion, Estimate, Solver, Stop};
 use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel, Slots};
-use crate::record::cut::{Cut, phases_of};
+use crate::record::cut::{PhaseCut, phases_of};
 use crate::record::diagnosis::shortage_notes;
 use crate::record::directions::crossing_notes;
 use crate::record::number::plain;
-use crate::record::own::{MOST_OWN, Own};
+use crate::record::own::{MOST_OWN, OwnEstimate};
 use crate::record::phases::phases_and_levels;
 use crate::record::{
     CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, EstimatesRecord, FitRecord,
@@ -192,7 +192,7 @@ fn intervals(inference: &Inference) -> &'static str {
 }
 
 fn constraints(model: &PhasedModel, sensitivities: &[Sensitivity]) -> Vec<ConstraintRecord> {
-    let cuts = Cut::blocks(model);
+    let cuts = PhaseCut::blocks(model);
     let of = |sensitivity: &Sensitivity| {
         let (Element::Mean(first) | Element::Covariance(first, _)) = sensitivity.element;
         let cut = cuts.iter().find(|cut| cut.element(first).is_some()).expect("an element is of some phase");
@@ -201,7 +201,7 @@ fn constraints(model: &PhasedModel, sensitivities: &[Sensitivity]) -> Vec<Constr
     sensitivities.iter().map(of).collect()
 }
 
-fn constraint(cut: &Cut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
+fn constraint(cut: &PhaseCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
     let model = &cut.phase.model;
     let name = |i: usize| &model.states[model.estimated[i - cut.elements.start]].name;
     ConstraintRecord {
@@ -223,14 +223,14 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
     if inference.posteriors.is_empty() {
         return Vec::new(); // not asked for
     }
-    let cuts = Cut::all(model);
+    let cuts = PhaseCut::all(model);
     let mut order: Vec<usize> = (0..reductions.len()).collect();
     order.par_sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let classes = DesignClasses::new(reductions, &order);
     let record = |j: usize| {
         let (reduction, posterior) = (reductions.get(j), &inference.posteriors[j]);
         let distance = posterior.distance;
-        let own = (reductions.len() <= MOST_OWN).then(|| Own::of(reduction));
+        let own = (reductions.len() <= MOST_OWN).then(|| OwnEstimate::of(reduction));
         TestRecord {
             id: reduction.test.to_owned(),
             group: None,
@@ -288,9 +288,9 @@ impl DesignClasses {
 }
 
 fn part(
-    cut: &Cut<'_>,
+    cut: &PhaseCut<'_>,
     (posterior, covariance): (&Posterior, &nalgebra::DMatrix<f64>),
-    own: Option<&Own>,
+    own: Option<&OwnEstimate>,
 ) -> PosteriorRecord {
     PosteriorRecord {
         name: cut.phase.name.clone(),
@@ -304,7 +304,7 @@ impl DeletionRecord {
     /// The fit without a test or a group.
     pub(super) fn new(model: &PhasedModel, deletion: &Deletion) -> DeletionRecord {
         let Deletion { estimate, log_density, distance, displacement } = deletion;
-        let of = |cut: &Cut<'_>| DeletedRecord {
+        let of = |cut: &PhaseCut<'_>| DeletedRecord {
             name: cut.name().to_owned(),
             mean: if cut.level.is_none() { cut.list(&estimate.mean) } else { Vec::new() },
             regression: estimate.coefficients[cut.regressions.clone()].to_vec(),
@@ -315,7 +315,7 @@ impl DeletionRecord {
             distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
             p_value: distance.p_value,
             displacement: *displacement,
-            phases: Cut::blocks(model).iter().map(of).collect(),
+            phases: PhaseCut::blocks(model).iter().map(of).collect(),
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::reduce::ReductionRef;
 
 /// One phase of a model, and where what belongs to it stands among what belongs to all.
 #[derive(Debug, Clone)]
-pub(super) struct Cut<'a> {
+pub(super) struct PhaseCut<'a> {
     /// The phase; of a level of groups the only one.
     pub(super) phase: &'a Phase,
     /// The level of groups whose part it is.
@@ -22,23 +22,23 @@ pub(super) struct Cut<'a> {
     pub(super) regressions: Range<usize>,
 }
 
-impl<'a> Cut<'a> {
+impl<'a> PhaseCut<'a> {
     /// All phases of a model, in order.
-    pub(super) fn all(model: &'a PhasedModel) -> Vec<Cut<'a>> {
+    pub(super) fn all(model: &'a PhasedModel) -> Vec<PhaseCut<'a>> {
         let mut end = 0;
         let cut = |(index, (phase, elements)): (usize, (&'a Phase, Range<usize>))| {
             let start = end;
             end += phase.model.mean.regression.len();
-            Cut { phase, level: None, index, elements, regressions: start..end }
+            PhaseCut { phase, level: None, index, elements, regressions: start..end }
         };
         model.phases.iter().zip(model.ranges()).enumerate().map(cut).collect()
     }
 
     /// All phases, or the only one and then the levels of groups, the innermost first: what the blocks of Σ are of.
-    pub(super) fn blocks(model: &'a PhasedModel) -> Vec<Cut<'a>> {
-        let mut all = Cut::all(model);
+    pub(super) fn blocks(model: &'a PhasedModel) -> Vec<PhaseCut<'a>> {
+        let mut all = PhaseCut::all(model);
         let (p, end) = (model.dimension(), all.last().map_or(0, |cut| cut.regressions.end));
-        let level = |(l, level): (usize, &'a GroupLevel)| Cut {
+        let level = |(l, level): (usize, &'a GroupLevel)| PhaseCut {
             phase: &model.phases[0],
             level: Some(level),
             index: l + 1,
@@ -88,12 +88,12 @@ impl<'a> Cut<'a> {
 
 /// The regressions of all phases, their elements those of all phases.
 pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
-    let of = |cut: Cut<'_>| -> Vec<Regression> {
+    let of = |cut: PhaseCut<'_>| -> Vec<Regression> {
         let start = cut.elements.start;
         let moved = |r: &Regression| Regression { element: start + r.element, column: r.column };
         cut.phase.model.mean.regression.iter().map(moved).collect()
     };
-    Cut::all(model).into_iter().flat_map(of).collect()
+    PhaseCut::all(model).into_iter().flat_map(of).collect()
 }
 
 /// How many phases of a model a test has.

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::infer::{Leading, Observability, Reason, StateObservability};
 use crate::innovations::{Innovations, Part, Summary, Whiteness};
 use crate::model::PhasedModel;
-use crate::record::cut::{Cut, regressions};
+use crate::record::cut::{PhaseCut, regressions};
 use crate::record::{
     FitRecord, InnovationPartRecord, InnovationRecord, ObservabilityRecord, TestRecord, WhitenessRecord,
 };
@@ -27,8 +27,8 @@ impl ObservabilityRecord {
                 leading_share,
             }
         };
-        let of = |cut: Cut<'_>| cut.states().into_iter().zip(&seen.states[cut.elements]).map(record).collect();
-        Cut::all(model).into_iter().map(of).collect()
+        let of = |cut: PhaseCut<'_>| cut.states().into_iter().zip(&seen.states[cut.elements]).map(record).collect();
+        PhaseCut::all(model).into_iter().map(of).collect()
     }
 }
 

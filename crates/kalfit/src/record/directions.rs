@@ -2,7 +2,7 @@
 
 use crate::infer::{Direction, Explanation, Observability, PhaseObservability, Quantity, WeakDirection};
 use crate::model::PhasedModel;
-use crate::record::cut::Cut;
+use crate::record::cut::PhaseCut;
 use crate::record::diagnosis::{named, words};
 use crate::record::number::plain;
 use crate::record::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
@@ -23,7 +23,7 @@ struct Entries {
 }
 
 /// One phase's part of a direction.
-struct Part {
+struct PhaseDirection {
     phase: usize,
     direction: Vec<f64>,
     /// Names of the phases that the direction mixes, none when there is one only.
@@ -41,7 +41,7 @@ impl Entries {
     /// Elements of μ, then regression coefficients as `state per column`.
     fn mean(model: &PhasedModel, coefficients: bool) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
-        let (cuts, full) = (Cut::blocks(model), model.element_names());
+        let (cuts, full) = (PhaseCut::blocks(model), model.element_names());
         for cut in &cuts {
             for (own, k) in cut.states().into_iter().zip(cut.elements.clone()) {
                 entries.add(cut, own, full[k].clone());
@@ -62,7 +62,7 @@ impl Entries {
     fn covariance(model: &PhasedModel) -> Entries {
         let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
         let full = model.element_names();
-        for cut in Cut::blocks(model) {
+        for cut in PhaseCut::blocks(model) {
             let (own, full) = (cut.states(), &full[cut.elements.clone()]);
             for (i, j) in (0..own.len()).flat_map(|i| (0..=i).map(move |j| (i, j))) {
                 let whole = match i == j {
@@ -75,7 +75,7 @@ impl Entries {
         entries
     }
 
-    fn add(&mut self, cut: &Cut<'_>, own: String, full: String) {
+    fn add(&mut self, cut: &PhaseCut<'_>, own: String, full: String) {
         self.phase.push(cut.index);
         self.own.push(own);
         self.full.push(full);
@@ -88,8 +88,8 @@ impl Entries {
     }
 
     /// The parts of a direction that count.
-    fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<Part> {
-        let cuts = Cut::blocks(model);
+    fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<PhaseDirection> {
+        let cuts = PhaseCut::blocks(model);
         let counts = |phase: &usize| {
             let mut own = direction.iter().zip(&self.phase).filter(|(_, of)| *of == phase);
             cuts.len() == 1 || own.any(|(weight, _)| weight.abs() > NEGLIGIBLE)
@@ -99,7 +99,7 @@ impl Entries {
         let part = |&phase: &usize| {
             let own = direction.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
             let direction = own.map(|(weight, _)| *weight).collect();
-            Part { phase, direction, phases: if names.len() > 1 { names.clone() } else { Vec::new() } }
+            PhaseDirection { phase, direction, phases: if names.len() > 1 { names.clone() } else { Vec::new() } }
         };
         mixed.iter().map(part).collect()
     }
@@ -133,10 +133,10 @@ impl UnidentifiedRecord {
         directions: &[Direction],
         explanations: &[Explanation],
     ) -> Vec<Vec<UnidentifiedRecord>> {
-        let mut records = vec![Vec::new(); Cut::blocks(model).len()];
+        let mut records = vec![Vec::new(); PhaseCut::blocks(model).len()];
         for (direction, explanation) in directions.iter().zip(explanations) {
             let entries = Entries::of(model, direction.quantity);
-            for Part { phase, direction: part, phases } in entries.parts(model, &direction.direction) {
+            for PhaseDirection { phase, direction: part, phases } in entries.parts(model, &direction.direction) {
                 records[phase].push(UnidentifiedRecord {
                     what: match direction.quantity {
                         Quantity::Mean => "mean".to_owned(),
@@ -159,9 +159,9 @@ impl WeakRecord {
     /// [`crossing_notes`] has the whole.
     pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<WeakRecord>> {
         let entries = Entries::mean(model, false);
-        let mut records = vec![Vec::new(); Cut::blocks(model).len()];
+        let mut records = vec![Vec::new(); PhaseCut::blocks(model).len()];
         for weak in &seen.weak {
-            for Part { phase, direction, phases } in entries.parts(model, &weak.direction) {
+            for PhaseDirection { phase, direction, phases } in entries.parts(model, &weak.direction) {
                 let (leading_test, leading_share) = named(&weak.leading);
                 let condition = weak.condition;
                 records[phase].push(WeakRecord { direction, condition, leading_test, leading_share, phases });
@@ -178,14 +178,14 @@ impl InformationRecord {
             return vec![None; model.phases.len()];
         }
         let names = model.estimated_names();
-        let record = |(cut, found): (Cut<'_>, &PhaseObservability)| InformationRecord {
+        let record = |(cut, found): (PhaseCut<'_>, &PhaseObservability)| InformationRecord {
             own_rank: found.own_rank,
             entering: cut.phase.entering().len(),
             rank_so_far: found.rank_so_far,
             of: cut.elements.end,
             entered: found.entered.iter().map(|weights| entered(&names, weights)).collect(),
         };
-        Cut::all(model).into_iter().zip(seen).map(|pair| Some(record(pair))).collect()
+        PhaseCut::all(model).into_iter().zip(seen).map(|pair| Some(record(pair))).collect()
     }
 }
 

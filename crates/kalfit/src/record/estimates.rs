@@ -9,7 +9,7 @@ use crate::ensemble::Labels;
 use crate::infer::{Estimand, EstimateCovariance, Estimated, Knowledge};
 use crate::model::{PhasedModel, Slots};
 
-use crate::record::cut::Cut;
+use crate::record::cut::PhaseCut;
 use crate::record::{FitRecord, ParameterRecord, SquareRecord};
 
 /// The covariance of all estimates, except fixed numbers and those on bounds.
@@ -29,7 +29,7 @@ pub struct EstimatesRecord {
 /// Names of the numbers of μ, of the regression coefficients and of Σ.
 fn names(model: &PhasedModel) -> Vec<(Estimated, String)> {
     let mut all = Vec::new();
-    for cut in Cut::blocks(model) {
+    for cut in PhaseCut::blocks(model) {
         let before = match cut.level {
             None if model.is_single() => String::new(),
             _ => format!("{}: ", cut.name()),

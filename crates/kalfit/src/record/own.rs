@@ -23,14 +23,14 @@ pub struct OwnRecord {
 }
 
 /// The own estimate over all phases.
-pub(super) struct Own {
+pub(super) struct OwnEstimate {
     mean: Vec<Option<f64>>,
     covariance: Vec<Vec<Option<f64>>>,
 }
 
-impl Own {
+impl OwnEstimate {
     /// Of a test with p elements.
-    pub(super) fn of(reduction: ReductionRef<'_>) -> Own {
+    pub(super) fn of(reduction: ReductionRef<'_>) -> OwnEstimate {
         let p = reduction.data.len();
         let factor = DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 });
         let scale: Vec<f64> = (0..p).map(|k| factor.column(k).norm()).collect();
@@ -49,14 +49,14 @@ impl Own {
         let units: Vec<f64> = (0..p).map(inverse).collect();
         let errors = symmetric::scaled(&units, |i, k| inverted[(i, k)]);
         let entry = |i: usize, k: usize| if determined[i] && determined[k] { known(errors[(i, k)]) } else { None };
-        Own {
+        OwnEstimate {
             mean: (0..p).map(|i| if determined[i] { known(solution[i] * inverse(i)) } else { None }).collect(),
             covariance: (0..p).map(|i| (0..p).map(|k| entry(i, k)).collect()).collect(),
         }
     }
 
     /// One phase's part; `None` where no state of it is determined.
-    pub(super) fn part(&self, cut: &super::cut::Cut<'_>) -> Option<OwnRecord> {
+    pub(super) fn part(&self, cut: &super::cut::PhaseCut<'_>) -> Option<OwnRecord> {
         let mean = cut.list(&self.mean);
         mean.iter().any(Option::is_some).then(|| OwnRecord { mean, covariance: cut.square(&self.covariance) })
     }
@@ -86,7 +86,7 @@ mod tests {
     #[test]
     fn a_regular_test_has_the_least_squares_estimate() {
         // R = [2 1; 0 4], d = (4, 8)': ξ = (1, 2)'; J⁻¹ = R⁻¹R⁻ᵀ by hand
-        let own = Own::of(reduction(&[2.0, 1.0, 4.0], &[4.0, 8.0]).view());
+        let own = OwnEstimate::of(reduction(&[2.0, 1.0, 4.0], &[4.0, 8.0]).view());
         let mean: Vec<f64> = own.mean.iter().map(|x| x.unwrap()).collect();
         assert!((mean[0] - 1.0).abs() < 1e-12 && (mean[1] - 2.0).abs() < 1e-12, "{mean:?}");
         let expected = [[0.25 + 1.0 / 64.0, -1.0 / 32.0], [-1.0 / 32.0, 1.0 / 16.0]];
@@ -102,7 +102,7 @@ mod tests {
     fn what_a_test_does_not_determine_is_null_whatever_the_units() {
         // the sum of the first two is seen, the third by itself, the fourth not at all
         let factor = [1.0, 1e6, 0.0, 0.0, 0.0, 1e-9, 0.0, 0.0, 0.0, 0.0];
-        let own = Own::of(reduction(&factor, &[3.0, 0.0, 2e-9, 0.0]).view());
+        let own = OwnEstimate::of(reduction(&factor, &[3.0, 0.0, 2e-9, 0.0]).view());
         assert_eq!((own.mean[0], own.mean[1], own.mean[3]), (None, None, None));
         assert!((own.mean[2].unwrap() - 2.0).abs() < 1e-9, "{:?}", own.mean[2]);
         assert!((own.covariance[2][2].unwrap() * 1e-18 - 1.0).abs() < 1e-9);

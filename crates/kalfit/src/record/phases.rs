@@ -6,7 +6,7 @@ use crate::estimate::Estimate;
 use crate::infer::{Boundary, Element, Inference};
 use crate::model::{CovarianceKind, MeanElement, MeanStructure, PhasedModel, Regression};
 use crate::plan::{InformationLost, Quantity, StdErrorRatio};
-use crate::record::cut::{Cut, phases_of};
+use crate::record::cut::{PhaseCut, phases_of};
 use crate::record::{
     BoundaryRecord, CovarianceRecord, FilterRecord, FitRecord, InformationLostRecord, InformationRecord, Interval,
     LevelRecord, MatrixRecord, MeanRecord, ObservabilityRecord, PhaseRecord, RegressionRecord, ScaleRecord,
@@ -54,7 +54,7 @@ fn blocks(
     let mut seen = ObservabilityRecord::by_phase(model, observability).into_iter();
     let mut weak = WeakRecord::by_phase(model, observability).into_iter();
     let mut information = InformationRecord::by_phase(model, &inference.phases).into_iter();
-    let record = |cut: Cut<'_>| PhaseRecord {
+    let record = |cut: PhaseCut<'_>| PhaseRecord {
         unidentified: unidentified.next().unwrap_or_default(),
         observability: seen.next().unwrap_or_default(),
         weakly_determined: weak.next().unwrap_or_default(),
@@ -62,11 +62,11 @@ fn blocks(
         tests: Some(tests_of(&cut, (estimate, reductions), model)),
         ..phase(&cut, estimate, inference)
     };
-    Cut::blocks(model).into_iter().map(record).collect()
+    PhaseCut::blocks(model).into_iter().map(record).collect()
 }
 
 /// Number of tests that have a phase.
-fn tests_of(cut: &Cut<'_>, (estimate, reductions): (&Estimate, &Reductions), model: &PhasedModel) -> usize {
+fn tests_of(cut: &PhaseCut<'_>, (estimate, reductions): (&Estimate, &Reductions), model: &PhasedModel) -> usize {
     let present = &estimate.state.problem.classes.present;
     match cut.level {
         Some(_) => present[0] as usize,
@@ -75,7 +75,7 @@ fn tests_of(cut: &Cut<'_>, (estimate, reductions): (&Estimate, &Reductions), mod
     }
 }
 
-fn phase(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
+fn phase(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseRecord {
     let (model, states) = (&cut.phase.model, cut.states());
     let (uncertainty, intervals) = (&inference.uncertainty, &inference.intervals);
     let deviations = estimate.covariance.diagonal().map(|v| v.max(0.0).sqrt());
@@ -106,7 +106,7 @@ fn phase(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> PhaseReco
 }
 
 /// A singular block of Σ, when it is one of this phase.
-fn boundary(cut: &Cut<'_>, states: &[String], found: &Boundary) -> Option<BoundaryRecord> {
+fn boundary(cut: &PhaseCut<'_>, states: &[String], found: &Boundary) -> Option<BoundaryRecord> {
     let names = |of: &[usize]| of.iter().filter_map(|&i| Some(states[cut.element(i)?].clone())).collect::<Vec<_>>();
     let own = names(&found.states);
     (!own.is_empty()).then(|| BoundaryRecord {
@@ -118,7 +118,7 @@ fn boundary(cut: &Cut<'_>, states: &[String], found: &Boundary) -> Option<Bounda
     })
 }
 
-fn filter(cut: &Cut<'_>) -> Option<FilterRecord> {
+fn filter(cut: &PhaseCut<'_>) -> Option<FilterRecord> {
     cut.phase.filter.as_ref().map(|filter| FilterRecord {
         kind: KALMAN_SCHMIDT.to_owned(),
         consider: filter.consider.iter().map(|&state| cut.phase.model.states[state].name.clone()).collect(),
@@ -162,7 +162,7 @@ impl FitRecord {
     }
 }
 
-fn mean(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord {
+fn mean(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord {
     let model = &cut.phase.model;
     let structure = if cut.level.is_some() { &MeanStructure::zero(cut.elements.len()) } else { &model.mean };
     let estimates = cut.list(&estimate.mean);
@@ -193,7 +193,7 @@ fn mean(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> MeanRecord
     }
 }
 
-fn covariance(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> CovarianceRecord {
+fn covariance(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> CovarianceRecord {
     let p = cut.elements.len();
     let mut fixed = vec![vec![false; p]; p];
     for sensitivity in &inference.sensitivities {
@@ -220,7 +220,7 @@ fn covariance(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference) -> Cova
 }
 
 /// The interval of β from that of the largest variance, which is in proportion.
-fn scale_interval(cut: &Cut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
+fn scale_interval(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
     let variance = |i: usize| estimate.covariance[(i, i)];
     let i = cut.elements.clone().max_by(|&a, &b| variance(a).total_cmp(&variance(b)))?;
     let ends = inference.intervals.covariance[i][i]?;

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::model::{PhasedModel, Population, PopulationError};
-use crate::record::cut::Cut;
+use crate::record::cut::PhaseCut;
 use crate::record::{FitRecord, LevelRecord, PhaseRecord};
 
 /// Why a record has no population for a model.
@@ -70,7 +70,7 @@ impl FitRecord {
         let place = places("the phases".to_owned(), &found, &expected)?;
         let p = model.element_names().len();
         let mut whole = Population { mean: Vec::new(), coefficients: Vec::new(), covariance: DMatrix::zeros(p, p) };
-        for (cut, &place) in Cut::all(model).iter().zip(&place) {
+        for (cut, &place) in PhaseCut::all(model).iter().zip(&place) {
             let of = if model.is_single() { String::new() } else { format!(" of phase `{}`", cut.phase.name) };
             add(&mut whole, cut, &self.phases[place], &of)?;
         }
@@ -89,7 +89,7 @@ impl FitRecord {
         if found != expected {
             return Err(RecordError::Names { what: "the levels".to_owned(), found, expected });
         }
-        for (cut, level) in Cut::blocks(model).iter().skip(model.phases.len()).zip(own.iter().rev()) {
+        for (cut, level) in PhaseCut::blocks(model).iter().skip(model.phases.len()).zip(own.iter().rev()) {
             let of = format!(" of level `{}`", level.name);
             let place = places(format!("the estimated states{of}"), &level.states, &cut.states())?;
             let rows = &level.covariance.estimate;
@@ -109,7 +109,7 @@ impl FitRecord {
 }
 
 /// Adds one phase to the population of all; `of` is what messages say after the name of a thing.
-fn add(whole: &mut Population, cut: &Cut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
+fn add(whole: &mut Population, cut: &PhaseCut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
     let place = places(format!("the estimated states{of}"), &phase.states, &cut.states())?;
     refuse_ragged(phase, place.len(), of)?;
     whole.mean.extend(place.iter().map(|&i| phase.mean.estimate[i]));
@@ -138,7 +138,7 @@ fn refuse_ragged(phase: &PhaseRecord, p: usize, of: &str) -> Result<(), RecordEr
     Ok(())
 }
 
-fn coefficients(phase: &PhaseRecord, cut: &Cut<'_>, of: &str) -> Result<Vec<f64>, RecordError> {
+fn coefficients(phase: &PhaseRecord, cut: &PhaseCut<'_>, of: &str) -> Result<Vec<f64>, RecordError> {
     let (model, states) = (&cut.phase.model, cut.states());
     let found: Vec<String> = phase.mean.regression.iter().map(|r| format!("{} on {}", r.state, r.column)).collect();
     let structure = &model.mean.regression;

@@ -104,14 +104,14 @@ impl<'a> From<&'a LevelRecord> for CovarianceForms<'a> {
 
 /// A number with its errors.
 #[derive(Clone, Copy)]
-struct Value {
+struct ValueErrors {
     estimate: Option<f64>,
     std_error: Option<f64>,
     interval95: Interval,
 }
 
 impl Of<'_> {
-    fn row(&self, kind: &str, states: &[&str], value: Value, status: &str) -> QuantityRecord {
+    fn row(&self, kind: &str, states: &[&str], value: ValueErrors, status: &str) -> QuantityRecord {
         let text = |at: usize| states.get(at).map(|state| (*state).to_owned());
         let [lower, upper] = value.interval95.unwrap_or_default();
         let within = if states.is_empty() { String::new() } else { format!("[{}]", states.join(", ")) };
@@ -147,7 +147,8 @@ impl Of<'_> {
         }
         for one in &mean.regression {
             let moved = |element: &str| element == format!("{} per {}", one.state, one.column);
-            let value = Value { estimate: Some(one.estimate), std_error: one.std_error, interval95: one.interval95 };
+            let value =
+                ValueErrors { estimate: Some(one.estimate), std_error: one.std_error, interval95: one.interval95 };
             let status = status(value, false, is_open(&phase.unidentified, "mean", &moved));
             let row = self.row("regression", &[&one.state, &one.column], value, status);
             all.push(QuantityRecord { other_state: None, column: Some(one.column.clone()), ..row });
@@ -157,7 +158,8 @@ impl Of<'_> {
 
     fn scale(&self, kind: &str, scale: Option<&ScaleRecord>, all: &mut Vec<QuantityRecord>) {
         let row = |own: &ScaleRecord| {
-            let value = Value { estimate: Some(own.estimate), std_error: own.std_error, interval95: own.interval95 };
+            let value =
+                ValueErrors { estimate: Some(own.estimate), std_error: own.std_error, interval95: own.interval95 };
             self.row(kind, &[], value, "estimated")
         };
         all.extend(scale.map(row));
@@ -174,7 +176,7 @@ impl Of<'_> {
         }
         for (i, state) in self.states.iter().enumerate() {
             for (k, other) in self.states.iter().enumerate().skip(i) {
-                let value = Value {
+                let value = ValueErrors {
                     estimate: cell(&covariance.estimate, i, k),
                     std_error: cell(&covariance.std_error, i, k).flatten(),
                     interval95: cell(&covariance.interval95, i, k).flatten(),
@@ -185,7 +187,7 @@ impl Of<'_> {
         }
         for (i, state) in self.states.iter().enumerate() {
             for (k, other) in self.states.iter().enumerate().skip(i + 1) {
-                let value = Value {
+                let value = ValueErrors {
                     estimate: cell(&correlation.estimate, i, k).flatten(),
                     std_error: cell(&correlation.std_error, i, k).flatten(),
                     interval95: cell(&correlation.interval95, i, k).flatten(),
@@ -200,7 +202,7 @@ impl Of<'_> {
 
 impl CovarianceForms<'_> {
     /// Of an element of Σ.
-    fn status(&self, (one, other): (&String, &String), value: Value, fixed: bool) -> &'static str {
+    fn status(&self, (one, other): (&String, &String), value: ValueErrors, fixed: bool) -> &'static str {
         if value.estimate.is_none() {
             return "undefined";
         }
@@ -222,7 +224,7 @@ impl CovarianceForms<'_> {
     }
 }
 
-fn status(value: Value, fixed: bool, open: bool) -> &'static str {
+fn status(value: ValueErrors, fixed: bool, open: bool) -> &'static str {
     match (fixed, open && value.std_error.is_none()) {
         (true, _) => "fixed",
         (false, true) => "not identified",
@@ -240,8 +242,8 @@ fn is_open(directions: &[UnidentifiedRecord], what: &str, moved: &dyn Fn(&str) -
 }
 
 /// One place of three lists.
-fn at(estimate: &[f64], std_error: &[Option<f64>], interval95: &[Interval], i: usize) -> Value {
-    Value {
+fn at(estimate: &[f64], std_error: &[Option<f64>], interval95: &[Interval], i: usize) -> ValueErrors {
+    ValueErrors {
         estimate: estimate.get(i).copied(),
         std_error: std_error.get(i).copied().flatten(),
         interval95: interval95.get(i).copied().flatten(),

@@ -76,7 +76,7 @@ impl SeriesRecord {
         index.values_mut().enumerate().for_each(|(i, place)| *place = i);
         // times may start again in each phase; steps do
         let timed = model.is_single() && series.iter().all(|one| one.time.is_some_and(f64::is_finite));
-        let mut steps = Steps::default();
+        let mut steps = StepCount::default();
         let at: Vec<f64> =
             series.iter().map(|one| one.time.filter(|_| timed).unwrap_or_else(|| steps.number(one) as f64)).collect();
         let few = series.len() <= MOST_ROWS;
@@ -96,13 +96,13 @@ impl SeriesRecord {
 
 /// Steps counted on over phases.
 #[derive(Default)]
-struct Steps {
+struct StepCount {
     phase: usize,
     before: usize,
     last: usize,
 }
 
-impl Steps {
+impl StepCount {
     fn number(&mut self, one: &Innovation) -> usize {
         if one.phase != self.phase {
             (self.phase, self.before) = (one.phase, self.last + 1);

@@ -6,15 +6,15 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::beside::Beside;
-use crate::reduce::blocks::told::Found;
-use crate::reduce::class::Class;
+use crate::reduce::blocks::beside::OneBatch;
+use crate::reduce::blocks::reduced::ReducedTests;
+use crate::reduce::class::DesignClass;
 use crate::reduce::error::ReduceError;
-use crate::reduce::lanes::Block;
+use crate::reduce::lanes::DataBlock;
 use crate::reduce::prepare::{Skeleton, Workspace};
-use crate::reduce::recognise::Likeness;
-use crate::reduce::reducer::{About, Known, Reducer};
-use crate::reduce::shared::Entry;
+use crate::reduce::recognise::DesignCells;
+use crate::reduce::reducer::{About, DesignExemplar, Reducer};
+use crate::reduce::shared::StoreEntry;
 use crate::reduce::{Reduction, Reductions, Terminal};
 
 /// Most classes whose blocks are filled at the same time.
@@ -47,7 +47,7 @@ pub(crate) fn joined(batches: Vec<Result<Reductions, ReduceError>>) -> Result<Re
 pub(crate) struct Batch<'a> {
     reducer: &'a Reducer,
     work: Workspace,
-    groups: Vec<Group>,
+    groups: Vec<PendingBatch>,
     /// The group that took the last test.
     latest: usize,
     /// The group that makes room for another, when there are as many as there may be.
@@ -55,9 +55,9 @@ pub(crate) struct Batch<'a> {
     /// Tests with designs of their own, and room for them.
     own: Vec<Skeleton>,
     spare: Vec<Skeleton>,
-    beside: Beside,
+    beside: OneBatch,
     /// Reductions as they come. Odd ones, with which something is wrong or that call for square-root arrays, come last, each by itself.
-    found: Found,
+    found: ReducedTests,
     /// What is wrong with tests, by their numbers.
     faults: Vec<(usize, ReduceError)>,
     /// Where the tests end; empty where that is not wanted.
@@ -69,9 +69,9 @@ pub(crate) type ToEnd = Result<(Reduction, Option<Terminal>), ReduceError>;
 
 /// Tests of a known design, gathered in a block.
 #[derive(Debug)]
-struct Group {
-    known: Arc<Entry<Likeness, Known>>,
-    block: Block,
+struct PendingBatch {
+    known: Arc<StoreEntry<DesignCells, DesignExemplar>>,
+    block: DataBlock,
     /// Number and covariates of the test in each lane.
     seats: Vec<(usize, Vec<f64>)>,
 }
@@ -107,8 +107,8 @@ impl<'a> Batch<'a> {
             oldest: 0,
             own: Vec::new(),
             spare: Vec::new(),
-            beside: Beside::new(Isa::best(), reducer),
-            found: Found::default(),
+            beside: OneBatch::new(Isa::best(), reducer),
+            found: ReducedTests::default(),
             faults: Vec::new(),
             endings: Vec::new(),
         }
@@ -120,7 +120,7 @@ impl<'a> Batch<'a> {
         if let Some((_, error)) = self.faults.drain(..).min_by_key(|(number, _)| *number) {
             return Err(error);
         }
-        let Found { reductions, numbers, .. } = &mut self.found;
+        let ReducedTests { reductions, numbers, .. } = &mut self.found;
         debug_assert_eq!(numbers.len(), tests.len(), "every test was looked at");
         Ok(std::mem::take(reductions).in_order(numbers))
     }
@@ -181,8 +181,8 @@ impl<'a> Batch<'a> {
     }
 
     /// A new group.
-    fn open(&mut self, tests: &[&Test], known: Arc<Entry<Likeness, Known>>) -> usize {
-        let group = Group::new(known);
+    fn open(&mut self, tests: &[&Test], known: Arc<StoreEntry<DesignCells, DesignExemplar>>) -> usize {
+        let group = PendingBatch::new(known);
         if self.groups.len() < OPEN {
             self.groups.push(group);
             return self.groups.len() - 1;
@@ -210,7 +210,7 @@ impl<'a> Batch<'a> {
 
     /// Reduces the tests of a group.
     fn flush(&mut self, tests: &[&Test], group: usize) {
-        let Group { known, block, seats } = &mut self.groups[group];
+        let PendingBatch { known, block, seats } = &mut self.groups[group];
         if seats.is_empty() {
             return;
         }
@@ -265,7 +265,7 @@ impl<'a> Batch<'a> {
     }
 
     /// Takes what was found of the test in the work space.
-    fn note_alone(&mut self, number: usize, found: Result<(Reduction, Class), ReduceError>) {
+    fn note_alone(&mut self, number: usize, found: Result<(Reduction, DesignClass), ReduceError>) {
         if let (Ok((_, class)), Some(ending)) = (&found, self.endings.get_mut(number)) {
             *ending = self.reducer.ending(class, self.work.pass.x.iter().copied());
         }
@@ -279,12 +279,12 @@ impl<'a> Batch<'a> {
     }
 }
 
-impl Group {
-    fn new(known: Arc<Entry<Likeness, Known>>) -> Group {
-        let (mut block, own) = (Block::new(Isa::best()), known.value());
+impl PendingBatch {
+    fn new(known: Arc<StoreEntry<DesignCells, DesignExemplar>>) -> PendingBatch {
+        let (mut block, own) = (DataBlock::new(Isa::best()), known.value());
         block.clear(own.start.len(), own.inputs.len(), own.cells.len());
         (0..block.lanes()).for_each(|lane| block.begin(lane, &own.start, &own.inputs));
-        Group { known, block, seats: Vec::new() }
+        PendingBatch { known, block, seats: Vec::new() }
     }
 
     /// Puts the values of a test into the next lane; false where one is missing or infinite.

@@ -13,7 +13,7 @@
 pub(crate) mod beside;
 mod identity;
 mod layout;
-pub(crate) mod told;
+pub(crate) mod reduced;
 mod values;
 mod whitened;
 
@@ -29,13 +29,13 @@ use crate::reduce::Reductions;
 use crate::reduce::batch::{Batch, ToEnd, share};
 use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceError;
-use crate::reduce::lanes::Room;
+use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reducer::Reducer;
 use beside::by_shape;
-pub(crate) use layout::Layout;
-use told::{Found, Own};
-pub(crate) use values::Values;
+pub(crate) use layout::BatchLayout;
+use reduced::{ReducedTests, TestInfo};
+pub(crate) use values::BatchValues;
 
 /// Bytes of blocks, with their numbers at one α.
 const BYTES: usize = 512 << 20;
@@ -44,37 +44,37 @@ const SHARE: usize = 8;
 
 /// Tests side by side.
 #[derive(Debug)]
-struct Block {
-    layout: Layout,
-    own: Vec<Own>,
+struct FilteredTests {
+    layout: BatchLayout,
+    own: Vec<TestInfo>,
     /// Numbers at some α, that nobody has.
-    spare: Mutex<Vec<Values>>,
+    spare: Mutex<Vec<BatchValues>>,
 }
 
 /// Tests of an ensemble with designs of their own, side by side. Which of them go together depends on the ensemble, not on the
 /// order of its tests.
 #[derive(Debug, Default)]
-pub(crate) struct Blocks {
-    blocks: Vec<Block>,
+pub(crate) struct OwnDesigns {
+    blocks: Vec<FilteredTests>,
     /// Tests that are in none, by number.
     pub(crate) others: Vec<usize>,
 }
 
 /// Blocks at an α, after their filters.
 #[derive(Debug)]
-pub(crate) struct Filtered {
-    blocks: Arc<Blocks>,
+pub(crate) struct FilteredDesigns {
+    blocks: Arc<OwnDesigns>,
     /// By block.
-    values: Vec<Values>,
+    values: Vec<BatchValues>,
 }
 
-impl Blocks {
+impl OwnDesigns {
     /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
     /// of those.
-    pub(crate) fn new(reducer: &Reducer, tests: &[&Test], numbers: &[usize], shared: &[usize]) -> Blocks {
+    pub(crate) fn new(reducer: &Reducer, tests: &[&Test], numbers: &[usize], shared: &[usize]) -> OwnDesigns {
         let preparer = reducer.preparer();
         if !preparer.has_columns() {
-            return Blocks { blocks: Vec::new(), others: (0..tests.len()).collect() };
+            return OwnDesigns { blocks: Vec::new(), others: (0..tests.len()).collect() };
         }
         let digest = |number: usize, work: &mut Workspace| {
             preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
@@ -97,9 +97,10 @@ impl Blocks {
             bytes += size(preparer, own);
             bytes <= BYTES
         });
-        let blocks: Vec<Block> = groups.into_par_iter().map(|own| Block::new(reducer, tests, own)).collect();
+        let blocks: Vec<FilteredTests> =
+            groups.into_par_iter().map(|own| FilteredTests::new(reducer, tests, own)).collect();
         let kept: HashSet<usize> = blocks.iter().flat_map(|block| &block.layout.tests).copied().collect();
-        Blocks { blocks, others: (0..tests.len()).filter(|number| !kept.contains(number)).collect() }
+        OwnDesigns { blocks, others: (0..tests.len()).filter(|number| !kept.contains(number)).collect() }
     }
 
     /// The reductions of all tests at the α of a reducer, in their order.
@@ -107,10 +108,10 @@ impl Blocks {
     /// # Errors
     /// Of several tests in error, the first one's error.
     pub(crate) fn reduce(
-        self: &Arc<Blocks>,
+        self: &Arc<OwnDesigns>,
         reducer: &Reducer,
         tests: &[&Test],
-    ) -> Result<(Reductions, Filtered), ReduceError> {
+    ) -> Result<(Reductions, FilteredDesigns), ReduceError> {
         let (filtered, mut found) = self.filter(reducer, tests);
         let (rest, last) = self.rest(reducer, tests, found.odd)?;
         found.numbers.extend(last);
@@ -118,7 +119,11 @@ impl Blocks {
     }
 
     /// The same with where each test ends, if that is wanted; what is wrong with a test is said of it alone.
-    pub(crate) fn reduce_to_end(self: &Arc<Blocks>, reducer: &Reducer, tests: &[&Test]) -> (Vec<ToEnd>, Filtered) {
+    pub(crate) fn reduce_to_end(
+        self: &Arc<OwnDesigns>,
+        reducer: &Reducer,
+        tests: &[&Test],
+    ) -> (Vec<ToEnd>, FilteredDesigns) {
         let (filtered, found) = self.filter(reducer, tests);
         let mut all: Vec<Option<ToEnd>> = tests.iter().map(|_| None).collect();
         let mut terminals = found.terminals.into_iter();
@@ -142,17 +147,18 @@ impl Blocks {
     }
 
     /// Runs the filters of all blocks at the α of a reducer.
-    fn filter(self: &Arc<Blocks>, reducer: &Reducer, tests: &[&Test]) -> (Filtered, Found) {
+    fn filter(self: &Arc<OwnDesigns>, reducer: &Reducer, tests: &[&Test]) -> (FilteredDesigns, ReducedTests) {
         let mut alpha = Digest::new();
         add_to(&mut alpha, reducer.preparer().at().alpha);
         let alpha = alpha.finish();
-        let share = |room: &mut Room, blocks: &[Block]| {
-            let mut found = Found::default();
+        let share = |room: &mut DataWorkspace, blocks: &[FilteredTests]| {
+            let mut found = ReducedTests::default();
             let values = blocks.iter().map(|block| block.filter((reducer, alpha), tests, room, &mut found)).collect();
             (values, found)
         };
-        let shares: Vec<(Vec<Values>, Found)> = self.blocks.par_chunks(SHARE).map_init(Room::default, share).collect();
-        let (mut values, mut all, mut parts) = (Vec::new(), Found::default(), Vec::new());
+        let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
+            self.blocks.par_chunks(SHARE).map_init(DataWorkspace::default, share).collect();
+        let (mut values, mut all, mut parts) = (Vec::new(), ReducedTests::default(), Vec::new());
         for (own, found) in shares {
             values.extend(own);
             all.numbers.extend(found.numbers);
@@ -161,7 +167,7 @@ impl Blocks {
             parts.push(found.reductions);
         }
         all.reductions = Reductions::joined(parts);
-        (Filtered { blocks: self.clone(), values }, all)
+        (FilteredDesigns { blocks: self.clone(), values }, all)
     }
 
     /// Numbers of the tests that are in blocks.
@@ -226,21 +232,21 @@ fn add_to(digest: &mut Digest, alpha: &Alpha) {
     }
 }
 
-impl Block {
-    fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> Block {
+impl FilteredTests {
+    fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> FilteredTests {
         let preparer = reducer.preparer();
-        let (mut layout, mut values) = (Layout::new(Isa::best(), preparer), Values::new(Isa::best()));
+        let (mut layout, mut values) = (BatchLayout::new(Isa::best(), preparer), BatchValues::new(Isa::best()));
         layout.take(preparer, tests, own);
         values.take(&layout, (preparer, tests));
         let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
         let digests = values.identities(&layout, &steps, &mut Vec::new());
-        let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| Own {
+        let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| TestInfo {
             digest: if values.sound[lane] { digest } else { own.number as u128 }, // which is like no other
             covariates: own.covariates.clone(),
             steps: own.len(),
             observations: own.instances.len(),
         });
-        Block { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
+        FilteredTests { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
     }
 
     /// Evaluates the tests at the α of a reducer, whose digest this is, and runs their filters.
@@ -248,18 +254,18 @@ impl Block {
         &self,
         (reducer, alpha): (&Reducer, u128),
         tests: &[&Test],
-        room: &mut Room,
-        found: &mut Found,
-    ) -> Values {
-        let Block { layout, own, .. } = self;
+        room: &mut DataWorkspace,
+        found: &mut ReducedTests,
+    ) -> BatchValues {
+        let FilteredTests { layout, own, .. } = self;
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut values = spare.unwrap_or_else(|| {
-            let mut values = Values::new(Isa::best());
+            let mut values = BatchValues::new(Isa::best());
             values.take(layout, (reducer.preparer(), tests));
             values
         });
         values.evaluate(layout, (reducer.preparer(), tests), false);
-        let digest = |own: &Own| {
+        let digest = |own: &TestInfo| {
             let mut digest = Digest::new();
             digest.wide(own.digest);
             digest.wide(alpha);
@@ -273,8 +279,8 @@ impl Block {
 /// One block at an α, after its filters.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FilteredBlock<'a> {
-    pub(crate) layout: &'a Layout,
-    pub(crate) values: &'a Values,
+    pub(crate) layout: &'a BatchLayout,
+    pub(crate) values: &'a BatchValues,
 }
 
 impl FilteredBlock<'_> {
@@ -284,7 +290,7 @@ impl FilteredBlock<'_> {
     }
 }
 
-impl Filtered {
+impl FilteredDesigns {
     /// The blocks, for several threads.
     pub(crate) fn blocks(&self) -> impl IndexedParallelIterator<Item = FilteredBlock<'_>> {
         let both = self.blocks.blocks.par_iter().zip(&self.values);
@@ -292,7 +298,7 @@ impl Filtered {
     }
 }
 
-impl Drop for Filtered {
+impl Drop for FilteredDesigns {
     fn drop(&mut self) {
         for (block, values) in self.blocks.blocks.iter().zip(self.values.drain(..)) {
             block.spare.lock().unwrap_or_else(PoisonError::into_inner).push(values);

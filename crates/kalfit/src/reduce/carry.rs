@@ -8,8 +8,8 @@ use crate::ensemble::Test;
 use crate::model::{Alpha, Phase, Scope};
 use crate::reduce::Inherited;
 use crate::reduce::error::ReduceError;
-use crate::reduce::steps::Cells;
-use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
+use crate::reduce::steps::GatheredCells;
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 
 /// The carry of a phase at α.
 #[derive(Debug, Clone)]
@@ -36,7 +36,7 @@ pub(crate) struct Inherits {
 
 impl Inheritance {
     /// The carry of a phase after one with `before` states. `at`: its own model.
-    pub(crate) fn new(phase: &Phase, before: usize, at: &At<'_>) -> Result<Inheritance, Box<Fault>> {
+    pub(crate) fn new(phase: &Phase, before: usize, at: &ModelAt<'_>) -> Result<Inheritance, Box<Fault>> {
         let entering = phase.entering();
         let (mut terms, mut uses) = (Vec::new(), Uses::default());
         for carry in &phase.carry {
@@ -59,14 +59,24 @@ impl Inheritance {
     }
 
     /// What the coefficients of a test are evaluated on; a column that varies within the phase is an error.
-    pub(crate) fn scope<'a>(&self, at: &At<'a>, test: &Test, cells: &'a mut Cells) -> Result<Scope<'a>, Box<Fault>> {
+    pub(crate) fn scope<'a>(
+        &self,
+        at: &ModelAt<'a>,
+        test: &Test,
+        cells: &'a mut GatheredCells,
+    ) -> Result<Scope<'a>, Box<Fault>> {
         cells.gather(at, test, 0..test.rows(), (&self.uses, true))?;
         let alpha: &'a Alpha = at.alpha;
         Ok(Scope { numbers: &cells.numbers, texts: &cells.texts, step: f64::NAN, alpha })
     }
 
     /// T and t of a test. `test`: the rows of this phase.
-    pub(crate) fn of(&self, at: &At<'_>, test: &Test, cells: &mut Cells) -> Result<Cow<'_, Inherited>, ReduceError> {
+    pub(crate) fn of(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        cells: &mut GatheredCells,
+    ) -> Result<Cow<'_, Inherited>, ReduceError> {
         if let Some(fixed) = &self.fixed {
             return Ok(Cow::Borrowed(fixed));
         }
@@ -75,7 +85,7 @@ impl Inheritance {
         self.at(at, &scope).map(Cow::Owned).map_err(|fault| named(fault.on(0)))
     }
 
-    fn at(&self, at: &At<'_>, scope: &Scope<'_>) -> Result<Inherited, Box<Fault>> {
+    fn at(&self, at: &ModelAt<'_>, scope: &Scope<'_>) -> Result<Inherited, Box<Fault>> {
         let mut inherited =
             Inherited { transition: DMatrix::zeros(self.shape.0, self.shape.1), input: DVector::zeros(self.shape.0) };
         for term in &self.terms {

@@ -3,19 +3,19 @@
 use std::sync::Arc;
 
 use crate::reduce::design::Design;
-use crate::reduce::end::End;
+use crate::reduce::end::TerminalRoot;
 use crate::reduce::gains::Gains;
 use crate::reduce::root::RootError;
-use crate::reduce::shared::Entry;
+use crate::reduce::shared::StoreEntry;
 
 /// A design with its gains, as it is kept.
-pub(super) type Made = Arc<Entry<Design, Result<Gains, RootError>>>;
+pub(super) type GainsResult = Arc<StoreEntry<Design, Result<Gains, RootError>>>;
 
 /// A design class.
 #[derive(Debug, Clone)]
-pub(crate) struct Class(pub(super) Made);
+pub(crate) struct DesignClass(pub(super) GainsResult);
 
-impl Class {
+impl DesignClass {
     /// The design that all tests of it have.
     pub(crate) fn design(&self) -> &Design {
         &self.0.key
@@ -27,7 +27,7 @@ impl Class {
     }
 
     /// The last state, where it was wanted.
-    pub(crate) fn end(&self) -> Option<&End> {
+    pub(crate) fn end(&self) -> Option<&TerminalRoot> {
         self.0.value().as_ref().ok()?.end.as_ref()
     }
 }

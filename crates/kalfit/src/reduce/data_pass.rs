@@ -3,13 +3,13 @@
 use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::gains::{Gains, Turns};
-use crate::reduce::lanes::{Look, Room, innovations, solve};
+use crate::reduce::lanes::{DataWorkspace, InnovationLook, innovations, solve};
 
 /// A measurement that can only be one value may miss it by this part of the size of its terms.
 const ROUNDING: f64 = 1e-10;
 
 /// The outcome of a test. An error when a measurement that can only be one value is another.
-pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut Room) -> Result<Outcome, Miss> {
+pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut DataWorkspace) -> Result<Outcome, Miss> {
     let of = (design, gains);
     let Some(turns) = &gains.turns else {
         let square = innovations(of, data, room, &mut ());
@@ -36,7 +36,7 @@ struct Possible<'a> {
     miss: Option<Miss>,
 }
 
-impl Look<f64> for Possible<'_> {
+impl InnovationLook<f64> for Possible<'_> {
     const EACH: bool = true;
 
     fn see(&mut self, (row, line): (usize, usize), e: f64, x: &[f64]) {

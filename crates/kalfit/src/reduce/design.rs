@@ -21,7 +21,7 @@ pub(crate) const ZERO: u32 = u32::MAX - 1;
 
 /// What the tests of a model share.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Frame {
+pub(crate) struct StateFrame {
     /// n, number of states.
     pub(crate) n: usize,
     /// p, number of uncertain initial values ξ.
@@ -38,8 +38,8 @@ pub(crate) struct Frame {
     pub(crate) digest: u128,
 }
 
-impl Frame {
-    pub(crate) fn seal(mut self) -> Frame {
+impl StateFrame {
+    pub(crate) fn seal(mut self) -> StateFrame {
         let mut digest = Digest::new();
         digest.count(self.n);
         digest.count(self.p);
@@ -51,15 +51,15 @@ impl Frame {
     }
 
     /// The same states without ξ.
-    pub(crate) fn without_unknowns(&self) -> Frame {
-        let frame = Frame { p: 0, rows: vec![ZERO; self.n], sensitivity: Vec::new(), ..self.clone() };
+    pub(crate) fn without_unknowns(&self) -> StateFrame {
+        let frame = StateFrame { p: 0, rows: vec![ZERO; self.n], sensitivity: Vec::new(), ..self.clone() };
         frame.seal()
     }
 }
 
 /// A row of φ that is not a row of the identity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Moved {
+pub(crate) struct TransitionRow {
     pub(crate) state: u32,
     /// Terms start..end; those up to `reach` are of noise-reachable states.
     pub(crate) start: u32,
@@ -71,7 +71,7 @@ pub(crate) struct Moved {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Pattern {
     /// In ascending order of state.
-    pub(crate) moved: Vec<Moved>,
+    pub(crate) moved: Vec<TransitionRow>,
     pub(crate) columns: Vec<u32>,
     /// Entries i ≥ j of Q.
     pub(crate) pairs: Vec<(u32, u32)>,
@@ -85,7 +85,12 @@ impl Pattern {
         let start = self.columns.len() as u32;
         self.columns.extend(terms.map(|term| term as u32));
         let reach = self.columns[start as usize..].iter().filter(|&&term| (term as usize) < reachable).count() as u32;
-        self.moved.push(Moved { state: state as u32, start, reach: start + reach, end: self.columns.len() as u32 });
+        self.moved.push(TransitionRow {
+            state: state as u32,
+            start,
+            reach: start + reach,
+            end: self.columns.len() as u32,
+        });
     }
 
     pub(crate) fn seal(mut self) -> Pattern {
@@ -97,7 +102,7 @@ impl Pattern {
         self.columns.iter().for_each(|&column| digest.word(u64::from(column)));
         self.pairs.iter().for_each(|&(i, j)| digest.word(u64::from(i) << 32 | u64::from(j)));
         self.digest = digest.finish();
-        let own = |row: &Moved| self.columns[row.start as usize..row.end as usize] == [row.state];
+        let own = |row: &TransitionRow| self.columns[row.start as usize..row.end as usize] == [row.state];
         self.diagonal = self.moved.iter().all(own);
         self
     }
@@ -128,7 +133,7 @@ impl<R: Real> Transition<R> {
 impl Transition<f64> {
     /// (row, column, entry) of φ, of the rows that move.
     pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
-        let of = move |row: &Moved| {
+        let of = move |row: &TransitionRow| {
             let (state, terms) = (row.state as usize, row.start as usize..row.end as usize);
             terms.map(move |k| (state, self.pattern.columns[k] as usize, self.phi[k]))
         };
@@ -178,7 +183,7 @@ impl Transition<f64> {
 
 /// Equal steps that follow each other: a transition, then scalar measurements, so many times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Run {
+pub(crate) struct EqualSteps {
     /// The transition's number, see [`Design::transition`].
     pub(crate) transition: Option<u32>,
     /// End of the lines of one step; they begin where those of the run before end.
@@ -196,12 +201,12 @@ pub(crate) struct Run {
 /// A *row* is a scalar measurement of the test. Rows of equal steps have one *line*: terms and noise are kept once.
 #[derive(Debug, Clone)]
 pub(crate) struct Design {
-    pub(crate) frame: Arc<Frame>,
+    pub(crate) frame: Arc<StateFrame>,
     /// P0 on the reachable states, r × r, row-major; the lower triangle counts.
     pub(crate) variance: Vec<f64>,
     /// The transitions, each for as many runs on end as have it.
     pub(crate) moves: Vec<Arc<Transition>>,
-    pub(crate) runs: Vec<Run>,
+    pub(crate) runs: Vec<EqualSteps>,
     /// End of the terms of each line.
     pub(crate) ends: Vec<usize>,
     /// States of the terms, ascending within a line.
@@ -224,7 +229,7 @@ pub(crate) struct Stretch<'a> {
 
 /// One step of a test.
 #[derive(Debug, Clone)]
-pub(crate) struct Step<'a> {
+pub(crate) struct DesignStep<'a> {
     pub(crate) transition: Option<&'a Arc<Transition>>,
     pub(crate) lines: Range<usize>,
     /// Its scalar measurements: row `rows.start + i` has line `lines.start + i`.
@@ -233,18 +238,18 @@ pub(crate) struct Step<'a> {
 
 impl<'a> Stretch<'a> {
     /// Its steps, in order.
-    pub(crate) fn steps(&self) -> impl DoubleEndedIterator<Item = Step<'a>> + use<'a> {
+    pub(crate) fn steps(&self) -> impl DoubleEndedIterator<Item = DesignStep<'a>> + use<'a> {
         let (transition, lines, row) = (self.transition, self.lines.clone(), self.rows.start);
         let width = lines.len();
         (0..self.count).map(move |k| {
             let first = row + k * width;
-            Step { transition, lines: lines.clone(), rows: first..first + width }
+            DesignStep { transition, lines: lines.clone(), rows: first..first + width }
         })
     }
 }
 
 impl Design {
-    pub(crate) fn new(frame: Arc<Frame>) -> Design {
+    pub(crate) fn new(frame: Arc<StateFrame>) -> Design {
         let variance = vec![0.0; frame.r * frame.r];
         Design {
             frame,
@@ -277,7 +282,7 @@ impl Design {
 
     /// The transition of a run.
     #[inline(always)]
-    pub(crate) fn transition(&self, run: &Run) -> Option<&Arc<Transition>> {
+    pub(crate) fn transition(&self, run: &EqualSteps) -> Option<&Arc<Transition>> {
         run.transition.map(|number| &self.moves[number as usize])
     }
 
@@ -292,7 +297,7 @@ impl Design {
     }
 
     /// The step with this number.
-    pub(crate) fn step(&self, k: usize) -> Step<'_> {
+    pub(crate) fn step(&self, k: usize) -> DesignStep<'_> {
         // where no steps are equal each is a run
         let own = self.runs.get(k).is_some_and(|run| run.steps == k + 1);
         let at = if own { k } else { self.runs.partition_point(|run| run.steps <= k) };
@@ -300,7 +305,7 @@ impl Design {
         let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
         let first = row + (k + run.count - run.steps) * (run.lines - line);
         let rows = first..first + run.lines - line;
-        Step { transition: self.transition(run), lines: line..run.lines, rows }
+        DesignStep { transition: self.transition(run), lines: line..run.lines, rows }
     }
 
     /// Its runs, in order.
@@ -316,7 +321,7 @@ impl Design {
     }
 
     /// All steps, in order.
-    pub(crate) fn each_step(&self) -> impl DoubleEndedIterator<Item = Step<'_>> {
+    pub(crate) fn each_step(&self) -> impl DoubleEndedIterator<Item = DesignStep<'_>> {
         self.stretches().flat_map(|stretch| stretch.steps())
     }
 
@@ -330,7 +335,7 @@ impl Design {
             }
             self.moves.len() as u32 - 1
         });
-        self.runs.push(Run { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
+        self.runs.push(EqualSteps { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
     }
 
     /// True for the very transition that came last.

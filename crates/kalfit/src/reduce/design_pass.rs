@@ -2,13 +2,13 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
 use crate::reduce::data::FEW;
-use crate::reduce::design::{Design, Frame, Stretch};
+use crate::reduce::design::{Design, StateFrame, Stretch};
 use crate::reduce::gains::Piece;
-use crate::reduce::kernel::{self, Spread};
+use crate::reduce::kernel::{self, FilterState};
 use crate::reduce::schedule::{GainsWork, Schedule};
 use crate::reduce::settling::Frozen;
 use crate::reduce::small;
-use crate::reduce::sums::Sums;
+use crate::reduce::sums::InformationSums;
 use kalfit_lanes::Real;
 
 /// Runs the covariance filter of a design.
@@ -24,7 +24,7 @@ pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> Schedule {
         gains: Vec::with_capacity((1 + r) * design.ends.len()),
         sensitivities: Vec::with_capacity(p * design.ends.len()),
         pieces: vec![Piece::all(0)],
-        sums: Sums::new(p),
+        sums: InformationSums::new(p),
         many: Vec::new(),
     };
     for stretch in design.stretches() {
@@ -80,7 +80,7 @@ impl Schedule {
             let (states, h) = design.terms(line);
             let (weight, K) = append(&mut self.gains, 1 + r).split_first_mut().expect("stride is positive");
             let T = append(&mut self.sensitivities, p);
-            let of = Spread { P: &mut work.P, Psi: &mut work.Psi, J: &mut self.sums.J };
+            let of = FilterState { P: &mut work.P, Psi: &mut work.Psi, J: &mut self.sums.J };
             let update = kernel::measure(frame, (states, h, design.noise[line]), of, (&mut work.G, K, T));
             *weight = update.weight;
             self.sums.count(update.S, update.kept);
@@ -106,7 +106,7 @@ impl Schedule {
     }
 
     /// So many more steps of `lines` measurements under the gains and sensitivities of the last one: J += m TT'/S.
-    fn repeat(&mut self, frame: &Frame, lines: usize, many: usize) {
+    fn repeat(&mut self, frame: &StateFrame, lines: usize, many: usize) {
         if many == 0 {
             return;
         }

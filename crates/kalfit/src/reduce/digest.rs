@@ -7,18 +7,18 @@ const PLACES: usize = 4;
 /// The state of the hash.
 #[derive(Debug, Clone)]
 pub(crate) struct Digest {
-    places: [Place; PLACES],
+    places: [HashState; PLACES],
     words: u64,
 }
 
 /// Words mixed in two ways: by wide products, and so that no word is ever lost.
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct HashState {
     wide: u64,
     whole: u64,
 }
 
-impl Place {
+impl HashState {
     #[inline(always)]
     fn take(&mut self, word: u64) {
         let product = u128::from(self.wide ^ word) * 0x9e37_79b9_7f4a_7c15;
@@ -29,7 +29,7 @@ impl Place {
 
 impl Digest {
     pub(crate) fn new() -> Digest {
-        let place = |k: u64| Place { wide: 0x6b61_6c66_6974_2d31 ^ k, whole: 0x6465_7369_676e_2d31 ^ k };
+        let place = |k: u64| HashState { wide: 0x6b61_6c66_6974_2d31 ^ k, whole: 0x6465_7369_676e_2d31 ^ k };
         Digest { places: [place(0), place(1), place(2), place(3)], words: 0 }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::model::{Motion, Scope};
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses, reads_data};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses, reads_data};
 
 /// Coefficients in slots: fixed ones are in place, the others are evaluated on each step.
 #[derive(Debug, Clone, Default)]
@@ -32,14 +32,19 @@ impl Table {
     }
 
     /// All values on a row.
-    pub(crate) fn evaluate(&self, at: &At<'_>, scope: &Scope<'_>, values: &mut Vec<f64>) -> Result<(), Box<Fault>> {
+    pub(crate) fn evaluate(
+        &self,
+        at: &ModelAt<'_>,
+        scope: &Scope<'_>,
+        values: &mut Vec<f64>,
+    ) -> Result<(), Box<Fault>> {
         self.evaluate_some(at, scope, |_| true, values)
     }
 
     /// Values on a row, 0 where they vary and the slot is not needed.
     pub(crate) fn evaluate_some(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         scope: &Scope<'_>,
         needed: impl Fn(usize) -> bool,
         values: &mut Vec<f64>,
@@ -117,7 +122,7 @@ pub(crate) struct Dynamics {
 }
 
 impl Dynamics {
-    pub(crate) fn new(at: &At<'_>) -> Result<Dynamics, Box<Fault>> {
+    pub(crate) fn new(at: &ModelAt<'_>) -> Result<Dynamics, Box<Fault>> {
         let mut dynamics = Dynamics::default();
         let covariances = dynamics.covariances(at)?;
         let continuous = |i: usize| matches!(at.model.states[i].motion, Motion::Continuous { .. });
@@ -178,14 +183,14 @@ impl Dynamics {
         noise.any(|&(i, j, slot)| i != j && varies(slot))
     }
 
-    fn slot(&mut self, at: &At<'_>, coefficient: Coefficient, variance: bool) -> Option<usize> {
+    fn slot(&mut self, at: &ModelAt<'_>, coefficient: Coefficient, variance: bool) -> Option<usize> {
         self.uses.add(&coefficient, at.alpha);
         self.table.add(coefficient, variance)
     }
 
     fn input(
         &mut self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         constant: &crate::Expression,
         subject: Subject,
     ) -> Result<Option<usize>, Box<Fault>> {
@@ -194,7 +199,7 @@ impl Dynamics {
         Ok(self.inputs.add(coefficient, false))
     }
 
-    fn own_noise(&mut self, at: &At<'_>, i: usize, variance: &crate::Expression) -> Result<(), Box<Fault>> {
+    fn own_noise(&mut self, at: &ModelAt<'_>, i: usize, variance: &crate::Expression) -> Result<(), Box<Fault>> {
         let coefficient = at.variance(variance, Subject::ProcessNoise(i))?;
         if let Some(slot) = self.slot(at, coefficient, true) {
             self.noise.push((i, i, slot));
@@ -203,7 +208,7 @@ impl Dynamics {
     }
 
     /// process_noise_covariance, checked: (state, state, slot).
-    fn covariances(&mut self, at: &At<'_>) -> Result<Vec<(usize, usize, usize)>, Box<Fault>> {
+    fn covariances(&mut self, at: &ModelAt<'_>) -> Result<Vec<(usize, usize, usize)>, Box<Fault>> {
         let mut found = Vec::new();
         for (i, j, expression) in &at.model.process_noise_covariance {
             let (i, j) = (*i, *j);
@@ -228,7 +233,7 @@ impl Dynamics {
 
     fn component(
         &mut self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         states: Vec<usize>,
         rates: &[(usize, usize, usize)],
     ) -> Result<Component, Box<Fault>> {

@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
-use crate::reduce::design::{DENSE, Frame, Pattern, Transition};
-use crate::reduce::kernel::{Spread, advance, measure, predict};
-use crate::reduce::sums::Sums;
+use crate::reduce::design::{DENSE, Pattern, StateFrame, Transition};
+use crate::reduce::kernel::{FilterState, advance, measure, predict};
+use crate::reduce::sums::InformationSums;
 use kalfit_lanes::{Counted, Flops};
 
 /// Floating-point operations of (the design pass, the data pass) for a test of n states, r of them noisy, p uncertain and
@@ -21,7 +21,7 @@ pub fn reduction_flops(n: usize, r: usize, p: usize, rows: usize) -> (u64, u64) 
 fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     let sensitivity = (0..n * p).map(|at| if at / p == at % p + n - p { 1.0 } else { 0.0 }).collect();
     let rows = (0..n).map(|i| if i < r { DENSE } else { (i + p - n) as u32 }).collect();
-    let frame = Frame { n, p, r, rows, sensitivity, driven: Vec::new(), digest: 0 };
+    let frame = StateFrame { n, p, r, rows, sensitivity, driven: Vec::new(), digest: 0 };
     let mut pattern = Pattern::default();
     (0..r).for_each(|i| pattern.push(i, r, 0..r));
     pattern.pairs.extend((0..r as u32).map(|i| (i, i)));
@@ -31,12 +31,12 @@ fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     let zeros = |count: usize| vec![Counted(0.0); count];
     let mut Psi: Vec<Counted> = frame.sensitivity.iter().map(|&x| Counted(x)).collect();
     let (mut P, mut G, mut K, mut T) = (zeros(r * r), zeros(r), zeros(r), zeros(p));
-    let (mut sums, mut work) = (Sums::new(p), Vec::new());
+    let (mut sums, mut work) = (InformationSums::new(p), Vec::new());
     Counted::count(|| {
         for _ in 0..steps {
             predict(&mut P, r, &transition, &mut work);
             advance(&mut Psi, p, &transition, &mut work);
-            let of = Spread { P: &mut P, Psi: &mut Psi, J: &mut sums.J };
+            let of = FilterState { P: &mut P, Psi: &mut Psi, J: &mut sums.J };
             let update = measure(&frame, (&states, &h, Counted(1.0)), of, (&mut G, &mut K, &mut T));
             sums.count(update.S, update.kept);
         }

@@ -1,7 +1,7 @@
 //! The gains of a design: everything that the data pass needs but the data.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, S, J")]
 
-use crate::reduce::end::End;
+use crate::reduce::end::TerminalRoot;
 
 /// A finished design pass: everything but the data.
 #[derive(Debug, Clone)]
@@ -25,7 +25,7 @@ pub(crate) struct Gains {
     /// How the data are folded, when square-root arrays made it.
     pub(crate) turns: Option<Turns>,
     /// The last state, where a phase follows.
-    pub(crate) end: Option<End>,
+    pub(crate) end: Option<TerminalRoot>,
 }
 
 /// Rows of equal steps and what is kept of them: of the first steps each, and the last one kept stands for all that follow.
@@ -73,25 +73,25 @@ pub(crate) struct Turns {
     /// (c, s) with each row of R, for each scalar measurement.
     pub(crate) folds: Vec<(f64, f64)>,
     /// What rounded small diagonals of R to zero, in order.
-    pub(crate) settle: Vec<Settle>,
+    pub(crate) settle: Vec<RootSettling>,
 }
 
 /// One operation on d.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Settle {
+pub(crate) enum RootSettling {
     /// Rotate rows `k` and `i` by (c, s).
     Turn { k: usize, i: usize, c: f64, s: f64 },
     /// Row `i` of R is zero now: what is left of d_i is residual.
     Drop { i: usize },
 }
 
-impl Settle {
+impl RootSettling {
     /// Does it to d; what is left of a dropped entry joins the residual sum of squares.
     #[inline]
     pub(crate) fn apply(self, d: &mut [f64], residual: &mut f64) {
         match self {
-            Settle::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
-            Settle::Drop { i } => {
+            RootSettling::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
+            RootSettling::Drop { i } => {
                 *residual += d[i] * d[i];
                 d[i] = 0.0;
             }
@@ -138,7 +138,7 @@ impl Gains {
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());
-        let end = self.end.as_ref().map_or(0, End::bytes);
+        let end = self.end.as_ref().map_or(0, TerminalRoot::bytes);
         let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
         8 * (kept + self.factor.len() + turns) + end + 200
     }

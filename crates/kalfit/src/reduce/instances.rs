@@ -11,7 +11,7 @@ pub(crate) struct Instance {
 /// All scalar measurements of a test, in the order of the design. Those of steps that repeat are kept once.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Instances {
-    blocks: Vec<Block>,
+    blocks: Vec<RepeatedEntries>,
     entries: Vec<Instance>,
     /// Where the entries of the last step begin.
     step: usize,
@@ -22,7 +22,7 @@ pub(crate) struct Instances {
 
 /// Entries that come `count` times, `height` rows later each time.
 #[derive(Debug, Clone, Copy)]
-struct Block {
+struct RepeatedEntries {
     first: usize,
     /// Its first entry; its last one is before the first of the next block.
     entry: usize,
@@ -45,7 +45,7 @@ impl Instances {
     pub(crate) fn begin(&mut self, row: usize) {
         (self.step, self.row) = (self.entries.len(), row);
         if self.blocks.last().is_none_or(|block| block.count > 1) {
-            self.blocks.push(Block { first: self.len, entry: self.step, count: 1, height: 0 });
+            self.blocks.push(RepeatedEntries { first: self.len, entry: self.step, count: 1, height: 0 });
         }
     }
 
@@ -75,7 +75,7 @@ impl Instances {
         if block.entry == self.step {
             (block.count, block.height) = (block.count + many, height);
         } else {
-            self.blocks.push(Block { first: self.len - width, entry: self.step, count: 1 + many, height });
+            self.blocks.push(RepeatedEntries { first: self.len - width, entry: self.step, count: 1 + many, height });
         }
         self.len += many * width;
     }

@@ -1,7 +1,7 @@
 //! The steps of the filter on flat arrays, one source for every kind of [`Real`]. (theory §2)
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
-use crate::reduce::design::{DENSE, Frame, Transition, ZERO};
+use crate::reduce::design::{DENSE, StateFrame, Transition, ZERO};
 use kalfit_lanes::Real;
 
 /// X ← φX. Shape: `x` n × width, row-major.
@@ -103,7 +103,7 @@ fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &
 
 /// T = h'Ψ. Shapes: `Psi` n × p, row-major; `T` p.
 #[inline(always)]
-pub(crate) fn sensitivity<R: Real>(frame: &Frame, states: &[u32], h: &[R], Psi: &[R], T: &mut [R]) {
+pub(crate) fn sensitivity<R: Real>(frame: &StateFrame, states: &[u32], h: &[R], Psi: &[R], T: &mut [R]) {
     T.fill(R::splat(0.0));
     for (&state, &h) in states.iter().zip(h) {
         match frame.rows[state as usize] {
@@ -126,7 +126,7 @@ const KEPT: f64 = 1e-5;
 
 /// What a scalar update finds.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Update<R> {
+pub(crate) struct ScalarUpdate<R> {
     /// S.
     pub(crate) S: R,
     /// 1/S, or 0 where S = 0.
@@ -145,7 +145,7 @@ pub(crate) fn update<R: Real>(
     P: &mut [R],
     G: &mut [R],
     K: &mut [R],
-) -> Update<R> {
+) -> ScalarUpdate<R> {
     let reach = states.partition_point(|&state| (state as usize) < r);
     let terms = || states[..reach].iter().map(|&state| state as usize).zip(&h[..reach]);
     for (i, sum) in G.iter_mut().enumerate() {
@@ -164,11 +164,11 @@ pub(crate) fn update<R: Real>(
         *K = G * weight;
     }
     let kept = size.fnma(R::splat(KEPT), S).minimum(joseph(r, terms, (noise, S), P, G, K));
-    Update { S, weight, kept }
+    ScalarUpdate { S, weight, kept }
 }
 
 /// P, Ψ and J of a filter.
-pub(crate) struct Spread<'a, R> {
+pub(crate) struct FilterState<'a, R> {
     pub(crate) P: &'a mut [R],
     pub(crate) Psi: &'a mut [R],
     pub(crate) J: &'a mut [R],
@@ -177,11 +177,11 @@ pub(crate) struct Spread<'a, R> {
 /// A scalar measurement (states, h, R) of a filter: T, K and S, and what they make of P, Ψ and J.
 #[inline(always)]
 pub(crate) fn measure<R: Real>(
-    frame: &Frame,
+    frame: &StateFrame,
     (states, h, noise): (&[u32], &[R], R),
-    of: Spread<'_, R>,
+    of: FilterState<'_, R>,
     (G, K, T): (&mut [R], &mut [R], &mut [R]),
-) -> Update<R> {
+) -> ScalarUpdate<R> {
     sensitivity(frame, states, h, of.Psi, T);
     let update = update(frame.r, states, h, noise, of.P, G, K);
     correct(frame.p, K, T, of.Psi);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::ensemble::{Test, TestId};
-use crate::reduce::steps::Span;
+use crate::reduce::steps::StepSpan;
 
 /// Rows from which a record is long.
 const LONG: usize = 1 << 10;
@@ -13,19 +13,19 @@ const PART: usize = 16;
 
 /// The steps of the long records of one ensemble, no two tests of which have one id.
 #[derive(Debug, Default)]
-pub(crate) struct KnownSteps(Mutex<HashMap<TestId, Known>>);
+pub(crate) struct KnownSteps(Mutex<HashMap<TestId, KnownSpans>>);
 
 #[derive(Debug)]
-struct Known {
+struct KnownSpans {
     rows: usize,
     /// Bits of the time of x_0 that they begin from.
     initial: Option<u64>,
-    spans: Arc<Vec<Span>>,
+    spans: Arc<Vec<StepSpan>>,
 }
 
 impl KnownSteps {
     /// Those of a test, if they were found before.
-    pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<Span>>> {
+    pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<StepSpan>>> {
         if test.rows() < LONG {
             return None;
         }
@@ -35,10 +35,10 @@ impl KnownSteps {
     }
 
     /// Remembers those of a test.
-    pub(crate) fn keep(&self, test: &Test, initial: Option<f64>, spans: &[Span]) {
+    pub(crate) fn keep(&self, test: &Test, initial: Option<f64>, spans: &[StepSpan]) {
         if test.rows() >= LONG && PART * spans.len() <= test.rows() {
             let initial = initial.map(f64::to_bits);
-            let known = Known { rows: test.rows(), initial, spans: Arc::new(spans.to_vec()) };
+            let known = KnownSpans { rows: test.rows(), initial, spans: Arc::new(spans.to_vec()) };
             self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(test.id.clone(), known);
         }
     }
@@ -58,7 +58,7 @@ mod tests {
     #[test]
     fn steps_are_those_of_the_same_rows_from_the_same_time() {
         let known = KnownSteps::default();
-        let spans = |rows: usize| [Span { rows: 0..rows, count: rows, dt: 0.5, moves: true }];
+        let spans = |rows: usize| [StepSpan { rows: 0..rows, count: rows, dt: 0.5, moves: true }];
         let (long, short) = (record(5000, 0.5), record(1000, 0.5));
         known.keep(&long, Some(0.0), &spans(5000));
         assert_eq!(known.of(&long, Some(0.0)).expect("they were kept")[..], spans(5000));
@@ -66,7 +66,8 @@ mod tests {
         assert!(known.of(&record(5001, 0.5), Some(0.0)).is_none(), "of another length");
         known.keep(&short, None, &spans(1000));
         assert!(known.of(&short, None).is_none(), "short ones are found as quickly");
-        let each: Vec<Span> = (0..5000).map(|k| Span { rows: k..k + 1, count: 1, dt: 0.5, moves: true }).collect();
+        let each: Vec<StepSpan> =
+            (0..5000).map(|k| StepSpan { rows: k..k + 1, count: 1, dt: 0.5, moves: true }).collect();
         known.keep(&long, None, &each);
         assert!(known.of(&long, None).is_none(), "as many as there are rows");
         assert!(known.of(&long, Some(0.0)).is_some(), "and those before are still there");

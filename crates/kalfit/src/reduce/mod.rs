@@ -111,36 +111,36 @@ pub use terminal::Terminal;
 
 pub(crate) use batch::share;
 pub(crate) use blocks::FilteredBlock;
-pub(crate) use blocks::beside::{Beside, Entering};
+pub(crate) use blocks::beside::{EnteringMoments, OneBatch};
 pub(crate) use carry::Inherits;
 pub(crate) use data::Data;
-pub(crate) use design::{Design, Frame, Step, Stretch, Transition, same_bits};
+pub(crate) use design::{Design, DesignStep, StateFrame, Stretch, Transition, same_bits};
 pub(crate) use dynamics::{Component, Table};
 pub(crate) use error::{of_shape, refuse};
 pub(crate) use gains::{Gains, Piece};
 pub(crate) use instances::Instance;
 pub(crate) use kernel::{advance, mirror, predict, update};
 pub(crate) use known_steps::KnownSteps;
-pub(crate) use lanes::{Block, Gained, Woven, at};
+pub(crate) use lanes::{DataBlock, DesignBatch, Interleaved, at};
 pub(crate) use motion::{Evaluated, Filled, MotionBack, Moves};
 pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;
 pub(crate) use phased::{PhasedBlocks, PhasedFiltered, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
-pub(crate) use reducer::{Alike, own_innovations};
-pub(crate) use scan::{Scan, Steady, with_states};
+pub(crate) use reducer::{EqualDesigns, own_innovations};
+pub(crate) use scan::{InvariantStep, Scan, with_states};
 pub(crate) use semidefinite::ldl;
 pub(crate) use settling::{Frozen, Settling};
-pub(crate) use shared::Shared;
-pub(crate) use small::{Motion, moving};
+pub(crate) use shared::SharedStore;
+pub(crate) use small::{SmallMotion, moving};
 pub(crate) use start::{LawAdjoint, StartAdjoint};
-pub(crate) use steps::Cells;
-pub(crate) use subject::{At, Coefficient, Fault, Subject, Uses};
+pub(crate) use steps::GatheredCells;
+pub(crate) use subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 #[cfg(test)]
 pub(crate) use {
     data_pass::outcome,
     design::{DENSE, Pattern},
-    lanes::Room,
+    lanes::DataWorkspace,
     reducer::information_gains,
     root::root_gains,
     schedule::GainsWork,

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use kalfit_lanes::Isa;
 
 use crate::linalg::exponential::flow;
-use crate::reduce::design::{Moved, Pattern, Transition};
+use crate::reduce::design::{Pattern, Transition, TransitionRow};
 use crate::reduce::dynamics::{Component, Dynamics, Recursion, matrices};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::order::Order;
@@ -23,10 +23,10 @@ pub(crate) use pull::MotionBack;
 /// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
 /// other: φ, Γ, Q of the first component, each m × m, then of the next.
 #[derive(Debug, Clone)]
-pub(crate) struct Plan {
+pub(crate) struct MotionPlan {
     pattern: Arc<Pattern>,
-    phi: Vec<Entry>,
-    q: Vec<Entry>,
+    phi: Vec<EntrySource>,
+    q: Vec<EntrySource>,
     /// b of each state of [`Frame::driven`](crate::reduce::design::Frame::driven).
     drives: Vec<Drive>,
     /// Start of each component's flow.
@@ -51,7 +51,7 @@ struct Single {
 
 /// Where an entry of φ or Q comes from.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Entry {
+enum EntrySource {
     /// A coefficient.
     Slot(usize),
     /// An entry of a flow.
@@ -97,13 +97,13 @@ fn mover(dynamics: &Dynamics, state: usize) -> Mover<'_> {
     Mover::Still
 }
 
-impl Plan {
+impl MotionPlan {
     /// A transition of zeros.
     pub(crate) fn blank(&self) -> Transition {
         Transition::new(self.pattern.clone(), vec![0.0; self.phi.len()], vec![0.0; self.q.len()])
     }
 
-    pub(crate) fn new(dynamics: &Dynamics, order: &Order) -> Plan {
+    pub(crate) fn new(dynamics: &Dynamics, order: &Order) -> MotionPlan {
         let mut offsets = Vec::new();
         let mut flow_len = 0;
         for component in &dynamics.components {
@@ -128,7 +128,7 @@ impl Plan {
         let q = noise.into_iter().map(|entry| entry.1).collect();
         let (singles, pattern) = (singles(dynamics, &offsets), pattern.seal());
         let identity = identity(&pattern);
-        Plan { pattern: Arc::new(pattern), phi, q, drives, offsets, flow_len, singles, identity }
+        MotionPlan { pattern: Arc::new(pattern), phi, q, drives, offsets, flow_len, singles, identity }
     }
 
     /// Nothing ever moves: a transition would change no state.
@@ -188,7 +188,7 @@ fn singles(dynamics: &Dynamics, offsets: &[usize]) -> Vec<Single> {
 
 /// For each entry of φ, that of the identity.
 fn identity(pattern: &Pattern) -> Vec<f64> {
-    let own = |row: &Moved| {
+    let own = |row: &TransitionRow| {
         let terms = &pattern.columns[row.start as usize..row.end as usize];
         terms.iter().map(|&column| f64::from(u8::from(column == row.state))).collect::<Vec<f64>>()
     };
@@ -196,21 +196,21 @@ fn identity(pattern: &Pattern) -> Vec<f64> {
 }
 
 /// Row of φ: (place, entry); `None` for a row of the identity.
-fn phi_row(mover: &Mover<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(usize, Entry)>> {
+fn phi_row(mover: &Mover<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(usize, EntrySource)>> {
     match *mover {
         Mover::Recursion(recursion) => {
-            Some(recursion.terms.iter().map(|&(state, slot)| (order.place[state], Entry::Slot(slot))).collect())
+            Some(recursion.terms.iter().map(|&(state, slot)| (order.place[state], EntrySource::Slot(slot))).collect())
         }
         Mover::Component(c, component, i) if !component.still(i) => {
             let m = component.states.len();
             let inner = (0..m).filter(|&j| component.depends(i, j));
-            let mut row: Vec<(usize, Entry)> =
-                inner.map(|j| (order.place[component.states[j]], Entry::Flow(offsets[c] + i * m + j))).collect();
+            let mut row: Vec<(usize, EntrySource)> =
+                inner.map(|j| (order.place[component.states[j]], EntrySource::Flow(offsets[c] + i * m + j))).collect();
             for &(k, state, slot) in component.held.iter().filter(|&&(k, ..)| component.depends(i, k)) {
                 let term = (offsets[c] + m * m + i * m + k, slot);
                 match row.iter_mut().find(|(place, _)| *place == order.place[state]) {
-                    Some((_, Entry::Held(terms))) => terms.push(term),
-                    _ => row.push((order.place[state], Entry::Held(vec![term]))),
+                    Some((_, EntrySource::Held(terms))) => terms.push(term),
+                    _ => row.push((order.place[state], EntrySource::Held(vec![term]))),
                 }
             }
             Some(row)
@@ -232,12 +232,13 @@ fn drive(mover: &Mover<'_>, offsets: &[usize]) -> Drive {
 }
 
 /// Entries i ≥ j of Q that can be other than zero.
-fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<((u32, u32), Entry)> {
+fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<((u32, u32), EntrySource)> {
     let pair = |a: usize, b: usize| {
         let (a, b) = (order.place[a], order.place[b]);
         (a.max(b) as u32, a.min(b) as u32)
     };
-    let mut entries: Vec<_> = dynamics.noise.iter().map(|&(i, j, slot)| (pair(i, j), Entry::Slot(slot))).collect();
+    let mut entries: Vec<_> =
+        dynamics.noise.iter().map(|&(i, j, slot)| (pair(i, j), EntrySource::Slot(slot))).collect();
     for (component, &offset) in dynamics.components.iter().zip(offsets) {
         let m = component.states.len();
         for i in 0..m {
@@ -245,7 +246,7 @@ fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<(
                 let reaches = |k: usize, l: usize| component.depends(i, k) && component.depends(j, l);
                 if component.noise.iter().any(|&(k, l, _)| reaches(k, l) || reaches(l, k)) {
                     let at = offset + 2 * m * m + i * m + j;
-                    entries.push((pair(component.states[i], component.states[j]), Entry::Flow(at)));
+                    entries.push((pair(component.states[i], component.states[j]), EntrySource::Flow(at)));
                 }
             }
         }

@@ -9,7 +9,7 @@ use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::{Instance, Instances};
-use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 
 pub(crate) use backward::Unwhitened;
 pub(crate) use whiten::{Whitening, whiten};
@@ -47,7 +47,7 @@ pub(crate) struct Correlation {
 
 impl Meters {
     /// `place`: kernel index of each state.
-    pub(crate) fn new(at: &At<'_>, place: &[usize]) -> Result<Meters, Box<Fault>> {
+    pub(crate) fn new(at: &ModelAt<'_>, place: &[usize]) -> Result<Meters, Box<Fault>> {
         let mut meters = Vec::with_capacity(at.model.measurements.len());
         for (m, measurement) in at.model.measurements.iter().enumerate() {
             let mut terms = Vec::new();
@@ -85,7 +85,7 @@ impl Meters {
     /// Appends the scalar measurements of rows `rows` of a test, one step, to design and data.
     pub(crate) fn observe(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
         (rows, dt): (std::ops::Range<usize>, f64),
         out: &mut Observed<'_>,
@@ -121,7 +121,13 @@ impl Meters {
 
     /// Appends which measurements a row has; false where something is wrong with one.
     #[inline]
-    pub(crate) fn measured(&self, at: &At<'_>, test: &Test, (row, dt): (usize, f64), out: &mut Vec<Instance>) -> bool {
+    pub(crate) fn measured(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        (row, dt): (usize, f64),
+        out: &mut Vec<Instance>,
+    ) -> bool {
         let numbers = test.numbers(row);
         self.meters.iter().enumerate().all(|(meter, own)| {
             let z = numbers[own.column];
@@ -188,7 +194,7 @@ impl Meters {
     #[inline]
     pub(crate) fn repeat(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
         ((first, height), dt): ((usize, usize), f64),
         fresh: bool,
@@ -247,7 +253,7 @@ impl Meters {
     /// Covariances among the instances of a step.
     pub(crate) fn covariances(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
         dt: f64,
         instances: &[Instance],
@@ -303,7 +309,7 @@ impl Meter {
     /// Takes the measured value, unless the filter says no.
     fn take(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         m: usize,
         z: f64,
         scope: &Scope<'_>,
@@ -329,7 +335,7 @@ impl Meter {
 
     /// Noise variance and constant; the coefficients of the terms are appended.
     #[inline(always)]
-    fn line(&self, at: &At<'_>, scope: &Scope<'_>, h: &mut Vec<f64>) -> Result<(f64, f64), Box<Fault>> {
+    fn line(&self, at: &ModelAt<'_>, scope: &Scope<'_>, h: &mut Vec<f64>) -> Result<(f64, f64), Box<Fault>> {
         let noise = at.variance_value(&self.noise, scope)?;
         let constant = at.value(&self.constant, scope)?;
         for (_, coefficient) in &self.terms {

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use crate::reduce::design::{DENSE, Frame, ZERO};
+use crate::reduce::design::{DENSE, StateFrame, ZERO};
 use crate::reduce::dynamics::{Dynamics, close};
-use crate::reduce::start::Start;
-use crate::reduce::subject::At;
+use crate::reduce::start::ModelStart;
+use crate::reduce::subject::ModelAt;
 
 /// Where states stand in the kernels.
 #[derive(Debug, Clone)]
@@ -14,11 +14,11 @@ pub(crate) struct Order {
     pub(crate) states: Vec<usize>,
     /// Place of each state of the model.
     pub(crate) place: Vec<usize>,
-    pub(crate) frame: Arc<Frame>,
+    pub(crate) frame: Arc<StateFrame>,
 }
 
 impl Order {
-    pub(crate) fn new(at: &At<'_>, dynamics: &Dynamics, start: &Start) -> Order {
+    pub(crate) fn new(at: &ModelAt<'_>, dynamics: &Dynamics, start: &ModelStart) -> Order {
         let (n, p) = (at.model.states.len(), at.model.estimated.len());
         let noisy = reachable(n, dynamics, start, &at.model.estimated);
         let mut moving = vec![false; n];
@@ -44,7 +44,7 @@ impl Order {
         }
         let mut driven: Vec<u32> = dynamics.driven().map(|state| place[state] as u32).collect();
         driven.sort_unstable();
-        let frame = Frame {
+        let frame = StateFrame {
             n,
             p,
             r: noisy.iter().filter(|&&noisy| noisy).count(),
@@ -58,7 +58,7 @@ impl Order {
 }
 
 /// States that noise ever reaches.
-fn reachable(n: usize, dynamics: &Dynamics, start: &Start, estimated: &[usize]) -> Vec<bool> {
+fn reachable(n: usize, dynamics: &Dynamics, start: &ModelStart, estimated: &[usize]) -> Vec<bool> {
     // depends[i * n + j]: x_i moves with x_j.
     let mut depends = vec![false; n * n];
     let mut noisy = vec![false; n];

@@ -11,7 +11,7 @@ use crate::reduce::carry::Inheritance;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reducer::Reducer;
-use crate::reduce::steps::Cells;
+use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{
     EstimateReducer, Estimates, Evidence, FilterRunner, Inherited, PhaseReduction, Reduction, Terminal,
@@ -19,7 +19,7 @@ use crate::reduce::{
 
 /// Where a phase stands among the others.
 #[derive(Debug, Clone)]
-pub(crate) struct Place {
+pub(crate) struct PhasePosition {
     /// Its name; `None` for the only phase.
     pub(crate) name: Option<String>,
     /// States of the phase before; `None` for the first phase.
@@ -31,7 +31,7 @@ pub(crate) struct Place {
 /// One phase: its filter in its entering coordinates, and what it inherits.
 #[derive(Debug)]
 pub(crate) struct PhaseReducer {
-    place: Place,
+    place: PhasePosition,
     pub(crate) reducer: Reducer,
     /// `None` for the first phase.
     pub(crate) inheritance: Option<Inheritance>,
@@ -56,7 +56,7 @@ struct Sizes {
 
 /// What is known of one phase, owned or not.
 #[derive(Clone)]
-pub(crate) struct Part<'a> {
+pub(crate) struct ReducedPhase<'a> {
     pub(crate) reduction: Cow<'a, Reduction>,
     /// `None` where no phase follows.
     pub(crate) terminal: Option<Cow<'a, Terminal>>,
@@ -68,7 +68,7 @@ impl PhaseReducer {
     /// `make`: how the reducer of its entering coordinates is made.
     pub(crate) fn new(
         (phase, alpha): (&Phase, &Alpha),
-        place: Place,
+        place: PhasePosition,
         make: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
     ) -> Result<PhaseReducer, ReduceError> {
         let named = |error| of_phase(place.name.as_deref(), error);
@@ -107,9 +107,9 @@ impl PhaseReducer {
     pub(crate) fn part<'a>(
         &'a self,
         (id, evidence): (&str, &'a Evidence),
-        (work, cells): (&mut Workspace, &mut Cells),
+        (work, cells): (&mut Workspace, &mut GatheredCells),
         (designs, linked): (bool, bool),
-    ) -> Result<Part<'a>, ReduceError> {
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
         let part = match (evidence, &self.filter) {
             (Evidence::Rows(rows), None) => self.carried(rows, self.to_end(rows, work, designs), cells),
             (Evidence::Rows(rows), Some(filter)) => {
@@ -122,13 +122,18 @@ impl PhaseReducer {
     }
 
     /// The phase by a filter that need not be optimal, run here or elsewhere.
-    fn filtered<'a>(&'a self, id: &str, estimates: &Estimates, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+    fn filtered<'a>(
+        &'a self,
+        id: &str,
+        estimates: &Estimates,
+        cells: &mut GatheredCells,
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
         let (reduction, terminal) = self.estimates.reduce(id, estimates)?;
         let at = self.reducer.preparer().at();
         let inherited = self.inheritance.as_ref();
         let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
         let terminal = self.place.followed.then_some(Cow::Owned(terminal));
-        Ok(Part { reduction: Cow::Owned(reduction), terminal, inherited })
+        Ok(ReducedPhase { reduction: Cow::Owned(reduction), terminal, inherited })
     }
 
     fn to_end(&self, rows: &Test, work: &mut Workspace, designs: bool) -> ToEnd {
@@ -141,28 +146,38 @@ impl PhaseReducer {
     }
 
     /// The phase of a test whose rows were reduced by themselves.
-    pub(crate) fn joined<'a>(&'a self, rows: &Test, found: ToEnd, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+    pub(crate) fn joined<'a>(
+        &'a self,
+        rows: &Test,
+        found: ToEnd,
+        cells: &mut GatheredCells,
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
         self.carried(rows, found, cells).map_err(|error| self.named(error))
     }
 
-    fn carried<'a>(&'a self, rows: &Test, found: ToEnd, cells: &mut Cells) -> Result<Part<'a>, ReduceError> {
+    fn carried<'a>(
+        &'a self,
+        rows: &Test,
+        found: ToEnd,
+        cells: &mut GatheredCells,
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
         let (reduction, terminal) = found?;
         let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
-        Ok(Part { reduction: Cow::Owned(reduction), terminal: terminal.map(Cow::Owned), inherited })
+        Ok(ReducedPhase { reduction: Cow::Owned(reduction), terminal: terminal.map(Cow::Owned), inherited })
     }
 
     /// What a later phase with these rows inherits.
-    pub(crate) fn inherited(&self, rows: &Test, cells: &mut Cells) -> Result<Cow<'_, Inherited>, ReduceError> {
+    pub(crate) fn inherited(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
         self.of_carry(rows, cells).map_err(|error| self.named(error))
     }
 
-    fn of_carry(&self, rows: &Test, cells: &mut Cells) -> Result<Cow<'_, Inherited>, ReduceError> {
+    fn of_carry(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
         let inheritance = self.inheritance.as_ref().expect("a later phase inherits");
         inheritance.of(&self.reducer.preparer().at(), rows, cells)
     }
 
     /// A reduction made before, if it is of this phase's shape.
-    fn given<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<Part<'a>, ReduceError> {
+    fn given<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<ReducedPhase<'a>, ReduceError> {
         let Sizes { q, n, regressions } = self.sizes;
         let before = self.place.before;
         let PhaseReduction { reduction, terminal, inherited, .. } = piece;
@@ -203,7 +218,7 @@ impl PhaseReducer {
             }
             (None, None) => {}
         }
-        Ok(Part {
+        Ok(ReducedPhase {
             reduction: Cow::Borrowed(reduction),
             terminal: terminal.as_ref().map(Cow::Borrowed),
             inherited: inherited.as_ref().filter(|_| before.is_some()).map(Cow::Borrowed),
@@ -211,7 +226,7 @@ impl PhaseReducer {
     }
 }
 
-impl Part<'_> {
+impl ReducedPhase<'_> {
     /// The phase by itself.
     pub(crate) fn into_piece(self) -> PhaseReduction {
         PhaseReduction {

@@ -13,10 +13,10 @@ use crate::model::{Alpha, Model, PhasedModel, Slots};
 use crate::reduce::batch::ToEnd;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::part::{Part, PhaseReducer, Place};
+use crate::reduce::part::{PhasePosition, PhaseReducer, ReducedPhase};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Alike, Reducer, Work};
-use crate::reduce::steps::Cells;
+use crate::reduce::reducer::{EqualDesigns, Reducer, Work};
+use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
 
@@ -41,7 +41,7 @@ pub(crate) struct PhasedWork {
     /// That of each phase.
     pub(crate) phases: Vec<Workspace>,
     /// Room for what a carry is evaluated on.
-    pub(crate) cells: Cells,
+    pub(crate) cells: GatheredCells,
 }
 
 impl PhasedReducer {
@@ -68,7 +68,7 @@ impl PhasedReducer {
     ) -> Result<PhasedReducer, ReduceError> {
         let last = model.phases.len() - 1;
         let phase = |at: usize| -> Result<PhaseReducer, ReduceError> {
-            let place = Place {
+            let place = PhasePosition {
                 name: (!model.is_single()).then(|| model.phases[at].name.clone()),
                 before: at.checked_sub(1).map(|at| model.phases[at].model.states.len()),
                 followed: at < last,
@@ -98,7 +98,7 @@ impl PhasedReducer {
     }
 
     /// Takes which long tests are alike, where there is one phase.
-    pub(crate) fn knowing_alike(&mut self, alike: &Arc<Alike>) {
+    pub(crate) fn knowing_alike(&mut self, alike: &Arc<EqualDesigns>) {
         if let ([phase], false) = (&mut *self.phases, alike.is_empty()) {
             phase.reducer.know_alike(alike.clone());
         }
@@ -112,7 +112,7 @@ impl PhasedReducer {
     /// Work space for all passes.
     pub(crate) fn workspace(&self) -> PhasedWork {
         let phases = self.phases.iter().map(|phase| phase.reducer.workspace()).collect();
-        PhasedWork { phases, cells: Cells::default() }
+        PhasedWork { phases, cells: GatheredCells::default() }
     }
 
     /// What has been done so far, over all phases.
@@ -158,7 +158,7 @@ impl PhasedReducer {
         test: &PhasedTest,
         work: &mut PhasedWork,
     ) -> Result<Vec<PhaseReduction>, ReduceError> {
-        Ok(self.parts(test, Vec::new(), work, false)?.into_iter().map(Part::into_piece).collect())
+        Ok(self.parts(test, Vec::new(), work, false)?.into_iter().map(ReducedPhase::into_piece).collect())
     }
 
     /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which
@@ -207,7 +207,7 @@ impl PhasedReducer {
         found: Vec<Option<ToEnd>>,
         work: &mut PhasedWork,
         designs: bool,
-    ) -> Result<Vec<Part<'a>>, ReduceError> {
+    ) -> Result<Vec<ReducedPhase<'a>>, ReduceError> {
         self.check(test)?;
         let part = |((at, evidence), found): ((usize, &'a Evidence), Option<ToEnd>)| {
             let phase = &self.phases[at];

@@ -7,10 +7,10 @@ use crate::reduce::Evidence;
 
 /// What is known of the phases of a test, from the first one on: a slice, for which a test of a single phase takes no memory of its own.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Phases(Kept);
+pub struct Phases(PhaseStorage);
 
 #[derive(Debug, Clone, PartialEq)]
-enum Kept {
+enum PhaseStorage {
     One([Evidence; 1]),
     /// Any other number.
     Several(Vec<Evidence>),
@@ -41,8 +41,8 @@ impl Deref for Phases {
 
     fn deref(&self) -> &[Evidence] {
         match &self.0 {
-            Kept::One(one) => one,
-            Kept::Several(all) => all,
+            PhaseStorage::One(one) => one,
+            PhaseStorage::Several(all) => all,
         }
     }
 }
@@ -50,15 +50,15 @@ impl Deref for Phases {
 impl DerefMut for Phases {
     fn deref_mut(&mut self) -> &mut [Evidence] {
         match &mut self.0 {
-            Kept::One(one) => one,
-            Kept::Several(all) => all,
+            PhaseStorage::One(one) => one,
+            PhaseStorage::Several(all) => all,
         }
     }
 }
 
 impl From<Evidence> for Phases {
     fn from(only: Evidence) -> Phases {
-        Phases(Kept::One([only]))
+        Phases(PhaseStorage::One([only]))
     }
 }
 
@@ -66,7 +66,7 @@ impl From<Vec<Evidence>> for Phases {
     fn from(mut all: Vec<Evidence>) -> Phases {
         match all.len() {
             1 => Phases::from(all.remove(0)),
-            _ => Phases(Kept::Several(all)),
+            _ => Phases(PhaseStorage::Several(all)),
         }
     }
 }
@@ -76,7 +76,7 @@ impl FromIterator<Evidence> for Phases {
         let mut all = all.into_iter();
         match (all.next(), all.next()) {
             (Some(only), None) => Phases::from(only),
-            (first, second) => Phases(Kept::Several(first.into_iter().chain(second).chain(all).collect())),
+            (first, second) => Phases(PhaseStorage::Several(first.into_iter().chain(second).chain(all).collect())),
         }
     }
 }
@@ -87,8 +87,8 @@ impl IntoIterator for Phases {
 
     fn into_iter(self) -> Self::IntoIter {
         let (one, several) = match self.0 {
-            Kept::One([one]) => (Some(one), Vec::new()),
-            Kept::Several(all) => (None, all),
+            PhaseStorage::One([one]) => (Some(one), Vec::new()),
+            PhaseStorage::Several(all) => (None, all),
         };
         one.into_iter().chain(several)
     }

@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
-use crate::reduce::design::{DENSE, Frame, Pattern, Transition, ZERO};
+use crate::reduce::design::{DENSE, Pattern, StateFrame, Transition, ZERO};
 use crate::reduce::plain::{Plain, StepMatrices};
 
 /// Kernel order of a test's states.
 pub(crate) struct PlainOrder {
     /// State of the test at each place of the kernels.
     pub(crate) states: Vec<usize>,
-    pub(crate) frame: Arc<Frame>,
+    pub(crate) frame: Arc<StateFrame>,
 }
 
 impl PlainOrder {
@@ -48,7 +48,7 @@ impl PlainOrder {
                 Some(_) => DENSE,
             }
         };
-        let frame = Frame {
+        let frame = StateFrame {
             n,
             p,
             r: noisy.iter().filter(|&&noisy| noisy).count(),

@@ -7,10 +7,10 @@ use nalgebra::DMatrix;
 use crate::reduce::data::Data;
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
-use crate::reduce::end::End;
+use crate::reduce::end::TerminalRoot;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::gains::Gains;
-use crate::reduce::lanes::Room;
+use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::observe::whiten;
 use crate::reduce::path::Path;
 use crate::reduce::plain::Plain;
@@ -50,7 +50,7 @@ impl Plain {
         let information = if square_root { None } else { information_gains(&design, &mut work) };
         let information = information.and_then(|mut gains| {
             if ends {
-                gains.end = Some(End::of_covariance(&order.states, &work.Psi, &work.P, design.frame.r)?);
+                gains.end = Some(TerminalRoot::of_covariance(&order.states, &work.Psi, &work.P, design.frame.r)?);
             }
             Some(gains)
         });
@@ -58,7 +58,7 @@ impl Plain {
             Some(gains) => gains,
             None => self.root(&design, (&rows, &order))?,
         };
-        let mut pass = Room::default();
+        let mut pass = DataWorkspace::default();
         let outcome = outcome(&design, &gains, &data, &mut pass)
             .map_err(|miss| self.refuse(&format!("step {}", rows[miss.row] + 1), impossible(miss)))?;
         if !outcome.is_finite() {
@@ -91,7 +91,7 @@ impl Plain {
             RootError::NotSemidefinite(bad) => self.refuse("process noise", bad),
             RootError::NotFinite => self.refuse(WHOLE, ReduceErrorKind::NotFinite),
         })?;
-        gains.end = Some(End::new(&order.states, &filter.Psi, &filter.U, design.frame.r));
+        gains.end = Some(TerminalRoot::new(&order.states, &filter.Psi, &filter.U, design.frame.r));
         Ok(gains)
     }
 

@@ -14,16 +14,16 @@ use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instances;
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::lanes::{Block, Gained, Room};
-use crate::reduce::motion::{Filled, Moves, Plan};
+use crate::reduce::lanes::{DataBlock, DataWorkspace, DesignBatch};
+use crate::reduce::motion::{Filled, MotionPlan, Moves};
 use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
-use crate::reduce::recognise::Looks;
+use crate::reduce::recognise::CellMask;
 use crate::reduce::schedule::GainsWork;
-use crate::reduce::shared::Shared;
-use crate::reduce::start::{Law, Start};
-use crate::reduce::steps::{Cells, Span, spans};
-use crate::reduce::subject::{At, Fault, Subject, Uses};
+use crate::reduce::shared::SharedStore;
+use crate::reduce::start::{InitialMoment, ModelStart};
+use crate::reduce::steps::{GatheredCells, StepSpan, spans};
+use crate::reduce::subject::{Fault, ModelAt, Subject, Uses};
 
 mod alike;
 mod covariates;
@@ -35,7 +35,7 @@ mod transition;
 
 use alike::looks;
 use last::Last;
-pub(crate) use replay::{Opening, Replay};
+pub(crate) use replay::{Replay, StartCells};
 pub(crate) use skeleton::Skeleton;
 
 /// Bytes of transitions that are kept.
@@ -49,9 +49,9 @@ pub(crate) struct Preparer {
     /// Which parameters are free, where derivatives are wanted.
     free: Vec<bool>,
     pub(crate) dynamics: Dynamics,
-    pub(crate) start: Start,
+    pub(crate) start: ModelStart,
     pub(crate) order: Order,
-    pub(crate) plan: Plan,
+    pub(crate) plan: MotionPlan,
     pub(crate) meters: Meters,
     /// Columns that φ, Q, h, R or which values count depend on: where their cells repeat, so do these.
     shape: Uses,
@@ -66,10 +66,10 @@ pub(crate) struct Preparer {
     /// Tests can be evaluated column by column: noises of states that are correlated are the same on every row.
     columnwise: bool,
     /// The law of x_0, when no test changes it.
-    law: Option<Law>,
+    law: Option<InitialMoment>,
     /// How tests of one design are recognised; `None` where they cannot be, as values are mixed.
-    pub(crate) looks: Option<Looks>,
-    transitions: Shared<Vec<u64>, Result<Moves, Box<Fault>>>,
+    pub(crate) looks: Option<CellMask>,
+    transitions: SharedStore<Vec<u64>, Result<Moves, Box<Fault>>>,
     /// Steps that were found at another α; `None` where nobody keeps them.
     pub(crate) steps: Option<Arc<KnownSteps>>,
     /// Transitions computed for all tests.
@@ -78,7 +78,7 @@ pub(crate) struct Preparer {
 
 /// One step to be evaluated.
 #[derive(Debug, Clone)]
-struct Moment {
+struct StepRows {
     rows: Range<usize>,
     /// The rows whose cells the dynamics read.
     source: Range<usize>,
@@ -97,17 +97,17 @@ pub(crate) struct Workspace {
     /// whitened.
     pub(crate) covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
-    pub(crate) pass: Room,
+    pub(crate) pass: DataWorkspace,
     /// For one test by itself.
-    pub(crate) block: Block,
-    pub(crate) room: Room,
-    pub(crate) gained: Gained,
-    spans: Vec<Span>,
+    pub(crate) block: DataBlock,
+    pub(crate) room: DataWorkspace,
+    pub(crate) gained: DesignBatch,
+    spans: Vec<StepSpan>,
     /// Number of the first step of each span.
     firsts: Vec<usize>,
     constants: Vec<f64>,
-    whole: Cells,
-    step: Cells,
+    whole: GatheredCells,
+    step: GatheredCells,
     replay: Replay,
     filled: Filled,
     key: Vec<u64>,
@@ -142,9 +142,9 @@ impl Preparer {
     }
 
     fn made(model: &Model, alpha: &Alpha, free: Vec<bool>, brought: bool) -> Result<Preparer, Box<Fault>> {
-        let at = At { model, alpha, free: &free };
+        let at = ModelAt { model, alpha, free: &free };
         let dynamics = Dynamics::new(&at)?;
-        let mut start = Start::new(&at, &dynamics)?;
+        let mut start = ModelStart::new(&at, &dynamics)?;
         start.brought = brought;
         let order = Order::new(&at, &dynamics, &start);
         let meters = Meters::new(&at, &order.place)?;
@@ -170,21 +170,21 @@ impl Preparer {
             model: model.clone(),
             alpha: alpha.clone(),
             free,
-            plan: Plan::new(&dynamics, &order),
+            plan: MotionPlan::new(&dynamics, &order),
             dynamics,
             start,
             order,
             meters,
             law,
             looks,
-            transitions: Shared::new(TRANSITION_BYTES),
+            transitions: SharedStore::new(TRANSITION_BYTES),
             steps: None,
             computed: AtomicU64::new(0),
         })
     }
 
-    pub(crate) fn at(&self) -> At<'_> {
-        At { model: &self.model, alpha: &self.alpha, free: &self.free }
+    pub(crate) fn at(&self) -> ModelAt<'_> {
+        ModelAt { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
 
     /// Whether tests can be evaluated column by column.
@@ -193,7 +193,7 @@ impl Preparer {
     }
 
     /// The law of x_0, when no test changes it.
-    pub(crate) fn law(&self) -> Option<&Law> {
+    pub(crate) fn law(&self) -> Option<&InitialMoment> {
         self.law.as_ref()
     }
 
@@ -207,13 +207,13 @@ impl Preparer {
             covariates: Vec::new(),
             covariances: None,
             gains: GainsWork::default(),
-            pass: Room::default(),
-            block: Block::new(Isa::best()),
-            room: Room::default(),
-            gained: Gained::default(),
+            pass: DataWorkspace::default(),
+            block: DataBlock::new(Isa::best()),
+            room: DataWorkspace::default(),
+            gained: DesignBatch::default(),
             spans: Vec::new(),
-            whole: Cells::default(),
-            step: Cells::default(),
+            whole: GatheredCells::default(),
+            step: GatheredCells::default(),
             replay: Replay::default(),
             filled: Filled::default(),
             key: Vec::new(),
@@ -254,7 +254,7 @@ impl Preparer {
     }
 
     /// The steps of a test; `initial` is the time of x_0. Where nothing ever moves no transition leads to them.
-    fn spans(&self, test: &Test, initial: Option<f64>, out: &mut Vec<Span>) -> Result<(), Box<Fault>> {
+    fn spans(&self, test: &Test, initial: Option<f64>, out: &mut Vec<StepSpan>) -> Result<(), Box<Fault>> {
         if let Some(known) = self.steps.as_ref().and_then(|steps| steps.of(test, initial)) {
             out.clone_from(&known);
             return Ok(());
@@ -270,9 +270,9 @@ impl Preparer {
     /// Evaluates the steps of a span; `source`: rows of the step before. Returns those of the last one.
     fn span(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
-        (span, mut source): (&Span, Range<usize>),
+        (span, mut source): (&StepSpan, Range<usize>),
         work: &mut Workspace,
     ) -> Result<Range<usize>, Box<Fault>> {
         let (height, mut repeats, mut number) = (span.height(), 0, 0);
@@ -282,7 +282,7 @@ impl Preparer {
             if source.is_empty() || !self.clock_previous() {
                 source = rows.clone();
             }
-            let moment = Moment { rows: rows.clone(), source, dt: span.dt, moves: span.moves };
+            let moment = StepRows { rows: rows.clone(), source, dt: span.dt, moves: span.moves };
             let again = number > 0 && self.shape.repeat(test, &rows);
             repeats = if again { repeats + 1 } else { 0 };
             // with inputs of the row before, that row must have repeated too
@@ -319,7 +319,7 @@ impl Preparer {
     }
 
     /// Evaluates a step in full.
-    fn step(&self, at: &At<'_>, test: &Test, moment: &Moment, work: &mut Workspace) -> Result<(), Box<Fault>> {
+    fn step(&self, at: &ModelAt<'_>, test: &Test, moment: &StepRows, work: &mut Workspace) -> Result<(), Box<Fault>> {
         if moment.moves {
             self.transition(at, test, moment, work)?;
         }
@@ -332,7 +332,13 @@ impl Preparer {
     }
 
     /// A step whose φ, Q, h, R are those of the step before; false, and nothing is done, where it measures something else.
-    fn repeat(&self, at: &At<'_>, test: &Test, moment: &Moment, work: &mut Workspace) -> Result<bool, Box<Fault>> {
+    fn repeat(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        moment: &StepRows,
+        work: &mut Workspace,
+    ) -> Result<bool, Box<Fault>> {
         let (driven, height) = (self.order.frame.driven.len(), moment.rows.len());
         let driven_on = !self.drive.is_empty();
         let fresh = driven_on && !self.drive.repeat(test, &moment.rows);
@@ -360,7 +366,7 @@ impl Preparer {
     }
 
     /// a and P0 of a test.
-    fn begin(&self, at: &At<'_>, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+    fn begin(&self, at: &ModelAt<'_>, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
         let own;
         let law = match &self.law {
             Some(law) => law,
@@ -368,7 +374,7 @@ impl Preparer {
                 let dt = work.spans[0].dt;
                 if self.start.settles() {
                     let rows = work.spans[0].step(0);
-                    let moment = Moment { source: rows.clone(), rows, dt, moves: true };
+                    let moment = StepRows { source: rows.clone(), rows, dt, moves: true };
                     self.evaluate(at, test, &moment, work, Preparer::settling)?;
                 }
                 let scope =
@@ -398,9 +404,9 @@ impl Preparer {
     /// What of the dynamics is wanted on a step.
     fn evaluate(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
-        moment: &Moment,
+        moment: &StepRows,
         work: &mut Workspace,
         wanted: impl FnOnce(&Preparer, &Scope<'_>, &mut Replay) -> Result<(), Box<Fault>>,
     ) -> Result<(), Box<Fault>> {
@@ -411,10 +417,10 @@ impl Preparer {
     /// What the dynamics of a step are evaluated on. `cells`: work space for steps of several rows.
     fn motion_scope<'a>(
         &'a self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &'a Test,
-        moment: &Moment,
-        cells: &'a mut Cells,
+        moment: &StepRows,
+        cells: &'a mut GatheredCells,
     ) -> Result<Scope<'a>, Box<Fault>> {
         let (numbers, texts) = if moment.source.len() == 1 {
             (test.numbers(moment.source.start), test.texts(moment.source.start))

@@ -11,7 +11,7 @@ const TOGETHER: usize = 8;
 
 /// Where to look: which cells of a test decide all but its measured values.
 #[derive(Debug, Clone)]
-pub(crate) struct Looks {
+pub(crate) struct CellMask {
     isa: Isa,
     /// All bits of a numeric column that is read, else none; for several rows.
     mask: Vec<u64>,
@@ -23,7 +23,7 @@ pub(crate) struct Looks {
 
 /// Cells of a test that others are compared with.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Likeness {
+pub(crate) struct DesignCells {
     rows: usize,
     /// Bits of all numeric cells, those that are not read left out.
     numbers: Vec<u64>,
@@ -32,14 +32,14 @@ pub(crate) struct Likeness {
     missing: Vec<usize>,
 }
 
-impl Looks {
+impl CellMask {
     /// `columns`: how many numeric ones there are; `uses`: those that coefficients and times are read from.
-    pub(crate) fn new(columns: usize, uses: &Uses, measured: impl Iterator<Item = usize>) -> Looks {
+    pub(crate) fn new(columns: usize, uses: &Uses, measured: impl Iterator<Item = usize>) -> CellMask {
         let row: Vec<u64> = (0..columns).map(|c| if uses.numbers.contains(&c) { u64::MAX } else { 0 }).collect();
         let mut measured: Vec<usize> = measured.collect();
         measured.sort_unstable();
         measured.dedup();
-        Looks { isa: Isa::best(), mask: row.repeat(TOGETHER), texts: uses.texts.clone(), measured }
+        CellMask { isa: Isa::best(), mask: row.repeat(TOGETHER), texts: uses.texts.clone(), measured }
     }
 
     /// A hash of what counts: of the first rows alone, or of all.
@@ -62,12 +62,12 @@ impl Looks {
     }
 
     /// What others are compared with.
-    pub(crate) fn likeness(&self, test: &Test) -> Likeness {
+    pub(crate) fn likeness(&self, test: &Test) -> DesignCells {
         let missing = |row: usize| {
             let numbers = test.numbers(row);
             self.measured.iter().filter(|&&c| numbers[c].is_nan()).map(move |c| row * numbers.len() + c)
         };
-        Likeness {
+        DesignCells {
             rows: test.rows(),
             numbers: test.all_numbers().iter().zip(self.mask.iter().cycle()).map(|(x, m)| x.to_bits() & m).collect(),
             texts: (0..test.rows()).flat_map(|row| self.texts.iter().map(move |&c| test.texts(row)[c])).collect(),
@@ -76,19 +76,19 @@ impl Looks {
     }
 
     /// True when all that counts is the same bit for bit. (Whether measured values are there where they were is to be seen yet.)
-    pub(crate) fn alike(&self, test: &Test, known: &Likeness) -> bool {
+    pub(crate) fn alike(&self, test: &Test, known: &DesignCells) -> bool {
         let cells = test.all_numbers();
         if test.rows() != known.rows || cells.len() != known.numbers.len() {
             return false;
         }
         let texts = || (0..test.rows()).flat_map(|row| self.texts.iter().map(move |&c| test.texts(row)[c]));
-        self.isa.run(Alike { cells, known: &known.numbers, mask: &self.mask })
+        self.isa.run(MaskedEqual { cells, known: &known.numbers, mask: &self.mask })
             && known.missing.iter().all(|&cell| cells[cell].is_nan())
             && (self.texts.is_empty() || texts().eq(known.texts.iter().copied()))
     }
 }
 
-impl Likeness {
+impl DesignCells {
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.numbers.len() + self.missing.len()) + 4 * self.texts.len() + 200
@@ -96,13 +96,13 @@ impl Likeness {
 }
 
 /// Compares masked cells.
-struct Alike<'a> {
+struct MaskedEqual<'a> {
     cells: &'a [f64],
     known: &'a [u64],
     mask: &'a [u64],
 }
 
-impl Kernel for Alike<'_> {
+impl Kernel for MaskedEqual<'_> {
     type Output = bool;
 
     #[inline(always)]

@@ -8,26 +8,26 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Slots};
-use crate::reduce::class::{Class, Made, class_bytes};
+use crate::reduce::class::{DesignClass, GainsResult, class_bytes};
 use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::schedule;
-use crate::reduce::end::End;
+use crate::reduce::end::TerminalRoot;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::lanes::{Block, Gained, Room, fits, innovations, is_short};
+use crate::reduce::lanes::{DataBlock, DataWorkspace, DesignBatch, fits, innovations, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::recognise::Likeness;
+use crate::reduce::recognise::DesignCells;
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
-use crate::reduce::shared::Shared;
+use crate::reduce::shared::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions, Terminal};
-pub(crate) use alike::Alike;
-pub(crate) use known::Known;
+pub(crate) use alike::EqualDesigns;
+pub(crate) use known::DesignExemplar;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
@@ -44,11 +44,11 @@ const KNOWN_BYTES: usize = 64 << 20;
 #[derive(Debug)]
 pub struct Reducer {
     preparer: Preparer,
-    classes: Shared<Design, Result<Gains, RootError>>,
+    classes: SharedStore<Design, Result<Gains, RootError>>,
     /// Tests of designs that were seen more than once.
-    known: Shared<Likeness, Known>,
+    known: SharedStore<DesignCells, DesignExemplar>,
     /// Long tests that are known to be alike; `None` where nobody said so.
-    alike: Option<Arc<Alike>>,
+    alike: Option<Arc<EqualDesigns>>,
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
@@ -60,9 +60,9 @@ pub struct Reducer {
 /// What design passes work in.
 struct GainsRoom<'a> {
     gains: &'a mut GainsWork,
-    block: &'a Block,
-    room: &'a mut Room,
-    gained: &'a mut Gained,
+    block: &'a DataBlock,
+    room: &'a mut DataWorkspace,
+    gained: &'a mut DesignBatch,
 }
 
 /// What a reduction has from its test beside the data.
@@ -119,26 +119,26 @@ impl Reducer {
     /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
     pub fn new(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
+        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
     /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α, and every class is
     /// wanted again by the backward pass.
     pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, Shared::new(CLASS_BYTES)))
+        Ok(Reducer::of(preparer, SharedStore::new(CLASS_BYTES)))
     }
 
     /// The same where no backward pass is to come: what one test alone wants is not kept.
     pub(crate) fn passing(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
+        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
     /// A reducer of tests that bring the law of their estimated states with them: nothing is unknown.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, Shared::patient(CLASS_BYTES, EAGER_BYTES)))
+        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
     /// Takes steps that are known of tests of one ensemble, and leaves what it finds with them: it must reduce no other.
@@ -147,20 +147,20 @@ impl Reducer {
     }
 
     /// Takes which long tests of one ensemble are alike: it must reduce no other.
-    pub(crate) fn know_alike(&mut self, alike: Arc<Alike>) {
+    pub(crate) fn know_alike(&mut self, alike: Arc<EqualDesigns>) {
         self.alike = Some(alike);
     }
 
     /// Long tests that are known to be alike.
-    pub(crate) fn alike(&self) -> Option<&Alike> {
+    pub(crate) fn alike(&self) -> Option<&EqualDesigns> {
         self.alike.as_deref()
     }
 
-    fn of(preparer: Preparer, classes: Shared<Design, Result<Gains, RootError>>) -> Reducer {
+    fn of(preparer: Preparer, classes: SharedStore<Design, Result<Gains, RootError>>) -> Reducer {
         Reducer {
             preparer,
             classes,
-            known: Shared::new(KNOWN_BYTES),
+            known: SharedStore::new(KNOWN_BYTES),
             alike: None,
             unfrozen: false,
             ends: false,
@@ -196,7 +196,7 @@ impl Reducer {
     }
 
     /// Where a test of a class ends, if that is wanted, with x̂ of its last step, in the order of the kernels.
-    pub(crate) fn ending(&self, class: &Class, x: impl Iterator<Item = f64>) -> Option<Terminal> {
+    pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<Terminal> {
         class.end().cloned().map(|end| end.terminal(&self.preparer.order.states, x))
     }
 
@@ -212,7 +212,7 @@ impl Reducer {
 
     /// The reduction of a design and its class: information and covariates as of [`Reducer::one`], from times, inputs and which
     /// values are missing. What was measured is not looked at, and `data` and `constant` are zero.
-    pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
+    pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
         self.with_class(test, work, Reducer::class, |digest, gains, work| {
             if gains.factor.iter().any(|x| !x.is_finite()) {
                 return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
@@ -274,12 +274,12 @@ impl Reducer {
     }
 
     /// The reduction of a test, and its class; x̂_K is left in the work space.
-    pub(crate) fn one(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
+    pub(crate) fn one(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
         self.with_class(test, work, Reducer::class, |digest, gains, work| self.told(test, (digest, gains), work))
     }
 
     /// [`Reducer::one`] of a test whose design is known to call for square-root arrays.
-    pub(crate) fn rooted(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, Class), ReduceError> {
+    pub(crate) fn rooted(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
         let class = |reducer: &Reducer, digest, work: &mut Workspace| {
             reducer.class_of((digest, &work.design), |design| reducer.root(design))
         };
@@ -291,14 +291,14 @@ impl Reducer {
         &self,
         test: &Test,
         work: &mut Workspace,
-        class: impl FnOnce(&Reducer, u128, &mut Workspace) -> Made,
+        class: impl FnOnce(&Reducer, u128, &mut Workspace) -> GainsResult,
         reduce: impl FnOnce(u128, &Gains, &mut Workspace) -> Result<Reduction, Box<Fault>>,
-    ) -> Result<(Reduction, Class), ReduceError> {
+    ) -> Result<(Reduction, DesignClass), ReduceError> {
         let found = self.preparer.prepare(test, work).and_then(|()| {
             let digest = work.design.digest();
             let class = class(self, digest, work);
             let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
-            Ok((reduce(digest, gains, work)?, Class(class)))
+            Ok((reduce(digest, gains, work)?, DesignClass(class)))
         });
         found.map_err(|fault| self.named(*fault, test))
     }
@@ -339,7 +339,7 @@ impl Reducer {
         }
         let mut gains = information_gains(design, work.gains)?;
         if self.ends {
-            gains.end = Some(End::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?);
+            gains.end = Some(TerminalRoot::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?);
         }
         Some(gains)
     }
@@ -356,8 +356,8 @@ impl Reducer {
     }
 
     /// Recognises others by a test, as it is in the work space.
-    pub(crate) fn learn(&self, test: &Test, class: &Class, digest: u128, work: &Workspace) {
-        let known = Known::new(&self.preparer, test, class, work);
+    pub(crate) fn learn(&self, test: &Test, class: &DesignClass, digest: u128, work: &Workspace) {
+        let known = DesignExemplar::new(&self.preparer, test, class, work);
         if let Some((looks, known)) = self.preparer.looks.as_ref().zip(known) {
             let likeness = looks.likeness(test);
             let bytes = likeness.bytes() + known.bytes();
@@ -366,7 +366,7 @@ impl Reducer {
     }
 
     /// Tests that others are recognised by.
-    pub(crate) fn known(&self) -> &Shared<Likeness, Known> {
+    pub(crate) fn known(&self) -> &SharedStore<DesignCells, DesignExemplar> {
         &self.known
     }
 
@@ -374,13 +374,13 @@ impl Reducer {
         self.root_runs.fetch_add(1, Ordering::Relaxed);
         let (mut gains, filter) = root_gains(design)?;
         if self.ends {
-            gains.end = Some(End::new(&self.preparer.order.states, &filter.Psi, &filter.U, design.frame.r));
+            gains.end = Some(TerminalRoot::new(&self.preparer.order.states, &filter.Psi, &filter.U, design.frame.r));
         }
         Ok(gains)
     }
 
     /// The design class of the test in the work space.
-    fn class(&self, digest: u128, work: &mut Workspace) -> Made {
+    fn class(&self, digest: u128, work: &mut Workspace) -> GainsResult {
         let Workspace { design, gains, block, room, gained, .. } = work;
         let mut room = GainsRoom { gains, block, room, gained };
         let make = |design: &Design| self.information(design, &mut room).map_or_else(|| self.root(design), Ok);
@@ -391,7 +391,7 @@ impl Reducer {
         &self,
         (digest, design): (u128, &Design),
         make: impl FnOnce(&Design) -> Result<Gains, RootError>,
-    ) -> Made {
+    ) -> GainsResult {
         let counted = |design: &Design| {
             self.ran(digest);
             make(design)

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
 
-use crate::linalg::column::Column;
+use crate::linalg::column::RowLists;
 use crate::reduce::chain::Chain;
 use crate::reduce::path::Path;
 use crate::reduce::reduction::Reduction;
@@ -34,9 +34,9 @@ pub struct Reductions {
     id_ends: Vec<usize>,
     constants: Vec<f64>,
     residuals: Vec<Option<f64>>,
-    data: Column,
-    factors: Column,
-    covariates: Column,
+    data: RowLists,
+    factors: RowLists,
+    covariates: RowLists,
     steps: Vec<usize>,
     observations: Vec<usize>,
     paths: Vec<Path>,
@@ -268,7 +268,7 @@ impl Reductions {
     #[must_use]
     pub(crate) fn with_covariates(mut self, places: &[usize]) -> Reductions {
         self.stamp.take();
-        let mut covariates = Column::default();
+        let mut covariates = RowLists::default();
         for number in 0..self.len() {
             covariates.push(number, places.iter().map(|&at| self.covariates(number)[at]));
         }

@@ -5,8 +5,8 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, K, T, S, U with U'U = P, R with R'R = J")]
 
 use crate::linalg::fold::{Rotation, fold, fold_row, norm};
-use crate::reduce::design::{Design, Frame, Transition};
-use crate::reduce::gains::{Gains, Piece, Settle, Turns};
+use crate::reduce::design::{Design, StateFrame, Transition};
+use crate::reduce::gains::{Gains, Piece, RootSettling, Turns};
 use crate::reduce::kernel;
 use crate::reduce::semidefinite::{NotSemidefinite, root};
 
@@ -31,7 +31,7 @@ pub(crate) enum RootError {
 /// A design in square-root arrays; afterwards the state of the last step.
 #[derive(Debug, Clone)]
 pub(crate) struct RootFilter<'a> {
-    frame: &'a Frame,
+    frame: &'a StateFrame,
     /// U, r × r, row-major, upper triangular.
     pub(crate) U: Vec<f64>,
     /// Ψ, n × p, row-major.
@@ -200,7 +200,7 @@ impl<'a> RootFilter<'a> {
 
 /// Rounds directions without information to none, those with a diagonal below this `part` of its column: their rows of R go into the
 /// rows below, their data into the residual. Shape: `R` p × p, row-major, upper triangular.
-pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<Settle>) {
+pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<RootSettling>) {
     let column = |k: usize| -> Vec<f64> { (0..=k).map(|i| R[i * p + k]).collect() };
     let norms: Vec<f64> = (0..p).map(|k| norm(&column(k))).collect();
     for i in 0..p {
@@ -217,8 +217,8 @@ pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<Settle
                 (R[k * p + c], R[i * p + c]) = turn.turn(R[k * p + c], R[i * p + c]);
             }
             R[i * p + k] = 0.0;
-            settle.push(Settle::Turn { k, i, c: turn.c, s: turn.s });
+            settle.push(RootSettling::Turn { k, i, c: turn.c, s: turn.s });
         }
-        settle.push(Settle::Drop { i });
+        settle.push(RootSettling::Drop { i });
     }
 }

@@ -13,7 +13,7 @@ pub(crate) const BLOCK: usize = 512;
 /// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d. Tests side by
 /// side share φ and h.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Steady<T, const N: usize> {
+pub(crate) struct InvariantStep<T, const N: usize> {
     pub(crate) phi: [[f64; N]; N],
     /// What the states that rest add to φx.
     pub(crate) c: [T; N],
@@ -68,23 +68,23 @@ pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
 }
 
 /// [`Scan`] where so many states move.
-pub(crate) struct Moving<'a, T, const N: usize>(pub(crate) Scan<'a, T>);
+pub(crate) struct ScanKernel<'a, T, const N: usize>(pub(crate) Scan<'a, T>);
 
 impl<T: Lanes> Scan<'_, T> {
     /// Runs it, where so many states move.
     #[inline(always)]
     pub(crate) fn run(self, states: usize) {
-        with_states!(states, N => T::apart(Moving::<T, N>(self)));
+        with_states!(states, N => T::apart(ScanKernel::<T, N>(self)));
     }
 }
 
-impl<T: Lanes, const N: usize> Part for Moving<'_, T, N> {
+impl<T: Lanes, const N: usize> Part for ScanKernel<'_, T, N> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
         let Scan { design, stretch, gains: (gains, piece), x: all, e, mut marks } = self.0;
-        let step = Steady::<T, N>::new(design, stretch, all);
+        let step = InvariantStep::<T, N>::new(design, stretch, all);
         let (mut x, mut K) = ([T::splat(0.0); N], [0.0; N]);
         x.copy_from_slice(&all[..N]);
         let (first, r, count) = (stretch.rows.start, design.frame.r, stretch.count);
@@ -112,12 +112,12 @@ impl<T: Lanes, const N: usize> Part for Moving<'_, T, N> {
     }
 }
 
-impl<T: Real, const N: usize> Steady<T, N> {
+impl<T: Real, const N: usize> InvariantStep<T, N> {
     /// `x`: the filter before them.
     #[inline(always)]
-    pub(crate) fn new(design: &Design, stretch: &Stretch<'_>, x: &[T]) -> Steady<T, N> {
+    pub(crate) fn new(design: &Design, stretch: &Stretch<'_>, x: &[T]) -> InvariantStep<T, N> {
         let zero = T::splat(0.0);
-        let mut step = Steady { phi: [[0.0; N]; N], c: [zero; N], h: [0.0; N], g: [0.0; N], d: zero };
+        let mut step = InvariantStep { phi: [[0.0; N]; N], c: [zero; N], h: [0.0; N], g: [0.0; N], d: zero };
         (0..N).for_each(|i| step.phi[i][i] = 1.0);
         if let Some(transition) = stretch.transition {
             transition.pattern.moved.iter().for_each(|row| step.phi[row.state as usize] = [0.0; N]);

@@ -6,7 +6,7 @@ use std::ops::Range;
 use crate::reduce::design::Stretch;
 use crate::reduce::gains::{Gains, Piece};
 use crate::reduce::settling::Settling;
-use crate::reduce::sums::Sums;
+use crate::reduce::sums::InformationSums;
 
 /// What a design pass leaves.
 #[derive(Debug, Clone)]
@@ -15,7 +15,7 @@ pub(crate) struct Schedule {
     pub(crate) gains: Vec<f64>,
     pub(crate) sensitivities: Vec<f64>,
     pub(super) pieces: Vec<Piece>,
-    pub(crate) sums: Sums,
+    pub(crate) sums: InformationSums,
     /// Rows that Π S lacks: (S, how many).
     pub(super) many: Vec<(f64, usize)>,
 }

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// A store of values by key, bounded in bytes. A full store keeps what it has; what it returns never depends on that.
 #[derive(Debug)]
-pub(crate) struct Shared<K, V> {
-    shards: Vec<Mutex<Shard<K, V>>>,
+pub(crate) struct SharedStore<K, V> {
+    shards: Vec<Mutex<StoreShard<K, V>>>,
     bytes: AtomicUsize,
     limit: usize,
     /// Beyond so many bytes only what is asked for a second time is kept.
@@ -16,22 +16,22 @@ pub(crate) struct Shared<K, V> {
 }
 
 #[derive(Debug)]
-struct Shard<K, V> {
-    entries: HashMap<u128, Arc<Entry<K, V>>, Mixed>,
+struct StoreShard<K, V> {
+    entries: HashMap<u128, Arc<StoreEntry<K, V>>, DigestHasher>,
     /// Asked for once.
-    noted: HashSet<u128, Mixed>,
+    noted: HashSet<u128, DigestHasher>,
     /// Told of.
-    told: HashSet<u128, Mixed>,
+    told: HashSet<u128, DigestHasher>,
 }
 
-impl<K, V> Default for Shard<K, V> {
-    fn default() -> Shard<K, V> {
-        Shard { entries: HashMap::default(), noted: HashSet::default(), told: HashSet::default() }
+impl<K, V> Default for StoreShard<K, V> {
+    fn default() -> StoreShard<K, V> {
+        StoreShard { entries: HashMap::default(), noted: HashSet::default(), told: HashSet::default() }
     }
 }
 
 /// Digests are mixed already.
-type Mixed = BuildHasherDefault<Half>;
+type DigestHasher = BuildHasherDefault<Half>;
 
 /// The upper half of a digest: the lower one has told the shard.
 #[derive(Debug, Default)]
@@ -54,7 +54,7 @@ impl Hasher for Half {
 /// Most digests that a shard remembers of what was asked for once.
 const NOTED: usize = 1 << 16;
 
-impl<K, V> Shard<K, V> {
+impl<K, V> StoreShard<K, V> {
     /// Whether this was asked for before; it is from now on.
     fn is_known(&mut self, digest: u128) -> bool {
         !note(&mut self.noted, digest)
@@ -62,7 +62,7 @@ impl<K, V> Shard<K, V> {
 }
 
 /// Remembers a digest; true where it was not remembered.
-fn note(noted: &mut HashSet<u128, Mixed>, digest: u128) -> bool {
+fn note(noted: &mut HashSet<u128, DigestHasher>, digest: u128) -> bool {
     if noted.len() >= NOTED {
         noted.clear();
     }
@@ -71,27 +71,27 @@ fn note(noted: &mut HashSet<u128, Mixed>, digest: u128) -> bool {
 
 /// A key and its value.
 #[derive(Debug)]
-pub(crate) struct Entry<K, V> {
+pub(crate) struct StoreEntry<K, V> {
     pub(crate) key: K,
     value: OnceLock<V>,
 }
 
-impl<K, V> Entry<K, V> {
+impl<K, V> StoreEntry<K, V> {
     pub(crate) fn value(&self) -> &V {
         self.value.get().expect("entries leave the store with their value")
     }
 }
 
-impl<K, V> Shared<K, V> {
+impl<K, V> SharedStore<K, V> {
     /// A store that keeps all it can.
-    pub(crate) fn new(limit: usize) -> Shared<K, V> {
-        Shared::patient(limit, limit)
+    pub(crate) fn new(limit: usize) -> SharedStore<K, V> {
+        SharedStore::patient(limit, limit)
     }
 
     /// A store that, beyond `eager` bytes, keeps only what is asked for a second time: of values that are mostly wanted once it
     /// keeps those that are not, and does not fill memory with the others.
-    pub(crate) fn patient(limit: usize, eager: usize) -> Shared<K, V> {
-        Shared { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
+    pub(crate) fn patient(limit: usize, eager: usize) -> SharedStore<K, V> {
+        SharedStore { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
     }
 
     /// True where a key is told of for the first time, whether it is kept or not.
@@ -99,12 +99,12 @@ impl<K, V> Shared<K, V> {
         note(&mut self.shard(digest).told, digest)
     }
 
-    fn shard(&self, digest: u128) -> MutexGuard<'_, Shard<K, V>> {
+    fn shard(&self, digest: u128) -> MutexGuard<'_, StoreShard<K, V>> {
         self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What is kept of a digest, or else whether it was asked for before.
-    pub(crate) fn find(&self, digest: u128) -> Result<Arc<Entry<K, V>>, bool> {
+    pub(crate) fn find(&self, digest: u128) -> Result<Arc<StoreEntry<K, V>>, bool> {
         let mut shard = self.shard(digest);
         match shard.entries.get(&digest) {
             Some(entry) => Ok(entry.clone()),
@@ -120,7 +120,7 @@ impl<K, V> Shared<K, V> {
     /// Keeps a value, if there is room.
     pub(crate) fn keep(&self, digest: u128, key: K, value: V, bytes: usize) {
         if self.bytes.fetch_add(bytes, Ordering::Relaxed) < self.limit {
-            let entry = Arc::new(Entry { key, value: value.into() });
+            let entry = Arc::new(StoreEntry { key, value: value.into() });
             self.shard(digest).entries.insert(digest, entry);
         }
     }
@@ -134,14 +134,14 @@ impl<K, V> Shared<K, V> {
         key: impl FnOnce() -> K,
         make: impl FnOnce(&K) -> V,
         size: impl FnOnce(&K, &V) -> usize,
-    ) -> Arc<Entry<K, V>> {
+    ) -> Arc<StoreEntry<K, V>> {
         let mut kept = false;
         let entry = {
             let mut shard = self.shard(digest);
             match shard.entries.get(&digest) {
                 Some(entry) if same(&entry.key) => entry.clone(),
                 found => {
-                    let entry = Arc::new(Entry { key: key(), value: OnceLock::new() });
+                    let entry = Arc::new(StoreEntry { key: key(), value: OnceLock::new() });
                     let bytes = self.bytes.load(Ordering::Relaxed);
                     kept = found.is_none() && bytes < self.limit && (bytes < self.eager || shard.is_known(digest));
                     if kept {

@@ -3,13 +3,13 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, Q, G = P h, K, T, S")]
 
 use crate::reduce::design::{Design, Stretch, Transition};
-use crate::reduce::kernel::{Update, inform, mirror, update};
+use crate::reduce::kernel::{ScalarUpdate, inform, mirror, update};
 use crate::reduce::schedule::{GainsWork, Schedule};
 use kalfit_lanes::Real;
 
 /// The transition of the N states that move; W columns of Ψ. Those of states that rest are constants.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Motion<const N: usize, const W: usize> {
+pub(crate) struct SmallMotion<const N: usize, const W: usize> {
     pub(crate) phi: [[f64; N]; N],
     Q: [[f64; N]; N],
     /// What the states that rest add to φΨ.
@@ -18,7 +18,7 @@ pub(crate) struct Motion<const N: usize, const W: usize> {
 
 /// Steps of one measurement.
 struct Small<const N: usize, const W: usize> {
-    motion: Motion<N, W>,
+    motion: SmallMotion<N, W>,
     h: [f64; N],
     /// What they add to T.
     t: [f64; W],
@@ -26,10 +26,10 @@ struct Small<const N: usize, const W: usize> {
 }
 
 /// So many steps of a stretch.
-pub(crate) type Steps = fn(&Design, &Stretch<'_>, usize, &mut GainsWork, &mut Schedule);
+pub(crate) type SmallSteps = fn(&Design, &Stretch<'_>, usize, &mut GainsWork, &mut Schedule);
 
 /// The steps of a stretch, if it is of this kind.
-pub(crate) fn steps(design: &Design, stretch: &Stretch<'_>) -> Option<Steps> {
+pub(crate) fn steps(design: &Design, stretch: &Stretch<'_>) -> Option<SmallSteps> {
     if stretch.lines.len() != 1 {
         return None;
     }
@@ -95,10 +95,10 @@ fn run<const N: usize, const W: usize>(
     }
 }
 
-impl<const N: usize, const W: usize> Motion<N, W> {
+impl<const N: usize, const W: usize> SmallMotion<N, W> {
     /// Of steps without a transition, if there is none. `Psi`: n × W, or empty.
-    pub(crate) fn new(transition: Option<&Transition>, Psi: &[f64]) -> Motion<N, W> {
-        let mut motion = Motion { phi: [[0.0; N]; N], Q: [[0.0; N]; N], c: [[0.0; W]; N] };
+    pub(crate) fn new(transition: Option<&Transition>, Psi: &[f64]) -> SmallMotion<N, W> {
+        let mut motion = SmallMotion { phi: [[0.0; N]; N], Q: [[0.0; N]; N], c: [[0.0; W]; N] };
         (0..N).for_each(|i| motion.phi[i][i] = 1.0);
         let Some(transition) = transition else { return motion };
         for row in &transition.pattern.moved {
@@ -162,7 +162,7 @@ impl<const N: usize, const W: usize> Motion<N, W> {
 impl<const N: usize, const W: usize> Small<N, W> {
     fn new(design: &Design, stretch: &Stretch<'_>, Psi: &[f64]) -> Small<N, W> {
         let line = stretch.lines.start;
-        let motion = Motion::new(stretch.transition.map(|transition| &**transition), Psi);
+        let motion = SmallMotion::new(stretch.transition.map(|transition| &**transition), Psi);
         let mut step = Small { motion, h: [0.0; N], t: [0.0; W], noise: design.noise[line] };
         let (states, h) = design.terms(line);
         for (&state, &h) in states.iter().zip(h) {
@@ -186,7 +186,8 @@ impl<const N: usize, const W: usize> Small<N, W> {
             }
         }
         let states: [u32; N] = std::array::from_fn(|i| i as u32);
-        let Update { S, weight, kept } = update(N, &states, &self.h, self.noise, P.as_flattened_mut(), &mut G, &mut K);
+        let ScalarUpdate { S, weight, kept } =
+            update(N, &states, &self.h, self.noise, P.as_flattened_mut(), &mut G, &mut K);
         mirror(P.as_flattened_mut(), N);
         for i in 0..N {
             for j in 0..W {

@@ -9,20 +9,20 @@ use crate::model::{Initial, Motion, Scope};
 use crate::reduce::dynamics::{Dynamics, connected, matrices};
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::semidefinite::ldl;
-use crate::reduce::subject::{At, Coefficient, Fault, Subject, Uses};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 
 pub(crate) use backward::{LawAdjoint, StartAdjoint};
 
 /// The start of a model. States are those of the model.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Start {
+pub(crate) struct ModelStart {
     /// Known amounts.
     offsets: Vec<(usize, Coefficient)>,
     /// (state, mean, variance).
     known: Vec<(usize, Coefficient, Coefficient)>,
     /// (i, j, covariance): known covariance of elements i ≥ j of ξ.
     covariance: Vec<(usize, usize, Coefficient)>,
-    groups: Vec<Group>,
+    groups: Vec<StationaryGroup>,
     /// The estimated states have a law too, which each test brings with it.
     pub(crate) brought: bool,
     /// Time of x_0.
@@ -35,7 +35,7 @@ pub(crate) struct Start {
 
 /// Stationary states that depend on each other. Indices i, j count within the group; slots are of the dynamics' tables.
 #[derive(Debug, Clone)]
-struct Group {
+struct StationaryGroup {
     states: Vec<usize>,
     continuous: bool,
     motion: Vec<(usize, usize, usize)>,
@@ -45,16 +45,16 @@ struct Group {
 
 /// a and P0, by state of the model.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Law {
+pub(crate) struct InitialMoment {
     /// a.
     pub(crate) mean: Vec<f64>,
     /// (state, state, covariance), each pair once.
     pub(crate) covariance: Vec<(usize, usize, f64)>,
 }
 
-impl Start {
-    pub(crate) fn new(at: &At<'_>, dynamics: &Dynamics) -> Result<Start, Box<Fault>> {
-        let mut start = Start::default();
+impl ModelStart {
+    pub(crate) fn new(at: &ModelAt<'_>, dynamics: &Dynamics) -> Result<ModelStart, Box<Fault>> {
+        let mut start = ModelStart::default();
         let mut settled = Vec::new();
         for (i, state) in at.model.states.iter().enumerate() {
             if let Some(offset) = &state.offset {
@@ -79,7 +79,7 @@ impl Start {
         }
         if start.covariance.iter().all(|(.., entry)| entry.constant().is_some()) {
             let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: at.alpha };
-            start.add_known_covariance(at, &scope, &mut Law::default())?; // no test is to blame
+            start.add_known_covariance(at, &scope, &mut InitialMoment::default())?; // no test is to blame
         }
         if let Some(time) = &at.model.clock.initial_time {
             if at.model.clock.time.is_none() {
@@ -136,12 +136,12 @@ impl Start {
     /// The law of x_0. `values`, `inputs`: the dynamics' tables on the first row.
     pub(crate) fn law(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         scope: &Scope<'_>,
         values: &[f64],
         inputs: &[f64],
-    ) -> Result<Law, Box<Fault>> {
-        let mut law = Law { mean: vec![0.0; at.model.states.len()], covariance: Vec::new() };
+    ) -> Result<InitialMoment, Box<Fault>> {
+        let mut law = InitialMoment { mean: vec![0.0; at.model.states.len()], covariance: Vec::new() };
         for (state, mean, variance) in &self.known {
             law.mean[*state] = at.value(mean, scope)?;
             law.covariance.push((*state, *state, at.variance_value(variance, scope)?));
@@ -156,7 +156,12 @@ impl Start {
         Ok(law)
     }
 
-    fn add_known_covariance(&self, at: &At<'_>, scope: &Scope<'_>, law: &mut Law) -> Result<(), Box<Fault>> {
+    fn add_known_covariance(
+        &self,
+        at: &ModelAt<'_>,
+        scope: &Scope<'_>,
+        law: &mut InitialMoment,
+    ) -> Result<(), Box<Fault>> {
         if self.covariance.is_empty() {
             return Ok(());
         }
@@ -172,7 +177,7 @@ impl Start {
 }
 
 /// The groups of stationary states, which must depend on each other alone.
-fn groups(at: &At<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Vec<Group>, Box<Fault>> {
+fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Vec<StationaryGroup>, Box<Fault>> {
     let name = |i: usize| at.model.states[i].name.clone();
     let continuous = |i: usize| matches!(at.model.states[i].motion, Motion::Continuous { .. });
     let mut motion: Vec<(usize, usize, usize)> = Vec::new();
@@ -210,9 +215,9 @@ fn groups(at: &At<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Vec<Gro
         };
         let (motion, noise) = (local(&motion), local(&noise));
         let inputs = inputs_of(dynamics, &states);
-        Group { continuous: continuous(states[0]), motion, noise, inputs, states }
+        StationaryGroup { continuous: continuous(states[0]), motion, noise, inputs, states }
     };
-    let groups: Vec<Group> = connected(settled, &links).into_iter().map(group).collect();
+    let groups: Vec<StationaryGroup> = connected(settled, &links).into_iter().map(group).collect();
     for group in &groups {
         for &(i, slot) in &group.inputs {
             if dynamics.inputs.reads_data(slot) {
@@ -232,7 +237,7 @@ fn inputs_of(dynamics: &Dynamics, states: &[usize]) -> Vec<(usize, usize)> {
     components.chain(recursions).filter_map(|(state, slot)| Some((local(state)?, slot?))).collect()
 }
 
-impl Group {
+impl StationaryGroup {
     /// F (or φ) and Q, m × m.
     fn matrices(&self, values: &[f64]) -> (Vec<f64>, Vec<f64>) {
         matrices(self.states.len(), [&self.motion, &self.noise], |slot| values[slot])
@@ -254,7 +259,13 @@ impl Group {
     }
 
     /// Lyapunov's equation and the fixed point of constant inputs.
-    fn settle(&self, at: &At<'_>, values: &[f64], inputs: &[f64], law: &mut Law) -> Result<(), Box<Fault>> {
+    fn settle(
+        &self,
+        at: &ModelAt<'_>,
+        values: &[f64],
+        inputs: &[f64],
+        law: &mut InitialMoment,
+    ) -> Result<(), Box<Fault>> {
         let m = self.states.len();
         let (f, q) = self.matrices(values);
         let subject = Subject::StationaryLaw(self.states[0]);

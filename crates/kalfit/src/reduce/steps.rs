@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use crate::ensemble::{Label, Test};
 use crate::reduce::error::{Cell, ReduceErrorKind};
-use crate::reduce::subject::{At, Fault, Subject, Uses};
+use crate::reduce::subject::{Fault, ModelAt, Subject, Uses};
 
 /// Steps of a test that follow each other, equally long and with equally many rows.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Span {
+pub(crate) struct StepSpan {
     /// Their rows, the same number for each.
     pub(crate) rows: Range<usize>,
     /// Number of steps.
@@ -19,7 +19,7 @@ pub(crate) struct Span {
     pub(crate) moves: bool,
 }
 
-impl Span {
+impl StepSpan {
     /// Rows of each step.
     pub(crate) fn height(&self) -> usize {
         self.rows.len() / self.count
@@ -94,13 +94,18 @@ fn slack(start: f64, end: f64) -> f64 {
 ///
 /// Times are written in decimals or added up, so that steps of one length differ in their last digits: those that could be
 /// equal are, and others are left as they are.
-pub(crate) fn spans(at: &At<'_>, test: &Test, initial: Option<f64>, out: &mut Vec<Span>) -> Result<(), Box<Fault>> {
+pub(crate) fn spans(
+    at: &ModelAt<'_>,
+    test: &Test,
+    initial: Option<f64>,
+    out: &mut Vec<StepSpan>,
+) -> Result<(), Box<Fault>> {
     out.clear();
     let clock = &at.model.clock;
     let Some(column) = clock.time else {
-        out.push(Span { rows: 0..1, count: 1, dt: 0.0, moves: clock.step_first });
+        out.push(StepSpan { rows: 0..1, count: 1, dt: 0.0, moves: clock.step_first });
         if test.rows() > 1 {
-            out.push(Span { rows: 1..test.rows(), count: test.rows() - 1, dt: 0.0, moves: true });
+            out.push(StepSpan { rows: 1..test.rows(), count: test.rows() - 1, dt: 0.0, moves: true });
         }
         return Ok(());
     };
@@ -131,7 +136,7 @@ pub(crate) fn spans(at: &At<'_>, test: &Test, initial: Option<f64>, out: &mut Ve
 }
 
 /// Appends a step from one time to another.
-fn append(rows: Range<usize>, (start, end): (f64, f64), uniform: &mut Option<Uniform>, out: &mut Vec<Span>) {
+fn append(rows: Range<usize>, (start, end): (f64, f64), uniform: &mut Option<Uniform>, out: &mut Vec<StepSpan>) {
     if !uniform.as_mut().is_some_and(|steps| steps.take(end)) {
         settle(uniform.replace(Uniform::new(start, end, out.len())), out);
     } else if let Some(span) = out.last_mut().filter(|span| span.takes(&rows)) {
@@ -139,17 +144,17 @@ fn append(rows: Range<usize>, (start, end): (f64, f64), uniform: &mut Option<Uni
         span.count += 1;
         return;
     }
-    out.push(Span { rows, count: 1, dt: f64::NAN, moves: true });
+    out.push(StepSpan { rows, count: 1, dt: f64::NAN, moves: true });
 }
 
 /// Gives equal steps their length.
-fn settle(uniform: Option<Uniform>, out: &mut [Span]) {
+fn settle(uniform: Option<Uniform>, out: &mut [StepSpan]) {
     if let Some(uniform) = uniform {
         out[uniform.span..].iter_mut().for_each(|span| span.dt = uniform.length());
     }
 }
 
-fn first_span(step_first: bool, initial: Option<f64>, time: f64) -> Result<Span, Box<Fault>> {
+fn first_span(step_first: bool, initial: Option<f64>, time: f64) -> Result<StepSpan, Box<Fault>> {
     let dt = match initial {
         Some(initial) if initial > time => {
             let kind = ReduceErrorKind::InitialTimeAfterStart { initial, first: time };
@@ -159,26 +164,26 @@ fn first_span(step_first: bool, initial: Option<f64>, time: f64) -> Result<Span,
         None if step_first => f64::NAN,
         None => 0.0,
     };
-    Ok(Span { rows: 0..1, count: 1, dt, moves: step_first || dt > 0.0 })
+    Ok(StepSpan { rows: 0..1, count: 1, dt, moves: step_first || dt > 0.0 })
 }
 
-fn time(at: &At<'_>, test: &Test, column: usize, row: usize) -> Result<f64, Box<Fault>> {
+fn time(at: &ModelAt<'_>, test: &Test, column: usize, row: usize) -> Result<f64, Box<Fault>> {
     at.cell(test.numbers(row), column, Subject::Time).map_err(|fault| fault.on(row))
 }
 
 /// Cells gathered from several rows.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Cells {
+pub(crate) struct GatheredCells {
     pub(crate) numbers: Vec<f64>,
     pub(crate) texts: Vec<Label>,
 }
 
-impl Cells {
+impl GatheredCells {
     /// For each used column the first cell of `rows` that is not missing. Two that differ are an error: they vary within the
     /// test when `whole`, else rows of one step disagree.
     pub(crate) fn gather(
         &mut self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
         rows: Range<usize>,
         (uses, whole): (&Uses, bool),
@@ -232,7 +237,7 @@ mod tests {
     use super::*;
 
     fn lengths(times: &[f64]) -> Vec<(usize, f64)> {
-        let mut out = vec![Span { rows: 0..1, count: 1, dt: 0.0, moves: false }];
+        let mut out = vec![StepSpan { rows: 0..1, count: 1, dt: 0.0, moves: false }];
         let mut uniform = None;
         for (k, pair) in times.windows(2).enumerate() {
             append(k + 1..k + 2, (pair[0], pair[1]), &mut uniform, &mut out);

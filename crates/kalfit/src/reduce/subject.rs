@@ -101,14 +101,14 @@ impl Fault {
 
 /// The model and α that coefficients are taken from.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct At<'a> {
+pub(crate) struct ModelAt<'a> {
     pub(crate) model: &'a Model,
     pub(crate) alpha: &'a Alpha,
     /// Which parameters are free; empty where no derivatives are wanted.
     pub(crate) free: &'a [bool],
 }
 
-impl At<'_> {
+impl ModelAt<'_> {
     /// The coefficient that an expression is at α.
     pub(crate) fn coefficient(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
         if self.varies(expression) {

@@ -9,7 +9,7 @@ const LEAST_PIVOT: f64 = 1e-9;
 
 /// What a design pass adds up.
 #[derive(Debug, Clone)]
-pub(crate) struct Sums<R = f64> {
+pub(crate) struct InformationSums<R = f64> {
     /// J, packed by columns.
     pub(crate) J: Vec<R>,
     /// Π S = mantissa × 2^exponent.
@@ -26,11 +26,11 @@ pub(crate) fn packed(p: usize) -> usize {
     p * (p + 1) / 2
 }
 
-impl<R: Real> Sums<R> {
+impl<R: Real> InformationSums<R> {
     #[inline(always)]
-    pub(crate) fn new(p: usize) -> Sums<R> {
+    pub(crate) fn new(p: usize) -> InformationSums<R> {
         let (zero, one) = (R::splat(0.0), R::splat(1.0));
-        Sums { J: vec![zero; packed(p)], mantissa: one, exponent: zero, kept: one, least: one }
+        InformationSums { J: vec![zero; packed(p)], mantissa: one, exponent: zero, kept: one, least: one }
     }
 
     /// Takes S of a row into account.
@@ -48,7 +48,7 @@ impl<R: Real> Sums<R> {
     }
 }
 
-impl<R: Lanes> Sums<R> {
+impl<R: Lanes> InformationSums<R> {
     /// Those of each lane, one beside the other. `all`: room.
     #[inline(always)]
     pub(crate) fn lanes(&self, all: &mut Vec<f64>) {
@@ -62,7 +62,7 @@ impl<R: Lanes> Sums<R> {
     }
 }
 
-impl Sums {
+impl InformationSums {
     /// Takes those of one lane, from [`Sums::lanes`].
     pub(crate) fn take_lane(&mut self, all: &[f64], lane: usize, lanes: usize) {
         let entries = all.len() / lanes - 4;

@@ -4,24 +4,24 @@ use std::sync::{Arc, OnceLock};
 
 use crate::model::{PhasedModel, Slots};
 use crate::reduce::{
-    Alike, KnownSteps, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions,
+    EqualDesigns, KnownSteps, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions,
 };
-use crate::score::{Companies, PhasedScorer};
+use crate::score::{PhasedScorer, ScoredClasses};
 
 /// Which tests are alike, and which are kept side by side.
 #[derive(Debug, Default)]
-pub(crate) struct Arrangement {
-    companies: OnceLock<Companies>,
+pub(crate) struct Batching {
+    companies: OnceLock<ScoredClasses>,
     blocks: OnceLock<Option<PhasedBlocks>>,
     /// Long tests that are alike.
-    alike: OnceLock<Arc<Alike>>,
+    alike: OnceLock<Arc<EqualDesigns>>,
     /// Steps of long records, by phase.
     steps: OnceLock<Vec<Arc<KnownSteps>>>,
 }
 
-impl Arrangement {
+impl Batching {
     /// Which tests are alike.
-    pub(crate) fn companies(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &Companies {
+    pub(crate) fn companies(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &ScoredClasses {
         if self.companies.get().is_none() {
             // not within the lock: threads that find them may take up other work meanwhile
             let _ = self.companies.set(scorer.companies(tests));
@@ -44,7 +44,7 @@ impl Arrangement {
     ) -> Result<(Reductions, Option<PhasedFiltered>), ReduceError> {
         let blocks = self.blocks((model, slots), reducer, tests);
         reducer.knowing_alike(self.alike.get_or_init(|| {
-            let long = |companies: &Companies| companies.long(tests);
+            let long = |companies: &ScoredClasses| companies.long(tests);
             Arc::new(self.companies.get().map(long).unwrap_or_default())
         }));
         match blocks {

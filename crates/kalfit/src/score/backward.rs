@@ -21,10 +21,10 @@
 //! which sum their adjoints and stop renewing N and ρ where these no longer change.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
-mod abreast;
 mod adjoint;
-mod bars;
+mod batch;
 mod data_adjoint;
+mod design_sums;
 mod equal;
 mod filtered;
 mod legs;
@@ -38,21 +38,21 @@ mod steady;
 mod tests;
 mod work;
 
-use crate::reduce::Step;
+use crate::reduce::DesignStep;
 use adjoint::{Adjoint, LineBar};
-use work::{Kind, Part};
+use work::{Segment, SegmentKind};
 
-pub(crate) use abreast::{Abreast, LaneBars};
+pub(crate) use batch::{BatchBackward, LaneBars};
 pub(crate) use data_adjoint::DataSums;
 pub(crate) use equal::Equal;
 pub(crate) use filtered::Seen;
 pub(crate) use legs::{Leg, Legs};
-pub(crate) use run::{Ending, Run, Wanted};
-pub(crate) use sink::{MeasuredBar, MovedBar, Sink};
-pub(crate) use smooth::{Driven, Smoothed, SmoothedTest};
+pub(crate) use run::{AdjointsWanted, TerminalAdjoint, TestRun};
+pub(crate) use sink::{MeasurementAdjoint, Sink, TransitionAdjoint};
+pub(crate) use smooth::{Smoothed, SmoothedNoise, SmoothedTest};
 pub(crate) use work::BackwardWork;
 
-impl Run<'_> {
+impl TestRun<'_> {
     /// The adjoints of the test, into the sink.
     pub(crate) fn backward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
         self.forward(work, sink);
@@ -65,7 +65,7 @@ impl Run<'_> {
         for at in (0..work.parts.len()).rev() {
             let part = work.parts[at];
             match part.kind {
-                Kind::Equal(kernel) => {
+                SegmentKind::Equal(kernel) => {
                     if self.tracked() {
                         work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
                     }
@@ -75,7 +75,7 @@ impl Run<'_> {
                         sink.moved(part.steps.0, &work.moved)?;
                     }
                 }
-                Kind::Steps => self.steps_back(&part, at + 1 < work.parts.len(), work, sink)?,
+                SegmentKind::Steps => self.steps_back(&part, at + 1 < work.parts.len(), work, sink)?,
             }
         }
         work.adjoint.variance(&self.unknown(), &mut work.variance);
@@ -85,7 +85,7 @@ impl Run<'_> {
     /// Back through steps one by one; `again`: the forward filter has gone on since, and runs over them again.
     fn steps_back<S: Sink>(
         &self,
-        part: &Part,
+        part: &Segment,
         again: bool,
         work: &mut BackwardWork,
         sink: &mut S,
@@ -121,10 +121,10 @@ impl Run<'_> {
     /// The measurements of one step, the last first. `before`: the filter before a measurement with this place in the step.
     fn measured_back<'s>(
         &self,
-        step: &Step<'_>,
+        step: &DesignStep<'_>,
         e: &[f64],
         before: impl Fn(usize) -> Seen<'s>,
-        (adjoint, bar): (&mut Adjoint, &mut MeasuredBar),
+        (adjoint, bar): (&mut Adjoint, &mut MeasurementAdjoint),
     ) {
         let (n, m) = (self.design.frame.n, step.rows.len());
         let equations = if self.wanted.equation { m * n } else { 0 };

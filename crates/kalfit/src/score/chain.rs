@@ -24,16 +24,16 @@ mod whitened;
 use std::collections::BTreeSet;
 
 use crate::model::Slots;
-use crate::reduce::{At, Coefficient, Fault, Preparer, ReduceErrorKind, Subject};
+use crate::reduce::{Coefficient, Fault, ModelAt, Preparer, ReduceErrorKind, Subject};
 
 pub(crate) use adjoints::Adjoints;
 pub(crate) use gradient::{Gradient, add};
-pub(crate) use response::{Entry, Response};
+pub(crate) use response::{Response, ResponseEntry};
 use taps::{Context, Read, Taps};
 
 /// The way from the coefficients of a model at α to its free values. Threads share it.
 #[derive(Debug)]
-pub(crate) struct Chain<'a> {
+pub(crate) struct Pullback<'a> {
     preparer: &'a Preparer,
     slots: &'a Slots,
     taps: Taps,
@@ -80,10 +80,10 @@ struct Needs {
     start: bool,
 }
 
-impl<'a> Chain<'a> {
+impl<'a> Pullback<'a> {
     /// `preparer` must have been made with the free parameters of `slots` ([`Preparer::with_free`]). An error where a free
     /// parameter decides which rows count, or when x_0 is: ℓ jumps there.
-    pub(crate) fn new(preparer: &'a Preparer, slots: &'a Slots) -> Result<Chain<'a>, Box<Fault>> {
+    pub(crate) fn new(preparer: &'a Preparer, slots: &'a Slots) -> Result<Pullback<'a>, Box<Fault>> {
         let at = preparer.at();
         refuse_jumps(&at, preparer)?;
         let mut taps = Taps::default();
@@ -101,7 +101,7 @@ impl<'a> Chain<'a> {
         let reads: BTreeSet<Read> = values.iter().flatten().flat_map(|&tap| taps.reads(tap)).copied().collect();
         let free = values.iter().map(Option::is_some).collect();
         let cells = taps.all_reads();
-        let mut chain = Chain {
+        let mut chain = Pullback {
             preparer,
             slots,
             taps,
@@ -178,7 +178,7 @@ impl<'a> Chain<'a> {
 }
 
 /// Taps of a table, by slot.
-fn table(taps: &mut Taps, at: &At<'_>, table: &crate::reduce::Table) -> Vec<Option<usize>> {
+fn table(taps: &mut Taps, at: &ModelAt<'_>, table: &crate::reduce::Table) -> Vec<Option<usize>> {
     let mut places = vec![None; table.fixed.len()];
     for (slot, coefficient) in table.free.iter().map(|(slot, c)| (*slot, c)) {
         places[slot] = taps.add(at, coefficient);
@@ -189,7 +189,7 @@ fn table(taps: &mut Taps, at: &At<'_>, table: &crate::reduce::Table) -> Vec<Opti
     places
 }
 
-fn refuse_jumps(at: &At<'_>, preparer: &Preparer) -> Result<(), Box<Fault>> {
+fn refuse_jumps(at: &ModelAt<'_>, preparer: &Preparer) -> Result<(), Box<Fault>> {
     let refuse = |coefficient: &Coefficient, subject: Subject| {
         let Some(parameter) = coefficient.source().and_then(|(expression, _)| at.free_parameter(expression)) else {
             return Ok(());

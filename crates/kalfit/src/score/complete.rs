@@ -5,7 +5,9 @@ use std::sync::Arc;
 use crate::ensemble::Test;
 use crate::reduce::{ReduceError, Transition, Workspace};
 use crate::score::Scorer;
-use crate::score::backward::{BackwardWork, Driven, Ending, Run, Smoothed, SmoothedTest, Wanted};
+use crate::score::backward::{
+    AdjointsWanted, BackwardWork, Smoothed, SmoothedNoise, SmoothedTest, TerminalAdjoint, TestRun,
+};
 use crate::score::moments::Moments;
 
 /// Moments of the complete data of a test (states and noises), given all that was measured.
@@ -17,7 +19,7 @@ pub(crate) struct Complete {
     pub(crate) noisy: Vec<bool>,
     /// The transition to each step.
     pub(crate) moves: Vec<Option<Move>>,
-    pub(crate) start: Begun,
+    pub(crate) start: InitialMoments,
 }
 
 /// A transition as it was when the moments were taken, and its noise.
@@ -26,12 +28,12 @@ pub(crate) struct Move {
     pub(crate) transition: Arc<Transition>,
     /// b of the driven states.
     pub(crate) input: Vec<f64>,
-    pub(crate) noise: Driven,
+    pub(crate) noise: SmoothedNoise,
 }
 
 /// The law of x_0 = a + Aξ + ζ when the moments were taken, and its noise ζ.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Begun {
+pub(crate) struct InitialMoments {
     /// a (n).
     pub(crate) known: Vec<f64>,
     /// P0, r × r, both triangles.
@@ -42,7 +44,7 @@ pub(crate) struct Begun {
     pub(crate) second: Vec<f64>,
 }
 
-impl Begun {
+impl InitialMoments {
     /// E[ζ] = P0 r and E[ζζ'] = P0 + 2 P0 G P0, with r = ∂ℓ/∂a and G = ∂ℓ/∂P0.
     fn take(&mut self, adjoint: &[f64], bar: &[f64]) {
         let r = self.variance.len().isqrt();
@@ -74,7 +76,7 @@ impl Complete {
             }));
         }
         let variance = (0..r * r).map(|ij| design.variance[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]).collect();
-        let mut start = Begun { known: data.start.clone(), variance, ..Begun::default() };
+        let mut start = InitialMoments { known: data.start.clone(), variance, ..InitialMoments::default() };
         start.take(&moments.mean, &moments.variance);
         let noisy = design.each_step().flat_map(|step| step.lines).map(|line| design.noise[line] > 0.0).collect();
         Complete { noisy, states: moments.states, moves, start }
@@ -87,12 +89,12 @@ impl Scorer<'_> {
     pub(crate) fn complete(
         &self,
         test: &Test,
-        (moments, ending): (&Moments, Option<&Ending>),
+        (moments, ending): (&Moments, Option<&TerminalAdjoint>),
         (work, backward): (&mut Workspace, &mut BackwardWork),
     ) -> Result<Complete, ReduceError> {
-        let wanted = Wanted { motion: true, equation: false };
+        let wanted = AdjointsWanted { motion: true, equation: false };
         self.reducer.with_gains(test, work, |gains, work| {
-            let run = Run::of((work, gains), (moments, ending), wanted);
+            let run = TestRun::of((work, gains), (moments, ending), wanted);
             Complete::of(work, run.smooth(backward))
         })
     }

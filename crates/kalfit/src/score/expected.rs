@@ -14,11 +14,11 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
 use crate::linalg::symmetric;
-use crate::reduce::{Design, Fault, Frame, ReduceError, Step, Transition, Workspace};
+use crate::reduce::{Design, DesignStep, Fault, ReduceError, StateFrame, Transition, Workspace};
 use crate::score::Scorer;
-use crate::score::backward::{MeasuredBar, MovedBar, Smoothed};
+use crate::score::backward::{MeasurementAdjoint, Smoothed, TransitionAdjoint};
 use crate::score::chain::{Adjoints, Gradient};
-use crate::score::complete::{Begun, Complete, Move};
+use crate::score::complete::{Complete, InitialMoments, Move};
 
 /// Scaled eigenvalues of a covariance below this part of the largest are outside its range.
 const RANGE: f64 = 1e-10;
@@ -53,7 +53,7 @@ fn sum(
     let design = &work.design;
     let driven = design.frame.driven.len();
     let mut input = work.data.inputs.len();
-    let (mut value, mut known) = (0.0, Known::default());
+    let (mut value, mut known) = (0.0, TurnedCovariance::default());
     let mut k = design.steps();
     for step in design.each_step().rev() {
         k -= 1;
@@ -76,9 +76,13 @@ fn sum(
 
 /// Of the scalar measurements of a step: their part of Q, and its derivatives. `None` where a measurement gets noise that had none, or
 /// loses it.
-fn measurements(work: &Workspace, step: &Step<'_>, (k, complete): (usize, &Complete)) -> Option<(f64, MeasuredBar)> {
+fn measurements(
+    work: &Workspace,
+    step: &DesignStep<'_>,
+    (k, complete): (usize, &Complete),
+) -> Option<(f64, MeasurementAdjoint)> {
     let (design, n, state) = (&work.design, work.design.frame.n, &complete.states[k + 1]);
-    let (mut value, mut bar) = (0.0, MeasuredBar::default());
+    let (mut value, mut bar) = (0.0, MeasurementAdjoint::default());
     for (line, row) in step.lines.clone().zip(step.rows.clone()) {
         let (states, h) = design.terms(line);
         let (noise, z) = (design.noise[line], work.data.values[row]);
@@ -118,11 +122,11 @@ struct Passage<'a> {
 
 /// The last covariance that was turned, with the transitions it belongs to.
 #[derive(Debug, Default)]
-struct Known {
+struct TurnedCovariance {
     last: Option<(Arc<Transition>, Arc<Transition>, Turned)>,
 }
 
-impl Known {
+impl TurnedCovariance {
     fn of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&Turned> {
         let same = |(a, b, _): &(Arc<Transition>, Arc<Transition>, Turned)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
         if !self.last.as_ref().is_some_and(same) {
@@ -136,7 +140,7 @@ impl Known {
 impl Passage<'_> {
     /// Its part of Q, and the derivatives. w of the new α is that of the old plus d - Dx̃, where D = φ' - φ, d = -(Dx̄ + b' - b) and
     /// x̃ = x - x̄.
-    fn expected(&self, frame: &Frame, known: &mut Known) -> Option<(f64, MovedBar)> {
+    fn expected(&self, frame: &StateFrame, known: &mut TurnedCovariance) -> Option<(f64, TransitionAdjoint)> {
         let (n, r) = (frame.n, frame.r);
         let pattern = &self.new.pattern;
         let turned = known.of(&self.old.transition, self.new, r)?;
@@ -163,11 +167,11 @@ impl Passage<'_> {
         let entry = |&(i, j): &(u32, u32)| part.bar[(i as usize, j as usize)] * if i == j { 1.0 } else { 2.0 };
         let q = pattern.pairs.iter().map(entry).collect();
         let input = frame.driven.iter().map(|&i| if (i as usize) < r { pull[i as usize] } else { 0.0 }).collect();
-        Some((part.value, MovedBar { phi, q, input }))
+        Some((part.value, TransitionAdjoint { phi, q, input }))
     }
 
     /// D (r × n) and d (r); `None` where a state without noise would move otherwise.
-    fn difference(&self, frame: &Frame, turned: &Turned) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    fn difference(&self, frame: &StateFrame, turned: &Turned) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let (n, r) = (frame.n, frame.r);
         let (mut step, mut shift) = (DMatrix::zeros(r, n), DVector::zeros(r));
         let free = |i: usize| i < r && turned.noisy[i];
@@ -206,7 +210,7 @@ struct StartPart {
     variance: Vec<f64>,
 }
 
-fn start(design: &Design, known: &[f64], old: &Begun) -> Option<StartPart> {
+fn start(design: &Design, known: &[f64], old: &InitialMoments) -> Option<StartPart> {
     let (n, r) = (design.frame.n, design.frame.r);
     let new = DMatrix::from_fn(r, r, |i, j| design.variance[i.max(j) * r + i.min(j)]);
     let turned = Turned::new(&DMatrix::from_row_slice(r, r, &old.variance), &new)?;
@@ -240,7 +244,7 @@ struct Turned {
 }
 
 /// -½ (log|Q| + tr Q⁻¹E) and its derivative to Q, each place by itself.
-struct Part {
+struct QuadraticTerm {
     value: f64,
     bar: DMatrix<f64>,
 }
@@ -286,7 +290,7 @@ impl Turned {
     }
 
     /// `None` where the noise would have to leave the range.
-    fn expected(&self, second: &DMatrix<f64>) -> Option<Part> {
+    fn expected(&self, second: &DMatrix<f64>) -> Option<QuadraticTerm> {
         for along in self.outside.row_iter() {
             if (along * second * along.transpose())[(0, 0)] > OUTSIDE {
                 return None;
@@ -295,6 +299,6 @@ impl Turned {
         let half = &self.inverse * second;
         let value = -0.5 * (self.log + half.trace());
         let bar = (&half * &self.inverse - &self.inverse) * 0.5;
-        value.is_finite().then_some(Part { value, bar })
+        value.is_finite().then_some(QuadraticTerm { value, bar })
     }
 }

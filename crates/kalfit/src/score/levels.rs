@@ -121,7 +121,7 @@ fn counted(
     let driven: Vec<(u32, usize)> = (0..model.states.len())
         .filter_map(|i| Some((preparer.order.place[i] as u32, level(model.states[i].motion.noise_variance()?)?)))
         .collect();
-    let mut cells = crate::reduce::Cells::default();
+    let mut cells = crate::reduce::GatheredCells::default();
     for (k, step) in work.design.each_step().enumerate() {
         let Some(transition) = step.transition.filter(|_| !driven.is_empty()) else { continue };
         let scope = preparer.moving(test, k, work, &mut cells)?;

@@ -9,7 +9,7 @@ mod backward;
 #[cfg(test)]
 pub(crate) mod by_differences;
 mod chain;
-mod company;
+mod classes;
 mod complete;
 mod expected;
 mod levels;
@@ -24,45 +24,45 @@ use std::ops::Range;
 use crate::ensemble::Test;
 use crate::model::Slots;
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
-use backward::{Ending, MeasuredBar, MovedBar, Sink};
-use chain::{Adjoints, Chain};
+use backward::{MeasurementAdjoint, Sink, TerminalAdjoint, TransitionAdjoint};
+use chain::{Adjoints, Pullback};
 
 use smoother::Smooth;
 
-pub(crate) use arrangement::Arrangement;
-pub(crate) use backward::{BackwardWork, Run, Seen, Smoothed, Wanted};
+pub(crate) use arrangement::Batching;
+pub(crate) use backward::{AdjointsWanted, BackwardWork, Seen, Smoothed, TestRun};
 pub(crate) use chain::{Gradient, add};
-pub(crate) use company::Companies;
+pub(crate) use classes::ScoredClasses;
 pub(crate) use levels::{Levels, carried, dependences};
 pub(crate) use moments::{Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};
-pub(crate) use smoother::{PhaseLaws, Plan};
+pub(crate) use smoother::{PhaseLaws, SmootherPlan};
 
 /// Scores of tests at the α of a reducer.
 #[derive(Debug)]
 pub(crate) struct Scorer<'a> {
     reducer: &'a Reducer,
-    chain: Chain<'a>,
+    chain: Pullback<'a>,
 }
 
 impl<'a> Scorer<'a> {
     /// `reducer` must know the slots ([`Reducer::scoring`]).
     pub(crate) fn new(reducer: &'a Reducer, slots: &'a Slots) -> Result<Scorer<'a>, ReduceError> {
         let chain =
-            Chain::new(reducer.preparer(), slots).map_err(|fault| fault.name(&reducer.preparer().model, None))?;
+            Pullback::new(reducer.preparer(), slots).map_err(|fault| fault.name(&reducer.preparer().model, None))?;
         Ok(Scorer { reducer, chain })
     }
 
     /// What a phase's later ones say of its last state, where there are any.
-    fn ending_of(&self, smooth: &Smooth) -> Option<Ending> {
+    fn ending_of(&self, smooth: &Smooth) -> Option<TerminalAdjoint> {
         smooth.later.is_some().then(|| self.ending(smooth, smooth.moments.columns))
     }
 
     /// The same in the order of the kernels, zero where there is no later phase; ρ with so many columns, those beyond its own zero.
-    fn ending(&self, smooth: &Smooth, columns: usize) -> Ending {
+    fn ending(&self, smooth: &Smooth, columns: usize) -> TerminalAdjoint {
         let order = &self.reducer.preparer().order;
         let (n, r) = (order.frame.n, order.frame.r);
-        let mut ending = Ending { r: vec![0.0; n], rho: vec![0.0; n * columns], N: vec![0.0; r * r] };
+        let mut ending = TerminalAdjoint { r: vec![0.0; n], rho: vec![0.0; n * columns], N: vec![0.0; r * r] };
         let Some(later) = &smooth.later else { return ending };
         for (i, &at) in order.place.iter().enumerate() {
             ending.r[at] = later.r[i];
@@ -75,20 +75,20 @@ impl<'a> Scorer<'a> {
     }
 
     /// What the chain rule asks of a backward pass.
-    fn wanted(&self) -> Wanted {
-        Wanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() }
+    fn wanted(&self) -> AdjointsWanted {
+        AdjointsWanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() }
     }
 
     /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
     pub(crate) fn alone(
         &self,
         test: &Test,
-        (moments, ending): (&Moments, Option<&Ending>),
+        (moments, ending): (&Moments, Option<&TerminalAdjoint>),
         (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Gradient, ReduceError> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let result = self.reducer.with_gains(test, work, |gains, work| {
-            let run = Run::of((work, gains), (moments, ending), self.wanted());
+            let run = TestRun::of((work, gains), (moments, ending), self.wanted());
             let done = run.backward(backward, &mut Onward { adjoints, test, work });
             adjoints.finished(done, test, work)
         })?;
@@ -110,11 +110,11 @@ impl Sink for Onward<'_, '_> {
         self.adjoints.uniform(self.test, steps, self.work)
     }
 
-    fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Box<Fault>> {
+    fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Box<Fault>> {
         self.adjoints.step_measured(self.test, k, self.work, bar)
     }
 
-    fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Box<Fault>> {
+    fn moved(&mut self, k: usize, bar: &TransitionAdjoint) -> Result<(), Box<Fault>> {
         self.adjoints.step_moved(self.test, k, self.work, bar)
     }
 

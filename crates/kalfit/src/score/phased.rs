@@ -21,21 +21,21 @@ use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Slots, Tape};
 use crate::reduce::{
-    Fault, Inherits, PhasedFiltered, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reductions, Shared,
+    Fault, Inherits, PhasedFiltered, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reductions, SharedStore,
 };
 use crate::score::backward::BackwardWork;
 use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
-use crate::score::phased::together::Ensemble;
-use crate::score::smoother::{InheritedBar, PhaseLaws, Plan, PlanKey, Smooth};
-use crate::score::{Companies, Scorer, Smoothed};
+use crate::score::phased::together::ScoredEnsemble;
+use crate::score::smoother::{InheritedBar, PhaseLaws, PlanKey, Smooth, SmootherPlan};
+use crate::score::{ScoredClasses, Scorer, Smoothed};
 
 /// Bytes of smoothers that are kept: tests of one design share one while they fit.
 const PLAN_BYTES: usize = 64 << 20;
 
 /// Smoothers by design, under one law.
-type Plans = Shared<PlanKey, Plan>;
+type Plans = SharedStore<PlanKey, SmootherPlan>;
 
 /// Scores of tests in phases at the α of a reducer.
 #[derive(Debug)]
@@ -52,7 +52,7 @@ pub(crate) struct PhasedScorer<'a> {
 pub(crate) type PhasedComplete = Vec<Option<Complete>>;
 
 /// What one thread works with.
-struct Room<'a> {
+struct ScoreWorkspace<'a> {
     work: PhasedWork,
     backward: BackwardWork,
     adjoints: Vec<Adjoints<'a>>,
@@ -83,10 +83,11 @@ impl<'a> PhasedScorer<'a> {
         tests: &[PhasedTest],
         reductions: &Reductions,
         law: &InitialLaw,
-        (companies, filtered): (&Companies, Option<&PhasedFiltered>),
+        (companies, filtered): (&ScoredClasses, Option<&PhasedFiltered>),
     ) -> Result<Vec<Gradient>, ReduceError> {
-        let plans = Shared::new(PLAN_BYTES);
-        let mut scores = self.in_companies(Ensemble { tests, reductions, law, plans: &plans, filtered }, companies);
+        let plans = SharedStore::new(PLAN_BYTES);
+        let mut scores =
+            self.in_companies(ScoredEnsemble { tests, reductions, law, plans: &plans, filtered }, companies);
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()
     }
@@ -98,10 +99,11 @@ impl<'a> PhasedScorer<'a> {
         reductions: &Reductions,
         law: &InitialLaw,
     ) -> Result<Vec<PhasedComplete>, ReduceError> {
-        let plans = Shared::new(PLAN_BYTES);
-        let of = Ensemble { tests, reductions, law, plans: &plans, filtered: None };
-        let one =
-            |room: &mut Room<'_>, (test, number)| self.complete(test, self.begin(of, number, &mut room.work)?, room);
+        let plans = SharedStore::new(PLAN_BYTES);
+        let of = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered: None };
+        let one = |room: &mut ScoreWorkspace<'_>, (test, number)| {
+            self.complete(test, self.begin(of, number, &mut room.work)?, room)
+        };
         self.each((tests, (0..tests.len()).into_par_iter()), one)
     }
 
@@ -123,7 +125,7 @@ impl<'a> PhasedScorer<'a> {
         tests: &[PhasedTest],
         complete: &[PhasedComplete],
     ) -> Result<Option<Vec<(f64, Gradient)>>, ReduceError> {
-        let one = |room: &mut Room<'_>, (test, complete)| self.expected(test, complete, room);
+        let one = |room: &mut ScoreWorkspace<'_>, (test, complete)| self.expected(test, complete, room);
         let all = self.each((tests, complete.par_iter()), one)?;
         Ok(all.into_iter().collect())
     }
@@ -131,15 +133,15 @@ impl<'a> PhasedScorer<'a> {
     fn each<'t, X: Send, T: Send>(
         &self,
         (tests, with): (&'t [PhasedTest], impl IndexedParallelIterator<Item = X>),
-        one: impl Fn(&mut Room<'_>, (&'t PhasedTest, X)) -> Result<T, ReduceError> + Sync + Send,
+        one: impl Fn(&mut ScoreWorkspace<'_>, (&'t PhasedTest, X)) -> Result<T, ReduceError> + Sync + Send,
     ) -> Result<Vec<T>, ReduceError> {
         let all: Vec<Result<T, ReduceError>> =
             tests.par_iter().zip(with).map_init(|| self.room(), |room, pair| one(room, pair)).collect();
         all.into_iter().collect()
     }
 
-    fn room(&self) -> Room<'_> {
-        Room {
+    fn room(&self) -> ScoreWorkspace<'_> {
+        ScoreWorkspace {
             work: self.reducer.workspace(),
             backward: BackwardWork::default(),
             adjoints: self.phases.iter().map(|phase| phase.chain.adjoints()).collect(),
@@ -148,7 +150,7 @@ impl<'a> PhasedScorer<'a> {
     }
 
     /// What the passes through each phase of a test begin from.
-    fn begin(&self, of: Ensemble<'_>, number: usize, work: &mut PhasedWork) -> Result<Vec<Smooth>, ReduceError> {
+    fn begin(&self, of: ScoredEnsemble<'_>, number: usize, work: &mut PhasedWork) -> Result<Vec<Smooth>, ReduceError> {
         let reduction = of.reductions.get(number);
         if self.model.is_single() {
             return Ok(vec![Smooth { moments: moments(reduction, of.law), ..Smooth::default() }]);
@@ -166,14 +168,19 @@ impl<'a> PhasedScorer<'a> {
             reduction.design,
             |known| known.same(pieces, &laws),
             || PlanKey::new(pieces, &laws),
-            |_| Plan::new(pieces, &laws),
+            |_| SmootherPlan::new(pieces, &laws),
             |_, plan| 2 * plan.bytes(),
         );
         Ok(entry.value().smooth(pieces, &laws))
     }
 
     /// What goes through the carries of a test.
-    fn carried(&self, test: &PhasedTest, phases: &[Smooth], room: &mut Room<'_>) -> Result<Gradient, ReduceError> {
+    fn carried(
+        &self,
+        test: &PhasedTest,
+        phases: &[Smooth],
+        room: &mut ScoreWorkspace<'_>,
+    ) -> Result<Gradient, ReduceError> {
         let mut sum = BTreeMap::new();
         for (at, smooth) in phases.iter().enumerate() {
             if let (Some(bar), Some(rows)) = (&smooth.inherited, self.reducer.rows_of(at, test)) {
@@ -188,7 +195,7 @@ impl<'a> PhasedScorer<'a> {
         &self,
         (at, rows): (usize, &Test),
         bar: &InheritedBar,
-        room: &mut Room<'_>,
+        room: &mut ScoreWorkspace<'_>,
         sum: &mut BTreeMap<usize, f64>,
     ) -> Result<(), ReduceError> {
         let phase = &self.reducer.phases()[at];
@@ -220,7 +227,7 @@ impl<'a> PhasedScorer<'a> {
         &self,
         test: &PhasedTest,
         phases: Vec<Smooth>,
-        room: &mut Room<'_>,
+        room: &mut ScoreWorkspace<'_>,
     ) -> Result<PhasedComplete, ReduceError> {
         let one = |(at, smooth): (usize, &Smooth)| {
             let Some(rows) = self.reducer.rows_of(at, test) else { return Ok(None) };
@@ -237,7 +244,7 @@ impl<'a> PhasedScorer<'a> {
         &self,
         test: &PhasedTest,
         complete: &PhasedComplete,
-        room: &mut Room<'_>,
+        room: &mut ScoreWorkspace<'_>,
     ) -> Result<Option<(f64, Gradient)>, ReduceError> {
         let (mut value, mut sum) = (0.0, BTreeMap::new());
         for (at, complete) in complete.iter().enumerate() {

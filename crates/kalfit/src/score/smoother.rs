@@ -24,7 +24,7 @@ use crate::estimate::InitialLaw;
 use crate::reduce::{Inherited, PhaseReduction, Terminal};
 use crate::score::moments::Moments;
 
-pub(crate) use plan::{Plan, PlanKey};
+pub(crate) use plan::{PlanKey, SmootherPlan};
 
 /// What the passes through one phase begin from.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -14,7 +14,7 @@ use crate::model::by_hand::{
 };
 use crate::model::{Initial, Model, Motion, Parameter, Value};
 use crate::score::by_differences::{likelihood, slope};
-use crate::score::company::Told;
+use crate::score::classes::Told;
 use crate::score::moments::moments;
 
 /// z = bias + scale·walk + drift + level + v; α = (q, τ, σ, r, scale, level), of which the first `free` are free.

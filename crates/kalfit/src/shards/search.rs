@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::dynamic::{self, Coordinate, Method, Opening, Settings};
+use crate::dynamic::{self, Coordinate, Method, Settings, SuggestedValues};
 use crate::ensemble::Labels;
 use crate::estimate::{self, Combination, Criterion, FitError, Progress, Stage, Step, Structure};
 use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer};
@@ -68,7 +68,7 @@ pub fn go_on(
         return Err(ShardError::NoTests);
     }
     let answers = Arc::new(Answers::new(known));
-    let mut watched = Waiting { answers: answers.clone(), progress };
+    let mut watched = SearchWaits { answers: answers.clone(), progress };
     let choices = Choices {
         std_errors: asks.std_errors,
         intervals: IntervalKind::Wald,
@@ -111,8 +111,9 @@ fn with_free(
     provenance: Provenance,
     progress: &mut dyn Progress,
 ) -> Result<FitRecord, ShardError> {
-    let opening = Opening::of(begun, &Coordinate::of(model, slots));
-    let Opening { start, units, .. } = opening.ok_or(ShardError::Question { what: "the number of free values" })?;
+    let opening = SuggestedValues::of(begun, &Coordinate::of(model, slots));
+    let SuggestedValues { start, units, .. } =
+        opening.ok_or(ShardError::Question { what: "the number of free values" })?;
     // α, μ and Σ move together: what a step asks for is one sum
     let settings = Settings { method: Method::Innovations, inner: asks.settings.clone(), ..Settings::default() };
     let fit = dynamic::fit_elsewhere(model, (slots, &settings), (answers, start, units), progress).map_err(Box::new)?;
@@ -167,12 +168,12 @@ fn refuse_choices(asks: &Asks, slots: &Slots) -> Result<(), ShardError> {
 }
 
 /// Ends a search that has asked for what is not known.
-struct Waiting<'a> {
+struct SearchWaits<'a> {
     answers: Arc<Answers>,
     progress: &'a mut dyn Progress,
 }
 
-impl Progress for Waiting<'_> {
+impl Progress for SearchWaits<'_> {
     fn step(&mut self, step: Step) {
         if !self.answers.is_waiting() {
             self.progress.step(step);

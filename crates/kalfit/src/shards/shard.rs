@@ -9,7 +9,7 @@ use crate::infer::counted;
 use crate::model::{PhasedModel, Slots};
 use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions, grouping};
 use crate::remote::{Answer, Asked, Law, Question};
-use crate::score::{Arrangement, Gradient, PhasedScorer};
+use crate::score::{Batching, Gradient, PhasedScorer};
 use crate::shards::error::ShardError;
 use crate::shards::search::refuse;
 
@@ -26,16 +26,16 @@ pub struct Shard {
     groups: Vec<String>,
     slots: Slots,
     settings: Settings,
-    arrangement: Arrangement,
+    arrangement: Batching,
     /// Where the only free value scales all noise: the filters run at one value of many.
     scale: Option<Scale>,
     /// What was made of the tests at the α that was asked for last.
-    kept: Mutex<Option<Kept>>,
+    kept: Mutex<Option<ShardAtAlpha>>,
 }
 
 /// The tests at an α.
 #[derive(Debug)]
-struct Kept {
+struct ShardAtAlpha {
     values: Vec<f64>,
     summed: Summed,
     /// Tests that are kept side by side.
@@ -66,7 +66,7 @@ impl Shard {
         let mut groups: Vec<String> = outermost.map(|group| labels.text(group.path[0]).to_owned()).collect();
         groups.sort();
         let scale = Scale::of(&model, &tests, &slots);
-        let (arrangement, kept) = (Arrangement::default(), Mutex::new(None));
+        let (arrangement, kept) = (Batching::default(), Mutex::new(None));
         Ok(Shard { model, tests, grouping, groups, slots, settings, arrangement, scale, kept })
     }
 
@@ -101,7 +101,7 @@ impl Shard {
                 Err(_) => return Ok(None),
             }
         }
-        let Kept { summed, filtered, .. } = kept.as_mut().expect("it was set");
+        let ShardAtAlpha { summed, filtered, .. } = kept.as_mut().expect("it was set");
         match &asked.question {
             Question::Score { law } => self.score(&asked.values, (summed, filtered.as_ref()), law),
             Question::Observability { frame } => match counted(summed, frame) {
@@ -112,7 +112,7 @@ impl Shard {
         }
     }
 
-    fn reduce(&self, values: &[f64]) -> Result<Kept, ShardError> {
+    fn reduce(&self, values: &[f64]) -> Result<ShardAtAlpha, ShardError> {
         let alpha = self.slots.alpha(self.model.shared(), values);
         let filter = |value: f64| Ok(self.passed(&[value])?);
         let scaled = match &self.scale {
@@ -121,7 +121,7 @@ impl Shard {
         };
         let (reductions, filtered) = scaled.map_or_else(|| self.filter(values), |reductions| Ok((reductions, None)))?;
         let summed = Summed::new(reductions, &Structure::of(&self.model, &alpha, self.grouping.as_ref()));
-        Ok(Kept { values: values.to_vec(), summed, filtered })
+        Ok(ShardAtAlpha { values: values.to_vec(), summed, filtered })
     }
 
     /// Runs the filters, for scores too where they are wanted.

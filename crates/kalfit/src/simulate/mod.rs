@@ -44,7 +44,7 @@ use crate::ensemble::Test;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{Evidence, Fault, Instance, PhaseReducer, PhasedReducer, PhasedTest, Preparer};
-use path::Path;
+use path::DrawWorkspace;
 
 /// A test that was drawn.
 #[derive(Debug, Clone, PartialEq)]
@@ -105,7 +105,7 @@ pub struct Drawn {
 pub struct Simulator {
     /// Whose phases evaluate tests, with all that enters a phase as its ξ.
     reducer: PhasedReducer,
-    laws: Vec<PhaseLaw>,
+    laws: Vec<DrawnPhase>,
     /// F with FF' = Σ of what the groups of each level add, the innermost first.
     levels: Vec<DMatrix<f64>>,
     seed: u64,
@@ -113,7 +113,7 @@ pub struct Simulator {
 
 /// What one phase adds of its own.
 #[derive(Debug)]
-struct PhaseLaw {
+struct DrawnPhase {
     name: String,
     population: Population,
     /// F with FF' = Σ.
@@ -123,7 +123,7 @@ struct PhaseLaw {
 /// What one phase is drawn with.
 #[derive(Debug, Clone, Copy)]
 struct PhaseDraw<'a> {
-    law: &'a PhaseLaw,
+    law: &'a DrawnPhase,
     phase: &'a PhaseReducer,
     preparer: &'a Preparer,
 }
@@ -143,7 +143,7 @@ impl Simulator {
         population.check(model)?;
         model.phases.iter().try_for_each(inputs::refuse_measured_inputs)?;
         let reducer = PhasedReducer::new(model, alpha)?;
-        let law = |(phase, population): (&Phase, Population)| PhaseLaw {
+        let law = |(phase, population): (&Phase, Population)| DrawnPhase {
             name: phase.name.clone(),
             root: symmetric::square_root(&population.covariance),
             population,
@@ -169,13 +169,14 @@ impl Simulator {
     /// # Errors
     /// Of several tests in error, the first one's error.
     pub fn draw(&self, designs: &Designs, places: Range<u64>) -> Result<Vec<Drawn>, SimulateError> {
-        let paths = || -> Vec<Path> { self.phases().map(|phase| Path::new(phase.preparer)).collect() };
+        let paths =
+            || -> Vec<DrawWorkspace> { self.phases().map(|phase| DrawWorkspace::new(phase.preparer)).collect() };
         let all: Vec<Result<Drawn, SimulateError>> =
             places.into_par_iter().map_init(paths, |paths, place| self.one(designs, place, paths)).collect();
         all.into_iter().collect()
     }
 
-    fn one(&self, designs: &Designs, place: u64, paths: &mut [Path]) -> Result<Drawn, SimulateError> {
+    fn one(&self, designs: &Designs, place: u64, paths: &mut [DrawWorkspace]) -> Result<Drawn, SimulateError> {
         let (design, id) = (designs.design(place), designs.id(place));
         let (found, expected) = (design.phases.len(), self.laws.len());
         if !(1..=expected).contains(&found) {
@@ -240,7 +241,7 @@ impl PhaseDraw<'_> {
         &self,
         rows: &mut Test,
         (before, added): (&DVector<f64>, &[f64]),
-        path: &mut Path,
+        path: &mut DrawWorkspace,
         random: &mut ChaCha8Rng,
     ) -> Result<Vec<f64>, SimulateError> {
         let model = &self.preparer.model;
@@ -270,12 +271,12 @@ impl PhaseDraw<'_> {
     }
 
     /// The state that the path ended in, in the order of the model.
-    fn last(&self, path: &Path) -> DVector<f64> {
+    fn last(&self, path: &DrawWorkspace) -> DVector<f64> {
         let place = &self.preparer.order.place;
         DVector::from_fn(place.len(), |state, _| path.last()[place[state]])
     }
 
-    fn refuse_shared_cells(&self, test: &Test, path: &Path) -> Result<(), SimulateError> {
+    fn refuse_shared_cells(&self, test: &Test, path: &DrawWorkspace) -> Result<(), SimulateError> {
         let model = &self.preparer.model;
         let instances = &path.work.instances;
         let mut own: Vec<Instance> = Vec::new(); // of the row so far

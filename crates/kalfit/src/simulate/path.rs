@@ -9,41 +9,41 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::linalg::symmetric;
 use crate::model::{Model, Population};
-use crate::reduce::{Cells, Design, Fault, Preparer, Step, Subject, Transition, Workspace, advance, ldl};
+use crate::reduce::{Design, DesignStep, Fault, GatheredCells, Preparer, Subject, Transition, Workspace, advance, ldl};
 
 /// Roots of Q that are kept.
 const MOST_ROOTS: usize = 1024;
 
 /// A root of Q: kernel states with process noise, and F over them.
 #[derive(Debug, Clone)]
-struct Noise {
+struct NoiseRoot {
     states: Vec<usize>,
     F: DMatrix<f64>,
 }
 
 /// Work space of the draws of one thread for one phase; the evaluated rows stand in `work`, their measurements not whitened.
 #[derive(Debug)]
-pub(super) struct Path {
+pub(super) struct DrawWorkspace {
     pub(super) work: Workspace,
     /// Room for what a carry is evaluated on.
-    pub(super) cells: Cells,
+    pub(super) cells: GatheredCells,
     /// Drawn values, one for each instance of `work`.
     pub(super) values: Vec<f64>,
     x: Vec<f64>,
     moved: Vec<f64>,
-    noises: HashMap<u128, Noise>,
+    noises: HashMap<u128, NoiseRoot>,
     /// P0 of the last test, and its root.
     start: (Vec<f64>, DMatrix<f64>),
 }
 
-impl Path {
-    pub(super) fn new(preparer: &Preparer) -> Path {
+impl DrawWorkspace {
+    pub(super) fn new(preparer: &Preparer) -> DrawWorkspace {
         let mut work = preparer.workspace();
         work.covariances = Some(Vec::new());
         let start = (Vec::new(), DMatrix::zeros(0, 0));
-        Path {
+        DrawWorkspace {
             work,
-            cells: Cells::default(),
+            cells: GatheredCells::default(),
             values: Vec::new(),
             x: Vec::new(),
             moved: Vec::new(),
@@ -114,7 +114,7 @@ impl Path {
 fn measure(
     work: &Workspace,
     x: &[f64],
-    step: &Step<'_>,
+    step: &DesignStep<'_>,
     values: &mut Vec<f64>,
     random: &mut ChaCha8Rng,
 ) -> Result<(), Box<Fault>> {
@@ -137,7 +137,7 @@ fn measure(
 }
 
 /// L and D of R = LDL' for the measurements of a step, m × m, row-major; `None` when they are not correlated.
-fn joint_noise(work: &Workspace, step: &Step<'_>) -> Result<Option<Vec<f64>>, Box<Fault>> {
+fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64>>, Box<Fault>> {
     let (rows, line) = (step.rows.clone(), step.lines.start);
     let covariances = work.covariances.as_deref().unwrap_or_default();
     // those of one step stand together, step after step
@@ -159,7 +159,7 @@ fn joint_noise(work: &Workspace, step: &Step<'_>) -> Result<Option<Vec<f64>>, Bo
 }
 
 /// The root of a transition's Q, from memory where it is known.
-fn noise_of<'a>(noises: &'a mut HashMap<u128, Noise>, transition: &Transition) -> &'a Noise {
+fn noise_of<'a>(noises: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
     if noises.len() >= MOST_ROOTS && !noises.contains_key(&transition.digest()) {
         noises.clear();
     }
@@ -170,7 +170,7 @@ fn noise_of<'a>(noises: &'a mut HashMap<u128, Noise>, transition: &Transition) -
         states.dedup();
         let local = |state: usize| states.binary_search(&state).expect("every state of a pair is listed");
         let Q = transition.noise_of(states.len(), local);
-        Noise { F: symmetric::square_root(&Q), states }
+        NoiseRoot { F: symmetric::square_root(&Q), states }
     })
 }
 

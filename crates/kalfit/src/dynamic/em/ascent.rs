@@ -23,13 +23,13 @@ pub(super) struct Ascent {
 }
 
 /// A function of the values and its gradient to the coordinates; `None` where it is not defined.
-pub(super) type Function<'f> = dyn Fn(&[f64]) -> Option<(f64, Vec<f64>)> + 'f;
+pub(super) type AscentFunction<'f> = dyn Fn(&[f64]) -> Option<(f64, Vec<f64>)> + 'f;
 
 impl Ascent {
     /// The maximum near `values`, over those that are `free`; never below where it began.
     pub(super) fn maximise(
         &mut self,
-        function: &Function<'_>,
+        function: &AscentFunction<'_>,
         mut values: Vec<f64>,
         free: &[bool],
         bench: &Bench<'_>,
@@ -121,7 +121,7 @@ fn inward(bench: &Bench<'_>, values: &[f64], gradient: &[f64], free: &[bool]) ->
 
 /// The step, halved until the function rises as much as it should.
 fn climb(
-    function: &Function<'_>,
+    function: &AscentFunction<'_>,
     (values, value): (&[f64], f64),
     (step, promised): (&[f64], f64),
     bench: &Bench<'_>,

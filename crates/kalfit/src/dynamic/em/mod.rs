@@ -15,9 +15,9 @@ mod ways;
 use nalgebra::DVector;
 
 use crate::dynamic::DynamicError;
-use crate::dynamic::bench::Solved;
-use crate::dynamic::iterate::{End, LONGEST, NEAR_ENOUGH, Search};
-use crate::dynamic::joint::Joint;
+use crate::dynamic::bench::ProfilePoint;
+use crate::dynamic::iterate::{LONGEST, NEAR_ENOUGH, SearchEnd, SearchState};
+use crate::dynamic::joint::JointInformation;
 use crate::estimate::{Stage, Stop};
 use anderson::Anderson;
 use ascent::Ascent;
@@ -47,7 +47,7 @@ const PATIENCE: usize = 4;
 
 /// Where EM is.
 pub(crate) struct Em<'b, 'a> {
-    search: Search<'b, 'a>,
+    search: SearchState<'b, 'a>,
     ways: Vec<Way>,
     /// Values that were zero when their ways were found.
     zero: Vec<usize>,
@@ -58,21 +58,21 @@ pub(crate) struct Em<'b, 'a> {
 }
 
 /// A look at the certificate.
-struct Look {
-    joint: Joint,
+struct CertificateLook {
+    joint: JointInformation,
     decrement: f64,
     concave: bool,
 }
 
 impl<'b, 'a> Em<'b, 'a> {
-    pub(crate) fn new(search: Search<'b, 'a>) -> Result<Em<'b, 'a>, DynamicError> {
+    pub(crate) fn new(search: SearchState<'b, 'a>) -> Result<Em<'b, 'a>, DynamicError> {
         let ways = ways(search.bench, &search.home)?;
         let zero = zeros(&search.home);
         Ok(Em { search, ways, zero, ascent: Ascent::default(), anderson: Anderson::default(), stretch: SHORTEST })
     }
 
     /// To the optimum, certified by differences to both sides.
-    pub(crate) fn run(mut self) -> Result<End, DynamicError> {
+    pub(crate) fn run(mut self) -> Result<SearchEnd, DynamicError> {
         let (mut next, mut best, mut stuck) = (FIRST, f64::INFINITY, 0);
         let mut before = f64::NEG_INFINITY; // ℓ at the last look
         let mut ended = None;
@@ -120,14 +120,14 @@ impl<'b, 'a> Em<'b, 'a> {
         Ok(self.search.ended((last.joint, last.decrement), stop))
     }
 
-    fn look(&self, fine: bool) -> Look {
-        let joint = Joint::new(self.search.bench, &self.search.home, &self.search.active(), fine);
+    fn look(&self, fine: bool) -> CertificateLook {
+        let joint = JointInformation::new(self.search.bench, &self.search.home, &self.search.active(), fine);
         let still = DVector::zeros(self.search.home.estimate.state.place.tangent.gradient.len());
         let step = joint.step(&self.search.home.gradient, &still, 0.0);
-        Look { joint, decrement: step.decrement, concave: step.concave }
+        CertificateLook { joint, decrement: step.decrement, concave: step.concave }
     }
 
-    fn leap(&mut self, joint: &Joint) -> bool {
+    fn leap(&mut self, joint: &JointInformation) -> bool {
         let leapt = self.search.leap(joint);
         if leapt {
             self.search.place();
@@ -196,7 +196,7 @@ impl<'b, 'a> Em<'b, 'a> {
         let part = part * if longest > LONGEST { LONGEST / longest } else { 1.0 };
         let values = self.search.bench.moved(&home.values, step, part);
         let slack = 1e-12 * home.value().abs().max(1.0);
-        match self.search.at(&values).filter(|next: &Solved| next.value() >= home.value() + gain - slack) {
+        match self.search.at(&values).filter(|next: &ProfilePoint| next.value() >= home.value() + gain - slack) {
             Some(next) => {
                 self.search.home = next;
                 true
@@ -231,7 +231,7 @@ impl<'b, 'a> Em<'b, 'a> {
         }
         let direct: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Likelihood).collect();
         if direct.contains(&true) {
-            let joint = Joint::new(bench, home, &direct, false);
+            let joint = JointInformation::new(bench, home, &direct, false);
             let still = DVector::zeros(home.estimate.state.place.tangent.gradient.len());
             let newton = joint.step(&home.gradient, &still, 0.0);
             (0..active.len()).filter(|&s| direct[s]).for_each(|s| step[s] = newton.alpha[s]);
@@ -240,12 +240,17 @@ impl<'b, 'a> Em<'b, 'a> {
     }
 }
 
-fn zeros(home: &Solved) -> Vec<usize> {
+fn zeros(home: &ProfilePoint) -> Vec<usize> {
     (0..home.values.len()).filter(|&s| home.values[s] == 0.0).collect()
 }
 
 /// σ^d_new = σ^d (1 + (2/dn) ∂ℓ/∂ln σ), as a step of the coordinate.
-fn level_step(coordinate: &crate::dynamic::Coordinate, home: &Solved, s: usize, (degree, count): (f64, f64)) -> f64 {
+fn level_step(
+    coordinate: &crate::dynamic::Coordinate,
+    home: &ProfilePoint,
+    s: usize,
+    (degree, count): (f64, f64),
+) -> f64 {
     let value = home.values[s];
     let score = if coordinate.log { home.gradient[s] } else { home.gradient[s] * value };
     if count == 0.0 || value == 0.0 {

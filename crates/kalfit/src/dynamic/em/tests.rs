@@ -128,7 +128,7 @@ fn with_bench<T>(model: &Model, seed: u64, go: impl FnOnce(&Bench<'_>) -> T) -> 
     go(&Bench::new(&model, &tests, &slots, &Settings::default()))
 }
 
-fn end(bench: &Bench<'_>, values: &[f64], method: Method) -> End {
+fn end(bench: &Bench<'_>, values: &[f64], method: Method) -> SearchEnd {
     let settings = Settings { method, ..bench.settings.clone() };
     let own = Bench::new(bench.model, bench.tests, bench.slots, &settings);
     crate::dynamic::search::search(&own, values.to_vec().into(), None, &mut Silent).expect("it ends")

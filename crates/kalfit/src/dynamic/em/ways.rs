@@ -1,7 +1,7 @@
 //! How EM moves each free value.
 
 use crate::dynamic::DynamicError;
-use crate::dynamic::bench::{Bench, Solved};
+use crate::dynamic::bench::{Bench, ProfilePoint};
 
 /// A step of a coordinate that shows whether the complete data let it move.
 const PROBE: f64 = 1e-4;
@@ -18,7 +18,7 @@ pub(super) enum Way {
 }
 
 /// The way of every free value, by what the model says and, where it does not, by trying.
-pub(super) fn ways(bench: &Bench<'_>, home: &Solved) -> Result<Vec<Way>, DynamicError> {
+pub(super) fn ways(bench: &Bench<'_>, home: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
     let levels = bench.levels(&home.alpha)?;
     let mut direct = bench.matrix_slots();
     direct.extend(bench.hidden_slots());

@@ -4,42 +4,42 @@ use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::estimate::chained::{Chained, Packed, Shape};
+use crate::estimate::chained::{ChainShape, ChainedClass, Packed};
 
 /// A class in phases.
 #[derive(Debug, Clone)]
-pub(crate) enum Kept {
+pub(crate) enum ChainStore {
     /// By itself.
-    Apart(Arc<Chained>),
+    Apart(Arc<ChainedClass>),
     /// In one lane of several.
     Lane(Arc<Packed>, usize),
 }
 
-impl Kept {
+impl ChainStore {
     /// The class.
-    pub(crate) fn chained(&self) -> Cow<'_, Chained> {
+    pub(crate) fn chained(&self) -> Cow<'_, ChainedClass> {
         match self {
-            Kept::Apart(chained) => Cow::Borrowed(chained),
-            Kept::Lane(packed, lane) => Cow::Owned(packed.chained(*lane)),
+            ChainStore::Apart(chained) => Cow::Borrowed(chained),
+            ChainStore::Lane(packed, lane) => Cow::Owned(packed.chained(*lane)),
         }
     }
 
     /// The sizes of its matrices.
-    fn sizes(&self) -> &Shape {
+    fn sizes(&self) -> &ChainShape {
         match self {
-            Kept::Apart(chained) => &chained.shape,
-            Kept::Lane(packed, _) => packed.shape(),
+            ChainStore::Apart(chained) => &chained.shape,
+            ChainStore::Lane(packed, _) => packed.shape(),
         }
     }
 
     /// Its shape; `None` where it needs square-root arithmetic, and so to be worked on by itself.
-    pub(crate) fn shape(&self) -> Option<Cow<'_, Shape>> {
+    pub(crate) fn shape(&self) -> Option<Cow<'_, ChainShape>> {
         (!self.is_careful()).then(|| Cow::Borrowed(self.sizes()))
     }
 
     /// Needs square-root arithmetic.
     pub(crate) fn is_careful(&self) -> bool {
-        matches!(self, Kept::Apart(chained) if chained.careful)
+        matches!(self, ChainStore::Apart(chained) if chained.careful)
     }
 
     /// How many coordinates enter each phase that its tests have.
@@ -55,10 +55,10 @@ impl Kept {
 
 /// Numbers of classes by shape, as many together as there are lanes, or fewer, in their order; those without a shape are left out.
 pub(crate) fn grouped<'a>(
-    shapes: impl Iterator<Item = (usize, Option<Cow<'a, Shape>>)>,
+    shapes: impl Iterator<Item = (usize, Option<Cow<'a, ChainShape>>)>,
     lanes: usize,
-) -> Vec<(Arc<Shape>, Vec<usize>)> {
-    let mut waiting: Vec<(Arc<Shape>, Vec<usize>)> = Vec::new();
+) -> Vec<(Arc<ChainShape>, Vec<usize>)> {
+    let mut waiting: Vec<(Arc<ChainShape>, Vec<usize>)> = Vec::new();
     let mut full = Vec::new();
     for (number, shape) in shapes {
         let Some(shape) = shape else { continue };

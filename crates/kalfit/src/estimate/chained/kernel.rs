@@ -25,7 +25,7 @@ use std::borrow::Cow;
 
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::phase::Phase;
+use crate::estimate::chained::phase::PhaseView;
 use crate::linalg::algebra::Algebra;
 use crate::linalg::factors::Factors;
 use crate::linalg::rows::Rows;
@@ -60,7 +60,7 @@ pub(super) struct Prior<'a, T> {
 
 /// How much of what a class says is wanted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Detail {
+pub(crate) enum ChainDetail {
     /// r, and W within phases.
     Phases,
     /// And W between phases.
@@ -71,7 +71,7 @@ pub(crate) enum Detail {
 
 /// What a class says at a point. Matrices by rows.
 #[derive(Debug, Clone)]
-pub(crate) struct Said<T = f64> {
+pub(crate) struct ChainTerms<T = f64> {
     /// Σ_j of the quadratic forms.
     pub(crate) quadratic: T,
     /// |I + RΣR'| of a test is the square of the first times 2 to the second.
@@ -87,23 +87,23 @@ pub(crate) struct Said<T = f64> {
 }
 
 /// The phases of tests that share all matrices, and how many tests there are.
-pub(super) struct Phases<'a, A: Algebra> {
-    pub(super) phases: &'a [Phase<A::Matrix, A::Data>],
+pub(super) struct ChainPhases<'a, A: Algebra> {
+    pub(super) phases: &'a [PhaseView<A::Matrix, A::Data>],
     pub(super) count: A::Number,
 }
 
 /// What the later phases and a phase itself know of its σ.
-struct Known<A: Algebra> {
+struct PhaseInformation<A: Algebra> {
     /// R̃.
     factor: A::Matrix,
     /// d̃.
     data: A::Data,
 }
 
-impl<A: Algebra> Phases<'_, A> {
+impl<A: Algebra> ChainPhases<'_, A> {
     /// All that the class says; `None` where the arithmetic would lose digits.
     #[inline(always)]
-    pub(super) fn said(&self, prior: &Prior<'_, A::Number>, detail: Detail) -> Option<Said<A::Number>> {
+    pub(super) fn said(&self, prior: &Prior<'_, A::Number>, detail: ChainDetail) -> Option<ChainTerms<A::Number>> {
         let (mut root_det, mut borne) = (RootDet::new(), true);
         let (known, mut quadratic) = self.backward(prior, &mut root_det, &mut borne);
         let phases = self.phases.len();
@@ -123,31 +123,31 @@ impl<A: Algebra> Phases<'_, A> {
             r.push(A::head(&A::apply_transpose(&Y, &u), own));
             let information = A::transpose_times(&Y, &Y);
             within.push(A::corner(&information, own, own));
-            if detail == Detail::Between {
+            if detail == ChainDetail::Between {
                 N.push(information);
             }
-            if detail == Detail::Posterior {
+            if detail == ChainDetail::Posterior {
                 covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), known, &mut borne));
             }
             let Some(next) = next else { continue };
             let link = next.link.as_ref().expect("later phases have links");
-            let step = Update::<A>::new(phase, &B, &mut borne);
+            let step = PhaseUpdate::<A>::new(phase, &B, &mut borne);
             m = A::plus(A::apply(&link.sensitivity, &step.mean(phase, m)), &prior.mean::<A>(next));
-            if detail == Detail::Between {
+            if detail == ChainDetail::Between {
                 carried.push(A::times(&link.sensitivity, &step.left(phase)));
             }
             let inherited = A::times_transpose(&step.root, &link.sensitivity);
-            rest = (detail == Detail::Posterior).then(|| [inherited.clone(), link.root.clone()]);
+            rest = (detail == ChainDetail::Posterior).then(|| [inherited.clone(), link.root.clone()]);
             B = prior.root::<A>(next);
             A::absorb_rows(&mut B, inherited);
             A::absorb_rows(&mut B, link.root.clone());
         }
-        let W = if detail == Detail::Between { self.blocks(within, &N, &carried) } else { alone(within) };
+        let W = if detail == ChainDetail::Between { self.blocks(within, &N, &carried) } else { alone(within) };
         let link_root_det = match detail {
-            Detail::Posterior => self.link_root_det(&mut borne).parts(),
+            ChainDetail::Posterior => self.link_root_det(&mut borne).parts(),
             _ => RootDet::new().parts(),
         };
-        borne.then_some(Said { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
+        borne.then_some(ChainTerms { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
     }
 
     /// |S| of the links alone.
@@ -167,9 +167,9 @@ impl<A: Algebra> Phases<'_, A> {
         prior: &Prior<'_, A::Number>,
         root_det: &mut RootDet<A::Number>,
         borne: &mut bool,
-    ) -> (Vec<Known<A>>, A::Number) {
+    ) -> (Vec<PhaseInformation<A>>, A::Number) {
         let mut lost = A::Number::splat(0.0);
-        let mut all: Vec<Known<A>> = Vec::with_capacity(self.phases.len());
+        let mut all: Vec<PhaseInformation<A>> = Vec::with_capacity(self.phases.len());
         for (i, phase) in self.phases.iter().enumerate().rev() {
             let (mut factor, mut data) = (phase.factor.clone(), phase.data.clone());
             if let (Some(later), Some(next)) = (all.last(), self.phases.get(i + 1)) {
@@ -183,7 +183,7 @@ impl<A: Algebra> Phases<'_, A> {
                 let left = A::absorb(&mut factor, &mut data, told, A::solved_data(&spread, residual));
                 lost = lost + A::squares(self.count, &left);
             }
-            all.push(Known { factor, data });
+            all.push(PhaseInformation { factor, data });
         }
         all.reverse();
         (all, lost)
@@ -229,44 +229,44 @@ fn alone<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
 impl<T: Real> Prior<'_, T> {
     /// (EF)' of a phase.
     #[inline(always)]
-    fn root<A: Algebra<Number = T>>(&self, phase: &Phase<A::Matrix, A::Data>) -> A::Matrix {
+    fn root<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
         A::root_of(&self.root.0, &phase.own, &phase.factor)
     }
 
     /// Eμ for the mean of the tests; the columns of the scatter have none.
     #[inline(always)]
-    fn mean<A: Algebra<Number = T>>(&self, phase: &Phase<A::Matrix, A::Data>) -> A::Data {
+    fn mean<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Data {
         A::mean_of(self.mean, &phase.own, &phase.data)
     }
 }
 
 /// The posterior of σ_i given this phase and the earlier ones.
-struct Update<A: Algebra> {
+struct PhaseUpdate<A: Algebra> {
     /// C', by rows.
     root: A::Matrix,
     /// C'R'.
     seen: A::Matrix,
 }
 
-impl<A: Algebra> Update<A> {
+impl<A: Algebra> PhaseUpdate<A> {
     #[inline(always)]
-    fn new(phase: &Phase<A::Matrix, A::Data>, B: &A::Matrix, borne: &mut bool) -> Update<A> {
+    fn new(phase: &PhaseView<A::Matrix, A::Data>, B: &A::Matrix, borne: &mut bool) -> PhaseUpdate<A> {
         let rows = A::transposed(&A::times_upper_transpose(B, &phase.factor));
         let root = A::solved(&A::identity_plus(&[&rows], borne), B.clone());
         let seen = A::times_upper_transpose(&root, &phase.factor);
-        Update { root, seen }
+        PhaseUpdate { root, seen }
     }
 
     /// m = m⁻ + CC'R'(d - Rm⁻).
     #[inline(always)]
-    fn mean(&self, phase: &Phase<A::Matrix, A::Data>, prior: A::Data) -> A::Data {
+    fn mean(&self, phase: &PhaseView<A::Matrix, A::Data>, prior: A::Data) -> A::Data {
         let residual = A::less(phase.data.clone(), &A::apply(&phase.factor, &prior));
         A::plus(prior, &A::apply_transpose(&self.root, &A::apply(&self.seen, &residual)))
     }
 
     /// I - CC'J.
     #[inline(always)]
-    fn left(&self, phase: &Phase<A::Matrix, A::Data>) -> A::Matrix {
+    fn left(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
         A::identity_less(&A::transpose_times(&self.root, &A::times(&self.seen, &phase.factor)))
     }
 }
@@ -276,9 +276,9 @@ impl<A: Algebra> Update<A> {
 #[inline(always)]
 fn posterior_covariance<A: Algebra>(
     prior: &Prior<'_, A::Number>,
-    phase: &Phase<A::Matrix, A::Data>,
+    phase: &PhaseView<A::Matrix, A::Data>,
     rest: Option<&[A::Matrix; 2]>,
-    known: &Known<A>,
+    known: &PhaseInformation<A>,
     borne: &mut bool,
 ) -> Rows<A::Number> {
     let p = phase.own.len();

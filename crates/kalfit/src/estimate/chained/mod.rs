@@ -15,31 +15,31 @@ use std::sync::Arc;
 use kalfit_lanes::Real;
 use nalgebra::DMatrix;
 
-use crate::estimate::chained::kernel::{Phases, Prior, compressed};
-use crate::estimate::chained::phase::{Link, Phase};
+use crate::estimate::chained::kernel::{ChainPhases, Prior, compressed};
+use crate::estimate::chained::phase::{LinkView, PhaseView};
 use crate::estimate::frame::Frame;
-use crate::linalg::factors::{Factors, Plain, Rotations};
+use crate::linalg::factors::{CrossFactors, Factors, Rotations};
 use crate::linalg::rows::Rows;
 use crate::reduce::{Chain, ChainPhase};
 
-pub(crate) use kept::{Kept, grouped};
-pub(crate) use kernel::{Detail, Root, Said};
+pub(crate) use kept::{ChainStore, grouped};
+pub(crate) use kernel::{ChainDetail, ChainTerms, Root};
 pub(crate) use packed::Packed;
-pub(crate) use shape::Shape;
+pub(crate) use shape::ChainShape;
 
 /// Tests whose chains share all matrices, in η: σ in units of the frame where it is a phase's own, centred.
 #[derive(Debug, Clone)]
-pub(crate) struct Chained<T = f64> {
-    phases: Vec<Phase<Rows<T>, Rows<T>>>,
+pub(crate) struct ChainedClass<T = f64> {
+    phases: Vec<PhaseView<Rows<T>, Rows<T>>>,
     /// The sizes of its matrices.
-    shape: Arc<Shape>,
+    shape: Arc<ChainShape>,
     /// n.
     count: T,
     /// Some phase needs square-root arithmetic.
     careful: bool,
 }
 
-impl Chained {
+impl ChainedClass {
     /// n J of a phase by itself, in what enters it.
     pub(crate) fn own_information(&self, phase: usize) -> DMatrix<f64> {
         let factor = &self.phases[phase].factor;
@@ -49,8 +49,8 @@ impl Chained {
 
     /// n J of the first phases together on the initial states of all, `states` of them.
     pub(crate) fn information(&self, phases: usize, states: usize) -> DMatrix<f64> {
-        let first = Chained { phases: self.phases[..phases].to_vec(), ..self.clone() };
-        let said = first.at(&vec![0.0; states], &DMatrix::zeros(states, states), Detail::Between);
+        let first = ChainedClass { phases: self.phases[..phases].to_vec(), ..self.clone() };
+        let said = first.at(&vec![0.0; states], &DMatrix::zeros(states, states), ChainDetail::Between);
         let mut information = DMatrix::zeros(states, states);
         let own: Vec<&Range<usize>> = first.ranges().collect();
         let mut blocks = said.W.iter().flatten();
@@ -69,14 +69,14 @@ impl Chained {
 
     /// All that the class says at a point: μ of its tests and F with Σ = FF', both of all phases, in as much
     /// detail as is wanted.
-    pub(crate) fn at(&self, mean: &[f64], root: &DMatrix<f64>, detail: Detail) -> Said {
+    pub(crate) fn at(&self, mean: &[f64], root: &DMatrix<f64>, detail: ChainDetail) -> ChainTerms {
         let prior = Prior { root: &Root::of(root), mean };
-        let plain = if self.careful { None } else { self.through::<Plain<f64>>().said(&prior, detail) };
+        let plain = if self.careful { None } else { self.through::<CrossFactors<f64>>().said(&prior, detail) };
         plain.unwrap_or_else(|| self.through::<Rotations<f64>>().said(&prior, detail).expect(BEARS))
     }
 
     /// The same matrices of no tests, which say nothing.
-    fn without_tests(&self) -> Chained {
+    fn without_tests(&self) -> ChainedClass {
         let mut none = self.clone();
         none.count = 0.0;
         for phase in &mut none.phases {
@@ -91,10 +91,10 @@ impl Chained {
     }
 }
 
-impl<T: Real> Chained<T> {
+impl<T: Real> ChainedClass<T> {
     #[inline(always)]
-    fn through<F: Factors<Number = T>>(&self) -> Phases<'_, F> {
-        Phases { phases: &self.phases, count: self.count }
+    fn through<F: Factors<Number = T>>(&self) -> ChainPhases<'_, F> {
+        ChainPhases { phases: &self.phases, count: self.count }
     }
 }
 
@@ -147,7 +147,7 @@ fn columns(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Rows {
     let away = |j: usize, i: usize| all[j][i] - mean[i];
     let scatter = match n {
         n if n <= size => Rows::from_fn(n, size, away),
-        n => compressed::<Plain<f64>>(Rows::from_fn(n, size, away)),
+        n => compressed::<CrossFactors<f64>>(Rows::from_fn(n, size, away)),
     };
     let m = scatter.nrows();
     Rows::from_fn(size, 1 + m, |i, k| if k == 0 { mean[i] } else { scatter[(k - 1, i)] })
@@ -167,10 +167,10 @@ mod tests {
     use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
 
     /// Phases of three states.
-    fn chain(phases: usize) -> (Chained, Frame) {
+    fn chain(phases: usize) -> (ChainedClass, Frame) {
         let (chain, ranges, _) = test(phases, (3, 3));
         let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
-        (Chained::new(&[&chain], &ranges, &frame), frame)
+        (ChainedClass::new(&[&chain], &ranges, &frame), frame)
     }
 
     /// A test in phases of q states, the first p of which are their own; where they stand, and a frame.
@@ -200,15 +200,18 @@ mod tests {
         (chain, (0..phases).map(|f| p * f..p * f + p).collect(), frame)
     }
 
-    fn counted(chained: &Chained) -> Chained<Counted> {
+    fn counted(chained: &ChainedClass) -> ChainedClass<Counted> {
         let rows = |m: &Rows| Rows::from_fn(m.nrows(), m.ncols(), |i, k| Counted(m[(i, k)]));
-        let phase = |phase: &Phase<Rows, Rows>| Phase {
+        let phase = |phase: &PhaseView<Rows, Rows>| PhaseView {
             own: phase.own.clone(),
             factor: rows(&phase.factor),
             data: rows(&phase.data),
-            link: phase.link.as_ref().map(|link| Link { sensitivity: rows(&link.sensitivity), root: rows(&link.root) }),
+            link: phase
+                .link
+                .as_ref()
+                .map(|link| LinkView { sensitivity: rows(&link.sensitivity), root: rows(&link.root) }),
         };
-        Chained {
+        ChainedClass {
             phases: chained.phases.iter().map(phase).collect(),
             shape: chained.shape.clone(),
             count: Counted(chained.count),
@@ -223,7 +226,7 @@ mod tests {
             let (root, mean) = (DMatrix::identity(3 * phases, 3 * phases), vec![Counted::splat(0.1); 3 * phases]);
             let prior = Prior { root: &Root::of(&root), mean: &mean };
             let flops = Counted::count(|| {
-                chained.through::<Plain<Counted>>().said(&prior, Detail::Phases).expect("of common size");
+                chained.through::<CrossFactors<Counted>>().said(&prior, ChainDetail::Phases).expect("of common size");
             });
             flops.add + flops.mul + flops.div
         };
@@ -236,8 +239,8 @@ mod tests {
     fn rotations_give_what_reflections_give() {
         let (chained, _) = chain(4);
         let (root, mean) = (DMatrix::identity(12, 12), vec![0.1; 12]);
-        let plain = chained.at(&mean, &root, Detail::Between);
-        let careful = Chained { careful: true, ..chained.clone() }.at(&mean, &root, Detail::Between);
+        let plain = chained.at(&mean, &root, ChainDetail::Between);
+        let careful = ChainedClass { careful: true, ..chained.clone() }.at(&mean, &root, ChainDetail::Between);
         let close = |what: &str, a: f64, b: f64| assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{what}: {a} {b}");
         close("quadratic form", plain.quadratic, careful.quadratic);
         close(
@@ -255,7 +258,7 @@ mod tests {
         for (q, p) in [(1, 1), (2, 1), (3, 3), (4, 2), (5, 5), (6, 3), (7, 7), (8, 8), (9, 4)] {
             let phases = 3;
             let (chain, ranges, frame) = test(phases, (q, p));
-            let chained = Chained::new(&[&chain], &ranges, &frame);
+            let chained = ChainedClass::new(&[&chain], &ranges, &frame);
             let mean: Vec<f64> = (0..p * phases).map(|k| (k as f64).cos()).collect();
             let root = DMatrix::from_fn(p * phases, p * phases, |i, k| match (i / p == k / p, i.cmp(&k)) {
                 (true, std::cmp::Ordering::Equal) => 0.5 + i as f64 / 10.0,
@@ -273,7 +276,7 @@ mod tests {
                 );
                 let gathered = Packed::of_tests(shape, members, isa.lanes(), (&ranges, &frame), |_| vec![&chain]);
                 assert_eq!(format!("{gathered:?}"), format!("{packed:?}"), "and so it is as gathered");
-                for detail in [Detail::Phases, Detail::Between, Detail::Posterior] {
+                for detail in [ChainDetail::Phases, ChainDetail::Between, ChainDetail::Posterior] {
                     let alone = figures(&chained.at(&mean, &root, detail), |x| x);
                     let found = isa.run(Told(&packed, &mean, &root, detail));
                     assert_eq!(found.len(), alone.len());
@@ -287,7 +290,7 @@ mod tests {
     }
 
     /// All that a class says, one lane of it.
-    fn figures<T: Real>(said: &Said<T>, lane: impl Fn(T) -> f64) -> Vec<f64> {
+    fn figures<T: Real>(said: &ChainTerms<T>, lane: impl Fn(T) -> f64) -> Vec<f64> {
         let root_det = |(mantissa, exponent): (T, T)| lane(mantissa).log2() + lane(exponent);
         let matrices = said.r.iter().chain(said.W.iter().flatten()).chain(&said.covariances);
         let mut all: Vec<f64> = matrices.flat_map(Rows::as_slice).map(|x| lane(*x)).collect();
@@ -295,7 +298,7 @@ mod tests {
         all
     }
 
-    struct Told<'a>(&'a Packed, &'a [f64], &'a DMatrix<f64>, Detail);
+    struct Told<'a>(&'a Packed, &'a [f64], &'a DMatrix<f64>, ChainDetail);
 
     impl Kernel for Told<'_> {
         type Output = Vec<f64>;

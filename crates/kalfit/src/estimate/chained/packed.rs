@@ -7,12 +7,12 @@ use std::sync::Arc;
 
 use kalfit_lanes::{Lanes, Part, Real};
 
-use crate::estimate::chained::kernel::{Detail, Phases, Prior, Root, Said};
+use crate::estimate::chained::kernel::{ChainDetail, ChainPhases, ChainTerms, Prior, Root};
 use crate::estimate::chained::shape::is_careful;
-use crate::estimate::chained::{Chained, Link, Phase, Shape, centre, columns, scales, told};
+use crate::estimate::chained::{ChainShape, ChainedClass, LinkView, PhaseView, centre, columns, scales, told};
 use crate::estimate::frame::Frame;
 use crate::linalg::algebra::Algebra;
-use crate::linalg::factors::Plain;
+use crate::linalg::factors::CrossFactors;
 use crate::linalg::fixed::Fixed;
 use crate::reduce::Chain;
 
@@ -20,7 +20,7 @@ use crate::reduce::Chain;
 #[derive(Debug, Clone)]
 pub(crate) struct Packed {
     pub(in crate::estimate) members: Vec<usize>,
-    shape: Arc<Shape>,
+    shape: Arc<ChainShape>,
     lanes: usize,
     /// n of each, then all their numbers, entry by entry: of each phase the upper triangle of R by rows, d, G and C'.
     numbers: Vec<f64>,
@@ -29,10 +29,10 @@ pub(crate) struct Packed {
 impl Packed {
     /// Of classes by their numbers, at least one and at most as many as there are lanes; `of` has what each says.
     pub(crate) fn new<'a>(
-        shape: Arc<Shape>,
+        shape: Arc<ChainShape>,
         members: Vec<usize>,
         lanes: usize,
-        of: impl Fn(usize) -> Cow<'a, Chained>,
+        of: impl Fn(usize) -> Cow<'a, ChainedClass>,
     ) -> Packed {
         Packed::filled(shape, members, lanes, |member, to| {
             let chained = of(member);
@@ -43,7 +43,7 @@ impl Packed {
 
     /// Of classes as the estimator gathers them; `of` has the chains of the tests of each.
     pub(crate) fn of_tests<'a>(
-        shape: Arc<Shape>,
+        shape: Arc<ChainShape>,
         members: Vec<usize>,
         lanes: usize,
         (ranges, frame): (&[Range<usize>], &Frame),
@@ -53,7 +53,7 @@ impl Packed {
     }
 
     /// Each class put by `put` where the first of every so many numbers stands.
-    fn filled(shape: Arc<Shape>, members: Vec<usize>, lanes: usize, put: impl Fn(usize, &mut [f64])) -> Packed {
+    fn filled(shape: Arc<ChainShape>, members: Vec<usize>, lanes: usize, put: impl Fn(usize, &mut [f64])) -> Packed {
         let mut numbers = vec![0.0; shape.size() * lanes];
         for (lane, &member) in members.iter().enumerate() {
             put(member, &mut numbers[lane..]);
@@ -80,7 +80,7 @@ impl Packed {
     }
 
     /// Of what shape its classes are.
-    pub(crate) fn shape(&self) -> &Shape {
+    pub(crate) fn shape(&self) -> &ChainShape {
         &self.shape
     }
 
@@ -91,15 +91,15 @@ impl Packed {
     }
 
     /// The class in one lane.
-    pub(crate) fn chained(&self, lane: usize) -> Chained {
-        let phases = self.phases::<Plain<f64>>(self.lanes, |entry| entry[lane]);
-        Chained { phases, shape: self.shape.clone(), count: self.numbers[lane], careful: false }
+    pub(crate) fn chained(&self, lane: usize) -> ChainedClass {
+        let phases = self.phases::<CrossFactors<f64>>(self.lanes, |entry| entry[lane]);
+        ChainedClass { phases, shape: self.shape.clone(), count: self.numbers[lane], careful: false }
     }
 
-    /// [`Chained::at`] of all; `None` where one of them needs more care. Tests by themselves, with few states, by sizes that the
+    /// [`ChainedClass::at`] of all; `None` where one of them needs more care. Tests by themselves, with few states, by sizes that the
     /// compiler knows.
     #[inline(always)]
-    pub(crate) fn said<T: Lanes>(&self, mean: &[T], root: &Root<'_>, detail: Detail) -> Option<Said<T>> {
+    pub(crate) fn said<T: Lanes>(&self, mean: &[T], root: &Root<'_>, detail: ChainDetail) -> Option<ChainTerms<T>> {
         debug_assert_eq!(T::COUNT, self.lanes, "packed for others");
         let prior = Prior { root, mean };
         let size = if self.shape.columns == 1 { Some(self.shape.widest()) } else { None };
@@ -110,18 +110,26 @@ impl Packed {
             Some(4) if T::OWN_SIZES >= 4 => self.by::<Fixed<T, 4>>(&prior, detail),
             Some(5 | 6) if T::OWN_SIZES >= 6 => self.by::<Fixed<T, 6>>(&prior, detail),
             Some(7 | 8) if T::OWN_SIZES >= 8 => self.by::<Fixed<T, 8>>(&prior, detail),
-            _ => self.by::<Plain<T>>(&prior, detail),
+            _ => self.by::<CrossFactors<T>>(&prior, detail),
         }
     }
 
     #[inline(always)]
-    fn by<A: Algebra<Number: Lanes>>(&self, prior: &Prior<'_, A::Number>, detail: Detail) -> Option<Said<A::Number>> {
+    fn by<A: Algebra<Number: Lanes>>(
+        &self,
+        prior: &Prior<'_, A::Number>,
+        detail: ChainDetail,
+    ) -> Option<ChainTerms<A::Number>> {
         A::Number::apart(By::<A> { packed: self, prior, detail })
     }
 
     /// All phases; `number` reads an entry of `lanes` numbers.
     #[inline(always)]
-    fn phases<A: Algebra>(&self, lanes: usize, number: impl Fn(&[f64]) -> A::Number) -> Vec<Phase<A::Matrix, A::Data>> {
+    fn phases<A: Algebra>(
+        &self,
+        lanes: usize,
+        number: impl Fn(&[f64]) -> A::Number,
+    ) -> Vec<PhaseView<A::Matrix, A::Data>> {
         let mut entries = self.numbers[lanes..].chunks_exact(lanes);
         let mut phases = Vec::with_capacity(self.shape.phases.len());
         let mut before = 0;
@@ -142,21 +150,21 @@ impl Packed {
                 for i in 0..rows {
                     read(&mut A::row_mut(&mut root, i)[..q], &mut entries, &number);
                 }
-                link = Some(Link { sensitivity, root });
+                link = Some(LinkView { sensitivity, root });
             }
-            phases.push(Phase { own: phase.own.clone(), factor, data, link });
+            phases.push(PhaseView { own: phase.own.clone(), factor, data, link });
             before = q;
         }
         phases
     }
 }
 
-impl Chained {
+impl ChainedClass {
     /// Tests with equal matrices, at least one, in a frame; `ranges` says where the states of each phase of the model stand.
-    pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Chained {
-        let shape = Arc::new(Shape::of(chains, ranges));
+    pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> ChainedClass {
+        let shape = Arc::new(ChainShape::of(chains, ranges));
         let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
-        Chained { careful: is_careful(chains), ..packed.chained(0) }
+        ChainedClass { careful: is_careful(chains), ..packed.chained(0) }
     }
 }
 
@@ -169,7 +177,7 @@ fn read<T>(row: &mut [T], entries: &mut ChunksExact<'_, f64>, number: &impl Fn(&
 }
 
 /// Puts the numbers of a class where the first of every so many stands.
-fn put(chained: &Chained, to: &mut [f64], every: usize) {
+fn put(chained: &ChainedClass, to: &mut [f64], every: usize) {
     let mut to = to.iter_mut().step_by(every);
     let mut write = |numbers: &[f64]| numbers.iter().zip(&mut to).for_each(|(x, to)| *to = *x);
     write(&[chained.count]);
@@ -232,15 +240,15 @@ fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: 
 struct By<'a, A: Algebra> {
     packed: &'a Packed,
     prior: &'a Prior<'a, A::Number>,
-    detail: Detail,
+    detail: ChainDetail,
 }
 
 impl<A: Algebra<Number: Lanes>> Part for By<'_, A> {
-    type Output = Option<Said<A::Number>>;
+    type Output = Option<ChainTerms<A::Number>>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
         let phases = self.packed.phases::<A>(A::Number::COUNT, A::Number::load);
-        Phases::<A> { phases: &phases, count: self.packed.count() }.said(self.prior, self.detail)
+        ChainPhases::<A> { phases: &phases, count: self.packed.count() }.said(self.prior, self.detail)
     }
 }

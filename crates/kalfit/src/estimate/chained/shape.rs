@@ -6,7 +6,7 @@ use crate::reduce::{Chain, ChainPhase, Path};
 
 /// Sizes of all matrices of a class.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Shape {
+pub(crate) struct ChainShape {
     /// Of its data.
     pub(super) columns: usize,
     pub(super) phases: Vec<PhaseShape>,
@@ -23,14 +23,14 @@ pub(super) struct PhaseShape {
     pub(super) noise: Option<usize>,
 }
 
-impl Shape {
+impl ChainShape {
     /// That of tests which can be worked on side by side with others: some, and no phase needs rotations.
-    pub(crate) fn side_by_side(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<Shape> {
-        (!chains.is_empty() && !is_careful(chains)).then(|| Shape::of(chains, ranges))
+    pub(crate) fn side_by_side(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<ChainShape> {
+        (!chains.is_empty() && !is_careful(chains)).then(|| ChainShape::of(chains, ranges))
     }
 
     /// Of tests with equal matrices, at least one; `ranges` says where the states of each phase of the model stand.
-    pub(super) fn of(chains: &[&Chain], ranges: &[Range<usize>]) -> Shape {
+    pub(super) fn of(chains: &[&Chain], ranges: &[Range<usize>]) -> ChainShape {
         let phase = |(phase, own): (&ChainPhase, &Range<usize>)| PhaseShape {
             own: own.clone(),
             size: phase.data.len(),
@@ -38,7 +38,7 @@ impl Shape {
         };
         let phases: Vec<PhaseShape> = chains[0].phases.iter().zip(ranges).map(phase).collect();
         let data = phases.iter().map(|phase| phase.size).sum();
-        Shape { columns: columns(chains.len(), data), phases }
+        ChainShape { columns: columns(chains.len(), data), phases }
     }
 
     /// How many numbers it takes.

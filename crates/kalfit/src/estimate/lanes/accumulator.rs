@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 
 use crate::estimate::lanes::gather::Gather;
 use crate::estimate::lanes::rows::{add_one, log_det};
-use crate::estimate::order::{Order, Wanted};
+use crate::estimate::order::{Order, SumsWanted};
 use crate::linalg::symmetric::{pair, pairs};
 
 /// What one class says, or one in each lane. States are counted within their phase.
@@ -37,7 +37,7 @@ pub(crate) trait Says<T> {
 
 /// Sums over tests. A pair of phases k ≥ i stands at k(k+1)/2 + i. Matrices by rows; of a phase with itself the lower triangle.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Totals {
+pub(crate) struct ClassSums {
     /// ℓ, constants apart.
     pub(crate) value: f64,
     /// Σ u'D⁻¹u.
@@ -62,7 +62,7 @@ pub(crate) struct Totals {
 
 /// Sums in lanes, and what one class says, in each lane.
 pub(crate) struct Accumulator<'a, T> {
-    wanted: Wanted<'a>,
+    wanted: SumsWanted<'a>,
     /// M and q.
     mean: usize,
     free: usize,
@@ -89,7 +89,7 @@ pub(crate) struct Accumulator<'a, T> {
 }
 
 impl<'a, T: Lanes> Accumulator<'a, T> {
-    pub(crate) fn new(wanted: Wanted<'a>) -> Self {
+    pub(crate) fn new(wanted: SumsWanted<'a>) -> Self {
         let (p, regressors) = (wanted.elements.states(), wanted.regressors.len());
         let (m, q) = (p + regressors, wanted.flat.map_or(0, |flat| flat.jacobian.ncols()));
         let sizes: Vec<usize> = wanted.elements.blocks().iter().map(ExactSizeIterator::len).collect();
@@ -293,9 +293,9 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
     }
 
     #[inline(always)]
-    pub(crate) fn totals(self) -> Totals {
+    pub(crate) fn totals(self) -> ClassSums {
         let quadratic = self.quadratic.sum();
-        Totals {
+        ClassSums {
             value: -0.5 * (self.log_det + log_det(self.mantissa, self.exponent) + quadratic),
             quadratic,
             score: summed(&self.score),

@@ -15,7 +15,7 @@ use crate::estimate::lanes::rows::add_weighed;
 
 /// The room that one block needs, and what it says at last. Matrices by rows.
 #[derive(Debug)]
-pub(super) struct Room<T> {
+pub(super) struct ClassWorkspace<T> {
     p: usize,
     /// Columns of u.
     pub(super) columns: usize,
@@ -34,12 +34,12 @@ pub(super) struct Room<T> {
     W: Vec<T>,
 }
 
-impl<T: Lanes> Room<T> {
+impl<T: Lanes> ClassWorkspace<T> {
     /// For a point: μ and F, lower triangular; and so many columns of u.
-    pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize) -> Room<T> {
+    pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize) -> ClassWorkspace<T> {
         let p = mean.len();
         let zeros = |size: usize| vec![T::splat(0.0); size];
-        Room {
+        ClassWorkspace {
             p,
             columns,
             mean: mean.iter().map(|&x| T::splat(x)).collect(),

@@ -4,36 +4,36 @@ use std::sync::Arc;
 
 use kalfit_lanes::{Kernel, Lanes};
 
-use crate::estimate::chained::{Packed, Root, Said};
-use crate::estimate::lanes::accumulator::{Accumulator, Says, Totals};
+use crate::estimate::chained::{ChainTerms, Packed, Root};
+use crate::estimate::lanes::accumulator::{Accumulator, ClassSums, Says};
 use crate::estimate::listed::Listed;
-use crate::estimate::order::Wanted;
+use crate::estimate::order::SumsWanted;
 use crate::estimate::point::Point;
 use crate::linalg::symmetric::pair;
 
 /// One pass over some blocks.
-pub(crate) struct Pass<'a> {
+pub(crate) struct ChainBlockPass<'a> {
     pub(crate) blocks: &'a [Arc<Packed>],
     pub(crate) classes: &'a Listed,
     pub(crate) point: &'a Point,
-    pub(crate) wanted: Wanted<'a>,
+    pub(crate) wanted: SumsWanted<'a>,
 }
 
 /// What a pass finds.
-pub(crate) struct Found {
-    pub(crate) totals: Totals,
+pub(crate) struct ChainSums {
+    pub(crate) totals: ClassSums,
     /// Σ constant.
     pub(crate) constant: f64,
     /// Classes that need more care than this.
     pub(crate) refused: Vec<usize>,
 }
 
-impl Kernel for Pass<'_> {
-    type Output = Found;
+impl Kernel for ChainBlockPass<'_> {
+    type Output = ChainSums;
 
     #[inline(always)]
-    fn run<T: Lanes>(self) -> Found {
-        let Pass { classes, point, wanted, .. } = self;
+    fn run<T: Lanes>(self) -> ChainSums {
+        let ChainBlockPass { classes, point, wanted, .. } = self;
         let mut sums = Accumulator::<T>::new(wanted);
         let (mut constant, mut refused) = (0.0, Vec::new());
         let root = Root::of(&point.root);
@@ -50,13 +50,13 @@ impl Kernel for Pass<'_> {
                 None => refused.extend_from_slice(block.members()),
             }
         }
-        Found { totals: sums.totals(), constant, refused }
+        ChainSums { totals: sums.totals(), constant, refused }
     }
 }
 
 /// What a block says.
 struct InPhases<'a, T> {
-    said: &'a Said<T>,
+    said: &'a ChainTerms<T>,
     count: T,
 }
 

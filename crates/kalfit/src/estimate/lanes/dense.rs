@@ -10,14 +10,14 @@ use kalfit_lanes::Lanes;
 
 /// Where ℓ is evaluated: μ and F with Σ = FF', lower triangular.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Law<const P: usize> {
+pub(super) struct LaneLaw<const P: usize> {
     pub(super) mean: [f64; P],
     pub(super) root: [[f64; P]; P],
 }
 
 /// What a block says.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Told<T, const P: usize> {
+pub(super) struct BlockTerms<T, const P: usize> {
     /// u'D⁻¹u.
     pub(super) quadratic: T,
     pub(super) r: [T; P],
@@ -32,7 +32,7 @@ pub(super) const fn entries(p: usize) -> usize {
 
 /// Evaluates a block, and multiplies a product, mantissa × 2^exponent, by |S|.
 #[inline(always)]
-pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &Law<P>, det: &mut (T, T)) -> Told<T, P> {
+pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &LaneLaw<P>, det: &mut (T, T)) -> BlockTerms<T, P> {
     let zero = T::splat(0.0);
     let mut R = [[zero; P]; P];
     let block = &block[..entries(P) * T::COUNT];
@@ -65,12 +65,12 @@ pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &Law<P>, det: &
             }
         }
     }
-    Told { quadratic, r, W }
+    BlockTerms { quadratic, r, W }
 }
 
 /// The lower triangle of I + RF(RF)'.
 #[inline(always)]
-fn covariance<T: Lanes, const P: usize>(R: &[[T; P]; P], law: &Law<P>) -> [[T; P]; P] {
+fn covariance<T: Lanes, const P: usize>(R: &[[T; P]; P], law: &LaneLaw<P>) -> [[T; P]; P] {
     let mut S = [[T::splat(0.0); P]; P];
     for i in 0..P {
         S[i][i] = T::splat(1.0);

@@ -3,7 +3,7 @@
 use kalfit_lanes::{Lanes, Part};
 use rayon::prelude::*;
 
-use crate::linalg::parts::{Columns, in_parts};
+use crate::linalg::parts::{ColumnWork, in_parts};
 
 /// Blocks whose products are added together: each sum is then read and written once for so many, and summed over its lanes once.
 const TOGETHER: usize = 16;
@@ -49,7 +49,14 @@ impl<T: Lanes> Gather<T> {
     fn settle(&mut self) {
         let Gather { rows, columns, left, right, filled, sum } = self;
         let strip = |(at, sum): (usize, &mut [f64])| {
-            T::apart(Settle { left: &left[at * STRIP..], rows: *rows, blocks: *filled, right, columns: *columns, sum });
+            T::apart(RowSums {
+                left: &left[at * STRIP..],
+                rows: *rows,
+                blocks: *filled,
+                right,
+                columns: *columns,
+                sum,
+            });
         };
         if sum.len() < MANY {
             strip((0, &mut sum[..]));
@@ -68,7 +75,7 @@ impl<T: Lanes> Gather<T> {
 }
 
 /// Adds what is gathered to some rows of the sums.
-struct Settle<'a, T> {
+struct RowSums<'a, T> {
     /// From the first of these rows on; and how far it is from block to block.
     left: &'a [T],
     rows: usize,
@@ -81,7 +88,7 @@ struct Settle<'a, T> {
 /// Rows that are worked on at once.
 const TALLEST: usize = 4;
 
-impl<T: Lanes> Part for Settle<'_, T> {
+impl<T: Lanes> Part for RowSums<'_, T> {
     type Output = ();
 
     #[inline(always)]
@@ -102,8 +109,8 @@ impl<T: Lanes> Part for Settle<'_, T> {
 
 /// Adds to so many rows of the sums; says how many.
 #[inline(always)]
-fn some_rows<T: Lanes, const M: usize>(all: &mut Settle<'_, T>, row: usize) -> usize {
-    let Settle { left, rows, blocks, right, columns, ref mut sum } = *all;
+fn some_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> usize {
+    let RowSums { left, rows, blocks, right, columns, ref mut sum } = *all;
     let sum = &mut sum[row * columns..][..M * columns];
     in_parts(0, &mut Tile::<T, M> { left: &left[row..], rows, blocks, right, columns, sum });
     M
@@ -120,7 +127,7 @@ struct Tile<'a, T, const M: usize> {
     sum: &'a mut [f64],
 }
 
-impl<T: Lanes, const M: usize> Columns for Tile<'_, T, M> {
+impl<T: Lanes, const M: usize> ColumnWork for Tile<'_, T, M> {
     #[inline(always)]
     fn count(&self) -> usize {
         self.columns

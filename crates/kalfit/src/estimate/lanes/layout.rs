@@ -6,13 +6,13 @@ use crate::linalg::symmetric::{pair, pairs};
 /// What stands in a block, each number of all its classes side by side: R by columns, d, the vectors of the scatter of classes of
 /// several tests, the covariates, and n of classes of several tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Layout {
+pub(super) struct ClassLayout {
     pub(super) p: usize,
     pub(super) covariates: usize,
     pub(super) several: bool,
 }
 
-impl Layout {
+impl ClassLayout {
     /// Where the vectors of the scatter stand.
     pub(super) fn scatter(&self) -> usize {
         pairs(self.p) + self.p

@@ -17,19 +17,19 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use crate::estimate::class::Class;
-use crate::estimate::lanes::layout::Layout;
-use crate::estimate::order::{Wanted, most_tasks};
+use crate::estimate::lanes::layout::ClassLayout;
+use crate::estimate::order::{SumsWanted, most_tasks};
 use crate::estimate::point::Point;
 use crate::linalg::symmetric::pairs;
-pub(crate) use accumulator::{Accumulator, Says, Totals};
-pub(crate) use chains::{Found, Pass as ChainPass};
+pub(crate) use accumulator::{Accumulator, ClassSums, Says};
+pub(crate) use chains::{ChainBlockPass as ChainPass, ChainSums};
 
 /// Classes of p states that are not in phases, in blocks of as many as the machine has lanes: all of a single test, or all of several.
 /// Places that no class takes hold zeros, which add nothing.
 #[derive(Debug, Clone)]
-pub(crate) struct Blocks {
+pub(crate) struct ClassBlocks {
     isa: Isa,
-    layout: Layout,
+    layout: ClassLayout,
     numbers: Arc<Vec<f64>>,
     /// Of each class, as they were gathered.
     constants: Arc<Vec<f64>>,
@@ -49,7 +49,7 @@ const MOST: usize = 32;
 /// Tasks there are at least, where blocks are many.
 const TASKS: usize = 64;
 
-impl Blocks {
+impl ClassBlocks {
     /// So many classes of p states and so many covariates, of several tests each or of one, with no need of rotations; `class` puts
     /// the one with a number into a place.
     pub(crate) fn filled(
@@ -57,8 +57,8 @@ impl Blocks {
         isa: Isa,
         count: usize,
         class: &(dyn Fn(usize, &mut Class) + Sync),
-    ) -> Blocks {
-        let layout = Layout { p, covariates, several };
+    ) -> ClassBlocks {
+        let layout = ClassLayout { p, covariates, several };
         let (lanes, size) = (isa.lanes(), layout.size() * isa.lanes());
         let mut numbers = vec![0.0; count.div_ceil(lanes) * size];
         let mut constants = vec![0.0; count];
@@ -71,7 +71,7 @@ impl Blocks {
             }
         });
         let constant = constants.iter().sum();
-        Blocks { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant }
+        ClassBlocks { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant }
     }
 
     /// Puts the class with this number into a place, its constant as it was gathered.
@@ -83,14 +83,14 @@ impl Blocks {
     }
 
     /// The same with other noise: d and what classes scatter so many times as large, and this much more of Σ constant.
-    pub(crate) fn shrunk(&self, unit: f64, change: f64) -> Blocks {
+    pub(crate) fn shrunk(&self, unit: f64, change: f64) -> ClassBlocks {
         let (lanes, layout) = (self.isa.lanes(), self.layout);
         let data = pairs(layout.p) * lanes..layout.covariates() * lanes;
         let mut numbers = (*self.numbers).clone();
         let shrink = |block: &mut [f64]| block[data.clone()].iter_mut().for_each(|x| *x *= unit);
         numbers.par_chunks_mut((layout.size() * lanes).max(1)).with_min_len(TASKS).for_each(shrink);
         let constants = self.constants.clone();
-        Blocks { numbers: Arc::new(numbers), constants, constant: self.constant + change, ..*self }
+        ClassBlocks { numbers: Arc::new(numbers), constants, constant: self.constant + change, ..*self }
     }
 
     /// What it is worked on with.
@@ -104,7 +104,7 @@ impl Blocks {
     }
 
     /// What all classes say at a point, one part after the other.
-    pub(crate) fn totals(&self, point: &Point, wanted: Wanted<'_>) -> Vec<Totals> {
+    pub(crate) fn totals(&self, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassSums> {
         if self.constants.is_empty() {
             return Vec::new();
         }
@@ -113,7 +113,7 @@ impl Blocks {
         let fewest = fewest(layout.p);
         let blocks = self.numbers.len() / size;
         let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(most_tasks(layout.p)));
-        let pass = |blocks: &[f64]| isa.run(whole::Pass { blocks, layout, point, root, wanted });
+        let pass = |blocks: &[f64]| isa.run(whole::BlockPass { blocks, layout, point, root, wanted });
         self.numbers.par_chunks(each * size).map(pass).collect()
     }
 }

@@ -3,26 +3,26 @@
 
 use kalfit_lanes::Lanes;
 
-use crate::estimate::lanes::accumulator::Totals;
-use crate::estimate::lanes::dense::{Law, Told, entries, told};
+use crate::estimate::lanes::accumulator::ClassSums;
+use crate::estimate::lanes::dense::{BlockTerms, LaneLaw, entries, told};
 use crate::estimate::lanes::gather::Gather;
 use crate::estimate::lanes::rows::log_det;
-use crate::estimate::lanes::whole::Pass;
+use crate::estimate::lanes::whole::BlockPass;
 use crate::estimate::order::Order;
 use crate::linalg::symmetric::pairs;
 
 /// Most states whose sums of first derivatives are few enough for the registers.
 const IN_REGISTERS: usize = 3;
 
-impl Pass<'_> {
+impl BlockPass<'_> {
     #[inline(always)]
-    pub(super) fn sized<T: Lanes, const P: usize>(self) -> Totals {
+    pub(super) fn sized<T: Lanes, const P: usize>(self) -> ClassSums {
         let (law, order) = (self.law::<P>(), self.wanted.order);
         if P <= IN_REGISTERS && order < Order::Second {
             return self.first::<T, P>(&law);
         }
-        let mut products = Products::<T>::new(P, order);
-        let mut sums = Sums::<T, P>::new();
+        let mut products = SecondOrderSums::<T>::new(P, order);
+        let mut sums = FirstOrderSums::<T, P>::new();
         for block in self.blocks.chunks_exact(entries(P) * T::COUNT) {
             let told = told::<T, P>(block, &law, &mut sums.det);
             sums.add(&told);
@@ -35,8 +35,8 @@ impl Pass<'_> {
 
     /// First derivatives alone. Nothing else is in the loop, so that the sums of few states stay in registers.
     #[inline(always)]
-    fn first<T: Lanes, const P: usize>(self, law: &Law<P>) -> Totals {
-        let mut sums = Sums::<T, P>::new();
+    fn first<T: Lanes, const P: usize>(self, law: &LaneLaw<P>) -> ClassSums {
+        let mut sums = FirstOrderSums::<T, P>::new();
         for block in self.blocks.chunks_exact(entries(P) * T::COUNT) {
             let told = told::<T, P>(block, law, &mut sums.det);
             sums.add(&told);
@@ -44,8 +44,8 @@ impl Pass<'_> {
         sums.totals()
     }
 
-    fn law<const P: usize>(&self) -> Law<P> {
-        let mut law = Law { mean: [0.0; P], root: [[0.0; P]; P] };
+    fn law<const P: usize>(&self) -> LaneLaw<P> {
+        let mut law = LaneLaw { mean: [0.0; P], root: [[0.0; P]; P] };
         for i in 0..P {
             law.mean[i] = self.point.mean[i];
             for c in 0..=i {
@@ -57,7 +57,7 @@ impl Pass<'_> {
 }
 
 /// What second derivatives add up.
-struct Products<T> {
+struct SecondOrderSums<T> {
     p: usize,
     /// W ⊗ [r r' - ½W, r].
     observed: Gather<T>,
@@ -66,16 +66,16 @@ struct Products<T> {
     is_expected: bool,
 }
 
-impl<T: Lanes> Products<T> {
+impl<T: Lanes> SecondOrderSums<T> {
     fn new(p: usize, order: Order) -> Self {
         let (s, is_expected) = (pairs(p), order >= Order::Expected);
         let observed = Gather::new((s, s + p), order >= Order::Second);
-        Products { p, observed, expected: Gather::new((s, s), is_expected), is_expected }
+        SecondOrderSums { p, observed, expected: Gather::new((s, s), is_expected), is_expected }
     }
 
     /// Takes in W, r r' - ½W and r of a block.
     #[inline(always)]
-    fn take<const P: usize>(&mut self, told: &Told<T, P>) {
+    fn take<const P: usize>(&mut self, told: &BlockTerms<T, P>) {
         let (weights, right) = self.observed.next();
         let (inner, r) = right.split_at_mut(right.len() - P);
         told.write(weights, inner, r);
@@ -87,7 +87,7 @@ impl<T: Lanes> Products<T> {
     }
 
     #[inline(always)]
-    fn into(self, totals: Totals) -> Totals {
+    fn into(self, totals: ClassSums) -> ClassSums {
         let (p, s) = (self.p, pairs(self.p));
         let (mut curvature, mut cross) = (Vec::new(), Vec::new());
         let observed = self.observed.total();
@@ -101,11 +101,11 @@ impl<T: Lanes> Products<T> {
             cross[(a * p + b) * p..][..p].copy_from_slice(r);
             cross[(b * p + a) * p..][..p].copy_from_slice(r);
         }
-        Totals { curvature: vec![curvature], cross: vec![cross], expected: vec![self.expected.total()], ..totals }
+        ClassSums { curvature: vec![curvature], cross: vec![cross], expected: vec![self.expected.total()], ..totals }
     }
 }
 
-impl<T: Lanes, const P: usize> Told<T, P> {
+impl<T: Lanes, const P: usize> BlockTerms<T, P> {
     /// W, r r' - ½W and r.
     #[inline(always)]
     fn write(&self, weights: &mut [T], inner: &mut [T], r: &mut [T]) {
@@ -123,7 +123,7 @@ impl<T: Lanes, const P: usize> Told<T, P> {
 }
 
 /// Sums in lanes.
-struct Sums<T, const P: usize> {
+struct FirstOrderSums<T, const P: usize> {
     /// Π |S| = mantissa × 2^exponent.
     det: (T, T),
     quadratic: T,
@@ -132,16 +132,16 @@ struct Sums<T, const P: usize> {
     outer: [[T; P]; P],
 }
 
-impl<T: Lanes, const P: usize> Sums<T, P> {
+impl<T: Lanes, const P: usize> FirstOrderSums<T, P> {
     #[inline(always)]
     fn new() -> Self {
         let zero = T::splat(0.0);
         let square = [[zero; P]; P];
-        Sums { det: (T::splat(1.0), zero), quadratic: zero, r: [zero; P], W: square, outer: square }
+        FirstOrderSums { det: (T::splat(1.0), zero), quadratic: zero, r: [zero; P], W: square, outer: square }
     }
 
     #[inline(always)]
-    fn add(&mut self, told: &Told<T, P>) {
+    fn add(&mut self, told: &BlockTerms<T, P>) {
         self.quadratic = self.quadratic + told.quadratic;
         for a in 0..P {
             self.r[a] = self.r[a] + told.r[a];
@@ -153,7 +153,7 @@ impl<T: Lanes, const P: usize> Sums<T, P> {
     }
 
     #[inline(always)]
-    fn totals(&self) -> Totals {
+    fn totals(&self) -> ClassSums {
         let (mut score, mut W, mut outer) = (Vec::new(), Vec::new(), Vec::new());
         for a in 0..P {
             score.push(self.r[a].sum());
@@ -163,13 +163,13 @@ impl<T: Lanes, const P: usize> Sums<T, P> {
             }
         }
         let quadratic = self.quadratic.sum();
-        Totals {
+        ClassSums {
             value: -0.5 * (log_det(self.det.0, self.det.1) + quadratic),
             quadratic,
             score,
             weight: vec![W],
             outer: vec![outer],
-            ..Totals::default()
+            ..ClassSums::default()
         }
     }
 }

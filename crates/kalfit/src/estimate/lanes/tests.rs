@@ -37,7 +37,7 @@ fn point(p: usize) -> Point {
 }
 
 /// All sums in one row, of classes in one phase, in the order of [`crate::estimate::sums::Sums::numbers`].
-fn by_hand(classes: &[Class], point: &Point, Wanted { regressors, flat, .. }: Wanted<'_>) -> Vec<f64> {
+fn by_hand(classes: &[Class], point: &Point, SumsWanted { regressors, flat, .. }: SumsWanted<'_>) -> Vec<f64> {
     let (p, m) = (point.mean.len(), point.mean.len() + regressors.len());
     let mean = DVector::from_iterator(m, point.mean.iter().chain(&point.coefficients).copied());
     let places: Vec<(usize, usize)> = (0..p).flat_map(|i| (0..=i).map(move |k| (i, k))).collect();
@@ -89,10 +89,10 @@ fn by_hand(classes: &[Class], point: &Point, Wanted { regressors, flat, .. }: Wa
 }
 
 /// Asserts that the sums over blocks of classes, and over the classes one by one, are those by hand.
-fn assert_sums(classes: &[Class], (isa, several): (Isa, bool), point: &Point, wanted: Wanted<'_>) {
+fn assert_sums(classes: &[Class], (isa, several): (Isa, bool), point: &Point, wanted: SumsWanted<'_>) {
     let p = point.mean.len();
     let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
-    let blocks = Blocks::filled((p, wanted.regressors.len(), several), isa, classes.len(), &fill);
+    let blocks = ClassBlocks::filled((p, wanted.regressors.len(), several), isa, classes.len(), &fill);
     let mut together = wanted.zero();
     together.value += blocks.constant();
     blocks.totals(point, wanted).into_iter().for_each(|totals| together.take(totals));
@@ -115,7 +115,7 @@ fn sums_over_single_tests_are_those_by_hand() {
     for isa in Isa::all() {
         for p in (1..=10).chain([13, 20]) {
             let elements = Elements::single(p);
-            let wanted = Wanted { elements: &elements, regressors: &[], order: Order::Expected, flat: None };
+            let wanted = SumsWanted { elements: &elements, regressors: &[], order: Order::Expected, flat: None };
             // also blocks that are not full, and more than one task
             for tests in [1, isa.lanes(), 3 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
                 let classes: Vec<Class> = (0..tests).map(|j| class(p, j)).collect();
@@ -157,7 +157,7 @@ fn sums_over_several_tests_with_regressions_and_the_restricted_likelihood_are_th
             for known in [None, Some(&covariance)] {
                 let flat = FlatMean { jacobian: &jacobian, covariance: known };
                 let flat = (q > 0).then_some(&flat);
-                let wanted = Wanted { elements: &elements, regressors: &regressors, order: Order::Expected, flat };
+                let wanted = SumsWanted { elements: &elements, regressors: &regressors, order: Order::Expected, flat };
                 for tests in [1, 2 * isa.lanes() + 1, fewest(p) * isa.lanes() + 3] {
                     let classes: Vec<Class> =
                         (0..tests).map(|j| any_class(p, j, (regressors.len(), several))).collect();
@@ -174,7 +174,7 @@ fn classes_are_read_as_they_were_put() {
     for (p, covariates, several) in [(1, 0, false), (3, 2, false), (2, 1, true), (4, 0, true)] {
         let classes: Vec<Class> = (0..19).map(|j| any_class(p, j, (covariates, several))).collect();
         let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
-        let blocks = Blocks::filled((p, covariates, several), Isa::best(), classes.len(), &fill);
+        let blocks = ClassBlocks::filled((p, covariates, several), Isa::best(), classes.len(), &fill);
         let mut found = Class::default();
         for (j, class) in classes.iter().enumerate() {
             blocks.read(j, &mut found);

@@ -3,29 +3,29 @@
 use kalfit_lanes::{Kernel, Lanes};
 use nalgebra::DMatrix;
 
-use crate::estimate::lanes::accumulator::{Accumulator, Says, Totals};
-use crate::estimate::lanes::any::Room;
-use crate::estimate::lanes::layout::Layout;
+use crate::estimate::lanes::accumulator::{Accumulator, ClassSums, Says};
+use crate::estimate::lanes::any::ClassWorkspace;
+use crate::estimate::lanes::layout::ClassLayout;
 use crate::estimate::lanes::rows::add_one;
-use crate::estimate::order::Wanted;
+use crate::estimate::order::SumsWanted;
 use crate::estimate::point::Point;
 
 /// One pass over some blocks.
-pub(super) struct Pass<'a> {
+pub(super) struct BlockPass<'a> {
     pub(super) blocks: &'a [f64],
-    pub(super) layout: Layout,
+    pub(super) layout: ClassLayout,
     pub(super) point: &'a Point,
     /// F with Σ = FF', lower triangular.
     pub(super) root: &'a DMatrix<f64>,
-    pub(super) wanted: Wanted<'a>,
+    pub(super) wanted: SumsWanted<'a>,
 }
 
-impl Kernel for Pass<'_> {
-    type Output = Totals;
+impl Kernel for BlockPass<'_> {
+    type Output = ClassSums;
 
     /// Few states by sizes that the compiler knows, so that all of a block stays in registers.
     #[inline(always)]
-    fn run<T: Lanes>(self) -> Totals {
+    fn run<T: Lanes>(self) -> ClassSums {
         if self.layout.several || self.layout.covariates > 0 || self.wanted.flat.is_some() {
             return self.any::<T>();
         }
@@ -45,11 +45,11 @@ impl Kernel for Pass<'_> {
     }
 }
 
-impl Pass<'_> {
+impl BlockPass<'_> {
     #[inline(always)]
-    fn any<T: Lanes>(self) -> Totals {
+    fn any<T: Lanes>(self) -> ClassSums {
         let columns = if self.layout.several { 1 + self.layout.p } else { 1 };
-        let mut room = Room::<T>::new(&self.point.mean, self.root, columns);
+        let mut room = ClassWorkspace::<T>::new(&self.point.mean, self.root, columns);
         let mut sums = Accumulator::<T>::new(self.wanted);
         let mut covariates = vec![T::splat(0.0); self.layout.covariates];
         let count_at = self.layout.count() * T::COUNT;
@@ -68,7 +68,7 @@ impl Pass<'_> {
 
     /// Moves μ by the regressions.
     #[inline(always)]
-    fn move_mean<T: Lanes>(&self, covariates: &[T], room: &mut Room<T>) {
+    fn move_mean<T: Lanes>(&self, covariates: &[T], room: &mut ClassWorkspace<T>) {
         let regressors = self.wanted.regressors;
         for &element in regressors {
             room.mean[element] = T::splat(self.point.mean[element]);
@@ -81,7 +81,7 @@ impl Pass<'_> {
 
 /// What a block says.
 struct InBlock<'a, T> {
-    room: &'a Room<T>,
+    room: &'a ClassWorkspace<T>,
     det: (T, T),
     count: Option<T>,
 }

@@ -13,27 +13,27 @@ pub(super) struct Leaf<T = f64> {
 
 /// Units whose tests have the same designs in the same groups.
 #[derive(Debug, Clone)]
-pub(super) struct Design {
+pub(super) struct UnitDesign {
     /// Of each test the number of its leaf and its group.
-    pub(super) tests: Vec<Member>,
+    pub(super) tests: Vec<UnitTest>,
     /// The groups, those of inner levels before those that they stand in; the last one is the unit.
-    pub(super) groups: Vec<Node>,
+    pub(super) groups: Vec<UnitGroup>,
     /// The units, each by the numbers of its reductions and of its groups in their levels.
-    pub(super) units: Vec<Unit>,
+    pub(super) units: Vec<OuterGroup>,
     /// d of the tests from the centre on: of each test p rows of as many numbers as there are units.
     pub(super) data: Vec<Rows>,
 }
 
 /// A test of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) struct Member {
+pub(super) struct UnitTest {
     pub(super) leaf: usize,
     pub(super) group: usize,
 }
 
 /// A group of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(super) struct Node {
+pub(super) struct UnitGroup {
     /// Its level, the innermost being 1: that of its Σ among the blocks.
     pub(super) level: usize,
     /// The group that it stands in; itself for the unit.
@@ -42,18 +42,18 @@ pub(super) struct Node {
 
 /// One group of the outermost level.
 #[derive(Debug, Clone)]
-pub(super) struct Unit {
+pub(super) struct OuterGroup {
     /// Numbers of its reductions, in the order of the tests of the design.
     pub(super) tests: Vec<usize>,
     /// Numbers of its groups in their levels, in the order of the groups of the design.
     pub(super) groups: Vec<usize>,
 }
 
-impl Design {
+impl UnitDesign {
     /// Some of the units.
-    pub(super) fn some(&self, units: &[usize]) -> Design {
+    pub(super) fn some(&self, units: &[usize]) -> UnitDesign {
         let of = |data: &Rows| Rows::from_fn(data.nrows(), units.len(), |i, at| data[(i, units[at])]);
-        Design {
+        UnitDesign {
             tests: self.tests.clone(),
             groups: self.groups.clone(),
             units: units.iter().map(|&unit| self.units[unit].clone()).collect(),

@@ -22,8 +22,8 @@
 //! In [`Elements`](crate::linalg::elements::Elements) what the groups of a level add stands like a further phase: block 0 is the tests' own
 //! level, the next one the innermost level of groups.
 
-mod bundle;
-mod companies;
+mod batch_data;
+mod batches;
 mod design;
 mod moments;
 mod pass;
@@ -37,5 +37,5 @@ mod units;
 mod walk;
 
 pub(crate) use pass::{each_unit, pass};
-pub(crate) use posterior::{GroupPosterior, LevelPosteriors, TestPosterior, posteriors};
+pub(crate) use posterior::{LevelPosteriors, ScaledGroupPosterior, TestPosterior, posteriors};
 pub(crate) use units::{Units, stacked};

@@ -2,7 +2,7 @@
 
 use nalgebra::DVector;
 
-use crate::estimate::levels::design::{Design, Leaf};
+use crate::estimate::levels::design::{Leaf, UnitDesign};
 use crate::estimate::levels::units::Units;
 
 impl Units {
@@ -53,7 +53,7 @@ fn solved(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
     found
 }
 
-impl Design {
+impl UnitDesign {
     /// Calls `of` with the level, the state, (y - Jμ)_i and J_ii of each test and of all that stands in each group.
     fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), of: &mut dyn FnMut(usize, usize, f64, f64)) {
         let p = mean.len();

@@ -6,13 +6,13 @@ use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::estimate::levels::bundle::Bundle;
-use crate::estimate::levels::companies::Company;
-use crate::estimate::levels::design::Design;
-use crate::estimate::levels::totals::{Totals, Wish};
+use crate::estimate::levels::batch_data::BatchData;
+use crate::estimate::levels::batches::UnitBatch;
+use crate::estimate::levels::design::UnitDesign;
+use crate::estimate::levels::totals::{UnitSums, Wish};
 use crate::estimate::levels::units::Units;
-use crate::estimate::levels::walk::At;
-use crate::estimate::order::{FlatMean, Order, Wanted};
+use crate::estimate::levels::walk::LevelLaws;
+use crate::estimate::order::{FlatMean, Order, SumsWanted};
 use crate::estimate::point::Point;
 use crate::estimate::sums::{OfLevels, Sums};
 use crate::linalg::rows::Rows;
@@ -23,25 +23,25 @@ const TOGETHER: usize = 64;
 const TASKS: usize = 64;
 
 /// ℓ and its derivatives at a point. The mean is the sum of those of all levels, so what is said of one is said of each.
-pub(crate) fn pass(units: &Units, point: &Point, wanted: Wanted<'_>) -> Sums {
+pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let flat = wanted.flat.map(|flat| (folded(flat, units.states, units.levels()), flat.covariance));
     let wish = Wish {
         flat: flat.as_ref().map(|(jacobian, covariance)| (jacobian, *covariance)),
         ..Wish::of(units, wanted, wanted.order)
     };
     let pieces = pieces(units);
-    let of_part = |pieces: &[Piece<'_>]| {
-        let shared = pieces.iter().filter_map(Piece::columns);
+    let of_part = |pieces: &[UnitShare<'_>]| {
+        let shared = pieces.iter().filter_map(UnitShare::columns);
         let columns = in_columns(units, (point, wanted), shared, wish);
-        let companies = pieces.iter().filter_map(Piece::company).collect();
-        columns.and(Isa::best().run(Abreast { units, point, wanted, wish, companies }))
+        let companies = pieces.iter().filter_map(UnitShare::company).collect();
+        columns.and(Isa::best().run(UnitKernel { units, point, wanted, wish, companies }))
     };
-    let parts: Vec<Totals> = pieces.par_chunks(pieces.len().div_ceil(TASKS).max(1)).map(of_part).collect();
-    sums((units, units.constant), parts.into_iter().fold(Totals::zero(wish), Totals::and), wanted)
+    let parts: Vec<UnitSums> = pieces.par_chunks(pieces.len().div_ceil(TASKS).max(1)).map(of_part).collect();
+    sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(wish), UnitSums::and), wanted)
 }
 
 /// Calls `of` with the numbers of the reductions of each unit and its sums of first order, the constants of its tests apart.
-pub(crate) fn each_unit(units: &Units, point: &Point, wanted: Wanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
+pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
     let wish = Wish::of(units, wanted, Order::First);
     for design in units.designs.iter() {
         for (number, unit) in design.units.iter().enumerate() {
@@ -53,75 +53,75 @@ pub(crate) fn each_unit(units: &Units, point: &Point, wanted: Wanted<'_>, of: &m
 }
 
 impl Wish<'_> {
-    fn of(units: &Units, wanted: Wanted<'_>, order: Order) -> Self {
+    fn of(units: &Units, wanted: SumsWanted<'_>, order: Order) -> Self {
         let (states, levels) = (units.states, units.levels());
         Wish { order, states, levels, coordinates: states + wanted.regressors.len(), flat: None }
     }
 }
 
 /// Units that are walked through together.
-enum Piece<'a> {
+enum UnitShare<'a> {
     /// Some units of one design.
-    Columns(&'a Design, Range<usize>),
-    Company(&'a Company),
+    Columns(&'a UnitDesign, Range<usize>),
+    Company(&'a UnitBatch),
 }
 
-impl<'a> Piece<'a> {
-    fn columns(&self) -> Option<(&'a Design, Range<usize>)> {
+impl<'a> UnitShare<'a> {
+    fn columns(&self) -> Option<(&'a UnitDesign, Range<usize>)> {
         match self {
-            Piece::Columns(design, units) => Some((design, units.clone())),
-            Piece::Company(_) => None,
+            UnitShare::Columns(design, units) => Some((design, units.clone())),
+            UnitShare::Company(_) => None,
         }
     }
 
-    fn company(&self) -> Option<&'a Company> {
+    fn company(&self) -> Option<&'a UnitBatch> {
         match self {
-            Piece::Columns(..) => None,
-            Piece::Company(company) => Some(company),
+            UnitShare::Columns(..) => None,
+            UnitShare::Company(company) => Some(company),
         }
     }
 }
 
-fn pieces<'a>(units: &'a Units) -> Vec<Piece<'a>> {
-    let of = |design: &'a Design| {
+fn pieces<'a>(units: &'a Units) -> Vec<UnitShare<'a>> {
+    let of = |design: &'a UnitDesign| {
         let count = design.units.len();
-        (0..count).step_by(TOGETHER).map(move |from| Piece::Columns(design, from..(from + TOGETHER).min(count)))
+        (0..count).step_by(TOGETHER).map(move |from| UnitShare::Columns(design, from..(from + TOGETHER).min(count)))
     };
     let shared = units.designs.iter().filter(|design| design.is_shared()).flat_map(of);
-    shared.chain(units.companies.iter().map(Piece::Company)).collect()
+    shared.chain(units.companies.iter().map(UnitShare::Company)).collect()
 }
 
 /// Sums over units whose designs are shared.
 fn in_columns<'a>(
     units: &Units,
-    (point, wanted): (&Point, Wanted<'_>),
-    pieces: impl Iterator<Item = (&'a Design, Range<usize>)>,
+    (point, wanted): (&Point, SumsWanted<'_>),
+    pieces: impl Iterator<Item = (&'a UnitDesign, Range<usize>)>,
     wish: Wish<'_>,
-) -> Totals {
-    let at = At::new(units, point, wanted.regressors);
-    let mut totals = Totals::zero(wish);
-    pieces.for_each(|(design, some)| totals.take(&at, &Bundle::alike(units, design, some), wish));
+) -> UnitSums {
+    let at = LevelLaws::new(units, point, wanted.regressors);
+    let mut totals = UnitSums::zero(wish);
+    pieces.for_each(|(design, some)| totals.take(&at, &BatchData::alike(units, design, some), wish));
     totals
 }
 
 /// Units of some companies, in lanes.
-struct Abreast<'a> {
+struct UnitKernel<'a> {
     units: &'a Units,
     point: &'a Point,
-    wanted: Wanted<'a>,
+    wanted: SumsWanted<'a>,
     wish: Wish<'a>,
-    companies: Vec<&'a Company>,
+    companies: Vec<&'a UnitBatch>,
 }
 
-impl Kernel for Abreast<'_> {
-    type Output = Totals;
+impl Kernel for UnitKernel<'_> {
+    type Output = UnitSums;
 
     #[inline(always)]
-    fn run<T: Lanes>(self) -> Totals {
-        let at = At::<T>::new(self.units, self.point, self.wanted.regressors);
-        let mut totals = Totals::<T>::zero(self.wish);
+    fn run<T: Lanes>(self) -> UnitSums {
+        let at = LevelLaws::<T>::new(self.units, self.point, self.wanted.regressors);
+        let mut totals = UnitSums::<T>::zero(self.wish);
         for company in self.companies {
-            totals.take(&at, &Bundle::abreast(self.units, company), self.wish);
+            totals.take(&at, &BatchData::abreast(self.units, company), self.wish);
         }
         totals.of_all_lanes()
     }
@@ -136,7 +136,7 @@ fn folded(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
     })
 }
 
-fn sums((units, constant): (&Units, f64), totals: Totals, wanted: Wanted<'_>) -> Sums {
+fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'_>) -> Sums {
     let (p, levels) = (units.states, units.levels());
     let mut sums = wanted.zero_in_groups();
     let all = sums.mean_score.len();

@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::estimate::levels::bundle::Bundle;
-use crate::estimate::levels::design::{Design, Unit};
+use crate::estimate::levels::batch_data::BatchData;
+use crate::estimate::levels::design::{OuterGroup, UnitDesign};
 use crate::estimate::levels::units::Units;
-use crate::estimate::levels::walk::{At, Mean, Walked};
+use crate::estimate::levels::walk::{GroupMean, LevelLaws, Walked};
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::rows::Rows;
 
@@ -15,7 +15,7 @@ pub(crate) struct LevelPosteriors {
     /// Of the tests, by their numbers in the grouping.
     pub(crate) tests: Vec<TestPosterior>,
     /// Of the groups, level by level from the innermost on, by their numbers.
-    pub(crate) groups: Vec<Vec<GroupPosterior>>,
+    pub(crate) groups: Vec<Vec<ScaledGroupPosterior>>,
 }
 
 /// ξ of a test given all tests of its unit.
@@ -30,7 +30,7 @@ pub(crate) struct TestPosterior {
 
 /// The mean of the members of a group given all tests of its unit, and how far the group is from the population by itself.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct GroupPosterior {
+pub(crate) struct ScaledGroupPosterior {
     pub(crate) mean: Vec<f64>,
     /// V, p × p by rows.
     pub(crate) covariance: Vec<f64>,
@@ -45,9 +45,9 @@ pub(crate) struct GroupPosterior {
 }
 
 /// A test by the number of its reduction, or a group by its level and number.
-enum Found {
+enum MemberId {
     Test(usize, TestPosterior),
-    Group(usize, usize, GroupPosterior),
+    Group(usize, usize, ScaledGroupPosterior),
 }
 
 /// The posteriors at a point. `constants`: those of the reductions, without which the log densities lack them; `coordinates`: with what
@@ -66,38 +66,38 @@ pub(crate) fn posteriors(
             &none
         }
     };
-    let at = At::new(units, point, regressors);
+    let at = LevelLaws::new(units, point, regressors);
     let above = Above::new(&at);
-    let of_design = |design: &Design| -> Vec<Found> {
-        let bundle = Bundle::alike(units, design, 0..design.units.len());
+    let of_design = |design: &UnitDesign| -> Vec<MemberId> {
+        let bundle = BatchData::alike(units, design, 0..design.units.len());
         let walked = at.walked(&bundle, coordinates);
         let all = (design.units.as_slice(), &bundle, &walked);
         let tests = (0..design.tests.len()).flat_map(|t| of_test(&at, all, t));
         tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &above), all, (g, constants)))).collect()
     };
-    let found: Vec<Vec<Found>> = units.designs.par_iter().map(of_design).collect();
+    let found: Vec<Vec<MemberId>> = units.designs.par_iter().map(of_design).collect();
     let mut all = LevelPosteriors {
         tests: vec![TestPosterior::default(); units.grouping.tests()],
         groups: (0..units.grouping.depth())
-            .map(|level| vec![GroupPosterior::default(); units.grouping.groups(level).len()])
+            .map(|level| vec![ScaledGroupPosterior::default(); units.grouping.groups(level).len()])
             .collect(),
     };
     for one in found.into_iter().flatten() {
         match one {
-            Found::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
-            Found::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
+            MemberId::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
+            MemberId::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
         }
     }
     all
 }
 
 /// Units of one design, and what they say.
-type Alike<'a> = (&'a [Unit], &'a Bundle<'a, f64>, &'a Walked<f64>);
+type EqualUnits<'a> = (&'a [OuterGroup], &'a BatchData<'a, f64>, &'a Walked<f64>);
 
-fn of_test(at: &At<'_>, (units, bundle, walked): Alike<'_>, t: usize) -> Vec<Found> {
+fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize) -> Vec<MemberId> {
     let (member, down) = (bundle.tests[t], &walked.tests[t]);
     let weight = &walked.leaves[member.leaf].W;
-    let mean = Mean::of((weight, &down.r), &at.sigmas[0], Some(&walked.means[member.group]));
+    let mean = GroupMean::of((weight, &down.r), &at.sigmas[0], Some(&walked.means[member.group]));
     let leaf = &bundle.leaves[member.leaf];
     let centre = at.mean_of(leaf);
     let p = centre.len();
@@ -106,10 +106,10 @@ fn of_test(at: &At<'_>, (units, bundle, walked): Alike<'_>, t: usize) -> Vec<Fou
         .flat_map(|i| (0..walked.before).map(move |c| (i, c)))
         .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
         .collect();
-    let one = |(unit, numbers): (usize, &Unit)| {
+    let one = |(unit, numbers): (usize, &OuterGroup)| {
         let own = |i: usize| centre[i] + mean.mean[(i, walked.before + unit)];
         let covariance = mean.covariance.as_slice().to_vec();
-        Found::Test(
+        MemberId::Test(
             numbers.tests[t],
             TestPosterior { mean: (0..p).map(own).collect(), covariance, moved: moved.clone() },
         )
@@ -121,7 +121,7 @@ fn of_test(at: &At<'_>, (units, bundle, walked): Alike<'_>, t: usize) -> Vec<Fou
 struct Above(Vec<Rows>);
 
 impl Above {
-    fn new(at: &At<'_>) -> Above {
+    fn new(at: &LevelLaws<'_>) -> Above {
         let of = |level: usize| {
             let mut root = Rows::zeros(0, at.mean.len());
             at.roots[level..].iter().for_each(|one| root.append(one));
@@ -132,21 +132,21 @@ impl Above {
 }
 
 fn of_group(
-    (at, above): (&At<'_>, &Above),
-    (units, bundle, walked): Alike<'_>,
+    (at, above): (&LevelLaws<'_>, &Above),
+    (units, bundle, walked): EqualUnits<'_>,
     (g, constants): (usize, &[f64]),
-) -> Vec<Found> {
+) -> Vec<MemberId> {
     let (node, mean, up) = (bundle.groups[g], &walked.means[g], &walked.up[g]);
     let p = at.mean.len();
     let rank = up.rank();
     let (squares, log_det) = up.apart(&above.0[node.level]);
     let within = walked.within(bundle, g);
     let members: Vec<usize> = (0..bundle.tests.len()).filter(|&t| bundle.stands_in(bundle.tests[t].group, g)).collect();
-    let one = |(unit, numbers): (usize, &Unit)| {
+    let one = |(unit, numbers): (usize, &OuterGroup)| {
         let column = walked.before + unit;
         let constant: f64 = members.iter().map(|&t| constants[numbers.tests[t]]).sum();
         let squared = squares[column];
-        let posterior = GroupPosterior {
+        let posterior = ScaledGroupPosterior {
             mean: (0..p).map(|i| at.mean[i] + mean.mean[(i, column)]).collect(),
             covariance: mean.covariance.as_slice().to_vec(),
             squared,
@@ -154,7 +154,7 @@ fn of_group(
             within: within.1[column],
             log_density: constant - 0.5 * (log_det + within.0 + within.1[column] + squared),
         };
-        Found::Group(node.level, numbers.groups[g], posterior)
+        MemberId::Group(node.level, numbers.groups[g], posterior)
     };
     units.iter().enumerate().map(one).collect()
 }

@@ -15,8 +15,8 @@
 
 use kalfit_lanes::Lanes;
 
-use crate::estimate::levels::bundle::Bundle;
-use crate::estimate::levels::walk::{At, Down, Mean, Walked};
+use crate::estimate::levels::batch_data::BatchData;
+use crate::estimate::levels::walk::{Down, GroupMean, LevelLaws, Walked};
 use crate::linalg::rows::Rows;
 
 /// An element of the Σ of a level, in both of its places.
@@ -28,7 +28,7 @@ pub(super) struct Along {
 }
 
 /// What moves of a test or a group.
-pub(super) struct Moved<'a, T> {
+pub(super) struct NodeTangent<'a, T> {
     pub(super) level: usize,
     /// Its number among the tests of the bundle; `None` for a group.
     pub(super) test: Option<usize>,
@@ -64,9 +64,9 @@ impl<T: Lanes> Scratch<T> {
 }
 
 /// (dW, ds) or (dr, dW̄).
-type Pair<T> = (Rows<T>, Rows<T>);
+type TangentPair<T> = (Rows<T>, Rows<T>);
 /// (dW, ds), where they are not zero.
-type Change<T> = Option<Pair<T>>;
+type WeightTangent<T> = Option<TangentPair<T>>;
 
 impl Along {
     /// Both places of the element, the diagonal's once.
@@ -100,14 +100,14 @@ impl Along {
     #[inline(always)]
     pub(super) fn through<T: Lanes>(
         self,
-        at: &At<'_, T>,
-        (bundle, walked): (&Bundle<'_, T>, &Walked<T>),
+        at: &LevelLaws<'_, T>,
+        (bundle, walked): (&BatchData<'_, T>, &Walked<T>),
         scratch: &mut Scratch<T>,
-        mut tell: impl FnMut(Moved<'_, T>),
+        mut tell: impl FnMut(NodeTangent<'_, T>),
     ) {
         let changes = self.up(at, bundle, walked);
         let last = bundle.groups.len() - 1;
-        let mut means: Vec<Mean<T>> = Vec::with_capacity(bundle.groups.len()); // the last group first
+        let mut means: Vec<GroupMean<T>> = Vec::with_capacity(bundle.groups.len()); // the last group first
         for (own, node) in bundle.groups.iter().enumerate().rev() {
             let above = match node.parent == own {
                 true => None,
@@ -119,12 +119,12 @@ impl Along {
             let here = (node.level == self.level).then_some(self);
             let mean = inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), here, above);
             means.push(mean);
-            tell(Moved { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
+            tell(NodeTangent { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
         }
         for (number, (member, down)) in bundle.tests.iter().zip(&walked.tests).enumerate() {
             let moving = &means[last - member.group];
             self.test((&walked.leaves[member.leaf].W, &walked.known[number]), down, moving, scratch);
-            tell(Moved { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
+            tell(NodeTangent { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
         }
     }
 
@@ -134,7 +134,7 @@ impl Along {
         self,
         (W, known): (&Rows<T>, &Rows<T>),
         down: &Down<T>,
-        moving: &Mean<T>,
+        moving: &GroupMean<T>,
         scratch: &mut Scratch<T>,
     ) {
         let p = W.nrows();
@@ -163,7 +163,7 @@ impl Along {
 
     /// Adds (dW, ds) of a member of its own level: -WEW and -WEs.
     #[inline(always)]
-    fn add_own<T: Lanes>(self, (sum_W, sum_s): &mut Pair<T>, (W, s): (&Rows<T>, &Rows<T>)) {
+    fn add_own<T: Lanes>(self, (sum_W, sum_s): &mut TangentPair<T>, (W, s): (&Rows<T>, &Rows<T>)) {
         for (i, k) in self.places() {
             for row in 0..W.nrows() {
                 let x = W[(row, i)];
@@ -179,8 +179,13 @@ impl Along {
 
     /// (dW, ds) of the groups.
     #[inline(always)]
-    fn up<T: Lanes>(self, at: &At<'_, T>, bundle: &Bundle<'_, T>, walked: &Walked<T>) -> Vec<Change<T>> {
-        let mut gathered: Vec<Change<T>> = Vec::with_capacity(bundle.groups.len());
+    fn up<T: Lanes>(
+        self,
+        at: &LevelLaws<'_, T>,
+        bundle: &BatchData<'_, T>,
+        walked: &Walked<T>,
+    ) -> Vec<WeightTangent<T>> {
+        let mut gathered: Vec<WeightTangent<T>> = Vec::with_capacity(bundle.groups.len());
         for _ in bundle.groups {
             gathered.push(None);
         }
@@ -217,7 +222,7 @@ impl Along {
 }
 
 #[inline(always)]
-fn add<T: Lanes>(sum: &mut Change<T>, (W, s): (&Rows<T>, &Rows<T>)) {
+fn add<T: Lanes>(sum: &mut WeightTangent<T>, (W, s): (&Rows<T>, &Rows<T>)) {
     *sum = Some(match sum.take() {
         None => (W.clone(), s.clone()),
         Some((sum_W, sum_s)) => (sum_W.plus(W), sum_s.plus(s)),
@@ -248,9 +253,9 @@ fn twice<T: Lanes>(a: &Rows<T>) -> Rows<T> {
 #[inline(always)]
 fn moved<T: Lanes>(
     (W, down): (&Rows<T>, &Down<T>),
-    change: Option<&Pair<T>>,
-    above: Option<(&Mean<T>, &Mean<T>)>,
-) -> Pair<T> {
+    change: Option<&TangentPair<T>>,
+    above: Option<(&GroupMean<T>, &GroupMean<T>)>,
+) -> TangentPair<T> {
     let p = W.nrows();
     let (mut r, mut weight) = match change {
         Some((dW, ds)) => (ds.clone(), dW.clone()),
@@ -271,10 +276,10 @@ fn moved<T: Lanes>(
 #[inline(always)]
 fn inherited<T: Lanes>(
     (W, down, sigma): (&Rows<T>, &Down<T>, &Rows<T>),
-    (change, moved): (Option<&Pair<T>>, &Pair<T>),
+    (change, moved): (Option<&TangentPair<T>>, &TangentPair<T>),
     here: Option<Along>,
-    above: Option<(&Mean<T>, &Mean<T>)>,
-) -> Mean<T> {
+    above: Option<(&GroupMean<T>, &GroupMean<T>)>,
+) -> GroupMean<T> {
     let p = W.nrows();
     let mut mean = sigma.times(&moved.0);
     let mut covariance = Rows::zeros(p, p);
@@ -297,5 +302,5 @@ fn inherited<T: Lanes>(
             .plus(&rest.times(&moving.covariance).times_transpose(&rest))
             .plus(&twice(&turned.times(&law.covariance).times_transpose(&rest)));
     }
-    Mean { mean, covariance }
+    GroupMean { mean, covariance }
 }

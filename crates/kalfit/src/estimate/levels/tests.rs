@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::{Grouping, Label};
 use crate::estimate::levels::{Units, each_unit, pass, posteriors};
-use crate::estimate::order::{Order, Wanted};
+use crate::estimate::order::{Order, SumsWanted};
 use crate::estimate::point::Point;
 use crate::estimate::{
     Combination, Criterion, Estimate, PhaseStructure, Problem, Settings, Silent, Solver, Stop, Structure, evidence, fit,
@@ -426,7 +426,7 @@ fn units_in_lanes_say_what_they_say_one_by_one() {
         let point = point(&problem, &here);
         let units = problem.classes.units.as_ref().expect("they are in groups");
         let regressors = &problem.mean.regressors;
-        let wanted = Wanted { elements: &problem.classes.elements, regressors, order: Order::First, flat: None };
+        let wanted = SumsWanted { elements: &problem.classes.elements, regressors, order: Order::First, flat: None };
         let together = pass(units, &point, wanted);
         let (mut value, mut score) = (units.constant, DVector::zeros(together.mean_score.len()));
         let (mut outer, mut weight) = (together.outer.clone() * 0.0, together.weight.clone() * 0.0);

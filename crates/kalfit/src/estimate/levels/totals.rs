@@ -3,16 +3,16 @@
 use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
-use crate::estimate::levels::bundle::Bundle;
-use crate::estimate::levels::tangents::{Along, Moved, Scratch};
-use crate::estimate::levels::walk::{At, Walked};
+use crate::estimate::levels::batch_data::BatchData;
+use crate::estimate::levels::tangents::{Along, NodeTangent, Scratch};
+use crate::estimate::levels::walk::{LevelLaws, Walked};
 use crate::estimate::order::Order;
 use crate::linalg::rows::Rows;
 use crate::linalg::symmetric::{pair, pairs};
 
 /// Sums over units. Mean coordinates are the p elements of μ, then the regression coefficients.
 #[derive(Debug, Clone)]
-pub(super) struct Totals<T = f64> {
+pub(super) struct UnitSums<T = f64> {
     /// ℓ, constants apart.
     pub(super) value: T,
     pub(super) quadratic: T,
@@ -42,14 +42,14 @@ pub(super) struct Wish<'a> {
     pub(super) flat: Option<(&'a DMatrix<f64>, Option<&'a DMatrix<f64>>)>,
 }
 
-impl<T: Lanes> Totals<T> {
+impl<T: Lanes> UnitSums<T> {
     #[inline(always)]
-    pub(super) fn zero(wish: Wish<'_>) -> Totals<T> {
+    pub(super) fn zero(wish: Wish<'_>) -> UnitSums<T> {
         let Wish { states: p, levels, coordinates, .. } = wish;
         let elements = levels * pairs(p);
         let second = if wish.order >= Order::Second { elements } else { 0 };
         let free = wish.flat.map_or(0, |(jacobian, _)| pairs(jacobian.ncols()));
-        let mut totals = Totals {
+        let mut totals = UnitSums {
             value: T::splat(0.0),
             quadratic: T::splat(0.0),
             score: Rows::zeros(coordinates, 1),
@@ -70,7 +70,7 @@ impl<T: Lanes> Totals<T> {
 
     /// Adds what some units say.
     #[inline(always)]
-    pub(super) fn take(&mut self, at: &At<'_, T>, bundle: &Bundle<'_, T>, wish: Wish<'_>) {
+    pub(super) fn take(&mut self, at: &LevelLaws<'_, T>, bundle: &BatchData<'_, T>, wish: Wish<'_>) {
         let coordinates = !at.regressors.is_empty() || wish.flat.is_some();
         let walked = at.walked(bundle, coordinates);
         let count = T::splat(walked.columns as f64);
@@ -100,7 +100,7 @@ impl<T: Lanes> Totals<T> {
     }
 
     #[inline(always)]
-    fn mean(&mut self, at: &At<'_, T>, bundle: &Bundle<'_, T>, walked: &Walked<T>) {
+    fn mean(&mut self, at: &LevelLaws<'_, T>, bundle: &BatchData<'_, T>, walked: &Walked<T>) {
         let count = T::splat(walked.columns as f64);
         for (member, down) in bundle.tests.iter().zip(&walked.tests) {
             for (c, (state, x)) in each_coordinate(at, &bundle.leaves[member.leaf].covariates).enumerate() {
@@ -139,7 +139,7 @@ impl<T: Lanes> Totals<T> {
     }
 
     #[inline(always)]
-    fn second(&mut self, at: &At<'_, T>, (bundle, walked): (&Bundle<'_, T>, &Walked<T>), wish: Wish<'_>) {
+    fn second(&mut self, at: &LevelLaws<'_, T>, (bundle, walked): (&BatchData<'_, T>, &Walked<T>), wish: Wish<'_>) {
         let p = wish.states;
         let mut scratch = Scratch::new(p, walked.before + walked.columns);
         let mut along = Rows::zeros(p, p);
@@ -158,8 +158,8 @@ impl<T: Lanes> Totals<T> {
     #[inline(always)]
     fn along(
         &mut self,
-        at: &At<'_, T>,
-        (bundle, walked): (&Bundle<'_, T>, &Walked<T>),
+        at: &LevelLaws<'_, T>,
+        (bundle, walked): (&BatchData<'_, T>, &Walked<T>),
         (element, (e, sum)): (Along, (usize, &mut Rows<T>)),
         (scratch, wish): (&mut Scratch<T>, Wish<'_>),
     ) {
@@ -185,7 +185,13 @@ impl<T: Lanes> Totals<T> {
 
     /// Adds how the scores of a test or group move along element e.
     #[inline(always)]
-    fn moved(&mut self, walked: &Walked<T>, (e, along): (usize, &mut Rows<T>), moved: &Moved<'_, T>, wish: Wish<'_>) {
+    fn moved(
+        &mut self,
+        walked: &Walked<T>,
+        (e, along): (usize, &mut Rows<T>),
+        moved: &NodeTangent<'_, T>,
+        wish: Wish<'_>,
+    ) {
         let (p, count) = (wish.states, T::splat(walked.columns as f64));
         for i in 0..p {
             along.row_mut(i).fill(T::splat(0.0));
@@ -211,8 +217,8 @@ impl<T: Lanes> Totals<T> {
 
     /// The sums over all lanes.
     #[inline(always)]
-    pub(super) fn of_all_lanes(&self) -> Totals {
-        let mut totals = Totals {
+    pub(super) fn of_all_lanes(&self) -> UnitSums {
+        let mut totals = UnitSums {
             value: self.value.sum(),
             quadratic: self.quadratic.sum(),
             score: over_lanes(&self.score),
@@ -232,12 +238,12 @@ impl<T: Lanes> Totals<T> {
     }
 }
 
-impl Totals {
-    pub(super) fn and(mut self, other: Totals) -> Totals {
+impl UnitSums {
+    pub(super) fn and(mut self, other: UnitSums) -> UnitSums {
         let levels = |own: Vec<Rows>, other: &[Rows]| own.into_iter().zip(other).map(|(a, b)| a.plus(b)).collect();
         self.value += other.value;
         self.quadratic += other.quadratic;
-        Totals {
+        UnitSums {
             score: self.score.plus(&other.score),
             information: self.information.plus(&other.information),
             outer: levels(self.outer, &other.outer),
@@ -253,7 +259,7 @@ impl Totals {
 
 /// Of each mean coordinate of a test the state that it moves, and how much.
 #[inline(always)]
-fn each_coordinate<T: Lanes>(at: &At<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
+fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
     let states = (0..at.mean.len()).map(
         #[inline(always)]
         |i| (i, T::splat(1.0)),

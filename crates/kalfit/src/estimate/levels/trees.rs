@@ -6,11 +6,11 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use crate::ensemble::Grouping;
-use crate::estimate::levels::design::{Member, Node};
+use crate::estimate::levels::design::{UnitGroup, UnitTest};
 use crate::reduce::Reductions;
 
 /// A group with all that stands in it, its members in an order that does not depend on the order of the tests.
-pub(super) struct Tree {
+pub(super) struct GroupTree {
     /// Which group of its level it is.
     group: usize,
     level: usize,
@@ -18,7 +18,7 @@ pub(super) struct Tree {
     pub(super) kind: usize,
     /// The place of its first test in the order of the ids.
     first: usize,
-    inner: Vec<Tree>,
+    inner: Vec<GroupTree>,
     /// (leaf, place in the order of the ids, number of the reduction).
     tests: Vec<(usize, usize, usize)>,
 }
@@ -28,18 +28,18 @@ pub(super) fn trees(
     reductions: &Reductions,
     leaf_of: &[usize],
     (grouping, numbers): (&Grouping, &[usize]),
-) -> Vec<Tree> {
+) -> Vec<GroupTree> {
     let mut by_id: Vec<usize> = (0..reductions.len()).collect();
     by_id.par_sort_unstable_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
-    let mut groups: Vec<HashMap<usize, Tree>> = (0..grouping.depth()).map(|_| HashMap::new()).collect();
+    let mut groups: Vec<HashMap<usize, GroupTree>> = (0..grouping.depth()).map(|_| HashMap::new()).collect();
     for (place, &j) in by_id.iter().enumerate() {
         let group = grouping.group_of(numbers[j], 0);
-        let tree = groups[0].entry(group).or_insert_with(|| Tree::empty(group, 1, place));
+        let tree = groups[0].entry(group).or_insert_with(|| GroupTree::empty(group, 1, place));
         tree.tests.push((leaf_of[j], place, j));
     }
     let mut kinds: HashMap<Vec<usize>, usize> = HashMap::new();
     for level in 0..grouping.depth() {
-        let mut trees: Vec<Tree> = std::mem::take(&mut groups[level]).into_values().collect();
+        let mut trees: Vec<GroupTree> = std::mem::take(&mut groups[level]).into_values().collect();
         trees.sort_unstable_by_key(|tree| tree.first);
         trees.iter_mut().for_each(|tree| tree.settle(&mut kinds));
         if level + 1 == grouping.depth() {
@@ -48,7 +48,7 @@ pub(super) fn trees(
         for tree in trees {
             let parent = grouping.groups(level)[tree.group].parent.expect("an inner level");
             let above = groups[level + 1].entry(parent);
-            let above = above.or_insert_with(|| Tree::empty(parent, level + 2, tree.first));
+            let above = above.or_insert_with(|| GroupTree::empty(parent, level + 2, tree.first));
             above.first = above.first.min(tree.first);
             above.inner.push(tree);
         }
@@ -56,15 +56,15 @@ pub(super) fn trees(
     Vec::new()
 }
 
-impl Tree {
-    fn empty(group: usize, level: usize, first: usize) -> Tree {
-        Tree { group, level, kind: 0, first, inner: Vec::new(), tests: Vec::new() }
+impl GroupTree {
+    fn empty(group: usize, level: usize, first: usize) -> GroupTree {
+        GroupTree { group, level, kind: 0, first, inner: Vec::new(), tests: Vec::new() }
     }
 
     /// Orders what stands in it, and finds its kind.
     fn settle(&mut self, kinds: &mut HashMap<Vec<usize>, usize>) {
         self.tests.sort_unstable();
-        let by_kind = |a: &Tree, b: &Tree| -> Ordering { a.kind.cmp(&b.kind).then(a.first.cmp(&b.first)) };
+        let by_kind = |a: &GroupTree, b: &GroupTree| -> Ordering { a.kind.cmp(&b.kind).then(a.first.cmp(&b.first)) };
         self.inner.sort_unstable_by(by_kind);
         let members = self.tests.iter().map(|test| test.0).chain(self.inner.iter().map(|tree| tree.kind));
         let signature: Vec<usize> = std::iter::once(self.level).chain(members).collect();
@@ -76,9 +76,9 @@ impl Tree {
     fn visit(&self, unit: &mut Laid) -> usize {
         let inner: Vec<usize> = self.inner.iter().map(|tree| tree.visit(unit)).collect();
         let own = unit.groups.len();
-        unit.groups.push((Node { level: self.level, parent: own }, self.group));
+        unit.groups.push((UnitGroup { level: self.level, parent: own }, self.group));
         inner.iter().for_each(|&child| unit.groups[child].0.parent = own);
-        unit.tests.extend(self.tests.iter().map(|&(leaf, _, j)| (Member { leaf, group: own }, j)));
+        unit.tests.extend(self.tests.iter().map(|&(leaf, _, j)| (UnitTest { leaf, group: own }, j)));
         own
     }
 }
@@ -86,12 +86,12 @@ impl Tree {
 /// A unit laid out in rows.
 #[derive(Default)]
 pub(super) struct Laid {
-    pub(super) groups: Vec<(Node, usize)>,
-    pub(super) tests: Vec<(Member, usize)>,
+    pub(super) groups: Vec<(UnitGroup, usize)>,
+    pub(super) tests: Vec<(UnitTest, usize)>,
 }
 
 impl Laid {
-    pub(super) fn of(tree: &Tree) -> Laid {
+    pub(super) fn of(tree: &GroupTree) -> Laid {
         let mut laid = Laid::default();
         tree.visit(&mut laid);
         laid

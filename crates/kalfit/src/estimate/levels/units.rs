@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use crate::ensemble::Grouping;
 use crate::estimate::classes::Classes;
 use crate::estimate::frame::Frame;
-use crate::estimate::levels::companies::{Company, companies};
-use crate::estimate::levels::design::{Design, Leaf, Member, Unit};
-use crate::estimate::levels::trees::{Laid, Tree, trees};
+use crate::estimate::levels::batches::{UnitBatch, companies};
+use crate::estimate::levels::design::{Leaf, OuterGroup, UnitDesign, UnitTest};
+use crate::estimate::levels::trees::{GroupTree, Laid, trees};
 use crate::linalg::rows::Rows;
 use crate::linalg::symmetric::pair;
 use crate::reduce::{Reduction, ReductionRef, Reductions};
@@ -30,9 +30,9 @@ pub(crate) struct Units {
     /// Designs of tests.
     pub(super) leaves: Arc<Vec<Leaf>>,
     /// Designs of units.
-    pub(super) designs: Arc<Vec<Design>>,
+    pub(super) designs: Arc<Vec<UnitDesign>>,
     /// Which units are walked through side by side.
-    pub(super) companies: Arc<Vec<Company>>,
+    pub(super) companies: Arc<Vec<UnitBatch>>,
 }
 
 impl Units {
@@ -55,7 +55,7 @@ impl Units {
             return Err(apart.map_or(String::new(), |reduction| reduction.test.to_owned()));
         };
         let mut of_design: HashMap<usize, usize> = HashMap::new();
-        let mut found: Vec<Vec<Tree>> = Vec::new();
+        let mut found: Vec<Vec<GroupTree>> = Vec::new();
         for tree in trees(reductions, &leaf_of, (grouping, &numbers)) {
             let at = *of_design.entry(tree.kind).or_insert(found.len());
             if at == found.len() {
@@ -63,8 +63,8 @@ impl Units {
             }
             found[at].push(tree);
         }
-        let design = |trees: &Vec<Tree>| Design::of(trees, reductions, frame, states);
-        let designs: Vec<Design> = found.par_iter().map(design).collect();
+        let design = |trees: &Vec<GroupTree>| UnitDesign::of(trees, reductions, frame, states);
+        let designs: Vec<UnitDesign> = found.par_iter().map(design).collect();
         Ok(Units {
             states,
             grouping: grouping.clone(),
@@ -120,11 +120,11 @@ impl Units {
     }
 }
 
-impl Design {
+impl UnitDesign {
     /// Of units that are alike.
-    fn of(trees: &[Tree], reductions: &Reductions, frame: &Frame, p: usize) -> Design {
+    fn of(trees: &[GroupTree], reductions: &Reductions, frame: &Frame, p: usize) -> UnitDesign {
         let laid: Vec<Laid> = trees.iter().map(Laid::of).collect();
-        let tests: Vec<Member> = laid[0].tests.iter().map(|(member, _)| *member).collect();
+        let tests: Vec<UnitTest> = laid[0].tests.iter().map(|(member, _)| *member).collect();
         let of_test = |t: usize| {
             let mut data = Rows::zeros(p, laid.len());
             for (unit, one) in laid.iter().enumerate() {
@@ -135,13 +135,13 @@ impl Design {
             }
             data
         };
-        Design {
+        UnitDesign {
             data: (0..tests.len()).map(of_test).collect(),
             tests,
             groups: laid[0].groups.iter().map(|(node, _)| *node).collect(),
             units: laid
                 .iter()
-                .map(|one| Unit {
+                .map(|one| OuterGroup {
                     tests: one.tests.iter().map(|(_, j)| *j).collect(),
                     groups: one.groups.iter().map(|(_, group)| *group).collect(),
                 })

@@ -3,7 +3,7 @@
 
 use kalfit_lanes::{Lanes, MOST, Part};
 
-use crate::estimate::levels::bundle::Bundle;
+use crate::estimate::levels::batch_data::BatchData;
 use crate::estimate::levels::design::Leaf;
 use crate::estimate::levels::units::Units;
 use crate::estimate::point::{Point, Regressors};
@@ -14,7 +14,7 @@ use crate::linalg::rows::Rows;
 const ROUNDING: f64 = 1e-10;
 
 /// The Σ of each level and the mean, at a point.
-pub(super) struct At<'a, T = f64> {
+pub(super) struct LevelLaws<'a, T = f64> {
     pub(super) regressors: &'a Regressors,
     /// μ, the sum of the means of all levels.
     pub(super) mean: Vec<T>,
@@ -27,7 +27,7 @@ pub(super) struct At<'a, T = f64> {
 }
 
 /// What the matrices of a reduction say once what is its own is integrated out.
-pub(super) struct Solved<T> {
+pub(super) struct Integrated<T> {
     /// U with U'U = I + RΣR'.
     upper: Rows<T>,
     /// B = U⁻ᵀR.
@@ -60,7 +60,7 @@ pub(super) struct Down<T> {
 }
 
 /// The posterior of the mean of the members of a group.
-pub(super) struct Mean<T> {
+pub(super) struct GroupMean<T> {
     /// Less its own mean, by columns as [`Down::r`].
     pub(super) mean: Rows<T>,
     /// V.
@@ -78,22 +78,22 @@ pub(super) struct Walked<T> {
     /// Squares that are left, of all columns.
     pub(super) quadratic: T,
     /// What tests of each leaf say of the mean of their group.
-    pub(super) leaves: Vec<Solved<T>>,
+    pub(super) leaves: Vec<Integrated<T>>,
     /// Of the groups.
     pub(super) up: Vec<Up<T>>,
     pub(super) down: Vec<Down<T>>,
-    pub(super) means: Vec<Mean<T>>,
+    pub(super) means: Vec<GroupMean<T>>,
     /// s of the tests, what else is known of them, and WV with V of the mean of their group.
     pub(super) said: Vec<Rows<T>>,
     pub(super) tests: Vec<Down<T>>,
     pub(super) known: Vec<Rows<T>>,
 }
 
-impl<'a, T: Lanes> At<'a, T> {
+impl<'a, T: Lanes> LevelLaws<'a, T> {
     #[inline(always)]
-    pub(super) fn new(units: &Units, point: &Point, regressors: &'a Regressors) -> At<'a, T> {
+    pub(super) fn new(units: &Units, point: &Point, regressors: &'a Regressors) -> LevelLaws<'a, T> {
         let (p, levels) = (units.states, units.levels());
-        let mut at = At {
+        let mut at = LevelLaws {
             regressors,
             mean: Vec::with_capacity(p),
             coefficients: Vec::with_capacity(regressors.len()),
@@ -161,7 +161,7 @@ impl<'a, T: Lanes> At<'a, T> {
 
     /// Up and down through some units; with what the mean coordinates do, if that is wanted.
     #[inline(always)]
-    pub(super) fn walked(&self, bundle: &Bundle<'_, T>, coordinates: bool) -> Walked<T> {
+    pub(super) fn walked(&self, bundle: &BatchData<'_, T>, coordinates: bool) -> Walked<T> {
         let before = if coordinates { self.mean.len() + self.regressors.len() } else { 0 };
         let (groups, tests) = (bundle.groups.len(), bundle.tests.len());
         let mut walked = Walked {
@@ -178,7 +178,7 @@ impl<'a, T: Lanes> At<'a, T> {
             known: Vec::with_capacity(tests),
         };
         for leaf in &bundle.leaves {
-            walked.leaves.push(Solved::of(&leaf.factor, &self.roots[0]));
+            walked.leaves.push(Integrated::of(&leaf.factor, &self.roots[0]));
         }
         self.up(bundle, &mut walked);
         self.down(bundle, &mut walked);
@@ -187,7 +187,7 @@ impl<'a, T: Lanes> At<'a, T> {
 
     /// From the tests to the units.
     #[inline(always)]
-    fn up(&self, bundle: &Bundle<'_, T>, walked: &mut Walked<T>) {
+    fn up(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
         let p = self.mean.len();
         let width = p + walked.before + bundle.columns;
         let mut gathered = Vec::with_capacity(bundle.groups.len());
@@ -203,7 +203,7 @@ impl<'a, T: Lanes> At<'a, T> {
         }
         for (at, node) in bundle.groups.iter().enumerate() {
             let own = std::mem::replace(&mut gathered[at], Gathered::none(0, 0));
-            let solved = Solved::of(&own.upper.first_columns(p), &self.roots[node.level]);
+            let solved = Integrated::of(&own.upper.first_columns(p), &self.roots[node.level]);
             let left = Rows::solved_below(&solved.upper, own.upper.last_columns(width - p));
             let s = solved.half.transpose_times(&left);
             walked.log_det = walked.log_det + own.log_det;
@@ -220,13 +220,13 @@ impl<'a, T: Lanes> At<'a, T> {
 
     /// From the units to the tests.
     #[inline(always)]
-    fn down(&self, bundle: &Bundle<'_, T>, walked: &mut Walked<T>) {
+    fn down(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
         // the last group is the unit: they are found from the last one on
         for (at, node) in bundle.groups.iter().enumerate().rev() {
             let (up, found) = (&walked.up[at], bundle.groups.len() - 1);
             let above = if node.parent == at { None } else { Some(&walked.means[found - node.parent]) };
             let own = Down::of((&up.W, up.s.clone()), above);
-            let mean = Mean::of((&up.W, &own.r), &self.sigmas[node.level], above);
+            let mean = GroupMean::of((&up.W, &own.r), &self.sigmas[node.level], above);
             walked.means.push(mean);
             walked.down.push(own);
         }
@@ -242,7 +242,7 @@ impl<'a, T: Lanes> At<'a, T> {
     }
 }
 
-impl At<'_> {
+impl LevelLaws<'_> {
     /// What a mean coordinate does to a state of the tests of a leaf.
     pub(super) fn effect(&self, leaf: &Leaf, state: usize, coordinate: usize) -> f64 {
         match coordinate.checked_sub(self.mean.len()) {
@@ -255,7 +255,7 @@ impl At<'_> {
 
 impl Walked<f64> {
     /// log|…| of all that stands in a group, but of the group itself, and the squares of each column that are left of it.
-    pub(super) fn within(&self, bundle: &Bundle<'_, f64>, group: usize) -> (f64, Vec<f64>) {
+    pub(super) fn within(&self, bundle: &BatchData<'_, f64>, group: usize) -> (f64, Vec<f64>) {
         let inner = (0..bundle.groups.len()).filter(|&own| bundle.stands_in(own, group));
         let mut sum = (0.0, vec![0.0; self.before + self.columns]);
         for up in inner.map(|own| &self.up[own]) {
@@ -270,7 +270,7 @@ impl Up<f64> {
     /// The squares of each column and log|I + RΣR'| where the group is by itself; `root`: F' of the Σ that it has then.
     pub(super) fn apart(&self, root: &Rows) -> (Vec<f64>, f64) {
         let p = self.said.nrows();
-        let solved = Solved::of(&self.said.first_columns(p), root);
+        let solved = Integrated::of(&self.said.first_columns(p), root);
         let left = Rows::solved_below(&solved.upper, self.said.last_columns(self.said.ncols() - p));
         (squares(&left), solved.log_det)
     }
@@ -302,7 +302,7 @@ impl<T: Lanes> Gathered<T> {
 
     /// Folds in what a member says.
     #[inline(always)]
-    fn take(&mut self, solved: &Solved<T>, data: &Rows<T>) {
+    fn take(&mut self, solved: &Integrated<T>, data: &Rows<T>) {
         let p = self.upper.nrows();
         let rest = Rotations::absorb(&mut self.upper, solved.half.beside(data), p);
         for i in 0..p {
@@ -335,14 +335,14 @@ fn squares<T: Lanes>(left: &Rows<T>) -> Vec<T> {
     sums
 }
 
-impl<T: Lanes> Solved<T> {
+impl<T: Lanes> Integrated<T> {
     /// From R and F'.
     #[inline(always)]
-    fn of(factor: &Rows<T>, root: &Rows<T>) -> Solved<T> {
+    fn of(factor: &Rows<T>, root: &Rows<T>) -> Integrated<T> {
         let upper = Rotations::identity_plus(&root.times_transpose(factor));
         let log_det = T::apart(LogDet(&upper));
         let half = Rows::solved_below(&upper, factor.clone());
-        Solved { W: half.transpose_times(&half), half, upper, log_det }
+        Integrated { W: half.transpose_times(&half), half, upper, log_det }
     }
 }
 
@@ -368,7 +368,7 @@ impl<T: Lanes> Part for LogDet<'_, T> {
 
 impl<T: Lanes> Down<T> {
     #[inline(always)]
-    fn of((W, s): (&Rows<T>, Rows<T>), above: Option<&Mean<T>>) -> Down<T> {
+    fn of((W, s): (&Rows<T>, Rows<T>), above: Option<&GroupMean<T>>) -> Down<T> {
         match above {
             None => Down { r: s, weight: W.clone() },
             Some(above) => {
@@ -378,17 +378,17 @@ impl<T: Lanes> Down<T> {
     }
 }
 
-impl<T: Lanes> Mean<T> {
+impl<T: Lanes> GroupMean<T> {
     #[inline(always)]
-    pub(super) fn of((W, r): (&Rows<T>, &Rows<T>), sigma: &Rows<T>, above: Option<&Mean<T>>) -> Mean<T> {
+    pub(super) fn of((W, r): (&Rows<T>, &Rows<T>), sigma: &Rows<T>, above: Option<&GroupMean<T>>) -> GroupMean<T> {
         let (own, known) = (sigma.times(r), sigma.times(W));
         let left = sigma.clone().less(&known.times(sigma));
         match above {
-            None => Mean { mean: own, covariance: left },
+            None => GroupMean { mean: own, covariance: left },
             Some(above) => {
                 let rest = Rows::identity(known.nrows()).less(&known);
                 let inherited = rest.times(&above.covariance).times_transpose(&rest);
-                Mean { mean: own.plus(&above.mean), covariance: left.plus(&inherited) }
+                GroupMean { mean: own.plus(&above.mean), covariance: left.plus(&inherited) }
             }
         }
     }

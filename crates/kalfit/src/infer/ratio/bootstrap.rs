@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use crate::estimate::{Estimate, Silent, State, Stop, fit, fit_from};
+use crate::estimate::{Estimate, FinalState, Silent, Stop, fit, fit_from};
 use crate::infer::ratio::nested::regressions;
 use crate::linalg::symmetric;
 use crate::model::Population;
@@ -132,7 +132,7 @@ pub(super) fn select_covariates(reductions: &Reductions, places: &[usize]) -> Re
 }
 
 /// From the truth, and from the data when that does not end well.
-fn certified(state: &State, reductions: &Reductions, start: &Population) -> Option<Estimate> {
+fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
     let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
     near.filter(|e| e.stop == Stop::Certified)

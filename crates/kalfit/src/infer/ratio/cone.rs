@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::estimate::{CovarianceMap, Estimate, Form, Order, Part, Problem, generic_root};
+use crate::estimate::{CoordinateForm, CovarianceMap, Estimate, Order, PhaseForm, Problem, generic_root};
 use crate::infer::information::null_space;
 use crate::infer::ratio::law::{Component, ReferenceLaw};
 use crate::infer::ratio::nested::regressions;
@@ -25,13 +25,13 @@ const DRAWS: usize = 200_000;
 const MOST: usize = 20;
 
 /// What the tangent cone says.
-pub(super) struct Tangent {
+pub(super) struct ConeLaw {
     pub(super) degrees_of_freedom: usize,
     pub(super) law: ReferenceLaw,
     pub(super) null_on_boundary: bool,
 }
 
-pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> Tangent {
+pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> ConeLaw {
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let information = information(null, outer, &places);
@@ -43,14 +43,14 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> Tangent {
     let sides = sides(&null.state.place.point.root, inner, outer);
     let null_on_boundary = !null_is_generic(null, inner);
     let law = match sides {
-        Sides::None => ReferenceLaw::chi_squared(degrees_of_freedom),
-        Sides::Unknown => bound(degrees_of_freedom),
-        Sides::Lines(lines) => {
+        BoundaryCone::None => ReferenceLaw::chi_squared(degrees_of_freedom),
+        BoundaryCone::Unknown => bound(degrees_of_freedom),
+        BoundaryCone::Lines(lines) => {
             let covariance = covariance_of(&lines, &wide, &information, outer.mean.jacobian().nrows());
             mixture(&covariance, degrees_of_freedom)
         }
     };
-    Tangent { degrees_of_freedom, law, null_on_boundary }
+    ConeLaw { degrees_of_freedom, law, null_on_boundary }
 }
 
 /// Expected information of mean coordinates and elements of Σ at the end of the hypothesis.
@@ -95,7 +95,7 @@ fn rank(information: &DMatrix<f64>) -> usize {
 }
 
 /// Where the hypothesis puts Σ on the boundary of what the model allows.
-enum Sides {
+enum BoundaryCone {
     /// Nowhere.
     None,
     /// Half-spaces: D must not fall along these (weights of the elements of Σ).
@@ -104,33 +104,37 @@ enum Sides {
     Unknown,
 }
 
-fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> Sides {
+fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> BoundaryCone {
     let (narrow, wide) = (generic_root(inner), generic_root(outer));
     let elements = &outer.covariance.elements;
     let mut lines = Vec::new();
     for part in &outer.covariance.parts {
         match &part.form {
-            Form::Factor(blocks) => {
+            CoordinateForm::Factor(blocks) => {
                 for block in blocks {
                     let null = null_space_at(here, &narrow, block);
                     let own = null_space(&wide, block, NONE).ncols();
                     match null.ncols() {
                         n if n == own => {}
                         1 => lines.push(line(&null.column(0).into_owned(), block, elements)),
-                        _ => return Sides::Unknown,
+                        _ => return BoundaryCone::Unknown,
                     }
                 }
             }
-            Form::Scale(star) if part.of(&narrow).amax() == 0.0 => lines.push(along_scale(part, star, elements)),
-            Form::StdDevs(_, states) if states.iter().any(|&i| narrow.row(i).norm() == 0.0) => return Sides::Unknown,
+            CoordinateForm::Scale(star) if part.of(&narrow).amax() == 0.0 => {
+                lines.push(along_scale(part, star, elements))
+            }
+            CoordinateForm::StdDevs(_, states) if states.iter().any(|&i| narrow.row(i).norm() == 0.0) => {
+                return BoundaryCone::Unknown;
+            }
             _ => {}
         }
     }
-    if lines.is_empty() { Sides::None } else { Sides::Lines(lines) }
+    if lines.is_empty() { BoundaryCone::None } else { BoundaryCone::Lines(lines) }
 }
 
 /// D ↦ β over the elements of D = βΣ*.
-fn along_scale(part: &Part, star: &DMatrix<f64>, elements: &Elements) -> DVector<f64> {
+fn along_scale(part: &PhaseForm, star: &DMatrix<f64>, elements: &Elements) -> DVector<f64> {
     let star = part.placed(&(star * star.transpose()), elements.states());
     let size = star.norm_squared();
     let weight = |(i, j): (usize, usize)| star[(i, j)] / size * if i == j { 1.0 } else { 2.0 };
@@ -316,7 +320,7 @@ mod tests {
     fn a_common_factor_is_read_off_a_direction() {
         let star = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.5, 2.0]);
         let root = symmetric::square_root(&star);
-        let part = Part { states: 1..3, form: Form::Scale(root.clone()), linear: false, start: None };
+        let part = PhaseForm { states: 1..3, form: CoordinateForm::Scale(root.clone()), linear: false, start: None };
         let elements = Elements::single(3);
         let weights = along_scale(&part, &root, &elements);
         for (d, expected) in [

@@ -62,17 +62,17 @@ enum Target {
 }
 
 /// One side of a comparison.
-struct Side<'a> {
+struct ComparedModel<'a> {
     model: &'a Model,
     slots: &'a Slots,
     /// Its free values do not matter.
     alpha: Alpha,
 }
 
-impl<'a> Side<'a> {
-    fn new((model, slots): (&'a PhasedModel, &'a Slots)) -> Side<'a> {
+impl<'a> ComparedModel<'a> {
+    fn new((model, slots): (&'a PhasedModel, &'a Slots)) -> ComparedModel<'a> {
         let model = model.shared();
-        Side { model, slots, alpha: slots.alpha(model, &vec![0.0; slots.len()]) }
+        ComparedModel { model, slots, alpha: slots.alpha(model, &vec![0.0; slots.len()]) }
     }
 }
 
@@ -85,7 +85,7 @@ pub fn restricted(
     wide: (&PhasedModel, &Slots),
     tests: &[PhasedTest],
 ) -> Result<Restricted, NotNestedParameter> {
-    let (null, wide) = (Side::new(null), Side::new(wide));
+    let (null, wide) = (ComparedModel::new(null), ComparedModel::new(wide));
     let mut targets: Vec<Option<Target>> = vec![None; wide.slots.len()];
     for index in 0..wide.model.parameters.len() {
         let mut last: Option<&[Label]> = None;
@@ -115,7 +115,7 @@ pub fn restricted(
 fn follow(
     index: usize,
     texts: &[Label],
-    (null, wide): (&Side<'_>, &Side<'_>),
+    (null, wide): (&ComparedModel<'_>, &ComparedModel<'_>),
     targets: &mut [Option<Target>],
 ) -> Result<(), NotNestedParameter> {
     let name = || wide.model.parameters[index].name.clone();

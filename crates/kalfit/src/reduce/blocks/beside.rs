@@ -6,12 +6,12 @@ use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
 use crate::reduce::Terminal;
-use crate::reduce::blocks::layout::Layout;
-use crate::reduce::blocks::told::{Found, Own};
-use crate::reduce::blocks::values::Values;
+use crate::reduce::blocks::layout::BatchLayout;
+use crate::reduce::blocks::reduced::{ReducedTests, TestInfo};
+use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
-use crate::reduce::lanes::{Columns, Room};
+use crate::reduce::lanes::{BatchColumns, DataWorkspace};
 use crate::reduce::prepare::Skeleton;
 use crate::reduce::reducer::Reducer;
 
@@ -28,16 +28,16 @@ pub(super) fn together(own: &[Skeleton], lanes: usize) -> usize {
 
 /// Room for tests side by side.
 #[derive(Debug)]
-pub(crate) struct Beside {
-    layout: Layout,
-    values: Values,
-    own: Vec<Own>,
+pub(crate) struct OneBatch {
+    layout: BatchLayout,
+    values: BatchValues,
+    own: Vec<TestInfo>,
     identities: Vec<Identity>,
 }
 
 /// What is added to a and to P0 of a test, by its place there.
 #[derive(Debug, Default)]
-pub(crate) struct Entering {
+pub(crate) struct EnteringMoments {
     pub(crate) mean: Vec<(usize, f64)>,
     pub(crate) variance: Vec<(usize, f64)>,
 }
@@ -45,9 +45,9 @@ pub(crate) struct Entering {
 /// What the filter of a test has found.
 #[derive(Debug)]
 pub(crate) struct Passed<'a> {
-    beside: &'a Beside,
+    beside: &'a OneBatch,
     lane: usize,
-    room: &'a Room,
+    room: &'a DataWorkspace,
     /// Where it ends, if that is wanted.
     pub(crate) end: Option<Terminal>,
 }
@@ -55,7 +55,7 @@ pub(crate) struct Passed<'a> {
 impl Passed<'_> {
     /// e and 1/S of each of its measurements.
     pub(crate) fn innovations(&self) -> impl Iterator<Item = (f64, f64)> {
-        let Layout { lanes, measured, design, .. } = &self.beside.layout;
+        let BatchLayout { lanes, measured, design, .. } = &self.beside.layout;
         let kept = &self.beside.values.kept;
         let weights = kept.gained.weights((self.lane, *lanes), design.rows());
         let has = measured.iter().skip(self.lane).step_by(*lanes);
@@ -64,12 +64,12 @@ impl Passed<'_> {
     }
 }
 
-impl Beside {
+impl OneBatch {
     /// For tests of a model.
-    pub(crate) fn new(isa: Isa, reducer: &Reducer) -> Beside {
-        Beside {
-            layout: Layout::new(isa, reducer.preparer()),
-            values: Values::new(isa),
+    pub(crate) fn new(isa: Isa, reducer: &Reducer) -> OneBatch {
+        OneBatch {
+            layout: BatchLayout::new(isa, reducer.preparer()),
+            values: BatchValues::new(isa),
             own: Vec::new(),
             identities: Vec::new(),
         }
@@ -80,14 +80,14 @@ impl Beside {
         &mut self,
         reducer: &Reducer,
         (tests, skeletons): (&[&Test], &mut [Skeleton]),
-        room: &mut Room,
-        found: &mut Found,
+        room: &mut DataWorkspace,
+        found: &mut ReducedTests,
     ) {
         each_group(skeletons, self.layout.lanes, |group| {
             self.take(reducer, tests, group);
-            let Beside { layout, values, own, .. } = self;
+            let OneBatch { layout, values, own, .. } = self;
             own.iter().zip(values.sound).filter(|(_, sound)| *sound).for_each(|(own, _)| reducer.ran(own.digest));
-            values.filter((layout, own), (reducer, |own: &Own| own.digest), tests, room, found);
+            values.filter((layout, own), (reducer, |own: &TestInfo| own.digest), tests, room, found);
         });
     }
 
@@ -96,16 +96,16 @@ impl Beside {
     pub(crate) fn pass(
         &mut self,
         reducer: &Reducer,
-        (tests, skeletons, entering): (&[&Test], &mut [Skeleton], &[Entering]),
-        room: &mut Room,
+        (tests, skeletons, entering): (&[&Test], &mut [Skeleton], &[EnteringMoments]),
+        room: &mut DataWorkspace,
         mut show: impl FnMut(&Skeleton, Option<Passed<'_>>),
     ) {
         each_group(skeletons, self.layout.lanes, |group| {
             self.take(reducer, tests, group);
-            let Beside { layout, values, .. } = self;
-            let Columns { start, variance, .. } = values.kept.columns();
+            let OneBatch { layout, values, .. } = self;
+            let BatchColumns { start, variance, .. } = values.kept.columns();
             for (lane, &number) in layout.tests.iter().enumerate() {
-                let Entering { mean, variance: own } = &entering[number];
+                let EnteringMoments { mean, variance: own } = &entering[number];
                 mean.iter().for_each(|&(place, x)| start[place * layout.lanes + lane] += x);
                 own.iter().for_each(|&(place, x)| variance[place * layout.lanes + lane] += x);
             }
@@ -121,7 +121,7 @@ impl Beside {
 
     /// Takes tests, in place of others.
     fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &mut [Skeleton]) {
-        let Beside { layout, values, own, identities } = self;
+        let OneBatch { layout, values, own, identities } = self;
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         own.clear();
@@ -132,7 +132,7 @@ impl Beside {
             values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());
             let covariates = std::mem::take(&mut skeleton.covariates);
             let (steps, observations) = (skeleton.len(), skeleton.instances.len());
-            own.push(Own { digest, covariates, steps, observations });
+            own.push(TestInfo { digest, covariates, steps, observations });
         }
     }
 }

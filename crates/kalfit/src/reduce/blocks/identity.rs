@@ -2,15 +2,20 @@
 
 use std::ops::Range;
 
-use crate::reduce::blocks::layout::Layout;
-use crate::reduce::blocks::values::Values;
+use crate::reduce::blocks::layout::BatchLayout;
+use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
 
-impl Values {
+impl BatchValues {
     /// The digest of the design of each test; `steps`: how many each has. `identities`: work space.
-    pub(super) fn identities(&self, layout: &Layout, steps: &[usize], identities: &mut Vec<Identity>) -> Vec<u128> {
-        let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
+    pub(super) fn identities(
+        &self,
+        layout: &BatchLayout,
+        steps: &[usize],
+        identities: &mut Vec<Identity>,
+    ) -> Vec<u128> {
+        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
         let own = |all, numbers, lane| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
@@ -45,8 +50,8 @@ impl Values {
     }
 
     /// Whether so many steps on end of the test in a lane, which has so many in all, are equal that they have a pass of their own.
-    pub(super) fn is_long(&self, layout: &Layout, lane: usize, steps: usize) -> bool {
-        let (Layout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
+    pub(super) fn is_long(&self, layout: &BatchLayout, lane: usize, steps: usize) -> bool {
+        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
         let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());

@@ -6,17 +6,17 @@ use std::sync::Arc;
 use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
-use crate::reduce::design::{Design, Run};
+use crate::reduce::design::{Design, EqualSteps};
 use crate::reduce::instances::Instance;
 use crate::reduce::motion::Transitions;
-use crate::reduce::prepare::{Opening, Preparer, Skeleton};
+use crate::reduce::prepare::{Preparer, Skeleton, StartCells};
 
 /// No row.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// Tests side by side, at least one and no more than there are lanes. Number k of the test in a lane stands at k × lanes + lane.
 #[derive(Debug)]
-pub(crate) struct Layout {
+pub(crate) struct BatchLayout {
     pub(crate) lanes: usize,
     /// Number of the test in each lane.
     pub(crate) tests: Vec<usize>,
@@ -38,13 +38,13 @@ pub(crate) struct Layout {
     pub(super) z: Vec<f64>,
     pub(crate) transitions: Transitions,
     /// What the law of x_0 of each test is evaluated on; empty where all have one.
-    pub(crate) openings: Vec<Opening>,
+    pub(crate) openings: Vec<StartCells>,
 }
 
-impl Layout {
+impl BatchLayout {
     /// Of no test yet.
-    pub(super) fn new(isa: Isa, preparer: &Preparer) -> Layout {
-        Layout {
+    pub(super) fn new(isa: Isa, preparer: &Preparer) -> BatchLayout {
+        BatchLayout {
             lanes: isa.lanes(),
             tests: Vec::new(),
             design: Design::new(preparer.order.frame.clone()),
@@ -93,7 +93,8 @@ impl Layout {
 
     /// Whether the tests before, which all had one shape, had that of this one.
     fn has_shape_of(&self, own: &Skeleton) -> bool {
-        let step = |(k, run): (usize, &Run)| (run.lines, run.transition.is_some()) == (own.steps[k].end, own.moves(k));
+        let step =
+            |(k, run): (usize, &EqualSteps)| (run.lines, run.transition.is_some()) == (own.steps[k].end, own.moves(k));
         self.of_one
             && self.design.runs.len() == own.len()
             && self.design.runs.iter().enumerate().all(step)
@@ -109,7 +110,7 @@ impl Layout {
             self.measurements(own, k);
             let (lines, moves) = (self.meters.len(), own.iter().any(|own| own.moves(k)));
             let transition = moves.then_some(0);
-            self.design.runs.push(Run { transition, lines, count: 1, rows: lines, steps: k + 1 });
+            self.design.runs.push(EqualSteps { transition, lines, count: 1, rows: lines, steps: k + 1 });
         }
         self.design.h.resize(self.design.states.len(), 0.0);
         self.design.noise.resize(self.meters.len(), 1.0);

@@ -6,17 +6,17 @@ use kalfit_lanes::{Isa, MOST};
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::blocks::layout::Layout;
+use crate::reduce::blocks::layout::BatchLayout;
 use crate::reduce::dynamics::Table;
-use crate::reduce::lanes::{Columns, Kept};
+use crate::reduce::lanes::{BatchColumns, BatchFilter};
 use crate::reduce::motion::MotionColumns;
 use crate::reduce::prepare::{Preparer, Replay};
-use crate::reduce::subject::{At, Coefficient, Fault};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt};
 
 /// What tests are at an α, and what their filters leave.
 #[derive(Debug, Clone)]
-pub(crate) struct Values {
-    pub(crate) kept: Kept,
+pub(crate) struct BatchValues {
+    pub(crate) kept: BatchFilter,
     pub(crate) motion: MotionColumns,
     /// Whether the numbers of the test in each lane are sound: others are to be looked at one by one.
     pub(super) sound: [bool; MOST],
@@ -33,7 +33,7 @@ enum Rate<'a> {
 
 impl<'a> Rate<'a> {
     /// `fresh`: nothing was evaluated before.
-    fn of(at: &At<'_>, coefficient: &'a Coefficient, fresh: bool) -> Rate<'a> {
+    fn of(at: &ModelAt<'_>, coefficient: &'a Coefficient, fresh: bool) -> Rate<'a> {
         match coefficient {
             Coefficient::Fixed(x) if fresh => Rate::Same(*x),
             Coefficient::Fixed(_) => Rate::Kept,
@@ -71,14 +71,14 @@ struct Rates<'a> {
     terms: Vec<Rate<'a>>,
 }
 
-impl Values {
+impl BatchValues {
     /// Of no test yet.
-    pub(super) fn new(isa: Isa) -> Values {
-        Values { kept: Kept::new(isa), motion: MotionColumns::default(), sound: [true; MOST] }
+    pub(super) fn new(isa: Isa) -> BatchValues {
+        BatchValues { kept: BatchFilter::new(isa), motion: MotionColumns::default(), sound: [true; MOST] }
     }
 
     /// The numbers of tests, none of them evaluated before, in place of those of others.
-    pub(super) fn take(&mut self, layout: &Layout, of: (&Preparer, &[&Test])) {
+    pub(super) fn take(&mut self, layout: &BatchLayout, of: (&Preparer, &[&Test])) {
         let dynamics = &of.0.dynamics;
         let varying = [&dynamics.table, &dynamics.inputs].map(|table| table.varying.len());
         self.kept.blank(&layout.design, layout.moves());
@@ -87,7 +87,7 @@ impl Values {
     }
 
     /// The numbers at the α of a preparer.
-    pub(super) fn evaluate(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
+    pub(super) fn evaluate(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         self.sound = [true; MOST];
         self.start(layout, (preparer, tests));
         self.measure(layout, (preparer, tests), fresh);
@@ -101,10 +101,10 @@ impl Values {
     }
 
     /// a and P0.
-    fn start(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test])) {
+    fn start(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
-        let Values { kept, sound, .. } = self;
-        let Columns { start, variance, .. } = kept.columns();
+        let BatchValues { kept, sound, .. } = self;
+        let BatchColumns { start, variance, .. } = kept.columns();
         let mut replay = Replay::default();
         variance.fill(0.0);
         for (lane, &number) in layout.tests.iter().enumerate() {
@@ -132,7 +132,7 @@ impl Values {
     }
 
     /// h, R and z - d.
-    fn measure(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
+    fn measure(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         let (at, lanes) = (preparer.at(), layout.lanes);
         let mixed = !preparer.meters.can_repeat();
         let rate = |coefficient| Rate::of(&at, coefficient, fresh || mixed);
@@ -142,8 +142,8 @@ impl Values {
             terms: terms.iter().map(|(_, h)| rate(h)).collect(),
         });
         let rates: Vec<Rates<'_>> = rates.collect();
-        let Values { kept, sound, .. } = self;
-        let Columns { h, noise, values, .. } = kept.columns();
+        let BatchValues { kept, sound, .. } = self;
+        let BatchColumns { h, noise, values, .. } = kept.columns();
         if mixed {
             h.fill(0.0);
         }
@@ -170,15 +170,15 @@ impl Values {
     }
 }
 
-impl Layout {
+impl BatchLayout {
     /// What a measurement is evaluated on.
-    pub(crate) fn scope<'a>(&self, at: &At<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
+    pub(crate) fn scope<'a>(&self, at: &ModelAt<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
         let (test, row) = (tests[self.tests[lane]], self.cells[place] as usize);
         Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.dt[place], alpha: at.alpha }
     }
 
     /// What a transition is evaluated on.
-    pub(crate) fn moving<'a>(&self, at: &At<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
+    pub(crate) fn moving<'a>(&self, at: &ModelAt<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
         let (test, row) = (tests[self.tests[lane]], self.transitions.sources[place] as usize);
         Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.transitions.dt[place], alpha: at.alpha }
     }
@@ -186,8 +186,8 @@ impl Layout {
 
 /// The coefficients of a table that vary, on all transitions.
 fn table(
-    (layout, tests): (&Layout, &[&Test]),
-    (at, table): (&At<'_>, &Table),
+    (layout, tests): (&BatchLayout, &[&Test]),
+    (at, table): (&ModelAt<'_>, &Table),
     columns: &mut [Vec<f64>],
     fresh: bool,
     sound: &mut [bool; MOST],

@@ -1,15 +1,15 @@
 //! Correlated measurements of tests in lanes, whitened step by step.
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::layout::Layout;
-use crate::reduce::blocks::values::Values;
-use crate::reduce::lanes::Columns;
+use crate::reduce::blocks::layout::BatchLayout;
+use crate::reduce::blocks::values::BatchValues;
+use crate::reduce::lanes::BatchColumns;
 use crate::reduce::observe::Whitening;
 use crate::reduce::prepare::Preparer;
 
-impl Values {
+impl BatchValues {
     /// Makes measurements whose noises are correlated independent, step by step.
-    pub(super) fn whiten(&mut self, layout: &Layout, (preparer, tests): (&Preparer, &[&Test])) {
+    pub(super) fn whiten(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         for (lane, &number) in layout.tests.iter().enumerate() {
             for stretch in layout.design.stretches() {
                 let rows: Vec<usize> = layout.rows_of(lane, stretch.lines).collect();
@@ -23,7 +23,7 @@ impl Values {
     /// The same of these lines of the test in a lane; `None` where their noises are no covariance.
     fn whiten_step(
         &mut self,
-        (layout, lane, rows): (&Layout, usize, &[usize]),
+        (layout, lane, rows): (&BatchLayout, usize, &[usize]),
         preparer: &Preparer,
         test: &Test,
     ) -> Option<()> {
@@ -38,7 +38,7 @@ impl Values {
         let whitening = Whitening::new(&noises, found.iter().map(|c| (c.i, c.j, c.value))).ok()?;
         whitening.apply(&mut dense, n);
         whitening.apply(&mut measured, 1);
-        let Columns { h, noise, values, .. } = self.kept.columns();
+        let BatchColumns { h, noise, values, .. } = self.kept.columns();
         for (i, &row) in rows.iter().enumerate() {
             (noise[place(row)], values[place(row)]) = (whitening.noise(i), measured[i]);
             for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
@@ -49,7 +49,7 @@ impl Values {
     }
 
     /// M of these lines of the test in a lane, a row of n numbers for each, and z - d.
-    pub(crate) fn measured_in(&self, layout: &Layout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
+    pub(crate) fn measured_in(&self, layout: &BatchLayout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
         let (n, place) = (layout.design.frame.n, |row: usize| row * layout.lanes + lane);
         let (mut dense, coefficients) = (vec![0.0; rows.len() * n], &self.kept.gained.h);
         for (&row, own) in rows.iter().zip(dense.chunks_exact_mut(n)) {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::reduce::data::FEW;
-use crate::reduce::design::{Design, Frame, Pattern, Stretch, Transition, same_bits};
+use crate::reduce::design::{Design, Pattern, StateFrame, Stretch, Transition, same_bits};
 use crate::reduce::digest::Digest;
 use crate::reduce::recognise::mix;
 
@@ -26,7 +26,7 @@ impl Identity {
     }
 
     /// Begins with a design of this P0.
-    pub(crate) fn begin(&mut self, frame: &Frame, variance: impl Iterator<Item = f64>) {
+    pub(crate) fn begin(&mut self, frame: &StateFrame, variance: impl Iterator<Item = f64>) {
         self.digest.wide(frame.digest);
         self.words.extend(variance.map(f64::to_bits));
     }
@@ -106,14 +106,14 @@ impl Design {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reduce::design::{DENSE, Run};
+    use crate::reduce::design::{DENSE, EqualSteps};
 
     type Change = fn(&mut Design, usize);
 
     /// Four steps of two lines, of two terms and one; the first without a transition, the last two with one. `noise`: of each line.
     fn design(noise: &[f64]) -> Design {
         let frame =
-            Frame { n: 3, p: 1, r: 1, rows: vec![DENSE; 3], sensitivity: vec![1.0; 3], driven: vec![], digest: 0 };
+            StateFrame { n: 3, p: 1, r: 1, rows: vec![DENSE; 3], sensitivity: vec![1.0; 3], driven: vec![], digest: 0 };
         let mut pattern = Pattern::default();
         pattern.push(0, 1, [0, 1].into_iter());
         pattern.pairs = vec![(0, 0)];
@@ -172,7 +172,7 @@ mod tests {
         let whole = design(&[1.0; 8]);
         let mut joined = whole.clone();
         joined.runs.remove(3);
-        joined.runs[2] = Run { count: 2, ..whole.runs[2] };
+        joined.runs[2] = EqualSteps { count: 2, ..whole.runs[2] };
         assert_eq!(joined.digest(), whole.digest(), "few equal steps are one by one, however they are kept");
         // other designs of the same numbers
         let mut swapped = whole.clone();

@@ -4,15 +4,15 @@ use kalfit_lanes::Isa;
 use crate::reduce::data::{Data, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::gains::Gains;
-use crate::reduce::lanes::designs::{Gained, Loaded};
-use crate::reduce::lanes::numbers::Side;
-use crate::reduce::lanes::pass::Pass;
-use crate::reduce::lanes::room::Room;
+use crate::reduce::lanes::designs::{DesignBatch, Loaded};
+use crate::reduce::lanes::numbers::DataView;
+use crate::reduce::lanes::pass::DataPass;
+use crate::reduce::lanes::workspace::DataWorkspace;
 
 /// Start, inputs and values of as many tests as there are lanes, each number of one test beside the same of the others.
 /// Lanes that no test has taken hold zeros.
 #[derive(Debug, Clone)]
-pub(crate) struct Block {
+pub(crate) struct DataBlock {
     isa: Isa,
     numbers: Vec<f64>,
     /// Where inputs and values begin, a number of each test counted once.
@@ -20,10 +20,10 @@ pub(crate) struct Block {
     values: usize,
 }
 
-impl Block {
+impl DataBlock {
     /// An empty block.
-    pub(crate) fn new(isa: Isa) -> Block {
-        Block { isa, numbers: Vec::new(), inputs: 0, values: 0 }
+    pub(crate) fn new(isa: Isa) -> DataBlock {
+        DataBlock { isa, numbers: Vec::new(), inputs: 0, values: 0 }
     }
 
     /// What its lanes are.
@@ -76,12 +76,12 @@ impl Block {
     }
 
     /// Runs the data pass of a class.
-    pub(crate) fn run(&self, design: &Design, gains: &Gains, room: &mut Room) {
-        self.isa.run(Pass { design, gains, data: self.side(), room });
+    pub(crate) fn run(&self, design: &Design, gains: &Gains, room: &mut DataWorkspace) {
+        self.isa.run(DataPass { design, gains, data: self.side(), room });
     }
 
     /// The gains of one design; `None` where square-root arrays are called for.
-    pub(crate) fn gains(&self, design: &Design, gained: &mut Gained, room: &mut Room) -> Option<Gains> {
+    pub(crate) fn gains(&self, design: &Design, gained: &mut DesignBatch, room: &mut DataWorkspace) -> Option<Gains> {
         gained.load(design, self.isa.lanes());
         self.isa.run(Loaded { design, tests: 1, data: None, gained, room });
         gained.gains((0, self.isa.lanes()), design.rows())
@@ -100,24 +100,29 @@ impl Block {
         self.side().values
     }
 
-    pub(super) fn side(&self) -> Side<'_> {
+    pub(super) fn side(&self) -> DataView<'_> {
         let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
         let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());
-        Side { start, inputs, values }
+        DataView { start, inputs, values }
     }
 
     /// What a pass found in a lane, for `active` measurements with this Σ log S.
-    pub(crate) fn outcome(&self, lane: usize, (active, log_determinant): (usize, f64), room: &Room) -> Outcome {
+    pub(crate) fn outcome(
+        &self,
+        lane: usize,
+        (active, log_determinant): (usize, f64),
+        room: &DataWorkspace,
+    ) -> Outcome {
         room.outcome((lane, self.isa.lanes()), active, log_determinant)
     }
 
     /// The innovations of the test in a lane, of as many measurements as the longest test has.
-    pub(crate) fn innovations<'a>(&self, lane: usize, room: &'a Room) -> impl Iterator<Item = f64> + use<'a> {
+    pub(crate) fn innovations<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
         room.e.iter().skip(lane).step_by(self.isa.lanes()).copied()
     }
 
     /// x̂ of the last step of the test in a lane.
-    pub(crate) fn last<'a>(&self, lane: usize, room: &'a Room) -> impl Iterator<Item = f64> + use<'a> {
+    pub(crate) fn last<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
         room.x.iter().skip(lane).step_by(self.isa.lanes()).copied()
     }
 
@@ -126,7 +131,7 @@ impl Block {
         &mut self,
         (design, gains): (&Design, &Gains),
         data: &Data,
-        room: &mut Room,
+        room: &mut DataWorkspace,
         x: &mut Vec<f64>,
     ) -> Outcome {
         self.clear(data.start.len(), data.inputs.len(), data.values.len());

@@ -6,19 +6,19 @@ use std::sync::Arc;
 
 use kalfit_lanes::{Kernel, Lanes};
 
-use crate::reduce::design::{Design, Pattern, Run, Transition};
-use crate::reduce::end::End;
+use crate::reduce::design::{Design, EqualSteps, Pattern, Transition};
+use crate::reduce::end::TerminalRoot;
 use crate::reduce::gains::{Gains, Piece};
-use crate::reduce::kernel::{self, Spread};
-use crate::reduce::lanes::numbers::{Numbers, Side, at, put};
+use crate::reduce::kernel::{self, FilterState};
+use crate::reduce::lanes::numbers::{DataView, Numbers, at, put};
 use crate::reduce::lanes::pass::innovate;
-use crate::reduce::lanes::room::Room;
 use crate::reduce::lanes::squares;
-use crate::reduce::sums::{Sums, packed};
+use crate::reduce::lanes::workspace::DataWorkspace;
+use crate::reduce::sums::{InformationSums, packed};
 
 /// Designs of one shape and all that their pass leaves, in lanes.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Gained {
+pub(crate) struct DesignBatch {
     /// P0, h, R, φ and Q.
     pub(crate) variance: Vec<f64>,
     pub(crate) h: Vec<f64>,
@@ -50,9 +50,9 @@ pub(crate) struct Gained {
 pub(super) struct Loaded<'a> {
     pub(super) design: &'a Design,
     pub(super) tests: usize,
-    pub(super) data: Option<Side<'a>>,
-    pub(super) gained: &'a mut Gained,
-    pub(super) room: &'a mut Room,
+    pub(super) data: Option<DataView<'a>>,
+    pub(super) gained: &'a mut DesignBatch,
+    pub(super) room: &'a mut DataWorkspace,
 }
 
 impl Kernel for Loaded<'_> {
@@ -70,13 +70,13 @@ impl Kernel for Loaded<'_> {
     }
 }
 
-impl Gained {
+impl DesignBatch {
     /// Of designs that are all as long as this one, each step a run: numbers of zero, but noises of one.
     pub(super) fn blank(&mut self, design: &Design, lanes: usize) {
         let (terms, pairs) = pattern(design).map_or((0, 0), |pattern| (pattern.columns.len(), pattern.pairs.len()));
-        let Gained { variance, h, noise, moves, phi, q, .. } = self;
+        let DesignBatch { variance, h, noise, moves, phi, q, .. } = self;
         let mut transitions = 0_usize;
-        let number = |run: &Run| {
+        let number = |run: &EqualSteps| {
             transitions += usize::from(run.transition.is_some());
             transitions.saturating_sub(1)
         };
@@ -98,7 +98,7 @@ impl Gained {
 
     /// The numbers of one design, in the first lane.
     pub(super) fn load(&mut self, design: &Design, lanes: usize) {
-        let Gained { variance, h, noise, moves, phi, q, .. } = self;
+        let DesignBatch { variance, h, noise, moves, phi, q, .. } = self;
         let first = |column: &mut Vec<f64>, numbers: &mut dyn Iterator<Item = f64>, rest: f64| {
             column.clear();
             for x in numbers {
@@ -123,7 +123,7 @@ impl Gained {
 
     /// The covariance filter.
     #[inline(always)]
-    fn filter<T: Lanes>(&mut self, design: &Design) -> Sums<T> {
+    fn filter<T: Lanes>(&mut self, design: &Design) -> InformationSums<T> {
         let frame = &*design.frame;
         (self.p, self.stride) = (frame.p, 1 + frame.r);
         self.gains.resize(design.rows() * self.stride * T::COUNT, 0.0);
@@ -132,7 +132,7 @@ impl Gained {
             self.last.0.resize(frame.r * frame.r * T::COUNT, 0.0);
             self.last.1.resize(frame.sensitivity.len() * T::COUNT, 0.0);
         }
-        let mut state = State::<T>::new(self, design);
+        let mut state = CovarianceState::<T>::new(self, design);
         let (mut first, mut row) = (0, 0);
         let mut now = None;
         for (at_run, run) in design.runs.iter().enumerate() {
@@ -165,12 +165,12 @@ impl Gained {
 
     /// R and Σ log S of each design.
     #[inline(always)]
-    fn finish<T: Lanes>(&mut self, sums: &Sums<T>, designs: usize) {
+    fn finish<T: Lanes>(&mut self, sums: &InformationSums<T>, designs: usize) {
         sums.lanes(&mut self.sums);
         self.found.resize(designs, None);
         self.factor.clear();
         self.factor.resize(packed(self.p) * T::COUNT, 0.0);
-        let mut own = Sums::new(self.p);
+        let mut own = InformationSums::new(self.p);
         for (lane, found) in self.found.iter_mut().enumerate() {
             own.take_lane(&self.sums, lane, T::COUNT);
             let room = found.take().map_or_else(Vec::new, |(factor, _)| factor);
@@ -182,9 +182,9 @@ impl Gained {
     }
 
     /// Where one design ends, its states these; `None` where that calls for square-root arrays.
-    pub(crate) fn end(&self, (lane, lanes): (usize, usize), states: &[usize]) -> Option<End> {
+    pub(crate) fn end(&self, (lane, lanes): (usize, usize), states: &[usize]) -> Option<TerminalRoot> {
         let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(lanes).copied().collect() };
-        End::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
+        TerminalRoot::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
     /// Takes the transition of a run that has one.
@@ -227,7 +227,7 @@ impl Gained {
 }
 
 /// The covariance filter of several designs on its way.
-struct State<T> {
+struct CovarianceState<T> {
     P: Vec<T>,
     Psi: Vec<T>,
     G: Vec<T>,
@@ -237,12 +237,12 @@ struct State<T> {
     transition: Transition<T>,
     /// Work space of the kernels.
     rows: Vec<T>,
-    sums: Sums<T>,
+    sums: InformationSums<T>,
 }
 
-impl<T: Lanes> State<T> {
+impl<T: Lanes> CovarianceState<T> {
     #[inline(always)]
-    fn new(gained: &Gained, design: &Design) -> State<T> {
+    fn new(gained: &DesignBatch, design: &Design) -> CovarianceState<T> {
         let (frame, zero) = (&*design.frame, T::splat(0.0));
         let (mut P, mut Psi) = (vec![zero; frame.r * frame.r], vec![zero; frame.sensitivity.len()]);
         for k in 0..P.len() {
@@ -251,7 +251,7 @@ impl<T: Lanes> State<T> {
         for k in 0..Psi.len() {
             Psi[k] = T::splat(frame.sensitivity[k]);
         }
-        State {
+        CovarianceState {
             P,
             Psi,
             G: vec![zero; frame.r],
@@ -260,20 +260,20 @@ impl<T: Lanes> State<T> {
             h: Vec::new(),
             transition: transition(design),
             rows: Vec::new(),
-            sums: Sums::new(frame.p),
+            sums: InformationSums::new(frame.p),
         }
     }
 
     /// A scalar measurement; what it leaves is kept.
     #[inline(always)]
-    fn measure(&mut self, gained: &mut Gained, design: &Design, (line, row): (usize, usize)) {
+    fn measure(&mut self, gained: &mut DesignBatch, design: &Design, (line, row): (usize, usize)) {
         let (frame, start) = (&*design.frame, if line == 0 { 0 } else { design.ends[line - 1] });
         self.h.clear();
         for term in start..design.ends[line] {
             self.h.push(at(&gained.h, term));
         }
         let (states, noise) = (&design.states[start..design.ends[line]], at(&gained.noise, line));
-        let of = Spread { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
+        let of = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
         let update = kernel::measure(frame, (states, &self.h, noise), of, (&mut self.G, &mut self.K, &mut self.T));
         self.sums.count(update.S, update.kept);
         let stride = 1 + frame.r;
@@ -287,7 +287,7 @@ impl<T: Lanes> State<T> {
     }
 }
 
-impl<T: Lanes> Numbers<T> for Gained {
+impl<T: Lanes> Numbers<T> for DesignBatch {
     #[inline(always)]
     fn phi(&self, run: usize, term: usize) -> T {
         at(&self.phi, self.moves[run] * self.terms + term)

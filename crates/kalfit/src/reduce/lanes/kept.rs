@@ -3,21 +3,21 @@
 use kalfit_lanes::Isa;
 
 use crate::reduce::design::Design;
-use crate::reduce::lanes::block::Block;
-use crate::reduce::lanes::designs::{Gained, Loaded};
-use crate::reduce::lanes::room::Room;
+use crate::reduce::lanes::block::DataBlock;
+use crate::reduce::lanes::designs::{DesignBatch, Loaded};
+use crate::reduce::lanes::workspace::DataWorkspace;
 
 /// A test in each lane: design and data, and what their filters leave. All tests have the steps and the measurements of one
 /// shape; where a test has none of its own, they change nothing: h = 0, R = 1, φ = I, Q = 0.
 #[derive(Debug, Clone)]
-pub(crate) struct Kept {
-    pub(crate) block: Block,
-    pub(crate) gained: Gained,
+pub(crate) struct BatchFilter {
+    pub(crate) block: DataBlock,
+    pub(crate) gained: DesignBatch,
 }
 
 /// What may change of them: number k of the test in a lane stands at k × lanes + lane.
 #[derive(Debug)]
-pub(crate) struct Columns<'a> {
+pub(crate) struct BatchColumns<'a> {
     /// P0 on the reachable states, r × r.
     pub(crate) variance: &'a mut [f64],
     /// Coefficients of the terms of each row.
@@ -35,10 +35,10 @@ pub(crate) struct Columns<'a> {
     pub(crate) values: &'a mut [f64],
 }
 
-impl Kept {
+impl BatchFilter {
     /// Of no test yet.
-    pub(crate) fn new(isa: Isa) -> Kept {
-        Kept { block: Block::new(isa), gained: Gained::default() }
+    pub(crate) fn new(isa: Isa) -> BatchFilter {
+        BatchFilter { block: DataBlock::new(isa), gained: DesignBatch::default() }
     }
 
     /// Of a shape in which each step is a run, with so many transitions: all numbers are zero, but noises are one.
@@ -47,15 +47,15 @@ impl Kept {
         self.gained.blank(design, self.block.lanes());
     }
 
-    pub(crate) fn columns(&mut self) -> Columns<'_> {
-        let Gained { variance, h, noise, phi, q, .. } = &mut self.gained;
+    pub(crate) fn columns(&mut self) -> BatchColumns<'_> {
+        let DesignBatch { variance, h, noise, phi, q, .. } = &mut self.gained;
         let [start, inputs, values] = self.block.numbers_mut();
-        Columns { variance, h, noise, phi, q, start, inputs, values }
+        BatchColumns { variance, h, noise, phi, q, start, inputs, values }
     }
 
     /// Runs the filters of so many tests, and their data passes.
-    pub(crate) fn filter(&mut self, design: &Design, tests: usize, room: &mut Room) {
-        let Kept { block, gained } = self;
+    pub(crate) fn filter(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
+        let BatchFilter { block, gained } = self;
         block.isa().run(Loaded { design, tests, data: Some(block.side()), gained, room });
     }
 }

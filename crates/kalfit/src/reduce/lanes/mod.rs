@@ -8,20 +8,20 @@
 
 mod block;
 mod designs;
+mod interleaved;
 mod kept;
 mod numbers;
 mod pass;
-mod room;
 mod squares;
-mod woven;
+mod workspace;
 
-pub(crate) use block::Block;
-pub(crate) use designs::Gained;
-pub(crate) use kept::{Columns, Kept};
+pub(crate) use block::DataBlock;
+pub(crate) use designs::DesignBatch;
+pub(crate) use interleaved::Interleaved;
+pub(crate) use kept::{BatchColumns, BatchFilter};
 pub(crate) use numbers::at;
-pub(crate) use pass::{Look, innovations, solve};
-pub(crate) use room::Room;
-pub(crate) use woven::Woven;
+pub(crate) use pass::{InnovationLook, innovations, solve};
+pub(crate) use workspace::DataWorkspace;
 
 use crate::reduce::data::FEW;
 use crate::reduce::design::Design;

@@ -43,7 +43,7 @@ pub(super) struct Repeats {
 
 /// The data of tests, in lanes.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Side<'a> {
+pub(super) struct DataView<'a> {
     pub(super) start: &'a [f64],
     pub(super) inputs: &'a [f64],
     pub(super) values: &'a [f64],

@@ -5,24 +5,24 @@ use std::cell::Cell;
 use kalfit_lanes::{Kernel, Lanes, Part};
 
 use crate::reduce::data::{Data, FEW};
-use crate::reduce::design::{Design, Moved, Pattern, Stretch};
+use crate::reduce::design::{Design, Pattern, Stretch, TransitionRow};
 use crate::reduce::gains::{Gains, Piece};
-use crate::reduce::lanes::numbers::{Numbers, Repeats, Side, at, put};
-use crate::reduce::lanes::room::Room;
+use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::squares;
+use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::{BLOCK, Scan, scanned};
 
 /// Tests of one design.
-struct Shared<'a> {
+struct SharedDesign<'a> {
     design: &'a Design,
     gains: &'a Gains,
     /// The piece that the last row was in: rows come in order.
     piece: Cell<usize>,
 }
 
-impl<'a> Shared<'a> {
-    fn new(design: &'a Design, gains: &'a Gains) -> Shared<'a> {
-        Shared { design, gains, piece: Cell::new(0) }
+impl<'a> SharedDesign<'a> {
+    fn new(design: &'a Design, gains: &'a Gains) -> SharedDesign<'a> {
+        SharedDesign { design, gains, piece: Cell::new(0) }
     }
 
     /// The piece that has a row, and where it ends.
@@ -39,7 +39,7 @@ impl<'a> Shared<'a> {
     }
 }
 
-impl<T: Lanes> Numbers<T> for Shared<'_> {
+impl<T: Lanes> Numbers<T> for SharedDesign<'_> {
     #[inline(always)]
     fn phi(&self, run: usize, term: usize) -> T {
         self.design
@@ -92,43 +92,43 @@ impl<T: Lanes> Numbers<T> for Shared<'_> {
 }
 
 /// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke, then the best ξ of each test.
-pub(super) struct Pass<'a> {
+pub(super) struct DataPass<'a> {
     pub(super) design: &'a Design,
     pub(super) gains: &'a Gains,
-    pub(super) data: Side<'a>,
-    pub(super) room: &'a mut Room,
+    pub(super) data: DataView<'a>,
+    pub(super) room: &'a mut DataWorkspace,
 }
 
-impl Kernel for Pass<'_> {
+impl Kernel for DataPass<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Pass { design, gains, data, room } = self;
-        let shared = Shared::new(design, gains);
+        let DataPass { design, gains, data, room } = self;
+        let shared = SharedDesign::new(design, gains);
         let square = innovate::<T, _, _>(design, &shared, data, room, &mut ());
         squares::solve::<T, _>(&shared, design.frame.p, square, room);
     }
 }
 
 /// The innovations of a test by itself: e'S⁻¹e; y to `room.d`.
-pub(crate) fn innovations<L: Look<f64>>(
+pub(crate) fn innovations<L: InnovationLook<f64>>(
     (design, gains): (&Design, &Gains),
     data: &Data,
-    room: &mut Room,
+    room: &mut DataWorkspace,
     look: &mut L,
 ) -> f64 {
-    let side = Side { start: &data.start, inputs: &data.inputs, values: &data.values };
-    innovate::<f64, _, _>(design, &Shared::new(design, gains), side, room, look)
+    let side = DataView { start: &data.start, inputs: &data.inputs, values: &data.values };
+    innovate::<f64, _, _>(design, &SharedDesign::new(design, gains), side, room, look)
 }
 
 /// d and the residual sum of squares after [`innovations`], which were `square`.
-pub(crate) fn solve((design, gains): (&Design, &Gains), square: f64, room: &mut Room) {
-    squares::solve::<f64, _>(&Shared::new(design, gains), design.frame.p, square, room);
+pub(crate) fn solve((design, gains): (&Design, &Gains), square: f64, room: &mut DataWorkspace) {
+    squares::solve::<f64, _>(&SharedDesign::new(design, gains), design.frame.p, square, room);
 }
 
 /// Sees innovations on the way.
-pub(crate) trait Look<T> {
+pub(crate) trait InnovationLook<T> {
     /// It wants to see every one: no stretch is gone over at once.
     const EACH: bool;
 
@@ -136,7 +136,7 @@ pub(crate) trait Look<T> {
     fn see(&mut self, at: (usize, usize), e: T, x: &[T]);
 }
 
-impl<T> Look<T> for () {
+impl<T> InnovationLook<T> for () {
     const EACH: bool = false;
 
     #[inline(always)]
@@ -144,7 +144,7 @@ impl<T> Look<T> for () {
 }
 
 /// What a pass carries from row to row.
-struct State<T> {
+struct MeanState<T> {
     x: Vec<T>,
     /// Work space of a transition.
     moved: Vec<T>,
@@ -158,17 +158,17 @@ struct State<T> {
 
 /// The pass over tests of designs of one shape, of which `design` is one: e'S⁻¹e; y to `room.d`.
 #[inline(always)]
-pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: Look<T>>(
+pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationLook<T>>(
     design: &Design,
     numbers: &N,
-    data: Side<'_>,
-    room: &mut Room,
+    data: DataView<'_>,
+    room: &mut DataWorkspace,
     look: &mut L,
 ) -> T {
     let frame = &*design.frame;
     room.e.resize(data.values.len(), 0.0);
     room.x.resize(frame.n * T::COUNT, 0.0);
-    let mut state = State::<T>::new((frame.n, frame.p));
+    let mut state = MeanState::<T>::new((frame.n, frame.p));
     for i in 0..frame.n {
         state.x[i] = at(data.start, i);
     }
@@ -240,13 +240,13 @@ impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
     }
 }
 
-impl<T: Lanes> State<T> {
+impl<T: Lanes> MeanState<T> {
     /// Of n states and p unknowns.
     #[inline(always)]
-    fn new((n, p): (usize, usize)) -> State<T> {
+    fn new((n, p): (usize, usize)) -> MeanState<T> {
         let zero = T::splat(0.0);
         let zeros = || vec![zero; p];
-        State { x: vec![zero; n], moved: Vec::new(), y: zeros(), square: zero, y_part: zeros(), square_part: zero }
+        MeanState { x: vec![zero; n], moved: Vec::new(), y: zeros(), square: zero, y_part: zeros(), square_part: zero }
     }
 
     /// Takes the parts to the sums.
@@ -279,7 +279,7 @@ impl<T: Lanes> State<T> {
 
     /// A row of φ, times x.
     #[inline(always)]
-    fn moved<N: Numbers<T>>(&self, (numbers, run): (&N, usize), (pattern, row): (&Pattern, &Moved)) -> T {
+    fn moved<N: Numbers<T>>(&self, (numbers, run): (&N, usize), (pattern, row): (&Pattern, &TransitionRow)) -> T {
         let mut sum = T::splat(0.0);
         for term in row.start as usize..row.end as usize {
             sum = numbers.phi(run, term).fma(self.x[pattern.columns[term] as usize], sum);
@@ -289,7 +289,7 @@ impl<T: Lanes> State<T> {
 
     /// The innovation of a scalar measurement, after which x and the sums have it.
     #[inline(always)]
-    fn measure<N: Numbers<T>, L: Look<T>>(
+    fn measure<N: Numbers<T>, L: InnovationLook<T>>(
         &mut self,
         (design, line): (&Design, usize),
         (numbers, row): (&N, usize),

@@ -7,7 +7,7 @@ use kalfit_lanes::Lanes;
 
 use crate::reduce::data::REFINE;
 use crate::reduce::lanes::numbers::{Numbers, Repeats, at, put};
-use crate::reduce::lanes::room::Room;
+use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::BLOCK;
 
 /// Sums side by side, so that none waits for the one before it.
@@ -15,7 +15,7 @@ const SIDE: usize = 8;
 
 /// y → d. Where a test's squares are large, by way of its best ξ.
 #[inline(always)]
-pub(super) fn solve<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, square: T, room: &mut Room) {
+pub(super) fn solve<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, square: T, room: &mut DataWorkspace) {
     forward::<T, N>(numbers, p, &mut room.d);
     room.residual.resize(T::COUNT, 0.0);
     (square - squares::<T>(&room.d, p)).store(&mut room.residual);
@@ -36,7 +36,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, square: T, r
 
 /// d by way of the best ξ; the residual sum of squares.
 #[inline(always)]
-fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut Room) -> T {
+fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut DataWorkspace) -> T {
     room.best.clone_from(&room.d);
     backward::<T, N>(numbers, p, &mut room.best);
     room.refined.clear();

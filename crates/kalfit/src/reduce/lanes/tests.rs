@@ -8,11 +8,11 @@ use crate::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     State,
 };
-use crate::reduce::blocks::beside::Beside;
-use crate::reduce::blocks::told::Found;
+use crate::reduce::blocks::beside::OneBatch;
+use crate::reduce::blocks::reduced::ReducedTests;
 use crate::reduce::data::Outcome;
 use crate::reduce::data_pass::outcome;
-use crate::reduce::lanes::Room;
+use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::prepare::Skeleton;
 use crate::reduce::reducer::{Reducer, information_gains};
 use crate::reduce::schedule::GainsWork;
@@ -105,14 +105,14 @@ fn close(found: &Outcome, expected: &Outcome, what: &str) {
 }
 
 /// What tests leave that are filtered side by side, by number.
-fn side_by_side(isa: Isa, reducer: &Reducer, tests: &[Test]) -> Found {
-    let (mut work, mut found) = (reducer.workspace(), Found::default());
+fn side_by_side(isa: Isa, reducer: &Reducer, tests: &[Test]) -> ReducedTests {
+    let (mut work, mut found) = (reducer.workspace(), ReducedTests::default());
     let mut all: Vec<Skeleton> = tests.iter().map(|_| Skeleton::default()).collect();
     for (number, (test, own)) in tests.iter().zip(&mut all).enumerate() {
         assert!(reducer.preparer().skeleton(test, number, &mut work, own), "{} goes beside others", test.id);
     }
     let tests: Vec<&Test> = tests.iter().collect();
-    Beside::new(isa, reducer).reduce(reducer, (&tests, &mut all), &mut work.room, &mut found);
+    OneBatch::new(isa, reducer).reduce(reducer, (&tests, &mut all), &mut work.room, &mut found);
     assert!(found.odd.is_empty(), "all are well conditioned");
     found
 }
@@ -128,7 +128,7 @@ fn lanes_agree_with_one_test_at_a_time() {
             let mut work = reducer.workspace();
             reducer.preparer().prepare(&all[number], &mut work).expect("sound");
             let gains = information_gains(&work.design, &mut GainsWork::default()).expect("well conditioned");
-            let expected = outcome(&work.design, &gains, &work.data, &mut Room::default()).expect("possible");
+            let expected = outcome(&work.design, &gains, &work.data, &mut DataWorkspace::default()).expect("possible");
             let residual = row.residual.expect("there are data");
             let own = Outcome { constant: row.constant, residual, data: row.data.to_vec() };
             close(&own, &expected, &format!("{isa:?}, size {size}, test {number}"));

@@ -3,10 +3,10 @@
 use crate::linalg::exponential::{flow_adjoint, scalar_adjoint};
 use crate::reduce::dynamics::{Component, Dynamics, matrices};
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::motion::{Drive, Entry, Plan, append_flow};
+use crate::reduce::motion::{Drive, EntrySource, MotionPlan, append_flow};
 use crate::reduce::subject::{Fault, Subject};
 
-impl Plan {
+impl MotionPlan {
     /// Numbers of entries of φ and of Q.
     pub(crate) fn entries(&self) -> (usize, usize) {
         (self.phi.len(), self.q.len())
@@ -14,7 +14,7 @@ impl Plan {
 
     /// φ has entries ΓG.
     pub(crate) fn holds(&self) -> bool {
-        self.phi.iter().any(|entry| matches!(entry, Entry::Held(_)))
+        self.phi.iter().any(|entry| matches!(entry, EntrySource::Held(_)))
     }
 
     /// The flows of a step again.
@@ -67,9 +67,9 @@ impl Plan {
         let entries = self.phi.iter().zip(phi_bar).chain(self.q.iter().zip(q_bar));
         for (entry, &bar) in entries {
             match entry {
-                Entry::Slot(slot) => out[*slot] += bar,
-                Entry::Flow(at) => flow_bar[*at] += bar,
-                Entry::Held(terms) => {
+                EntrySource::Slot(slot) => out[*slot] += bar,
+                EntrySource::Flow(at) => flow_bar[*at] += bar,
+                EntrySource::Held(terms) => {
                     for &(at, slot) in terms {
                         flow_bar[at] += bar * step.values[slot];
                         out[slot] += bar * step.flows[at];

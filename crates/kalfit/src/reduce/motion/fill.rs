@@ -6,8 +6,8 @@ use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
 
 use crate::linalg::exponential::scalar_flows;
 use crate::reduce::dynamics::{Component, Dynamics, Table};
-use crate::reduce::lanes::Columns;
-use crate::reduce::motion::{Drive, Entry, Moves, Plan, append_flow, check_noise};
+use crate::reduce::lanes::BatchColumns;
+use crate::reduce::motion::{Drive, EntrySource, MotionPlan, Moves, append_flow, check_noise};
 
 /// The transitions that lead to the steps of tests in lanes: number t of the test in a lane at t × lanes + lane.
 #[derive(Debug, Clone, Default)]
@@ -31,7 +31,7 @@ pub(crate) struct MotionColumns {
 }
 
 /// A table of coefficients on transitions: the same on all of them, or a column.
-pub(super) struct Slots<'a> {
+pub(super) struct SlotValues<'a> {
     pub(super) fixed: &'a [f64],
     /// Of each slot; none where all are the same.
     columns: Vec<Option<&'a [f64]>>,
@@ -59,14 +59,14 @@ impl MotionColumns {
     }
 }
 
-impl<'a> Slots<'a> {
+impl<'a> SlotValues<'a> {
     /// The same on all transitions.
-    fn steady(values: &[f64]) -> Slots<'_> {
-        Slots { fixed: values, columns: Vec::new() }
+    fn steady(values: &[f64]) -> SlotValues<'_> {
+        SlotValues { fixed: values, columns: Vec::new() }
     }
 
-    pub(super) fn new(table: &'a Table, columns: &'a [Vec<f64>]) -> Slots<'a> {
-        let mut slots = Slots { fixed: &table.fixed, columns: vec![None; table.fixed.len()] };
+    pub(super) fn new(table: &'a Table, columns: &'a [Vec<f64>]) -> SlotValues<'a> {
+        let mut slots = SlotValues { fixed: &table.fixed, columns: vec![None; table.fixed.len()] };
         for ((slot, ..), column) in table.varying.iter().zip(columns) {
             slots.columns[*slot] = Some(column);
         }
@@ -108,23 +108,23 @@ pub(crate) struct Filled {
     pub(super) q: Vec<f64>,
 }
 
-impl Plan {
+impl MotionPlan {
     /// φ, Q and b of transitions. Returns in which lanes all of them are finite: in none where the noises are no covariance.
     pub(crate) fn fill(
         &self,
         isa: Isa,
         dynamics: &Dynamics,
         (steps, motion): (&Transitions, &mut MotionColumns),
-        out: Columns<'_>,
+        out: BatchColumns<'_>,
     ) -> [bool; MOST] {
         if check_noise(dynamics, &dynamics.table.fixed).is_err() {
             return [false; MOST];
         }
         let MotionColumns { values, inputs, flows } = motion;
         flows.resize(self.flow_len * steps.dt.len(), 0.0);
-        let (values, inputs) = (Slots::new(&dynamics.table, values), Slots::new(&dynamics.inputs, inputs));
+        let (values, inputs) = (SlotValues::new(&dynamics.table, values), SlotValues::new(&dynamics.inputs, inputs));
         self.fill_coupled((dynamics, &values), steps, flows);
-        let sound = isa.run(Fill { plan: self, steps, values, flows, phi: out.phi, q: out.q });
+        let sound = isa.run(TransitionFill { plan: self, steps, values, flows, phi: out.phi, q: out.q });
         isa.run(Drives { plan: self, steps, inputs, flows, out: out.inputs });
         sound
     }
@@ -137,7 +137,7 @@ impl Plan {
         dt: f64,
         filled: &mut Filled,
     ) -> bool {
-        let (Filled { step, flows, phi, q }, values) = (filled, Slots::steady(values));
+        let (Filled { step, flows, phi, q }, values) = (filled, SlotValues::steady(values));
         let numbers = [self.flow_len, self.phi.len(), self.q.len()].map(|numbers| numbers * isa.lanes());
         for (column, numbers) in [(&mut *flows, numbers[0]), (&mut *phi, numbers[1]), (&mut *q, numbers[2])] {
             column.resize(numbers, 0.0);
@@ -147,19 +147,19 @@ impl Plan {
             column.resize(isa.lanes(), x);
         }
         self.fill_coupled((dynamics, &values), step, flows);
-        isa.run(Fill { plan: self, steps: step, values, flows, phi, q })[0]
+        isa.run(TransitionFill { plan: self, steps: step, values, flows, phi, q })[0]
     }
 
     /// Appends b of the driven states, as beside others. `inputs`: values of the dynamics' inputs.
     pub(crate) fn inputs(&self, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
         if !self.drives.is_empty() {
-            Isa::best().run(Driven { drives: &self.drives, moves, inputs, out });
+            Isa::best().run(InputValues { drives: &self.drives, moves, inputs, out });
         }
     }
 
     /// φ, Γ and Q of components of several states, transition by transition, those of one length and equal coefficients once. What
     /// overflows is not a number.
-    fn fill_coupled(&self, (dynamics, values): (&Dynamics, &Slots<'_>), steps: &Transitions, flows: &mut [f64]) {
+    fn fill_coupled(&self, (dynamics, values): (&Dynamics, &SlotValues<'_>), steps: &Transitions, flows: &mut [f64]) {
         let coupled = dynamics.components.iter().zip(&self.offsets).filter(|(component, _)| component.states.len() > 1);
         for (component, &offset) in coupled {
             fill_coupled((component, offset), steps, values, flows);
@@ -167,7 +167,12 @@ impl Plan {
     }
 }
 
-fn fill_coupled((component, offset): (&Component, usize), steps: &Transitions, values: &Slots<'_>, flows: &mut [f64]) {
+fn fill_coupled(
+    (component, offset): (&Component, usize),
+    steps: &Transitions,
+    values: &SlotValues<'_>,
+    flows: &mut [f64],
+) {
     let (places, m) = (steps.dt.len(), component.states.len());
     let (mut known, mut own) = (HashMap::new(), Vec::new());
     for place in 0..places {
@@ -199,16 +204,16 @@ fn held<T: Lanes>(terms: &[(usize, usize)], flow: impl Fn(usize) -> T, slot: imp
 }
 
 /// φ and Q of transitions, the flows of single states on the way.
-struct Fill<'a> {
-    plan: &'a Plan,
+struct TransitionFill<'a> {
+    plan: &'a MotionPlan,
     steps: &'a Transitions,
-    values: Slots<'a>,
+    values: SlotValues<'a>,
     flows: &'a mut [f64],
     phi: &'a mut [f64],
     q: &'a mut [f64],
 }
 
-impl Kernel for Fill<'_> {
+impl Kernel for TransitionFill<'_> {
     /// In which lanes all is finite.
     type Output = [bool; MOST];
 
@@ -242,7 +247,7 @@ impl Kernel for Fill<'_> {
     }
 }
 
-impl Fill<'_> {
+impl TransitionFill<'_> {
     /// The flows of single states.
     #[inline(always)]
     fn singles<T: Lanes>(&mut self, place: usize) {
@@ -258,14 +263,14 @@ impl Fill<'_> {
 
     /// An entry of φ or Q; `rest` where there is no transition.
     #[inline(always)]
-    fn entry<T: Lanes>(&self, entry: &Entry, rest: f64, place: usize) -> T {
+    fn entry<T: Lanes>(&self, entry: &EntrySource, rest: f64, place: usize) -> T {
         match entry {
-            Entry::Slot(slot) => {
+            EntrySource::Slot(slot) => {
                 let moving = T::load(&self.steps.moving[place..]);
                 moving.fma(self.values.lanes(*slot, place), moving.fnma(T::splat(rest), T::splat(rest)))
             }
-            Entry::Flow(at) => self.flow(*at, place),
-            Entry::Held(terms) => held(terms, |at| self.flow(at, place), |slot| self.values.lanes(slot, place)),
+            EntrySource::Flow(at) => self.flow(*at, place),
+            EntrySource::Held(terms) => held(terms, |at| self.flow(at, place), |slot| self.values.lanes(slot, place)),
         }
     }
 
@@ -277,9 +282,9 @@ impl Fill<'_> {
 
 /// b of transitions.
 struct Drives<'a> {
-    plan: &'a Plan,
+    plan: &'a MotionPlan,
     steps: &'a Transitions,
-    inputs: Slots<'a>,
+    inputs: SlotValues<'a>,
     flows: &'a [f64],
     out: &'a mut [f64],
 }
@@ -307,19 +312,19 @@ impl Kernel for Drives<'_> {
 }
 
 /// b of one transition.
-struct Driven<'a> {
+struct InputValues<'a> {
     drives: &'a [Drive],
     moves: &'a Moves,
     inputs: &'a [f64],
     out: &'a mut Vec<f64>,
 }
 
-impl Kernel for Driven<'_> {
+impl Kernel for InputValues<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Driven { drives, moves, inputs, out } = self;
+        let InputValues { drives, moves, inputs, out } = self;
         for drive in drives {
             out.push(match drive {
                 Drive::Slot(slot) => inputs[*slot],

@@ -5,8 +5,8 @@ use kalfit_lanes::{Lanes, MOST};
 use crate::linalg::exponential::{scalar_flow, scalar_slope};
 use crate::reduce::dynamics::{Component, Dynamics};
 use crate::reduce::motion::backward::{Evaluated, component_backward};
-use crate::reduce::motion::fill::{MotionColumns, Slots, Transitions};
-use crate::reduce::motion::{Drive, Entry, Plan, Single};
+use crate::reduce::motion::fill::{MotionColumns, SlotValues, Transitions};
+use crate::reduce::motion::{Drive, EntrySource, MotionPlan, Single};
 
 impl Component {
     /// Slots of its rates and noises.
@@ -15,11 +15,11 @@ impl Component {
     }
 }
 
-impl Plan {
+impl MotionPlan {
     /// Whether φ or b depends on Γ of a single state whose flow begins here.
     fn holds_over(&self, offset: usize) -> bool {
         let gamma = |terms: &[(usize, usize)]| terms.iter().any(|&(at, _)| at == offset + 1);
-        self.phi.iter().any(|entry| matches!(entry, Entry::Held(terms) if gamma(terms)))
+        self.phi.iter().any(|entry| matches!(entry, EntrySource::Held(terms) if gamma(terms)))
             || self.drives.iter().any(|drive| matches!(drive, Drive::Flow(terms) if gamma(terms)))
     }
 
@@ -50,8 +50,8 @@ impl Plan {
             flows: &motion.flows,
             singles: self.singles.iter().map(back).collect(),
             coupled: coupled.collect(),
-            values: Slots::new(&dynamics.table, &motion.values),
-            inputs: Slots::new(&dynamics.inputs, &motion.inputs),
+            values: SlotValues::new(&dynamics.table, &motion.values),
+            inputs: SlotValues::new(&dynamics.inputs, &motion.inputs),
         }
     }
 }
@@ -76,13 +76,13 @@ struct SingleBack<'a> {
 
 /// The way from the adjoints of transitions back to the coefficients of the motion.
 pub(crate) struct MotionBack<'a> {
-    plan: &'a Plan,
+    plan: &'a MotionPlan,
     steps: &'a Transitions,
     flows: &'a [f64],
     singles: Vec<SingleBack<'a>>,
     coupled: Vec<Coupled<'a>>,
-    values: Slots<'a>,
-    inputs: Slots<'a>,
+    values: SlotValues<'a>,
+    inputs: SlotValues<'a>,
 }
 
 /// Adjoints of one transition, in lanes: of the flows (work space), of the coefficients and of the inputs.
@@ -118,9 +118,9 @@ impl MotionBack<'_> {
         for (entry, bar) in self.plan.phi.iter().chain(&self.plan.q).zip(&mut entries) {
             let bar = T::load(bar);
             match entry {
-                Entry::Slot(slot) => out.values[*slot] = moving.fma(bar, out.values[*slot]),
-                Entry::Flow(at) => out.flows[*at] = out.flows[*at] + bar,
-                Entry::Held(terms) => {
+                EntrySource::Slot(slot) => out.values[*slot] = moving.fma(bar, out.values[*slot]),
+                EntrySource::Flow(at) => out.flows[*at] = out.flows[*at] + bar,
+                EntrySource::Held(terms) => {
                     for &(at, slot) in terms {
                         out.flows[at] = self.values.lanes::<T>(slot, place).fma(bar, out.flows[at]);
                         out.values[slot] = T::load(&self.flows[at * places + place..]).fma(bar, out.values[slot]);

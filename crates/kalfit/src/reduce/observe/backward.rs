@@ -4,7 +4,7 @@ use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::instances::Instance;
 use crate::reduce::observe::{Correlation, Meters, Whitening};
-use crate::reduce::subject::{At, Coefficient, Fault};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt};
 
 impl Meters {
     /// Noise, constant and terms (kernel state, h) of each measurement.
@@ -25,7 +25,7 @@ impl Meters {
     /// The noise variance of each instance, before whitening.
     pub(crate) fn noises(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
         (instances, dt): (&[Instance], f64),
         out: &mut Vec<f64>,
@@ -46,7 +46,7 @@ impl Meters {
     /// Appends d of each instance.
     pub(crate) fn constants(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
         (instances, dt): (&[Instance], f64),
         out: &mut Vec<f64>,

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::reduce::batch::{Batch, ToEnd, joined, share};
 use crate::reduce::error::ReduceError;
-use crate::reduce::part::Part;
+use crate::reduce::part::ReducedPhase;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction, Reductions};
 
@@ -85,7 +85,8 @@ impl<'a> PhasedBatch<'a> {
                 }
                 _ => {
                     let room = (&mut self.work.phases[at], &mut self.work.cells);
-                    pieces[number] = Some(phase.part((id, evidence), room, (false, false)).map(Part::into_piece));
+                    pieces[number] =
+                        Some(phase.part((id, evidence), room, (false, false)).map(ReducedPhase::into_piece));
                 }
             }
         }
@@ -93,7 +94,7 @@ impl<'a> PhasedBatch<'a> {
             let found = self.phases[at].reduce_to_end(&rows);
             for ((number, rows), found) in numbers.into_iter().zip(rows).zip(found) {
                 let part = self.reducer.phases[at].joined(rows, found, &mut self.work.cells);
-                pieces[number] = Some(part.map(Part::into_piece));
+                pieces[number] = Some(part.map(ReducedPhase::into_piece));
             }
         }
         pieces.into_iter().map(|piece| piece.expect("every phase was looked at")).collect()

@@ -6,9 +6,9 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::reduce::batch::{ToEnd, share};
-use crate::reduce::blocks::{Blocks, Filtered, FilteredBlock};
+use crate::reduce::blocks::{FilteredBlock, FilteredDesigns, OwnDesigns};
 use crate::reduce::error::ReduceError;
-use crate::reduce::part::Part;
+use crate::reduce::part::ReducedPhase;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
 use crate::reduce::{PhaseReduction, PhasedTest, Reduction, Reductions};
 
@@ -25,13 +25,13 @@ pub(crate) struct PhasedBlocks {
 struct Members {
     /// By number, ascending.
     numbers: Arc<Vec<usize>>,
-    blocks: Arc<Blocks>,
+    blocks: Arc<OwnDesigns>,
 }
 
 /// Tests in phases at an α, after their filters.
 #[derive(Debug)]
 pub(crate) struct PhasedFiltered {
-    phases: Vec<(Arc<Vec<usize>>, Filtered)>,
+    phases: Vec<(Arc<Vec<usize>>, FilteredDesigns)>,
     /// By test, the phases of those that are in blocks; empty where there is one phase.
     pieces: Vec<Option<Vec<PhaseReduction>>>,
 }
@@ -59,7 +59,7 @@ impl PhasedReducer {
             let places = |wanted: &[usize]| -> Vec<usize> {
                 wanted.iter().filter_map(|number| numbers.binary_search(number).ok()).collect()
             };
-            let blocks = Blocks::new(&self.phases[at].reducer, &rows, &places(alone), &places(shared));
+            let blocks = OwnDesigns::new(&self.phases[at].reducer, &rows, &places(alone), &places(shared));
             blocks.numbers().for_each(|place| has[numbers[place]] = true);
             Members { numbers: Arc::new(numbers), blocks: Arc::new(blocks) }
         };
@@ -112,6 +112,6 @@ impl PhasedReducer {
 }
 
 /// The phases of a test by themselves.
-fn pieces(parts: Option<&[Part<'_>]>) -> Option<Vec<PhaseReduction>> {
+fn pieces(parts: Option<&[ReducedPhase<'_>]>) -> Option<Vec<PhaseReduction>> {
     Some(parts?.iter().map(|part| part.clone().into_piece()).collect())
 }

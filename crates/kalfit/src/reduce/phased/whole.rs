@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
-use crate::reduce::part::{Part, PhaseReducer};
+use crate::reduce::part::{PhaseReducer, ReducedPhase};
 use crate::reduce::phased::PhasedReducer;
 use crate::reduce::stack::{StackPhase, StackShape, Stacked, shape};
 use crate::reduce::subject::WHOLE;
@@ -14,7 +14,7 @@ use crate::reduce::{Chain, ChainPhase, Inherited, Link, Path, PhasedTest, Reduct
 
 /// The phases of a test and how they are linked.
 struct Linked<'a> {
-    parts: Vec<Part<'a>>,
+    parts: Vec<ReducedPhase<'a>>,
     /// g of the link that leads to each phase; `None` for the first one.
     means: Vec<Option<DVector<f64>>>,
     /// Digest of all that the stacked design depends on.
@@ -22,7 +22,7 @@ struct Linked<'a> {
 }
 
 impl<'a> Linked<'a> {
-    fn new(parts: Vec<Part<'a>>) -> Linked<'a> {
+    fn new(parts: Vec<ReducedPhase<'a>>) -> Linked<'a> {
         let means = (0..parts.len()).map(|at| link_mean(&parts, at)).collect();
         let design = digest(&parts);
         Linked { parts, means, design }
@@ -31,7 +31,7 @@ impl<'a> Linked<'a> {
     /// What stacking depends on.
     fn phases(&self, reducers: &[PhaseReducer]) -> Vec<StackPhase<'_>> {
         let mut phases = Vec::with_capacity(self.parts.len());
-        let mut before: Option<&Part<'_>> = None;
+        let mut before: Option<&ReducedPhase<'_>> = None;
         for ((part, mean), reducer) in self.parts.iter().zip(&self.means).zip(reducers) {
             let link = before.map(|before| {
                 let Terminal { sensitivity, root, .. } = before.last();
@@ -51,7 +51,7 @@ impl PhasedReducer {
     pub(super) fn whole(
         &self,
         test: &PhasedTest,
-        parts: Result<Vec<Part<'_>>, ReduceError>,
+        parts: Result<Vec<ReducedPhase<'_>>, ReduceError>,
     ) -> Result<Reduction, ReduceError> {
         let all = self.wholes(std::slice::from_ref(test), vec![parts]);
         all.into_iter().next().expect("one test, one reduction")
@@ -61,10 +61,10 @@ impl PhasedReducer {
     pub(super) fn wholes(
         &self,
         tests: &[PhasedTest],
-        parts: Vec<Result<Vec<Part<'_>>, ReduceError>>,
+        parts: Vec<Result<Vec<ReducedPhase<'_>>, ReduceError>>,
     ) -> Vec<Result<Reduction, ReduceError>> {
         if self.phases.len() == 1 {
-            let only = |(test, parts): (&PhasedTest, Result<Vec<Part<'_>>, ReduceError>)| {
+            let only = |(test, parts): (&PhasedTest, Result<Vec<ReducedPhase<'_>>, ReduceError>)| {
                 let only = parts?.into_iter().next().expect("a test has a phase");
                 Ok(Reduction { test: test.id.to_string(), chain: None, ..only.reduction.into_owned() })
             };
@@ -132,12 +132,12 @@ impl PhasedReducer {
 
     fn chain(
         &self,
-        parts: Vec<Part<'_>>,
+        parts: Vec<ReducedPhase<'_>>,
         means: Vec<Option<DVector<f64>>>,
         links: Vec<(DMatrix<f64>, DMatrix<f64>)>,
     ) -> Chain {
         let links = std::iter::once(None).chain(links.into_iter().map(Some));
-        let phase = |(((part, mean), link), phase): (((Part<'_>, _), _), &PhaseReducer)| {
+        let phase = |(((part, mean), link), phase): (((ReducedPhase<'_>, _), _), &PhaseReducer)| {
             let link = Option::zip(mean, link);
             let link = link.map(|(mean, (sensitivity, root))| Link { mean, sensitivity, root });
             let Reduction { constant, data, factor, path, .. } = part.reduction.into_owned();
@@ -148,14 +148,14 @@ impl PhasedReducer {
 }
 
 /// g = T x̂_K + t of the link to the phase with this number.
-fn link_mean(parts: &[Part<'_>], at: usize) -> Option<DVector<f64>> {
+fn link_mean(parts: &[ReducedPhase<'_>], at: usize) -> Option<DVector<f64>> {
     let mean = &parts[at.checked_sub(1)?].last().mean;
     let Inherited { transition, input } = parts[at].inherits();
     Some(transition * mean + input)
 }
 
 /// Digest of all that the stacked design depends on.
-fn digest(parts: &[Part<'_>]) -> u128 {
+fn digest(parts: &[ReducedPhase<'_>]) -> u128 {
     let mut digest = Digest::new();
     for part in parts {
         digest.wide(part.reduction.design);
@@ -167,7 +167,7 @@ fn digest(parts: &[Part<'_>]) -> u128 {
     digest.finish()
 }
 
-fn path(parts: &[Part<'_>]) -> Path {
+fn path(parts: &[ReducedPhase<'_>]) -> Path {
     let square_root = parts.iter().any(|part| part.reduction.path == Path::SquareRoot);
     if square_root { Path::SquareRoot } else { Path::Information }
 }

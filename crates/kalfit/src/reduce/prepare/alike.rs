@@ -4,25 +4,25 @@ use crate::ensemble::Test;
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::observe::Meters;
 use crate::reduce::prepare::Preparer;
-use crate::reduce::recognise::Looks;
-use crate::reduce::start::Start;
-use crate::reduce::steps::{Span, spans};
-use crate::reduce::subject::{At, Uses};
+use crate::reduce::recognise::CellMask;
+use crate::reduce::start::ModelStart;
+use crate::reduce::steps::{StepSpan, spans};
+use crate::reduce::subject::{ModelAt, Uses};
 
 /// All that is read of a test but measured values and covariates; `None` where values are mixed. `shape` and `drive`: columns of
 /// the measurements and of the dynamics.
 pub(super) fn looks(
-    at: &At<'_>,
+    at: &ModelAt<'_>,
     (shape, drive): (&Uses, &Uses),
-    (dynamics, start, meters): (&Dynamics, &Start, &Meters),
-) -> Option<Looks> {
+    (dynamics, start, meters): (&Dynamics, &ModelStart, &Meters),
+) -> Option<CellMask> {
     let mut read = Uses::default();
     for uses in [shape, drive, &dynamics.uses] {
         read.extend(uses);
     }
     start.coefficients().chain(&start.initial_time).for_each(|coefficient| read.add(coefficient, at.alpha));
     at.model.clock.time.iter().for_each(|&column| read.number(column));
-    meters.can_repeat().then(|| Looks::new(at.model.columns.len(), &read, meters.columns()))
+    meters.can_repeat().then(|| CellMask::new(at.model.columns.len(), &read, meters.columns()))
 }
 
 impl Preparer {
@@ -31,7 +31,7 @@ impl Preparer {
     pub(crate) fn stretches(&self, test: &Test) -> Option<usize> {
         let mut steps = Vec::new();
         spans(&self.at(), test, None, &mut steps).ok()?;
-        let changes = |span: &Span| {
+        let changes = |span: &StepSpan| {
             let later = (1..span.count).map(|number| span.step(number));
             1 + later.filter(|rows| !self.shape.repeat(test, rows)).count()
         };

@@ -2,7 +2,7 @@
 
 use crate::ensemble::Test;
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::subject::{At, Fault, Subject};
+use crate::reduce::subject::{Fault, ModelAt, Subject};
 
 impl Preparer {
     /// The covariates of a test into the work space: of tests that look alike, they alone differ beside the measured values.
@@ -17,7 +17,7 @@ impl Preparer {
     }
 
     /// Those of the test whose cells are in the work space.
-    pub(super) fn covariates(&self, at: &At<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
+    pub(super) fn covariates(&self, at: &ModelAt<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
         work.covariates.clear();
         for (r, regression) in self.model.mean.regression.iter().enumerate() {
             work.covariates.push(at.cell(&work.whole.numbers, regression.column, Subject::Regression(r))?);

@@ -3,18 +3,18 @@
 use std::sync::Arc;
 
 use crate::reduce::motion::Moves;
-use crate::reduce::shared::Entry;
+use crate::reduce::shared::StoreEntry;
 use crate::reduce::subject::Fault;
 
 /// What leads to a step, in the store.
-pub(super) type Moved = Entry<Vec<u64>, Result<Moves, Box<Fault>>>;
+pub(super) type KnownMoves = StoreEntry<Vec<u64>, Result<Moves, Box<Fault>>>;
 
 /// What led to the last step, with the key it is known again by: the step's length and coefficients.
 #[derive(Debug)]
 pub(super) enum Last {
     Own(Vec<u64>, Moves),
     /// A sound one.
-    Shared(Arc<Moved>),
+    Shared(Arc<KnownMoves>),
 }
 
 impl Last {

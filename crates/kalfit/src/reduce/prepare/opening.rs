@@ -4,7 +4,7 @@ use crate::ensemble::Test;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::steps::Span;
+use crate::reduce::steps::StepSpan;
 use crate::reduce::subject::{Fault, Subject};
 
 impl Preparer {
@@ -19,7 +19,7 @@ impl Preparer {
         work.data.clear();
         work.whole.gather(&at, constants, 0..1, (&self.start.uses, true))?;
         work.spans.clear();
-        work.spans.push(Span { rows: 0..1, count: 1, dt: f64::NAN, moves: true });
+        work.spans.push(StepSpan { rows: 0..1, count: 1, dt: f64::NAN, moves: true });
         self.covariates(&at, work)?;
         self.begin(&at, constants, work)
     }

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use crate::ensemble::{Label, Test};
 use crate::model::{Alpha, Scope};
-use crate::reduce::prepare::{Moment, Preparer, Workspace};
-use crate::reduce::start::Law;
-use crate::reduce::steps::{Cells, Span};
+use crate::reduce::prepare::{Preparer, StepRows, Workspace};
+use crate::reduce::start::InitialMoment;
+use crate::reduce::steps::{GatheredCells, StepSpan};
 use crate::reduce::subject::Fault;
 
 /// Room for the coefficients of one step.
@@ -20,14 +20,14 @@ pub(crate) struct Replay {
 
 /// What the law of a test's x_0 is evaluated on.
 #[derive(Debug, Clone)]
-pub(crate) struct Opening {
+pub(crate) struct StartCells {
     numbers: Vec<f64>,
     texts: Vec<Label>,
     /// Length of the first step.
     dt: f64,
 }
 
-impl Opening {
+impl StartCells {
     /// Cells that are constant within the test.
     pub(crate) fn whole<'a>(&'a self, alpha: &'a Alpha) -> Scope<'a> {
         Scope { numbers: &self.numbers, texts: &self.texts, step: self.dt, alpha }
@@ -41,9 +41,9 @@ impl Opening {
 
 impl Workspace {
     /// What the law of x_0 of the test was evaluated on.
-    pub(crate) fn opening(&self) -> Opening {
-        let Cells { numbers, texts } = &self.whole;
-        Opening { numbers: numbers.clone(), texts: texts.clone(), dt: self.spans[0].dt }
+    pub(crate) fn opening(&self) -> StartCells {
+        let GatheredCells { numbers, texts } = &self.whole;
+        StartCells { numbers: numbers.clone(), texts: texts.clone(), dt: self.spans[0].dt }
     }
 
     /// Length of step `k`.
@@ -64,14 +64,14 @@ impl Workspace {
     }
 
     /// The span of step `k`, and its number there.
-    fn place(&self, k: usize) -> (&Span, usize) {
+    fn place(&self, k: usize) -> (&StepSpan, usize) {
         // where no steps are equally long each is a span
         let own = self.firsts.get(k) == Some(&k);
         let at = if own { k } else { self.firsts.partition_point(|&first| first <= k) - 1 };
         (&self.spans[at], k - self.firsts[at])
     }
 
-    fn moment(&self, k: usize, previous: bool) -> Moment {
+    fn moment(&self, k: usize, previous: bool) -> StepRows {
         let (span, number) = self.place(k);
         let rows = span.step(number);
         let source = if previous && k > 0 {
@@ -80,7 +80,7 @@ impl Workspace {
         } else {
             rows.clone()
         };
-        Moment { rows, source, dt: span.dt, moves: span.moves }
+        StepRows { rows, source, dt: span.dt, moves: span.moves }
     }
 }
 
@@ -91,7 +91,7 @@ impl Preparer {
         test: &'a Test,
         k: usize,
         work: &Workspace,
-        cells: &'a mut Cells,
+        cells: &'a mut GatheredCells,
     ) -> Result<Scope<'a>, Box<Fault>> {
         self.motion_scope(&self.at(), test, &work.moment(k, self.clock_previous()), cells)
     }
@@ -109,7 +109,7 @@ impl Preparer {
         &'a self,
         test: &'a Test,
         work: &Workspace,
-        cells: &'a mut Cells,
+        cells: &'a mut GatheredCells,
     ) -> Result<Scope<'a>, Box<Fault>> {
         match self.law {
             Some(_) => Ok(Scope { numbers: &[], texts: &[], step: 0.0, alpha: &self.alpha }),
@@ -118,7 +118,12 @@ impl Preparer {
     }
 
     /// a and P0 of a test, where these differ from test to test.
-    pub(crate) fn law_of(&self, test: &Test, opening: &Opening, out: &mut Replay) -> Result<Law, Box<Fault>> {
+    pub(crate) fn law_of(
+        &self,
+        test: &Test,
+        opening: &StartCells,
+        out: &mut Replay,
+    ) -> Result<InitialMoment, Box<Fault>> {
         if self.start.settles() {
             self.settling(&opening.first(test, &self.alpha), out)?;
         }

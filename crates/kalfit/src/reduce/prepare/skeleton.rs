@@ -4,7 +4,7 @@ use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::data::FEW;
 use crate::reduce::instances::Instance;
-use crate::reduce::prepare::{Opening, Preparer, Workspace};
+use crate::reduce::prepare::{Preparer, StartCells, Workspace};
 use crate::reduce::recognise::mix;
 
 /// Numbers of one test that its passes remember: no more than these.
@@ -20,7 +20,7 @@ pub(crate) struct Skeleton {
     /// Scalar measurements, in the order of the design.
     pub(crate) instances: Vec<Instance>,
     /// Where tests have other laws of x_0.
-    pub(crate) opening: Option<Opening>,
+    pub(crate) opening: Option<StartCells>,
     /// Each step is one row.
     flat: bool,
     /// A hash of which measurements its steps have.

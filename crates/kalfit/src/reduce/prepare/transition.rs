@@ -7,9 +7,9 @@ use std::sync::atomic::Ordering;
 use crate::ensemble::Test;
 use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::prepare::last::{Last, Moved};
-use crate::reduce::prepare::{Moment, Preparer, Workspace};
-use crate::reduce::subject::{At, Fault, Subject};
+use crate::reduce::prepare::last::{KnownMoves, Last};
+use crate::reduce::prepare::{Preparer, StepRows, Workspace};
+use crate::reduce::subject::{Fault, ModelAt, Subject};
 
 /// Transitions whose memory is kept for others.
 const SPARE: usize = 1 << 12;
@@ -35,9 +35,9 @@ impl Preparer {
     /// Makes the transition that leads to a step the last one of the work space; its inputs go to the data.
     pub(super) fn transition(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         test: &Test,
-        moment: &Moment,
+        moment: &StepRows,
         work: &mut Workspace,
     ) -> Result<(), Box<Fault>> {
         let (row, dt) = (moment.rows.start, moment.dt);
@@ -85,7 +85,7 @@ impl Preparer {
         Ok(())
     }
 
-    fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<Moved> {
+    fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<KnownMoves> {
         let mut digest = Digest::new();
         work.key.iter().for_each(|&word| digest.word(word));
         let Workspace { key, replay, filled, .. } = work;

@@ -17,13 +17,13 @@ const MOST_ROWS: usize = 1 << 23;
 
 /// Which tests of one ensemble are alike: by the id of each, the number of its kind. No two have one id.
 #[derive(Debug, Default)]
-pub(crate) struct Alike(HashMap<TestId, usize>);
+pub(crate) struct EqualDesigns(HashMap<TestId, usize>);
 
-impl Alike {
+impl EqualDesigns {
     /// Kinds of two tests or more.
-    pub(crate) fn new<'a>(kinds: impl Iterator<Item = Vec<&'a TestId>>) -> Alike {
+    pub(crate) fn new<'a>(kinds: impl Iterator<Item = Vec<&'a TestId>>) -> EqualDesigns {
         let numbered = kinds.enumerate().flat_map(|(kind, ids)| ids.into_iter().map(move |id| (id.clone(), kind)));
-        Alike(numbered.collect())
+        EqualDesigns(numbered.collect())
     }
 
     /// True where no test is like another.
@@ -46,7 +46,7 @@ impl Alike {
 
 impl Reducer {
     /// The reductions of tests, those that are alike side by side.
-    pub(crate) fn reduce_alike(&self, alike: &Alike, tests: &[&Test]) -> Result<Reductions, ReduceError> {
+    pub(crate) fn reduce_alike(&self, alike: &EqualDesigns, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         let (kinds, mut rest) = alike.parted(tests);
         let of = |places: &[usize]| places.iter().map(|&place| tests[place]).collect::<Vec<_>>();
         let side_by_side = |work: &mut Workspace, kind: &Vec<usize>| self.side_by_side(&of(kind), work);
@@ -139,7 +139,7 @@ mod tests {
         let mut reducer = Reducer::new(model, &Alpha::default()).expect("sound");
         let alone = reducer.reduce(&tests).expect("sound");
         // two kinds of the same cells, and others by themselves
-        reducer.know_alike(std::sync::Arc::new(Alike::new([ids(0), ids(1)].into_iter())));
+        reducer.know_alike(std::sync::Arc::new(EqualDesigns::new([ids(0), ids(1)].into_iter())));
         let together = reducer.reduce(&tests).expect("sound");
         assert_eq!(together.len(), alone.len());
         let close = |a: f64, b: f64| (a - b).abs() <= 1e-12 * (1.0 + b.abs());

@@ -1,14 +1,14 @@
 //! Tests that others are recognised by.
 
 use crate::ensemble::Test;
-use crate::reduce::class::{Class, class_bytes};
+use crate::reduce::class::{DesignClass, class_bytes};
 use crate::reduce::lanes::fits;
 use crate::reduce::prepare::{Preparer, Workspace};
 
 /// What tests that are recognised by another share with it.
 #[derive(Debug)]
-pub(crate) struct Known {
-    pub(crate) class: Class,
+pub(crate) struct DesignExemplar {
+    pub(crate) class: DesignClass,
     pub(crate) digest: u128,
     pub(crate) steps: usize,
     /// Cell and d of each scalar measurement.
@@ -17,14 +17,19 @@ pub(crate) struct Known {
     pub(crate) inputs: Vec<f64>,
 }
 
-impl Known {
+impl DesignExemplar {
     /// What tests of a design are recognised by, from one of them as it was evaluated. `None` where there is nothing to gain.
-    pub(crate) fn new(preparer: &Preparer, test: &Test, class: &Class, work: &Workspace) -> Option<Known> {
+    pub(crate) fn new(
+        preparer: &Preparer,
+        test: &Test,
+        class: &DesignClass,
+        work: &Workspace,
+    ) -> Option<DesignExemplar> {
         let gains = class.gains().as_ref().ok()?;
         if !fits(class.design(), gains) {
             return None;
         }
-        Some(Known {
+        Some(DesignExemplar {
             class: class.clone(),
             digest: work.design.digest(),
             steps: work.design.steps(),

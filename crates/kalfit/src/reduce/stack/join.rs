@@ -6,10 +6,10 @@ use nalgebra::DMatrix;
 
 use crate::linalg::fold::fold_rows;
 use crate::reduce::stack::phase::StackPhase;
-use crate::reduce::stack::square::Square;
+use crate::reduce::stack::square::StackArray;
 
 /// One phase of tests whose phases have the same sizes, a test in each lane.
-pub(super) struct Given<T> {
+pub(super) struct JoinedPhase<T> {
     /// p.
     pub(super) own: usize,
     /// q.
@@ -39,14 +39,14 @@ pub(super) struct Matrix<T> {
 }
 
 /// Memory that one join leaves to the next.
-pub(super) struct Room<T> {
+pub(super) struct JoinWorkspace<T> {
     array: Vec<T>,
     rows: Vec<T>,
 }
 
-impl<T> Default for Room<T> {
-    fn default() -> Room<T> {
-        Room { array: Vec::new(), rows: Vec::new() }
+impl<T> Default for JoinWorkspace<T> {
+    fn default() -> JoinWorkspace<T> {
+        JoinWorkspace { array: Vec::new(), rows: Vec::new() }
     }
 }
 
@@ -67,10 +67,10 @@ pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
     all
 }
 
-impl<T: Lanes> Given<T> {
+impl<T: Lanes> JoinedPhase<T> {
     /// The phase with this number of tests whose phases have the same sizes, at least one and no more than there are lanes.
     #[inline(always)]
-    pub(super) fn new(tests: &[&[StackPhase<'_>]], at: usize) -> Given<T> {
+    pub(super) fn new(tests: &[&[StackPhase<'_>]], at: usize) -> JoinedPhase<T> {
         let (count, first) = (tests.len(), &tests[0][at]);
         let mut link = None;
         if let Some(like) = first.link {
@@ -82,13 +82,13 @@ impl<T: Lanes> Given<T> {
         let mean = abreast(count, |lane| tests[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
         let data = abreast(count, |lane| tests[lane][at].data);
         let factor = abreast(count, |lane| tests[lane][at].factor);
-        Given { own: first.own, size: first.size(), factor, link, data, mean }
+        JoinedPhase { own: first.own, size: first.size(), factor, link, data, mean }
     }
 
     /// What is known of the last phase.
     #[inline(always)]
-    pub(super) fn last(&self, memory: Vec<T>) -> Square<T> {
-        let mut array = Square::zeros(self.size, memory);
+    pub(super) fn last(&self, memory: Vec<T>) -> StackArray<T> {
+        let mut array = StackArray::zeros(self.size, memory);
         array.put_packed(0, &self.factor, self.size);
         array.put_data(0, &self.data);
         array
@@ -99,15 +99,15 @@ impl<T: Lanes> Given<T> {
     #[inline(always)]
     pub(super) fn join(
         &self,
-        next: &Given<T>,
-        later: Square<T>,
+        next: &JoinedPhase<T>,
+        later: StackArray<T>,
         residual: &mut T,
-        room: &mut Room<T>,
-    ) -> (Square<T>, Vec<T>) {
+        room: &mut JoinWorkspace<T>,
+    ) -> (StackArray<T>, Vec<T>) {
         let GivenLink { G, C } = next.link.as_ref().expect("a later phase has a link");
         let (u, from, q, own) = (C.columns, G.columns, next.size, next.own);
         let size = u + from + own + later.width - q;
-        let mut array = Square::zeros(size, std::mem::take(&mut room.array));
+        let mut array = StackArray::zeros(size, std::mem::take(&mut room.array));
         for k in 0..u {
             array.entries[k * (array.stride + 1)] = T::splat(1.0);
         }
@@ -138,7 +138,7 @@ impl<T: Lanes> Given<T> {
         for k in 0..u {
             diagonal.push(array.row(k)[k]);
         }
-        let mut rest = Square::zeros(array.width - u, later.entries);
+        let mut rest = StackArray::zeros(array.width - u, later.entries);
         array.copy_from(u, &mut rest, 0);
         room.array = array.entries;
         (rest, diagonal)

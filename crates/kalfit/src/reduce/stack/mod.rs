@@ -7,33 +7,33 @@
 //!
 //! Tests of one shape are stacked side by side with their data ([`Stacked`]).
 
-mod abreast;
 mod join;
 mod phase;
 mod square;
+mod together;
 
 use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
-use crate::reduce::gains::Settle;
+use crate::reduce::gains::RootSettling;
 use crate::reduce::root::{UNINFORMED, settle};
-use join::{Given, apart};
+use join::{JoinedPhase, apart};
 
-pub(crate) use abreast::Stacked;
 pub(crate) use phase::{StackPhase, StackShape, shape};
+pub(crate) use together::Stacked;
 
 /// The phases of tests of one shape.
 #[inline(always)]
-fn given<T: Lanes>(tests: &[&[StackPhase<'_>]]) -> Vec<Given<T>> {
+fn given<T: Lanes>(tests: &[&[StackPhase<'_>]]) -> Vec<JoinedPhase<T>> {
     let mut phases = Vec::with_capacity(tests[0].len());
     for at in 0..tests[0].len() {
-        phases.push(Given::new(tests, at));
+        phases.push(JoinedPhase::new(tests, at));
     }
     phases
 }
 
 /// Rounds directions without information to none.
-fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<Settle>) {
+fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<RootSettling>) {
     let mut entries = vec![0.0; width * width];
     let places = || (0..width).flat_map(|k| (0..=k).map(move |i| i * width + k));
     places().zip(&*factor).for_each(|(place, x)| entries[place] = *x);
@@ -43,7 +43,7 @@ fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<Settle>) {
 
 /// G and C of each link of each test.
 #[inline(always)]
-fn links<T: Lanes>(phases: &[Given<T>], tests: usize) -> Vec<Vec<(DMatrix<f64>, DMatrix<f64>)>> {
+fn links<T: Lanes>(phases: &[JoinedPhase<T>], tests: usize) -> Vec<Vec<(DMatrix<f64>, DMatrix<f64>)>> {
     let mut all = vec![Vec::with_capacity(phases.len() - 1); tests];
     for phase in phases {
         if let Some(link) = &phase.link {
@@ -78,7 +78,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    use super::abreast::Abreast;
+    use super::together::StackKernel;
     use super::*;
     use kalfit_lanes::Isa;
 
@@ -149,7 +149,7 @@ mod tests {
                 let told: Vec<Vec<StackPhase<'_>>> = tests.iter().map(|test| told(test, sizes)).collect();
                 let told: Vec<&[StackPhase<'_>]> = told.iter().map(|phases| &**phases).collect();
                 for isa in Isa::all() {
-                    let found = isa.run(Abreast(&told));
+                    let found = isa.run(StackKernel(&told));
                     assert_eq!(found.len(), count);
                     for (lane, found) in found.iter().enumerate() {
                         let alone = &Stacked::all(&told[lane..=lane])[0];

@@ -3,21 +3,21 @@
 use kalfit_lanes::Lanes;
 
 /// A square upper triangular array, row-major, with a column of data beside it.
-pub(super) struct Square<T> {
+pub(super) struct StackArray<T> {
     pub(super) width: usize,
     /// The width with the data.
     pub(super) stride: usize,
     pub(super) entries: Vec<T>,
 }
 
-impl<T: Lanes> Square<T> {
+impl<T: Lanes> StackArray<T> {
     /// In memory that was used before.
     #[inline(always)]
-    pub(super) fn zeros(width: usize, mut memory: Vec<T>) -> Square<T> {
+    pub(super) fn zeros(width: usize, mut memory: Vec<T>) -> StackArray<T> {
         let stride = width + 1;
         memory.clear();
         memory.resize(width * stride, T::splat(0.0));
-        Square { width, stride, entries: memory }
+        StackArray { width, stride, entries: memory }
     }
 
     /// Puts a packed factor at (at, at).
@@ -40,7 +40,7 @@ impl<T: Lanes> Square<T> {
 
     /// Its rows and columns from `first` on, put at (at, at) of another, whose last ones they are, and the data.
     #[inline(always)]
-    pub(super) fn copy_from(&self, first: usize, to: &mut Square<T>, at: usize) {
+    pub(super) fn copy_from(&self, first: usize, to: &mut StackArray<T>, at: usize) {
         let size = self.stride - first;
         for i in 0..self.width - first {
             let row = &self.entries[(first + i) * self.stride + first..][..size];

@@ -2,8 +2,8 @@
 
 use crate::linalg::exponential::{stationary, stationary_adjoint, stationary_discrete};
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::start::{Group, Start};
-use crate::reduce::subject::{At, Fault, Subject};
+use crate::reduce::start::{ModelStart, StationaryGroup};
+use crate::reduce::subject::{Fault, ModelAt, Subject};
 
 /// ∂ℓ/∂a and ∂ℓ/∂P0 by place of the kernels: n numbers, and r × r with the derivative to each place by itself.
 #[derive(Debug, Clone, Copy)]
@@ -41,11 +41,11 @@ pub(crate) struct StartAdjoint {
     pub(crate) inputs: Vec<f64>,
 }
 
-impl Start {
+impl ModelStart {
     /// `values`, `inputs`: the dynamics' tables as [`Start::law`] took them.
     pub(crate) fn backward(
         &self,
-        at: &At<'_>,
+        at: &ModelAt<'_>,
         (values, inputs): (&[f64], &[f64]),
         law: &LawAdjoint<'_>,
         out: &mut StartAdjoint,
@@ -65,7 +65,7 @@ impl Start {
     }
 }
 
-impl Group {
+impl StationaryGroup {
     fn backward(
         &self,
         (values, inputs): (&[f64], &[f64]),

@@ -5,7 +5,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::Estimates;
-use crate::reduce::suboptimal::jacobi::Singular;
+use crate::reduce::suboptimal::jacobi::SingularValues;
 
 /// Directions of ŝ whose standard deviation is this part of the largest, elements scaled to one, are not random.
 const CERTAIN: f64 = 1e-10;
@@ -20,11 +20,11 @@ const UNNOTICED: f64 = 1e-4;
 
 /// A combination of ξ would be known exactly.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Exact;
+pub(super) struct ExactCombination;
 
 /// Where estimates start from: x_0 = a + Eσ + Pη, η white.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Entry<'a> {
+pub(super) struct EstimateStart<'a> {
     /// The states that E picks, q of them.
     pub(super) entering: &'a [usize],
     /// P, a root of P0: n × l.
@@ -70,14 +70,14 @@ pub(super) struct Conditioned {
 }
 
 impl Conditioned {
-    pub(super) fn new(estimates: &Estimates, entry: &Entry<'_>) -> Result<Conditioned, Exact> {
+    pub(super) fn new(estimates: &Estimates, entry: &EstimateStart<'_>) -> Result<Conditioned, ExactCombination> {
         let Estimates { sensitivities: S, transition: phi, root, .. } = estimates;
         let (n, m) = (phi.nrows(), S.nrows());
         let (D_1, D_h) = (root.rows(0, n), root.rows(n, m));
         let deviation: Vec<f64> = D_h.row_iter().map(|row| row.norm()).collect();
         let size: Vec<f64> = deviation.iter().map(|s| if *s > 0.0 { *s } else { 1.0 }).collect();
         let scaled = |a: &DMatrix<f64>| DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[j]);
-        let whole = Singular::of(&DMatrix::from_fn(m, D_h.ncols(), |i, j| D_h[(i, j)] / size[i]));
+        let whole = SingularValues::of(&DMatrix::from_fn(m, D_h.ncols(), |i, j| D_h[(i, j)] / size[i]));
         let r = whole.rank(CERTAIN);
         let U = whole.left.columns(0, r).into_owned();
         let V = DMatrix::from_fn(D_h.ncols(), r, |i, k| whole.image[(i, k)] / whole.values[k]);
@@ -169,7 +169,7 @@ struct Relations<'a> {
 }
 
 impl Relations<'_> {
-    fn taken(&self, S: &DMatrix<f64>, entry: &Entry<'_>) -> Result<Taken, Exact> {
+    fn taken(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<Taken, ExactCombination> {
         let rounding = |told: &[f64]| DMatrix::from_fn(self.grain.len(), told.len(), |i, j| self.grain[i] * told[j]);
         let told = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
         let (NS, E) = (clean(self.rows, S, &rounding(&told(self.WS))), entry.entering);
@@ -177,7 +177,7 @@ impl Relations<'_> {
         let told: Vec<f64> = told(&(self.WS * &entry.root)).iter().map(|told| told.hypot(1.0)).collect();
         let NP = clean(&NS, &entry.root, &rounding(&told));
         let (k, l) = NP.shape();
-        let known = Singular::of(&NP);
+        let known = SingularValues::of(&NP);
         let b = known.rank(CERTAIN);
         let V_B = DMatrix::from_fn(l, b, |i, j| known.image[(i, j)] / known.values[j]);
         let basis = known.left.columns(0, b).into_owned();
@@ -185,10 +185,10 @@ impl Relations<'_> {
         let left = known.left.columns(b, k - b).transpose();
         let NE = NS.select_columns(E);
         if clean(&left, &NE, &DMatrix::zeros(k - b, E.len())).iter().any(|x| *x != 0.0) {
-            return Err(Exact);
+            return Err(ExactCombination);
         }
         // the complement of V_B: directions that VV' leaves alone
-        let rest = Singular::of(&(DMatrix::identity(l, l) - &V_B * V_B.transpose()));
+        let rest = SingularValues::of(&(DMatrix::identity(l, l) - &V_B * V_B.transpose()));
         let V_0 = rest.left.columns(0, l - b).into_owned();
         let log_values = known.values[..b].iter().map(|x| x.ln()).sum();
         Ok(Taken { T_B: &pick * NE, B: pick * self.rows, V_B, V_0, left, log_values, basis })
@@ -197,7 +197,7 @@ impl Relations<'_> {
 
 /// ε of each relation, in deviations: its own, zero but for rounding, or what the largest one leaves. Elements that are no sums of
 /// noises at all have none.
-fn grain(whole: &Singular, r: usize, deviation: &[f64]) -> DVector<f64> {
+fn grain(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
     let m = deviation.len();
     let least = whole.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
     let random = |i: usize| (0..m).any(|row| deviation[row] > 0.0 && whole.left[(row, i)] != 0.0);

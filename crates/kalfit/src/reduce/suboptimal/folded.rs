@@ -13,7 +13,7 @@ use crate::reduce::suboptimal::matrices::{append, fold as narrow};
 const UNINFORMED: f64 = 1e-12;
 
 /// [I 0 0; G T y; 0 T_B y_B] folded: R of (η', σ) with its data, and what is left.
-pub(super) struct Folded {
+pub(super) struct FoldedEstimates {
     /// (k + q + 1)², row-major.
     info: Vec<f64>,
     k: usize,
@@ -23,8 +23,8 @@ pub(super) struct Folded {
     white: DVector<f64>,
 }
 
-impl Folded {
-    pub(super) fn new(conditioned: &Conditioned, u: &DVector<f64>) -> Folded {
+impl FoldedEstimates {
+    pub(super) fn new(conditioned: &Conditioned, u: &DVector<f64>) -> FoldedEstimates {
         let (k, rows) = (conditioned.free, &conditioned.rows);
         let q = rows.ncols() - k;
         let taken = &conditioned.B * u;
@@ -37,7 +37,7 @@ impl Folded {
             all.extend(row.iter().chain([y]));
         }
         fold(&mut info, &mut all, width);
-        Folded { info, k, q, taken, white }
+        FoldedEstimates { info, k, q, taken, white }
     }
 
     fn at(&self, i: usize, j: usize) -> f64 {

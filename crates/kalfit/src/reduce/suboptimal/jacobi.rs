@@ -7,7 +7,7 @@ const SWEEPS: usize = 60;
 
 /// A = U Λ V'.
 #[derive(Debug, Clone)]
-pub(super) struct Singular {
+pub(super) struct SingularValues {
     /// U, m × m, orthogonal.
     pub(super) left: DMatrix<f64>,
     /// A'U = VΛ, c × m: its columns are orthogonal.
@@ -16,9 +16,9 @@ pub(super) struct Singular {
     pub(super) values: Vec<f64>,
 }
 
-impl Singular {
+impl SingularValues {
     /// Of A, m × c.
-    pub(super) fn of(a: &DMatrix<f64>) -> Singular {
+    pub(super) fn of(a: &DMatrix<f64>) -> SingularValues {
         let m = a.nrows();
         let (mut image, mut left) = (a.transpose(), DMatrix::identity(m, m));
         for _ in 0..SWEEPS {
@@ -35,7 +35,7 @@ impl Singular {
         let length: Vec<f64> = (0..m).map(|k| image.column(k).norm()).collect();
         let mut order: Vec<usize> = (0..m).collect();
         order.sort_by(|&i, &j| length[j].total_cmp(&length[i]));
-        Singular {
+        SingularValues {
             left: left.select_columns(&order),
             image: image.select_columns(&order),
             values: order.iter().map(|&k| length[k]).collect(),
@@ -81,7 +81,7 @@ mod tests {
             3,
             &[3.0, 1.0, 0.0, 1.0, -2.0, 0.0, 4.0, -1.0, 0.0, 0.0, 0.0, 1e-9, 0.0, 0.0, 0.0],
         );
-        let found = Singular::of(&a);
+        let found = SingularValues::of(&a);
         let back = &found.left * found.image.transpose();
         let (off, turned) =
             ((&back - &a).amax(), (found.left.transpose() * &found.left - DMatrix::identity(5, 5)).amax());
@@ -92,9 +92,9 @@ mod tests {
 
     #[test]
     fn nothing_has_no_directions() {
-        let found = Singular::of(&DMatrix::zeros(0, 0));
+        let found = SingularValues::of(&DMatrix::zeros(0, 0));
         assert_eq!((found.values.len(), found.rank(1e-10)), (0, 0));
-        assert_eq!(Singular::of(&DMatrix::zeros(3, 2)).rank(1e-10), 0);
-        assert_eq!(Singular::of(&DMatrix::zeros(3, 0)).rank(1e-10), 0);
+        assert_eq!(SingularValues::of(&DMatrix::zeros(3, 2)).rank(1e-10), 0);
+        assert_eq!(SingularValues::of(&DMatrix::zeros(3, 0)).rank(1e-10), 0);
     }
 }

@@ -26,13 +26,17 @@ pub(super) struct FilterDesign {
 }
 
 /// A model ready to evaluate tests, and the test evaluated.
-pub(super) type Side<'a> = (&'a Preparer, &'a Workspace);
+pub(super) type EvaluatedModel<'a> = (&'a Preparer, &'a Workspace);
 
 /// Runs the truth and the filter through a test.
-pub(super) fn run(truth: Side<'_>, own: Side<'_>, filter: &Filter) -> Result<FilterDesign, Box<Fault>> {
+pub(super) fn run(
+    truth: EvaluatedModel<'_>,
+    own: EvaluatedModel<'_>,
+    filter: &Filter,
+) -> Result<FilterDesign, Box<Fault>> {
     let n = truth.0.order.states.len();
     let (true_matrices, own_matrices) = (Matrices::new(truth.0, truth.1), Matrices::new(own.0, own.1));
-    let mut joint = Joint::new(n);
+    let mut joint = JointMoments::new(n);
     let mut believed = Believed::new(filter);
     let mut gains = Vec::with_capacity(2 * n * truth.1.design.rows());
     let (mut true_motion, mut own_motion) = (Remembered::default(), Remembered::default());
@@ -58,7 +62,7 @@ pub(super) fn run(truth: Side<'_>, own: Side<'_>, filter: &Filter) -> Result<Fil
             gains.extend((0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(at(&column, n)));
         }
     }
-    let Joint { sensitivity, mut root, .. } = joint;
+    let JointMoments { sensitivity, mut root, .. } = joint;
     fold(&mut root);
     if gains.iter().chain(&sensitivity).chain(&root).all(|x| x.is_finite()) {
         Ok(FilterDesign { gains, sensitivity, root })
@@ -73,11 +77,11 @@ fn at<'a>(column: &'a nalgebra::DVectorView<'_, f64>, n: usize) -> impl Fn((usiz
 
 /// The last transition in matrices: steps that follow each other often have the same.
 #[derive(Debug, Default)]
-struct Remembered(Option<(Arc<Transition>, Moving)>);
+struct Remembered(Option<(Arc<Transition>, StepMotion)>);
 
 /// φ, Q and a root of Q.
 #[derive(Debug, Clone)]
-struct Moving {
+struct StepMotion {
     phi: DMatrix<f64>,
     Q: DMatrix<f64>,
     root: DMatrix<f64>,
@@ -88,12 +92,12 @@ impl Remembered {
         &mut self,
         matrices: &Matrices<'_>,
         transition: Option<&Arc<Transition>>,
-    ) -> Result<Option<&Moving>, Box<Fault>> {
+    ) -> Result<Option<&StepMotion>, Box<Fault>> {
         let Some(transition) = transition else { return Ok(None) };
         if !self.0.as_ref().is_some_and(|(known, _)| Arc::ptr_eq(known, transition)) {
             let (phi, Q) = matrices.motion(transition);
             let root = root_of(&Q).map_err(|bad| Fault::new(Subject::Transition, bad))?;
-            self.0 = Some((transition.clone(), Moving { phi, Q, root }));
+            self.0 = Some((transition.clone(), StepMotion { phi, Q, root }));
         }
         Ok(self.0.as_ref().map(|(_, moving)| moving))
     }
@@ -101,7 +105,7 @@ impl Remembered {
 
 /// S and D of s = [x; x̂; x̂_0].
 #[derive(Debug, Clone)]
-struct Joint {
+struct JointMoments {
     n: usize,
     /// S, 3n × n.
     sensitivity: DMatrix<f64>,
@@ -109,16 +113,16 @@ struct Joint {
     root: DMatrix<f64>,
 }
 
-impl Joint {
+impl JointMoments {
     /// S_0 = [I; 0; 0], Γ_0 = 0.
-    fn new(n: usize) -> Joint {
+    fn new(n: usize) -> JointMoments {
         let mut sensitivity = DMatrix::zeros(3 * n, n);
         sensitivity.view_mut((0, 0), (n, n)).fill_with_identity();
-        Joint { n, sensitivity, root: DMatrix::zeros(3 * n, 0) }
+        JointMoments { n, sensitivity, root: DMatrix::zeros(3 * n, 0) }
     }
 
     /// The truth moves by its φ and noise, x̂ by the filter's φ, x̂_0 stays.
-    fn predict(&mut self, truth: Option<&Moving>, own: Option<&Moving>) {
+    fn predict(&mut self, truth: Option<&StepMotion>, own: Option<&StepMotion>) {
         let n = self.n;
         for all in [&mut self.sensitivity, &mut self.root] {
             for (first, motion) in [(0, truth), (n, own)] {

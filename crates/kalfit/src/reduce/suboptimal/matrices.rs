@@ -3,7 +3,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::reduce::design::{Step, Transition};
+use crate::reduce::design::{DesignStep, Transition};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::{NotSemidefinite, root};
 
@@ -28,7 +28,7 @@ impl<'a> Matrices<'a> {
     }
 
     /// M of a step, m × n.
-    pub(super) fn measurement(&self, step: &Step<'_>) -> DMatrix<f64> {
+    pub(super) fn measurement(&self, step: &DesignStep<'_>) -> DMatrix<f64> {
         let mut M = DMatrix::zeros(step.rows.len(), self.states.len());
         for (i, line) in step.lines.clone().enumerate() {
             let (states, h) = self.work.design.terms(line);
@@ -40,7 +40,7 @@ impl<'a> Matrices<'a> {
     }
 
     /// R of a step, m × m.
-    pub(super) fn noise(&self, step: &Step<'_>) -> DMatrix<f64> {
+    pub(super) fn noise(&self, step: &DesignStep<'_>) -> DMatrix<f64> {
         let m = step.rows.len();
         let mut R = DMatrix::zeros(m, m);
         for (i, line) in step.lines.clone().enumerate() {

@@ -11,10 +11,10 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::root;
-use crate::reduce::shared::{Entry as Known, Shared};
+use crate::reduce::shared::{SharedStore, StoreEntry as Known};
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::suboptimal::conditioned::{Conditioned, Entry, Exact};
-use crate::reduce::suboptimal::folded::Folded;
+use crate::reduce::suboptimal::conditioned::{Conditioned, EstimateStart, ExactCombination};
+use crate::reduce::suboptimal::folded::FoldedEstimates;
 use crate::reduce::{Estimates, Path, Reduction, Terminal};
 
 /// Bytes of conditioned designs that are kept.
@@ -24,7 +24,7 @@ const DROWNED: f64 = 1e-12;
 
 /// What J and Ψ_K of estimates depend on.
 #[derive(Debug, Clone, PartialEq)]
-struct Class {
+struct EstimateClass {
     sensitivities: DMatrix<f64>,
     transition: DMatrix<f64>,
     root: DMatrix<f64>,
@@ -32,7 +32,7 @@ struct Class {
     start: DMatrix<f64>,
 }
 
-type Made = Result<Conditioned, Exact>;
+type EstimateResult = Result<Conditioned, ExactCombination>;
 /// a, a root of P0, and covariates.
 type Started = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 
@@ -49,7 +49,7 @@ type Started = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 pub struct EstimateReducer {
     entering: Vec<usize>,
     preparer: Preparer,
-    classes: Shared<Class, Made>,
+    classes: SharedStore<EstimateClass, EstimateResult>,
 }
 
 impl EstimateReducer {
@@ -60,7 +60,7 @@ impl EstimateReducer {
     pub fn new(phase: &Phase, alpha: &Alpha) -> Result<EstimateReducer, ReduceError> {
         let model = phase.entry_model();
         let preparer = Preparer::new(&model, alpha).map_err(|fault| fault.name(&model, None))?;
-        Ok(EstimateReducer { entering: model.estimated, preparer, classes: Shared::new(CLASS_BYTES) })
+        Ok(EstimateReducer { entering: model.estimated, preparer, classes: SharedStore::new(CLASS_BYTES) })
     }
 
     /// The reduction of a test, and its last state. They are the same whatever was reduced before.
@@ -95,8 +95,10 @@ impl EstimateReducer {
         let estimates = &*without_drowned(estimates);
         let (start, root, covariates) = self.start(estimates).map_err(named)?;
         let (design, class) = self.class(estimates, root);
-        let conditioned =
-            class.value().as_ref().map_err(|Exact| refuse("estimates", ReduceErrorKind::ExactMeasurement))?;
+        let conditioned = class
+            .value()
+            .as_ref()
+            .map_err(|ExactCombination| refuse("estimates", ReduceErrorKind::ExactMeasurement))?;
         let S = &estimates.sensitivities;
         let u = &estimates.estimates - &estimates.offsets - S * &start;
         let terms =
@@ -104,7 +106,7 @@ impl EstimateReducer {
         conditioned
             .check(&u, &terms)
             .map_err(|(residual, allowed)| refuse("estimates", ReduceErrorKind::Inconsistent { residual, allowed }))?;
-        let folded = Folded::new(conditioned, &u);
+        let folded = FoldedEstimates::new(conditioned, &u);
         let known = &estimates.transition * &start + &estimates.drift;
         let terminal = folded.terminal(conditioned, known);
         let (constant, data, factor) = folded.reduction(conditioned);
@@ -144,7 +146,7 @@ impl EstimateReducer {
     }
 
     /// (digest of the design, what its tests share).
-    fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Known<Class, Made>>) {
+    fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Known<EstimateClass, EstimateResult>>) {
         let Estimates { sensitivities, transition, root, .. } = estimates;
         let mut digest = Digest::new();
         for matrix in [sensitivities, transition, root, &start] {
@@ -152,22 +154,22 @@ impl EstimateReducer {
             digest.numbers(matrix.as_slice());
         }
         let digest = digest.finish();
-        let same = |known: &Class| {
+        let same = |known: &EstimateClass| {
             let pairs = [(&known.sensitivities, sensitivities), (&known.transition, transition)];
             let more = [(&known.root, root), (&known.start, &start)];
             pairs.iter().chain(&more).all(|(a, b)| same_bits(a, b))
         };
-        let key = || Class {
+        let key = || EstimateClass {
             sensitivities: sensitivities.clone(),
             transition: transition.clone(),
             root: root.clone(),
             start: start.clone(),
         };
-        let make = |class: &Class| {
-            let entry = Entry { entering: &self.entering, root: class.start.clone() };
+        let make = |class: &EstimateClass| {
+            let entry = EstimateStart { entering: &self.entering, root: class.start.clone() };
             Conditioned::new(estimates, &entry)
         };
-        let size = |class: &Class, made: &Made| {
+        let size = |class: &EstimateClass, made: &EstimateResult| {
             let key = [&class.sensitivities, &class.transition, &class.root, &class.start];
             8 * key.iter().map(|a| a.len()).sum::<usize>() + made.as_ref().map_or(0, Conditioned::bytes)
         };

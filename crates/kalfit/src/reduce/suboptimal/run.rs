@@ -12,7 +12,7 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::kernel;
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::shared::{Entry, Shared};
+use crate::reduce::shared::{SharedStore, StoreEntry};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::joint::{self, FilterDesign};
 use crate::reduce::suboptimal::known::{check, constants, without_start};
@@ -20,14 +20,14 @@ use crate::reduce::suboptimal::known::{check, constants, without_start};
 /// Bytes of gains that are kept.
 const CLASS_BYTES: usize = 256 << 20;
 
-type Covariances = Vec<(usize, usize, f64)>;
-type Made = Result<FilterDesign, Box<Fault>>;
+type NoiseCovariances = Vec<(usize, usize, f64)>;
+type FilterDesignResult = Result<FilterDesign, Box<Fault>>;
 
 /// What gains, S and Γ depend on: design and covariances of noises, of the truth and of the filter.
 #[derive(Debug, Clone)]
-struct Class {
+struct FilterClass {
     designs: [Design; 2],
-    covariances: [Covariances; 2],
+    covariances: [NoiseCovariances; 2],
 }
 
 /// Runs the `[filter]` of a phase over tests (theory §8).
@@ -43,11 +43,11 @@ pub struct FilterRunner {
     filter: Filter,
     truth: Preparer,
     own: Preparer,
-    classes: Shared<Class, Made>,
+    classes: SharedStore<FilterClass, FilterDesignResult>,
 }
 
 /// Room for one test.
-struct Room {
+struct RunWorkspace {
     truth: Workspace,
     own: Workspace,
     /// Filter's kernel order; x̂ and s̄_2 side by side, n × 2, and x̂_0 and s̄_3.
@@ -79,7 +79,7 @@ impl FilterRunner {
         }
         let truth = Preparer::new(&model, alpha).map_err(|fault| fault.name(&model, None))?;
         let own = Preparer::new(&model, &believed).map_err(|fault| of_filter(fault.name(&model, None)))?;
-        Ok(FilterRunner { filter: filter.clone(), truth, own, classes: Shared::new(CLASS_BYTES) })
+        Ok(FilterRunner { filter: filter.clone(), truth, own, classes: SharedStore::new(CLASS_BYTES) })
     }
 
     /// The filter's estimates of a test, ŝ = [x̂_K; x̂_{0|K}], 2n numbers, and how they depend on x_0 and on noise. `test` has
@@ -98,17 +98,17 @@ impl FilterRunner {
         all.into_iter().collect()
     }
 
-    fn room(&self) -> Room {
+    fn room(&self) -> RunWorkspace {
         let workspace = |preparer: &Preparer| {
             let mut work = preparer.workspace();
             work.covariances = Some(Vec::new());
             work
         };
         let (truth, own) = (workspace(&self.truth), workspace(&self.own));
-        Room { truth, own, now: Vec::new(), first: Vec::new(), drift: Vec::new(), moved: Vec::new() }
+        RunWorkspace { truth, own, now: Vec::new(), first: Vec::new(), drift: Vec::new(), moved: Vec::new() }
     }
 
-    fn run_in(&self, test: &Test, room: &mut Room) -> Result<Estimates, ReduceError> {
+    fn run_in(&self, test: &Test, room: &mut RunWorkspace) -> Result<Estimates, ReduceError> {
         let model = &self.truth.model;
         let named = |fault: Box<Fault>| fault.name(model, Some(test));
         self.truth.prepare(test, &mut room.truth).map_err(named)?;
@@ -127,7 +127,7 @@ impl FilterRunner {
     }
 
     /// What the test in the room shares with others like it.
-    fn class(&self, room: &Room) -> Arc<Entry<Class, Made>> {
+    fn class(&self, room: &RunWorkspace) -> Arc<StoreEntry<FilterClass, FilterDesignResult>> {
         let sides = [&room.truth, &room.own];
         let covariances = |work: &Workspace| work.covariances.clone().unwrap_or_default();
         let mut digest = Digest::new();
@@ -139,15 +139,15 @@ impl FilterRunner {
                 digest.numbers(&[value]);
             }
         }
-        let same = |known: &Class| {
-            let alike = |(a, b): (&Covariances, &Workspace)| b.covariances.as_ref() == Some(a);
+        let same = |known: &FilterClass| {
+            let alike = |(a, b): (&NoiseCovariances, &Workspace)| b.covariances.as_ref() == Some(a);
             known.designs.iter().zip(sides).all(|(a, b)| a.same(&b.design))
                 && known.covariances.iter().zip(sides).all(alike)
         };
         self.classes.get(
             digest.finish(),
             same,
-            || Class { designs: sides.map(|side| side.design.clone()), covariances: sides.map(covariances) },
+            || FilterClass { designs: sides.map(|side| side.design.clone()), covariances: sides.map(covariances) },
             |_| joint::run((&self.truth, &room.truth), (&self.own, &room.own), &self.filter),
             |class, made| {
                 let numbers = made.as_ref().map_or(0, |made| made.gains.len() + 2 * made.root.len());
@@ -159,7 +159,7 @@ impl FilterRunner {
     }
 
     /// d - d_f of each measurement; `None` where the filter has no parameters of its own, so that they are the same.
-    fn shift(&self, test: &Test, room: &Room) -> Result<Option<Vec<f64>>, Box<Fault>> {
+    fn shift(&self, test: &Test, room: &RunWorkspace) -> Result<Option<Vec<f64>>, Box<Fault>> {
         if self.filter.parameters.is_empty() {
             return Ok(None);
         }
@@ -169,8 +169,8 @@ impl FilterRunner {
     }
 
     /// x̂ over the data, and s̄: the same over what x_0 = 0 without noise would give.
-    fn pass(&self, class: &FilterDesign, shift: Option<&[f64]>, room: &mut Room) {
-        let Room { truth, own, now, first, drift, moved } = room;
+    fn pass(&self, class: &FilterDesign, shift: Option<&[f64]>, room: &mut RunWorkspace) {
+        let RunWorkspace { truth, own, now, first, drift, moved } = room;
         let n = self.filter.mean.len();
         now.clear();
         now.extend(self.own.order.states.iter().flat_map(|&state| [self.filter.mean[state]; 2]));
@@ -217,7 +217,7 @@ impl FilterRunner {
         }
     }
 
-    fn estimates(&self, class: &FilterDesign, test: &Test, room: &Room) -> Estimates {
+    fn estimates(&self, class: &FilterDesign, test: &Test, room: &RunWorkspace) -> Estimates {
         let n = self.filter.mean.len();
         let place = &self.own.order.place;
         let both = |k: usize| {

@@ -5,8 +5,8 @@ use kalfit_lanes::Real;
 
 use crate::reduce::Transition;
 use crate::score::backward::filtered::{Seen, second};
-use crate::score::backward::line::{Line, Unknown, dot};
-use crate::score::backward::sink::MovedBar;
+use crate::score::backward::line::{ScalarMeasurement, Unknown, dot};
+use crate::score::backward::sink::TransitionAdjoint;
 
 /// Adjoints of the state: r (n), ρ (n × c), N (r × r).
 #[derive(Debug, Clone)]
@@ -84,7 +84,13 @@ impl<T: Real> Adjoint<T> {
 
     /// A scalar measurement.
     #[inline(always)]
-    pub(super) fn measured(&mut self, line: &Line<'_, T>, e: T, unknown: &Unknown<'_, T>, bar: LineBar<'_, T>) {
+    pub(super) fn measured(
+        &mut self,
+        line: &ScalarMeasurement<'_, T>,
+        e: T,
+        unknown: &Unknown<'_, T>,
+        bar: LineBar<'_, T>,
+    ) {
         let KNK = self.innovation(line, unknown);
         let u = e * line.weight - dot(line.K, &self.r);
         let scalar = Scalar { u, states: line.states, h: line.h, D: line.weight + KNK };
@@ -99,7 +105,7 @@ impl<T: Real> Adjoint<T> {
 
     /// υ and NK of a measurement; returns K'NK.
     #[inline(always)]
-    fn innovation(&mut self, line: &Line<'_, T>, unknown: &Unknown<'_, T>) -> T {
+    fn innovation(&mut self, line: &ScalarMeasurement<'_, T>, unknown: &Unknown<'_, T>) -> T {
         let (r, c) = (unknown.frame.r, unknown.columns);
         let Adjoint { rho, N, NK, upsilon, .. } = self;
         unknown.times_root(line.T, upsilon);
@@ -179,7 +185,7 @@ impl<T: Real> Adjoint<T> {
         unknown: &Unknown<'_, T>,
         transition: &Transition<T>,
         left: Option<Seen<'_, T>>,
-        bar: &mut MovedBar<T>,
+        bar: &mut TransitionAdjoint<T>,
     ) {
         let (r, c) = (unknown.frame.r, unknown.columns);
         let (Adjoint { r: adjoint, rho, N, before, rows, .. }, pattern) = (&mut *self, &transition.pattern);

@@ -9,19 +9,19 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::{self, Stretch};
-use crate::score::backward::run::{Run, Wanted};
+use crate::score::backward::run::{AdjointsWanted, TestRun};
 
 /// The coefficients of a step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DataAdjoint<T, const N: usize> {
-    pub(crate) filter: reduce::Steady<T, N>,
-    wanted: Wanted,
+    pub(crate) filter: reduce::InvariantStep<T, N>,
+    wanted: AdjointsWanted,
     moves: bool,
 }
 
 /// P before a step and, where ∂ℓ/∂h is wanted, before its measurement.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Ahead<const N: usize> {
+pub(crate) struct PriorVariances<const N: usize> {
     pub(crate) left: [[f64; N]; N],
     pub(crate) arrived: [[f64; N]; N],
 }
@@ -50,8 +50,8 @@ impl<T: Real, const N: usize> DataSums<T, N> {
 impl<T: Real, const N: usize> DataAdjoint<T, N> {
     /// Of a stretch; `x`: the filter before it.
     #[inline(always)]
-    pub(crate) fn new(run: &Run<'_>, stretch: &Stretch<'_>, x: &[T]) -> DataAdjoint<T, N> {
-        let filter = reduce::Steady::new(run.design, stretch, x);
+    pub(crate) fn new(run: &TestRun<'_>, stretch: &Stretch<'_>, x: &[T]) -> DataAdjoint<T, N> {
+        let filter = reduce::InvariantStep::new(run.design, stretch, x);
         DataAdjoint { filter, wanted: run.wanted, moves: stretch.transition.is_some() }
     }
 
@@ -62,7 +62,7 @@ impl<T: Real, const N: usize> DataAdjoint<T, N> {
         r: &mut [T; N],
         (weight, K): (f64, &[f64; N]),
         e: T,
-        (x, P): (&[T; N], &Ahead<N>),
+        (x, P): (&[T; N], &PriorVariances<N>),
         sums: &mut DataSums<T, N>,
     ) {
         if weight != 0.0 {

@@ -4,12 +4,12 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::{Frozen, Piece, Stretch, moving};
-use crate::score::backward::bars::{Bars, Gain, Spread, Sums};
-use crate::score::backward::data_adjoint::{Ahead, DataAdjoint, DataSums};
-use crate::score::backward::filtered::Filtered;
-use crate::score::backward::run::Run;
-use crate::score::backward::steady::Steady;
-use crate::score::backward::work::Part;
+use crate::score::backward::data_adjoint::{DataAdjoint, DataSums, PriorVariances};
+use crate::score::backward::design_sums::{Bars, DesignSums, FilterCovariance, Gain};
+use crate::score::backward::filtered::FilteredMoments;
+use crate::score::backward::run::TestRun;
+use crate::score::backward::steady::StepCoefficients;
+use crate::score::backward::work::Segment;
 use crate::score::backward::work::{BackwardWork, Kernel};
 
 impl Kernel {
@@ -29,7 +29,7 @@ impl Kernel {
 }
 
 /// The kernel of a stretch, if there is one. The model must have no driven states.
-pub(super) fn kernel(run: &Run<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
+pub(super) fn kernel(run: &TestRun<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
     let c = run.moments.columns;
     if stretch.lines.len() != 1 {
         return None;
@@ -47,7 +47,7 @@ pub(super) fn kernel(run: &Run<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
 /// A stretch with its gains: from `moving` steps on none of them changes, from `gains` on S and K do not.
 #[derive(Debug)]
 pub(crate) struct Equal<'a> {
-    run: &'a Run<'a>,
+    run: &'a TestRun<'a>,
     pub(crate) stretch: Stretch<'a>,
     pub(crate) piece: &'a Piece,
     moving: usize,
@@ -59,7 +59,7 @@ pub(crate) struct Equal<'a> {
 }
 
 impl<'a> Equal<'a> {
-    pub(super) fn new(run: &'a Run<'a>, part: &Part, block: usize) -> Equal<'a> {
+    pub(super) fn new(run: &'a TestRun<'a>, part: &Segment, block: usize) -> Equal<'a> {
         let stretch = run.design.stretch(part.stretch);
         let first = stretch.rows.start;
         let piece = &run.gains.pieces[run.gains.piece(first)];
@@ -104,14 +104,14 @@ impl<'a> Equal<'a> {
     }
 
     /// P ahead of the steps of a block as long as it changes; the last one is that of all others.
-    pub(crate) fn ahead<const N: usize>(&self, (from, to): (usize, usize)) -> Vec<Ahead<N>> {
+    pub(crate) fn ahead<const N: usize>(&self, (from, to): (usize, usize)) -> Vec<PriorVariances<N>> {
         let mut P = [[0.0; N]; N];
         if self.marks.is_empty() {
-            return vec![Ahead { left: P, arrived: P }];
+            return vec![PriorVariances { left: P, arrived: P }];
         }
         P.as_flattened_mut().copy_from_slice(&self.marks[from / self.block * N * N..][..N * N]);
-        let rests = Filtered::zero(self.run.design.frame.n);
-        let step = Steady::<N, 0>::new(self.run, &self.stretch, &rests);
+        let rests = FilteredMoments::zero(self.run.design.frame.n);
+        let step = StepCoefficients::<N, 0>::new(self.run, &self.stretch, &rests);
         let mut all = Vec::with_capacity(to - from);
         for k in from..to.min(self.moving) {
             all.push(step.ahead(&P));
@@ -141,11 +141,11 @@ impl<'a> Equal<'a> {
     /// From a state of the filter, over steps `from..to`: x̄ before each, P and ΨC too as long as they change.
     fn again<const N: usize, const C: usize>(
         &self,
-        step: &Steady<N, C>,
-        (mut x, mut spread): ([f64; N], Spread<N, C>),
+        step: &StepCoefficients<N, C>,
+        (mut x, mut spread): ([f64; N], FilterCovariance<N, C>),
         (from, to): (usize, usize),
         e: &[f64],
-        (xs, spreads): (&mut Vec<[f64; N]>, &mut Vec<Spread<N, C>>),
+        (xs, spreads): (&mut Vec<[f64; N]>, &mut Vec<FilterCovariance<N, C>>),
     ) {
         xs.clear();
         spreads.clear();
@@ -172,10 +172,10 @@ impl<'a> Equal<'a> {
 }
 
 /// The innovations of a stretch; the state of the filter is kept at the beginning of every block but the first.
-fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mut BackwardWork) {
+fn forward<const N: usize, const C: usize>(run: &TestRun<'_>, part: &Segment, work: &mut BackwardWork) {
     let steps = Equal::new(run, part, work.cut.block);
     let BackwardWork { e, marks, now, .. } = work;
-    let step = Steady::<N, C>::new(run, &steps.stretch, now);
+    let step = StepCoefficients::<N, C>::new(run, &steps.stretch, now);
     let (mut x, mut spread) = load::<N, C>(run, now);
     let tracked = run.tracked();
     let values = &run.values[steps.stretch.rows.clone()];
@@ -206,15 +206,18 @@ fn forward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mu
     store(run, (&x, &spread), now);
 }
 
-fn save<const N: usize, const C: usize>(x: &[f64; N], spread: &Spread<N, C>, marks: &mut Vec<f64>) {
+fn save<const N: usize, const C: usize>(x: &[f64; N], spread: &FilterCovariance<N, C>, marks: &mut Vec<f64>) {
     marks.extend_from_slice(x);
     marks.extend_from_slice(spread.P.as_flattened());
     marks.extend_from_slice(spread.Psi.as_flattened());
 }
 
-fn load<const N: usize, const C: usize>(run: &Run<'_>, now: &Filtered) -> ([f64; N], Spread<N, C>) {
+fn load<const N: usize, const C: usize>(
+    run: &TestRun<'_>,
+    now: &FilteredMoments,
+) -> ([f64; N], FilterCovariance<N, C>) {
     let r = run.design.frame.r;
-    let (mut x, mut spread) = ([0.0; N], Spread { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
+    let (mut x, mut spread) = ([0.0; N], FilterCovariance { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
     x.copy_from_slice(&now.x[..N]);
     if run.tracked() {
         (0..r).for_each(|i| spread.P[i][..r].copy_from_slice(&now.P[i * r..][..r]));
@@ -223,7 +226,11 @@ fn load<const N: usize, const C: usize>(run: &Run<'_>, now: &Filtered) -> ([f64;
     (x, spread)
 }
 
-fn store<const N: usize, const C: usize>(run: &Run<'_>, (x, spread): (&[f64; N], &Spread<N, C>), now: &mut Filtered) {
+fn store<const N: usize, const C: usize>(
+    run: &TestRun<'_>,
+    (x, spread): (&[f64; N], &FilterCovariance<N, C>),
+    now: &mut FilteredMoments,
+) {
     let r = run.design.frame.r;
     now.x[..N].copy_from_slice(x);
     if run.tracked() {
@@ -232,8 +239,8 @@ fn store<const N: usize, const C: usize>(run: &Run<'_>, (x, spread): (&[f64; N],
     }
 }
 
-fn marked<const N: usize, const C: usize>(mut kept: &[f64]) -> ([f64; N], Spread<N, C>) {
-    let (mut x, mut spread) = ([0.0; N], Spread { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
+fn marked<const N: usize, const C: usize>(mut kept: &[f64]) -> ([f64; N], FilterCovariance<N, C>) {
+    let (mut x, mut spread) = ([0.0; N], FilterCovariance { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
     for part in [&mut x, spread.P.as_flattened_mut(), spread.Psi.as_flattened_mut()] {
         let (own, rest) = kept.split_at(part.len());
         part.copy_from_slice(own);
@@ -243,22 +250,22 @@ fn marked<const N: usize, const C: usize>(mut kept: &[f64]) -> ([f64; N], Spread
 }
 
 /// The way back over a stretch: its state, and whether N and ρ rest.
-struct Back<const N: usize, const C: usize> {
-    step: Steady<N, C>,
+struct EqualBackward<const N: usize, const C: usize> {
+    step: StepCoefficients<N, C>,
     r: [f64; N],
     bars: Bars<N, C>,
     answers: DataSums<f64, N>,
-    sums: Sums<N, C>,
+    sums: DesignSums<N, C>,
     /// P where it rests, and what each step adds to the sums while N and ρ rest too: so many steps so far.
-    still: Option<(Ahead<N>, Sums<N, C>)>,
+    still: Option<(PriorVariances<N>, DesignSums<N, C>)>,
     rested: usize,
     watched: bool,
 }
 
 /// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
-fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &mut BackwardWork) {
+fn backward<const N: usize, const C: usize>(run: &TestRun<'_>, part: &Segment, work: &mut BackwardWork) {
     let steps = Equal::new(run, part, work.cut.block);
-    let mut back = Back::<N, C>::new(&steps, work);
+    let mut back = EqualBackward::<N, C>::new(&steps, work);
     let (mut xs, mut spreads) = (Vec::new(), Vec::new());
     for (from, to) in steps.blocks().rev() {
         if run.blank && back.still.is_some() && from >= steps.moving {
@@ -275,7 +282,7 @@ fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &m
             steps.again(&back.step, start, (from, to), &work.e, (&mut xs, &mut spreads));
         } else {
             xs.resize(steps.block, [0.0; N]);
-            spreads.resize(1, Spread { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
+            spreads.resize(1, FilterCovariance { P: [[0.0; N]; N], Psi: [[0.0; C]; N] });
         }
         back.block(&steps, (from, to), (&xs, &spreads), work);
     }
@@ -283,19 +290,19 @@ fn backward<const N: usize, const C: usize>(run: &Run<'_>, part: &Part, work: &m
     back.finish(&steps, work);
 }
 
-impl<const N: usize, const C: usize> Back<N, C> {
-    fn new(steps: &Equal<'_>, work: &mut BackwardWork) -> Back<N, C> {
+impl<const N: usize, const C: usize> EqualBackward<N, C> {
+    fn new(steps: &Equal<'_>, work: &mut BackwardWork) -> EqualBackward<N, C> {
         let (r, adjoint) = (steps.run.design.frame.r, &work.adjoint);
         let mut bars = Bars { rho: [[0.0; C]; N], N: [[0.0; N]; N] };
         bars.rho.as_flattened_mut().copy_from_slice(&adjoint.rho[..N * C]);
         (0..r).for_each(|i| bars.N[i][..r].copy_from_slice(&adjoint.N[i * r..][..r]));
         work.settling.start(bars.rho.as_flattened());
-        Back {
-            step: Steady::new(steps.run, &steps.stretch, &work.now),
+        EqualBackward {
+            step: StepCoefficients::new(steps.run, &steps.stretch, &work.now),
             r: std::array::from_fn(|i| adjoint.r[i]),
             bars,
             answers: DataSums::none(),
-            sums: Sums::ZERO,
+            sums: DesignSums::ZERO,
             still: None,
             rested: 0,
             watched: work.settling.begin(steps.stretch.count - steps.moving),
@@ -307,7 +314,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
         &mut self,
         steps: &Equal<'_>,
         (from, to): (usize, usize),
-        (xs, spreads): (&[[f64; N]], &[Spread<N, C>]),
+        (xs, spreads): (&[[f64; N]], &[FilterCovariance<N, C>]),
         work: &mut BackwardWork,
     ) {
         let e = &work.e[steps.stretch.rows.clone()];
@@ -345,8 +352,8 @@ impl<const N: usize, const C: usize> Back<N, C> {
     }
 
     #[inline(always)]
-    fn step(&mut self, gain: &Gain<N, C>, e: f64, (x, spread): (&[f64; N], &Spread<N, C>)) {
-        let Back { step, r, bars, answers, sums, .. } = self;
+    fn step(&mut self, gain: &Gain<N, C>, e: f64, (x, spread): (&[f64; N], &FilterCovariance<N, C>)) {
+        let EqualBackward { step, r, bars, answers, sums, .. } = self;
         let ahead = step.ahead(&spread.P);
         step.data.back(r, (gain.weight, &gain.K), e, (x, &ahead), answers);
         step.back(bars, gain, (spread, &ahead), sums);
@@ -426,7 +433,7 @@ impl<const N: usize, const C: usize> Back<N, C> {
 }
 
 /// ux - υ(ΨC)' of a state that rests.
-fn resting<const C: usize>(now: &Filtered, state: usize, u: f64, upsilon: &[f64; C]) -> f64 {
+fn resting<const C: usize>(now: &FilteredMoments, state: usize, u: f64, upsilon: &[f64; C]) -> f64 {
     let Psi = &now.Psi[state * C..][..C];
     u * now.x[state] - upsilon.iter().zip(Psi).map(|(upsilon, Psi)| upsilon * Psi).sum::<f64>()
 }

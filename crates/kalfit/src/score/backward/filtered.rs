@@ -5,12 +5,12 @@ use kalfit_lanes::Real;
 use nalgebra::{DMatrix, DMatrixView};
 
 use crate::reduce::{Transition, advance, mirror, predict, update};
-use crate::score::backward::line::{Line, Unknown, dot};
-use crate::score::backward::run::Run;
+use crate::score::backward::line::{ScalarMeasurement, Unknown, dot};
+use crate::score::backward::run::TestRun;
 
 /// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
 #[derive(Debug, Clone)]
-pub(super) struct Filtered<T = f64> {
+pub(super) struct FilteredMoments<T = f64> {
     pub(super) x: Vec<T>,
     pub(super) P: Vec<T>,
     pub(super) Psi: Vec<T>,
@@ -20,9 +20,9 @@ pub(super) struct Filtered<T = f64> {
     T: Vec<T>,
 }
 
-impl<T> Default for Filtered<T> {
-    fn default() -> Filtered<T> {
-        Filtered {
+impl<T> Default for FilteredMoments<T> {
+    fn default() -> FilteredMoments<T> {
+        FilteredMoments {
             x: Vec::new(),
             P: Vec::new(),
             Psi: Vec::new(),
@@ -76,7 +76,7 @@ pub(super) struct Begin<'a, T = f64> {
     pub(super) mean: &'a [T],
 }
 
-impl<T: Real> Filtered<T> {
+impl<T: Real> FilteredMoments<T> {
     /// x_0 = a + Ax̂, P0 and AC.
     #[inline(always)]
     pub(super) fn begin(&mut self, begin: &Begin<'_, T>, unknown: &Unknown<'_, T>) {
@@ -140,7 +140,7 @@ impl<T: Real> Filtered<T> {
 
     /// ē of a measurement.
     #[inline(always)]
-    pub(super) fn innovation(&self, line: &Line<'_, T>, z: T) -> T {
+    pub(super) fn innovation(&self, line: &ScalarMeasurement<'_, T>, z: T) -> T {
         let mut e = z;
         for (&state, &h) in line.states.iter().zip(line.h) {
             e = h.fnma(self.x[state as usize], e);
@@ -150,7 +150,7 @@ impl<T: Real> Filtered<T> {
 
     /// The update by a measurement.
     #[inline(always)]
-    pub(super) fn measure(&mut self, line: &Line<'_, T>, e: T, unknown: &Unknown<'_, T>) {
+    pub(super) fn measure(&mut self, line: &ScalarMeasurement<'_, T>, e: T, unknown: &Unknown<'_, T>) {
         let (r, c) = (unknown.frame.r, unknown.columns);
         for i in 0..r {
             self.x[i] = line.K[i].fma(e, self.x[i]);
@@ -171,8 +171,8 @@ impl<T: Real> Filtered<T> {
     /// The update of P, by gains of its own: those of the design may have come from square-root arrays, or be those of other steps
     /// where they rest, and P would leave what is true under any but its own.
     #[inline(always)]
-    fn spread(&mut self, r: usize, line: &Line<'_, T>) {
-        let Filtered { P, G, K, .. } = self;
+    fn spread(&mut self, r: usize, line: &ScalarMeasurement<'_, T>) {
+        let FilteredMoments { P, G, K, .. } = self;
         for own in [&mut *G, &mut *K] {
             own.clear();
             own.resize(r, T::splat(0.0));
@@ -182,10 +182,10 @@ impl<T: Real> Filtered<T> {
     }
 }
 
-impl Filtered {
+impl FilteredMoments {
     /// x̄ of zero, where nobody asks for more.
-    pub(super) fn zero(n: usize) -> Filtered {
-        Filtered { x: vec![0.0; n], ..Filtered::default() }
+    pub(super) fn zero(n: usize) -> FilteredMoments {
+        FilteredMoments { x: vec![0.0; n], ..FilteredMoments::default() }
     }
 
     pub(super) fn load(&mut self, kept: &[f64], sizes: (usize, usize)) {
@@ -197,15 +197,15 @@ impl Filtered {
     }
 }
 
-impl Run<'_> {
+impl TestRun<'_> {
     /// The filter at the start of the test.
-    pub(super) fn begin(&self, now: &mut Filtered) {
+    pub(super) fn begin(&self, now: &mut FilteredMoments) {
         let begin = Begin { start: self.start, variance: &self.design.variance, mean: &self.moments.mean };
         now.begin(&begin, &self.unknown());
     }
 
     /// The innovation of a row, which goes to the end of `e` unless it is there already; and the update by it.
-    pub(super) fn measure(&self, now: &mut Filtered, (line, row): (usize, usize), e: &mut Vec<f64>) {
+    pub(super) fn measure(&self, now: &mut FilteredMoments, (line, row): (usize, usize), e: &mut Vec<f64>) {
         let line = self.line((line, row));
         if row == e.len() {
             e.push(now.innovation(&line, self.values[row]));

@@ -1,16 +1,16 @@
 //! A record in legs, for other data to pass over: what it is made of, and the P of the way of one record over it.
 
-use crate::reduce::{Step, moving};
+use crate::reduce::{DesignStep, moving};
 use crate::score::backward::equal::Equal;
-use crate::score::backward::parts::At;
-use crate::score::backward::run::Run;
-use crate::score::backward::work::{BackwardWork, Kind, Part};
+use crate::score::backward::parts::FilterPosition;
+use crate::score::backward::run::TestRun;
+use crate::score::backward::work::{BackwardWork, Segment, SegmentKind};
 
 /// Steps that are gone through together.
 #[derive(Debug)]
 pub(crate) enum Leg<'a> {
     /// One by one.
-    Steps(Vec<Step<'a>>),
+    Steps(Vec<DesignStep<'a>>),
     /// Equal ones of one scalar measurement.
     Equal(Equal<'a>),
 }
@@ -24,35 +24,35 @@ pub(crate) struct Legs<'a> {
     pub(crate) before: Vec<f64>,
 }
 
-impl<'a> Run<'a> {
+impl<'a> TestRun<'a> {
     /// Its legs, after the way forth over it.
     pub(crate) fn legs(&'a self, work: &mut BackwardWork) -> Legs<'a> {
         let mut legs = Legs::default();
         for at in 0..work.parts.len() {
             let part = work.parts[at];
             match part.kind {
-                Kind::Steps => self.one_by_one(&part, work, &mut legs),
-                Kind::Equal(_) => self.together(&part, work, &mut legs),
+                SegmentKind::Steps => self.one_by_one(&part, work, &mut legs),
+                SegmentKind::Equal(_) => self.together(&part, work, &mut legs),
             }
         }
         legs
     }
 
-    fn one_by_one(&'a self, part: &Part, work: &mut BackwardWork, legs: &mut Legs<'a>) {
+    fn one_by_one(&'a self, part: &Segment, work: &mut BackwardWork, legs: &mut Legs<'a>) {
         let Legs { legs, left, before } = legs;
         if self.tracked() {
             work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
             let BackwardWork { e, now, .. } = work;
             self.through(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
-                At::Moves if self.wanted.motion => left.extend_from_slice(&now.P),
-                At::Measures if self.wanted.equation => before.extend_from_slice(&now.P),
+                FilterPosition::Moves if self.wanted.motion => left.extend_from_slice(&now.P),
+                FilterPosition::Measures if self.wanted.equation => before.extend_from_slice(&now.P),
                 _ => {}
             });
         }
         legs.push(Leg::Steps(part.steps(self.design).collect()));
     }
 
-    fn together(&'a self, part: &Part, work: &BackwardWork, legs: &mut Legs<'a>) {
+    fn together(&'a self, part: &Segment, work: &BackwardWork, legs: &mut Legs<'a>) {
         let stretch = self.design.stretch(part.stretch);
         let (n, r, states) = (self.design.frame.n, self.design.frame.r, moving(self.design, &stretch));
         let blocks = stretch.count.div_ceil(work.cut.block);
@@ -78,8 +78,8 @@ impl BackwardWork {
     /// that are gone through together.
     pub(crate) fn standing(&self) -> impl Iterator<Item = usize> {
         self.parts.iter().flat_map(|part| match part.kind {
-            Kind::Steps => part.steps.0..part.steps.1,
-            Kind::Equal(_) => part.steps.0..part.steps.0 + 1,
+            SegmentKind::Steps => part.steps.0..part.steps.1,
+            SegmentKind::Equal(_) => part.steps.0..part.steps.0 + 1,
         })
     }
 }

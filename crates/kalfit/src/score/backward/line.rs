@@ -3,12 +3,12 @@
 
 use kalfit_lanes::Real;
 
-use crate::reduce::Frame;
-use crate::score::backward::run::{Run, Wanted};
+use crate::reduce::StateFrame;
+use crate::score::backward::run::{AdjointsWanted, TestRun};
 
 /// A scalar measurement.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Line<'a, T = f64> {
+pub(super) struct ScalarMeasurement<'a, T = f64> {
     pub(super) states: &'a [u32],
     pub(super) h: &'a [T],
     /// R.
@@ -22,10 +22,10 @@ pub(super) struct Line<'a, T = f64> {
 /// The states, and the root C of what is not known of ξ (p × columns, by rows).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unknown<'a, T = f64> {
-    pub(super) frame: &'a Frame,
+    pub(super) frame: &'a StateFrame,
     pub(super) root: &'a [T],
     pub(super) columns: usize,
-    pub(super) wanted: Wanted,
+    pub(super) wanted: AdjointsWanted,
 }
 
 impl<T: Real> Unknown<'_, T> {
@@ -49,15 +49,15 @@ impl<T: Real> Unknown<'_, T> {
     }
 }
 
-impl Run<'_> {
+impl TestRun<'_> {
     /// A scalar measurement of the design.
-    pub(super) fn line(&self, (line, row): (usize, usize)) -> Line<'_> {
+    pub(super) fn line(&self, (line, row): (usize, usize)) -> ScalarMeasurement<'_> {
         let ((states, h), (weight, K, T)) = (self.design.terms(line), self.gains.row(row));
-        Line { states, h, noise: self.design.noise[line], weight, K, T }
+        ScalarMeasurement { states, h, noise: self.design.noise[line], weight, K, T }
     }
 
     pub(super) fn unknown(&self) -> Unknown<'_> {
-        let Run { design, moments, wanted, .. } = *self;
+        let TestRun { design, moments, wanted, .. } = *self;
         Unknown { frame: &design.frame, root: &moments.root, columns: moments.columns, wanted }
     }
 }

@@ -1,13 +1,13 @@
 //! A record cut into parts, and the way forth over them.
 
-use crate::reduce::Step;
+use crate::reduce::DesignStep;
 use crate::score::backward::equal::kernel;
-use crate::score::backward::filtered::Filtered;
-use crate::score::backward::run::Run;
+use crate::score::backward::filtered::FilteredMoments;
+use crate::score::backward::run::TestRun;
 use crate::score::backward::sink::Sink;
-use crate::score::backward::work::{BackwardWork, Kind, MOST, Part};
+use crate::score::backward::work::{BackwardWork, MOST, Segment, SegmentKind};
 
-impl Run<'_> {
+impl TestRun<'_> {
     /// Length of a kept state.
     pub(super) fn stride(&self) -> usize {
         let frame = &self.design.frame;
@@ -28,8 +28,8 @@ impl Run<'_> {
             }
             let part = work.parts[at];
             match part.kind {
-                Kind::Steps => self.steps_forth(&part, work),
-                Kind::Equal(kernel) => (kernel.forward)(self, &part, work),
+                SegmentKind::Steps => self.steps_forth(&part, work),
+                SegmentKind::Equal(kernel) => (kernel.forward)(self, &part, work),
             }
         }
     }
@@ -47,19 +47,19 @@ impl Run<'_> {
             let summed = || kernel(self, &stretch).filter(|_| sink.sums(steps.0..steps.1));
             if let Some(kernel) = long.then(summed).flatten() {
                 many += 1;
-                parts.push(Part { kind: Kind::Equal(kernel), steps, stretch: at, skip: 0, input, mark: 0 });
+                parts.push(Segment { kind: SegmentKind::Equal(kernel), steps, stretch: at, skip: 0, input, mark: 0 });
             } else {
                 let mut skip = 0;
                 while skip < stretch.count {
-                    let open = parts
-                        .last_mut()
-                        .filter(|last| matches!(last.kind, Kind::Steps) && last.steps.1 - last.steps.0 < cut.block);
+                    let open = parts.last_mut().filter(|last| {
+                        matches!(last.kind, SegmentKind::Steps) && last.steps.1 - last.steps.0 < cut.block
+                    });
                     let start = step + skip;
                     let part = match open {
                         Some(part) => part,
                         None => {
                             let (steps, input) = ((start, start), input + skip * inputs);
-                            parts.push(Part { kind: Kind::Steps, steps, stretch: at, skip, input, mark: 0 });
+                            parts.push(Segment { kind: SegmentKind::Steps, steps, stretch: at, skip, input, mark: 0 });
                             parts.last_mut().expect("one was pushed")
                         }
                     };
@@ -74,13 +74,13 @@ impl Run<'_> {
     }
 
     /// Over the steps of a part, one by one; what the filter passes through is kept for the way back.
-    pub(super) fn steps_forth(&self, part: &Part, work: &mut BackwardWork) {
+    pub(super) fn steps_forth(&self, part: &Segment, work: &mut BackwardWork) {
         let BackwardWork { e, left, before, now, .. } = work;
         left.clear();
         before.clear();
         self.through(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
-            At::Moves if self.wanted.motion => now.save(left),
-            At::Measures if self.wanted.equation => now.save(before),
+            FilterPosition::Moves if self.wanted.motion => now.save(left),
+            FilterPosition::Measures if self.wanted.equation => now.save(before),
             _ => {}
         });
     }
@@ -89,31 +89,31 @@ impl Run<'_> {
     /// appended.
     pub(super) fn through<'s>(
         &self,
-        steps: impl Iterator<Item = Step<'s>>,
+        steps: impl Iterator<Item = DesignStep<'s>>,
         mut input: usize,
-        (now, e): (&mut Filtered, &mut Vec<f64>),
-        mut tell: impl FnMut(At, &Step<'s>, &Filtered),
+        (now, e): (&mut FilteredMoments, &mut Vec<f64>),
+        mut tell: impl FnMut(FilterPosition, &DesignStep<'s>, &FilteredMoments),
     ) {
         let driven = self.design.frame.driven.len();
         for step in steps {
             if let Some(transition) = step.transition {
-                tell(At::Moves, &step, now);
+                tell(FilterPosition::Moves, &step, now);
                 now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
                 input += driven;
             }
-            tell(At::Arrives, &step, now);
+            tell(FilterPosition::Arrives, &step, now);
             for (line, row) in step.lines.clone().zip(step.rows.clone()) {
-                tell(At::Measures, &step, now);
+                tell(FilterPosition::Measures, &step, now);
                 self.measure(now, (line, row), e);
             }
-            tell(At::Ends, &step, now);
+            tell(FilterPosition::Ends, &step, now);
         }
     }
 }
 
 /// Where the forward filter stands in a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum At {
+pub(super) enum FilterPosition {
     /// Before its transition.
     Moves,
     /// After it.

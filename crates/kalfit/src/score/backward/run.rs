@@ -6,7 +6,7 @@ use crate::score::moments::Moments;
 
 /// What the chain rule asks of a backward pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct Wanted {
+pub(crate) struct AdjointsWanted {
     /// ∂ℓ/∂φ.
     pub(crate) motion: bool,
     /// ∂ℓ/∂h.
@@ -15,7 +15,7 @@ pub(crate) struct Wanted {
 
 /// One test as the pass sees it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Run<'a> {
+pub(crate) struct TestRun<'a> {
     pub(crate) design: &'a Design,
     pub(crate) gains: &'a Gains,
     pub(crate) start: &'a [f64],
@@ -25,27 +25,27 @@ pub(crate) struct Run<'a> {
     pub(crate) blank: bool,
     pub(crate) moments: &'a Moments,
     /// Where later phases say something of the last state.
-    pub(crate) ending: Option<&'a Ending>,
-    pub(crate) wanted: Wanted,
+    pub(crate) ending: Option<&'a TerminalAdjoint>,
+    pub(crate) wanted: AdjointsWanted,
 }
 
-impl<'a> Run<'a> {
+impl<'a> TestRun<'a> {
     /// Of the test in a work space under the gains of its design.
     pub(crate) fn of(
         (work, gains): (&'a Workspace, &'a Gains),
-        (moments, ending): (&'a Moments, Option<&'a Ending>),
-        wanted: Wanted,
-    ) -> Run<'a> {
+        (moments, ending): (&'a Moments, Option<&'a TerminalAdjoint>),
+        wanted: AdjointsWanted,
+    ) -> TestRun<'a> {
         let (design, data) = (&work.design, &work.data);
         let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-        Run { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+        TestRun { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
     }
 }
 
 /// r (n), ρ (n × columns) and N (r × r) after the last step, in kernel order: adjoints of x_K from the phases that follow
 /// (theory §7).
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Ending {
+pub(crate) struct TerminalAdjoint {
     pub(crate) r: Vec<f64>,
     pub(crate) rho: Vec<f64>,
     pub(crate) N: Vec<f64>,

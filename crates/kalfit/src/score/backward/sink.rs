@@ -4,7 +4,7 @@ use std::ops::Range;
 
 /// Adjoints of the scalar measurements of one step, as they stand in the design (whitened).
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct MeasuredBar {
+pub(crate) struct MeasurementAdjoint {
     /// ∂ℓ/∂R.
     pub(crate) noise: Vec<f64>,
     /// ∂ℓ/∂(z - d).
@@ -15,7 +15,7 @@ pub(crate) struct MeasuredBar {
 
 /// Adjoints of one transition.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct MovedBar<T = f64> {
+pub(crate) struct TransitionAdjoint<T = f64> {
     /// ∂ℓ/∂φ, entry by entry of [`Transition::phi`](crate::reduce::Transition::phi); zero when not wanted.
     pub(crate) phi: Vec<T>,
     /// ∂ℓ/∂Q, entry by entry of [`Transition::q`](crate::reduce::Transition::q): an entry off the diagonal stands for both places.
@@ -24,9 +24,9 @@ pub(crate) struct MovedBar<T = f64> {
     pub(crate) input: Vec<T>,
 }
 
-impl<T> Default for MovedBar<T> {
-    fn default() -> MovedBar<T> {
-        MovedBar { phi: Vec::new(), q: Vec::new(), input: Vec::new() }
+impl<T> Default for TransitionAdjoint<T> {
+    fn default() -> TransitionAdjoint<T> {
+        TransitionAdjoint { phi: Vec::new(), q: Vec::new(), input: Vec::new() }
     }
 }
 
@@ -37,9 +37,9 @@ pub(crate) trait Sink {
     /// Whether the sums of the adjoints over these equal steps will do; they are then given as those of the first of them.
     fn sums(&mut self, steps: Range<usize>) -> bool;
     /// Of the measurements of step `k`.
-    fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Self::Error>;
+    fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error>;
     /// Of the transition to step `k`.
-    fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Self::Error>;
+    fn moved(&mut self, k: usize, bar: &TransitionAdjoint) -> Result<(), Self::Error>;
     /// Of a (n) and P0 (r × r, each place by itself).
     fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Self::Error>;
 }

@@ -6,12 +6,12 @@
 //! ```
 #![expect(non_snake_case, reason = "the letters of the theory: P, B, N")]
 
-use crate::reduce::{Step, Transition};
+use crate::reduce::{DesignStep, Transition};
 use crate::score::backward::adjoint::columns;
 use crate::score::backward::filtered::{Seen, second};
 use crate::score::backward::line::dot;
-use crate::score::backward::parts::At;
-use crate::score::backward::run::Run;
+use crate::score::backward::parts::FilterPosition;
+use crate::score::backward::run::TestRun;
 use crate::score::backward::work::BackwardWork;
 
 /// The moments of a test.
@@ -20,7 +20,7 @@ pub(crate) struct SmoothedTest {
     /// Of x_0, then of the state after each step.
     pub(crate) states: Vec<Smoothed>,
     /// Of the noise of the transition to each step; none where there is no transition.
-    pub(crate) noises: Vec<Option<Driven>>,
+    pub(crate) noises: Vec<Option<SmoothedNoise>>,
     /// ∂ℓ/∂a (n).
     pub(crate) mean: Vec<f64>,
     /// ∂ℓ/∂P0 (r × r, each place by itself).
@@ -38,7 +38,7 @@ pub(crate) struct Smoothed {
 
 /// Moments of the noise w of one transition given all data of the test, on the r noise-reachable states.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Driven {
+pub(crate) struct SmoothedNoise {
     /// E[w] (r).
     pub(crate) mean: Vec<f64>,
     /// E[ww'] (r × r).
@@ -47,7 +47,7 @@ pub(crate) struct Driven {
     pub(crate) cross: Vec<f64>,
 }
 
-impl Driven {
+impl SmoothedNoise {
     /// E[w] = Qr, E[ww'] = Q + Q(rr' + ρρ' - N)Q, with r, ρ, N before they move on.
     pub(super) fn at(
         &mut self,
@@ -128,7 +128,7 @@ impl Seen<'_> {
     }
 }
 
-impl Run<'_> {
+impl TestRun<'_> {
     /// The moments of the test: step by step, every state of the forward filter remembered. `wanted.motion` must be set, so that the
     /// filter keeps P and ΨC.
     pub(crate) fn smooth(&self, work: &mut BackwardWork) -> SmoothedTest {
@@ -149,7 +149,7 @@ impl Run<'_> {
             let Some(transition) = step.transition else { continue };
             transitions -= 1;
             let before = Seen::new(&left[seen(&left, transitions)], self.sizes());
-            let mut noise = Driven::default();
+            let mut noise = SmoothedNoise::default();
             noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
             let mut turned = adjoint.N.clone();
             columns(&mut turned, r, transition, &mut Vec::new());
@@ -166,13 +166,18 @@ impl Run<'_> {
 
     /// The filter at ξ = x̂, step by step: tells its state before the measurements of a step (`measured` false) and after them. `e`: what
     /// the data pass left. `wanted.motion` must be set.
-    pub(crate) fn forth(&self, work: &mut BackwardWork, e: &[f64], mut tell: impl FnMut(&Step<'_>, bool, Seen<'_>)) {
+    pub(crate) fn forth(
+        &self,
+        work: &mut BackwardWork,
+        e: &[f64],
+        mut tell: impl FnMut(&DesignStep<'_>, bool, Seen<'_>),
+    ) {
         let BackwardWork { now, .. } = work;
         self.begin(now);
         self.through(self.design.each_step(), 0, (now, &mut e.to_vec()), |at, step, now| match at {
-            At::Arrives => tell(step, false, now.seen()),
-            At::Ends => tell(step, true, now.seen()),
-            At::Moves | At::Measures => {}
+            FilterPosition::Arrives => tell(step, false, now.seen()),
+            FilterPosition::Ends => tell(step, true, now.seen()),
+            FilterPosition::Moves | FilterPosition::Measures => {}
         });
     }
 
@@ -183,9 +188,9 @@ impl Run<'_> {
         self.begin(now);
         now.save(ends);
         self.through(self.design.each_step(), 0, (now, e), |at, _, now| match at {
-            At::Moves => now.save(left),
-            At::Ends => now.save(ends),
-            At::Arrives | At::Measures => {}
+            FilterPosition::Moves => now.save(left),
+            FilterPosition::Ends => now.save(ends),
+            FilterPosition::Arrives | FilterPosition::Measures => {}
         });
     }
 }

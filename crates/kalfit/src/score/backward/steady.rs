@@ -2,21 +2,21 @@
 //! states that move; those that rest are constants. Of the adjoints the data's part has a file of its own
 //! ([`DataAdjoint`]); the rest is the design's.
 
-use crate::reduce::{Motion, Stretch, mirror, update};
-use crate::score::backward::bars::{Bars, Gain, Spread, Sums};
-use crate::score::backward::data_adjoint::{Ahead, DataAdjoint};
-use crate::score::backward::filtered::Filtered;
-use crate::score::backward::run::{Run, Wanted};
+use crate::reduce::{SmallMotion, Stretch, mirror, update};
+use crate::score::backward::data_adjoint::{DataAdjoint, PriorVariances};
+use crate::score::backward::design_sums::{Bars, DesignSums, FilterCovariance, Gain};
+use crate::score::backward::filtered::FilteredMoments;
+use crate::score::backward::run::{AdjointsWanted, TestRun};
 
 /// The coefficients of a step. C: columns of ΨC.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Steady<const N: usize, const C: usize> {
+pub(super) struct StepCoefficients<const N: usize, const C: usize> {
     pub(super) data: DataAdjoint<f64, N>,
     /// With ΨC for Ψ.
-    motion: Motion<N, C>,
+    motion: SmallMotion<N, C>,
     noise: f64,
     moves: bool,
-    wanted: Wanted,
+    wanted: AdjointsWanted,
 }
 
 fn inner<const M: usize>(a: &[f64; M], b: &[f64; M]) -> f64 {
@@ -55,11 +55,11 @@ fn product<const N: usize, const W: usize>(x: &[[f64; N]; N], y: &[[f64; W]; N])
     out
 }
 
-impl<const N: usize, const C: usize> Steady<N, C> {
-    pub(super) fn new(run: &Run<'_>, stretch: &Stretch<'_>, now: &Filtered) -> Steady<N, C> {
-        Steady {
+impl<const N: usize, const C: usize> StepCoefficients<N, C> {
+    pub(super) fn new(run: &TestRun<'_>, stretch: &Stretch<'_>, now: &FilteredMoments) -> StepCoefficients<N, C> {
+        StepCoefficients {
             data: DataAdjoint::new(run, stretch, &now.x),
-            motion: Motion::new(stretch.transition.map(|transition| &**transition), &now.Psi),
+            motion: SmallMotion::new(stretch.transition.map(|transition| &**transition), &now.Psi),
             noise: run.design.noise[stretch.lines.start],
             moves: stretch.transition.is_some(),
             wanted: run.wanted,
@@ -68,20 +68,20 @@ impl<const N: usize, const C: usize> Steady<N, C> {
 
     /// P before a step and, if it is wanted there, before its measurement.
     #[inline(always)]
-    pub(super) fn ahead(&self, P: &[[f64; N]; N]) -> Ahead<N> {
-        Ahead { left: *P, arrived: if self.wanted.equation { self.motion.predict(P) } else { *P } }
+    pub(super) fn ahead(&self, P: &[[f64; N]; N]) -> PriorVariances<N> {
+        PriorVariances { left: *P, arrived: if self.wanted.equation { self.motion.predict(P) } else { *P } }
     }
 
     /// P and ΨC after the step. Where gains rest (`P` false), P does too.
     #[inline(always)]
-    pub(super) fn advance(&self, from: &Spread<N, C>, gain: &Gain<N, C>, P: bool) -> Spread<N, C> {
+    pub(super) fn advance(&self, from: &FilterCovariance<N, C>, gain: &Gain<N, C>, P: bool) -> FilterCovariance<N, C> {
         let mut Psi = self.motion.advance(&from.Psi);
         for i in 0..N {
             for j in 0..C {
                 Psi[i][j] -= gain.K[i] * gain.T[j];
             }
         }
-        Spread { P: if P { self.updated(&from.P, gain.weight) } else { from.P }, Psi }
+        FilterCovariance { P: if P { self.updated(&from.P, gain.weight) } else { from.P }, Psi }
     }
 
     /// P after the step.
@@ -102,8 +102,8 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         &self,
         bars: &mut Bars<N, C>,
         gain: &Gain<N, C>,
-        (spread, ahead): (&Spread<N, C>, &Ahead<N>),
-        sums: &mut Sums<N, C>,
+        (spread, ahead): (&FilterCovariance<N, C>, &PriorVariances<N>),
+        sums: &mut DesignSums<N, C>,
     ) {
         if gain.weight != 0.0 {
             self.measured(bars, gain, (spread, ahead), sums);
@@ -142,8 +142,8 @@ impl<const N: usize, const C: usize> Steady<N, C> {
         &self,
         bars: &mut Bars<N, C>,
         gain: &Gain<N, C>,
-        (spread, ahead): (&Spread<N, C>, &Ahead<N>),
-        sums: &mut Sums<N, C>,
+        (spread, ahead): (&FilterCovariance<N, C>, &PriorVariances<N>),
+        sums: &mut DesignSums<N, C>,
     ) {
         let (weight, K, h) = (gain.weight, &gain.K, &self.data.filter.h);
         let mut upsilon = gain.T;
@@ -185,8 +185,13 @@ impl<const N: usize, const C: usize> Steady<N, C> {
     }
 
     /// The design's part of one step where ρ and N rest.
-    pub(super) fn rested(&self, bars: &Bars<N, C>, gain: &Gain<N, C>, spread: &Spread<N, C>) -> Sums<N, C> {
-        let mut each = Sums::ZERO;
+    pub(super) fn rested(
+        &self,
+        bars: &Bars<N, C>,
+        gain: &Gain<N, C>,
+        spread: &FilterCovariance<N, C>,
+    ) -> DesignSums<N, C> {
+        let mut each = DesignSums::ZERO;
         self.back(&mut bars.clone(), gain, (spread, &self.ahead(&spread.P)), &mut each);
         each
     }

@@ -8,14 +8,14 @@ use nalgebra::{DMatrix, DVector};
 use super::*;
 use crate::estimate::InitialLaw;
 use crate::reduce::{
-    DENSE, Data, Design, Frame, Gains, GainsWork, Path, Pattern, Reduction, Room, information_gains, outcome,
-    root_gains,
+    DENSE, Data, DataWorkspace, Design, Gains, GainsWork, Path, Pattern, Reduction, StateFrame, information_gains,
+    outcome, root_gains,
 };
 use crate::reduce::{Inherited, PhaseReduction, Terminal, Transition};
-use crate::score::backward::work::Cut;
+use crate::score::backward::work::SegmentLengths;
 use crate::score::by_differences::{likelihood, slope};
 use crate::score::moments::{Moments, moments};
-use crate::score::smoother::{PhaseLaws, Plan};
+use crate::score::smoother::{PhaseLaws, SmootherPlan};
 
 /// A test by hand: four states, the first two noisy, three unknowns; every number of it is its own.
 #[derive(Debug, Clone)]
@@ -49,7 +49,7 @@ fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Desig
     pattern.pairs = vec![(0, 0), (1, 0), (1, 1)];
     let pattern = Arc::new(pattern.seal());
     let p = sensitivity.len() / 4;
-    let frame = Frame { n: 4, p, r: 2, rows: vec![DENSE; 4], sensitivity, driven: vec![0, 2], digest: 0 };
+    let frame = StateFrame { n: 4, p, r: 2, rows: vec![DENSE; 4], sensitivity, driven: vec![0, 2], digest: 0 };
     let mut design = Design::new(Arc::new(frame.seal()));
     if steps.start == 0 {
         design.variance.copy_from_slice(&numbers.variance);
@@ -85,7 +85,7 @@ fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) 
 }
 
 fn reduction_by(gains: &Gains, design: &Design, data: &Data) -> Reduction {
-    let found = outcome(design, gains, data, &mut Room::default()).expect("possible");
+    let found = outcome(design, gains, data, &mut DataWorkspace::default()).expect("possible");
     Reduction {
         test: String::new(),
         constant: found.constant,
@@ -116,7 +116,7 @@ struct Kept {
     noise: Vec<(usize, f64)>,
     value: Vec<(usize, f64)>,
     h: Vec<(usize, Vec<f64>)>,
-    moved: Vec<(usize, MovedBar)>,
+    moved: Vec<(usize, TransitionAdjoint)>,
     mean: Vec<f64>,
     variance: Vec<f64>,
 }
@@ -126,7 +126,7 @@ impl Sink for Kept {
     fn sums(&mut self, _: Range<usize>) -> bool {
         false
     }
-    fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Self::Error> {
+    fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error> {
         for i in 0..2 {
             self.noise.push((2 * k + i, bar.noise[i]));
             self.value.push((2 * k + i, bar.value[i]));
@@ -134,7 +134,7 @@ impl Sink for Kept {
         }
         Ok(())
     }
-    fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Self::Error> {
+    fn moved(&mut self, k: usize, bar: &TransitionAdjoint) -> Result<(), Self::Error> {
         self.moved.push((k, bar.clone()));
         Ok(())
     }
@@ -253,15 +253,20 @@ fn terminal(design: &Design, data: &Data) -> Terminal {
 
 fn run<'a>(
     (design, data, gains): (&'a Design, &'a Data, &'a Gains),
-    (moments, ending): (&'a Moments, Option<&'a Ending>),
-    wanted: Wanted,
-) -> Run<'a> {
+    (moments, ending): (&'a Moments, Option<&'a TerminalAdjoint>),
+    wanted: AdjointsWanted,
+) -> TestRun<'a> {
     let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-    Run { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+    TestRun { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
 }
 
 /// Every adjoint, in the order of the numbers.
-fn adjoints(design: &Design, data: &Data, gains: &Gains, (moments, ending): (&Moments, Option<&Ending>)) -> Kept {
+fn adjoints(
+    design: &Design,
+    data: &Data,
+    gains: &Gains,
+    (moments, ending): (&Moments, Option<&TerminalAdjoint>),
+) -> Kept {
     let run = run((design, data, gains), (moments, ending), ALL);
     let mut kept = Kept::default();
     let Ok(()) = run.backward(&mut BackwardWork::default(), &mut kept);
@@ -287,12 +292,12 @@ fn the_adjoints_of_two_parts_are_those_of_the_whole() {
             PhaseReduction { reduction: r2, terminal: None, inherited: Some(same), groups: Vec::new() },
         ];
         let laws = PhaseLaws::new(&law, &[0..3, 3..3], &[]);
-        let plan = Plan::new(&pieces, &laws);
+        let plan = SmootherPlan::new(&pieces, &laws);
         let (found, expected) = (plan.likelihood(&pieces, &laws), dense(&all));
         assert!((found - expected).abs() < 1e-12, "ℓ split at {at}: {found} against {expected}");
         let smooth = plan.smooth(&pieces, &laws);
         let later = smooth[0].later.as_ref().expect("a phase follows");
-        let ending = Ending {
+        let ending = TerminalAdjoint {
             r: later.r.as_slice().to_vec(),
             rho: later.rho.transpose().as_slice().to_vec(),
             N: later.N.view((0, 0), (2, 2)).into_owned().as_slice().to_vec(),
@@ -395,11 +400,11 @@ impl Sink for Totals {
     fn sums(&mut self, _: Range<usize>) -> bool {
         self.takes_sums
     }
-    fn measured(&mut self, k: usize, bar: &MeasuredBar) -> Result<(), Self::Error> {
+    fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error> {
         [&bar.noise, &bar.value, &bar.h].iter().enumerate().for_each(|(what, bars)| self.add(k, what, bars));
         Ok(())
     }
-    fn moved(&mut self, k: usize, bar: &MovedBar) -> Result<(), Self::Error> {
+    fn moved(&mut self, k: usize, bar: &TransitionAdjoint) -> Result<(), Self::Error> {
         [&bar.phi, &bar.q].iter().enumerate().for_each(|(what, bars)| self.add(k, 3 + what, bars));
         Ok(())
     }
@@ -419,7 +424,7 @@ fn long() -> (Design, Data) {
     let pattern = Arc::new(pattern.seal());
     let mut sensitivity = vec![0.0; 12];
     (sensitivity[0], sensitivity[2 * 3 + 1], sensitivity[3 * 3 + 2]) = (1.0, 1.0, 1.0);
-    let frame = Frame { n: 4, p: 3, r: 2, rows: vec![DENSE; 4], sensitivity, driven: Vec::new(), digest: 0 };
+    let frame = StateFrame { n: 4, p: 3, r: 2, rows: vec![DENSE; 4], sensitivity, driven: Vec::new(), digest: 0 };
     let mut design = Design::new(Arc::new(frame.seal()));
     design.variance.copy_from_slice(&[0.5, 0.0, 0.1, 0.4]);
     let transition = |x: f64| {
@@ -448,7 +453,7 @@ fn long() -> (Design, Data) {
     (design, Data { start: vec![0.1, -0.2, 0.3, 0.4], inputs: Vec::new(), values, sizes: vec![1.0; rows] })
 }
 
-fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals {
+fn totals(cut: SegmentLengths, unfrozen: bool, wanted: AdjointsWanted, takes_sums: bool) -> Totals {
     let (design, data) = long();
     let mut work = GainsWork::default();
     work.settling.off = unfrozen;
@@ -466,12 +471,12 @@ fn totals(cut: Cut, unfrozen: bool, wanted: Wanted, takes_sums: bool) -> Totals 
     totals
 }
 
-const ALL: Wanted = Wanted { motion: true, equation: true };
+const ALL: AdjointsWanted = AdjointsWanted { motion: true, equation: true };
 
 #[test]
 fn blocks_have_the_bits_of_one_block() {
-    let cut = |block: usize| Cut { block, ..Cut::default() };
-    for wanted in [ALL, Wanted::default(), Wanted { motion: true, equation: false }] {
+    let cut = |block: usize| SegmentLengths { block, ..SegmentLengths::default() };
+    for wanted in [ALL, AdjointsWanted::default(), AdjointsWanted { motion: true, equation: false }] {
         for sums in [true, false] {
             let whole = totals(cut(1 << 20), false, wanted, sums);
             for block in [1, 37, 256] {
@@ -483,18 +488,18 @@ fn blocks_have_the_bits_of_one_block() {
 
 #[test]
 fn equal_steps_summed_are_the_steps_one_by_one() {
-    for wanted in [ALL, Wanted::default(), Wanted { motion: false, equation: true }] {
-        let each = totals(Cut::default(), true, wanted, false);
-        totals(Cut::default(), true, wanted, true).check(&each);
-        totals(Cut { few: 1, ..Cut::default() }, true, wanted, true).check(&each);
+    for wanted in [ALL, AdjointsWanted::default(), AdjointsWanted { motion: false, equation: true }] {
+        let each = totals(SegmentLengths::default(), true, wanted, false);
+        totals(SegmentLengths::default(), true, wanted, true).check(&each);
+        totals(SegmentLengths { few: 1, ..SegmentLengths::default() }, true, wanted, true).check(&each);
     }
 }
 
 #[test]
 fn frozen_equals_unfrozen() {
-    for wanted in [ALL, Wanted::default()] {
-        let each = totals(Cut::default(), true, wanted, false);
-        totals(Cut::default(), false, wanted, true).check(&each);
-        totals(Cut::default(), false, wanted, false).check(&each);
+    for wanted in [ALL, AdjointsWanted::default()] {
+        let each = totals(SegmentLengths::default(), true, wanted, false);
+        totals(SegmentLengths::default(), false, wanted, true).check(&each);
+        totals(SegmentLengths::default(), false, wanted, false).check(&each);
     }
 }

@@ -1,14 +1,14 @@
 //! What is remembered of the forward pass, and the parts in which it is gone back through.
 
-use crate::reduce::{Design, Settling, Step};
+use crate::reduce::{Design, DesignStep, Settling};
 use crate::score::backward::adjoint::Adjoint;
-use crate::score::backward::filtered::Filtered;
-use crate::score::backward::run::Run;
-use crate::score::backward::sink::{MeasuredBar, MovedBar};
+use crate::score::backward::filtered::FilteredMoments;
+use crate::score::backward::run::TestRun;
+use crate::score::backward::sink::{MeasurementAdjoint, TransitionAdjoint};
 
 /// How long records are cut.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Cut {
+pub(super) struct SegmentLengths {
     /// Steps from one kept state of the forward filter to the next.
     pub(super) block: usize,
     /// So many equal steps are not worth a kernel of their own,
@@ -20,30 +20,30 @@ pub(super) struct Cut {
 /// Short stretches that are gone back through by themselves.
 pub(super) const MOST: usize = 64;
 
-impl Default for Cut {
-    fn default() -> Cut {
-        Cut { block: 256, few: 4, short: 64 }
+impl Default for SegmentLengths {
+    fn default() -> SegmentLengths {
+        SegmentLengths { block: 256, few: 4, short: 64 }
     }
 }
 
 /// What is remembered of the forward pass, and work space.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct BackwardWork {
-    pub(super) cut: Cut,
+    pub(super) cut: SegmentLengths,
     /// ē of each scalar measurement.
     pub(super) e: Vec<f64>,
-    pub(super) parts: Vec<Part>,
+    pub(super) parts: Vec<Segment>,
     /// States of the forward filter, as [`Filtered::save`] keeps them, where parts begin and within long ones.
     pub(super) marks: Vec<f64>,
     /// Those of one part, before each transition and before each measurement.
     pub(super) left: Vec<f64>,
     pub(super) before: Vec<f64>,
-    pub(super) now: Filtered,
+    pub(super) now: FilteredMoments,
     pub(super) adjoint: Adjoint,
     pub(super) settling: Settling,
     pub(super) variance: Vec<f64>,
-    pub(super) measured: MeasuredBar,
-    pub(super) moved: MovedBar,
+    pub(super) measured: MeasurementAdjoint,
+    pub(super) moved: TransitionAdjoint,
 }
 
 impl BackwardWork {
@@ -55,8 +55,8 @@ impl BackwardWork {
 
 /// Steps that are gone back through together.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Part {
-    pub(super) kind: Kind,
+pub(super) struct Segment {
+    pub(super) kind: SegmentKind,
     /// Numbers of the first step, and of the first one after.
     pub(super) steps: (usize, usize),
     /// The stretch that the first step is of, and its number there.
@@ -70,16 +70,16 @@ pub(super) struct Part {
 
 /// How.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Kind {
+pub(super) enum SegmentKind {
     /// One by one.
     Steps,
     /// A whole stretch of equal ones, summed.
     Equal(Kernel),
 }
 
-impl Part {
+impl Segment {
     /// Its steps, in order.
-    pub(super) fn steps<'a>(&self, design: &'a Design) -> std::vec::IntoIter<Step<'a>> {
+    pub(super) fn steps<'a>(&self, design: &'a Design) -> std::vec::IntoIter<DesignStep<'a>> {
         let (mut stretch, mut skip) = (self.stretch, self.skip);
         let mut steps = Vec::with_capacity(self.steps.1 - self.steps.0);
         while steps.len() < self.steps.1 - self.steps.0 {
@@ -94,9 +94,9 @@ impl Part {
 /// The way forth over a stretch, and back.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kernel {
-    pub(super) forward: Pass,
-    pub(super) backward: Pass,
+    pub(super) forward: SegmentPass,
+    pub(super) backward: SegmentPass,
 }
 
 /// One way over a part.
-pub(super) type Pass = fn(&Run<'_>, &Part, &mut BackwardWork);
+pub(super) type SegmentPass = fn(&TestRun<'_>, &Segment, &mut BackwardWork);

@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::{Cells, Fault, LawAdjoint, Replay, StartAdjoint, Unwhitened, Workspace};
-use crate::score::backward::MeasuredBar;
-use crate::score::chain::Chain;
+use crate::reduce::{Fault, GatheredCells, LawAdjoint, Replay, StartAdjoint, Unwhitened, Workspace};
+use crate::score::backward::MeasurementAdjoint;
+use crate::score::chain::Pullback;
 use crate::score::chain::gradient::Gradient;
 use crate::score::chain::groups::Groups;
 use crate::score::chain::taps::{Pending, Read};
@@ -14,7 +14,7 @@ use crate::score::chain::taps::{Pending, Read};
 /// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
 #[derive(Debug)]
 pub(crate) struct Adjoints<'a> {
-    pub(super) chain: &'a Chain<'a>,
+    pub(super) chain: &'a Pullback<'a>,
     pub(super) pending: Pending,
     pub(super) moving: Moving,
     pub(super) measuring: Measuring,
@@ -28,7 +28,7 @@ pub(super) struct Moving {
     pub(super) groups: Groups,
     /// Entries of φ, of Q.
     pub(super) entries: (usize, usize),
-    pub(super) cells: Cells,
+    pub(super) cells: GatheredCells,
     /// Sums of one group; adjoints of its coefficients.
     pub(super) sums: Vec<f64>,
     pub(super) bars: Vec<f64>,
@@ -41,18 +41,18 @@ pub(super) struct Measuring {
     pub(super) raw: Vec<f64>,
     pub(super) back: Unwhitened,
     /// Of the measurements before they were whitened.
-    pub(super) bars: MeasuredBar,
+    pub(super) bars: MeasurementAdjoint,
 }
 
 impl Moving {
-    pub(super) fn new(chain: &Chain<'_>) -> Moving {
+    pub(super) fn new(chain: &Pullback<'_>) -> Moving {
         let preparer = chain.preparer;
         let (phi, q) = preparer.plan.entries();
         let flows = preparer.plan.flow_len;
         Moving {
             groups: Groups::new(phi + q + flows, if chain.needs.inputs { flows } else { 0 }),
             entries: (phi, q),
-            cells: Cells::default(),
+            cells: GatheredCells::default(),
             sums: Vec::new(),
             bars: Vec::new(),
             flows: Vec::new(),
@@ -60,7 +60,7 @@ impl Moving {
     }
 }
 
-impl Chain<'_> {
+impl Pullback<'_> {
     /// An accumulator, for one test after the other.
     pub(crate) fn adjoints(&self) -> Adjoints<'_> {
         Adjoints {

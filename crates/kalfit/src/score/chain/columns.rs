@@ -9,7 +9,7 @@ use crate::score::backward::LaneBars;
 use crate::score::chain::adjoints::Adjoints;
 use crate::score::chain::gradient::Gradient;
 use crate::score::chain::whitened::PairBar;
-use crate::score::chain::{Chain, MeterTaps};
+use crate::score::chain::{MeterTaps, Pullback};
 
 /// The adjoints of coefficients, in lanes.
 #[derive(Debug)]
@@ -24,13 +24,13 @@ pub(crate) struct Pulled {
 }
 
 struct Pull<'a> {
-    chain: &'a Chain<'a>,
+    chain: &'a Pullback<'a>,
     block: FilteredBlock<'a>,
     back: MotionBack<'a>,
     bars: &'a LaneBars,
 }
 
-impl Chain<'_> {
+impl Pullback<'_> {
     /// From the adjoints of a block to those of the coefficients that depend on free values; those of measurements are then of the
     /// measurements as the model has them.
     pub(crate) fn pull(&self, block: FilteredBlock<'_>, tests: &[&Test], bars: &mut LaneBars) -> Pulled {

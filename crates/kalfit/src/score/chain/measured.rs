@@ -5,7 +5,7 @@ use std::ops::Range;
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::{Fault, Workspace};
-use crate::score::backward::MeasuredBar;
+use crate::score::backward::MeasurementAdjoint;
 use crate::score::chain::adjoints::{Adjoints, Measuring};
 
 impl Adjoints<'_> {
@@ -16,7 +16,7 @@ impl Adjoints<'_> {
         test: &Test,
         k: usize,
         work: &Workspace,
-        bars: &MeasuredBar,
+        bars: &MeasurementAdjoint,
     ) -> Result<(), Box<Fault>> {
         if !self.chain.needs.measurements {
             return Ok(());
@@ -38,7 +38,7 @@ impl Adjoints<'_> {
         k: usize,
         rows: Range<usize>,
         work: &Workspace,
-        bars: &MeasuredBar,
+        bars: &MeasurementAdjoint,
     ) -> Result<(), Box<Fault>> {
         let Adjoints { chain, pending, .. } = self;
         let (context, n, step) = (chain.context(), work.design.frame.n, work.dt(k));
@@ -65,7 +65,7 @@ impl Adjoints<'_> {
         k: usize,
         rows: Range<usize>,
         work: &Workspace,
-        bars: &MeasuredBar,
+        bars: &MeasurementAdjoint,
     ) -> Result<bool, Box<Fault>> {
         let Adjoints { chain, pending, measuring: Measuring { raw, back, bars: own }, .. } = self;
         let (context, meters, dt, m) = (chain.context(), &chain.preparer.meters, work.dt(k), rows.len());

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::{Evaluated, Fault, Transition, Workspace};
-use crate::score::backward::MovedBar;
+use crate::score::backward::TransitionAdjoint;
 use crate::score::chain::adjoints::{Adjoints, Moving};
 
 impl Adjoints<'_> {
@@ -16,7 +16,7 @@ impl Adjoints<'_> {
         test: &Test,
         k: usize,
         work: &Workspace,
-        bars: &MovedBar,
+        bars: &TransitionAdjoint,
     ) -> Result<(), Box<Fault>> {
         let needs = self.chain.needs;
         if !(needs.rates || needs.noise || needs.inputs) {

@@ -11,30 +11,30 @@ use std::sync::Arc;
 
 use crate::ensemble::Test;
 use crate::reduce::{Fault, Workspace};
-use crate::score::backward::{MeasuredBar, MovedBar};
+use crate::score::backward::{MeasurementAdjoint, TransitionAdjoint};
 use crate::score::chain::adjoints::Adjoints;
 use crate::score::chain::gradient::Gradient;
 
 /// Where factors stand, from and to.
-pub(crate) type Span = (u32, u32);
+pub(crate) type FactorSpan = (u32, u32);
 
 /// The answer to one adjoint of a matrix or of a list.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Entry {
+pub(crate) struct ResponseEntry {
     /// Row, or place in the list.
     pub(crate) i: usize,
     /// Column; zero in a list.
     pub(crate) j: usize,
-    pub(crate) span: Span,
+    pub(crate) span: FactorSpan,
 }
 
 /// The answers to one scalar measurement.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RowResponse {
     /// To ∂ℓ/∂R.
-    pub(crate) noise: Span,
+    pub(crate) noise: FactorSpan,
     /// To ∂ℓ/∂(z - d).
-    pub(crate) value: Span,
+    pub(crate) value: FactorSpan,
     /// To ∂ℓ/∂h: entries by state.
     pub(crate) h: Range<usize>,
 }
@@ -57,7 +57,7 @@ pub(crate) struct Response {
     pub(crate) slots: Vec<usize>,
     /// (place among the slots, factor).
     factors: Vec<(u32, f64)>,
-    entries: Vec<Entry>,
+    entries: Vec<ResponseEntry>,
     /// One for each scalar measurement of the steps that were asked about.
     pub(crate) rows: Vec<RowResponse>,
     /// One for each transition to them.
@@ -71,12 +71,12 @@ pub(crate) struct Response {
 impl Response {
     /// (place among the slots, factor) of a span.
     #[inline(always)]
-    pub(crate) fn factors(&self, (from, to): Span) -> &[(u32, f64)] {
+    pub(crate) fn factors(&self, (from, to): FactorSpan) -> &[(u32, f64)] {
         &self.factors[from as usize..to as usize]
     }
 
     #[inline(always)]
-    pub(crate) fn entries(&self, range: &Range<usize>) -> &[Entry] {
+    pub(crate) fn entries(&self, range: &Range<usize>) -> &[ResponseEntry] {
         &self.entries[range.clone()]
     }
 
@@ -150,7 +150,7 @@ impl Asking<'_, '_> {
     }
 
     /// Takes the answer to what was given to the adjoints.
-    fn answer(&mut self) -> Result<Span, Box<Fault>> {
+    fn answer(&mut self) -> Result<FactorSpan, Box<Fault>> {
         let gradient: Gradient = self.adjoints.finish(self.test, self.work)?;
         let from = self.response.factors.len() as u32;
         self.response.factors.extend(gradient.iter().map(|&(slot, factor)| (slot as u32, factor)));
@@ -161,7 +161,7 @@ impl Asking<'_, '_> {
     fn enter(&mut self, (i, j): (usize, usize)) -> Result<(), Box<Fault>> {
         let span = self.answer()?;
         if span.0 < span.1 {
-            self.response.entries.push(Entry { i, j, span });
+            self.response.entries.push(ResponseEntry { i, j, span });
         }
         Ok(())
     }
@@ -181,7 +181,7 @@ impl Asking<'_, '_> {
         let pattern = &transition.pattern;
         let zeros = |many: usize| vec![0.0; many];
         let (phi, q, input) = (zeros(transition.phi.len()), zeros(transition.q.len()), zeros(frame.driven.len()));
-        let mut bar = MovedBar { phi, q, input };
+        let mut bar = TransitionAdjoint { phi, q, input };
         let mut own = MoveResponse::default();
         own.phi.start = self.response.entries.len();
         if needs.rates {
@@ -214,7 +214,7 @@ impl Asking<'_, '_> {
         Ok(own)
     }
 
-    fn moved(&mut self, k: usize, bar: &MovedBar, at: (usize, usize)) -> Result<(), Box<Fault>> {
+    fn moved(&mut self, k: usize, bar: &TransitionAdjoint, at: (usize, usize)) -> Result<(), Box<Fault>> {
         self.adjoints.step_moved(self.test, k, self.work, bar)?;
         self.enter(at)
     }
@@ -225,8 +225,8 @@ impl Asking<'_, '_> {
         let chain = self.adjoints.chain;
         let taps = &chain.meters[self.work.instances.get(row).meter];
         let mut own = RowResponse::default();
-        let mut bar = MeasuredBar { noise: vec![0.0; many], value: vec![0.0; many], h: vec![0.0; many * n] };
-        let mut ask = |asking: &mut Self, list: fn(&mut MeasuredBar) -> &mut Vec<f64>, at: usize| {
+        let mut bar = MeasurementAdjoint { noise: vec![0.0; many], value: vec![0.0; many], h: vec![0.0; many * n] };
+        let mut ask = |asking: &mut Self, list: fn(&mut MeasurementAdjoint) -> &mut Vec<f64>, at: usize| {
             list(&mut bar)[at] = 1.0;
             let done = asking.adjoints.step_measured(asking.test, k, asking.work, &bar);
             list(&mut bar)[at] = 0.0;

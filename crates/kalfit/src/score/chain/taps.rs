@@ -2,7 +2,7 @@
 
 use crate::ensemble::Label;
 use crate::model::{Alpha, EvaluationError, Expression, Scope, Slots, Tape};
-use crate::reduce::{At, Coefficient, Fault, ReduceErrorKind, Subject, Uses};
+use crate::reduce::{Coefficient, Fault, ModelAt, ReduceErrorKind, Subject, Uses};
 use crate::score::chain::gradient::Gradient;
 
 /// A cell of the data that a coefficient reads.
@@ -42,7 +42,7 @@ pub(super) struct Taps {
 
 impl Taps {
     /// A place for the coefficient, if it depends on free values.
-    pub(super) fn add(&mut self, at: &At<'_>, coefficient: &Coefficient) -> Option<usize> {
+    pub(super) fn add(&mut self, at: &ModelAt<'_>, coefficient: &Coefficient) -> Option<usize> {
         let (expression, subject) = coefficient.source().filter(|(expression, _)| at.depends(expression))?;
         let reads = reads(expression, at.alpha);
         let start = self.cells;
@@ -89,7 +89,7 @@ pub(super) struct Pending {
     cells: Vec<u64>,
     row: Row,
     tape: Tape,
-    found: Found,
+    found: SlotSums,
 }
 
 /// A row with the cells of one coefficient.
@@ -101,14 +101,14 @@ struct Row {
 
 /// A sum by slot, of which few are touched.
 #[derive(Debug, Clone)]
-struct Found {
+struct SlotSums {
     sums: Vec<f64>,
     touched: Vec<bool>,
     slots: Vec<usize>,
 }
 
 impl Pending {
-    pub(super) fn new(taps: &Taps, at: &At<'_>, slots: &Slots) -> Pending {
+    pub(super) fn new(taps: &Taps, at: &ModelAt<'_>, slots: &Slots) -> Pending {
         let count = taps.taps.len();
         Pending {
             seeds: vec![0.0; count],
@@ -119,7 +119,7 @@ impl Pending {
                 texts: vec![Label::MISSING; at.model.text_columns.len()],
             },
             tape: Tape::default(),
-            found: Found { sums: vec![0.0; slots.len()], touched: vec![false; slots.len()], slots: Vec::new() },
+            found: SlotSums { sums: vec![0.0; slots.len()], touched: vec![false; slots.len()], slots: Vec::new() },
         }
     }
 
@@ -200,12 +200,12 @@ impl Pending {
 /// What derivatives are taken of.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Context<'a> {
-    pub(super) at: At<'a>,
+    pub(super) at: ModelAt<'a>,
     pub(super) slots: &'a Slots,
     pub(super) taps: &'a Taps,
 }
 
-impl Found {
+impl SlotSums {
     fn add(&mut self, slot: usize, x: f64) {
         if !self.touched[slot] {
             self.touched[slot] = true;

@@ -8,7 +8,7 @@ use crate::model::by_hand::{
 };
 use crate::model::{Expression, Function, Initial, Measurement, Model, Motion, Operator, Parameter, State};
 use crate::reduce::Workspace;
-use crate::score::backward::{MeasuredBar, MovedBar};
+use crate::score::backward::{MeasurementAdjoint, TransitionAdjoint};
 use crate::score::by_differences::slope;
 
 /// Measurement of columns 1, 2, …, in order.
@@ -94,14 +94,14 @@ fn functional(work: &Workspace) -> f64 {
 }
 
 fn gradient(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Gradient {
-    let chain = Chain::new(preparer, slots).expect("differentiable");
+    let chain = Pullback::new(preparer, slots).expect("differentiable");
     let mut adjoints = chain.adjoints();
     // The second time shows that nothing is left of the first.
     pass(&chain, &mut adjoints, work, test);
     pass(&chain, &mut adjoints, work, test)
 }
 
-fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: &Test) -> Gradient {
+fn pass(chain: &Pullback<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: &Test) -> Gradient {
     let design = &work.design;
     let (n, r, driven) = (design.frame.n, design.frame.r, design.frame.driven.len());
     let when = |needed: bool, bars: Vec<f64>| if needed { bars } else { Vec::new() };
@@ -111,12 +111,12 @@ fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: 
         let (first, m) = (step.rows.start, step.rows.len());
         let (noise, value) = (weights(3, first, m), weights(2, first, m));
         let h = when(chain.needs_equation(), weights(7, first * n, m * n));
-        adjoints.step_measured(test, k, work, &MeasuredBar { noise, value, h }).expect("finite");
+        adjoints.step_measured(test, k, work, &MeasurementAdjoint { noise, value, h }).expect("finite");
         if let Some(transition) = step.transition {
             let phi = when(chain.needs_motion(), weights(5, k * 100, transition.phi.len()));
             let q = when(chain.needs_noise(), weights(6, k * 100, transition.q.len()));
             let input = when(chain.needs_motion(), weights(1, moves(k) * driven, driven));
-            adjoints.step_moved(test, k, work, &MovedBar { phi, q, input }).expect("finite");
+            adjoints.step_moved(test, k, work, &TransitionAdjoint { phi, q, input }).expect("finite");
         }
     }
     let mut variance = vec![0.0; r * r];
@@ -135,7 +135,7 @@ fn pass(chain: &Chain<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: 
 
 /// The same from the answers to each adjoint.
 fn answered(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Vec<f64> {
-    let chain = Chain::new(preparer, slots).expect("differentiable");
+    let chain = Pullback::new(preparer, slots).expect("differentiable");
     let response = chain.adjoints().response((test, work), 0..work.design.steps()).expect("finite");
     let design = &work.design;
     let (n, r, driven) = (design.frame.n, design.frame.r, &design.frame.driven);
@@ -410,7 +410,7 @@ fn what_decides_rows_or_times_cannot_be_free() {
         let slots = Slots::new(model, &labels, &[test()]);
         let free = vec![true; model.parameters.len()];
         let preparer = Preparer::with_free(model, &slots.alpha(model, &GYRO), free).expect("sound");
-        let fault = Chain::new(&preparer, &slots).expect_err("refused");
+        let fault = Pullback::new(&preparer, &slots).expect_err("refused");
         fault.name(model, None).to_string()
     };
     let mut filtered = gyro();
@@ -430,10 +430,10 @@ fn an_infinite_slope_is_refused() {
     let mut values = GYRO;
     values[11] = 0.0;
     let (preparer, work) = prepared(&model, &slots, &values, &test()).expect("sound");
-    let chain = Chain::new(&preparer, &slots).expect("differentiable elsewhere");
+    let chain = Pullback::new(&preparer, &slots).expect("differentiable elsewhere");
     let mut adjoints = chain.adjoints();
     let ones = || vec![1.0; 4];
-    let bar = MeasuredBar { noise: ones(), value: ones(), h: ones() };
+    let bar = MeasurementAdjoint { noise: ones(), value: ones(), h: ones() };
     adjoints.step_measured(&test(), 0, &work, &bar).expect("waits");
     let fault = adjoints.finish(&test(), &work).expect_err("infinite");
     assert_eq!((fault.subject, fault.kind), (Subject::Noise(0), ReduceErrorKind::NotFinite));

@@ -3,7 +3,7 @@
 use crate::ensemble::Test;
 use crate::reduce::{Fault, FilteredBlock, Instance, Unwhitened};
 use crate::score::backward::LaneBars;
-use crate::score::chain::Chain;
+use crate::score::chain::Pullback;
 
 /// ∂ℓ/∂covariance of two measurements of a step.
 #[derive(Debug, Clone, Copy)]
@@ -16,7 +16,7 @@ pub(super) struct PairBar {
     pub(super) bar: f64,
 }
 
-impl Chain<'_> {
+impl Pullback<'_> {
     /// Makes the adjoints of the measurements of a block those of the measurements as the model has them; returns those of their free
     /// covariances.
     pub(super) fn unwhiten(&self, block: FilteredBlock<'_>, tests: &[&Test], bars: &mut LaneBars) -> Vec<PairBar> {

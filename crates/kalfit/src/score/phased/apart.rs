@@ -4,13 +4,13 @@ use rayon::prelude::*;
 
 use crate::reduce::ReduceError;
 use crate::score::chain::{Gradient, add};
-use crate::score::phased::together::{Ensemble, Score};
-use crate::score::phased::{PhasedScorer, Room};
+use crate::score::phased::together::{Score, ScoredEnsemble};
+use crate::score::phased::{PhasedScorer, ScoreWorkspace};
 use crate::score::smoother::Smooth;
 
 /// What is known of one test so far.
 #[derive(Debug, Default)]
-pub(super) struct Known {
+pub(super) struct TestScore {
     /// What the passes through its phases begin from.
     pub(super) phases: Vec<Smooth>,
     /// By phase; last, what goes through the carries.
@@ -19,7 +19,7 @@ pub(super) struct Known {
     error: Option<ReduceError>,
 }
 
-impl Known {
+impl TestScore {
     fn take(&mut self, at: usize, score: Result<Gradient, ReduceError>) {
         match score {
             Ok(gradient) => self.parts[at] = gradient,
@@ -40,19 +40,19 @@ impl Known {
 
 impl PhasedScorer<'_> {
     /// The scores of tests with these numbers.
-    pub(super) fn apart(&self, of: Ensemble<'_>, numbers: &[usize]) -> Vec<Score> {
-        let begin = |room: &mut Room<'_>, &number: &usize| self.begin_alone(of, number, room);
-        let mut known: Vec<Known> = numbers.par_iter().map_init(|| self.room(), begin).collect();
+    pub(super) fn apart(&self, of: ScoredEnsemble<'_>, numbers: &[usize]) -> Vec<Score> {
+        let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.begin_alone(of, number, room);
+        let mut known: Vec<TestScore> = numbers.par_iter().map_init(|| self.room(), begin).collect();
         for at in 0..self.phases.len() {
             for (place, score) in self.of_phase(at, of, numbers, &known) {
                 known[place].take(at, score.map_err(|error| self.reducer.phases()[at].named(error)));
             }
         }
-        numbers.iter().copied().zip(known.into_iter().map(Known::score)).collect()
+        numbers.iter().copied().zip(known.into_iter().map(TestScore::score)).collect()
     }
 
-    fn begin_alone(&self, of: Ensemble<'_>, number: usize, room: &mut Room<'_>) -> Known {
-        let mut known = Known { parts: vec![Gradient::new(); self.phases.len() + 1], ..Known::default() };
+    fn begin_alone(&self, of: ScoredEnsemble<'_>, number: usize, room: &mut ScoreWorkspace<'_>) -> TestScore {
+        let mut known = TestScore { parts: vec![Gradient::new(); self.phases.len() + 1], ..TestScore::default() };
         let mut begin = || {
             let phases = self.begin(of, number, &mut room.work)?;
             let carried = self.carried(&of.tests[number], &phases, room)?;
@@ -72,9 +72,9 @@ impl PhasedScorer<'_> {
     fn of_phase(
         &self,
         at: usize,
-        of: Ensemble<'_>,
+        of: ScoredEnsemble<'_>,
         numbers: &[usize],
-        known: &[Known],
+        known: &[TestScore],
     ) -> Vec<(usize, Result<Gradient, ReduceError>)> {
         let mut left = vec![true; numbers.len()];
         let mut scores = Vec::new();
@@ -83,7 +83,7 @@ impl PhasedScorer<'_> {
             scores.push((place, Ok(gradient)));
         }
         let wanted = |place: usize| known[place].error.is_none() && left[place];
-        let alone = |room: &mut Room<'_>, place: usize| {
+        let alone = |room: &mut ScoreWorkspace<'_>, place: usize| {
             let rows = self.reducer.rows_of(at, &of.tests[numbers[place]])?;
             let (scorer, smooth) = (&self.phases[at], &known[place].phases[at]);
             let ending = scorer.ending_of(smooth);

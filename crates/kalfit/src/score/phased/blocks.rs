@@ -7,24 +7,24 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::reduce::{FilteredBlock, PhasedBlocks, PhasedTest};
-use crate::score::backward::{Abreast, Ending};
+use crate::score::backward::{BatchBackward, TerminalAdjoint};
 use crate::score::chain::Gradient;
 use crate::score::moments::Moments;
-use crate::score::phased::apart::Known;
-use crate::score::phased::together::Ensemble;
-use crate::score::phased::{PhasedScorer, Room};
+use crate::score::phased::apart::TestScore;
+use crate::score::phased::together::ScoredEnsemble;
+use crate::score::phased::{PhasedScorer, ScoreWorkspace};
 use crate::score::smoother::Smooth;
-use crate::score::{Companies, Scorer};
+use crate::score::{ScoredClasses, Scorer};
 
 /// No place.
 const NONE: usize = usize::MAX;
 
 /// The test in a lane, by its place among those asked about, and what its pass begins from.
-type Lane<'a> = (usize, usize, &'a Smooth);
+type LaneStart<'a> = (usize, usize, &'a Smooth);
 
 impl PhasedScorer<'_> {
     /// The tests that have no company, where they can be kept side by side.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], companies: &Companies) -> Option<PhasedBlocks> {
+    pub(crate) fn blocks(&self, tests: &[PhasedTest], companies: &ScoredClasses) -> Option<PhasedBlocks> {
         let shared: Vec<usize> = companies.companies.iter().map(|company| company[0]).collect();
         self.reducer.blocks(tests, &companies.alone, &shared)
     }
@@ -34,9 +34,9 @@ impl PhasedScorer<'_> {
     pub(super) fn in_blocks(
         &self,
         at: usize,
-        of: Ensemble<'_>,
+        of: ScoredEnsemble<'_>,
         numbers: &[usize],
-        known: &[Known],
+        known: &[TestScore],
     ) -> Vec<(usize, Gradient)> {
         let Some(filtered) = of.filtered else { return Vec::new() };
         let (members, blocks) = filtered.phase(at);
@@ -48,8 +48,8 @@ impl PhasedScorer<'_> {
             let place = places[members[member]];
             Some((lane, place, known.get(place)?.phases.get(at)?))
         };
-        let block = |room: &mut Room<'_>, block: FilteredBlock<'_>| {
-            let own: Vec<Lane<'_>> = block.tests().filter_map(lane).collect();
+        let block = |room: &mut ScoreWorkspace<'_>, block: FilteredBlock<'_>| {
+            let own: Vec<LaneStart<'_>> = block.tests().filter_map(lane).collect();
             self.phases[at].block(at, (&own, &rows), block, room)
         };
         blocks.map_init(|| self.room(), block).flatten_iter().collect()
@@ -60,28 +60,28 @@ impl Scorer<'_> {
     fn block(
         &self,
         at: usize,
-        (own, rows): (&[Lane<'_>], &[&Test]),
+        (own, rows): (&[LaneStart<'_>], &[&Test]),
         block: FilteredBlock<'_>,
-        room: &mut Room<'_>,
+        room: &mut ScoreWorkspace<'_>,
     ) -> Vec<(usize, Gradient)> {
         let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
         let told: Vec<Moments> = own.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
-        let later: Vec<Ending> = match own.iter().any(|(.., smooth)| smooth.later.is_some()) {
+        let later: Vec<TerminalAdjoint> = match own.iter().any(|(.., smooth)| smooth.later.is_some()) {
             true => own.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
             false => Vec::new(),
         };
         // lanes of other tests are not looked at
         let mut moments: Vec<&Moments> = vec![&told[0]; block.layout.tests.len()];
         own.iter().zip(&told).for_each(|(&(lane, ..), told)| moments[lane] = told);
-        let mut endings: Vec<&Ending> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
+        let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
         own.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
         let (kept, longest, wanted) = (&block.values.kept, &block.layout.design, self.wanted());
         let (moments, endings) = (&*moments, &*endings);
-        let pass = Abreast { block: &kept.block, gained: &kept.gained, longest, moments, endings, wanted };
+        let pass = BatchBackward { block: &kept.block, gained: &kept.gained, longest, moments, endings, wanted };
         let mut bars = pass.pass();
         let pulled = self.chain.pull(block, rows, &mut bars);
         let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);
-        let score = |&(lane, place, _): &Lane<'_>| {
+        let score = |&(lane, place, _): &LaneStart<'_>| {
             Some((place, adjoints.of_lane((block, &bars, &pulled), lane, rows, work).ok()?))
         };
         own.iter().filter_map(score).collect()

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::together::Ensemble;
+use super::together::ScoredEnsemble;
 use super::*;
 use crate::ensemble::{Label, Labels, Source};
 pub(super) use crate::model::by_hand::{
@@ -169,12 +169,13 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
         let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
         let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let scores = scorer.scores(&tests, &reductions, &law, (&Companies::none(tests.len()), None)).expect("sound");
+        let scores =
+            scorer.scores(&tests, &reductions, &law, (&ScoredClasses::none(tests.len()), None)).expect("sound");
         for (j, score) in scores.iter().enumerate() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
             let (chain, whole) =
-                (Plan::new(&pieces, &laws).likelihood(&pieces, &laws), likelihood(reductions.get(j), &law));
+                (SmootherPlan::new(&pieces, &laws).likelihood(&pieces, &laws), likelihood(reductions.get(j), &law));
             assert!((chain - whole).abs() < 1e-11, "ℓ of test {j}: chain {chain}, stacked {whole}");
             for slot in 0..VALUES.len() {
                 let at = |x: f64| {
@@ -200,7 +201,7 @@ fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
     let law = law();
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let scores = scorer.scores(&tests, &reductions, &law, (&Companies::none(tests.len()), None)).expect("sound");
+    let scores = scorer.scores(&tests, &reductions, &law, (&ScoredClasses::none(tests.len()), None)).expect("sound");
     let complete = scorer.all_complete(&tests, &reductions, &law).expect("sound");
     let expected = scorer.all_expected(&tests, &complete).expect("sound").expect("it came about");
     let carried: Vec<usize> = model.phases.iter().flat_map(|phase| crate::score::carried(phase, &slots)).collect();
@@ -221,10 +222,12 @@ fn scores_have_the_same_bits_alone_and_together() {
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let together = scorer.scores(&tests, &reductions, &law(), (&Companies::none(tests.len()), None)).expect("sound");
+    let together =
+        scorer.scores(&tests, &reductions, &law(), (&ScoredClasses::none(tests.len()), None)).expect("sound");
     for j in 0..tests.len() {
-        let alone =
-            scorer.scores(&tests[j..=j], &reductions.select(&[j]), &law(), (&Companies::none(1), None)).expect("sound");
+        let alone = scorer
+            .scores(&tests[j..=j], &reductions.select(&[j]), &law(), (&ScoredClasses::none(1), None))
+            .expect("sound");
         assert_eq!(alone[0], together[j], "test {j}");
     }
 }
@@ -271,14 +274,15 @@ fn alike_tests_are_scored_as_one_by_one() {
         let companies = scorer.companies(&many);
         let sizes: Vec<usize> = companies.companies.iter().map(Vec::len).collect();
         assert_eq!((sizes, companies.alone.len()), (vec![37; 4], 4));
-        let plans = Shared::new(PLAN_BYTES);
-        let ensemble = Ensemble { tests: &many, reductions: &reductions, law: &law, plans: &plans, filtered: None };
+        let plans = SharedStore::new(PLAN_BYTES);
+        let ensemble =
+            ScoredEnsemble { tests: &many, reductions: &reductions, law: &law, plans: &plans, filtered: None };
         for company in &companies.companies {
             let found = scorer.together(ensemble, company, &mut scorer.room()).expect("sound");
             assert!(found.is_some(), "they go together");
         }
         let together = scorer.scores(&many, &reductions, &law, (&companies, None)).expect("sound");
-        let alone = scorer.scores(&many, &reductions, &law, (&Companies::none(many.len()), None)).expect("sound");
+        let alone = scorer.scores(&many, &reductions, &law, (&ScoredClasses::none(many.len()), None)).expect("sound");
         assert!(alone.iter().any(|score| score.len() > 7), "most values count");
         for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
             let of = |score: &Gradient, slot: usize| score.iter().find(|(s, _)| *s == slot).map(|(_, x)| *x);

@@ -5,10 +5,10 @@ use rayon::prelude::*;
 use crate::estimate::InitialLaw;
 use crate::reduce::{PhasedFiltered, PhasedTest, ReduceError, Reductions, same_bits};
 use crate::score::chain::{Gradient, add};
-use crate::score::company::Told;
-use crate::score::phased::{PhasedScorer, Plans, Room};
+use crate::score::classes::Told;
+use crate::score::phased::{PhasedScorer, Plans, ScoreWorkspace};
 use crate::score::smoother::Smooth;
-use crate::score::{Companies, Scorer};
+use crate::score::{ScoredClasses, Scorer};
 
 /// Tests that one thread begins at a time.
 const SHARE: usize = 64;
@@ -18,7 +18,7 @@ pub(super) type Score = (usize, Result<Gradient, ReduceError>);
 
 /// An ensemble under a law of ξ.
 #[derive(Clone, Copy)]
-pub(super) struct Ensemble<'a> {
+pub(super) struct ScoredEnsemble<'a> {
     pub(super) tests: &'a [PhasedTest],
     pub(super) reductions: &'a Reductions,
     pub(super) law: &'a InitialLaw,
@@ -28,29 +28,29 @@ pub(super) struct Ensemble<'a> {
 }
 
 /// What one test alone has of each of its phases: x̂ and r, and what goes through the carries.
-struct Begun {
+struct MemberStart {
     phases: Vec<(Vec<f64>, Vec<f64>)>,
     carried: Gradient,
 }
 
 impl PhasedScorer<'_> {
     /// Which of these tests are alike.
-    pub(crate) fn companies(&self, tests: &[PhasedTest]) -> Companies {
-        Companies::of(self.reducer, tests)
+    pub(crate) fn companies(&self, tests: &[PhasedTest]) -> ScoredClasses {
+        ScoredClasses::of(self.reducer, tests)
     }
 
     /// The scores of tests, in any order.
-    pub(super) fn in_companies(&self, of: Ensemble<'_>, companies: &Companies) -> Vec<Score> {
+    pub(super) fn in_companies(&self, of: ScoredEnsemble<'_>, companies: &ScoredClasses) -> Vec<Score> {
         // covariates move the uncertainty of the mean
         let own = of.law.is_restricted() && of.reductions.iter().any(|reduction| !reduction.covariates.is_empty());
         let none;
         let companies = if own {
-            none = Companies::none(of.tests.len());
+            none = ScoredClasses::none(of.tests.len());
             &none
         } else {
             companies
         };
-        let one = |room: &mut Room<'_>, members: &Vec<usize>| self.company(of, members, room);
+        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.company(of, members, room);
         let mut scores: Vec<Score> =
             companies.companies.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
         scores.extend(self.apart(of, &companies.alone));
@@ -58,7 +58,7 @@ impl PhasedScorer<'_> {
     }
 
     /// Alike tests; one by one where they turn out to be so in their rows alone.
-    fn company(&self, of: Ensemble<'_>, numbers: &[usize], room: &mut Room<'_>) -> Vec<Score> {
+    fn company(&self, of: ScoredEnsemble<'_>, numbers: &[usize], room: &mut ScoreWorkspace<'_>) -> Vec<Score> {
         match self.together(of, numbers, room) {
             Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
             // what is wrong is said of the test that it is wrong with
@@ -69,9 +69,9 @@ impl PhasedScorer<'_> {
     /// `None` where there is nothing to gain, or where the tests must be looked at one by one.
     pub(super) fn together(
         &self,
-        of: Ensemble<'_>,
+        of: ScoredEnsemble<'_>,
         numbers: &[usize],
-        room: &mut Room<'_>,
+        room: &mut ScoreWorkspace<'_>,
     ) -> Result<Option<Vec<Gradient>>, ReduceError> {
         let first = numbers[0];
         let like = self.begin(of, first, &mut room.work)?;
@@ -79,12 +79,12 @@ impl PhasedScorer<'_> {
             let mut room = self.room();
             numbers.iter().map(|&number| self.begun(of, (first, number), &like, &mut room)).collect::<Vec<_>>()
         };
-        let begun: Vec<Result<Option<Begun>, ReduceError>> = if numbers.len() <= SHARE {
+        let begun: Vec<Result<Option<MemberStart>, ReduceError>> = if numbers.len() <= SHARE {
             begin(numbers)
         } else {
             numbers.par_chunks(SHARE).flat_map_iter(begin).collect()
         };
-        let Some(mut begun) = begun.into_iter().collect::<Result<Option<Vec<Begun>>, ReduceError>>()? else {
+        let Some(mut begun) = begun.into_iter().collect::<Result<Option<Vec<MemberStart>>, ReduceError>>()? else {
             return Ok(None);
         };
         let mut scores: Vec<Gradient> = begun.iter_mut().map(|begun| std::mem::take(&mut begun.carried)).collect();
@@ -92,7 +92,7 @@ impl PhasedScorer<'_> {
             if self.reducer.rows_of(at, &of.tests[first]).is_none() {
                 continue;
             }
-            let told = |(&number, begun): (&usize, &mut Begun)| {
+            let told = |(&number, begun): (&usize, &mut MemberStart)| {
                 let test = self.reducer.rows_of(at, &of.tests[number]).expect("alike tests have the same phases");
                 let (mean, ending) = std::mem::take(&mut begun.phases[at]);
                 Told { test, mean, ending }
@@ -112,17 +112,17 @@ impl PhasedScorer<'_> {
     /// What a test begins with; `None` where more than that differs from the first one of its company.
     fn begun(
         &self,
-        of: Ensemble<'_>,
+        of: ScoredEnsemble<'_>,
         (first, number): (usize, usize),
         like: &[Smooth],
-        room: &mut Room<'_>,
-    ) -> Result<Option<Begun>, ReduceError> {
+        room: &mut ScoreWorkspace<'_>,
+    ) -> Result<Option<MemberStart>, ReduceError> {
         let (test, reduction) = (&of.tests[number], of.reductions.get(number));
         let alike = self.model.is_single() && !of.law.is_restricted() && !of.law.is_of_each();
         if let ([smooth], true) = (like, alike) {
             let same = same_bits(reduction.factor, of.reductions.factor(first));
             let phases = || vec![(smooth.moments.mean_of(reduction, of.law), Vec::new())];
-            return Ok(same.then(|| Begun { phases: phases(), carried: Gradient::new() }));
+            return Ok(same.then(|| MemberStart { phases: phases(), carried: Gradient::new() }));
         }
         let own = self.begin(of, number, &mut room.work)?;
         if own.len() != like.len() || !own.iter().zip(like).all(|(a, b)| a.same_design(b)) {
@@ -133,7 +133,7 @@ impl PhasedScorer<'_> {
             let ending = scorer.ending_of(&smooth).map_or(Vec::new(), |ending| ending.r);
             (smooth.moments.mean, ending)
         };
-        Ok(Some(Begun { phases: self.phases.iter().zip(own).map(phase).collect(), carried }))
+        Ok(Some(MemberStart { phases: self.phases.iter().zip(own).map(phase).collect(), carried }))
     }
 }
 

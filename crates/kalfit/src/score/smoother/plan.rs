@@ -8,7 +8,7 @@ use crate::score::smoother::{PhaseLaw, PhaseLaws, beside, inherited, terminal};
 
 /// The smoother of the tests of one design under one law.
 #[derive(Debug, Clone)]
-pub(crate) struct Plan {
+pub(crate) struct SmootherPlan {
     pub(super) phases: Vec<PhasePlan>,
     /// -½ times logarithms of determinants, and squares of the directions of the mean.
     pub(super) constant: f64,
@@ -93,43 +93,43 @@ fn parts(piece: &PhaseReduction) -> [&[f64]; 4] {
 
 /// Root of a covariance, and directions of the mean.
 #[derive(Debug, Clone)]
-struct Spread {
+struct PriorRoot {
     root: DMatrix<f64>,
     directions: DMatrix<f64>,
 }
 
 /// What phases from some one on say: R, and D of the directions of the mean.
 #[derive(Debug, Clone)]
-struct Known {
+struct LaterInformation {
     factor: DMatrix<f64>,
     columns: DMatrix<f64>,
 }
 
-impl Known {
+impl LaterInformation {
     /// Gain of the mean, and what is left of the spread.
-    fn posterior(&self, prior: &Spread) -> (DMatrix<f64>, Spread) {
+    fn posterior(&self, prior: &PriorRoot) -> (DMatrix<f64>, PriorRoot) {
         let root = posterior_root(&self.factor, &prior.root);
         let gain = &root * (root.transpose() * self.factor.transpose());
         let directions = &prior.directions + &gain * (&self.columns - &self.factor * &prior.directions);
-        (gain, Spread { root, directions })
+        (gain, PriorRoot { root, directions })
     }
 }
 
-impl Plan {
-    pub(crate) fn new(pieces: &[PhaseReduction], laws: &PhaseLaws) -> Plan {
+impl SmootherPlan {
+    pub(crate) fn new(pieces: &[PhaseReduction], laws: &PhaseLaws) -> SmootherPlan {
         let laws = &laws.laws[..pieces.len()];
         let own = |piece: &PhaseReduction| unpack(&piece.reduction.factor, piece.reduction.data.len());
         let own: Vec<DMatrix<f64>> = pieces.iter().map(own).collect();
-        let mut plan = Plan { phases: Vec::with_capacity(pieces.len()), constant: 0.0 };
+        let mut plan = SmootherPlan { phases: Vec::with_capacity(pieces.len()), constant: 0.0 };
         let (totals, links) = plan.backward(pieces, laws, &own);
         let mut prior = spread(&laws[0], own[0].ncols());
-        let mut before: Option<Spread> = None;
+        let mut before: Option<PriorRoot> = None;
         for (i, (link, own)) in links.into_iter().zip(own).enumerate() {
             if let Some(before) = &before {
                 prior = inherit(&laws[i], &pieces[i], before);
             }
             let columns = DMatrix::zeros(own.nrows(), prior.directions.ncols());
-            let (own_gain, own_spread) = Known { factor: own.clone(), columns }.posterior(&prior);
+            let (own_gain, own_spread) = LaterInformation { factor: own.clone(), columns }.posterior(&prior);
             let (gain, mut all) = totals[i].posterior(&prior);
             let kept: Vec<usize> = (0..all.root.ncols()).filter(|&c| all.root.column(c).amax() > 0.0).collect();
             all.root = all.root.select_columns(&kept);
@@ -154,10 +154,10 @@ impl Plan {
         pieces: &[PhaseReduction],
         laws: &[PhaseLaw],
         own: &[DMatrix<f64>],
-    ) -> (Vec<Known>, Vec<Option<(LinkPlan, Known)>>) {
+    ) -> (Vec<LaterInformation>, Vec<Option<(LinkPlan, LaterInformation)>>) {
         let last = pieces.len() - 1;
         let nothing = |i: usize| DMatrix::zeros(own[i].nrows(), laws[i].directions.ncols());
-        let mut totals = vec![Known { factor: own[last].clone(), columns: nothing(last) }];
+        let mut totals = vec![LaterInformation { factor: own[last].clone(), columns: nothing(last) }];
         let mut links = vec![None];
         for i in (0..last).rev() {
             let (link, later, total, lost) =
@@ -182,8 +182,8 @@ impl LinkPlan {
     fn new(
         (piece, own): (&PhaseReduction, &DMatrix<f64>),
         (next, law): (&PhaseReduction, &PhaseLaw),
-        total: &Known,
-    ) -> (LinkPlan, Known, Known, f64) {
+        total: &LaterInformation,
+    ) -> (LinkPlan, LaterInformation, LaterInformation, f64) {
         let (inherited, terminal, q) = (inherited(next), terminal(piece), total.factor.ncols());
         let prior = spread(law, q);
         let lower = whitener(&(&total.factor * &prior.root));
@@ -203,15 +203,15 @@ impl LinkPlan {
         turned.rows_mut(rows, m).copy_from(&whitened(&state_lower, &columns));
         let turned = &fold * turned;
         let left = turned.rows(rows, m).norm_squared();
-        let all = Known { factor: qr.r(), columns: turned.rows(0, rows).into_owned() };
+        let all = LaterInformation { factor: qr.r(), columns: turned.rows(0, rows).into_owned() };
         let lost = log_determinant(&lower) + log_determinant(&state_lower) + left;
-        let later = Known { factor: factor.clone(), columns };
+        let later = LaterInformation { factor: factor.clone(), columns };
         let (rho, N) = (DMatrix::zeros(0, 0), state_factor.transpose() * &state_factor);
         (LinkPlan { lower, factor, state_lower, state_factor, rho, N, fold }, later, all, lost)
     }
 
     /// ρ = R'S⁻¹(RΨ_KC - D), with D of the directions of the mean.
-    fn about(mut self, later: &Known, piece: &PhaseReduction, all: &Spread) -> LinkPlan {
+    fn about(mut self, later: &LaterInformation, piece: &PhaseReduction, all: &PriorRoot) -> LinkPlan {
         let spread = &self.factor * &terminal(piece).sensitivity;
         let rho = beside(&(&spread * &all.root), &(&spread * &all.directions - &later.columns));
         self.rho = self.state_factor.transpose() * whitened(&self.state_lower, &rho);
@@ -221,7 +221,7 @@ impl LinkPlan {
 
 impl InheritPlan {
     /// -NTP + Σ m(x + PT'm)' over the directions m of r, x those of the last state before.
-    fn new(piece: &PhaseReduction, before: &Spread, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
+    fn new(piece: &PhaseReduction, before: &PriorRoot, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
         let T = &inherited(piece).transition;
         let carried = &before.root * (T * &before.root).transpose();
         let directions = factor.transpose() * left;
@@ -232,24 +232,24 @@ impl InheritPlan {
 }
 
 /// That of a phase's own ξ, in its entering coordinates.
-fn spread(law: &PhaseLaw, q: usize) -> Spread {
-    Spread { root: PhaseLaw::entering(&law.root, q), directions: PhaseLaw::entering(&law.directions, q) }
+fn spread(law: &PhaseLaw, q: usize) -> PriorRoot {
+    PriorRoot { root: PhaseLaw::entering(&law.root, q), directions: PhaseLaw::entering(&law.directions, q) }
 }
 
 /// That of the last state of a phase, from that of its σ given it and those before.
-fn filtered(piece: &PhaseReduction, own: &Spread) -> Spread {
+fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
     let terminal = terminal(piece);
-    Spread {
+    PriorRoot {
         root: beside(&(&terminal.sensitivity * &own.root), &terminal.root),
         directions: &terminal.sensitivity * &own.directions,
     }
 }
 
 /// That of σ from the last state before.
-fn inherit(law: &PhaseLaw, piece: &PhaseReduction, before: &Spread) -> Spread {
+fn inherit(law: &PhaseLaw, piece: &PhaseReduction, before: &PriorRoot) -> PriorRoot {
     let T = &inherited(piece).transition;
     let own = spread(law, T.nrows());
-    Spread {
+    PriorRoot {
         root: compressed(&beside(&own.root, &(T * &before.root))),
         directions: own.directions + T * &before.directions,
     }

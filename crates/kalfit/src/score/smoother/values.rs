@@ -4,18 +4,18 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::PhaseReduction;
 use crate::score::moments::Moments;
-use crate::score::smoother::plan::{InheritPlan, LinkPlan, Plan};
+use crate::score::smoother::plan::{InheritPlan, LinkPlan, SmootherPlan};
 use crate::score::smoother::{InheritedBar, Later, PhaseLaws, Smooth, inherited, terminal};
 
 /// What phases from each on say of its σ (d), and what later ones say of its last state (d of those).
-struct Data {
+struct PhaseData {
     totals: Vec<DVector<f64>>,
     laters: Vec<Option<DVector<f64>>>,
     /// Squares that are left over.
     left: f64,
 }
 
-impl Plan {
+impl SmootherPlan {
     /// The moments of each phase of a test given all of it, what later phases say, and derivatives to what phases inherit.
     pub(crate) fn smooth(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> Vec<Smooth> {
         let data = self.gather(pieces, laws);
@@ -58,10 +58,10 @@ impl Plan {
         laws.laws[0].mean(self.phases[0].own.ncols(), None)
     }
 
-    fn gather(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> Data {
+    fn gather(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> PhaseData {
         let own = |piece: &PhaseReduction| DVector::from_column_slice(&piece.reduction.data);
         let last = pieces.len() - 1;
-        let mut data = Data { totals: vec![own(&pieces[last])], laters: vec![None], left: 0.0 };
+        let mut data = PhaseData { totals: vec![own(&pieces[last])], laters: vec![None], left: 0.0 };
         for i in (0..last).rev() {
             let (next, link) = (&pieces[i + 1], self.phases[i].link.as_ref().expect("a phase follows"));
             let mean = laws.laws[i + 1].mean(prior_size(next), Some(&inherited(next).input));

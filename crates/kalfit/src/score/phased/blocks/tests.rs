@@ -10,7 +10,7 @@ use crate::model::{Clock, Expression, Initial, Motion, PhasedModel, Slots};
 use crate::reduce::{Path, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, Reduction, Reductions};
 use crate::score::phased::PhasedScorer;
 use crate::score::phased::tests::*;
-use crate::score::{Companies, Gradient};
+use crate::score::{Gradient, ScoredClasses};
 
 /// A model of one phase with some of all that blocks can hold.
 fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
@@ -109,7 +109,7 @@ impl Case {
     fn blocks(&self, tests: &[PhasedTest]) -> PhasedBlocks {
         let (reducer, _) = reduced(&self.model, &self.slots, &VALUES, tests);
         let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
-        scorer.blocks(tests, &Companies::none(tests.len())).expect("some tests are in blocks")
+        scorer.blocks(tests, &ScoredClasses::none(tests.len())).expect("some tests are in blocks")
     }
 
     /// Which tests of one phase went with the others of their block.
@@ -133,7 +133,7 @@ impl Case {
             (reductions, filtered) = (own, Some(after));
         }
         let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
-        let companies = Companies::none(tests.len());
+        let companies = ScoredClasses::none(tests.len());
         let scores = scorer.scores(tests, &reductions, &self.law, (&companies, filtered.as_ref())).expect("sound");
         (reductions, scores)
     }

@@ -3,7 +3,7 @@
 
 /// P and ΨC.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Spread<const N: usize, const C: usize> {
+pub(super) struct FilterCovariance<const N: usize, const C: usize> {
     pub(super) P: [[f64; N]; N],
     pub(super) Psi: [[f64; C]; N],
 }
@@ -25,7 +25,7 @@ pub(super) struct Bars<const N: usize, const C: usize> {
 
 /// The design's part of the adjoints of the coefficients, summed over steps.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sums<const N: usize, const C: usize> {
+pub(super) struct DesignSums<const N: usize, const C: usize> {
     pub(super) noise: f64,
     pub(super) upsilon: [f64; C],
     pub(super) h: [f64; N],
@@ -35,12 +35,18 @@ pub(super) struct Sums<const N: usize, const C: usize> {
     pub(super) rho: [[f64; C]; N],
 }
 
-impl<const N: usize, const C: usize> Sums<N, C> {
-    pub(super) const ZERO: Sums<N, C> =
-        Sums { noise: 0.0, upsilon: [0.0; C], h: [0.0; N], q: [[0.0; N]; N], phi: [[0.0; N]; N], rho: [[0.0; C]; N] };
+impl<const N: usize, const C: usize> DesignSums<N, C> {
+    pub(super) const ZERO: DesignSums<N, C> = DesignSums {
+        noise: 0.0,
+        upsilon: [0.0; C],
+        h: [0.0; N],
+        q: [[0.0; N]; N],
+        phi: [[0.0; N]; N],
+        rho: [[0.0; C]; N],
+    };
 
     /// Adds so many times what others are.
-    pub(super) fn add(&mut self, many: f64, others: &Sums<N, C>) {
+    pub(super) fn add(&mut self, many: f64, others: &DesignSums<N, C>) {
         self.noise += many * others.noise;
         add(&mut self.upsilon, many, &others.upsilon);
         add(&mut self.h, many, &others.h);

@@ -1,16 +1,16 @@
 //! What the filters of tests in lanes have found, as reductions.
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::layout::Layout;
-use crate::reduce::blocks::values::Values;
+use crate::reduce::blocks::layout::BatchLayout;
+use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::Outcome;
-use crate::reduce::lanes::Room;
+use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::reducer::{About, Reducer};
 use crate::reduce::{Path, Reductions, Terminal};
 
 /// What a reduction has from its test, whatever α.
 #[derive(Debug)]
-pub(super) struct Own {
+pub(super) struct TestInfo {
     pub(super) digest: u128,
     pub(super) covariates: Vec<f64>,
     pub(super) steps: usize,
@@ -19,7 +19,7 @@ pub(super) struct Own {
 
 /// Reductions as they come.
 #[derive(Debug, Default)]
-pub(crate) struct Found {
+pub(crate) struct ReducedTests {
     pub(crate) reductions: Reductions,
     /// The number of the test of each.
     pub(crate) numbers: Vec<usize>,
@@ -29,15 +29,15 @@ pub(crate) struct Found {
     pub(crate) odd: Vec<usize>,
 }
 
-impl Values {
+impl BatchValues {
     /// Runs the filters of tests that were evaluated. `digest`: of a design.
     pub(super) fn filter(
         &mut self,
-        (layout, own): (&Layout, &[Own]),
-        (reducer, digest): (&Reducer, impl Fn(&Own) -> u128),
+        (layout, own): (&BatchLayout, &[TestInfo]),
+        (reducer, digest): (&Reducer, impl Fn(&TestInfo) -> u128),
         tests: &[&Test],
-        room: &mut Room,
-        found: &mut Found,
+        room: &mut DataWorkspace,
+        found: &mut ReducedTests,
     ) {
         self.kept.gained.with_ends = reducer.wants_ends();
         self.kept.filter(&layout.design, own.len(), room);
@@ -66,9 +66,9 @@ impl Values {
     pub(super) fn of(
         &self,
         lane: usize,
-        (layout, observations): (&Layout, usize),
+        (layout, observations): (&BatchLayout, usize),
         reducer: &Reducer,
-        room: &Room,
+        room: &DataWorkspace,
     ) -> Option<(&[f64], Outcome, Option<Terminal>)> {
         let (factor, determinant) = self.kept.gained.found[lane].as_ref().filter(|_| self.sound[lane])?;
         let outcome = self.kept.block.outcome(lane, (observations, *determinant), room);
@@ -80,7 +80,7 @@ impl Values {
     }
 
     /// Where the test in a lane ends; `None` where that calls for square-root arrays.
-    fn end(&self, lane: usize, layout: &Layout, reducer: &Reducer, room: &Room) -> Option<Terminal> {
+    fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, room: &DataWorkspace) -> Option<Terminal> {
         let states = &reducer.preparer().order.states;
         let end = self.kept.gained.end((lane, layout.lanes), states)?;
         Some(end.terminal(states, self.kept.block.last(lane, room)))

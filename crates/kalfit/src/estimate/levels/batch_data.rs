@@ -4,17 +4,17 @@ use std::ops::Range;
 
 use kalfit_lanes::{Lanes, MOST};
 
-use crate::estimate::levels::companies::Company;
-use crate::estimate::levels::design::{Design, Leaf, Member, Node};
+use crate::estimate::levels::batches::UnitBatch;
+use crate::estimate::levels::design::{Leaf, UnitDesign, UnitGroup, UnitTest};
 use crate::estimate::levels::units::Units;
 use crate::linalg::rows::Rows;
 
 /// What is known of some units.
-pub(super) struct Bundle<'a, T> {
+pub(super) struct BatchData<'a, T> {
     /// The groups, those of inner levels before those that they stand in; the last one is the unit.
-    pub(super) groups: &'a [Node],
+    pub(super) groups: &'a [UnitGroup],
     /// Of each test the number of its leaf among these, and its group.
-    pub(super) tests: Vec<Member>,
+    pub(super) tests: Vec<UnitTest>,
     pub(super) leaves: Vec<Leaf<T>>,
     /// d of the tests from the centre on: of each test p rows of a number for each column.
     pub(super) data: Vec<Rows<T>>,
@@ -22,9 +22,9 @@ pub(super) struct Bundle<'a, T> {
     pub(super) columns: usize,
 }
 
-impl<'a> Bundle<'a, f64> {
+impl<'a> BatchData<'a, f64> {
     /// Some units of a design, a column each.
-    pub(super) fn alike(units: &Units, design: &'a Design, some: Range<usize>) -> Bundle<'a, f64> {
+    pub(super) fn alike(units: &Units, design: &'a UnitDesign, some: Range<usize>) -> BatchData<'a, f64> {
         let mut leaves: Vec<Leaf> = Vec::new();
         let mut last = None;
         let tests = design.tests.iter().map(|member| {
@@ -33,16 +33,16 @@ impl<'a> Bundle<'a, f64> {
                 leaves.push(units.leaves[member.leaf].clone());
                 last = Some(member.leaf);
             }
-            Member { leaf: leaves.len() - 1, group: member.group }
+            UnitTest { leaf: leaves.len() - 1, group: member.group }
         });
         let columns = some.len();
         let of = |data: &Rows| Rows::from_fn(data.nrows(), columns, |i, at| data[(i, some.start + at)]);
         let tests = tests.collect();
-        Bundle { groups: &design.groups, tests, leaves, data: design.data.iter().map(of).collect(), columns }
+        BatchData { groups: &design.groups, tests, leaves, data: design.data.iter().map(of).collect(), columns }
     }
 }
 
-impl<T> Bundle<'_, T> {
+impl<T> BatchData<'_, T> {
     /// Whether a group is another one, or stands in it.
     pub(super) fn stands_in(&self, mut group: usize, other: usize) -> bool {
         while group != other && self.groups[group].parent != group {
@@ -52,10 +52,10 @@ impl<T> Bundle<'_, T> {
     }
 }
 
-impl<'a, T: Lanes> Bundle<'a, T> {
+impl<'a, T: Lanes> BatchData<'a, T> {
     /// The units of a company, a lane each. Lanes without a unit, and tests that a unit does not have, hold zeros: they add nothing.
     #[inline(always)]
-    pub(super) fn abreast(units: &Units, company: &'a Company) -> Bundle<'a, T> {
+    pub(super) fn abreast(units: &Units, company: &'a UnitBatch) -> BatchData<'a, T> {
         let p = units.states;
         let (mut tests, mut leaves, mut data) = (Vec::new(), Vec::new(), Vec::new());
         for (test, &group) in company.tests.iter().enumerate() {
@@ -66,7 +66,7 @@ impl<'a, T: Lanes> Bundle<'a, T> {
                     *found = Some((&units.leaves[design.tests[number].leaf], &design.data[number], lane.unit));
                 }
             }
-            tests.push(Member { leaf: test, group });
+            tests.push(UnitTest { leaf: test, group });
             leaves.push(side_by_side(&found, p));
             let mut own = Rows::zeros(p, 1);
             for i in 0..p {
@@ -78,15 +78,15 @@ impl<'a, T: Lanes> Bundle<'a, T> {
             }
             data.push(own);
         }
-        Bundle { groups: &company.groups, tests, leaves, data, columns: 1 }
+        BatchData { groups: &company.groups, tests, leaves, data, columns: 1 }
     }
 }
 
 /// A test in each lane: its leaf, its data, and its column there.
-type Found<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
+type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
 
 #[inline(always)]
-fn side_by_side<T: Lanes>(found: &Found<'_>, p: usize) -> Leaf<T> {
+fn side_by_side<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
     let regressors = found.iter().flatten().next().map_or(0, |(leaf, ..)| leaf.covariates.len());
     let mut leaf = Leaf { factor: Rows::zeros(p, p), covariates: Vec::with_capacity(regressors) };
     for i in 0..p {
@@ -110,7 +110,7 @@ fn side_by_side<T: Lanes>(found: &Found<'_>, p: usize) -> Leaf<T> {
 
 /// A number of each test, zero where there is none.
 #[inline(always)]
-fn in_lanes<T: Lanes>(found: &Found<'_>, number: impl Fn(&(&Leaf, &Rows, usize)) -> f64) -> T {
+fn in_lanes<T: Lanes>(found: &TestLanes<'_>, number: impl Fn(&(&Leaf, &Rows, usize)) -> f64) -> T {
     let mut all = [0.0; MOST];
     for (to, test) in all.iter_mut().zip(found) {
         if let Some(test) = test {

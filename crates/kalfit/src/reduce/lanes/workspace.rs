@@ -4,7 +4,7 @@ use crate::reduce::data::Outcome;
 
 /// Work space of a pass over a block or a test by itself, and what it finds. All in lanes.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Room {
+pub(crate) struct DataWorkspace {
     /// x̂ of the last step of each test.
     pub(crate) x: Vec<f64>,
     /// The innovations, in order.
@@ -20,7 +20,7 @@ pub(crate) struct Room {
     pub(super) is_refined: Vec<bool>,
 }
 
-impl Room {
+impl DataWorkspace {
     /// What was found in one of so many lanes, for `active` measurements with this Σ log S.
     pub(crate) fn outcome(&self, (lane, lanes): (usize, usize), active: usize, log_determinant: f64) -> Outcome {
         let data = if self.is_refined[lane] { &self.refined } else { &self.d };

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::reduce::{Alike, Evidence, PhasedReducer, PhasedTest};
+use crate::reduce::{EqualDesigns, Evidence, PhasedReducer, PhasedTest};
 
 /// Fewer tests than these are not worth a company,
 const FEWEST: usize = 16;
@@ -14,7 +14,7 @@ const EQUAL: usize = 16;
 
 /// The tests of an ensemble by whose company they are in. It depends on the ensemble, not on the order of its tests.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Companies {
+pub(crate) struct ScoredClasses {
     /// Numbers of the tests of each, ascending.
     pub(crate) companies: Vec<Vec<usize>>,
     /// Which of these are of long records in equal steps.
@@ -23,14 +23,14 @@ pub(crate) struct Companies {
     pub(crate) alone: Vec<usize>,
 }
 
-impl Companies {
+impl ScoredClasses {
     /// Of tests that differ in nothing but what was measured.
-    pub(crate) fn of(reducer: &PhasedReducer, tests: &[PhasedTest]) -> Companies {
+    pub(crate) fn of(reducer: &PhasedReducer, tests: &[PhasedTest]) -> ScoredClasses {
         let phases = reducer.phases().len();
         let Some(looks) =
             reducer.phases().iter().map(|phase| phase.reducer.preparer().looks.as_ref()).collect::<Option<Vec<_>>>()
         else {
-            return Companies::none(tests.len());
+            return ScoredClasses::none(tests.len());
         };
         let hash = |test: &PhasedTest| {
             let of = |at: usize| reducer.rows_of(at, test).map(|rows| looks[at].hash(rows, true));
@@ -43,7 +43,7 @@ impl Companies {
             let of = |at: usize| reducer.rows_of(at, &tests[number]).map(|rows| looks[at].likeness(rows));
             (0..phases).map(of).collect::<Vec<_>>()
         };
-        let mut found = Companies::default();
+        let mut found = ScoredClasses::default();
         for mut left in known.into_values() {
             // tests of one hash are alike, but for chance
             let long = left.len() > 1 && is_long(reducer, &tests[left[0]]);
@@ -67,18 +67,20 @@ impl Companies {
     }
 
     /// Tests of long records that are alike.
-    pub(crate) fn long(&self, tests: &[PhasedTest]) -> Alike {
+    pub(crate) fn long(&self, tests: &[PhasedTest]) -> EqualDesigns {
         let rows = |&number: &usize| match tests[number].phases.first() {
             Some(Evidence::Rows(rows)) => Some(&rows.id),
             _ => None,
         };
         let ids = |company: &Vec<usize>| company.iter().filter_map(rows).collect();
-        Alike::new(self.companies.iter().zip(&self.long).filter(|(_, long)| **long).map(|(company, _)| ids(company)))
+        EqualDesigns::new(
+            self.companies.iter().zip(&self.long).filter(|(_, long)| **long).map(|(company, _)| ids(company)),
+        )
     }
 
     /// All of so many tests by themselves.
-    pub(crate) fn none(tests: usize) -> Companies {
-        Companies { companies: Vec::new(), long: Vec::new(), alone: (0..tests).collect() }
+    pub(crate) fn none(tests: usize) -> ScoredClasses {
+        ScoredClasses { companies: Vec::new(), long: Vec::new(), alone: (0..tests).collect() }
     }
 }
 

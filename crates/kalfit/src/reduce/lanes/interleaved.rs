@@ -3,17 +3,17 @@
 use kalfit_lanes::Lanes;
 
 use crate::reduce::design::{Design, Transition};
-use crate::reduce::lanes::Block;
-use crate::reduce::lanes::designs::{Gained, transition};
+use crate::reduce::lanes::DataBlock;
+use crate::reduce::lanes::designs::{DesignBatch, transition};
 use crate::reduce::lanes::numbers::{Numbers, at};
 
 /// A test in each lane. Where one is shorter than the longest it goes on with measurements that say nothing, and transitions that
 /// forget everything.
 #[derive(Debug)]
-pub(crate) struct Woven<'a, T> {
+pub(crate) struct Interleaved<'a, T> {
     /// Of the longest: its numbers do not count.
     pub(crate) shape: &'a Design,
-    gained: &'a Gained,
+    gained: &'a DesignBatch,
     pub(crate) variance: Vec<T>,
     h: Vec<T>,
     noise: Vec<T>,
@@ -25,7 +25,7 @@ pub(crate) struct Woven<'a, T> {
     sizes: (usize, usize),
 }
 
-impl<T: Lanes> Woven<'_, T> {
+impl<T: Lanes> Interleaved<'_, T> {
     /// (states, h, R) of a line.
     #[inline(always)]
     pub(crate) fn line(&self, line: usize) -> (&[u32], &[T], T) {
@@ -59,10 +59,10 @@ impl<T: Lanes> Woven<'_, T> {
     }
 }
 
-impl Block {
+impl DataBlock {
     /// The tests of the block, after [`Block::filter`] into `gained`; `longest` as there.
     #[inline(always)]
-    pub(crate) fn woven<'a, T: Lanes>(&self, longest: &'a Design, gained: &'a Gained) -> Woven<'a, T> {
+    pub(crate) fn woven<'a, T: Lanes>(&self, longest: &'a Design, gained: &'a DesignBatch) -> Interleaved<'a, T> {
         let side = self.side();
         let (r, p) = (longest.frame.r, longest.frame.p);
         let mut gains: Vec<T> = Vec::with_capacity(longest.rows() * (1 + r + p));
@@ -76,7 +76,7 @@ impl Block {
         }
         let (start, inputs, values) = (all(side.start), all(side.inputs), all(side.values));
         let (variance, h, noise) = (all(&gained.variance), all(&gained.h), all(&gained.noise));
-        Woven { shape: longest, gained, variance, h, noise, start, inputs, values, gains, sizes: (r, p) }
+        Interleaved { shape: longest, gained, variance, h, noise, start, inputs, values, gains, sizes: (r, p) }
     }
 }
 

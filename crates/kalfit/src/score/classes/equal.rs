@@ -6,7 +6,7 @@ use crate::reduce::at;
 use crate::score::backward::{DataSums, Equal};
 
 /// Back over them, from r after them to r before them.
-pub(super) struct Back<'a, T, const N: usize> {
+pub(super) struct EqualDataBackward<'a, T, const N: usize> {
     pub(super) leg: &'a Equal<'a>,
     /// x̄ of all states before them.
     pub(super) first: &'a [T],
@@ -16,12 +16,12 @@ pub(super) struct Back<'a, T, const N: usize> {
     pub(super) r: &'a mut [T],
 }
 
-impl<T: Lanes, const N: usize> Part for Back<'_, T, N> {
+impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
     type Output = DataSums<T, N>;
 
     #[inline(always)]
     fn run(self) -> DataSums<T, N> {
-        let Back { leg, first, marks, e, r: all } = self;
+        let EqualDataBackward { leg, first, marks, e, r: all } = self;
         let adjoint = leg.data_adjoint::<T, N>(first);
         let mut r = known(all);
         let (mut answers, mut xs) = (DataSums::none(), Vec::new());

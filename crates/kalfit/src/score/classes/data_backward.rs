@@ -9,14 +9,14 @@
 use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::ensemble::Test;
-use crate::reduce::{Design, Gains, Scan, Step, Transition, at, with_states};
-use crate::score::backward::{DataSums, Equal, Leg, Legs, Wanted};
-use crate::score::chain::{Entry, Response};
-use crate::score::company::equal::Back;
+use crate::reduce::{Design, DesignStep, Gains, Scan, Transition, at, with_states};
+use crate::score::backward::{AdjointsWanted, DataSums, Equal, Leg, Legs};
+use crate::score::chain::{Response, ResponseEntry};
+use crate::score::classes::equal::EqualDataBackward;
 
 /// What tests share.
 #[derive(Debug)]
-pub(super) struct Shared<'a> {
+pub(super) struct ClassShared<'a> {
     pub(super) design: &'a Design,
     pub(super) gains: &'a Gains,
     pub(super) start: &'a [f64],
@@ -24,7 +24,7 @@ pub(super) struct Shared<'a> {
     /// Cell and d of each scalar measurement.
     pub(super) cells: &'a [(usize, f64)],
     pub(super) legs: &'a Legs<'a>,
-    pub(super) wanted: Wanted,
+    pub(super) wanted: AdjointsWanted,
     /// Of the steps that stand for all.
     pub(super) response: &'a Response,
 }
@@ -40,19 +40,19 @@ pub(crate) struct Told<'a> {
 }
 
 /// Σ factor × adjoint of each test: as many numbers as slots answer, one test after the other.
-pub(super) struct Abreast<'a> {
-    pub(super) shared: &'a Shared<'a>,
+pub(super) struct DataBackward<'a> {
+    pub(super) shared: &'a ClassShared<'a>,
     pub(super) tests: &'a [Told<'a>],
 }
 
-impl Kernel for Abreast<'_> {
+impl Kernel for DataBackward<'_> {
     type Output = Vec<f64>;
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<f64> {
         let slots = self.shared.response.slots.len();
         let mut found = vec![0.0; self.tests.len() * slots];
-        let mut pass = Pass::<T>::new(self.shared);
+        let mut pass = DataBackwardPass::<T>::new(self.shared);
         let mut lanes = [0.0; MOST];
         for (tests, found) in self.tests.chunks(T::COUNT).zip(found.chunks_mut((T::COUNT * slots).max(1))) {
             pass.forth(self.shared, tests);
@@ -69,7 +69,7 @@ impl Kernel for Abreast<'_> {
 }
 
 /// A block of tests on its way.
-struct Pass<T> {
+struct DataBackwardPass<T> {
     /// x̄ on the way forth, r on the way back.
     x: Vec<T>,
     moved: Vec<T>,
@@ -86,7 +86,7 @@ struct Pass<T> {
 
 /// Numbers of the measurement and the transition that come next, among those of the steps that stand for all.
 #[derive(Debug, Clone, Copy, Default)]
-struct Standing {
+struct Cursor {
     row: usize,
     transition: usize,
 }
@@ -101,11 +101,11 @@ fn each<T: Lanes>(tests: &[Told<'_>], mut number: impl FnMut(&Told<'_>) -> f64) 
     T::load(&lanes)
 }
 
-impl<T: Lanes> Pass<T> {
-    fn new(shared: &Shared<'_>) -> Pass<T> {
+impl<T: Lanes> DataBackwardPass<T> {
+    fn new(shared: &ClassShared<'_>) -> DataBackwardPass<T> {
         let (zero, n, response) = (T::splat(0.0), shared.design.frame.n, shared.response);
         let wanted = |is: bool, many: usize| if is { many * n } else { 0 };
-        Pass {
+        DataBackwardPass {
             x: vec![zero; n],
             moved: vec![zero; n],
             e: vec![0.0; shared.cells.len() * T::COUNT],
@@ -118,7 +118,7 @@ impl<T: Lanes> Pass<T> {
 
     /// x_0 = a + Ax̂ and the filter from there.
     #[inline(always)]
-    fn forth(&mut self, shared: &Shared<'_>, tests: &[Told<'_>]) {
+    fn forth(&mut self, shared: &ClassShared<'_>, tests: &[Told<'_>]) {
         let frame = &*shared.design.frame;
         let (n, p) = (frame.n, frame.p);
         for i in 0..n {
@@ -140,7 +140,7 @@ impl<T: Lanes> Pass<T> {
             }
         }
         self.marks.clear();
-        let (mut at, mut input) = (Standing::default(), 0);
+        let (mut at, mut input) = (Cursor::default(), 0);
         for leg in &shared.legs.legs {
             match leg {
                 Leg::Steps(steps) => {
@@ -158,7 +158,7 @@ impl<T: Lanes> Pass<T> {
     }
 
     #[inline(always)]
-    fn step_forth(&mut self, shared: &Shared<'_>, step: &Step<'_>, (now, input): (&mut Standing, &mut usize)) {
+    fn step_forth(&mut self, shared: &ClassShared<'_>, step: &DesignStep<'_>, (now, input): (&mut Cursor, &mut usize)) {
         let frame = &*shared.design.frame;
         let (n, r) = (frame.n, frame.r);
         if let Some(transition) = step.transition {
@@ -190,8 +190,8 @@ impl<T: Lanes> Pass<T> {
     }
 
     #[inline(always)]
-    fn equal_forth(&mut self, shared: &Shared<'_>, leg: &Equal<'_>) {
-        let Pass { x, e, marks, .. } = self;
+    fn equal_forth(&mut self, shared: &ClassShared<'_>, leg: &Equal<'_>) {
+        let DataBackwardPass { x, e, marks, .. } = self;
         marks.extend_from_slice(x);
         let (stretch, gains) = (&leg.stretch, (shared.gains, leg.piece));
         let e = &mut e[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
@@ -216,7 +216,7 @@ impl<T: Lanes> Pass<T> {
 
     /// From what later phases say of the last state back to x_0.
     #[inline(always)]
-    fn back(&mut self, shared: &Shared<'_>, tests: &[Told<'_>]) {
+    fn back(&mut self, shared: &ClassShared<'_>, tests: &[Told<'_>]) {
         for i in 0..self.x.len() {
             self.x[i] = each::<T>(tests, |own| own.ending.get(i).copied().unwrap_or(0.0));
         }
@@ -224,7 +224,7 @@ impl<T: Lanes> Pass<T> {
             *sum = T::splat(0.0);
         }
         let response = shared.response;
-        let mut at = Standing { row: response.rows.len(), transition: response.moves.len() };
+        let mut at = Cursor { row: response.rows.len(), transition: response.moves.len() };
         for leg in shared.legs.legs.iter().rev() {
             match leg {
                 Leg::Steps(steps) => {
@@ -248,7 +248,7 @@ impl<T: Lanes> Pass<T> {
     }
 
     #[inline(always)]
-    fn step_back(&mut self, shared: &Shared<'_>, step: &Step<'_>, at: &mut Standing) {
+    fn step_back(&mut self, shared: &ClassShared<'_>, step: &DesignStep<'_>, at: &mut Cursor) {
         for (line, row) in step.lines.clone().zip(step.rows.clone()).rev() {
             at.row -= 1;
             self.measured(shared, (line, row), at.row);
@@ -260,15 +260,15 @@ impl<T: Lanes> Pass<T> {
     }
 
     #[inline(always)]
-    fn equal_back(&mut self, shared: &Shared<'_>, leg: &Equal<'_>, at: Standing) {
+    fn equal_back(&mut self, shared: &ClassShared<'_>, leg: &Equal<'_>, at: Cursor) {
         let (n, states) = (self.x.len(), leg.states);
         let start = self.marks.len() - n - leg.blocks().count() * states;
-        let Pass { x: r, e, marks, .. } = &mut *self;
+        let DataBackwardPass { x: r, e, marks, .. } = &mut *self;
         let (first, marks) = marks[start..].split_at(n);
         let first = first.to_vec();
         let e = &e[leg.stretch.rows.start * T::COUNT..leg.stretch.rows.end * T::COUNT];
         with_states!(states, N => {
-            let answers = T::apart(Back::<T, N> { leg, first: &first, marks, e, r });
+            let answers = T::apart(EqualDataBackward::<T, N> { leg, first: &first, marks, e, r });
             self.answered(shared, leg, (at, &first), &answers);
         });
         self.marks.truncate(start);
@@ -278,9 +278,9 @@ impl<T: Lanes> Pass<T> {
     #[inline(always)]
     fn answered<const N: usize>(
         &mut self,
-        shared: &Shared<'_>,
+        shared: &ClassShared<'_>,
         leg: &Equal<'_>,
-        (at, first): (Standing, &[T]),
+        (at, first): (Cursor, &[T]),
         answers: &DataSums<T, N>,
     ) {
         let (response, half) = (shared.response, T::splat(0.5));
@@ -313,7 +313,7 @@ impl<T: Lanes> Pass<T> {
 
     /// A scalar measurement on its way back.
     #[inline(always)]
-    fn measured(&mut self, shared: &Shared<'_>, (line, row): (usize, usize), standing: usize) {
+    fn measured(&mut self, shared: &ClassShared<'_>, (line, row): (usize, usize), standing: usize) {
         let (weight, K, _) = shared.gains.row(row);
         if weight == 0.0 {
             return; // it can only be what it is
@@ -339,7 +339,7 @@ impl<T: Lanes> Pass<T> {
 
     /// A transition on its way back.
     #[inline(always)]
-    fn moved(&mut self, shared: &Shared<'_>, transition: &Transition, number: usize) {
+    fn moved(&mut self, shared: &ClassShared<'_>, transition: &Transition, number: usize) {
         let (response, own) = (shared.response, &shared.response.moves[number]);
         let (n, r, pattern) = (self.x.len(), shared.design.frame.r, &transition.pattern);
         for entry in response.entries(&own.input) {
@@ -379,7 +379,7 @@ impl<T: Lanes> Pass<T> {
     }
 
     #[inline(always)]
-    fn add(&mut self, response: &Response, entry: &Entry, bar: T) {
+    fn add(&mut self, response: &Response, entry: &ResponseEntry, bar: T) {
         self.add_span(response, entry.span, bar);
     }
 

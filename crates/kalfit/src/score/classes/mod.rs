@@ -10,22 +10,22 @@
 //!              └─ their data, in lanes ── u, r ── factors ──> the data's part
 //! ```
 
-mod abreast;
 mod alike;
+mod data_backward;
 mod equal;
 
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::reduce::{Design, Fault, Gains, ReduceError, Workspace};
-use crate::score::backward::{BackwardWork, Ending, Run, Wanted};
+use crate::score::backward::{AdjointsWanted, BackwardWork, TerminalAdjoint, TestRun};
 use crate::score::chain::{Adjoints, Gradient, add};
 use crate::score::moments::Moments;
 use crate::score::{Onward, Scorer};
-use abreast::{Abreast, Shared};
+use data_backward::{ClassShared, DataBackward};
 
-pub(crate) use abreast::Told;
-pub(crate) use alike::Companies;
+pub(crate) use alike::ScoredClasses;
+pub(crate) use data_backward::Told;
 
 /// Numbers that one test passes through one by one and that are remembered: no more than these.
 const MOST_NUMBERS: usize = 1 << 16;
@@ -42,7 +42,7 @@ impl Scorer<'_> {
     pub(crate) fn company(
         &self,
         tests: &[Told<'_>],
-        shared: (&Moments, Option<&Ending>),
+        shared: (&Moments, Option<&TerminalAdjoint>),
         (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Option<Vec<Gradient>>, ReduceError> {
         let wanted = self.wanted();
@@ -61,7 +61,7 @@ impl Scorer<'_> {
             let response = adjoints.response((first, work), standing.into_iter())?;
             run.forward(backward, &mut Onward { adjoints, test: first, work });
             let legs = run.legs(backward);
-            let shared = Shared {
+            let shared = ClassShared {
                 design: &work.design,
                 gains,
                 start: &work.data.start,
@@ -84,7 +84,7 @@ impl Scorer<'_> {
 }
 
 /// Whether what is remembered of the pass has room.
-fn is_small(design: &Design, standing: &[usize], wanted: Wanted) -> bool {
+fn is_small(design: &Design, standing: &[usize], wanted: AdjointsWanted) -> bool {
     let rows: usize = standing.iter().map(|&k| design.step(k).rows.len()).sum();
     let many = usize::from(wanted.motion) * standing.len() + usize::from(wanted.equation) * rows;
     let (n, r) = (design.frame.n, design.frame.r);
@@ -97,32 +97,32 @@ struct Blank {
     inputs: Vec<f64>,
     values: Vec<f64>,
     moments: Moments,
-    ending: Option<Ending>,
+    ending: Option<TerminalAdjoint>,
 }
 
 impl Blank {
-    fn new(work: &Workspace, (moments, ending): (&Moments, Option<&Ending>)) -> Blank {
+    fn new(work: &Workspace, (moments, ending): (&Moments, Option<&TerminalAdjoint>)) -> Blank {
         let zeros = |like: &[f64]| vec![0.0; like.len()];
         Blank {
             start: zeros(&work.data.start),
             inputs: zeros(&work.data.inputs),
             values: zeros(&work.data.values),
             moments: Moments { mean: zeros(&moments.mean), ..moments.clone() },
-            ending: ending.map(|ending| Ending { r: zeros(&ending.r), ..ending.clone() }),
+            ending: ending.map(|ending| TerminalAdjoint { r: zeros(&ending.r), ..ending.clone() }),
         }
     }
 
-    fn run<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: Wanted) -> Run<'a> {
+    fn run<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: AdjointsWanted) -> TestRun<'a> {
         let Blank { start, inputs, values, moments, ending } = self;
-        Run { design, gains, start, inputs, values, blank: true, moments, ending: ending.as_ref(), wanted }
+        TestRun { design, gains, start, inputs, values, blank: true, moments, ending: ending.as_ref(), wanted }
     }
 }
 
 /// The data's part of each test.
-fn of_data(shared: &Shared<'_>, tests: &[Told<'_>]) -> Vec<Gradient> {
+fn of_data(shared: &ClassShared<'_>, tests: &[Told<'_>]) -> Vec<Gradient> {
     let slots = &shared.response.slots;
     let share = |tests: &[Told<'_>]| {
-        let found = Isa::best().run(Abreast { shared, tests });
+        let found = Isa::best().run(DataBackward { shared, tests });
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };

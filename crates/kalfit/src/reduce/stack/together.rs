@@ -4,7 +4,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
 use nalgebra::DMatrix;
 
 use crate::reduce::root::UNINFORMED;
-use crate::reduce::stack::join::{Room, apart};
+use crate::reduce::stack::join::{JoinWorkspace, apart};
 use crate::reduce::stack::{StackPhase, constant, given, half_log_determinants, links, settle_packed};
 
 /// The phases of one test stacked.
@@ -20,15 +20,15 @@ pub(crate) struct Stacked {
 }
 
 /// Stacks phases of tests of one shape.
-pub(super) struct Abreast<'a>(pub(super) &'a [&'a [StackPhase<'a>]]);
+pub(super) struct StackKernel<'a>(pub(super) &'a [&'a [StackPhase<'a>]]);
 
-impl Kernel for Abreast<'_> {
+impl Kernel for StackKernel<'_> {
     type Output = Vec<Stacked>;
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Vec<Stacked> {
         let mut all = Vec::with_capacity(self.0.len());
-        let mut room = (Room::default(), Vec::new());
+        let mut room = (JoinWorkspace::default(), Vec::new());
         for tests in self.0.chunks(T::COUNT) {
             if tests.len() == 1 {
                 stack_abreast::<f64>(tests, &mut Default::default(), &mut all);
@@ -44,7 +44,7 @@ impl Kernel for Abreast<'_> {
 #[inline(always)]
 fn stack_abreast<T: Lanes>(
     tests: &[&[StackPhase<'_>]],
-    (room, memory): &mut (Room<T>, Vec<T>),
+    (room, memory): &mut (JoinWorkspace<T>, Vec<T>),
     all: &mut Vec<Stacked>,
 ) {
     let phases = given::<T>(tests);
@@ -78,6 +78,6 @@ fn stack_abreast<T: Lanes>(
 impl Stacked {
     /// Stacks the phases of tests of one shape. Each comes to the bits that it has by itself.
     pub(crate) fn all(tests: &[&[StackPhase<'_>]]) -> Vec<Stacked> {
-        Isa::best().run(Abreast(tests))
+        Isa::best().run(StackKernel(tests))
     }
 }

@@ -2,23 +2,23 @@
 
 use kalfit_lanes::{Isa, MOST};
 
-use crate::estimate::levels::design::{Design, Node};
+use crate::estimate::levels::design::{UnitDesign, UnitGroup};
 
 /// As many units as the machine has lanes, or fewer, laid out alike: where a unit has fewer groups or tests than another, an empty one
 /// stands, of which nothing is said.
 #[derive(Debug, Clone)]
-pub(super) struct Company {
+pub(super) struct UnitBatch {
     /// The groups, those of inner levels before those that they stand in; the last one is the unit.
-    pub(super) groups: Vec<Node>,
+    pub(super) groups: Vec<UnitGroup>,
     /// The group of each test.
     pub(super) tests: Vec<usize>,
     /// The units in the lanes.
-    pub(super) lanes: Vec<Lane>,
+    pub(super) lanes: Vec<UnitInLane>,
 }
 
 /// A unit in a lane.
 #[derive(Debug, Clone)]
-pub(super) struct Lane {
+pub(super) struct UnitInLane {
     /// The number of its design, and which of the units of the design it is.
     pub(super) design: usize,
     pub(super) unit: usize,
@@ -28,19 +28,19 @@ pub(super) struct Lane {
 
 /// Companies of the units whose design too few others have. How many share one lane by lane depends on the machine; the rest on the
 /// tests alone.
-pub(super) fn companies(designs: &[Design]) -> Vec<Company> {
+pub(super) fn companies(designs: &[UnitDesign]) -> Vec<UnitBatch> {
     let isa = Isa::best();
-    let few = |(number, design): (usize, &Design)| {
+    let few = |(number, design): (usize, &UnitDesign)| {
         let units = if design.is_shared() { 0 } else { design.units.len() };
-        let shape = Shape::of(design, &design.contents(), design.groups.len() - 1);
+        let shape = UnitShape::of(design, &design.contents(), design.groups.len() - 1);
         (0..units).map(move |unit| (shape.clone(), number, unit)).collect::<Vec<_>>()
     };
-    let mut units: Vec<(Shape, usize, usize)> = designs.iter().enumerate().flat_map(few).collect();
+    let mut units: Vec<(UnitShape, usize, usize)> = designs.iter().enumerate().flat_map(few).collect();
     units.sort_by_cached_key(|(shape, design, unit)| (shape.size(), shape.signature(), *design, *unit));
-    units.chunks(isa.lanes().min(MOST)).map(|units| Company::of(units, designs)).collect()
+    units.chunks(isa.lanes().min(MOST)).map(|units| UnitBatch::of(units, designs)).collect()
 }
 
-impl Design {
+impl UnitDesign {
     /// So many units have the design that their matrices, worked out once, are cheaper than side by side.
     pub(super) fn is_shared(&self) -> bool {
         self.units.len() >= Isa::best().lanes()
@@ -66,31 +66,31 @@ struct Contents {
 
 /// How many groups and tests stand in a group.
 #[derive(Debug, Clone)]
-struct Shape {
+struct UnitShape {
     level: usize,
     tests: usize,
-    inner: Vec<Shape>,
+    inner: Vec<UnitShape>,
 }
 
-impl Shape {
-    fn of(design: &Design, contents: &[Contents], group: usize) -> Shape {
-        let inner = contents[group].inner.iter().map(|&inner| Shape::of(design, contents, inner)).collect();
-        Shape { level: design.groups[group].level, tests: contents[group].tests.len(), inner }
+impl UnitShape {
+    fn of(design: &UnitDesign, contents: &[Contents], group: usize) -> UnitShape {
+        let inner = contents[group].inner.iter().map(|&inner| UnitShape::of(design, contents, inner)).collect();
+        UnitShape { level: design.groups[group].level, tests: contents[group].tests.len(), inner }
     }
 
     /// Tests in all.
     fn size(&self) -> usize {
-        self.tests + self.inner.iter().map(Shape::size).sum::<usize>()
+        self.tests + self.inner.iter().map(UnitShape::size).sum::<usize>()
     }
 
     /// Equal for equal shapes.
     fn signature(&self) -> Vec<usize> {
-        let inner = self.inner.iter().flat_map(Shape::signature);
+        let inner = self.inner.iter().flat_map(UnitShape::signature);
         [self.tests, self.inner.len()].into_iter().chain(inner).collect()
     }
 
     /// Makes room for another one of its level.
-    fn widen(&mut self, other: &Shape) {
+    fn widen(&mut self, other: &UnitShape) {
         self.tests = self.tests.max(other.tests);
         self.inner.iter_mut().zip(&other.inner).for_each(|(own, other)| own.widen(other));
         let more = other.inner.get(self.inner.len()..).unwrap_or_default();
@@ -98,10 +98,10 @@ impl Shape {
     }
 
     /// Groups and the group of each test, inner ones first; tells the group's number.
-    fn lay(&self, groups: &mut Vec<Node>, tests: &mut Vec<usize>) -> usize {
+    fn lay(&self, groups: &mut Vec<UnitGroup>, tests: &mut Vec<usize>) -> usize {
         let inner: Vec<usize> = self.inner.iter().map(|shape| shape.lay(groups, tests)).collect();
         let own = groups.len();
-        groups.push(Node { level: self.level, parent: own });
+        groups.push(UnitGroup { level: self.level, parent: own });
         inner.into_iter().for_each(|child| groups[child].parent = own);
         tests.extend(std::iter::repeat_n(own, self.tests));
         own
@@ -115,17 +115,17 @@ impl Shape {
     }
 }
 
-impl Company {
-    fn of(units: &[(Shape, usize, usize)], designs: &[Design]) -> Company {
+impl UnitBatch {
+    fn of(units: &[(UnitShape, usize, usize)], designs: &[UnitDesign]) -> UnitBatch {
         let mut shape = units[0].0.clone();
         units.iter().for_each(|(other, ..)| shape.widen(other));
         let (mut groups, mut tests) = (Vec::new(), Vec::new());
         shape.lay(&mut groups, &mut tests);
-        let lane = |&(_, number, unit): &(Shape, usize, usize)| {
+        let lane = |&(_, number, unit): &(UnitShape, usize, usize)| {
             let (design, mut places) = (&designs[number], Vec::with_capacity(tests.len()));
             shape.place(&design.contents(), Some(design.groups.len() - 1), &mut places);
-            Lane { design: number, unit, tests: places }
+            UnitInLane { design: number, unit, tests: places }
         };
-        Company { lanes: units.iter().map(lane).collect(), groups, tests }
+        UnitBatch { lanes: units.iter().map(lane).collect(), groups, tests }
     }
 }

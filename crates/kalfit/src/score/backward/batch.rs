@@ -3,25 +3,25 @@
 
 use kalfit_lanes::{Kernel, Lanes, abreast};
 
-use crate::reduce::{Block, Design, Gained, Woven};
+use crate::reduce::{DataBlock, Design, DesignBatch, Interleaved};
 use crate::score::backward::adjoint::{Adjoint, LineBar};
-use crate::score::backward::filtered::{Begin, Filtered, Seen};
-use crate::score::backward::line::{Line, Unknown};
-use crate::score::backward::run::{Ending, Wanted};
-use crate::score::backward::sink::MovedBar;
+use crate::score::backward::filtered::{Begin, FilteredMoments, Seen};
+use crate::score::backward::line::{ScalarMeasurement, Unknown};
+use crate::score::backward::run::{AdjointsWanted, TerminalAdjoint};
+use crate::score::backward::sink::TransitionAdjoint;
 use crate::score::moments::Moments;
 
 /// Tests after their filters: [`Block::filter`].
 #[derive(Debug)]
-pub(crate) struct Abreast<'a> {
-    pub(crate) block: &'a Block,
-    pub(crate) gained: &'a Gained,
+pub(crate) struct BatchBackward<'a> {
+    pub(crate) block: &'a DataBlock,
+    pub(crate) gained: &'a DesignBatch,
     pub(crate) longest: &'a Design,
     /// One for each test, with as many columns.
     pub(crate) moments: &'a [&'a Moments],
     /// One for each test, or none.
-    pub(crate) endings: &'a [&'a Ending],
-    pub(crate) wanted: Wanted,
+    pub(crate) endings: &'a [&'a TerminalAdjoint],
+    pub(crate) wanted: AdjointsWanted,
 }
 
 /// The adjoints of all of them, each number of one test beside the same of the others.
@@ -38,14 +38,14 @@ pub(crate) struct LaneBars {
     sizes: (usize, [usize; 3]),
 }
 
-impl Abreast<'_> {
+impl BatchBackward<'_> {
     /// Runs the pass.
     pub(crate) fn pass(self) -> LaneBars {
         self.block.isa().run(self)
     }
 }
 
-impl Kernel for Abreast<'_> {
+impl Kernel for BatchBackward<'_> {
     type Output = LaneBars;
 
     #[inline(always)]
@@ -82,14 +82,14 @@ struct Forward<T> {
 }
 
 #[inline(always)]
-fn line<'a, T: Lanes>(woven: &'a Woven<'_, T>, (line, row): (usize, usize)) -> Line<'a, T> {
+fn line<'a, T: Lanes>(woven: &'a Interleaved<'_, T>, (line, row): (usize, usize)) -> ScalarMeasurement<'a, T> {
     let ((states, h, noise), (weight, K, T)) = (woven.line(line), woven.row(row));
-    Line { states, h, noise, weight, K, T }
+    ScalarMeasurement { states, h, noise, weight, K, T }
 }
 
 impl<T: Lanes> Forward<T> {
     #[inline(always)]
-    fn new(woven: &Woven<'_, T>, mean: &[T], unknown: &Unknown<'_, T>) -> Forward<T> {
+    fn new(woven: &Interleaved<'_, T>, mean: &[T], unknown: &Unknown<'_, T>) -> Forward<T> {
         let (design, driven) = (woven.shape, unknown.frame.driven.len());
         let (n, r) = (unknown.frame.n, unknown.frame.r);
         let stride = n + r * r + n * unknown.columns;
@@ -101,7 +101,7 @@ impl<T: Lanes> Forward<T> {
             before: Vec::with_capacity(rows * stride),
             stride,
         };
-        let mut now = Filtered::<T>::default();
+        let mut now = FilteredMoments::<T>::default();
         now.begin(&Begin { start: &woven.start, variance: &woven.variance, mean }, unknown);
         let (mut input, mut row, mut first) = (0, 0, 0);
         let mut transition = woven.transition();
@@ -131,7 +131,7 @@ impl<T: Lanes> Forward<T> {
     }
 
     #[inline(always)]
-    fn back(self, woven: &Woven<'_, T>, unknown: &Unknown<'_, T>, ending: Option<[&[T]; 3]>) -> LaneBars {
+    fn back(self, woven: &Interleaved<'_, T>, unknown: &Unknown<'_, T>, ending: Option<[&[T]; 3]>) -> LaneBars {
         let (design, frame, wanted) = (woven.shape, unknown.frame, unknown.wanted);
         let (n, zero) = (frame.n, T::splat(0.0));
         let sizes = (n, frame.r);
@@ -140,7 +140,7 @@ impl<T: Lanes> Forward<T> {
         let width = 2 + if wanted.equation { n } else { 0 };
         let mut rows = vec![0.0; design.rows() * width * T::COUNT];
         let (mut moves, mut kinds) = (Vec::new(), [0; 3]);
-        let (mut bar, mut moved) = (vec![zero; width], MovedBar::<T>::default());
+        let (mut bar, mut moved) = (vec![zero; width], TransitionAdjoint::<T>::default());
         let (mut transitions, mut row, mut transition) = (0, design.rows(), woven.transition());
         for run in &design.runs {
             transitions += if run.transition.is_some() { run.count } else { 0 };
