@@ -52,7 +52,7 @@ pub(crate) struct Bench<'a> {
     scale: Option<Scale>,
     /// What is known of the tests, where they are elsewhere.
     answers: Option<Arc<Answers>>,
-    arrangement: Batching,
+    batching: Batching,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
@@ -143,7 +143,7 @@ impl<'a> Bench<'a> {
             indirect: Indirect::of(model, tests, slots),
             scale: Scale::of(model, tests, slots),
             answers: None,
-            arrangement: Batching::default(),
+            batching: Batching::default(),
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
@@ -294,13 +294,13 @@ impl<'a> Bench<'a> {
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
-        self.arrangement.tell_steps(&mut reducer);
+        self.batching.tell_steps(&mut reducer);
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         let (reductions, filtered) = match self.scale {
             Some(_) => (reducer.reduce(self.tests).map_err(Box::new)?, None), // the filters hardly run
             None => {
                 let told = (self.model, self.slots);
-                self.arrangement.reduce(told, &mut reducer, self.tests).map_err(Box::new)?
+                self.batching.reduce(told, &mut reducer, self.tests).map_err(Box::new)?
             }
         };
         Ok(Reduced { reducer: Some(reducer), reductions, filtered })
@@ -518,7 +518,7 @@ impl<'a> Bench<'a> {
         let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
-        let known = (self.arrangement.companies(&scorer, self.tests), filtered.as_ref());
+        let known = (self.batching.classes(&scorer, self.tests), filtered.as_ref());
         let mut scores = scorer.scores(self.tests, reductions, law, known).map_err(Box::new)?;
         self.edges.pull(values, &self.alpha(values), self.slots, &mut scores);
         let alpha = |values: &[f64]| self.alpha(values);

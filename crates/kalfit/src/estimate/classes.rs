@@ -3,7 +3,7 @@
 //! Inside this module ξ = m + D η with a centre m near the population mean and a diagonal D that gives the average
 //! test unit information on each state, so that nothing here depends on the user's units. For a class of n tests
 //! with one R, only the mean of their d and its scatter matter: a class costs as much as one test. Tests in phases may be kept
-//! phase by phase ([`Chained`](crate::estimate::Chained)).
+//! phase by phase ([`ChainedClass`](crate::estimate::ChainedClass)).
 
 use std::borrow::Cow;
 use std::ops::Range;

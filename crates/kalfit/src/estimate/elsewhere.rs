@@ -351,7 +351,7 @@ impl FinalState {
 }
 
 impl UpcomingPoint {
-    /// Asks for what [`State::elsewhere`] will ask for from there.
+    /// Asks for what [`FinalState::elsewhere`] will ask for from there.
     pub(crate) fn ask(&self, reductions: &Reductions, alpha: &Alpha) {
         _ = Elsewhere::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
     }

@@ -42,7 +42,7 @@ pub(crate) struct ClassTerms<T = f64> {
     pub(crate) W: Vec<T>,
     /// Σ_j r_j r_j' over the class.
     pub(crate) outer: Vec<T>,
-    /// Of tests kept phase by phase, Var[ξ_i | z] of each phase, where it was asked for ([`Detail::Posterior`]).
+    /// Of tests kept phase by phase, Var[ξ_i | z] of each phase, where it was asked for ([`ChainDetail::Posterior`]).
     pub(crate) covariances: Vec<Rows<T>>,
     /// And log|S| of the links alone.
     pub(crate) link_log_det: f64,

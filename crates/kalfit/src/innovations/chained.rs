@@ -1,10 +1,10 @@
 //! Innovations of tests in phases: one filter over all phases, from the factors of each (theory §7).
 //!
 //! The filter of a phase runs with σ = 0, as for its reduction, and leaves e, S and T of each measurement: given σ, its innovation
-//! is e - Tσ, of variance S. σ itself is known in law from all that came before, in the phase and in earlier ones ([`Law`]), so
+//! is e - Tσ, of variance S. σ itself is known in law from all that came before, in the phase and in earlier ones ([`EnteringLaw`]), so
 //! that the innovation of the test is e - Tσ̂, of variance S + T Var(σ) T'. After the last step the law of σ becomes that of the
 //! next phase's, by the link between them. What Σ adds is carried in square roots: it may be singular, zero or huge. Where nothing
-//! of a test is like that, [`Plain`] is the faster way.
+//! of a test is like that, [`PhaseFilters`] is the faster way.
 
 use nalgebra::{DMatrix, DVector};
 

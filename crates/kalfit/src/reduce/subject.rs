@@ -142,7 +142,7 @@ impl ModelAt<'_> {
         found
     }
 
-    /// As [`At::coefficient`], for a variance.
+    /// As [`ModelAt::coefficient`], for a variance.
     pub(crate) fn variance(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
         let coefficient = self.coefficient(expression, subject)?;
         if let Some(value) = coefficient.constant() {

@@ -63,7 +63,7 @@ impl<R: Lanes> InformationSums<R> {
 }
 
 impl InformationSums {
-    /// Takes those of one lane, from [`Sums::lanes`].
+    /// Takes those of one lane, from [`InformationSums::lanes`].
     pub(crate) fn take_lane(&mut self, all: &[f64], lane: usize, lanes: usize) {
         let entries = all.len() / lanes - 4;
         let at = |k: usize| all[k * lanes + lane];

@@ -14,7 +14,7 @@
 //! ```
 //!
 //! with r, ρ, N of later steps on the right, one scalar measurement after the other; r, u, ρ, υ are the theory's r̄, ū, ρC, υC.
-//! After the last step they are zero, or what later phases say of the state there ([`Ending`]).
+//! After the last step they are zero, or what later phases say of the state there ([`TerminalAdjoint`]).
 //!
 //! What the forward filter passes through is not remembered: its innovations are, and its state every so many steps, from which
 //! the steps between are run again when the way back comes to them. Many equal steps go through kernels of known size (`equal`),

@@ -4,8 +4,8 @@
 //! Test at α, moments (x̂, V) of ξ ── backward ──> adjoints of φ, Q, M, R, b, d, a, P0 ── chain ──> dℓ/dα
 //! ```
 
-mod arrangement;
 mod backward;
+mod batching;
 #[cfg(test)]
 pub(crate) mod by_differences;
 mod chain;
@@ -29,8 +29,8 @@ use chain::{Adjoints, Pullback};
 
 use smoother::Smooth;
 
-pub(crate) use arrangement::Batching;
 pub(crate) use backward::{AdjointsWanted, BackwardWork, Seen, Smoothed, TestRun};
+pub(crate) use batching::Batching;
 pub(crate) use chain::{Gradient, add};
 pub(crate) use classes::ScoredClasses;
 pub(crate) use levels::{Levels, carried, dependences};

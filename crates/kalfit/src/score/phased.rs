@@ -76,18 +76,17 @@ impl<'a> PhasedScorer<'a> {
         Ok(PhasedScorer { model, reducer, slots, phases: phases.collect::<Result<_, _>>()?, carries })
     }
 
-    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: theirs; `law`: that of ξ; `companies`: which of
+    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: theirs; `law`: that of ξ; `classes`: which of
     /// them are alike; `filtered`: those that are kept side by side, after their filters.
     pub(crate) fn scores(
         &self,
         tests: &[PhasedTest],
         reductions: &Reductions,
         law: &InitialLaw,
-        (companies, filtered): (&ScoredClasses, Option<&PhasedFiltered>),
+        (classes, filtered): (&ScoredClasses, Option<&PhasedFiltered>),
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = SharedStore::new(PLAN_BYTES);
-        let mut scores =
-            self.in_companies(ScoredEnsemble { tests, reductions, law, plans: &plans, filtered }, companies);
+        let mut scores = self.in_classes(ScoredEnsemble { tests, reductions, law, plans: &plans, filtered }, classes);
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()
     }

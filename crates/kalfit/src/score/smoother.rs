@@ -6,7 +6,7 @@
 //! together  prior of σ_i and all that phases i, i+1, … say of it
 //! ```
 //!
-//! Roots of covariances and of information only: nothing is inverted but I + AA'. What does not depend on the data is a [`Plan`],
+//! Roots of covariances and of information only: nothing is inverted but I + AA'. What does not depend on the data is a [`SmootherPlan`],
 //! which tests of one design share; each test then costs products of matrices with vectors.
 //!
 //! Under the restricted likelihood directions of the mean ride along: E[σ_i | all] moves by M_i when the mean moves by X, and ℓ_R

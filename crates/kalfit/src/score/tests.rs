@@ -14,7 +14,7 @@ use crate::model::by_hand::{
 };
 use crate::model::{Initial, Model, Motion, Parameter, Value};
 use crate::score::by_differences::{likelihood, slope};
-use crate::score::classes::Told;
+use crate::score::classes::ClassMember;
 use crate::score::moments::moments;
 
 /// z = bias + scale·walk + drift + level + v; α = (q, τ, σ, r, scale, level), of which the first `free` are free.
@@ -203,12 +203,13 @@ fn long_records_that_are_alike_are_scored_as_one_by_one() {
         let reductions = reducer.reduce(&tests).expect("sound");
         let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
         let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
-        let told = |(test, moments): (_, &Moments)| Told { test, mean: moments.mean.clone(), ending: Vec::new() };
-        let told: Vec<Told<'_>> = tests.iter().zip(&moments).map(told).collect();
+        let told =
+            |(test, moments): (_, &Moments)| ClassMember { test, mean: moments.mean.clone(), ending: Vec::new() };
+        let told: Vec<ClassMember<'_>> = tests.iter().zip(&moments).map(told).collect();
         let (mut work, mut backward, mut adjoints) =
             (reducer.workspace(), BackwardWork::default(), scorer.chain.adjoints());
         let room = (&mut work, &mut backward, &mut adjoints);
-        let together = scorer.company(&told, (&moments[0], None), room).expect("sound").expect("they are alike");
+        let together = scorer.of_class(&told, (&moments[0], None), room).expect("sound").expect("they are alike");
         let alone = scorer.scores(&tests, &moments).expect("sound");
         for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
             assert_eq!(found.len(), free, "each value counts");

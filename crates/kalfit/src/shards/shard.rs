@@ -26,7 +26,7 @@ pub struct Shard {
     groups: Vec<String>,
     slots: Slots,
     settings: Settings,
-    arrangement: Batching,
+    batching: Batching,
     /// Where the only free value scales all noise: the filters run at one value of many.
     scale: Option<Scale>,
     /// What was made of the tests at the α that was asked for last.
@@ -66,8 +66,8 @@ impl Shard {
         let mut groups: Vec<String> = outermost.map(|group| labels.text(group.path[0]).to_owned()).collect();
         groups.sort();
         let scale = Scale::of(&model, &tests, &slots);
-        let (arrangement, kept) = (Batching::default(), Mutex::new(None));
-        Ok(Shard { model, tests, grouping, groups, slots, settings, arrangement, scale, kept })
+        let (batching, kept) = (Batching::default(), Mutex::new(None));
+        Ok(Shard { model, tests, grouping, groups, slots, settings, batching, scale, kept })
     }
 
     /// Number of tests.
@@ -131,7 +131,7 @@ impl Shard {
         }
         let alpha = self.slots.alpha(self.model.shared(), values);
         let mut reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
-        Ok(self.arrangement.reduce((&self.model, &self.slots), &mut reducer, &self.tests)?)
+        Ok(self.batching.reduce((&self.model, &self.slots), &mut reducer, &self.tests)?)
     }
 
     /// Runs the filters for their reductions alone.
@@ -155,7 +155,7 @@ impl Shard {
         let found = || {
             let reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
             let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots)?;
-            let known = (self.arrangement.companies(&scorer, &self.tests), filtered);
+            let known = (self.batching.classes(&scorer, &self.tests), filtered);
             scorer.scores(&self.tests, &summed.reductions, &law, known)
         };
         let Ok(scores) = found() else { return Ok(None) };

@@ -53,14 +53,14 @@ impl<T> BatchData<'_, T> {
 }
 
 impl<'a, T: Lanes> BatchData<'a, T> {
-    /// The units of a company, a lane each. Lanes without a unit, and tests that a unit does not have, hold zeros: they add nothing.
+    /// The units of a batch, a lane each. Lanes without a unit, and tests that a unit does not have, hold zeros: they add nothing.
     #[inline(always)]
-    pub(super) fn abreast(units: &Units, company: &'a UnitBatch) -> BatchData<'a, T> {
+    pub(super) fn of(units: &Units, batch: &'a UnitBatch) -> BatchData<'a, T> {
         let p = units.states;
         let (mut tests, mut leaves, mut data) = (Vec::new(), Vec::new(), Vec::new());
-        for (test, &group) in company.tests.iter().enumerate() {
+        for (test, &group) in batch.tests.iter().enumerate() {
             let mut found = [None; MOST];
-            for (lane, found) in company.lanes.iter().zip(&mut found) {
+            for (lane, found) in batch.lanes.iter().zip(&mut found) {
                 if let Some(number) = lane.tests[test] {
                     let design = &units.designs[lane.design];
                     *found = Some((&units.leaves[design.tests[number].leaf], &design.data[number], lane.unit));
@@ -78,7 +78,7 @@ impl<'a, T: Lanes> BatchData<'a, T> {
             }
             data.push(own);
         }
-        BatchData { groups: &company.groups, tests, leaves, data, columns: 1 }
+        BatchData { groups: &batch.groups, tests, leaves, data, columns: 1 }
     }
 }
 

@@ -22,13 +22,13 @@ pub(super) struct UnitInLane {
     /// The number of its design, and which of the units of the design it is.
     pub(super) design: usize,
     pub(super) unit: usize,
-    /// Of each test of the company the number of its test in the design.
+    /// Of each test of the batch the number of its test in the design.
     pub(super) tests: Vec<Option<usize>>,
 }
 
-/// Companies of the units whose design too few others have. How many share one lane by lane depends on the machine; the rest on the
+/// Batches of the units whose design too few others have. How many share one lane by lane depends on the machine; the rest on the
 /// tests alone.
-pub(super) fn companies(designs: &[UnitDesign]) -> Vec<UnitBatch> {
+pub(super) fn batches(designs: &[UnitDesign]) -> Vec<UnitBatch> {
     let isa = Isa::best();
     let few = |(number, design): (usize, &UnitDesign)| {
         let units = if design.is_shared() { 0 } else { design.units.len() };
@@ -107,7 +107,7 @@ impl UnitShape {
         own
     }
 
-    /// The tests of a group of a design in the places of this shape, in the order of [`Shape::lay`].
+    /// The tests of a group of a design in the places of this shape, in the order of [`UnitShape::lay`].
     fn place(&self, contents: &[Contents], group: Option<usize>, places: &mut Vec<Option<usize>>) {
         let inner = |at: usize| contents[group?].inner.get(at).copied();
         self.inner.iter().enumerate().for_each(|(at, shape)| shape.place(contents, inner(at), places));

@@ -33,8 +33,8 @@ pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums
     let of_part = |pieces: &[UnitShare<'_>]| {
         let shared = pieces.iter().filter_map(UnitShare::columns);
         let columns = in_columns(units, (point, wanted), shared, wish);
-        let companies = pieces.iter().filter_map(UnitShare::company).collect();
-        columns.and(Isa::best().run(UnitKernel { units, point, wanted, wish, companies }))
+        let batches = pieces.iter().filter_map(UnitShare::batch).collect();
+        columns.and(Isa::best().run(UnitKernel { units, point, wanted, wish, batches }))
     };
     let parts: Vec<UnitSums> = pieces.par_chunks(pieces.len().div_ceil(TASKS).max(1)).map(of_part).collect();
     sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(wish), UnitSums::and), wanted)
@@ -63,21 +63,21 @@ impl Wish<'_> {
 enum UnitShare<'a> {
     /// Some units of one design.
     Columns(&'a UnitDesign, Range<usize>),
-    Company(&'a UnitBatch),
+    Batch(&'a UnitBatch),
 }
 
 impl<'a> UnitShare<'a> {
     fn columns(&self) -> Option<(&'a UnitDesign, Range<usize>)> {
         match self {
             UnitShare::Columns(design, units) => Some((design, units.clone())),
-            UnitShare::Company(_) => None,
+            UnitShare::Batch(_) => None,
         }
     }
 
-    fn company(&self) -> Option<&'a UnitBatch> {
+    fn batch(&self) -> Option<&'a UnitBatch> {
         match self {
             UnitShare::Columns(..) => None,
-            UnitShare::Company(company) => Some(company),
+            UnitShare::Batch(batch) => Some(batch),
         }
     }
 }
@@ -88,7 +88,7 @@ fn pieces<'a>(units: &'a Units) -> Vec<UnitShare<'a>> {
         (0..count).step_by(TOGETHER).map(move |from| UnitShare::Columns(design, from..(from + TOGETHER).min(count)))
     };
     let shared = units.designs.iter().filter(|design| design.is_shared()).flat_map(of);
-    shared.chain(units.companies.iter().map(UnitShare::Company)).collect()
+    shared.chain(units.batches.iter().map(UnitShare::Batch)).collect()
 }
 
 /// Sums over units whose designs are shared.
@@ -104,13 +104,13 @@ fn in_columns<'a>(
     totals
 }
 
-/// Units of some companies, in lanes.
+/// Units of some batches, in lanes.
 struct UnitKernel<'a> {
     units: &'a Units,
     point: &'a Point,
     wanted: SumsWanted<'a>,
     wish: Wish<'a>,
-    companies: Vec<&'a UnitBatch>,
+    batches: Vec<&'a UnitBatch>,
 }
 
 impl Kernel for UnitKernel<'_> {
@@ -120,8 +120,8 @@ impl Kernel for UnitKernel<'_> {
     fn run<T: Lanes>(self) -> UnitSums {
         let at = LevelLaws::<T>::new(self.units, self.point, self.wanted.regressors);
         let mut totals = UnitSums::<T>::zero(self.wish);
-        for company in self.companies {
-            totals.take(&at, &BatchData::abreast(self.units, company), self.wish);
+        for batch in self.batches {
+            totals.take(&at, &BatchData::of(self.units, batch), self.wish);
         }
         totals.of_all_lanes()
     }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::ensemble::Grouping;
 use crate::estimate::classes::Classes;
 use crate::estimate::frame::Frame;
-use crate::estimate::levels::batches::{UnitBatch, companies};
+use crate::estimate::levels::batches::{UnitBatch, batches};
 use crate::estimate::levels::design::{Leaf, OuterGroup, UnitDesign, UnitTest};
 use crate::estimate::levels::trees::{GroupTree, Laid, trees};
 use crate::linalg::rows::Rows;
@@ -32,7 +32,7 @@ pub(crate) struct Units {
     /// Designs of units.
     pub(super) designs: Arc<Vec<UnitDesign>>,
     /// Which units are walked through side by side.
-    pub(super) companies: Arc<Vec<UnitBatch>>,
+    pub(super) batches: Arc<Vec<UnitBatch>>,
 }
 
 impl Units {
@@ -72,7 +72,7 @@ impl Units {
             constant: (0..classes.len()).map(|number| classes.listed.get(number).constant).sum(),
             unit: 1.0,
             leaves: Arc::new((0..classes.len()).into_par_iter().map(leaf).collect()),
-            companies: Arc::new(companies(&designs)),
+            batches: Arc::new(batches(&designs)),
             designs: Arc::new(designs),
         })
     }
@@ -95,7 +95,7 @@ impl Units {
         }
         let kept: usize = designs.iter().map(|design| design.units.len()).sum();
         let constant = self.constant * kept as f64 / first.max(1) as f64;
-        Units { companies: Arc::new(companies(&designs)), designs: Arc::new(designs), constant, ..self.clone() }
+        Units { batches: Arc::new(batches(&designs)), designs: Arc::new(designs), constant, ..self.clone() }
     }
 
     /// How many units there are.

@@ -60,7 +60,7 @@ impl<T: Lanes> Interleaved<'_, T> {
 }
 
 impl DataBlock {
-    /// The tests of the block, after [`Block::filter`] into `gained`; `longest` as there.
+    /// The tests of the block, after `FilteredTests::filter` into `gained`; `longest` as there.
     #[inline(always)]
     pub(crate) fn woven<'a, T: Lanes>(&self, longest: &'a Design, gained: &'a DesignBatch) -> Interleaved<'a, T> {
         let side = self.side();

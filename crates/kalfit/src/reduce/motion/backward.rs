@@ -55,7 +55,7 @@ impl MotionPlan {
     }
 
     /// Adds ∂ℓ/∂coefficient of one transition to `out`. `bars`: of the entries of φ and of Q, summed over its steps, an
-    /// off-diagonal entry of Q for both its places; `flow_bar`: what [`Plan::drive_flows`] left. `free`: coefficients that count.
+    /// off-diagonal entry of Q for both its places; `flow_bar`: what [`MotionPlan::drive_flows`] left. `free`: coefficients that count.
     pub(crate) fn backward(
         &self,
         dynamics: &Dynamics,
@@ -91,7 +91,7 @@ impl MotionPlan {
 pub(crate) struct Evaluated<'a> {
     pub(crate) values: &'a [f64],
     pub(crate) dt: f64,
-    /// Read only when [`Plan::holds`].
+    /// Read only when [`MotionPlan::holds`].
     pub(crate) flows: &'a [f64],
 }
 

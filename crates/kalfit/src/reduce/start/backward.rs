@@ -33,7 +33,7 @@ impl LawAdjoint<'_> {
 /// ∂ℓ/∂coefficient of a start.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StartAdjoint {
-    /// In the order of [`Start::coefficients`].
+    /// In the order of [`ModelStart::coefficients`].
     pub(crate) coefficients: Vec<f64>,
     /// By slot of the dynamics' coefficients.
     pub(crate) values: Vec<f64>,
@@ -42,7 +42,7 @@ pub(crate) struct StartAdjoint {
 }
 
 impl ModelStart {
-    /// `values`, `inputs`: the dynamics' tables as [`Start::law`] took them.
+    /// `values`, `inputs`: the dynamics' tables as [`ModelStart::law`] took them.
     pub(crate) fn backward(
         &self,
         at: &ModelAt<'_>,

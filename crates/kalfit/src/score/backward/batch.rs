@@ -11,7 +11,7 @@ use crate::score::backward::run::{AdjointsWanted, TerminalAdjoint};
 use crate::score::backward::sink::TransitionAdjoint;
 use crate::score::moments::Moments;
 
-/// Tests after their filters: [`Block::filter`].
+/// Tests after their filters: `FilteredTests::filter`.
 #[derive(Debug)]
 pub(crate) struct BatchBackward<'a> {
     pub(crate) block: &'a DataBlock,
@@ -75,7 +75,7 @@ impl Kernel for BatchBackward<'_> {
 struct Forward<T> {
     /// ē of each measurement.
     e: Vec<T>,
-    /// Before each transition, and before each measurement, as [`Filtered::save`] keeps it.
+    /// Before each transition, and before each measurement, as [`FilteredMoments::save`] keeps it.
     left: Vec<T>,
     before: Vec<T>,
     stride: usize,

@@ -1,4 +1,4 @@
-//! What goes forth and back through the steps of [`Steady`](super::steady::Steady): arrays of known size, for the N states that
+//! What goes forth and back through the steps of [`StepCoefficients`](super::steady::StepCoefficients): arrays of known size, for the N states that
 //! move and C columns of ΨC.
 
 /// P and ΨC.

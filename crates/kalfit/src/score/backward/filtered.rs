@@ -34,7 +34,7 @@ impl<T> Default for FilteredMoments<T> {
     }
 }
 
-/// What [`Filtered::save`] has kept, to read.
+/// What [`FilteredMoments::save`] has kept, to read.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seen<'a, T = f64> {
     pub(crate) x: &'a [T],
@@ -216,7 +216,7 @@ impl TestRun<'_> {
         now.measure(&line, e[row], &self.unknown());
     }
 
-    /// x̄, P, ΨC of a state kept as [`Filtered::save`] does.
+    /// x̄, P, ΨC of a state kept as [`FilteredMoments::save`] does.
     pub(super) fn sizes(&self) -> (usize, usize) {
         let frame = &self.design.frame;
         (frame.n, frame.r)

@@ -33,7 +33,7 @@ pub(crate) struct BackwardWork {
     /// ē of each scalar measurement.
     pub(super) e: Vec<f64>,
     pub(super) parts: Vec<Segment>,
-    /// States of the forward filter, as [`Filtered::save`] keeps them, where parts begin and within long ones.
+    /// States of the forward filter, as [`FilteredMoments::save`] keeps them, where parts begin and within long ones.
     pub(super) marks: Vec<f64>,
     /// Those of one part, before each transition and before each measurement.
     pub(super) left: Vec<f64>,

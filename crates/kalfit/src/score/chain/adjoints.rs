@@ -99,7 +99,7 @@ impl Adjoints<'_> {
     }
 
     /// The start of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`:
-    /// ∂ℓ/∂P0, r × r, symmetric, the derivative to each place by itself. Not read unless [`Chain::needs_start`].
+    /// ∂ℓ/∂P0, r × r, symmetric, the derivative to each place by itself. Not read unless `Pullback::needs_start`.
     pub(crate) fn started(
         &mut self,
         test: &Test,

@@ -115,7 +115,7 @@ impl Pull<'_> {
 }
 
 impl Adjoints<'_> {
-    /// dℓ/dα of the test in a lane of a block, from what [`Chain::pull`] has summed. `work`: room.
+    /// dℓ/dα of the test in a lane of a block, from what [`Pullback::pull`] has summed. `work`: room.
     pub(crate) fn of_lane(
         &mut self,
         (block, bars, pulled): (FilteredBlock<'_>, &LaneBars, &Pulled),

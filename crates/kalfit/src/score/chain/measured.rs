@@ -10,7 +10,7 @@ use crate::score::chain::adjoints::{Adjoints, Measuring};
 
 impl Adjoints<'_> {
     /// The measurements of step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. h̄ is
-    /// not read, and may be empty, unless [`Chain::needs_equation`](super::Chain::needs_equation).
+    /// not read, and may be empty, unless [`Pullback::needs_equation`](super::Pullback::needs_equation).
     pub(crate) fn step_measured(
         &mut self,
         test: &Test,

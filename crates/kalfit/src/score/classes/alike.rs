@@ -6,17 +6,17 @@ use rayon::prelude::*;
 
 use crate::reduce::{EqualDesigns, Evidence, PhasedReducer, PhasedTest};
 
-/// Fewer tests than these are not worth a company,
+/// Fewer tests than these are not worth the chain rule put down as factors,
 const FEWEST: usize = 16;
 /// but two are where they have so many rows, in so many times fewer runs of equal steps.
 pub(super) const LONG: usize = 1 << 10;
 const EQUAL: usize = 16;
 
-/// The tests of an ensemble by whose company they are in. It depends on the ensemble, not on the order of its tests.
+/// The tests of an ensemble by whose class they are in. It depends on the ensemble, not on the order of its tests.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct ScoredClasses {
     /// Numbers of the tests of each, ascending.
-    pub(crate) companies: Vec<Vec<usize>>,
+    pub(crate) classes: Vec<Vec<usize>>,
     /// Which of these are of long records in equal steps.
     pub(crate) long: Vec<bool>,
     /// Those in none.
@@ -55,7 +55,7 @@ impl ScoredClasses {
                 if like.len() < fewest {
                     found.alone.extend(like)
                 } else {
-                    found.companies.push(like);
+                    found.classes.push(like);
                     found.long.push(long);
                 }
                 left = rest;
@@ -72,15 +72,13 @@ impl ScoredClasses {
             Some(Evidence::Rows(rows)) => Some(&rows.id),
             _ => None,
         };
-        let ids = |company: &Vec<usize>| company.iter().filter_map(rows).collect();
-        EqualDesigns::new(
-            self.companies.iter().zip(&self.long).filter(|(_, long)| **long).map(|(company, _)| ids(company)),
-        )
+        let ids = |class: &Vec<usize>| class.iter().filter_map(rows).collect();
+        EqualDesigns::new(self.classes.iter().zip(&self.long).filter(|(_, long)| **long).map(|(class, _)| ids(class)))
     }
 
     /// All of so many tests by themselves.
     pub(crate) fn none(tests: usize) -> ScoredClasses {
-        ScoredClasses { companies: Vec::new(), long: Vec::new(), alone: (0..tests).collect() }
+        ScoredClasses { classes: Vec::new(), long: Vec::new(), alone: (0..tests).collect() }
     }
 }
 

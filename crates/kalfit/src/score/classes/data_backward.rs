@@ -31,7 +31,7 @@ pub(super) struct ClassShared<'a> {
 
 /// One of the tests: what it alone has.
 #[derive(Debug, Clone)]
-pub(crate) struct Told<'a> {
+pub(crate) struct ClassMember<'a> {
     pub(crate) test: &'a Test,
     /// x̂ of ξ, in the order of the kernels.
     pub(crate) mean: Vec<f64>,
@@ -42,7 +42,7 @@ pub(crate) struct Told<'a> {
 /// Σ factor × adjoint of each test: as many numbers as slots answer, one test after the other.
 pub(super) struct DataBackward<'a> {
     pub(super) shared: &'a ClassShared<'a>,
-    pub(super) tests: &'a [Told<'a>],
+    pub(super) tests: &'a [ClassMember<'a>],
 }
 
 impl Kernel for DataBackward<'_> {
@@ -93,7 +93,7 @@ struct Cursor {
 
 /// The same number of each test; lanes beyond the last test are as the last one.
 #[inline(always)]
-fn each<T: Lanes>(tests: &[Told<'_>], mut number: impl FnMut(&Told<'_>) -> f64) -> T {
+fn each<T: Lanes>(tests: &[ClassMember<'_>], mut number: impl FnMut(&ClassMember<'_>) -> f64) -> T {
     let mut lanes = [0.0; MOST];
     for lane in 0..T::COUNT {
         lanes[lane] = number(&tests[lane.min(tests.len() - 1)]);
@@ -118,7 +118,7 @@ impl<T: Lanes> DataBackwardPass<T> {
 
     /// x_0 = a + Ax̂ and the filter from there.
     #[inline(always)]
-    fn forth(&mut self, shared: &ClassShared<'_>, tests: &[Told<'_>]) {
+    fn forth(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
         let frame = &*shared.design.frame;
         let (n, p) = (frame.n, frame.p);
         for i in 0..n {
@@ -216,7 +216,7 @@ impl<T: Lanes> DataBackwardPass<T> {
 
     /// From what later phases say of the last state back to x_0.
     #[inline(always)]
-    fn back(&mut self, shared: &ClassShared<'_>, tests: &[Told<'_>]) {
+    fn back(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
         for i in 0..self.x.len() {
             self.x[i] = each::<T>(tests, |own| own.ending.get(i).copied().unwrap_or(0.0));
         }

@@ -25,7 +25,7 @@ use crate::score::{Onward, Scorer};
 use data_backward::{ClassShared, DataBackward};
 
 pub(crate) use alike::ScoredClasses;
-pub(crate) use data_backward::Told;
+pub(crate) use data_backward::ClassMember;
 
 /// Numbers that one test passes through one by one and that are remembered: no more than these.
 const MOST_NUMBERS: usize = 1 << 16;
@@ -39,9 +39,9 @@ const SHARE: usize = 256;
 impl Scorer<'_> {
     /// dℓ_j/dα of tests that are alike. `shared`: moments of ξ, and what later phases say of the last state; all but the means and
     /// the r are those of every test. `None` where there is nothing to gain, or where the tests must be looked at one by one.
-    pub(crate) fn company(
+    pub(crate) fn of_class(
         &self,
-        tests: &[Told<'_>],
+        tests: &[ClassMember<'_>],
         shared: (&Moments, Option<&TerminalAdjoint>),
         (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
     ) -> Result<Option<Vec<Gradient>>, ReduceError> {
@@ -119,9 +119,9 @@ impl Blank {
 }
 
 /// The data's part of each test.
-fn of_data(shared: &ClassShared<'_>, tests: &[Told<'_>]) -> Vec<Gradient> {
+fn of_data(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradient> {
     let slots = &shared.response.slots;
-    let share = |tests: &[Told<'_>]| {
+    let share = |tests: &[ClassMember<'_>]| {
         let found = Isa::best().run(DataBackward { shared, tests });
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()

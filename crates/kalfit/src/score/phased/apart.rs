@@ -1,4 +1,4 @@
-//! Scores of tests that are in no company: phase by phase, those in blocks side by side.
+//! Scores of tests that are in no class: phase by phase, those in blocks side by side.
 
 use rayon::prelude::*;
 

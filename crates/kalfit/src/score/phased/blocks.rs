@@ -23,10 +23,10 @@ const NONE: usize = usize::MAX;
 type LaneStart<'a> = (usize, usize, &'a Smooth);
 
 impl PhasedScorer<'_> {
-    /// The tests that have no company, where they can be kept side by side.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], companies: &ScoredClasses) -> Option<PhasedBlocks> {
-        let shared: Vec<usize> = companies.companies.iter().map(|company| company[0]).collect();
-        self.reducer.blocks(tests, &companies.alone, &shared)
+    /// The tests that have no class, where they can be kept side by side.
+    pub(crate) fn blocks(&self, tests: &[PhasedTest], classes: &ScoredClasses) -> Option<PhasedBlocks> {
+        let shared: Vec<usize> = classes.classes.iter().map(|class| class[0]).collect();
+        self.reducer.blocks(tests, &classes.alone, &shared)
     }
 
     /// What a phase says of the tests with these numbers that are in its blocks, by their places among them; those with which

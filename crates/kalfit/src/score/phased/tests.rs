@@ -271,17 +271,17 @@ fn alike_tests_are_scored_as_one_by_one() {
         }));
         let (reducer, reductions) = reduced(&model, &slots, &values, &many);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let companies = scorer.companies(&many);
-        let sizes: Vec<usize> = companies.companies.iter().map(Vec::len).collect();
-        assert_eq!((sizes, companies.alone.len()), (vec![37; 4], 4));
+        let classes = scorer.classes(&many);
+        let sizes: Vec<usize> = classes.classes.iter().map(Vec::len).collect();
+        assert_eq!((sizes, classes.alone.len()), (vec![37; 4], 4));
         let plans = SharedStore::new(PLAN_BYTES);
         let ensemble =
             ScoredEnsemble { tests: &many, reductions: &reductions, law: &law, plans: &plans, filtered: None };
-        for company in &companies.companies {
-            let found = scorer.together(ensemble, company, &mut scorer.room()).expect("sound");
+        for class in &classes.classes {
+            let found = scorer.together(ensemble, class, &mut scorer.room()).expect("sound");
             assert!(found.is_some(), "they go together");
         }
-        let together = scorer.scores(&many, &reductions, &law, (&companies, None)).expect("sound");
+        let together = scorer.scores(&many, &reductions, &law, (&classes, None)).expect("sound");
         let alone = scorer.scores(&many, &reductions, &law, (&ScoredClasses::none(many.len()), None)).expect("sound");
         assert!(alone.iter().any(|score| score.len() > 7), "most values count");
         for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {

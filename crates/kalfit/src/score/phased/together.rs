@@ -1,11 +1,11 @@
-//! Scores of tests that are alike, in the company of each other.
+//! Scores of tests that are alike, of one design class.
 
 use rayon::prelude::*;
 
 use crate::estimate::InitialLaw;
 use crate::reduce::{PhasedFiltered, PhasedTest, ReduceError, Reductions, same_bits};
 use crate::score::chain::{Gradient, add};
-use crate::score::classes::Told;
+use crate::score::classes::ClassMember;
 use crate::score::phased::{PhasedScorer, Plans, ScoreWorkspace};
 use crate::score::smoother::Smooth;
 use crate::score::{ScoredClasses, Scorer};
@@ -35,30 +35,29 @@ struct MemberStart {
 
 impl PhasedScorer<'_> {
     /// Which of these tests are alike.
-    pub(crate) fn companies(&self, tests: &[PhasedTest]) -> ScoredClasses {
+    pub(crate) fn classes(&self, tests: &[PhasedTest]) -> ScoredClasses {
         ScoredClasses::of(self.reducer, tests)
     }
 
     /// The scores of tests, in any order.
-    pub(super) fn in_companies(&self, of: ScoredEnsemble<'_>, companies: &ScoredClasses) -> Vec<Score> {
+    pub(super) fn in_classes(&self, of: ScoredEnsemble<'_>, classes: &ScoredClasses) -> Vec<Score> {
         // covariates move the uncertainty of the mean
         let own = of.law.is_restricted() && of.reductions.iter().any(|reduction| !reduction.covariates.is_empty());
         let none;
-        let companies = if own {
+        let classes = if own {
             none = ScoredClasses::none(of.tests.len());
             &none
         } else {
-            companies
+            classes
         };
-        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.company(of, members, room);
-        let mut scores: Vec<Score> =
-            companies.companies.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
-        scores.extend(self.apart(of, &companies.alone));
+        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.of_class(of, members, room);
+        let mut scores: Vec<Score> = classes.classes.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
+        scores.extend(self.apart(of, &classes.alone));
         scores
     }
 
     /// Alike tests; one by one where they turn out to be so in their rows alone.
-    fn company(&self, of: ScoredEnsemble<'_>, numbers: &[usize], room: &mut ScoreWorkspace<'_>) -> Vec<Score> {
+    fn of_class(&self, of: ScoredEnsemble<'_>, numbers: &[usize], room: &mut ScoreWorkspace<'_>) -> Vec<Score> {
         match self.together(of, numbers, room) {
             Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
             // what is wrong is said of the test that it is wrong with
@@ -95,13 +94,13 @@ impl PhasedScorer<'_> {
             let told = |(&number, begun): (&usize, &mut MemberStart)| {
                 let test = self.reducer.rows_of(at, &of.tests[number]).expect("alike tests have the same phases");
                 let (mean, ending) = std::mem::take(&mut begun.phases[at]);
-                Told { test, mean, ending }
+                ClassMember { test, mean, ending }
             };
-            let told: Vec<Told<'_>> = numbers.iter().zip(&mut begun).map(told).collect();
+            let told: Vec<ClassMember<'_>> = numbers.iter().zip(&mut begun).map(told).collect();
             let scorer = &self.phases[at];
             let ending = scorer.ending_of(smooth);
             let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
-            let Some(own) = scorer.company(&told, (&smooth.moments, ending.as_ref()), work)? else {
+            let Some(own) = scorer.of_class(&told, (&smooth.moments, ending.as_ref()), work)? else {
                 return Ok(None);
             };
             scores.iter_mut().zip(&own).for_each(|(score, own)| add(score, own));
@@ -109,7 +108,7 @@ impl PhasedScorer<'_> {
         Ok(Some(scores))
     }
 
-    /// What a test begins with; `None` where more than that differs from the first one of its company.
+    /// What a test begins with; `None` where more than that differs from the first one of its class.
     fn begun(
         &self,
         of: ScoredEnsemble<'_>,

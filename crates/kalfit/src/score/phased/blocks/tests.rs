@@ -133,8 +133,8 @@ impl Case {
             (reductions, filtered) = (own, Some(after));
         }
         let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
-        let companies = ScoredClasses::none(tests.len());
-        let scores = scorer.scores(tests, &reductions, &self.law, (&companies, filtered.as_ref())).expect("sound");
+        let classes = ScoredClasses::none(tests.len());
+        let scores = scorer.scores(tests, &reductions, &self.law, (&classes, filtered.as_ref())).expect("sound");
         (reductions, scores)
     }
 }

@@ -11,7 +11,7 @@ use crate::score::{PhasedScorer, ScoredClasses};
 /// Which tests are alike, and which are kept side by side.
 #[derive(Debug, Default)]
 pub(crate) struct Batching {
-    companies: OnceLock<ScoredClasses>,
+    classes: OnceLock<ScoredClasses>,
     blocks: OnceLock<Option<PhasedBlocks>>,
     /// Long tests that are alike.
     alike: OnceLock<Arc<EqualDesigns>>,
@@ -21,12 +21,12 @@ pub(crate) struct Batching {
 
 impl Batching {
     /// Which tests are alike.
-    pub(crate) fn companies(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &ScoredClasses {
-        if self.companies.get().is_none() {
+    pub(crate) fn classes(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &ScoredClasses {
+        if self.classes.get().is_none() {
             // not within the lock: threads that find them may take up other work meanwhile
-            let _ = self.companies.set(scorer.companies(tests));
+            let _ = self.classes.set(scorer.classes(tests));
         }
-        self.companies.get().expect("they were set")
+        self.classes.get().expect("they were set")
     }
 
     /// Lets a reducer know what steps the tests have, as far as they were found before.
@@ -44,8 +44,8 @@ impl Batching {
     ) -> Result<(Reductions, Option<PhasedFiltered>), ReduceError> {
         let blocks = self.blocks((model, slots), reducer, tests);
         reducer.knowing_alike(self.alike.get_or_init(|| {
-            let long = |companies: &ScoredClasses| companies.long(tests);
-            Arc::new(self.companies.get().map(long).unwrap_or_default())
+            let long = |classes: &ScoredClasses| classes.long(tests);
+            Arc::new(self.classes.get().map(long).unwrap_or_default())
         }));
         match blocks {
             Some(blocks) => {
@@ -65,7 +65,7 @@ impl Batching {
     ) -> Option<&PhasedBlocks> {
         if self.blocks.get().is_none() {
             let scorer = PhasedScorer::new(model, reducer, slots).ok()?;
-            let _ = self.blocks.set(scorer.blocks(tests, self.companies(&scorer, tests)));
+            let _ = self.blocks.set(scorer.blocks(tests, self.classes(&scorer, tests)));
         }
         self.blocks.get()?.as_ref()
     }
