@@ -11,7 +11,7 @@ use crate::apply::states::{PhaseStates, StateKind, StepMoments};
 use crate::apply::{Applied, ApplyError};
 use crate::innovations::{ChainedFilter, EnteringLaw};
 use crate::reduce::{Gains, PhasedTest, PhasedWork, ReduceError, Workspace, own_innovations};
-use crate::score::{AdjointsWanted, BackwardWork, Moments, Seen, TestRun};
+use crate::score::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Moments};
 
 impl Applied<'_> {
     pub(super) fn forward(&self, kind: StateKind, tests: Range<usize>) -> Result<Vec<Vec<PhaseStates>>, ApplyError> {
@@ -52,7 +52,7 @@ fn filtered(
     let q = work.design.frame.p;
     // at σ = 0, with a column for each element of σ
     let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-    let run = TestRun::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
+    let run = BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());
     run.forth(backward, &work.pass.e, |step, measured, seen| {
         if measured {
@@ -70,7 +70,7 @@ fn filtered(
     states
 }
 
-fn known(seen: Seen<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> StepMoments {
+fn known(seen: FilterSnapshot<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> StepMoments {
     let Psi = seen.sensitivity();
     let spread = &Psi * root;
     let mut covariance = &spread * spread.transpose();

@@ -3,7 +3,7 @@
 //! measurements and levels of motion are first tried against each other.
 
 use crate::dynamic::Coordinate;
-use crate::dynamic::bench::Bench;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::scales::{measures, time_constants};
 use crate::dynamic::tries::{FACTOR, tried};
 use crate::estimate::Progress;
@@ -18,7 +18,7 @@ const MOVED: [i32; 9] = [-7, -5, -4, -3, -2, -1, 0, 1, 3];
 /// The unknown noise levels set to the likeliest of some points over both kinds. Returned: other points that are likelier than all
 /// beside them, the likeliest first.
 pub(super) fn balance(
-    small: &Bench<'_>,
+    small: &ProfileLikelihood<'_>,
     unknown: &[usize],
     values: &mut Vec<f64>,
     progress: &mut dyn Progress,
@@ -63,7 +63,7 @@ fn step(coordinate: Coordinate, value: f64, power: i32) -> f64 {
 }
 
 /// Free values that are unknown noise levels: (of measurements, of motion).
-fn kinds(small: &Bench<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<usize>) {
+fn kinds(small: &ProfileLikelihood<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<usize>) {
     let constants = time_constants(small.model);
     let slots = small.slots.slots();
     let level = |s: &usize| {

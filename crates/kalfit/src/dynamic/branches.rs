@@ -1,8 +1,8 @@
 //! Branches of a profile: ℓ over a held value is the highest of several maxima, and which of them is highest changes along the way.
 
 use crate::dynamic::DynamicFit;
-use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 
 /// An end with ℓ lower by more is nowhere within an interval: half of χ²₁'s 95 % quantile.
 pub(super) const WITHIN: f64 = 1.9208;
@@ -11,11 +11,11 @@ const MOST: usize = 6;
 pub(super) const ALIKE: f64 = 1e-3;
 
 /// Other ends of the searches from which a profile may be higher than from the best, as they are sought: the highest first.
-pub(super) fn others(bench: &Bench<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
+pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
     let least = fit.estimate.log_likelihood - WITHIN;
     let mut kept = vec![fit.sought.clone()];
     for end in fit.others.iter().filter(|end| end.log_likelihood >= least) {
-        let sought = bench.sought(&end.values);
+        let sought = objective.sought(&end.values);
         if kept.len() <= MOST && !kept.iter().any(|other| alike(other, &sought, ALIKE)) {
             kept.push(sought);
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DVector, RowDVector};
 
-use crate::dynamic::bench::{Bench, ProfilePoint, Shifted};
+use crate::dynamic::profile_likelihood::{FixedLawPoint, ProfileLikelihood, ProfilePoint};
 use crate::dynamic::touching::Touching;
 
 /// Step of a logarithm for differences to both sides.
@@ -18,7 +18,7 @@ const ATTEMPTS: usize = 5;
 
 /// What they are taken of.
 pub(super) struct Differences<'s> {
-    pub(super) bench: &'s Bench<'s>,
+    pub(super) objective: &'s ProfileLikelihood<'s>,
     pub(super) home: &'s ProfilePoint,
     pub(super) touching: &'s Touching,
     /// To both sides, not to one.
@@ -37,13 +37,13 @@ pub(super) struct OwnColumns {
 impl Differences<'_> {
     /// Those of a colour, from one run of the filters or two.
     pub(super) fn columns(&self, colour: &[usize]) -> OwnColumns {
-        let Differences { bench, home, central, .. } = *self;
-        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(bench, &home.values, s, central)).collect();
+        let Differences { objective, home, central, .. } = *self;
+        let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(objective, &home.values, s, central)).collect();
         let mut columns = OwnColumns::default();
         for attempt in 0..ATTEMPTS {
-            let sides = sides(bench, home, (colour, &steps), central);
-            let Some(sides) = sides.filter(|sides| widths(bench, colour, sides).values().all(|w| *w > 0.0)) else {
-                if bench.is_waiting() {
+            let sides = sides(objective, home, (colour, &steps), central);
+            let Some(sides) = sides.filter(|sides| widths(objective, colour, sides).values().all(|w| *w > 0.0)) else {
+                if objective.is_waiting() {
                     break; // the sides are not known yet
                 }
                 steps.iter_mut().for_each(|h| *h *= 1e-2);
@@ -54,7 +54,7 @@ impl Differences<'_> {
             for (&s, h) in colour.iter().zip(&mut steps) {
                 let own = columns.own.get(&(s, s)).copied().unwrap_or(0.0).abs().sqrt();
                 let part = *h * own;
-                if !bench.coordinates[s].log && own > 0.0 && attempt < 3 && !(PARTS[0]..=PARTS[1]).contains(&part) {
+                if !objective.coordinates[s].log && own > 0.0 && attempt < 3 && !(PARTS[0]..=PARTS[1]).contains(&part) {
                     *h = (PARTS[0] * PARTS[1]).sqrt() / own;
                     wrong = true;
                 }
@@ -67,13 +67,15 @@ impl Differences<'_> {
     }
 
     /// The columns of a colour from the two sides.
-    fn between(&self, colour: &[usize], sides: &[Shifted; 2]) -> OwnColumns {
-        let Differences { bench, touching, .. } = *self;
-        let width = widths(bench, colour, sides);
+    fn between(&self, colour: &[usize], sides: &[FixedLawPoint; 2]) -> OwnColumns {
+        let Differences { objective, touching, .. } = *self;
+        let width = widths(objective, colour, sides);
         let mut own = BTreeMap::new();
         let mut add = |s: usize, t: usize, value: f64| *own.entry((s, t)).or_insert(0.0) += value;
-        let slope = |side: &Shifted, s: usize| bench.coordinates[s].slope(side.values[s]);
-        for (j, by) in bench.order().iter().map(|&j| (j, touching.of_test[j].iter().find(|s| width.contains_key(s)))) {
+        let slope = |side: &FixedLawPoint, s: usize| objective.coordinates[s].slope(side.values[s]);
+        for (j, by) in
+            objective.order().iter().map(|&j| (j, touching.of_test[j].iter().find(|s| width.contains_key(s))))
+        {
             let Some(&by) = by else { continue };
             for (side, sign) in sides.iter().zip([-1.0, 1.0]) {
                 for &(s, bar) in &side.tests.scores[j] {
@@ -93,7 +95,7 @@ impl Differences<'_> {
     }
 
     /// Along the tangent basis, of a value of a colour.
-    fn cross(&self, (colour, s): (&[usize], usize), sides: &[Shifted; 2]) -> DVector<f64> {
+    fn cross(&self, (colour, s): (&[usize], usize), sides: &[FixedLawPoint; 2]) -> DVector<f64> {
         if colour.len() == 1 {
             return &sides[1].inner - &sides[0].inner;
         }
@@ -109,15 +111,16 @@ impl Differences<'_> {
 
 /// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.
 fn sides(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     home: &ProfilePoint,
     (colour, steps): (&[usize], &[f64]),
     central: bool,
-) -> Option<[Shifted; 2]> {
-    let moved = |sign: f64| bench.shift(home, &beside(bench, &home.values, (colour, steps), sign));
+) -> Option<[FixedLawPoint; 2]> {
+    let moved = |sign: f64| objective.shift(home, &beside(objective, &home.values, (colour, steps), sign));
     let upper = moved(1.0);
-    let lower = if central || (upper.is_none() && !bench.is_waiting()) { moved(-1.0) } else { bench.at_home(home) };
-    two_sides(upper, lower, || bench.at_home(home))
+    let lower =
+        if central || (upper.is_none() && !objective.is_waiting()) { moved(-1.0) } else { objective.at_home(home) };
+    two_sides(upper, lower, || objective.at_home(home))
 }
 
 /// Two sides, home being one of them where there is but another.
@@ -131,31 +134,41 @@ pub(super) fn two_sides<T>(upper: Option<T>, lower: Option<T>, home: impl FnOnce
 }
 
 /// How far apart the sides are in each coordinate of a colour.
-fn widths(bench: &Bench<'_>, colour: &[usize], sides: &[Shifted; 2]) -> BTreeMap<usize, f64> {
+fn widths(objective: &ProfileLikelihood<'_>, colour: &[usize], sides: &[FixedLawPoint; 2]) -> BTreeMap<usize, f64> {
     let width = |&s: &usize| {
         let [upper, lower] = [sides[0].values[s], sides[1].values[s]];
-        (s, if bench.coordinates[s].log { (upper / lower).ln() } else { upper - lower })
+        (s, if objective.coordinates[s].log { (upper / lower).ln() } else { upper - lower })
     };
     colour.iter().map(width).collect()
 }
 
 /// The values with those of a colour moved to one side.
-fn beside(bench: &Bench<'_>, values: &[f64], (colour, steps): (&[usize], &[f64]), sign: f64) -> Vec<f64> {
+fn beside(
+    objective: &ProfileLikelihood<'_>,
+    values: &[f64],
+    (colour, steps): (&[usize], &[f64]),
+    sign: f64,
+) -> Vec<f64> {
     let mut values = values.to_vec();
-    colour.iter().zip(steps).for_each(|(&s, h)| values[s] = bench.coordinates[s].moved(values[s], sign * h));
+    colour.iter().zip(steps).for_each(|(&s, h)| values[s] = objective.coordinates[s].moved(values[s], sign * h));
     values
 }
 
 /// Where [`Differences::columns`] looks first about some values, each of which all tests have in common.
-pub(crate) fn around(bench: &Bench<'_>, values: &[f64], active: &[bool], central: bool) -> Vec<Vec<f64>> {
+pub(crate) fn around(
+    objective: &ProfileLikelihood<'_>,
+    values: &[f64],
+    active: &[bool],
+    central: bool,
+) -> Vec<Vec<f64>> {
     let signs: &[f64] = if central { &[1.0, -1.0] } else { &[1.0] };
     let of = |s: usize| {
-        let step = first_step(bench, values, s, central);
-        signs.iter().map(move |sign| beside(bench, values, (&[s], &[step]), *sign))
+        let step = first_step(objective, values, s, central);
+        signs.iter().map(move |sign| beside(objective, values, (&[s], &[step]), *sign))
     };
     (0..values.len()).filter(|&s| active[s]).flat_map(of).collect()
 }
 
-fn first_step(bench: &Bench<'_>, values: &[f64], s: usize, central: bool) -> f64 {
-    bench.coordinates[s].step(values[s], if central { STEP } else { SHORT })
+fn first_step(objective: &ProfileLikelihood<'_>, values: &[f64], s: usize, central: bool) -> f64 {
+    objective.coordinates[s].step(values[s], if central { STEP } else { SHORT })
 }

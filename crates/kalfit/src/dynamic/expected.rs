@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::ValueCovariances;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::stepwise::{
     GroupedTest, LineValues, MotionValues, RecordMoments, RecordPoint, TimeStep, TimeSteps,
 };
@@ -21,40 +21,43 @@ use crate::reduce::{Evidence, ReduceError};
 const STEP: f64 = 1e-4;
 
 /// Covariances from the expected information; `None` where values of single tests are free, and where some side is not defined.
-pub(super) fn expected(bench: &Bench<'_>, fit: &DynamicFit) -> Result<Option<ValueCovariances>, DynamicError> {
+pub(super) fn expected(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+) -> Result<Option<ValueCovariances>, DynamicError> {
     let shared = fit.joint.shared();
-    let Some(directions) = Directions::of(bench, fit, shared)? else { return Ok(None) };
+    let Some(directions) = Directions::of(objective, fit, shared)? else { return Ok(None) };
     let one = |unit: &Vec<GroupedTest<'_>>| -> Result<DMatrix<f64>, DynamicError> {
         directions.information(unit).map_err(|error| DynamicError::Reduce(Box::new(error)))
     };
-    let all: Vec<Result<DMatrix<f64>, DynamicError>> = units(bench).par_iter().map(one).collect();
+    let all: Vec<Result<DMatrix<f64>, DynamicError>> = units(objective).par_iter().map(one).collect();
     let n = directions.all.len();
     let sum = all.into_iter().try_fold(DMatrix::zeros(n, n), |sum, one| one.map(|one| sum + one))?;
     Ok(fit.joint.covariances_of(&sum))
 }
 
 /// Tests are rows, which the optimal filter runs over: those of which it is worked out.
-pub(super) fn is_possible(bench: &Bench<'_>) -> bool {
+pub(super) fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     let is_rows = |evidence: &Evidence| matches!(evidence, Evidence::Rows(_));
-    let all_rows = bench.tests.iter().all(|test| test.phases.iter().all(is_rows));
-    all_rows && bench.model.phases.iter().all(|phase| phase.filter.is_none())
+    let all_rows = objective.tests.iter().all(|test| test.phases.iter().all(is_rows));
+    all_rows && objective.model.phases.iter().all(|phase| phase.filter.is_none())
 }
 
 /// Tests that know of each other, in an order that does not depend on theirs: those of one group of the outermost level, or each by
 /// itself.
-fn units<'a>(bench: &Bench<'a>) -> Vec<Vec<GroupedTest<'a>>> {
-    let Some(grouping) = bench.grouping() else {
-        return bench
+fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
+    let Some(grouping) = objective.grouping() else {
+        return objective
             .order()
             .iter()
-            .map(|&j| vec![GroupedTest { test: &bench.tests[j], groups: Vec::new() }])
+            .map(|&j| vec![GroupedTest { test: &objective.tests[j], groups: Vec::new() }])
             .collect();
     };
     let mut units: BTreeMap<usize, Vec<GroupedTest<'a>>> = BTreeMap::new();
-    for &j in bench.order() {
+    for &j in objective.order() {
         let groups: Vec<usize> = (0..grouping.depth()).map(|level| grouping.group_of(j, level)).collect();
         let unit = units.entry(groups.last().copied().unwrap_or(j)).or_default();
-        unit.push(GroupedTest { test: &bench.tests[j], groups });
+        unit.push(GroupedTest { test: &objective.tests[j], groups });
     }
     let mut units: Vec<Vec<GroupedTest<'a>>> = units.into_values().collect();
     // groups within groups one after the other
@@ -72,18 +75,22 @@ struct Directions {
 
 impl Directions {
     /// `None` where (μ, Σ) have no law to some side.
-    fn of(bench: &Bench<'_>, fit: &DynamicFit, shared: &[usize]) -> Result<Option<Directions>, DynamicError> {
+    fn of(
+        objective: &ProfileLikelihood<'_>,
+        fit: &DynamicFit,
+        shared: &[usize],
+    ) -> Result<Option<Directions>, DynamicError> {
         let state = &fit.estimate.state;
-        let place = |alpha: &Alpha, law: InitialLaw| RecordPoint::new(bench, alpha, law);
+        let place = |alpha: &Alpha, law: InitialLaw| RecordPoint::new(objective, alpha, law);
         let mut all = Vec::new();
         for &s in shared {
-            let coordinate = &bench.coordinates[s];
+            let coordinate = &objective.coordinates[s];
             let step = coordinate.step(fit.sought[s], STEP);
             let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
             let at = |value: f64| -> Result<Option<RecordPoint>, DynamicError> {
                 let mut sought = fit.sought.clone();
                 sought[s] = value;
-                let alpha = bench.alpha(&sought);
+                let alpha = objective.alpha(&sought);
                 let there = state.elsewhere(&fit.reductions, &alpha).ok().flatten();
                 there.map(|there| place(&alpha, there.law())).transpose()
             };

@@ -5,12 +5,12 @@
 //! zero are tried at other sizes, and the search begins anew from the data where the start values were given. Of many rows a part
 //! will do: only where ℓ of that part is about as high elsewhere does the search go there on all of them.
 
-use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::iterate::{RISE, SearchEnd, SearchStart, SearchState};
 use crate::dynamic::places::places;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::sample::{ALIKE, CLOSE, FOLLOWED, SubsampleProgress, larger, nearer, roughly, sample, total};
 use crate::dynamic::search::search;
+use crate::dynamic::search_state::{RISE, SearchEnd, SearchStart, SearchState};
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
 use crate::estimate::{Progress, Silent, Stop};
@@ -35,29 +35,29 @@ const LITTLE: f64 = 1e-5;
 
 /// Adds the ends that are found, and says where it was looked; `told`: all start values were given.
 pub(super) fn explore(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     ends: &mut Vec<SearchEnd>,
     told: bool,
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
-    let settings = Settings { method: Method::Hybrid, ..bench.settings.clone() };
-    let hybrid = Bench::new(bench.model, bench.tests, bench.slots, &settings);
-    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
-    let part = if common { sample(bench.tests, common) } else { Vec::new() };
-    let small = Bench::new(bench.model, &part, bench.slots, &settings);
-    let is_long = common && bench.rows() > 0 && LONGER * total(&part) <= bench.rows();
+    let settings = Settings { method: Method::Hybrid, ..objective.settings.clone() };
+    let hybrid = ProfileLikelihood::new(objective.model, objective.tests, objective.slots, &settings);
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let part = if common { sample(objective.tests, common) } else { Vec::new() };
+    let small = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
+    let is_long = common && objective.rows() > 0 && LONGER * total(&part) <= objective.rows();
     let explored = match best(ends) {
-        Some(_) if is_long && is_possible(&small) => on_part((bench, &hybrid, &small), ends, told, progress),
-        _ if is_possible(bench) => look_around((bench, &hybrid), ends, (told, 0.0), progress),
+        Some(_) if is_long && is_possible(&small) => on_part((objective, &hybrid, &small), ends, told, progress),
+        _ if is_possible(objective) => look_around((objective, &hybrid), ends, (told, 0.0), progress),
         _ => Ok(Explored::No),
     };
-    bench.absorb(&hybrid);
+    objective.absorb(&hybrid);
     explored
 }
 
 /// Adds the best certified end that a part of the data leads to.
 fn on_part(
-    (bench, hybrid, small): (&Bench<'_>, &Bench<'_>, &Bench<'_>),
+    (objective, hybrid, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     ends: &mut Vec<SearchEnd>,
     told: bool,
     progress: &mut dyn Progress,
@@ -66,14 +66,14 @@ fn on_part(
     let mut beside = SubsampleProgress { small, progress: &mut *progress };
     let Ok(start) = small.solve(&home, None) else { return Ok(Explored::No) };
     let mut found = vec![SearchState::new(small, &mut beside, start).run()?];
-    let known = ordered(&bench.twins, &found[0].restart());
+    let known = ordered(&objective.twins, &found[0].restart());
     let looked = look_around((small, small), &mut found, (told, CLOSE), &mut beside)?;
     found.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let highest = found[0].home.value();
     let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(SearchEnd::restart);
-    let elsewhere = near.filter(|values| !alike(&ordered(&bench.twins, values), &known, ALIKE));
+    let elsewhere = near.filter(|values| !alike(&ordered(&objective.twins, values), &known, ALIKE));
     let elsewhere: Vec<SearchStart> = elsewhere.take(FOLLOWED).map(SearchStart::from).collect();
-    for start in apart_from(&home, elsewhere, (bench, hybrid), progress) {
+    for start in apart_from(&home, elsewhere, (objective, hybrid), progress) {
         let floor = best(ends).map(|best| best.home.value() + RISE);
         let Ok(home) = hybrid.solve(&start.values, None) else { continue };
         if progress.stops() {
@@ -83,7 +83,7 @@ fn on_part(
         search.begin_with(start.curvature);
         let end = search.run()?;
         if is_higher(&end, floor) {
-            ends.push(by_method(bench, end, progress)?);
+            ends.push(by_method(objective, end, progress)?);
         }
     }
     Ok(if looked == Explored::Whole { Explored::Sample } else { looked })
@@ -93,7 +93,7 @@ fn on_part(
 fn apart_from(
     home: &[f64],
     elsewhere: Vec<SearchStart>,
-    (bench, hybrid): (&Bench<'_>, &Bench<'_>),
+    (objective, hybrid): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     progress: &mut dyn Progress,
 ) -> Vec<SearchStart> {
     if elsewhere.is_empty() {
@@ -102,8 +102,8 @@ fn apart_from(
     let mut starts = vec![SearchStart::from(home.to_vec())];
     starts.extend(elsewhere);
     let settings = roughly(hybrid.settings);
-    for part in larger(bench.tests, true) {
-        let larger = Bench::new(bench.model, &part, bench.slots, &settings);
+    for part in larger(objective.tests, true) {
+        let larger = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
         starts = nearer((hybrid, &larger), starts, progress);
     }
     starts.split_off(1)
@@ -115,22 +115,26 @@ fn is_higher(end: &SearchEnd, floor: Option<f64>) -> bool {
 }
 
 /// The end by the method that was asked for.
-fn by_method(bench: &Bench<'_>, found: SearchEnd, progress: &mut dyn Progress) -> Result<SearchEnd, DynamicError> {
-    match bench.settings.method {
+fn by_method(
+    objective: &ProfileLikelihood<'_>,
+    found: SearchEnd,
+    progress: &mut dyn Progress,
+) -> Result<SearchEnd, DynamicError> {
+    match objective.settings.method {
         Method::Hybrid => Ok(found),
-        _ => search(bench, found.restart().into(), None, progress),
+        _ => search(objective, found.restart().into(), None, progress),
     }
 }
 
 /// The best end that is found around another while a value is held; the other where none is higher.
-pub(super) fn around(bench: &Bench<'_>, end: SearchEnd, held: usize) -> SearchEnd {
-    let most = bench.filter_passes() + most(bench);
+pub(super) fn around(objective: &ProfileLikelihood<'_>, end: SearchEnd, held: usize) -> SearchEnd {
+    let most = objective.filter_passes() + most(objective);
     let floor = end.home.value() + RISE;
-    let mut places = places(bench, &end, Some(held), &mut Silent);
-    places.extend(start::from_data(bench, Some((held, end.home.values[held])), &mut Silent));
-    let mut found = places.into_iter().take_while(|_| bench.filter_passes() < most).filter_map(|place| {
-        let (home, mut silent) = (bench.solve(&place, None).ok()?, Silent);
-        let mut search = SearchState::new(bench, &mut silent, home).beyond(Some(floor));
+    let mut places = places(objective, &end, Some(held), &mut Silent);
+    places.extend(start::from_data(objective, Some((held, end.home.values[held])), &mut Silent));
+    let mut found = places.into_iter().take_while(|_| objective.filter_passes() < most).filter_map(|place| {
+        let (home, mut silent) = (objective.solve(&place, None).ok()?, Silent);
+        let mut search = SearchState::new(objective, &mut silent, home).beyond(Some(floor));
         search.hold(held);
         search.run().ok().filter(|found| found.stop == Stop::Certified && found.home.value() > floor)
     });
@@ -138,31 +142,31 @@ pub(super) fn around(bench: &Bench<'_>, end: SearchEnd, held: usize) -> SearchEn
 }
 
 /// Other maxima are within reach of the runs that may be spent.
-fn is_possible(bench: &Bench<'_>) -> bool {
-    most(bench) > 0
+fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
+    most(objective) > 0
 }
 
 /// Runs of the filters that may be spent; none where they are too few for a search.
-fn most(bench: &Bench<'_>) -> usize {
-    let rows = bench.rows().max(1);
+fn most(objective: &ProfileLikelihood<'_>) -> usize {
+    let rows = objective.rows().max(1);
     let runs = (ROWS / rows).min(RUNS).max((FEW_ROWS / rows).min(MORE_RUNS));
-    if runs < FEWEST || bench.slots.len() > VALUES { 0 } else { runs }
+    if runs < FEWEST || objective.slots.len() > VALUES { 0 } else { runs }
 }
 
 /// Adds ends that are higher than the best one, or no further below it than by `slack`; `told`: all start values were given.
 fn look_around(
-    (bench, hybrid): (&Bench<'_>, &Bench<'_>),
+    (objective, hybrid): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     ends: &mut Vec<SearchEnd>,
     (told, slack): (bool, f64),
     progress: &mut dyn Progress,
 ) -> Result<Explored, DynamicError> {
-    let most = most(bench);
+    let most = most(objective);
     let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
     for round in 0..ROUNDS {
         let best = best(ends);
         let mut places = best.map_or_else(Vec::new, |best| places(hybrid, best, None, progress));
         if round == 0 && told {
-            places.extend(start::from_data(bench, None, progress));
+            places.extend(start::from_data(objective, None, progress));
         }
         let mut floor = best.map(|best| best.home.value() + RISE);
         let anew = floor.map(|floor| floor + LITTLE);
@@ -171,7 +175,7 @@ fn look_around(
             if hybrid.filter_passes() >= most || progress.stops() {
                 return Ok(Explored::Part);
             }
-            let place = ordered(&bench.twins, &place);
+            let place = ordered(&objective.twins, &place);
             if tried.iter().any(|other| other == &place) {
                 continue;
             }
@@ -184,7 +188,7 @@ fn look_around(
             }
             higher = is_higher(&found, anew);
             let (value, is_better) = (found.home.value(), is_higher(&found, floor));
-            ends.push(if is_better { by_method(bench, found, progress)? } else { found });
+            ends.push(if is_better { by_method(objective, found, progress)? } else { found });
             if higher {
                 break;
             }

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::SearchEnd;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
+use crate::dynamic::search_state::SearchEnd;
 use crate::dynamic::{
     DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
 };
@@ -29,45 +29,45 @@ pub fn fit(
 ) -> Result<DynamicFit, DynamicError> {
     let slots = Slots::in_phases(model, labels, tests);
     refuse(model, tests, &slots, settings)?;
-    let bench = Bench::new(model, tests, &slots, settings);
-    let (mut ends, first_error) = searched(&bench, progress)?;
+    let objective = ProfileLikelihood::new(model, tests, &slots, settings);
+    let (mut ends, first_error) = searched(&objective, progress)?;
     let explored = match progress.stops() {
         true => Explored::No,
-        false => explore::explore(&bench, &mut ends, start::all_given(&bench), progress)?,
+        false => explore::explore(&objective, &mut ends, start::all_given(&objective), progress)?,
     };
-    take_up_again(&bench, &mut ends, progress);
+    take_up_again(&objective, &mut ends, progress);
     let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
-    let (at, vanishing) = unbounded::find(&bench, &ends, at).unwrap_or((at, Vec::new()));
+    let (at, vanishing) = unbounded::find(&objective, &ends, at).unwrap_or((at, Vec::new()));
     let best = ends.remove(at);
     ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let other = |end: SearchEnd| OtherEnd {
         log_likelihood: end.home.value(),
-        values: bench.values(&twins::aligned(&bench.twins, &end.home.values, &best.home.values)),
+        values: objective.values(&twins::aligned(&objective.twins, &end.home.values, &best.home.values)),
         stop: end.stop,
         given_up: end.given_up,
     };
     let others = ends.into_iter().map(other).collect();
     let unbounded = vanishing.iter().map(|&s| name_of(model.shared(), labels, &slots, s)).collect();
-    finished(&bench, best, (others, explored, unbounded))
+    finished(&objective, best, (others, explored, unbounded))
 }
 
 /// The same of tests that are elsewhere, from these values: one search. They suggest such sizes of the values.
-pub(crate) fn fit_elsewhere(
+pub(crate) fn fit_remote(
     model: &PhasedModel,
     (slots, settings): (&Slots, &Settings),
     (answers, start, units): (&Arc<Answers>, Vec<f64>, Vec<f64>),
     progress: &mut dyn Progress,
 ) -> Result<DynamicFit, DynamicError> {
-    let bench = Bench::elsewhere(model, (slots, settings), (answers, units));
-    let end = search::search(&bench, start.into(), None, progress)?;
-    finished(&bench, end, (Vec::new(), Explored::No, Vec::new()))
+    let objective = ProfileLikelihood::elsewhere(model, (slots, settings), (answers, units));
+    let end = search::search(&objective, start.into(), None, progress)?;
+    finished(&objective, end, (Vec::new(), Explored::No, Vec::new()))
 }
 
 /// Where an end without a certificate is higher than the best one with it, another search begins: steps that failed on the way there,
 /// or runs that were used up, may lead on from a fresh start. If they do not, all stays as it was.
-fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
+fn take_up_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
     if progress.stops() {
         return;
     }
@@ -75,20 +75,21 @@ fn take_up_again(bench: &Bench<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dy
     let higher = ends.iter().filter(|end| end.home.value() > certified + HIGHER);
     let highest = higher.max_by(|a, b| a.home.value().total_cmp(&b.home.value()));
     if let Some(start) = highest.map(SearchEnd::restart) {
-        ends.extend(search::search(bench, start.into(), None, progress));
+        ends.extend(search::search(objective, start.into(), None, progress));
     }
 }
 
 /// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.
 fn finished(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     best: SearchEnd,
     (others, explored, unbounded): (Vec<OtherEnd>, Explored, Vec<String>),
 ) -> Result<DynamicFit, DynamicError> {
-    let (filter_passes, score_passes, passes) = (bench.filter_passes(), bench.score_passes(), bench.passes());
+    let (filter_passes, score_passes, passes) =
+        (objective.filter_passes(), objective.score_passes(), objective.passes());
     let (alpha, sought) = (best.home.alpha.clone(), best.home.values.clone());
-    let values = bench.values(&sought);
-    let (reductions, estimate) = bench.grounded(best.home)?;
+    let values = objective.values(&sought);
+    let (reductions, estimate) = objective.grounded(best.home)?;
     Ok(DynamicFit {
         alpha,
         values,
@@ -97,7 +98,7 @@ fn finished(
         estimate,
         certificate: best.certificate,
         stop: if unbounded.is_empty() { best.stop } else { Stop::Stalled },
-        method: bench.settings.method,
+        method: objective.settings.method,
         trace: best.trace,
         filter_passes,
         score_passes,
@@ -106,32 +107,32 @@ fn finished(
         explored,
         unbounded,
         joint: best.joint,
-        standing: on_edges(bench, best.standing),
-        settings: bench.settings.clone(),
-        slots: bench.slots.clone(),
+        standing: on_edges(objective, best.standing),
+        settings: objective.settings.clone(),
+        slots: objective.slots.clone(),
     })
 }
 
 /// The best end of all searches as a start elsewhere; `None` where they all fail.
-pub(crate) fn best(bench: &Bench<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
-    let (mut ends, _) = searched(bench, progress).ok()?;
-    explore::explore(bench, &mut ends, start::all_given(bench), progress).ok()?;
-    take_up_again(bench, &mut ends, progress);
+pub(crate) fn best(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
+    let (mut ends, _) = searched(objective, progress).ok()?;
+    explore::explore(objective, &mut ends, start::all_given(objective), progress).ok()?;
+    take_up_again(objective, &mut ends, progress);
     chosen(&ends).map(|at| ends[at].restart())
 }
 
 /// Where the searches from all starts end, and the first error of those that do not.
 fn searched(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
 ) -> Result<(Vec<SearchEnd>, Option<DynamicError>), DynamicError> {
     let (mut ends, mut first_error, mut floor) = (Vec::new(), None, None);
-    for start in start::starts(bench, progress)? {
+    for start in start::starts(objective, progress)? {
         if progress.stops() && !ends.is_empty() {
             break;
         }
-        progress.stage(Stage::Filters { filter_runs: bench.filter_passes() });
-        match search::search(bench, start, floor, progress) {
+        progress.stage(Stage::Filters { filter_runs: objective.filter_passes() });
+        match search::search(objective, start, floor, progress) {
             Ok(end) => {
                 floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
                 ends.push(end);
@@ -155,10 +156,10 @@ fn name_of(model: &Model, labels: &Labels, slots: &Slots, s: usize) -> String {
 }
 
 /// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.
-fn on_edges(bench: &Bench<'_>, standing: Vec<Standing>) -> Vec<Standing> {
+fn on_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<Standing> {
     let one = |(s, standing): (usize, Standing)| match standing {
-        Standing::Lower | Standing::Upper if bench.edges.has(s) => Standing::Edge,
-        Standing::Lower if bench.cone.contains(&s) => Standing::Edge,
+        Standing::Lower | Standing::Upper if objective.edges.has(s) => Standing::Edge,
+        Standing::Lower if objective.cone.contains(&s) => Standing::Edge,
         other => other,
     };
     standing.into_iter().enumerate().map(one).collect()
@@ -189,9 +190,9 @@ pub fn start_values(
 ) -> Result<Vec<f64>, DynamicError> {
     let slots = Slots::in_phases(model, labels, tests);
     refuse(model, tests, &slots, settings)?;
-    let bench = Bench::new(model, tests, &slots, settings);
-    let starts = start::starts(&bench, progress)?;
-    starts.first().map(|first| bench.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
+    let objective = ProfileLikelihood::new(model, tests, &slots, settings);
+    let starts = start::starts(&objective, progress)?;
+    starts.first().map(|first| objective.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
 }
 
 /// What has no meaning while parameters are free.

@@ -4,10 +4,10 @@
 //! gradient has done on the way corrects the information (Broyden, Fletcher, Goldfarb and Shanno's update), and the next step costs
 //! one run. The end is certified by differences all the same.
 
-use crate::dynamic::bench::ProfilePoint;
-use crate::dynamic::iterate::{LONGEST, SearchState};
 use crate::dynamic::joint::JointInformation;
+use crate::dynamic::profile_likelihood::ProfilePoint;
 use crate::dynamic::quadratic::{LevelScale, ProfileInformation, Quadratic};
+use crate::dynamic::search_state::{LONGEST, SearchState};
 use crate::dynamic::{Coordinate, Method};
 
 /// Most steps before the next look.
@@ -20,16 +20,18 @@ const SINKING: f64 = 2.5;
 impl<'b> SearchState<'b, '_> {
     /// Goes on from where a step led; `before`: where it began, `joint` the information there.
     pub(super) fn glide(&mut self, joint: &JointInformation, before: &ProfilePoint) {
-        if let Some(curvature) = ProfileInformation::of(&self.bench.coordinates, self.level_scale, (joint, before)) {
-            self.glide_on(curvature, (Some(before.clone()), true));
+        if let Some(curvature) = ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, before))
+        {
+            self.quasi_newton_steps(curvature, (Some(before.clone()), true));
         }
     }
 
     /// The same by information that serves here, too; nothing is learnt on the way.
     pub(super) fn glide_by(&mut self, joint: &JointInformation) {
-        if let Some(curvature) = ProfileInformation::of(&self.bench.coordinates, self.level_scale, (joint, &self.home))
+        if let Some(curvature) =
+            ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, &self.home))
         {
-            self.glide_on(curvature, (None, false));
+            self.quasi_newton_steps(curvature, (None, false));
         }
     }
 
@@ -40,7 +42,7 @@ impl<'b> SearchState<'b, '_> {
         self.level_scale = curvature.level_scale;
         for curvature in [curvature.clone(), curvature.other()] {
             let scale = curvature.level_scale;
-            self.glide_on(curvature, (None, true));
+            self.quasi_newton_steps(curvature, (None, true));
             if self.home.value() != start {
                 self.level_scale = scale;
                 return;
@@ -52,11 +54,15 @@ impl<'b> SearchState<'b, '_> {
     }
 
     /// Goes on by a curvature at hand; `last`: where it was known, if that is not here; `learns`: it is corrected on the way.
-    pub(super) fn glide_on(&mut self, curvature: ProfileInformation, (mut last, learns): (Option<ProfilePoint>, bool)) {
-        if self.bench.settings.method != Method::Hybrid {
+    pub(super) fn quasi_newton_steps(
+        &mut self,
+        curvature: ProfileInformation,
+        (mut last, learns): (Option<ProfilePoint>, bool),
+    ) {
+        if self.objective.settings.method != Method::Hybrid {
             return;
         }
-        let coordinates: &'b [Coordinate] = &self.bench.coordinates;
+        let coordinates: &'b [Coordinate] = &self.objective.coordinates;
         let mut quadratic = Quadratic::about(coordinates, curvature, &last.as_ref().unwrap_or(&self.home).values);
         for _ in 0..STEPS {
             let before = last.as_ref().filter(|_| learns);
@@ -85,12 +91,12 @@ impl<'b> SearchState<'b, '_> {
 
     /// By which scale of levels the gradient after a step was foreseen better; as before where that cannot be said.
     pub(super) fn straighter(&self, joint: &JointInformation, next: &ProfilePoint) -> LevelScale {
-        if self.bench.settings.method != Method::Hybrid {
+        if self.objective.settings.method != Method::Hybrid {
             return self.level_scale; // the gradient is not at the best (μ, Σ)
         }
         let by = |scale| {
-            let curvature = ProfileInformation::of(&self.bench.coordinates, scale, (joint, &self.home))?;
-            Some(Quadratic::about(&self.bench.coordinates, curvature, &self.home.values))
+            let curvature = ProfileInformation::of(&self.objective.coordinates, scale, (joint, &self.home))?;
+            Some(Quadratic::about(&self.objective.coordinates, curvature, &self.home.values))
         };
         let (Some(logarithm), Some(variance)) = (by(LevelScale::Logarithm), by(LevelScale::Variance)) else {
             return self.level_scale;

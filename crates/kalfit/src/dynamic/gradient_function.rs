@@ -4,10 +4,10 @@
 //! time constant, its correlations) has no effect while it is zero, and D depends on it: D ≤ 0 must hold over its whole range.
 
 use crate::dynamic::Standing;
-use crate::dynamic::bench::{Bench, ProfilePoint};
-use crate::dynamic::iterate::{RISE, SearchState};
 use crate::dynamic::joint::{JointInformation, LEVEL_GROUND};
+use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::dynamic::scales::time_constants;
+use crate::dynamic::search_state::{RISE, SearchState};
 
 /// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
 const TRACE: f64 = 1e-7;
@@ -40,13 +40,13 @@ impl SearchState<'_, '_> {
     /// A level at zero returns where ℓ rises with its variance, for some shape of what it drives.
     pub(super) fn revived(&mut self, joint: &JointInformation) -> bool {
         let mut zeros = self.zeros();
-        zeros.retain(|&s| self.bench.coordinates[s].lower == 0.0 && self.held != Some(s));
+        zeros.retain(|&s| self.objective.coordinates[s].lower == 0.0 && self.held != Some(s));
         if zeros.is_empty() {
             return false;
         }
         let shapes = self.shapes(joint);
         let at_zero = self.at_zero();
-        let derivatives = self.bench.each(&shapes, |shape| at_zero.derivatives(&zeros, shape));
+        let derivatives = self.objective.each(&shapes, |shape| at_zero.derivatives(&zeros, shape));
         let mut found: Vec<Derivative> = derivatives.into_iter().flatten().collect();
         for &s in &zeros {
             found.extend(self.between(s, &found));
@@ -62,8 +62,8 @@ impl SearchState<'_, '_> {
     /// slope in the level that no derivative in its variance shows.
     fn crosses_back(&mut self, zeros: &[usize]) -> bool {
         let crossed = |&s: &usize| {
-            let parameter = self.bench.slots.slots()[s].parameter;
-            self.bench.edges.beside(parameter).into_iter().flat_map(move |t| PARTS.map(|part| (s, vec![(t, part)])))
+            let parameter = self.objective.slots.slots()[s].parameter;
+            self.objective.edges.beside(parameter).into_iter().flat_map(move |t| PARTS.map(|part| (s, vec![(t, part)])))
         };
         let ways: Vec<(usize, ChangedValues)> = zeros.iter().flat_map(crossed).collect();
         ways.into_iter().any(|(s, shape)| self.returns(s, &shape))
@@ -71,12 +71,12 @@ impl SearchState<'_, '_> {
 
     /// Back from zero at the largest size at which ℓ is higher than at zero.
     fn returns(&mut self, s: usize, shape: &ChangedValues) -> bool {
-        let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
+        let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
         for size in 0..SIZES {
             let mut values = self.home.values.clone();
             shape.iter().for_each(|&(t, value)| values[t] = value);
             let value = self.before_zero[s] * SMALLER.powi(size).powf(exponent.recip());
-            values[s] = value.clamp(self.bottom[s], self.bench.coordinates[s].upper);
+            values[s] = value.clamp(self.bottom[s], self.objective.coordinates[s].upper);
             if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
                 self.home = next;
                 // time constants of a noise that has come back
@@ -92,27 +92,28 @@ impl SearchState<'_, '_> {
     }
 
     fn at_zero(&self) -> AtZero<'_> {
-        AtZero { bench: self.bench, home: &self.home, before_zero: &self.before_zero }
+        AtZero { objective: self.objective, home: &self.home, before_zero: &self.before_zero }
     }
 
     /// Shapes of what levels at zero drive: the present one, and values without effect over their ranges.
     fn shapes(&self, joint: &JointInformation) -> Vec<ChangedValues> {
         let mut all = vec![ChangedValues::new()];
         let idle = self.idle(joint);
-        let constants = time_constants(self.bench.model);
-        let is_time = |t: &usize| constants.contains(&self.bench.slots.slots()[*t].parameter);
+        let constants = time_constants(self.objective.model);
+        let is_time = |t: &usize| constants.contains(&self.objective.slots.slots()[*t].parameter);
         let (times, others): (Vec<usize>, Vec<usize>) = idle.into_iter().partition(is_time);
         if !times.is_empty() {
             let at = |time: f64| -> ChangedValues {
-                let within = |t: usize| time.clamp(self.bench.coordinates[t].lower, self.bench.coordinates[t].upper);
+                let within =
+                    |t: usize| time.clamp(self.objective.coordinates[t].lower, self.objective.coordinates[t].upper);
                 times.iter().map(|&t| (t, within(t))).collect()
             };
-            let scales = self.bench.scales();
+            let scales = self.objective.scales();
             all.extend(scales.range(PART, SPANS, FACTOR).take(MOST_TIMES).chain(scales.beyond(FAR)).map(at));
         }
         let few: Vec<ChangedValues> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
         for t in others {
-            for value in self.bench.coordinates[t].spread(self.home.values[t]) {
+            for value in self.objective.coordinates[t].spread(self.home.values[t]) {
                 all.extend(few.iter().map(|shape| {
                     let mut shape = shape.clone();
                     shape.push((t, value));
@@ -165,8 +166,8 @@ impl SearchState<'_, '_> {
         }
         let mut values = self.home.values.clone();
         zeros.iter().for_each(|&s| values[s] = values[s].max(FELT * self.before_zero[s]));
-        let Some(at) = self.bench.shift(&self.home, &values) else { return };
-        let gradient = self.bench.gradient(&values, &at.tests.scores, &at.matrix);
+        let Some(at) = self.objective.shift(&self.home, &values) else { return };
+        let gradient = self.objective.gradient(&values, &at.tests.scores, &at.matrix);
         idle.into_iter().filter(|&t| gradient[t].abs() > FLAT).for_each(|t| self.standing[t] = Standing::Idle);
     }
 }
@@ -174,7 +175,7 @@ impl SearchState<'_, '_> {
 /// Where levels are at zero.
 #[derive(Clone, Copy)]
 struct AtZero<'s> {
-    bench: &'s Bench<'s>,
+    objective: &'s ProfileLikelihood<'s>,
     home: &'s ProfilePoint,
     before_zero: &'s [f64],
 }
@@ -182,14 +183,14 @@ struct AtZero<'s> {
 impl AtZero<'_> {
     /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
     fn derivatives(self, zeros: &[usize], shape: &ChangedValues) -> Vec<Derivative> {
-        let AtZero { bench, home, before_zero } = self;
+        let AtZero { objective, home, before_zero } = self;
         let mut values = home.values.clone();
         shape.iter().for_each(|&(t, value)| values[t] = value);
         zeros.iter().for_each(|&s| values[s] = values[s].max(TRACE * before_zero[s]));
-        let Some(at) = bench.shift(home, &values) else { return Vec::new() };
-        let gradient = bench.gradient(&values, &at.tests.scores, &at.matrix);
+        let Some(at) = objective.shift(home, &values) else { return Vec::new() };
+        let gradient = objective.gradient(&values, &at.tests.scores, &at.matrix);
         let derivative = |&s: &usize| {
-            let exponent = bench.coordinates[s].level.unwrap_or(1.0);
+            let exponent = objective.coordinates[s].level.unwrap_or(1.0);
             let gain = gradient[s] / exponent * (before_zero[s] / values[s]).powf(exponent);
             gain.is_finite().then(|| (gain, s, shape.clone()))
         };

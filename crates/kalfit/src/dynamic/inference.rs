@@ -1,8 +1,8 @@
 //! What each number of a fit with free α is worth.
 
-use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::mixed::mixed;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, expected, interval, law, profile, sandwich, worth};
 use crate::estimate::{Criterion, Estimate, JointLaw, Stop};
 use crate::infer::{Choices, Inference, IntervalKind, StdErrors, sensitivities};
@@ -17,17 +17,19 @@ pub fn infer(
     choices: Choices,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
     let ml = fit.estimate.criterion == Criterion::Ml;
-    let bench = match fit.reductions.remote() {
-        Some(remote) => Bench::elsewhere(model, (&fit.slots, &fit.settings), (&remote.answers, fit.values.clone())),
-        None => Bench::new(model, tests, &fit.slots, &fit.settings),
+    let objective = match fit.reductions.remote() {
+        Some(remote) => {
+            ProfileLikelihood::elsewhere(model, (&fit.slots, &fit.settings), (&remote.answers, fit.values.clone()))
+        }
+        None => ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings),
     };
-    let spread = |covariances: ValueCovariances| spread(&bench, fit, covariances);
-    let (estimate, observed) = with_law(&bench, fit);
+    let spread = |covariances: ValueCovariances| spread(&objective, fit, covariances);
+    let (estimate, observed) = with_law(&objective, fit);
     // by profiles only once the maximum is certain
     let wald = Choices { intervals: IntervalKind::Wald, ..choices };
     let asked = match choices.std_errors {
-        StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&bench, fit, &observed)?)),
-        StdErrors::Expected if ml => Some(spread(of_expectation(&bench, fit)?)),
+        StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&objective, fit, &observed)?)),
+        StdErrors::Expected if ml => Some(spread(of_expectation(&objective, fit)?)),
         _ => None,
     };
     let (mut inference, mut parameters) = match &asked {
@@ -45,9 +47,9 @@ pub fn infer(
         }
     };
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
-        let kept = interval::profiles(&bench, fit, &observed, &mut parameters)?;
+        let kept = interval::profiles(&objective, fit, &observed, &mut parameters)?;
         if fit.estimate.stop == Stop::Certified {
-            profile::profiles((&bench, fit), &estimate, &observed, (&mut inference, &parameters));
+            profile::profiles((&objective, fit), &estimate, &observed, (&mut inference, &parameters));
         }
         inference.intervals.unprofiled += kept;
     }
@@ -55,26 +57,26 @@ pub fn infer(
 }
 
 /// The estimate with the law of (α, μ, Σ) from the observed information, and that law.
-pub(super) fn with_law(bench: &Bench<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
-    let observed = spread(bench, fit, fit.joint.covariances());
-    let joint = law::joint(bench.model, fit, &observed);
+pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
+    let observed = spread(objective, fit, fit.joint.covariances());
+    let joint = law::joint(objective.model, fit, &observed);
     let mut estimate = fit.estimate.clone();
-    estimate.state.joint = Some(JointLaw { mixed: mixed(bench, fit, &observed), ..joint });
+    estimate.state.joint = Some(JointLaw { mixed: mixed(objective, fit, &observed), ..joint });
     (estimate, observed)
 }
 
 /// Covariances with those of noises that are as large as their variances allow.
-fn spread(bench: &Bench<'_>, fit: &DynamicFit, mut covariances: ValueCovariances) -> ValueCovariances {
-    let known = (&fit.slots, &bench.coordinates[..]);
-    bench.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
+fn spread(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, mut covariances: ValueCovariances) -> ValueCovariances {
+    let known = (&fit.slots, &objective.coordinates[..]);
+    objective.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
     covariances
 }
 
 /// Covariances from the expected information, where it is worked out.
-fn of_expectation(bench: &Bench<'_>, fit: &DynamicFit) -> Result<ValueCovariances, DynamicError> {
-    let found = if expected::is_possible(bench) { expected::expected(bench, fit)? } else { None };
+fn of_expectation(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Result<ValueCovariances, DynamicError> {
+    let found = if expected::is_possible(objective) { expected::expected(objective, fit)? } else { None };
     found.ok_or_else(|| {
         let parameter = fit.slots.slots().first().map_or(0, |slot| slot.parameter);
-        DynamicError::Expected { parameter: bench.model.shared().parameters[parameter].name.clone() }
+        DynamicError::Expected { parameter: objective.model.shared().parameters[parameter].name.clone() }
     })
 }

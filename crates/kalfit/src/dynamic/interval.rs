@@ -5,12 +5,12 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::dynamic::bench::{Bench, ProfilePoint};
 use crate::dynamic::branches::{ALIKE, others};
 use crate::dynamic::coordinates::alike;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::explore;
-use crate::dynamic::iterate::{SearchEnd, SearchState};
+use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
+use crate::dynamic::search_state::{SearchEnd, SearchState};
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, Standing};
 use crate::estimate::Silent;
 use crate::model::Population;
@@ -32,7 +32,7 @@ pub(crate) const MOST_PROFILED: usize = 40;
 /// Profile intervals in the place of Wald's, at values that the data determine and at those on a bound; how many of those keep Wald's:
 /// covariances of noises, which move with the variances beside them, and all where there are very many.
 pub(crate) fn profiles(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     covariances: &ValueCovariances,
     parameters: &mut [ParameterInference],
@@ -45,14 +45,15 @@ pub(crate) fn profiles(
     }
     let mut kept = 0;
     let near = Population::from(&fit.estimate);
-    let best = bench.solve(&fit.sought, Some(&near))?;
-    let others = others(bench, fit);
+    let best = objective.solve(&fit.sought, Some(&near))?;
+    let others = others(objective, fit);
     for (slot, parameter) in parameters.iter_mut().enumerate() {
-        if is_open(parameter) && bench.edges.has(slot) {
+        if is_open(parameter) && objective.edges.has(slot) {
             kept += 1;
         } else if is_open(parameter) {
             let error = covariances.alpha[slot].map_or(0.5, f64::sqrt);
-            let end = |sign: f64| IntervalSide { bench, best: &best, slot, sign, others: others.clone() }.limit(error);
+            let end =
+                |sign: f64| IntervalSide { objective, best: &best, slot, sign, others: others.clone() }.limit(error);
             parameter.interval = Some([end(-1.0), end(1.0)]);
         }
     }
@@ -61,7 +62,7 @@ pub(crate) fn profiles(
 
 /// One side of the interval of the value in a slot.
 struct IntervalSide<'b, 'a> {
-    bench: &'b Bench<'a>,
+    objective: &'b ProfileLikelihood<'a>,
     best: &'b ProfilePoint,
     slot: usize,
     sign: f64,
@@ -81,7 +82,7 @@ impl IntervalSide<'_, '_> {
     /// The end on this side; `error` is the standard error of the coordinate. The signed root of the deviance is nearly linear in the
     /// coordinate, so that secants meet it in a few tries. `None` where no value is unlikely enough.
     fn limit(mut self, error: f64) -> Option<f64> {
-        let (coordinate, value) = (self.bench.coordinates[self.slot], self.best.values[self.slot]);
+        let (coordinate, value) = (self.objective.coordinates[self.slot], self.best.values[self.slot]);
         let (sign, wanted) = (self.sign, wanted());
         let bound = if sign < 0.0 { coordinate.lower } else { coordinate.upper };
         if value == bound {
@@ -129,12 +130,12 @@ impl IntervalSide<'_, '_> {
     fn highest(&mut self, near: &ProfilePoint, tried: f64) -> Option<Tried> {
         let wanted = wanted();
         let root = |home: &ProfilePoint| (2.0 * (self.best.value() - home.value())).max(0.0).sqrt();
-        let mut end = held(self.bench, near, &near.values, (self.slot, tried));
+        let mut end = held(self.objective, near, &near.values, (self.slot, tried));
         for other in &self.others {
             if end.as_ref().is_some_and(|end| root(&end.home) < wanted - NEAR) {
                 break;
             }
-            let from = held(self.bench, near, other, (self.slot, tried));
+            let from = held(self.objective, near, other, (self.slot, tried));
             let value = |end: &Option<SearchEnd>| end.as_ref().map_or(f64::NEG_INFINITY, |end| end.home.value());
             end = if value(&from) > value(&end) { from } else { end };
         }
@@ -143,7 +144,7 @@ impl IntervalSide<'_, '_> {
             return Some(Tried { root: root(&end.home), home: end.home, new: false });
         }
         let before = end.home.values.clone();
-        let end = explore::around(self.bench, end, self.slot); // ℓ may be higher elsewhere
+        let end = explore::around(self.objective, end, self.slot); // ℓ may be higher elsewhere
         let new = !alike(&before, &end.home.values, ALIKE);
         let root = root(&end.home);
         if new {
@@ -178,13 +179,18 @@ fn scale(best: &ProfilePoint) -> f64 {
 }
 
 /// The best ℓ with a value held, from these values.
-fn held(bench: &Bench<'_>, near: &ProfilePoint, values: &[f64], (slot, value): (usize, f64)) -> Option<SearchEnd> {
+fn held(
+    objective: &ProfileLikelihood<'_>,
+    near: &ProfilePoint,
+    values: &[f64],
+    (slot, value): (usize, f64),
+) -> Option<SearchEnd> {
     let mut values = values.to_vec();
     values[slot] = value;
     let population = Population::from(&near.estimate);
-    let home = bench.solve(&values, Some(&population)).ok()?;
+    let home = objective.solve(&values, Some(&population)).ok()?;
     let mut silent = Silent;
-    let mut search = SearchState::new(bench, &mut silent, home);
+    let mut search = SearchState::new(objective, &mut silent, home);
     search.hold(slot);
     let end = search.run().ok()?;
     debug_assert!(end.home.values[slot] == value, "a held value stays");

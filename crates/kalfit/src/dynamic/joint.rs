@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector, DVectorView};
 
-use crate::dynamic::bench::{Bench, ProfilePoint, SecondDerivatives};
 use crate::dynamic::coordinates::in_variance;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::differences::Differences;
+use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint, SecondDerivatives};
 use crate::dynamic::touching::Touching;
 use crate::estimate::{NOTHING, NoiseInformation, Tangent};
 use crate::linalg::symmetric;
@@ -58,19 +58,24 @@ pub(crate) struct JointStep {
 impl JointInformation {
     /// The information at a solved α among the values that are `active`. With differences to both sides it is good to
     /// about 1e-7.
-    pub(crate) fn new(bench: &Bench<'_>, home: &ProfilePoint, active: &[bool], central: bool) -> JointInformation {
+    pub(crate) fn new(
+        objective: &ProfileLikelihood<'_>,
+        home: &ProfilePoint,
+        active: &[bool],
+        central: bool,
+    ) -> JointInformation {
         let n = home.values.len();
         let inner = informed(&home.estimate.state.place.tangent);
         let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
-        let tests = match &home.told {
+        let tests = match &home.second_derivatives {
             SecondDerivatives::Tests(tests) => tests,
             SecondDerivatives::Scale(exact) => {
-                return JointInformation::of_scale(exact, list, inner).without_flat(bench, home);
+                return JointInformation::of_scale(exact, list, inner).without_flat(objective, home);
             }
         };
-        let touching = Touching::of(bench, tests, n);
+        let touching = Touching::of(objective, tests, n);
         let alone = |s: usize| {
-            !bench.is_elsewhere() && list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s]
+            !objective.is_elsewhere() && list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s]
         };
         let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
@@ -82,14 +87,14 @@ impl JointInformation {
             cross: DMatrix::zeros(n, inner.nrows()),
             inner,
         };
-        let colours = touching.colours(&joint.active, bench.restricted());
-        let differences = Differences { bench, home, touching: &touching, central };
-        for columns in bench.together(|| bench.each(&colours, |colour| differences.columns(colour))) {
+        let colours = touching.colours(&joint.active, objective.restricted());
+        let differences = Differences { objective, home, touching: &touching, central };
+        for columns in objective.together(|| objective.each(&colours, |colour| differences.columns(colour))) {
             joint.own.extend(columns.own);
             columns.cross.into_iter().for_each(|(s, row)| joint.cross.set_row(s, &row));
         }
         joint.mirror();
-        joint.without_flat(bench, home)
+        joint.without_flat(objective, home)
     }
 
     /// Of a value that scales all noise, which needs no differences.
@@ -100,9 +105,11 @@ impl JointInformation {
     }
 
     /// Logarithms that neither slope nor curve do not move: what differences show of them is rounding.
-    fn without_flat(mut self, bench: &Bench<'_>, home: &ProfilePoint) -> JointInformation {
+    fn without_flat(mut self, objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> JointInformation {
         let flat = |s: usize| {
-            bench.coordinates[s].log && self.entry(s, s).abs() < LEVEL_GROUND && home.gradient[s].abs() < LEVEL_GROUND
+            objective.coordinates[s].log
+                && self.entry(s, s).abs() < LEVEL_GROUND
+                && home.gradient[s].abs() < LEVEL_GROUND
         };
         let kept: Vec<bool> = (0..home.values.len()).map(|s| !flat(s)).collect();
         self.active.retain(|&s| kept[s]);

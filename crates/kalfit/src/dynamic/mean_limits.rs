@@ -5,9 +5,9 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::dynamic::DynamicFit;
-use crate::dynamic::bench::Bench;
 use crate::dynamic::inference::with_law;
 use crate::dynamic::outer::{HeldQuantity, Outer, WarmStart};
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::estimate::{Estimate, Point};
 use crate::infer::{AsymptoticLaw, Held, HeldMaximum, Holder, Holds, MeanCombination, Profile};
 use crate::model::{Alpha, PhasedModel, Population};
@@ -31,10 +31,10 @@ pub fn mean_limits(
     means: MeansAt<'_>,
     quantile: f64,
 ) -> Vec<Option<[f64; 2]>> {
-    let bench = Bench::new(model, tests, &fit.slots, &fit.settings);
-    let (estimate, covariances) = with_law(&bench, fit);
+    let objective = ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings);
+    let (estimate, covariances) = with_law(&objective, fit);
     let Some(home) = means(&fit.alpha) else { return Vec::new() };
-    let outer = Outer::new((&bench, fit), &estimate, &covariances);
+    let outer = Outer::new((&objective, fit), &estimate, &covariances);
     let population = Population::from(&estimate);
     let means = Means { outer: &outer, means, fit };
     let limits = |number: usize| {
@@ -105,12 +105,12 @@ impl HeldQuantity for LimitedMean<'_, '_, '_, '_> {
 
     fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>> {
         let slope = |&s: &usize| {
-            let coordinate = &outer.bench.coordinates[s];
+            let coordinate = &outer.objective.coordinates[s];
             let step = coordinate.step(values[s], STEP);
             let side = |sign: f64| {
                 let mut values = values.to_vec();
                 values[s] = coordinate.moved(values[s], sign * step);
-                Some((coordinate.of_value(values[s]), self.at(&outer.bench.alpha(&values))?.value(there)))
+                Some((coordinate.of_value(values[s]), self.at(&outer.objective.alpha(&values))?.value(there)))
             };
             let ((below, low), (above, high)) = (side(-1.0)?, side(1.0)?);
             Some(if above > below { (high - low) / (above - below) } else { 0.0 })

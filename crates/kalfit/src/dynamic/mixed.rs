@@ -6,9 +6,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::DynamicFit;
-use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::differences::two_sides;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::estimate::Mixed;
 use crate::infer::holds_any;
 
@@ -21,12 +21,16 @@ const MOST: usize = 24;
 
 /// Of the values that move at the end of a fit; `None` where none does or no element is held, where very many values move or those of single tests
 /// do, and where ℓ is not defined beside the end.
-pub(super) fn mixed(bench: &Bench<'_>, fit: &DynamicFit, covariances: &ValueCovariances) -> Option<Mixed> {
+pub(super) fn mixed(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+) -> Option<Mixed> {
     let shared = &covariances.shared;
     if shared.is_empty() || shared.len() > MOST || !fit.joint.is_of_shared_values() || !holds_any(&fit.estimate.state) {
         return None;
     }
-    let rows: Option<Vec<DVector<f64>>> = shared.iter().map(|&s| row(bench, fit, covariances, s)).collect();
+    let rows: Option<Vec<DVector<f64>>> = shared.iter().map(|&s| row(objective, fit, covariances, s)).collect();
     let rows = rows?;
     let width = rows.first().map_or(0, DVector::len);
     let (k, n) = (shared.len(), covariances.whole.nrows());
@@ -38,8 +42,13 @@ pub(super) fn mixed(bench: &Bench<'_>, fit: &DynamicFit, covariances: &ValueCova
 }
 
 /// -∂²ℓ/∂α∂(every element) for one value, by differences to both sides where there are both.
-fn row(bench: &Bench<'_>, fit: &DynamicFit, covariances: &ValueCovariances, s: usize) -> Option<DVector<f64>> {
-    let (coordinate, value) = (&bench.coordinates[s], fit.sought[s]);
+fn row(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+    s: usize,
+) -> Option<DVector<f64>> {
+    let (coordinate, value) = (&objective.coordinates[s], fit.sought[s]);
     let error = covariances.alpha[s].map(f64::sqrt);
     let most = PART * value.abs().max(PART);
     let step = if coordinate.log { STEP } else { error.map_or(most, |error| (STEP * error).min(most)) };
@@ -47,7 +56,7 @@ fn row(bench: &Bench<'_>, fit: &DynamicFit, covariances: &ValueCovariances, s: u
         let mut values = fit.sought.clone();
         values[s] = coordinate.moved(value, sign * step);
         let place = coordinate.of_value(values[s]);
-        Some((place, scores(bench, fit, &values)?))
+        Some((place, scores(objective, fit, &values)?))
     };
     let [upper, lower] = two_sides(at(1.0), at(-1.0), || at(0.0))?;
     let width = upper.0 - lower.0;
@@ -55,8 +64,8 @@ fn row(bench: &Bench<'_>, fit: &DynamicFit, covariances: &ValueCovariances, s: u
 }
 
 /// Scores of all elements at other values but the (μ, Σ) of the fit.
-fn scores(bench: &Bench<'_>, fit: &DynamicFit, values: &[f64]) -> Option<DVector<f64>> {
-    let reduced = bench.reduce(values).ok()?;
-    let at = fit.estimate.state.elsewhere(&reduced.reductions, &bench.alpha(values)).ok()??;
+fn scores(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, values: &[f64]) -> Option<DVector<f64>> {
+    let reduced = objective.reduce(values).ok()?;
+    let at = fit.estimate.state.elsewhere(&reduced.reductions, &objective.alpha(values)).ok()??;
     Some(at.scores())
 }

@@ -7,7 +7,6 @@
 //! ```
 
 mod balance;
-mod bench;
 mod branches;
 mod colours;
 mod coordinates;
@@ -26,7 +25,6 @@ mod gradient_function;
 mod indirect;
 mod inference;
 mod interval;
-mod iterate;
 mod joint;
 mod law;
 mod matrices;
@@ -38,6 +36,7 @@ mod outer;
 mod phased_tests;
 mod places;
 mod profile;
+mod profile_likelihood;
 mod quadratic;
 mod ratio;
 mod result;
@@ -46,6 +45,7 @@ mod sandwich;
 mod scale;
 mod scales;
 mod search;
+mod search_state;
 mod settings;
 mod standing;
 mod start;
@@ -61,7 +61,7 @@ mod zero;
 
 pub(crate) use coordinates::Coordinate;
 pub use error::DynamicError;
-pub(crate) use fit::fit_elsewhere;
+pub(crate) use fit::fit_remote;
 pub use fit::{fit, start_values};
 pub use inference::infer;
 pub(crate) use interval::MOST_PROFILED;

@@ -1,6 +1,6 @@
 //! Where a search begins whose tests are in several places: what each of them suggests, put together.
 
-use crate::dynamic::bench::Bench;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::sample::sample;
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{Coordinate, Settings, fit, start};
@@ -19,28 +19,28 @@ pub(crate) fn opening(
     (slots, settings): (&Slots, &Settings),
     progress: &mut dyn Progress,
 ) -> Vec<f64> {
-    let bench = Bench::new(model, tests, slots, settings);
+    let objective = ProfileLikelihood::new(model, tests, slots, settings);
     let count = tests.len() as f64;
-    let units = bench.units();
-    let farthest = if start::all_given(&bench) { f64::INFINITY } else { FAR };
+    let units = objective.units();
+    let farthest = if start::all_given(&objective) { f64::INFINITY } else { FAR };
     let start = |(s, value): (usize, f64)| {
-        let (coordinate, unit) = (&bench.coordinates[s], units[s]);
+        let (coordinate, unit) = (&objective.coordinates[s], units[s]);
         let is_far = coordinate.log && (value <= 0.0 || value / unit > farthest || unit / value > farthest);
         coordinate.of_value(if is_far { unit } else { value })
     };
-    let starts = suggested(&bench, progress).into_iter().enumerate().map(start);
+    let starts = suggested(&objective, progress).into_iter().enumerate().map(start);
     let sizes = units.iter().map(|unit| unit.max(f64::MIN_POSITIVE).ln());
     let numbers = starts.chain(sizes).map(|x| count * x);
     std::iter::once(count).chain(numbers).collect()
 }
 
 /// The start values that were given; if some are open, where the best search on a part of the tests ends.
-fn suggested(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<f64> {
-    let sample = sample(bench.tests, true);
-    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
-    let found = if start::all_given(bench) { None } else { fit::best(&small, progress) };
-    let found = found.map(|values| ordered(&bench.twins, &values));
-    found.unwrap_or_else(|| start::first(bench, progress))
+fn suggested(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Vec<f64> {
+    let sample = sample(objective.tests, true);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    let found = if start::all_given(objective) { None } else { fit::best(&small, progress) };
+    let found = found.map(|values| ordered(&objective.twins, &values));
+    found.unwrap_or_else(|| start::first(objective, progress))
 }
 
 /// What all places suggest: the mean over their tests.

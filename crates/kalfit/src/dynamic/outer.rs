@@ -12,10 +12,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::dynamic::bench::Bench;
 use crate::dynamic::branches::{WITHIN, others};
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_gradient;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{DynamicFit, Standing};
 use crate::estimate::{Estimate, FinalState, NewtonIterate, Point};
 use crate::infer::{AsymptoticLaw, Held, HeldMaximum, Holdable, Holder, Holds, value};
@@ -72,7 +72,7 @@ impl HeldQuantity for Holdable {
 
 /// ℓ with a quantity held, over α.
 pub(super) struct Outer<'b, 'a> {
-    pub(super) bench: &'b Bench<'a>,
+    pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) estimate: &'b Estimate,
     law: AsymptoticLaw<'b>,
     /// Values that may move.
@@ -128,14 +128,14 @@ impl Here {
 
 impl<'b, 'a> Outer<'b, 'a> {
     pub(super) fn new(
-        (bench, fit): (&'b Bench<'a>, &DynamicFit),
+        (objective, fit): (&'b ProfileLikelihood<'a>, &DynamicFit),
         estimate: &'b Estimate,
         covariances: &ValueCovariances,
     ) -> Self {
         let shared = &covariances.shared;
         let place = |s: usize| shared.iter().position(|&other| other == s).filter(|_| covariances.alpha[s].is_some());
         let at_bound = |s: usize| {
-            let away_from_zero = fit.values[s] != 0.0 || !bench.coordinates[s].log;
+            let away_from_zero = fit.values[s] != 0.0 || !objective.coordinates[s].log;
             matches!(fit.standing[s], Standing::Lower | Standing::Upper) && away_from_zero
         };
         let slots: Vec<usize> = (0..fit.values.len()).filter(|&s| place(s).is_some() || at_bound(s)).collect();
@@ -149,14 +149,14 @@ impl<'b, 'a> Outer<'b, 'a> {
         let cross = DMatrix::from_fn(slots.len(), m, |i, c| places[i].map_or(0.0, |a| whole[(a, k + c)]));
         let inner = whole.view((k, k), (m, m)).into_owned();
         Outer {
-            bench,
+            objective,
             estimate,
             law: AsymptoticLaw::new(&estimate.state),
             slots,
             alpha,
             cross,
             inner,
-            others: others(bench, fit),
+            others: others(objective, fit),
         }
     }
 
@@ -187,7 +187,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     fn moved(&self, values: &[f64], step: &DVector<f64>) -> Vec<f64> {
         let mut moved = values.to_vec();
         for (&s, d) in self.slots.iter().zip(step.iter()) {
-            let coordinate = &self.bench.coordinates[s];
+            let coordinate = &self.objective.coordinates[s];
             let d = if coordinate.log { d.clamp(-LONGEST, LONGEST) } else { *d };
             moved[s] = coordinate.moved(values[s], d);
         }
@@ -196,17 +196,17 @@ impl<'b, 'a> Outer<'b, 'a> {
 
     /// The best (μ, Σ) at these values, and which way ℓ rises from there.
     fn at(&self, (what, x): (impl HeldQuantity, f64), values: Vec<f64>, near: &WarmStart) -> Option<Here> {
-        let bench = self.bench;
-        let reduced = bench.reduce(&values).ok()?;
-        let alpha = bench.alpha(&values);
+        let objective = self.objective;
+        let reduced = objective.reduce(&values).ok()?;
+        let alpha = objective.alpha(&values);
         let point = near.point.as_ref().unwrap_or(&near.state.place.point);
         let state = near.state.at(&reduced.reductions, &alpha, point.clone())?;
         let found = what.maximum((&Holder::new(&state), &alpha), x, &state.place.point)?;
-        let scores = bench.scores(&values, &reduced, &state.law_at(&found.near)).ok()?;
+        let scores = objective.scores(&values, &reduced, &state.law_at(&found.near)).ok()?;
         let there = state.problem.values_of(&found.near.point);
         let score = state.residual_score_at(&found.near);
-        let matrix = matrix_gradient(bench.model, &alpha, bench.slots, &there.covariance, &score);
-        let mut gradient = bench.gradient(&values, &scores, &matrix);
+        let matrix = matrix_gradient(objective.model, &alpha, objective.slots, &there.covariance, &score);
+        let mut gradient = objective.gradient(&values, &scores, &matrix);
         for (&s, own) in self.slots.iter().zip(what.slopes_at(self, &values, &there)?.iter()) {
             gradient[s] -= found.slope * own;
         }
@@ -217,7 +217,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     /// The gradient along the values that may move; zero where one stands at a bound and ℓ rises beyond.
     fn gradient(&self, here: &Here) -> DVector<f64> {
         let of = |&s: &usize| {
-            let (coordinate, value, g) = (&self.bench.coordinates[s], here.values[s], here.gradient[s]);
+            let (coordinate, value, g) = (&self.objective.coordinates[s], here.values[s], here.gradient[s]);
             if coordinate.is_held(value, g) { 0.0 } else { g }
         };
         DVector::from_iterator(self.slots.len(), self.slots.iter().map(of))
@@ -249,7 +249,7 @@ impl<'b, 'a> Outer<'b, 'a> {
     /// What was learned of the curvature on the way from `here` to `next`: Broyden, Fletcher, Goldfarb and Shanno's update.
     fn learn(&self, inverse: &DMatrix<f64>, here: &Here, next: &Here) -> DMatrix<f64> {
         let way = |&s: &usize| {
-            let coordinate = &self.bench.coordinates[s];
+            let coordinate = &self.objective.coordinates[s];
             coordinate.of_value(next.values[s]) - coordinate.of_value(here.values[s])
         };
         let s = DVector::from_iterator(self.slots.len(), self.slots.iter().map(way));

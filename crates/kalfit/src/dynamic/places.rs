@@ -1,10 +1,10 @@
 //! Places from which a search may lead to another maximum than the one that is known: what another part of the model may explain.
 
-use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::SearchEnd;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::scales::{self, time_constants};
+use crate::dynamic::search_state::SearchEnd;
 use crate::dynamic::tries::{FACTOR, best_of, longer, other_maxima};
-use crate::dynamic::twins::Twins;
+use crate::dynamic::twins::ExchangeablePair;
 use crate::estimate::Progress;
 
 /// Parts of what a covariance of noises may be that are tried, those that are this far from the present one.
@@ -21,117 +21,125 @@ const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
 /// Where to look from an end: at common values but the one that is held.
 pub(super) fn places(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
     held: Option<usize>,
     progress: &mut dyn Progress,
 ) -> Vec<Vec<f64>> {
     let values = &end.home.values;
     let (mut all, mut bases) = (Vec::new(), vec![values.clone()]);
-    for twins in &bench.twins {
-        let Some(one) = twins.merged(values, &bench.coordinates) else { continue };
+    for twins in &objective.twins {
+        let Some(one) = twins.merged(values, &objective.coordinates) else { continue };
         all.push(one.clone());
-        all.extend(set_apart(bench, &one, twins, progress));
+        all.extend(set_apart(objective, &one, twins, progress));
         bases.push(one);
     }
     let is_level = |s: &usize| {
-        let coordinate = &bench.coordinates[*s];
-        let common = bench.slots.slots()[*s].level.is_none();
+        let coordinate = &objective.coordinates[*s];
+        let common = objective.slots.slots()[*s].level.is_none();
         common && coordinate.level.is_some() && coordinate.lower == 0.0 && held != Some(*s)
     };
     let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
-    let is_timed = !time_constants(bench.model).is_empty();
-    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && is_timed && drives(bench, s)) {
+    let is_timed = !time_constants(objective.model).is_empty();
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && is_timed && drives(objective, s)) {
         let mut without = values.clone();
         without[s] = 0.0;
         all.push(without);
     }
-    for t in (0..values.len()).filter(|&t| bench.edges.has(t) && held != Some(t)) {
+    for t in (0..values.len()).filter(|&t| objective.edges.has(t) && held != Some(t)) {
         all.extend(other_parts(values, t));
     }
-    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(bench, s) && is_crossed(bench, s)) {
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(objective, s) && is_crossed(objective, s)) {
         let mut without = values.clone();
         without[s] = 0.0;
         all.push(without);
     }
-    let is_open = |parameter: &usize| bench.slots.common(*parameter).is_some_and(|s| held != Some(s));
-    let timed: Vec<usize> = time_constants(bench.model).into_iter().filter(is_open).collect();
-    let white: Vec<usize> = timed.iter().copied().filter(|&parameter| is_white(bench, end, parameter)).collect();
-    let exchanges = Twins::unlike(bench.model, bench.slots);
-    all.extend(given_back(bench, end, &levels));
-    all.extend(given_up(bench, values, (&levels, &white), &exchanges));
+    let is_open = |parameter: &usize| objective.slots.common(*parameter).is_some_and(|s| held != Some(s));
+    let timed: Vec<usize> = time_constants(objective.model).into_iter().filter(is_open).collect();
+    let white: Vec<usize> = timed.iter().copied().filter(|&parameter| is_white(objective, end, parameter)).collect();
+    let exchanges = ExchangeablePair::unlike(objective.model, objective.slots);
+    all.extend(given_back(objective, end, &levels));
+    all.extend(given_up(objective, values, (&levels, &white), &exchanges));
     for &s in &levels {
-        all.extend(sizes(bench, end, (s, bench.units()[s])));
+        all.extend(sizes(objective, end, (s, objective.units()[s])));
     }
     for parameter in timed {
-        all.extend(other_maxima(bench, parameter, values, progress));
+        all.extend(other_maxima(objective, parameter, values, progress));
         if white.contains(&parameter) {
-            all.extend(less_white(bench, end, parameter, progress));
+            all.extend(less_white(objective, end, parameter, progress));
         }
         for base in &bases {
             all.extend(
-                levels.iter().filter_map(|&s| taken_over(bench, (base, end.home.value()), s, parameter, progress)),
+                levels.iter().filter_map(|&s| taken_over(objective, (base, end.home.value()), s, parameter, progress)),
             );
         }
     }
     all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
-    all.extend(all_times(bench, values));
+    all.extend(all_times(objective, values));
     // whatever moved it
     all.retain(|place| held.is_none_or(|s| place[s] == values[s]));
     all
 }
 
 /// Of two processes that coincide one has taken the variance of both, and the other one may be of any size and shape beside it.
-fn set_apart(bench: &Bench<'_>, one: &[f64], twins: &Twins, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
-    let (Some(level), Some(shape)) = (twins.freed(&bench.coordinates), twins.shape(&bench.coordinates)) else {
+fn set_apart(
+    objective: &ProfileLikelihood<'_>,
+    one: &[f64],
+    twins: &ExchangeablePair,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let (Some(level), Some(shape)) = (twins.freed(&objective.coordinates), twins.shape(&objective.coordinates)) else {
         return Vec::new();
     };
     let of_size = |size: &f64| {
         let mut beside = one.to_vec();
-        beside[level] = (size * bench.units()[level]).min(bench.coordinates[level].upper);
+        beside[level] = (size * objective.units()[level]).min(objective.coordinates[level].upper);
         beside
     };
-    let parameter = bench.slots.slots()[shape].parameter;
-    let found = SIZES.iter().flat_map(|size| other_maxima(bench, parameter, &of_size(size), progress));
-    let valued = found.filter_map(|place| Some((bench.value(&place)?, place)));
+    let parameter = objective.slots.slots()[shape].parameter;
+    let found = SIZES.iter().flat_map(|size| other_maxima(objective, parameter, &of_size(size), progress));
+    let valued = found.filter_map(|place| Some((objective.value(&place)?, place)));
     let mut valued: Vec<(f64, Vec<f64>)> = valued.collect();
     valued.sort_by(|a, b| b.0.total_cmp(&a.0));
     valued.into_iter().take(APART_TRIED).map(|(_, place)| place).collect()
 }
 
 /// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
-fn given_back(bench: &Bench<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
-    let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(bench, s));
+fn given_back(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
+    let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(objective, s));
     let values = &end.home.values;
     let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
     let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
-    pairs.filter_map(|pair| handed_over(bench, values, pair)).collect()
+    pairs.filter_map(|pair| handed_over(objective, values, pair)).collect()
 }
 
 /// Processes that are all but white given to the noise of a measurement, as they stand and with another process in their place: what the
 /// other one explained may be explained as well, and the one that is at zero may return in another shape.
 fn given_up(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     values: &[f64],
     (levels, white): (&[usize], &[usize]),
-    exchanges: &[Twins],
+    exchanges: &[ExchangeablePair],
 ) -> Vec<Vec<f64>> {
-    let still: Vec<usize> = levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(bench, s)).collect();
-    let sized = white.iter().filter_map(|&parameter| driven(bench, parameter).filter(|(_, is_size)| *is_size));
+    let still: Vec<usize> = levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(objective, s)).collect();
+    let sized = white.iter().filter_map(|&parameter| driven(objective, parameter).filter(|(_, is_size)| *is_size));
     let sized: Vec<usize> = sized.map(|(t, _)| t).filter(|t| levels.contains(t) && values[*t] > 0.0).collect();
     let mut all = Vec::new();
     for (&s, &t) in still.iter().flat_map(|s| sized.iter().map(move |t| (s, t))) {
-        all.extend(handed_over(bench, values, (s, t)));
-        let other =
-            |pair: &Twins| pair.pairs.iter().find_map(|&(a, b)| if a == t { Some(b) } else { (b == t).then_some(a) });
-        all.extend(exchanges.iter().filter_map(|pair| handed_over(bench, &pair.exchanged(values), (s, other(pair)?))));
+        all.extend(handed_over(objective, values, (s, t)));
+        let other = |pair: &ExchangeablePair| {
+            pair.pairs.iter().find_map(|&(a, b)| if a == t { Some(b) } else { (b == t).then_some(a) })
+        };
+        all.extend(
+            exchanges.iter().filter_map(|pair| handed_over(objective, &pair.exchanged(values), (s, other(pair)?))),
+        );
     }
     all
 }
 
 /// The variance of the level `t` handed over to the level `s`.
-fn handed_over(bench: &Bench<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
-    let (taker, giver) = (bench.coordinates[s], bench.coordinates[t]);
+fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
+    let (taker, giver) = (objective.coordinates[s], objective.coordinates[t]);
     let (from, to) = (giver.level?, taker.level?);
     let mut given = values.to_vec();
     given[s] = (values[s].powf(to) + values[t].powf(from)).powf(to.recip()).clamp(taker.lower, taker.upper);
@@ -140,39 +148,39 @@ fn handed_over(bench: &Bench<'_>, values: &[f64], (s, t): (usize, usize)) -> Opt
 }
 
 /// A process whose time constant may be a quarter of what it is for no loss of ℓ.
-fn is_white(bench: &Bench<'_>, end: &SearchEnd, time_constant: usize) -> bool {
-    let Some(slot) = bench.slots.common(time_constant) else { return false };
+fn is_white(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_constant: usize) -> bool {
+    let Some(slot) = objective.slots.common(time_constant) else { return false };
     let mut shorter = end.home.values.clone();
-    shorter[slot] = bench.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
-    bench.value(&shorter).is_some_and(|value| (value - end.home.value()).abs() <= WHITE)
+    shorter[slot] = objective.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
+    objective.value(&shorter).is_some_and(|value| (value - end.home.value()).abs() <= WHITE)
 }
 
 /// A process that is all but white, with the time constant that suits it best among those from which it is told apart from white noise.
 fn less_white(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
     time_constant: usize,
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let (best, value) = best_of(bench, time_constant, &end.home.values, progress)?;
+    let (best, value) = best_of(objective, time_constant, &end.home.values, progress)?;
     let is_level = (value - end.home.value()).abs() <= LEVEL;
-    is_level.then(|| longer(bench, time_constant, (best, value), progress))
+    is_level.then(|| longer(objective, time_constant, (best, value), progress))
 }
 
 /// All time constants together, longer or shorter, each process as rough as it is: what processes and the noise of measurements explain may
 /// be explained by slower and larger ones, or by quicker and smaller ones.
-fn all_times(bench: &Bench<'_>, values: &[f64]) -> Vec<Vec<f64>> {
-    let open = |&parameter: &usize| bench.slots.common(parameter).is_some();
-    let parameters: Vec<usize> = time_constants(bench.model).into_iter().filter(open).collect();
+fn all_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>> {
+    let open = |&parameter: &usize| objective.slots.common(parameter).is_some();
+    let parameters: Vec<usize> = time_constants(objective.model).into_iter().filter(open).collect();
     let by = |step: f64| {
         let mut moved = values.to_vec();
         for &parameter in &parameters {
-            let Some(time) = bench.slots.common(parameter) else { continue };
-            moved[time] = bench.coordinates[time].moved(values[time], step);
-            let sized = driven(bench, parameter).filter(|(_, is_size)| *is_size);
+            let Some(time) = objective.slots.common(parameter) else { continue };
+            moved[time] = objective.coordinates[time].moved(values[time], step);
+            let sized = driven(objective, parameter).filter(|(_, is_size)| *is_size);
             let Some((level, _)) = sized else { continue };
-            let Some(exponent) = bench.coordinates[level].level else { continue };
-            moved[level] = bench.coordinates[level].moved(values[level], step / exponent);
+            let Some(exponent) = objective.coordinates[level].level else { continue };
+            moved[level] = objective.coordinates[level].moved(values[level], step / exponent);
         }
         moved
     };
@@ -180,13 +188,13 @@ fn all_times(bench: &Bench<'_>, values: &[f64]) -> Vec<Vec<f64>> {
 }
 
 /// The level of a process with this time constant, and whether it is the size of the process: its noise depends on the time constant too.
-fn driven(bench: &Bench<'_>, time_constant: usize) -> Option<(usize, bool)> {
-    bench.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
+fn driven(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
+    objective.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
         let (form, noise_variance) = state.motion.parts()?;
         let timed = form.terms.iter().any(|(_, term)| term.mentions(time_constant));
-        let mentioned = |t: &usize| noise_variance.mentions(bench.slots.slots()[*t].parameter);
-        let level = |t: &usize| bench.coordinates[*t].level.is_some() && mentioned(t);
-        let found = (0..bench.coordinates.len()).find(level).filter(|_| timed)?;
+        let mentioned = |t: &usize| noise_variance.mentions(objective.slots.slots()[*t].parameter);
+        let level = |t: &usize| objective.coordinates[*t].level.is_some() && mentioned(t);
+        let found = (0..objective.coordinates.len()).find(level).filter(|_| timed)?;
         Some((found, noise_variance.mentions(time_constant)))
     })
 }
@@ -194,24 +202,25 @@ fn driven(bench: &Bench<'_>, time_constant: usize) -> Option<(usize, bool)> {
 /// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best; `height`: ℓ
 /// before.
 fn taken_over(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     (values, height): (&[f64], f64),
     s: usize,
     time_constant: usize,
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let (taker, _) = driven(bench, time_constant)?;
-    if values[s] == 0.0 || drives(bench, s) {
+    let (taker, _) = driven(objective, time_constant)?;
+    if values[s] == 0.0 || drives(objective, s) {
         return None;
     }
-    let (from, to) = (bench.coordinates[s].level?, bench.coordinates[taker].level?);
+    let (from, to) = (objective.coordinates[s].level?, objective.coordinates[taker].level?);
     let mut over = values.to_vec();
-    over[taker] = values[s].powf(from / to).clamp(bench.coordinates[taker].lower, bench.coordinates[taker].upper);
+    over[taker] =
+        values[s].powf(from / to).clamp(objective.coordinates[taker].lower, objective.coordinates[taker].upper);
     over[s] = 0.0;
-    let best = best_of(bench, time_constant, &over, progress)?;
+    let best = best_of(objective, time_constant, &over, progress)?;
     // no higher and no lower: white as the noise was, and the way up may be close by
     let is_level = (best.1 - height).abs() <= LEVEL;
-    Some(if is_level { longer(bench, time_constant, best, progress) } else { best.0 })
+    Some(if is_level { longer(objective, time_constant, best, progress) } else { best.0 })
 }
 
 /// Other parts of what a covariance of noises may be: of the other sign, say.
@@ -225,28 +234,28 @@ fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
 }
 
 /// A level of a noise that has a free covariance with another.
-fn is_crossed(bench: &Bench<'_>, s: usize) -> bool {
-    !bench.edges.beside(bench.slots.slots()[s].parameter).is_empty()
+fn is_crossed(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
+    !objective.edges.beside(objective.slots.slots()[s].parameter).is_empty()
 }
 
 /// A level of the motion of some state.
-fn drives(bench: &Bench<'_>, s: usize) -> bool {
-    scales::drives(bench.model, bench.slots.slots()[s].parameter)
+fn drives(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
+    scales::drives(objective.model, objective.slots.slots()[s].parameter)
 }
 
 /// Other sizes of a level, the rest as it is, where ℓ is higher than at the sizes beside them.
-fn sizes(bench: &Bench<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
+fn sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
     let value = end.home.values[s];
     if value > 0.0 && !end.is_at_zero(s) {
         return Vec::new();
     }
     let at = |size: &f64| {
         let mut values = end.home.values.clone();
-        values[s] = (size * unit).clamp(bench.coordinates[s].lower, bench.coordinates[s].upper);
+        values[s] = (size * unit).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
         values
     };
     let places: Vec<Vec<f64>> = SIZES.iter().map(at).collect();
-    let heights: Vec<f64> = places.iter().map(|place| bench.value(place).unwrap_or(f64::NEG_INFINITY)).collect();
+    let heights: Vec<f64> = places.iter().map(|place| objective.value(place).unwrap_or(f64::NEG_INFINITY)).collect();
     let beside = |k: usize, other: Option<usize>| other.and_then(|o| heights.get(o)).is_none_or(|h| *h < heights[k]);
     let peak = |k: &usize| heights[*k].is_finite() && beside(*k, k.checked_sub(1)) && beside(*k, Some(k + 1));
     // the smallest size is beside zero

@@ -7,10 +7,10 @@
 
 use std::collections::BTreeSet;
 
-use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_derivatives;
 use crate::dynamic::outer::{Outer, WarmStart};
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{DynamicFit, ParameterInference};
 use crate::estimate::{Criterion, Estimate};
 use crate::infer::{Holdable, Inference, IntervalKind, free, profiled, quantities};
@@ -23,13 +23,13 @@ const MOST_VALUES: usize = 24;
 
 /// Puts profile intervals of μ and Σ in the place of Wald's, and counts those that stay.
 pub(crate) fn profiles(
-    (bench, fit): (&Bench<'_>, &DynamicFit),
+    (objective, fit): (&ProfileLikelihood<'_>, &DynamicFit),
     estimate: &Estimate,
     covariances: &ValueCovariances,
     (inference, parameters): (&mut Inference, &[ParameterInference]),
 ) {
     let all = quantities(&estimate.state.problem.covariance.elements, estimate.coefficients.len());
-    let moved = moved_elements(bench, fit);
+    let moved = moved_elements(objective, fit);
     let mut wanted = profiled(estimate, &free(estimate, &inference.unidentified));
     wanted.retain(|what| !matches!(what, Holdable::Covariance(i, j) if moved.contains(&(*i, *j))));
     // covariances last: their correlations say more
@@ -42,31 +42,34 @@ pub(crate) fn profiles(
     let due: Vec<Holdable> = all.iter().filter(due).copied().collect();
     wanted.truncate(if fit.values.len() <= MOST_VALUES { MOST_PROFILED } else { 0 });
     intervals.kind = IntervalKind::Profile;
-    let entries = entries(bench, parameters);
+    let entries = entries(objective, parameters);
     entries.iter().for_each(|(what, parameter)| intervals.set(*what, parameter.interval));
     let is_done = |what: &Holdable| wanted.contains(what) || entries.iter().any(|(entry, _)| entry == what);
     intervals.unprofiled = due.iter().filter(|what| !is_done(what)).count();
-    let outer = Outer::new((bench, fit), estimate, covariances);
+    let outer = Outer::new((objective, fit), estimate, covariances);
     intervals.follow((estimate, &inference.uncertainty), &wanted, &outer, &WarmStart::best(fit, estimate));
 }
 
 /// Elements of Σ beside its diagonal that parameters in matrices of its structure move.
-fn moved_elements(bench: &Bench<'_>, fit: &DynamicFit) -> BTreeSet<(usize, usize)> {
-    let derivatives = matrix_derivatives(bench.model, &fit.alpha, bench.slots, &fit.estimate.covariance);
+fn moved_elements(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> BTreeSet<(usize, usize)> {
+    let derivatives = matrix_derivatives(objective.model, &fit.alpha, objective.slots, &fit.estimate.covariance);
     let elements = &fit.estimate.state.problem.covariance.elements;
     let moves = |&(i, j): &(usize, usize)| i != j && derivatives.values().any(|d| d[(i, j)] != 0.0);
     elements.all().filter(moves).collect()
 }
 
 /// Correlations that are parameters themselves: the intervals of those are theirs.
-fn entries<'p>(bench: &Bench<'_>, parameters: &'p [ParameterInference]) -> Vec<(Holdable, &'p ParameterInference)> {
+fn entries<'p>(
+    objective: &ProfileLikelihood<'_>,
+    parameters: &'p [ParameterInference],
+) -> Vec<(Holdable, &'p ParameterInference)> {
     let mut found = Vec::new();
-    for (phase, range) in bench.model.phases.iter().zip(bench.model.ranges()) {
+    for (phase, range) in objective.model.phases.iter().zip(objective.model.ranges()) {
         let CovarianceKind::Correlation(entries) = &phase.model.covariance.kind else { continue };
         for (i, row) in entries.iter().enumerate() {
             for (j, entry) in row.iter().enumerate().take(i) {
                 let Expression::Parameter(parameter) = entry else { continue };
-                let Some(slot) = bench.slots.find(*parameter, &[]) else { continue };
+                let Some(slot) = objective.slots.find(*parameter, &[]) else { continue };
                 found.push((Holdable::Correlation(range.start + i, range.start + j), &parameters[slot]));
             }
         }

@@ -7,9 +7,9 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::Coordinate;
-use crate::dynamic::bench::ProfilePoint;
 use crate::dynamic::coordinates::in_variance;
 use crate::dynamic::joint::{JointInformation, solved};
+use crate::dynamic::profile_likelihood::ProfilePoint;
 
 /// What ℓ is taken to be quadratic in, of a level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,11 +1,11 @@
 //! A part of the data, on which searches are cheap, and where the best of them end.
 
 use crate::dynamic::Settings;
-use crate::dynamic::bench::Bench;
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::iterate::SearchStart;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::quadratic::ProfileInformation;
 use crate::dynamic::search::search;
+use crate::dynamic::search_state::SearchStart;
 use crate::dynamic::twins::ordered;
 use crate::estimate::{Progress, Stage, Step};
 use crate::reduce::{Evidence, PhasedTest};
@@ -76,15 +76,15 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
 /// of many others end on that part. Each with how ℓ curves about it, as far as the part tells. The others as they are when they all
 /// fail there.
 pub(super) fn promising(
-    (bench, small): (&Bench<'_>, &Bench<'_>),
+    (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     given: Option<Vec<f64>>,
     others: Vec<Vec<f64>>,
     progress: &mut dyn Progress,
 ) -> Vec<SearchStart> {
-    let mut part = Subsample { small, more: bench.rows() as f64 / small.rows() as f64, floor: None, progress };
+    let mut part = Subsample { small, more: objective.rows() as f64 / small.rows() as f64, floor: None, progress };
     let (mut kept, mut seen) = (Vec::new(), Vec::new());
     if let Some(given) = given {
-        let (start, _, places) = part.nearer(bench, given.into());
+        let (start, _, places) = part.nearer(objective, given.into());
         kept.push(start);
         seen.extend(places);
     }
@@ -108,11 +108,12 @@ pub(super) fn promising(
 /// The same starts where they lead on a larger part of the data, if ℓ of all data is no lower there. The first one stays; of the
 /// others those that end near another do not, nor those that end far below.
 pub(super) fn nearer(
-    (bench, larger): (&Bench<'_>, &Bench<'_>),
+    (objective, larger): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     starts: Vec<SearchStart>,
     progress: &mut dyn Progress,
 ) -> Vec<SearchStart> {
-    let mut part = Subsample { small: larger, more: bench.rows() as f64 / larger.rows() as f64, floor: None, progress };
+    let mut part =
+        Subsample { small: larger, more: objective.rows() as f64 / larger.rows() as f64, floor: None, progress };
     let mut kept: Vec<SearchStart> = Vec::new();
     let mut seen: Vec<Vec<f64>> = Vec::new();
     for start in starts {
@@ -120,7 +121,7 @@ pub(super) fn nearer(
             kept.push(start);
             break;
         }
-        let (start, value, places) = part.nearer(bench, start);
+        let (start, value, places) = part.nearer(objective, start);
         let is_far = value.zip(part.floor).is_some_and(|(value, floor)| value < floor);
         if kept.is_empty() || !(is_far || seen.iter().any(|other| alike(other, &places[0], ALIKE))) {
             kept.push(start);
@@ -134,7 +135,7 @@ pub(super) fn nearer(
 
 /// A part of the data, of which all are `more` times as many.
 struct Subsample<'a, 'b> {
-    small: &'a Bench<'b>,
+    small: &'a ProfileLikelihood<'b>,
     more: f64,
     /// Searches that cannot come so high give up.
     floor: Option<f64>,
@@ -154,13 +155,17 @@ impl Subsample<'_, '_> {
 
     /// A start, or where it leads if ℓ of all data is no lower there; ℓ of the part where it leads. The last are places that are the
     /// same: the start, and where it leads if that is no other maximum.
-    fn nearer(&mut self, bench: &Bench<'_>, start: SearchStart) -> (SearchStart, Option<f64>, Vec<Vec<f64>>) {
-        let here = bench.value(&start.values);
+    fn nearer(
+        &mut self,
+        objective: &ProfileLikelihood<'_>,
+        start: SearchStart,
+    ) -> (SearchStart, Option<f64>, Vec<Vec<f64>>) {
+        let here = objective.value(&start.values);
         let place = |start: &SearchStart| ordered(&self.small.twins, &start.values);
         let own = place(&start);
         let Some((value, end)) = self.end(start.clone()) else { return (start, None, vec![own]) };
         let led = place(&end);
-        if here.is_none_or(|here| bench.value(&end.values).is_some_and(|there| there >= here)) {
+        if here.is_none_or(|here| objective.value(&end.values).is_some_and(|there| there >= here)) {
             return (end, Some(value), vec![led]);
         }
         let is_close = self.small.value(&start.values).is_some_and(|own| value - own <= SAME);
@@ -170,7 +175,7 @@ impl Subsample<'_, '_> {
 
 /// Listens to a search on a part of the data: it is about start values still.
 pub(super) struct SubsampleProgress<'a, 'b> {
-    pub(super) small: &'a Bench<'b>,
+    pub(super) small: &'a ProfileLikelihood<'b>,
     pub(super) progress: &'a mut dyn Progress,
 }
 

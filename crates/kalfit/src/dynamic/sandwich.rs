@@ -5,26 +5,26 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::dynamic::bench::Bench;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_gradient;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{DynamicError, DynamicFit};
 use crate::estimate::Sums;
 
 /// The covariances that the spread of the tests' scores gives, from those of the observed information.
 pub(crate) fn sandwich(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     observed: &ValueCovariances,
 ) -> Result<ValueCovariances, DynamicError> {
-    let reduced = bench.reduce(&fit.sought)?;
-    let scores = bench.scores(&fit.sought, &reduced, &fit.estimate.state.law())?;
+    let reduced = objective.reduce(&fit.sought)?;
+    let scores = objective.scores(&fit.sought, &reduced, &fit.estimate.state.law())?;
     let n = observed.whole.nrows();
     let mut sum = DMatrix::zeros(n, n);
     let state = &fit.estimate.state;
     state.each_independent(&state.evidence(&reduced.reductions), &mut |tests, own| {
         let of_tests = tests.iter().flat_map(|&j| scores[j].iter().copied());
-        let score = score(bench, fit, &observed.shared, (own, of_tests));
+        let score = score(objective, fit, &observed.shared, (own, of_tests));
         sum.ger(1.0, &score, &score, 1.0);
     });
     let whole = &observed.whole * sum * &observed.whole;
@@ -37,19 +37,19 @@ pub(crate) fn sandwich(
 
 /// The score of a test, or of all of a unit, in the coordinates of the shared values, then along the tangent basis.
 fn score(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
     shared: &[usize],
     (own, of_tests): (&Sums, impl Iterator<Item = (usize, f64)>),
 ) -> DVector<f64> {
     let state = &fit.estimate.state;
     let of_sigma = state.covariance_score_of(own);
-    let matrix = matrix_gradient(bench.model, &fit.alpha, bench.slots, &fit.estimate.covariance, &of_sigma);
+    let matrix = matrix_gradient(objective.model, &fit.alpha, objective.slots, &fit.estimate.covariance, &of_sigma);
     let inner = state.gradient_along(own);
     let mut score = DVector::zeros(shared.len() + inner.len());
     for (slot, bar) in of_tests.chain(matrix) {
         if let Some(place) = shared.iter().position(|s| *s == slot) {
-            score[place] += bar * bench.coordinates[slot].slope(fit.sought[slot]);
+            score[place] += bar * objective.coordinates[slot].slope(fit.sought[slot]);
         }
     }
     score.rows_mut(shared.len(), inner.len()).copy_from(&inner);

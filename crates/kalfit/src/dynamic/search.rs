@@ -1,11 +1,11 @@
 //! The outer search (the paper's Figure 1): μ and Σ are solved for each α, and Newton's method moves α.
 
-use crate::dynamic::bench::{Bench, ProfilePoint};
 use crate::dynamic::em::Em;
-use crate::dynamic::iterate::{DRIFT, LONGEST, NEAR_ENOUGH, RISE, SearchEnd, SearchStart, SearchState};
 use crate::dynamic::joint::{self, JointInformation, LEVEL_GROUND};
+use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::dynamic::quadratic::LevelScale;
-use crate::dynamic::twins::Twins;
+use crate::dynamic::search_state::{DRIFT, LONGEST, NEAR_ENOUGH, RISE, SearchEnd, SearchStart, SearchState};
+use crate::dynamic::twins::ExchangeablePair;
 use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Stop};
 
@@ -47,9 +47,9 @@ impl<'b, 'a> SearchState<'b, 'a> {
                 self.given_up = true;
                 break;
             }
-            let joint = JointInformation::new(self.bench, &self.home, &self.active(), fine);
+            let joint = JointInformation::new(self.objective, &self.home, &self.active(), fine);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
-            let turn = self.turn(&joint, &step, fine);
+            let turn = self.next_step(&joint, &step, fine);
             last = Some((joint, step.decrement));
             match turn {
                 NextStep::On { closer } => fine = closer,
@@ -60,7 +60,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
             }
         }
         let unseen =
-            || (JointInformation::new(self.bench, &self.home, &vec![false; self.standing.len()], false), f64::NAN);
+            || (JointInformation::new(self.objective, &self.home, &vec![false; self.standing.len()], false), f64::NAN);
         let last = last.unwrap_or_else(unseen);
         Ok(self.ended(last, stop))
     }
@@ -81,14 +81,15 @@ impl<'b, 'a> SearchState<'b, 'a> {
     /// ℓ runs straight along a logarithm: no step of Newton's follows, yet there is no maximum.
     fn is_on_a_slope(&self, joint: &JointInformation) -> bool {
         let straight = |s: usize| {
-            let moves = self.bench.coordinates[s].log && self.standing[s] == Standing::Inside && self.held != Some(s);
+            let moves =
+                self.objective.coordinates[s].log && self.standing[s] == Standing::Inside && self.held != Some(s);
             moves && self.home.gradient[s].abs() > SLOPE && joint.curvature(s).abs() < LEVEL_GROUND
         };
         (0..self.standing.len()).any(straight)
     }
 
     /// What to do where this is known; `fine` when it is by differences to both sides.
-    fn turn(&mut self, joint: &JointInformation, step: &joint::JointStep, fine: bool) -> NextStep {
+    fn next_step(&mut self, joint: &JointInformation, step: &joint::JointStep, fine: bool) -> NextStep {
         if self.progress.stops() {
             return NextStep::End(Stop::Interrupted);
         }
@@ -130,10 +131,14 @@ impl<'b, 'a> SearchState<'b, 'a> {
 
     /// Two processes that coincide become one, and the other is at zero: how they share what they explain is no matter of ℓ.
     pub(super) fn joined(&mut self) -> bool {
-        let bench = self.bench;
-        let free = |twins: &&Twins| twins.pairs.iter().all(|&(s, t)| self.held != Some(s) && self.held != Some(t));
-        let merged =
-            bench.twins.iter().filter(free).filter_map(|twins| twins.merged(&self.home.values, &bench.coordinates));
+        let objective = self.objective;
+        let free =
+            |twins: &&ExchangeablePair| twins.pairs.iter().all(|&(s, t)| self.held != Some(s) && self.held != Some(t));
+        let merged = objective
+            .twins
+            .iter()
+            .filter(free)
+            .filter_map(|twins| twins.merged(&self.home.values, &objective.coordinates));
         let least = self.home.value() - 0.5 * RISE; // less than what lets a level return
         let next = merged.filter_map(|values| self.at(&values)).find(|next| next.value() >= least);
         next.map(|next| self.arrive(next)).is_some()
@@ -143,7 +148,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     pub(super) fn off_saddle(&mut self, joint: &JointInformation) -> bool {
         let Some(direction) = joint.upward() else { return false };
         for length in [0.5, -0.5, 0.1, -0.1, 0.02, -0.02] {
-            let values = self.bench.moved(&self.home.values, &direction, length);
+            let values = self.objective.moved(&self.home.values, &direction, length);
             if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + 1e-9) {
                 self.home = next;
                 return true;
@@ -155,10 +160,10 @@ impl<'b, 'a> SearchState<'b, 'a> {
     /// Where (μ, Σ) moved along with α, they are solved for by themselves, which certifies them and takes them off the boundary
     /// of the cone where that is no maximum; `false` when that had been done.
     fn settled(&mut self) -> bool {
-        if self.bench.settings.method != Method::Innovations || self.home.estimate.stop == Stop::Certified {
+        if self.objective.settings.method != Method::Innovations || self.home.estimate.stop == Stop::Certified {
             return false;
         }
-        let Ok(next) = self.bench.settle(&self.home) else { return false };
+        let Ok(next) = self.objective.settle(&self.home) else { return false };
         let certified = next.estimate.stop == Stop::Certified;
         self.home = next;
         certified
@@ -172,7 +177,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         self.faint_looks += 1;
         for direction in joint.faint() {
             for length in LOOKS {
-                let values = self.bench.moved(&self.home.values, &direction, length);
+                let values = self.objective.moved(&self.home.values, &direction, length);
                 if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
                     self.arrive(next);
                     return true;
@@ -192,7 +197,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         while self.damping < STIFF {
             let step = self.within_reach(&bent, &levels);
             let values = self.moved(&step.alpha, &levels);
-            let next = match self.bench.settings.method {
+            let next = match self.objective.settings.method {
                 Method::Innovations => self.stepped(&values, &step, fine),
                 Method::Hybrid | Method::Em => self.at(&values),
             };
@@ -245,7 +250,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     fn within_reach(&mut self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let reach = |s: usize| match levels.iter().find(|(level, _)| *level == s) {
             Some((_, exponent)) => Some((-exponent.recip(), HIGHEST / exponent)),
-            None => self.bench.coordinates[s].log.then_some((-LONGEST, LONGEST)),
+            None => self.objective.coordinates[s].log.then_some((-LONGEST, LONGEST)),
         };
         loop {
             let mut step = self.to_zero_at_most(joint, levels);
@@ -283,7 +288,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     /// The values after a step; `levels` move in their variances.
     fn moved(&self, step: &[f64], levels: &[(usize, f64)]) -> Vec<f64> {
         let one = |(s, d): (usize, &f64)| {
-            let (coordinate, value) = (&self.bench.coordinates[s], self.home.values[s]);
+            let (coordinate, value) = (&self.objective.coordinates[s], self.home.values[s]);
             match levels.iter().any(|(level, _)| *level == s) {
                 true => coordinate.moved_as_variance(value, *d).max(self.bottom[s]),
                 false => coordinate.moved(value, *d),
@@ -294,14 +299,14 @@ impl<'b, 'a> SearchState<'b, 'a> {
 
     /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level. Whether it did.
     fn stride(&mut self, step: &joint::JointStep) -> bool {
-        let far = step.alpha.iter().zip(&self.bench.coordinates).any(|(d, c)| c.log && d.abs() > DRIFT);
+        let far = step.alpha.iter().zip(&self.objective.coordinates).any(|(d, c)| c.log && d.abs() > DRIFT);
         if !far || step.decrement > 0.3 {
             return false;
         }
         let mut length = 1.0;
         for tried in 0..4 {
             length *= 2.0;
-            let values = self.bench.moved(&self.home.values, &step.alpha, length);
+            let values = self.objective.moved(&self.home.values, &step.alpha, length);
             let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value()) else { return tried > 0 };
             self.arrive(next);
         }
@@ -311,15 +316,15 @@ impl<'b, 'a> SearchState<'b, 'a> {
 
 /// A search from a start, by the method that was asked for; it gives up where `floor` is out of reach.
 pub(crate) fn search(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     start: SearchStart,
     floor: Option<f64>,
     progress: &mut dyn Progress,
 ) -> Result<SearchEnd, DynamicError> {
-    let home = bench.solve(&start.values, None)?;
-    let mut search = SearchState::new(bench, progress, home).beyond(floor);
+    let home = objective.solve(&start.values, None)?;
+    let mut search = SearchState::new(objective, progress, home).beyond(floor);
     search.begin_with(start.curvature);
-    match bench.settings.method {
+    match objective.settings.method {
         Method::Hybrid | Method::Innovations => search.run(),
         Method::Em => Em::new(search)?.run(),
     }

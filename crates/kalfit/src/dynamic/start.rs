@@ -9,10 +9,10 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::dynamic::DynamicError;
 use crate::dynamic::balance::balance;
-use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::SearchStart;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::sample::{larger, nearer, promising, roughly, sample, total};
 use crate::dynamic::scales::{drives, measures, time_constants};
+use crate::dynamic::search_state::SearchStart;
 use crate::dynamic::tries::{other_maxima, scan, valued};
 use crate::estimate::Progress;
 use crate::model::Value;
@@ -25,14 +25,17 @@ const SPREAD: f64 = 1.5;
 
 /// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
 /// in a time constant, and as many random ones as the settings say.
-pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<Vec<SearchStart>, DynamicError> {
-    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
-    let sample = sample(bench.tests, common);
-    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
-    let unknown = unknown(bench);
-    let (first, peaks) = likeliest((bench, &small), &unknown, progress);
+pub(crate) fn starts(
+    objective: &ProfileLikelihood<'_>,
+    progress: &mut dyn Progress,
+) -> Result<Vec<SearchStart>, DynamicError> {
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(objective.tests, common);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    let unknown = unknown(objective);
+    let (first, peaks) = likeliest((objective, &small), &unknown, progress);
     if small.value(&first).is_none() {
-        bench.solve(&first, None)?; // says what is wrong
+        objective.solve(&first, None)?; // says what is wrong
     }
     let mut all = vec![first.clone()];
     if !unknown.is_empty() {
@@ -41,32 +44,32 @@ pub(crate) fn starts(bench: &Bench<'_>, progress: &mut dyn Progress) -> Result<V
     if unknown.len() > 1 {
         all.extend(scattered(&small, &unknown, &first, progress)); // of one alone the scan has seen all
     }
-    for parameter in time_constants(bench.model).into_iter().filter(|&p| bench.slots.is_free(p)) {
+    for parameter in time_constants(objective.model).into_iter().filter(|&p| objective.slots.is_free(p)) {
         all.extend(other_maxima(&small, parameter, &first, progress));
     }
-    all.extend((0..bench.settings.starts).map(|k| random(bench, &first, k)));
-    if total(&sample) == total(bench.tests) {
+    all.extend((0..objective.settings.starts).map(|k| random(objective, &first, k)));
+    if total(&sample) == total(objective.tests) {
         return Ok(all.into_iter().map(SearchStart::from).collect());
     }
     // values that were given are one start, whatever becomes of the others on a part of the data
-    let free = (0..bench.model.shared().parameters.len()).filter(|&p| bench.slots.is_free(p)).count();
+    let free = (0..objective.model.shared().parameters.len()).filter(|&p| objective.slots.is_free(p)).count();
     let given = (unknown.len() < free).then(|| all.remove(0));
-    let mut starts = promising((bench, &small), given, all, progress);
-    let settings = roughly(bench.settings);
-    for part in larger(bench.tests, common) {
-        let larger = Bench::new(bench.model, &part, bench.slots, &settings);
-        starts = nearer((bench, &larger), starts, progress);
+    let mut starts = promising((objective, &small), given, all, progress);
+    let settings = roughly(objective.settings);
+    for part in larger(objective.tests, common) {
+        let larger = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
+        starts = nearer((objective, &larger), starts, progress);
     }
     Ok(starts)
 }
 
 /// The first start on a part of the tests, and others where the likelihood looks to have other maxima.
 fn likeliest(
-    (bench, small): (&Bench<'_>, &Bench<'_>),
+    (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     unknown: &[usize],
     progress: &mut dyn Progress,
 ) -> (Vec<f64>, Vec<Vec<f64>>) {
-    let (mut first, mut peaks) = (guess(bench, true), Vec::new());
+    let (mut first, mut peaks) = (guess(objective, true), Vec::new());
     if !unknown.is_empty() {
         peaks = balance(small, unknown, &mut first, progress);
         for _ in 0..unknown.len().min(2) {
@@ -77,23 +80,27 @@ fn likeliest(
 }
 
 /// The start that was given, or that is worked out from the tests: the first of [`starts`].
-pub(crate) fn first(bench: &Bench<'_>, progress: &mut dyn Progress) -> Vec<f64> {
-    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
-    let sample = sample(bench.tests, common);
-    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
-    likeliest((bench, &small), &unknown(bench), progress).0
+pub(crate) fn first(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Vec<f64> {
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(objective.tests, common);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    likeliest((objective, &small), &unknown(objective), progress).0
 }
 
 /// Starts from the data alone, whatever values were given; `held`: a slot whose value stays as it is.
-pub(crate) fn from_data(bench: &Bench<'_>, held: Option<(usize, f64)>, progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+pub(crate) fn from_data(
+    objective: &ProfileLikelihood<'_>,
+    held: Option<(usize, f64)>,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
     let still =
-        held.map(|(s, _)| bench.slots.slots()[s]).filter(|slot| slot.level.is_none()).map(|slot| slot.parameter);
-    let parameters = 0..bench.model.shared().parameters.len();
-    let all: Vec<usize> = parameters.filter(|&p| bench.slots.is_free(p) && still != Some(p)).collect();
-    let common = bench.slots.slots().iter().all(|slot| slot.level.is_none());
-    let sample = sample(bench.tests, common);
-    let small = Bench::new(bench.model, &sample, bench.slots, bench.settings);
-    let mut first = guess(bench, false);
+        held.map(|(s, _)| objective.slots.slots()[s]).filter(|slot| slot.level.is_none()).map(|slot| slot.parameter);
+    let parameters = 0..objective.model.shared().parameters.len();
+    let all: Vec<usize> = parameters.filter(|&p| objective.slots.is_free(p) && still != Some(p)).collect();
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(objective.tests, common);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    let mut first = guess(objective, false);
     let hold = |values: &mut Vec<f64>| held.iter().for_each(|&(s, value)| values[s] = value);
     hold(&mut first);
     let peaks = balance(&small, &all, &mut first, progress);
@@ -106,46 +113,54 @@ pub(crate) fn from_data(bench: &Bench<'_>, held: Option<(usize, f64)>, progress:
 }
 
 /// Every free parameter has a start value.
-pub(crate) fn all_given(bench: &Bench<'_>) -> bool {
-    unknown(bench).is_empty()
+pub(crate) fn all_given(objective: &ProfileLikelihood<'_>) -> bool {
+    unknown(objective).is_empty()
 }
 
 /// Parameters without a start value, by index.
-fn unknown(bench: &Bench<'_>) -> Vec<usize> {
+fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
     let told = |value: Value, log: bool| match value {
         Value::Free { start: Some(start) } => !(log && start == 0.0), // a logarithm cannot start at zero
         Value::Free { start: None } => false,
         Value::Fixed(_) => true,
     };
-    let parameters = bench.model.shared().parameters.iter().enumerate();
-    parameters.filter(|(p, what)| bench.slots.is_free(*p) && !told(what.value, what.positive)).map(|(p, _)| p).collect()
+    let parameters = objective.model.shared().parameters.iter().enumerate();
+    parameters
+        .filter(|(p, what)| objective.slots.is_free(*p) && !told(what.value, what.positive))
+        .map(|(p, _)| p)
+        .collect()
 }
 
 /// A first value for each slot: those that were given where they are to be heeded.
-fn guess(bench: &Bench<'_>, heeded: bool) -> Vec<f64> {
-    let scales = bench.scales();
-    let is_noise = |parameter: usize| measures(bench.model, parameter) || drives(bench.model, parameter);
+fn guess(objective: &ProfileLikelihood<'_>, heeded: bool) -> Vec<f64> {
+    let scales = objective.scales();
+    let is_noise = |parameter: usize| measures(objective.model, parameter) || drives(objective.model, parameter);
     let one = |(s, slot): (usize, &crate::model::Slot)| {
-        let parameter = &bench.model.shared().parameters[slot.parameter];
-        let coordinate = bench.coordinates[s];
-        if bench.edges.has(s) {
+        let parameter = &objective.model.shared().parameters[slot.parameter];
+        let coordinate = objective.coordinates[s];
+        if objective.edges.has(s) {
             // the value itself, which is no part of the edge yet
             return if let Value::Free { start: Some(start) } = parameter.value { start } else { 0.0 };
         }
         let guess = match parameter.value {
             Value::Free { start: Some(start) } if heeded && !(coordinate.log && start == 0.0) => start,
-            _ if coordinate.log || is_noise(slot.parameter) => scales.guess(bench.model, slot.parameter),
+            _ if coordinate.log || is_noise(slot.parameter) => scales.guess(objective.model, slot.parameter),
             _ => 0.0,
         };
         coordinate.inside(guess)
     };
-    let values: Vec<f64> = bench.slots.slots().iter().enumerate().map(one).collect();
-    bench.sought(&values)
+    let values: Vec<f64> = objective.slots.slots().iter().enumerate().map(one).collect();
+    objective.sought(&values)
 }
 
 /// The best of some points scattered widely about the first guess: noise may lie in the measurements or in the motion, and
 /// a search that begins with one may end there.
-fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64], progress: &mut dyn Progress) -> Vec<Vec<f64>> {
+fn scattered(
+    small: &ProfileLikelihood<'_>,
+    unknown: &[usize],
+    first: &[f64],
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut places = Vec::new();
     for _ in 0..SCATTERED {
@@ -165,12 +180,12 @@ fn scattered(small: &Bench<'_>, unknown: &[usize], first: &[f64], progress: &mut
 }
 
 /// Random start `k`: logarithms moved by normal numbers, other values by their own size. A stream of its own for each.
-fn random(bench: &Bench<'_>, first: &[f64], k: usize) -> Vec<f64> {
-    let mut random = ChaCha8Rng::seed_from_u64(bench.settings.seed);
+fn random(objective: &ProfileLikelihood<'_>, first: &[f64], k: usize) -> Vec<f64> {
+    let mut random = ChaCha8Rng::seed_from_u64(objective.settings.seed);
     random.set_stream(k as u64);
     let moved = |(s, value): (usize, &f64)| {
         let draw: f64 = StandardNormal.sample(&mut random);
-        let coordinate = bench.coordinates[s];
+        let coordinate = objective.coordinates[s];
         coordinate.moved(*value, if coordinate.log { SPREAD * draw } else { draw * value.abs().max(0.5) })
     };
     first.iter().enumerate().map(moved).collect()

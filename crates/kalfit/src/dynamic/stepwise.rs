@@ -7,7 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::DynamicError;
-use crate::dynamic::bench::Bench;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::estimate::InitialLaw;
 use crate::model::Alpha;
 use crate::reduce::{
@@ -65,9 +65,13 @@ pub(super) struct TimeStep {
 }
 
 impl RecordPoint {
-    pub(super) fn new(bench: &Bench<'_>, alpha: &Alpha, law: InitialLaw) -> Result<RecordPoint, DynamicError> {
-        let reducer = PhasedReducer::scoring(bench.model, alpha, bench.slots).map_err(Box::new)?;
-        let levels = bench.model.levels.len() + 1;
+    pub(super) fn new(
+        objective: &ProfileLikelihood<'_>,
+        alpha: &Alpha,
+        law: InitialLaw,
+    ) -> Result<RecordPoint, DynamicError> {
+        let reducer = PhasedReducer::scoring(objective.model, alpha, objective.slots).map_err(Box::new)?;
+        let levels = objective.model.levels.len() + 1;
         let width = law.root.ncols() / levels;
         let roots = (0..levels).map(|level| law.root.columns(level * width, width).into_owned()).collect();
         Ok(RecordPoint { reducer, law, roots })

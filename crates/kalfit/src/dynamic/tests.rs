@@ -1,9 +1,9 @@
-//! Gradients, information and searches on a small bench of instruments: two noise levels that vary within a test, a drift.
+//! Gradients, information and searches on a small objective of instruments: two noise levels that vary within a test, a drift.
 
-use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::SearchState;
 use crate::dynamic::joint::JointInformation;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::sample::promising;
+use crate::dynamic::search_state::SearchState;
 use crate::dynamic::start::starts;
 use crate::dynamic::{DynamicFit, Method, Settings, fit, infer};
 use crate::ensemble::{Label, Labels, Source, Test};
@@ -74,13 +74,13 @@ pub(super) fn settings(method: Method, criterion: Criterion) -> Settings {
 pub(super) fn check_gradient((model, tests, slots): (&PhasedModel, &[PhasedTest], &Slots), values: &[f64]) {
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = settings(Method::Hybrid, criterion);
-        let bench = Bench::new(model, tests, slots, &settings);
-        let home = bench.solve(values, None).expect("defined");
+        let objective = ProfileLikelihood::new(model, tests, slots, &settings);
+        let home = objective.solve(values, None).expect("defined");
         for (s, found) in home.gradient.iter().enumerate() {
             let at = |h: f64| {
                 let mut moved = values.to_vec();
-                moved[s] = bench.coordinates[s].moved(moved[s], h);
-                bench.value(&moved).expect("defined")
+                moved[s] = objective.coordinates[s].moved(moved[s], h);
+                objective.value(&moved).expect("defined")
             };
             let expected = slope(at, 1e-3);
             assert!((found - expected).abs() < 1e-7 * (1.0 + expected.abs()), "{criterion:?} {s}: {found} {expected}");
@@ -128,16 +128,17 @@ fn a_scale_of_all_noise_moves_without_the_filters() {
     let slots = Slots::in_phases(&model, &labels, &tests);
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = settings(Method::Hybrid, criterion);
-        let bench = Bench::new(&model, &tests, &slots, &settings);
-        let filtered = Bench::new(&model, &tests, &slots, &settings).unscaled();
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+        let filtered = ProfileLikelihood::new(&model, &tests, &slots, &settings).unscaled();
         for value in [0.4, 0.05, 3.0] {
-            let (found, expected) = (bench.solve(&[value], None), filtered.solve(&[value], None));
+            let (found, expected) = (objective.solve(&[value], None), filtered.solve(&[value], None));
             let (found, expected) = (found.expect("defined"), expected.expect("defined"));
             let (a, b) = (found.value(), expected.value());
             assert!((a - b).abs() < 1e-10 * b.abs(), "{criterion:?} {value}: {a} {b}");
             let (a, b) = (found.gradient[0], expected.gradient[0]);
             assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{criterion:?} {value}: {a} {b}");
-            let [one, other] = [(&bench, &found), (&filtered, &expected)].map(|(bench, at)| bench.of_tests(at));
+            let [one, other] =
+                [(&objective, &found), (&filtered, &expected)].map(|(objective, at)| objective.of_tests(at));
             for (one, other) in one.expect("defined").scores.iter().zip(&other.expect("defined").scores) {
                 let (a, b) = (one[0].1, other[0].1);
                 assert_eq!(one[0].0, other[0].0);
@@ -145,7 +146,7 @@ fn a_scale_of_all_noise_moves_without_the_filters() {
             }
         }
         assert_eq!(
-            (bench.filter_passes(), bench.score_passes()),
+            (objective.filter_passes(), objective.score_passes()),
             (1, 0),
             "the filters ran at one value, and never back"
         );
@@ -159,14 +160,14 @@ fn a_scale_far_from_where_the_filters_ran_has_them_run_again() {
     let (labels, tests) = ensemble(&model, 9, 7);
     let slots = Slots::in_phases(&model, &labels, &tests);
     let settings = settings(Method::Hybrid, Criterion::Ml);
-    let bench = Bench::new(&model, &tests, &slots, &settings);
-    let filtered = Bench::new(&model, &tests, &slots, &settings).unscaled();
+    let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+    let filtered = ProfileLikelihood::new(&model, &tests, &slots, &settings).unscaled();
     // where all is 1e-8 of what it is, half the digits of a constant would be those of the sum of squares
     for (value, runs) in [(5e-9, 1), (0.5, 2), (0.4, 2), (7e-3, 2), (4e-3, 3)] {
-        let found = bench.solve(&[value], None).expect("defined").value();
+        let found = objective.solve(&[value], None).expect("defined").value();
         let expected = filtered.solve(&[value], None).expect("defined").value();
         assert!((found - expected).abs() < 1e-11 * expected.abs(), "{value}: {found} {expected}");
-        assert_eq!(bench.filter_passes(), runs, "at {value}");
+        assert_eq!(objective.filter_passes(), runs, "at {value}");
     }
 }
 
@@ -179,17 +180,17 @@ fn the_information_in_a_scale_of_all_noise_is_that_of_differences() {
         let slots = Slots::in_phases(&model, &labels, &tests);
         for criterion in [Criterion::Ml, Criterion::Reml] {
             let settings = settings(Method::Hybrid, criterion);
-            let bench = Bench::new(&model, &tests, &slots, &settings);
-            let filtered = Bench::new(&model, &tests, &slots, &settings).unscaled();
+            let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+            let filtered = ProfileLikelihood::new(&model, &tests, &slots, &settings).unscaled();
             for value in [0.3, 0.9] {
-                let home = bench.solve(&[value], None).expect("defined");
+                let home = objective.solve(&[value], None).expect("defined");
                 let by_filters = filtered.solve(&[value], None).expect("defined");
-                let found = JointInformation::new(&bench, &home, &[true], false).undivided_matrix();
+                let found = JointInformation::new(&objective, &home, &[true], false).undivided_matrix();
                 let expected = JointInformation::new(&filtered, &by_filters, &[true], true).undivided_matrix();
                 let off = (&found - &expected).amax() / expected.amax();
                 assert!(off < 1e-6, "{criterion:?} {value} {positive}: {found} {expected}");
             }
-            assert_eq!(bench.filter_passes(), 1, "the filters ran for the scale alone");
+            assert_eq!(objective.filter_passes(), 1, "the filters ran for the scale alone");
         }
     }
 }
@@ -204,13 +205,13 @@ fn what_scales_but_a_part_of_the_noise_runs_the_filters() {
     let (labels, tests) = ensemble(&model, 4, 5);
     let slots = Slots::in_phases(&model, &labels, &tests);
     let settings = settings(Method::Hybrid, Criterion::Ml);
-    let bench = Bench::new(&model, &tests, &slots, &settings);
-    let filtered = Bench::new(&model, &tests, &slots, &settings).unscaled();
+    let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+    let filtered = ProfileLikelihood::new(&model, &tests, &slots, &settings).unscaled();
     for value in [0.4, 0.8] {
-        let (found, expected) = (bench.value(&[value]), filtered.value(&[value]));
+        let (found, expected) = (objective.value(&[value]), filtered.value(&[value]));
         assert_eq!(found, expected);
     }
-    assert_eq!(bench.filter_passes(), 2);
+    assert_eq!(objective.filter_passes(), 2);
 }
 
 #[test]
@@ -220,17 +221,17 @@ fn the_joint_information_is_that_of_the_gradient_at_the_best_mean_and_covariance
     let slots = Slots::in_phases(&model, &labels, &tests);
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = settings(Method::Hybrid, criterion);
-        let bench = Bench::new(&model, &tests, &slots, &settings);
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
         let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
-        let home = bench.solve(&values, None).expect("defined");
-        let found = JointInformation::new(&bench, &home, &[true; 5], true).covariances();
+        let home = objective.solve(&values, None).expect("defined");
+        let found = JointInformation::new(&objective, &home, &[true; 5], true).covariances();
         // the profile information by differences of gradients that each come with their own mean and covariance
         let h = 1e-4;
         let information = nalgebra::DMatrix::from_fn(5, 5, |i, s| {
             let at = |sign: f64| {
                 let mut moved = values.clone();
-                moved[s] = bench.coordinates[s].moved(moved[s], sign * h);
-                bench.solve(&moved, None).expect("defined").gradient[i]
+                moved[s] = objective.coordinates[s].moved(moved[s], sign * h);
+                objective.solve(&moved, None).expect("defined").gradient[i]
             };
             -(at(1.0) - at(-1.0)) / (2.0 * h)
         });
@@ -279,10 +280,10 @@ fn values_of_single_tests_are_eliminated_exactly() {
     let slots = Slots::in_phases(&model, &labels, &tests);
     assert_eq!(slots.len(), 33, "tau, sigma_drift, slope, and sigma of thirty tests");
     let settings = settings(Method::Hybrid, Criterion::Ml);
-    let bench = Bench::new(&model, &tests, &slots, &settings);
+    let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
     let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
-    let home = bench.solve(&values, None).expect("defined");
-    let joint = JointInformation::new(&bench, &home, &[true; 33], true);
+    let home = objective.solve(&values, None).expect("defined");
+    let joint = JointInformation::new(&objective, &home, &[true; 33], true);
     assert_eq!(joint.shared().len(), 3, "the others are of single tests");
     let whole = joint.undivided();
     let inner = home.estimate.state.place.tangent.gradient.clone();
@@ -311,7 +312,7 @@ fn first_values_do_not_depend_on_the_order_of_the_tests() {
     let settings = settings(Method::Hybrid, Criterion::Ml);
     let first = |tests: &[PhasedTest]| {
         let slots = Slots::in_phases(&model, &labels, tests);
-        let starts = starts(&Bench::new(&model, tests, &slots, &settings), &mut Silent).expect("defined");
+        let starts = starts(&ProfileLikelihood::new(&model, tests, &slots, &settings), &mut Silent).expect("defined");
         starts.into_iter().next().expect("one at least")
     };
     let (one, other) = (first(&tests), first(&shuffled));
@@ -361,12 +362,12 @@ fn processes_that_coincide_become_one_in_a_search_unless_they_are_held() {
     let (labels, tests) = ensemble(&model, 8, 12);
     let slots = Slots::in_phases(&model, &labels, &tests);
     let settings = settings(Method::Hybrid, Criterion::Ml);
-    let bench = Bench::new(&model, &tests, &slots, &settings);
-    assert_eq!(bench.twins.len(), 1, "they may change places");
+    let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+    assert_eq!(objective.twins.len(), 1, "they may change places");
     let search = |values: [f64; 5], held: Option<usize>, silent: &mut Silent| {
-        let home = bench.solve(&values, None).expect("defined");
+        let home = objective.solve(&values, None).expect("defined");
         let before = home.value();
-        let mut search = SearchState::new(&bench, silent, home);
+        let mut search = SearchState::new(&objective, silent, home);
         held.into_iter().for_each(|s| search.hold(s));
         (search.joined(), search.home.value() - before, search.home.values.clone())
     };
@@ -380,8 +381,9 @@ fn processes_that_coincide_become_one_in_a_search_unless_they_are_held() {
     for tau in [0.05, 0.2, 0.8, 1.5, 4.0, 12.0] {
         for (sigma, spread) in [(0.3, 0.4), (0.4, 0.3), (1.2, 0.1), (0.1, 1.2)] {
             let values = [tau, sigma, 1.009 * tau, spread, 0.5];
-            let one = bench.twins[0].merged(&values, &bench.coordinates).expect("they are close");
-            let [gain, other] = [&one, &values.to_vec()].map(|values| bench.filtered_value(values).expect("defined"));
+            let one = objective.twins[0].merged(&values, &objective.coordinates).expect("they are close");
+            let [gain, other] =
+                [&one, &values.to_vec()].map(|values| objective.filtered_value(values).expect("defined"));
             let (joined, rise, _) = search(values, None, &mut Silent);
             outcomes[usize::from(joined)] += 1;
             assert_eq!(joined, gain - other >= -5e-9, "{values:?}: ℓ rises by {:e}", gain - other);
@@ -397,11 +399,13 @@ fn a_start_that_leads_where_the_given_one_leads_on_a_part_is_no_other() {
     let (labels, tests) = ensemble(&model, 40, 15);
     let slots = Slots::in_phases(&model, &labels, &tests);
     let settings = settings(Method::Hybrid, Criterion::Ml);
-    let (bench, small) =
-        (Bench::new(&model, &tests, &slots, &settings), Bench::new(&model, &tests[..20], &slots, &settings));
+    let (objective, small) = (
+        ProfileLikelihood::new(&model, &tests, &slots, &settings),
+        ProfileLikelihood::new(&model, &tests[..20], &slots, &settings),
+    );
     let best = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
     let beside: Vec<f64> = best.iter().map(|value| 1.1 * value).collect();
-    let starts = promising((&bench, &small), Some(best.clone()), vec![beside], &mut Silent);
+    let starts = promising((&objective, &small), Some(best.clone()), vec![beside], &mut Silent);
     // the maximum of all data is no maximum of the part, and stays
     assert_eq!(starts.len(), 1, "{starts:?}");
     assert_eq!(starts[0].values, best);

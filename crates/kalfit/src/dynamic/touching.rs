@@ -1,7 +1,7 @@
 //! Which tests depend on which values of α: what no test has in common can move in one run of the filters.
 
-use crate::dynamic::bench::{Bench, OfTests};
 use crate::dynamic::colours::colours;
+use crate::dynamic::profile_likelihood::{OfTests, ProfileLikelihood};
 use crate::score::Gradient;
 
 /// Which tests depend on which values.
@@ -18,17 +18,17 @@ pub(super) struct Touching {
 
 impl Touching {
     /// From the values that the scores of each test mention, of n.
-    pub(super) fn of(bench: &Bench<'_>, all: &OfTests, n: usize) -> Touching {
+    pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &OfTests, n: usize) -> Touching {
         let mut tests = vec![Vec::new(); n];
         let mentioned = |gradient: &Gradient| gradient.iter().map(|(s, _)| *s).collect();
         // a value that moves one test moves what is known of all others of its unit
-        let moved = |gradient| if bench.model.levels.is_empty() { mentioned(gradient) } else { (0..n).collect() };
+        let moved = |gradient| if objective.model.levels.is_empty() { mentioned(gradient) } else { (0..n).collect() };
         let of_test: Vec<Vec<usize>> = all.scores.iter().map(moved).collect();
         for (j, slots) in of_test.iter().enumerate() {
             slots.iter().for_each(|&s| tests[s].push(j));
         }
         let mut matrix = vec![false; n];
-        bench.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
+        objective.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
         Touching { tests, of_test, matrix, count: all.scores.len() }
     }
 

@@ -1,6 +1,6 @@
 //! ℓ at values that are tried, cheaply: over many powers of ten of one parameter.
 
-use crate::dynamic::bench::Bench;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::estimate::{Progress, Stage};
 
 /// Powers of this factor are tried, so many to each side.
@@ -19,7 +19,11 @@ const FINE_STEPS: usize = 12;
 const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
 
 /// ℓ at each of some places; whoever waits hears of it, and nothing more is tried once nobody does.
-pub(super) fn tried(small: &Bench<'_>, places: &[Vec<f64>], progress: &mut dyn Progress) -> Vec<Option<f64>> {
+pub(super) fn tried(
+    small: &ProfileLikelihood<'_>,
+    places: &[Vec<f64>],
+    progress: &mut dyn Progress,
+) -> Vec<Option<f64>> {
     let at_a_time = if small.is_narrow() { AT_A_TIME } else { 1 };
     let some = |places: &[Vec<f64>]| {
         progress.stage(Stage::StartValues { filter_runs: small.filter_passes() });
@@ -29,7 +33,12 @@ pub(super) fn tried(small: &Bench<'_>, places: &[Vec<f64>], progress: &mut dyn P
 }
 
 /// All levels of one parameter over many powers of a factor.
-pub(super) fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>, progress: &mut dyn Progress) {
+pub(super) fn scan(
+    small: &ProfileLikelihood<'_>,
+    parameter: usize,
+    values: &mut Vec<f64>,
+    progress: &mut dyn Progress,
+) {
     let mut places = vec![values.clone()];
     places.extend(grid(small, parameter, values));
     if let Some((best, _)) = best(small, places, progress) {
@@ -39,12 +48,12 @@ pub(super) fn scan(small: &Bench<'_>, parameter: usize, values: &mut Vec<f64>, p
 
 /// The best of the same with all levels of one parameter over many powers of a factor, and ℓ there.
 pub(super) fn best_of(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     parameter: usize,
     values: &[f64],
     progress: &mut dyn Progress,
 ) -> Option<(Vec<f64>, f64)> {
-    let valued = valued(bench, grid(bench, parameter, values), progress);
+    let valued = valued(objective, grid(objective, parameter, values), progress);
     let highest = valued.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
     // the last of those that rounding does not tell apart: the longest time constant of what is all but white
     valued.into_iter().rfind(|(_, value)| *value >= highest - ROUNDING)
@@ -53,22 +62,22 @@ pub(super) fn best_of(
 /// Values with the time constant of what is all but white, where ℓ is highest among somewhat longer ones: as it comes to be felt by the
 /// shortest steps alone, ℓ may rise and fall again between the powers that are tried elsewhere.
 pub(super) fn longer(
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
     parameter: usize,
     (values, highest): (Vec<f64>, f64),
     progress: &mut dyn Progress,
 ) -> Vec<f64> {
-    let Some(slot) = bench.slots.common(parameter).filter(|&s| bench.coordinates[s].log) else { return values };
+    let Some(slot) = objective.slots.common(parameter).filter(|&s| objective.coordinates[s].log) else { return values };
     let at = |k: usize| {
         let mut moved = values.clone();
-        moved[slot] = bench.coordinates[slot].moved(values[slot], k as f64 * FINE * FACTOR.ln());
+        moved[slot] = objective.coordinates[slot].moved(values[slot], k as f64 * FINE * FACTOR.ln());
         moved
     };
-    let found = best(bench, (1..=FINE_STEPS).map(at).collect(), progress).filter(|(_, value)| *value > highest);
+    let found = best(objective, (1..=FINE_STEPS).map(at).collect(), progress).filter(|(_, value)| *value > highest);
     found.map_or(values.clone(), |(values, _)| values)
 }
 
-fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
+fn grid(small: &ProfileLikelihood<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
     let own = |s: usize| small.slots.slots()[s].parameter == parameter;
     let with = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
         values.iter().enumerate().map(|(s, &v)| if own(s) { change(s, v) } else { v }).collect()
@@ -88,19 +97,23 @@ fn grid(small: &Bench<'_>, parameter: usize, values: &[f64]) -> Vec<Vec<f64>> {
 }
 
 /// Places where ℓ is defined, and ℓ there.
-pub(super) fn valued(small: &Bench<'_>, places: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Vec<(Vec<f64>, f64)> {
+pub(super) fn valued(
+    small: &ProfileLikelihood<'_>,
+    places: Vec<Vec<f64>>,
+    progress: &mut dyn Progress,
+) -> Vec<(Vec<f64>, f64)> {
     let values = tried(small, &places, progress);
     places.into_iter().zip(values).filter_map(|(place, value)| Some((place, value?))).collect()
 }
 
 /// The first of the highest.
-fn best(small: &Bench<'_>, places: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Option<(Vec<f64>, f64)> {
+fn best(small: &ProfileLikelihood<'_>, places: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Option<(Vec<f64>, f64)> {
     valued(small, places, progress).into_iter().reduce(|best, next| if best.1 >= next.1 { best } else { next })
 }
 
 /// Starts where ℓ over the powers of a time constant has other maxima than at the first start.
 pub(super) fn other_maxima(
-    small: &Bench<'_>,
+    small: &ProfileLikelihood<'_>,
     parameter: usize,
     first: &[f64],
     progress: &mut dyn Progress,

@@ -9,7 +9,7 @@ use crate::model::{PhasedModel, Slots};
 
 /// Two processes of one kind whose free values, place by place, may be exchanged.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Twins {
+pub(crate) struct ExchangeablePair {
     /// Slots of the two: (of the one, of the other). What tells them apart comes first: time constants.
     pub(crate) pairs: Vec<(usize, usize)>,
 }
@@ -17,19 +17,19 @@ pub(crate) struct Twins {
 /// Values that are closer than this are equal: a part of them.
 const EQUAL: f64 = 1e-2;
 
-impl Twins {
+impl ExchangeablePair {
     /// All pairs of such processes in a model of one phase.
-    pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<Twins> {
-        Twins::all(model, slots, true)
+    pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<ExchangeablePair> {
+        ExchangeablePair::all(model, slots, true)
     }
 
     /// Pairs of processes of one kind that are not measured alike: each may explain what the other one does, but not as well.
-    pub(crate) fn unlike(model: &PhasedModel, slots: &Slots) -> Vec<Twins> {
-        Twins::all(model, slots, false)
+    pub(crate) fn unlike(model: &PhasedModel, slots: &Slots) -> Vec<ExchangeablePair> {
+        ExchangeablePair::all(model, slots, false)
     }
 
     /// Pairs of processes of one kind whose exchange leaves the model as it is, or does not.
-    fn all(model: &PhasedModel, slots: &Slots, leaves: bool) -> Vec<Twins> {
+    fn all(model: &PhasedModel, slots: &Slots, leaves: bool) -> Vec<ExchangeablePair> {
         let [phase] = &model.phases[..] else { return Vec::new() };
         let levels = !model.levels.is_empty();
         let constants = time_constants(model);
@@ -45,9 +45,9 @@ impl Twins {
                 exchange.parameters.into_iter().map(slots_of).collect::<Option<_>>()?;
             let parameter = |slot: usize| slots.slots()[slot].parameter;
             pairs.sort_by_key(|(s, _)| !constants.contains(&parameter(*s)));
-            (!pairs.is_empty()).then_some(Twins { pairs })
+            (!pairs.is_empty()).then_some(ExchangeablePair { pairs })
         });
-        let mut found: Vec<Twins> = Vec::new();
+        let mut found: Vec<ExchangeablePair> = Vec::new();
         for twin in twins {
             // hidden states of a pair are the pair once more
             if !found.contains(&twin) {
@@ -107,7 +107,7 @@ impl Twins {
 }
 
 /// The values with all exchangeable processes in order.
-pub(crate) fn ordered(twins: &[Twins], values: &[f64]) -> Vec<f64> {
+pub(crate) fn ordered(twins: &[ExchangeablePair], values: &[f64]) -> Vec<f64> {
     let mut values = values.to_vec();
     for _ in 0..twins.len() {
         twins.iter().for_each(|pair| pair.order(&mut values));
@@ -116,7 +116,7 @@ pub(crate) fn ordered(twins: &[Twins], values: &[f64]) -> Vec<f64> {
 }
 
 /// Exchangeable processes of `values` in the places that bring them nearest to `home`.
-pub(crate) fn aligned(twins: &[Twins], values: &[f64], home: &[f64]) -> Vec<f64> {
+pub(crate) fn aligned(twins: &[ExchangeablePair], values: &[f64], home: &[f64]) -> Vec<f64> {
     let apart = |a: f64, b: f64| if a > 0.0 && b > 0.0 { (a / b).ln().abs() } else { (a - b).abs() };
     let mut values = values.to_vec();
     for pair in twins {
@@ -158,12 +158,12 @@ mod tests {
     fn processes_that_are_measured_alike_may_change_places() {
         let both = || name("bias") + name("one") + name("two");
         let (model, slots) = drifts(both(), name("spread"));
-        let twins = Twins::of(&model, &slots);
-        assert_eq!(twins, [Twins { pairs: vec![(0, 2), (1, 3)] }], "time constants first");
+        let twins = ExchangeablePair::of(&model, &slots);
+        assert_eq!(twins, [ExchangeablePair { pairs: vec![(0, 2), (1, 3)] }], "time constants first");
         assert_eq!(ordered(&twins, &[9.0, 1.0, 4.0, 2.0, 0.1]), [4.0, 2.0, 9.0, 1.0, 0.1]);
         let near = aligned(&twins, &[9.0, 1.0, 4.0, 2.0, 0.1], &[4.1, 2.0, 8.0, 1.0, 0.1]);
         assert_eq!(near, [4.0, 2.0, 9.0, 1.0, 0.1]);
-        assert_eq!(Twins::unlike(&model, &slots), []);
+        assert_eq!(ExchangeablePair::unlike(&model, &slots), []);
         // measured otherwise, or by a level that stands in another place too, they may not
         for (equation, level) in [
             (name("bias") + name("one") + 2.0 * name("two"), name("spread")),
@@ -171,19 +171,19 @@ mod tests {
             (both(), name("sigma") * name("spread")),
         ] {
             let (model, slots) = drifts(equation.clone(), level.clone());
-            assert_eq!(Twins::of(&model, &slots), [], "{equation:?}, {level:?}");
+            assert_eq!(ExchangeablePair::of(&model, &slots), [], "{equation:?}, {level:?}");
         }
     }
 
     #[test]
     fn processes_of_one_kind_that_are_measured_otherwise_are_unlike() {
         let (model, slots) = drifts(name("bias") + name("one") + 2.0 * name("two"), name("spread"));
-        let unlike = Twins::unlike(&model, &slots);
-        assert_eq!(unlike, [Twins { pairs: vec![(0, 2), (1, 3)] }]);
+        let unlike = ExchangeablePair::unlike(&model, &slots);
+        assert_eq!(unlike, [ExchangeablePair { pairs: vec![(0, 2), (1, 3)] }]);
         assert_eq!(unlike[0].exchanged(&[9.0, 1.0, 4.0, 2.0, 0.1]), [4.0, 2.0, 9.0, 1.0, 0.1]);
         // a level that stands in another place too has no counterpart
         let (model, slots) = drifts(name("bias") + name("one") + 2.0 * name("two"), name("spread") * name("noise"));
-        assert_eq!(Twins::unlike(&model, &slots), []);
+        assert_eq!(ExchangeablePair::unlike(&model, &slots), []);
     }
 
     #[test]
@@ -199,10 +199,10 @@ mod tests {
             let model: PhasedModel =
                 names.into_iter().fold(model, |model, name| model.parameter(free(name))).build().unwrap();
             let slots = Slots::new(model.shared(), &crate::Labels::default(), &[]);
-            Twins::of(&model, &slots)
+            ExchangeablePair::of(&model, &slots)
         };
         let both = || name("bias") + name("one") + name("two");
-        assert_eq!(model(both(), name("spread")), [Twins { pairs: vec![(0, 2), (1, 3)] }]);
+        assert_eq!(model(both(), name("spread")), [ExchangeablePair { pairs: vec![(0, 2), (1, 3)] }]);
         assert_eq!(model(name("bias") + name("one") + 2.0 * name("two"), name("spread")), []);
         assert_eq!(model(both(), name("sigma") * name("spread")), []);
     }
@@ -210,7 +210,7 @@ mod tests {
     #[test]
     fn processes_that_coincide_are_one_of_both_variances() {
         let (model, slots) = drifts(name("bias") + name("one") + name("two"), name("spread"));
-        let (twins, coordinates) = (Twins::of(&model, &slots), Coordinate::of(&model, &slots));
+        let (twins, coordinates) = (ExchangeablePair::of(&model, &slots), Coordinate::of(&model, &slots));
         let merged = twins[0].merged(&[5.0, 3.0, 5.001, 4.0, 0.1], &coordinates).unwrap();
         let between = 5.0 * (5.001f64 / 5.0).powf(16.0 / 25.0); // by their variances
         assert!((merged[0] - between).abs() < 1e-12 && (merged[1] - 5.0).abs() < 1e-12, "{merged:?}");

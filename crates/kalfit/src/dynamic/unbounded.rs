@@ -8,9 +8,9 @@
 //! With r = 0 each power of ten of σ raises ℓ by as much as the one before, down to where the rounding of the data is felt. With any
 //! noise in the data ℓ falls before that.
 
-use crate::dynamic::bench::Bench;
-use crate::dynamic::iterate::SearchEnd;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::scales::relative_rounding;
+use crate::dynamic::search_state::SearchEnd;
 use crate::dynamic::{Standing, coordinates::Coordinate};
 use crate::estimate::Stop;
 
@@ -30,22 +30,22 @@ const FEW: usize = 8;
 
 /// The end, of the best one and of one that is higher and not certified, where ℓ rises without bound, and the levels that go to zero
 /// there.
-pub(super) fn find(bench: &Bench<'_>, ends: &[SearchEnd], best: usize) -> Option<(usize, Vec<usize>)> {
+pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: usize) -> Option<(usize, Vec<usize>)> {
     let value = |at: usize| ends[at].home.value();
     let higher = (0..ends.len()).filter(|&at| ends[at].stop != Stop::Certified && value(at) > value(best));
     let highest = higher.max_by(|&a, &b| value(a).total_cmp(&value(b)));
-    let mut places = std::iter::once(best).chain(highest).filter(|&at| is_open(bench, &ends[at]));
-    places.find_map(|at| Some((at, levels(bench, &ends[at])?)))
+    let mut places = std::iter::once(best).chain(highest).filter(|&at| is_open(objective, &ends[at]));
+    places.find_map(|at| Some((at, levels(objective, &ends[at])?)))
 }
 
 /// What is not certified, or has levels that a search left behind on their way, or that rounding of the data held up.
-fn is_open(bench: &Bench<'_>, end: &SearchEnd) -> bool {
+fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
     let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
     let tiny = |s: usize| {
         let value = end.home.values[s];
-        value > 0.0 && value < fallen(&bench.coordinates[s], bench.units()[s], FIRST)
+        value > 0.0 && value < fallen(&objective.coordinates[s], objective.units()[s], FIRST)
     };
-    let is_open = |s: usize| bench.coordinates[s].level.is_some() && (left(s) || tiny(s));
+    let is_open = |s: usize| objective.coordinates[s].level.is_some() && (left(s) || tiny(s));
     match end.stop {
         Stop::Interrupted => false,
         Stop::Certified => (0..end.home.values.len()).any(is_open),
@@ -54,10 +54,10 @@ fn is_open(bench: &Bench<'_>, end: &SearchEnd) -> bool {
 }
 
 /// The fewest levels found that ℓ rises without bound with as they go to zero together.
-fn levels(bench: &Bench<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
-    let depth = depth(bench)?;
-    let (values, units) = (&end.home.values, bench.units());
-    let all: Vec<usize> = (0..values.len()).filter(|&s| can_vanish(&bench.coordinates[s])).collect();
+fn levels(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
+    let depth = depth(objective)?;
+    let (values, units) = (&end.home.values, objective.units());
+    let all: Vec<usize> = (0..values.len()).filter(|&s| can_vanish(&objective.coordinates[s])).collect();
     let sunk: Vec<usize> = all.iter().copied().filter(|&s| values[s] <= SUNK * units[s]).collect();
     let mut sets = vec![sunk.clone()];
     if sunk.len() > 1 && sunk.len() <= FEW {
@@ -66,7 +66,7 @@ fn levels(bench: &Bench<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
     if sunk.len() < all.len() {
         sets.push(all);
     }
-    let mut found = sets.into_iter().find(|set| !set.is_empty() && rises(bench, values, set, depth))?;
+    let mut found = sets.into_iter().find(|set| !set.is_empty() && rises(objective, values, set, depth))?;
     if found.len() > FEW {
         return Some(found);
     }
@@ -74,7 +74,7 @@ fn levels(bench: &Bench<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
     for s in found.clone().into_iter().filter(|_| found.len() > 1).collect::<Vec<_>>() {
         let fewer: Vec<usize> = found.iter().copied().filter(|other| *other != s).collect();
         let kept = std::mem::replace(&mut values[s], units[s]);
-        if !fewer.is_empty() && rises(bench, &values, &fewer, depth) {
+        if !fewer.is_empty() && rises(objective, &values, &fewer, depth) {
             found = fewer;
         } else {
             values[s] = kept;
@@ -89,8 +89,8 @@ fn can_vanish(coordinate: &Coordinate) -> bool {
 }
 
 /// How many powers of ten levels can be below what the data suggest before rounding is felt; `None` where that is too few to tell.
-fn depth(bench: &Bench<'_>) -> Option<f64> {
-    let depth = -relative_rounding(bench.model, bench.tests, bench.order()).log10();
+fn depth(objective: &ProfileLikelihood<'_>) -> Option<f64> {
+    let depth = -relative_rounding(objective.model, objective.tests, objective.order()).log10();
     (depth >= FIRST + ROOM).then_some(depth)
 }
 
@@ -100,15 +100,15 @@ fn fallen(coordinate: &Coordinate, unit: f64, powers: f64) -> f64 {
 }
 
 /// ℓ rises by as much with each power of ten by which these levels fall.
-fn rises(bench: &Bench<'_>, values: &[f64], set: &[usize], depth: f64) -> bool {
+fn rises(objective: &ProfileLikelihood<'_>, values: &[f64], set: &[usize], depth: f64) -> bool {
     let step = (depth - FIRST) / STEPS as f64;
     let at = |k: usize| {
         let powers = FIRST + k as f64 * step;
         let mut values = values.to_vec();
         for &s in set {
-            values[s] = fallen(&bench.coordinates[s], bench.units()[s], powers);
+            values[s] = fallen(&objective.coordinates[s], objective.units()[s], powers);
         }
-        bench.filtered_value(&values)
+        objective.filtered_value(&values)
     };
     let (Some(mut last), mut first) = (at(0), None) else { return false };
     (1..=STEPS).all(|k| {

@@ -1,9 +1,9 @@
 //! Values on their way to zero and to infinity. A noise level moves in its variance, where zero is a bound like any other.
 
 use crate::dynamic::Standing;
-use crate::dynamic::bench::ProfilePoint;
-use crate::dynamic::iterate::{DRIFT, SearchState};
 use crate::dynamic::joint::{self, JointInformation};
+use crate::dynamic::profile_likelihood::ProfilePoint;
+use crate::dynamic::search_state::{DRIFT, SearchState};
 
 /// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
 /// as 1/x, x² or the like.
@@ -33,19 +33,19 @@ impl SearchState<'_, '_> {
 
     /// A noise level at its least value.
     pub(super) fn is_at_zero(&self, s: usize) -> bool {
-        self.bench.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s]
+        self.objective.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s]
     }
 
     /// A level that ℓ would have at zero, where it is not defined.
     pub(super) fn is_vanishing(&self, s: usize) -> bool {
-        self.is_at_zero(s) && self.bottom[s] > self.bench.coordinates[s].lower
+        self.is_at_zero(s) && self.bottom[s] > self.objective.coordinates[s].lower
     }
 
     /// Levels whose variance is nearer to ℓ's own coordinate than its logarithm, with their exponents: those that would reach zero,
     /// and those far below their optimum.
     pub(super) fn levels_near_zero(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let near = |&s: &usize| -> Option<(usize, f64)> {
-            let exponent = self.bench.coordinates[s].level?;
+            let exponent = self.objective.coordinates[s].level?;
             let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
             let straight = exponent * slope.abs();
             let sinks = slope < 0.0 && slope > -STEEP && bend > 0.9 * straight && bend < 2.0 * straight;
@@ -58,7 +58,7 @@ impl SearchState<'_, '_> {
     /// All levels that move, with their exponents, but those far from where ℓ curves downward in their variances.
     pub(super) fn all_levels(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let level = |&s: &usize| {
-            let exponent = self.bench.coordinates[s].level?;
+            let exponent = self.objective.coordinates[s].level?;
             let bend = exponent * self.home.gradient[s];
             (joint.curvature(s) + bend > -HOLLOW * bend.abs()).then_some((s, exponent))
         };
@@ -69,7 +69,7 @@ impl SearchState<'_, '_> {
     pub(super) fn above_zero(&mut self, values: &[f64]) -> Option<ProfilePoint> {
         let mut raised = values.to_vec();
         let fell =
-            |&s: &usize| self.bench.coordinates[s].level.is_some() && values[s] == 0.0 && self.home.values[s] > 0.0;
+            |&s: &usize| self.objective.coordinates[s].level.is_some() && values[s] == 0.0 && self.home.values[s] > 0.0;
         let fallen: Vec<usize> = (0..values.len()).filter(fell).collect();
         if fallen.is_empty() {
             return None;
@@ -86,7 +86,7 @@ impl SearchState<'_, '_> {
         let mut values = self.home.values.clone();
         let mut nearer = Vec::new();
         for s in (0..values.len()).filter(|&s| self.is_vanishing(s) && self.held != Some(s)) {
-            let exponent = self.bench.coordinates[s].level.unwrap_or(1.0);
+            let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
             let gain = -self.home.gradient[s] / exponent;
             if gain > BEYOND {
                 values[s] *= (NEARER * BEYOND / gain).powf(exponent.recip());
@@ -111,7 +111,7 @@ impl SearchState<'_, '_> {
         let sinking = |&s: &usize| {
             let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
             let tail = (-TAIL..0.0).contains(&slope) && bend > 0.0 && bend <= LEVEL * slope.abs();
-            self.bench.coordinates[s].log && tail && self.home.values[s] > self.bottom[s]
+            self.objective.coordinates[s].log && tail && self.home.values[s] > self.bottom[s]
         };
         let sinking: Vec<usize> = joint.active.iter().copied().filter(sinking).collect();
         let mut sets = vec![sinking.clone()];
@@ -142,7 +142,7 @@ impl SearchState<'_, '_> {
     /// Levels so small that ℓ does not feel them are at zero.
     pub(super) fn sunk(&mut self, joint: &JointInformation) -> bool {
         let faint = |s: &usize| {
-            let level = self.bench.coordinates[*s].level.is_some() && self.standing[*s] == Standing::Inside;
+            let level = self.objective.coordinates[*s].level.is_some() && self.standing[*s] == Standing::Inside;
             level
                 && self.home.values[*s] > self.bottom[*s]
                 && self.home.values[*s] < FEW_PARTS * self.before_zero[*s]
@@ -168,7 +168,7 @@ impl SearchState<'_, '_> {
         }
         let mut any = false;
         for (s, d) in step.alpha.iter().enumerate() {
-            let coordinate = &self.bench.coordinates[s];
+            let coordinate = &self.objective.coordinates[s];
             if !coordinate.log || d.abs() <= DRIFT || self.standing[s] != Standing::Inside {
                 continue;
             }

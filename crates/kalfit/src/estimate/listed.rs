@@ -2,7 +2,7 @@
 
 use crate::estimate::chained::ChainStore;
 use crate::estimate::class::ClassRef;
-use crate::linalg::column::RowLists;
+use crate::linalg::row_lists::RowLists;
 
 /// Classes one after the other, their numbers in columns.
 #[derive(Debug, Clone, Default)]

@@ -11,10 +11,10 @@ use nalgebra::{DMatrix, DVector};
 use crate::ensemble::Test;
 use crate::innovations::innovation::Innovation;
 use crate::innovations::law::EnteringLaw;
+use crate::innovations::phase_prior::PhasePrior;
 use crate::innovations::plain::{PhaseFilters, PhaseWorkspace};
 use crate::innovations::rows::{self, Figures};
 use crate::innovations::series::Innovations;
-use crate::innovations::start::OwnLaw;
 use crate::linalg::symmetric;
 use crate::model::{Alpha, Phase, PhasedModel, Population};
 use crate::reduce::{
@@ -26,7 +26,7 @@ use crate::reduce::{
 #[derive(Debug)]
 pub(crate) struct ChainedFilter {
     reducer: PhasedReducer,
-    phases: Vec<OwnLaw>,
+    phases: Vec<PhasePrior>,
     plain: PhaseFilters,
 }
 
@@ -37,20 +37,20 @@ pub(crate) struct InnovationWorkspace {
 }
 
 /// Takes the rows of a phase, by its place, into the law of its σ.
-pub(crate) type Take<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut EnteringLaw) + 'a;
+pub(crate) type GainsVisitor<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut EnteringLaw) + 'a;
 
 impl ChainedFilter {
     /// `initial` is of the shape of the model.
     pub(crate) fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<ChainedFilter, ReduceError> {
         let reducer = PhasedReducer::new(model, alpha)?;
-        let start = |(phase, own): (&Phase, Population)| -> Result<OwnLaw, ReduceError> {
+        let start = |(phase, own): (&Phase, Population)| -> Result<PhasePrior, ReduceError> {
             if !symmetric::is_semidefinite(&own.covariance) {
                 let (least, largest) = symmetric::scaled_range(&own.covariance);
                 let kind = ReduceErrorKind::NotSemidefinite { left: least, variance: largest };
                 let what = format!("covariance of the initial state of phase `{}`", phase.name);
                 return Err(refuse(None, &what, kind));
             }
-            Ok(OwnLaw {
+            Ok(PhasePrior {
                 regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
                 root: symmetric::square_root(&own.covariance),
                 covariance: own.covariance,
@@ -121,7 +121,7 @@ impl ChainedFilter {
         &self,
         whole: &PhasedTest,
         work: &mut PhasedWork,
-        take: &mut Take<'_>,
+        take: &mut GainsVisitor<'_>,
     ) -> Result<f64, ReduceError> {
         let mut rest = 0.0;
         let mut before: Option<After> = None;
@@ -145,7 +145,7 @@ impl ChainedFilter {
         (at, rows): (usize, &Test),
         (work, cells): (&mut Workspace, &mut GatheredCells),
         before: Option<&After>,
-        take: &mut Take<'_>,
+        take: &mut GainsVisitor<'_>,
     ) -> Result<After, ReduceError> {
         let (start, phase) = (&self.phases[at], &self.reducer.phases()[at]);
         let link = before.map(|before| Ok((before, phase.inherited(rows, cells)?))).transpose()?;

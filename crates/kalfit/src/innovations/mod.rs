@@ -19,10 +19,10 @@ mod chained;
 mod channels;
 mod innovation;
 mod law;
+mod phase_prior;
 mod plain;
 mod rows;
 mod series;
-mod start;
 mod whiteness;
 
 use rayon::prelude::*;

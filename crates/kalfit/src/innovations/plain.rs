@@ -15,11 +15,11 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::Test;
 use crate::innovations::innovation::Innovation;
+use crate::innovations::phase_prior::PhasePrior;
 use crate::innovations::rows::{self, Figures};
-use crate::innovations::start::OwnLaw;
 use crate::model::{Alpha, Phase, PhasedModel};
 use crate::reduce::{
-    EnteringMoments, Evidence, Gains, GatheredCells, Inherited, OneBatch, PhaseReducer, PhasedTest, ReduceError,
+    BatchWorkspace, EnteringMoments, Evidence, Gains, GatheredCells, Inherited, PhaseReducer, PhasedTest, ReduceError,
     Reducer, Skeleton, Terminal, Workspace,
 };
 
@@ -43,7 +43,7 @@ struct PhaseFilter {
 #[derive(Debug)]
 pub(super) struct PhaseWorkspace {
     work: Workspace,
-    beside: OneBatch,
+    beside: BatchWorkspace,
     /// Tests with designs of their own, and room for them.
     own: Vec<Skeleton>,
     spare: Vec<Skeleton>,
@@ -81,7 +81,7 @@ impl PhaseFilters {
 
     pub(super) fn workspace(&self) -> Vec<PhaseWorkspace> {
         let of = |PhaseFilter { reducer, .. }: &PhaseFilter| {
-            let (work, beside) = (reducer.workspace(), OneBatch::new(Isa::best(), reducer));
+            let (work, beside) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
             PhaseWorkspace { work, beside, own: Vec::new(), spare: Vec::new() }
         };
         self.phases.iter().map(of).collect()
@@ -91,10 +91,11 @@ impl PhaseFilters {
     pub(super) fn series(
         &self,
         tests: &[PhasedTest],
-        (starts, carries): (&[OwnLaw], &[PhaseReducer]),
+        (starts, carries): (&[PhasePrior], &[PhaseReducer]),
         (room, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
     ) -> Vec<Option<Vec<Innovation>>> {
-        let plain = |(evidence, start): (&Evidence, &OwnLaw)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
+        let plain =
+            |(evidence, start): (&Evidence, &PhasePrior)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
         let track = |test: &PhasedTest| test.phases.iter().zip(starts).all(plain).then(Track::default);
         let mut tracks: Vec<Option<Track>> = tests.iter().map(track).collect();
         for (at, (known, room)) in self.phases.iter().zip(room).enumerate() {
@@ -125,7 +126,7 @@ impl PhaseBatch<'_> {
     /// The phase of all tests that have it.
     fn run(
         &self,
-        of: (&OwnLaw, &PhaseReducer),
+        of: (&PhasePrior, &PhaseReducer),
         tracks: &mut [Option<Track>],
         (PhaseWorkspace { work, beside, own, spare }, cells): (&mut PhaseWorkspace, &mut GatheredCells),
     ) {
@@ -173,7 +174,7 @@ impl PhaseBatch<'_> {
     fn by_itself(
         &self,
         rows: &Test,
-        of: (&OwnLaw, &PhaseReducer),
+        of: (&PhasePrior, &PhaseReducer),
         before: Option<&Terminal>,
         (work, cells): (&mut Workspace, &mut GatheredCells),
     ) -> Option<Left> {
@@ -213,7 +214,7 @@ impl PhaseFilter {
     fn entering(
         &self,
         (rows, covariates): (&Test, &[f64]),
-        (start, carry): (&OwnLaw, &PhaseReducer),
+        (start, carry): (&PhasePrior, &PhaseReducer),
         before: Option<&Terminal>,
         cells: &mut GatheredCells,
     ) -> Option<EnteringMoments> {

@@ -1,7 +1,6 @@
 //! Small dense linear algebra. Own kernels on slices for inner loops; nalgebra for everything else.
 
 pub(crate) mod algebra;
-pub(crate) mod column;
 pub mod echelon;
 pub mod elements;
 pub mod exponential;
@@ -13,6 +12,7 @@ pub(crate) mod parts;
 mod posterior;
 mod products;
 pub(crate) mod regular;
+pub(crate) mod row_lists;
 pub(crate) mod rows;
 pub(crate) mod sparse;
 pub mod symmetric;

@@ -14,7 +14,7 @@ use crate::predict::steps::ValueSteps;
 use crate::predict::value::PredictedValue;
 use crate::predict::{Initial, MeanLimits, PhasePredictions, PredictError, Predicted, StepPredictions, What};
 use crate::reduce::{Evidence, PhasedReducer, PhasedTest, PhasedWork, Terminal, own_innovations};
-use crate::score::{AdjointsWanted, BackwardWork, Moments, Seen, TestRun};
+use crate::score::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Moments};
 
 /// The model at one α.
 #[derive(Debug)]
@@ -109,7 +109,8 @@ impl Propagator {
             }
             own_innovations(gains, work);
             let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
-            let run = TestRun::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
+            let run =
+                BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
             let mut steps = forms.into_iter();
             let mut trajectory = Vec::with_capacity(work.design.steps());
             run.forth(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
@@ -162,7 +163,7 @@ struct Reached {
 }
 
 impl Reached {
-    fn new(seen: Seen<'_>, entering: &EnteringState) -> Reached {
+    fn new(seen: FilterSnapshot<'_>, entering: &EnteringState) -> Reached {
         let Psi = seen.sensitivity();
         let mut covariance = &Psi * &entering.covariance * Psi.transpose();
         seen.add_noise(&mut covariance);

@@ -10,7 +10,7 @@
 //! found once. A test that lacks a measurement or a step of its block has one that changes nothing. What is wrong with a test, or
 //! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
 
-pub(crate) mod beside;
+pub(crate) mod batch_workspace;
 mod identity;
 mod layout;
 pub(crate) mod reduced;
@@ -26,15 +26,15 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::model::{Alpha, Level};
 use crate::reduce::Reductions;
-use crate::reduce::batch::{Batch, ToEnd, share};
+use crate::reduce::batch_reducer::{BatchReducer, ToEnd, share};
 use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reducer::Reducer;
-use beside::by_shape;
+use batch_workspace::by_shape;
 pub(crate) use layout::BatchLayout;
-use reduced::{ReducedTests, TestInfo};
+use reduced::{ReducedTests, TestHeader};
 pub(crate) use values::BatchValues;
 
 /// Bytes of blocks, with their numbers at one α.
@@ -44,9 +44,9 @@ const SHARE: usize = 8;
 
 /// Tests side by side.
 #[derive(Debug)]
-struct FilteredTests {
+struct CachedBatch {
     layout: BatchLayout,
-    own: Vec<TestInfo>,
+    own: Vec<TestHeader>,
     /// Numbers at some α, that nobody has.
     spare: Mutex<Vec<BatchValues>>,
 }
@@ -54,27 +54,27 @@ struct FilteredTests {
 /// Tests of an ensemble with designs of their own, side by side. Which of them go together depends on the ensemble, not on the
 /// order of its tests.
 #[derive(Debug, Default)]
-pub(crate) struct OwnDesigns {
-    blocks: Vec<FilteredTests>,
+pub(crate) struct EnsembleBatches {
+    blocks: Vec<CachedBatch>,
     /// Tests that are in none, by number.
     pub(crate) others: Vec<usize>,
 }
 
 /// Blocks at an α, after their filters.
 #[derive(Debug)]
-pub(crate) struct FilteredDesigns {
-    blocks: Arc<OwnDesigns>,
+pub(crate) struct FilteredBatches {
+    blocks: Arc<EnsembleBatches>,
     /// By block.
     values: Vec<BatchValues>,
 }
 
-impl OwnDesigns {
+impl EnsembleBatches {
     /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
     /// of those.
-    pub(crate) fn new(reducer: &Reducer, tests: &[&Test], numbers: &[usize], shared: &[usize]) -> OwnDesigns {
+    pub(crate) fn new(reducer: &Reducer, tests: &[&Test], numbers: &[usize], shared: &[usize]) -> EnsembleBatches {
         let preparer = reducer.preparer();
         if !preparer.has_columns() {
-            return OwnDesigns { blocks: Vec::new(), others: (0..tests.len()).collect() };
+            return EnsembleBatches { blocks: Vec::new(), others: (0..tests.len()).collect() };
         }
         let digest = |number: usize, work: &mut Workspace| {
             preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
@@ -97,10 +97,10 @@ impl OwnDesigns {
             bytes += size(preparer, own);
             bytes <= BYTES
         });
-        let blocks: Vec<FilteredTests> =
-            groups.into_par_iter().map(|own| FilteredTests::new(reducer, tests, own)).collect();
+        let blocks: Vec<CachedBatch> =
+            groups.into_par_iter().map(|own| CachedBatch::new(reducer, tests, own)).collect();
         let kept: HashSet<usize> = blocks.iter().flat_map(|block| &block.layout.tests).copied().collect();
-        OwnDesigns { blocks, others: (0..tests.len()).filter(|number| !kept.contains(number)).collect() }
+        EnsembleBatches { blocks, others: (0..tests.len()).filter(|number| !kept.contains(number)).collect() }
     }
 
     /// The reductions of all tests at the α of a reducer, in their order.
@@ -108,10 +108,10 @@ impl OwnDesigns {
     /// # Errors
     /// Of several tests in error, the first one's error.
     pub(crate) fn reduce(
-        self: &Arc<OwnDesigns>,
+        self: &Arc<EnsembleBatches>,
         reducer: &Reducer,
         tests: &[&Test],
-    ) -> Result<(Reductions, FilteredDesigns), ReduceError> {
+    ) -> Result<(Reductions, FilteredBatches), ReduceError> {
         let (filtered, mut found) = self.filter(reducer, tests);
         let (rest, last) = self.rest(reducer, tests, found.odd)?;
         found.numbers.extend(last);
@@ -120,10 +120,10 @@ impl OwnDesigns {
 
     /// The same with where each test ends, if that is wanted; what is wrong with a test is said of it alone.
     pub(crate) fn reduce_to_end(
-        self: &Arc<OwnDesigns>,
+        self: &Arc<EnsembleBatches>,
         reducer: &Reducer,
         tests: &[&Test],
-    ) -> (Vec<ToEnd>, FilteredDesigns) {
+    ) -> (Vec<ToEnd>, FilteredBatches) {
         let (filtered, found) = self.filter(reducer, tests);
         let mut all: Vec<Option<ToEnd>> = tests.iter().map(|_| None).collect();
         let mut terminals = found.terminals.into_iter();
@@ -131,27 +131,27 @@ impl OwnDesigns {
             all[number] = Some(Ok((row.into(), terminals.next())));
         }
         let root = |work: &mut Workspace, &number: &usize| {
-            let found = reducer.rooted(tests[number], work).or_else(|_| reducer.one(tests[number], work));
+            let found = reducer.reduce_by_root(tests[number], work).or_else(|_| reducer.one(tests[number], work));
             found.map(|(reduction, class)| (reduction, reducer.ending(&class, work.pass.x.iter().copied())))
         };
         let rooted: Vec<ToEnd> = found.odd.par_iter().map_init(|| reducer.workspace(), root).collect();
         let rows = self.others.iter().map(|&number| tests[number].rows()).sum();
-        let rest = |batch: &mut Batch<'_>, numbers: &[usize]| {
+        let rest = |batch: &mut BatchReducer<'_>, numbers: &[usize]| {
             batch.reduce_to_end(&numbers.iter().map(|&number| tests[number]).collect::<Vec<_>>())
         };
         let others = self.others.par_chunks(share(self.others.len(), rows));
-        let rest: Vec<ToEnd> = others.map_init(|| Batch::new(reducer), rest).flatten_iter().collect();
+        let rest: Vec<ToEnd> = others.map_init(|| BatchReducer::new(reducer), rest).flatten_iter().collect();
         let left = found.odd.iter().chain(&self.others).zip(rooted.into_iter().chain(rest));
         left.for_each(|(&number, found)| all[number] = Some(found));
         (all.into_iter().map(|found| found.expect("every test was looked at")).collect(), filtered)
     }
 
     /// Runs the filters of all blocks at the α of a reducer.
-    fn filter(self: &Arc<OwnDesigns>, reducer: &Reducer, tests: &[&Test]) -> (FilteredDesigns, ReducedTests) {
+    fn filter(self: &Arc<EnsembleBatches>, reducer: &Reducer, tests: &[&Test]) -> (FilteredBatches, ReducedTests) {
         let mut alpha = Digest::new();
         add_to(&mut alpha, reducer.preparer().at().alpha);
         let alpha = alpha.finish();
-        let share = |room: &mut DataWorkspace, blocks: &[FilteredTests]| {
+        let share = |room: &mut DataWorkspace, blocks: &[CachedBatch]| {
             let mut found = ReducedTests::default();
             let values = blocks.iter().map(|block| block.filter((reducer, alpha), tests, room, &mut found)).collect();
             (values, found)
@@ -167,7 +167,7 @@ impl OwnDesigns {
             parts.push(found.reductions);
         }
         all.reductions = Reductions::joined(parts);
-        (FilteredDesigns { blocks: self.clone(), values }, all)
+        (FilteredBatches { blocks: self.clone(), values }, all)
     }
 
     /// Numbers of the tests that are in blocks.
@@ -183,7 +183,7 @@ impl OwnDesigns {
         odd: Vec<usize>,
     ) -> Result<(Reductions, Vec<usize>), ReduceError> {
         let of = |numbers: &[usize]| numbers.iter().map(|&number| tests[number]).collect::<Vec<&Test>>();
-        let root = |work: &mut _, &number: &usize| Ok(reducer.rooted(tests[number], work)?.0);
+        let root = |work: &mut _, &number: &usize| Ok(reducer.reduce_by_root(tests[number], work)?.0);
         let rooted: Result<Reductions, ReduceError> =
             odd.par_iter().map_init(|| reducer.workspace(), root).collect::<Vec<_>>().into_iter().collect();
         let mut numbers = self.others.clone();
@@ -202,7 +202,7 @@ impl OwnDesigns {
 fn groups(skeletons: &[Skeleton]) -> Vec<&[Skeleton]> {
     let (mut left, mut groups) = (skeletons, Vec::new());
     while !left.is_empty() {
-        let (group, rest) = left.split_at(beside::together(left, Isa::best().lanes()));
+        let (group, rest) = left.split_at(batch_workspace::together(left, Isa::best().lanes()));
         groups.push(group);
         left = rest;
     }
@@ -232,21 +232,21 @@ fn add_to(digest: &mut Digest, alpha: &Alpha) {
     }
 }
 
-impl FilteredTests {
-    fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> FilteredTests {
+impl CachedBatch {
+    fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> CachedBatch {
         let preparer = reducer.preparer();
         let (mut layout, mut values) = (BatchLayout::new(Isa::best(), preparer), BatchValues::new(Isa::best()));
         layout.take(preparer, tests, own);
         values.take(&layout, (preparer, tests));
         let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
         let digests = values.identities(&layout, &steps, &mut Vec::new());
-        let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| TestInfo {
+        let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| TestHeader {
             digest: if values.sound[lane] { digest } else { own.number as u128 }, // which is like no other
             covariates: own.covariates.clone(),
             steps: own.len(),
             observations: own.instances.len(),
         });
-        FilteredTests { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
+        CachedBatch { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
     }
 
     /// Evaluates the tests at the α of a reducer, whose digest this is, and runs their filters.
@@ -257,7 +257,7 @@ impl FilteredTests {
         room: &mut DataWorkspace,
         found: &mut ReducedTests,
     ) -> BatchValues {
-        let FilteredTests { layout, own, .. } = self;
+        let CachedBatch { layout, own, .. } = self;
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut values = spare.unwrap_or_else(|| {
             let mut values = BatchValues::new(Isa::best());
@@ -265,7 +265,7 @@ impl FilteredTests {
             values
         });
         values.evaluate(layout, (reducer.preparer(), tests), false);
-        let digest = |own: &TestInfo| {
+        let digest = |own: &TestHeader| {
             let mut digest = Digest::new();
             digest.wide(own.digest);
             digest.wide(alpha);
@@ -278,27 +278,27 @@ impl FilteredTests {
 
 /// One block at an α, after its filters.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct FilteredBlock<'a> {
+pub(crate) struct FilteredBatch<'a> {
     pub(crate) layout: &'a BatchLayout,
     pub(crate) values: &'a BatchValues,
 }
 
-impl FilteredBlock<'_> {
+impl FilteredBatch<'_> {
     /// (lane, number) of each test that went with the others.
     pub(crate) fn tests(&self) -> impl Iterator<Item = (usize, usize)> {
         self.layout.tests.iter().copied().enumerate().filter(|&(lane, _)| self.values.sound[lane])
     }
 }
 
-impl FilteredDesigns {
+impl FilteredBatches {
     /// The blocks, for several threads.
-    pub(crate) fn blocks(&self) -> impl IndexedParallelIterator<Item = FilteredBlock<'_>> {
+    pub(crate) fn blocks(&self) -> impl IndexedParallelIterator<Item = FilteredBatch<'_>> {
         let both = self.blocks.blocks.par_iter().zip(&self.values);
-        both.map(|(block, values)| FilteredBlock { layout: &block.layout, values })
+        both.map(|(block, values)| FilteredBatch { layout: &block.layout, values })
     }
 }
 
-impl Drop for FilteredDesigns {
+impl Drop for FilteredBatches {
     fn drop(&mut self) {
         for (block, values) in self.blocks.blocks.iter().zip(self.values.drain(..)) {
             block.spare.lock().unwrap_or_else(PoisonError::into_inner).push(values);

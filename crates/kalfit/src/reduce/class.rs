@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use crate::reduce::design::Design;
-use crate::reduce::end::TerminalRoot;
 use crate::reduce::gains::Gains;
 use crate::reduce::root::RootError;
 use crate::reduce::shared::StoreEntry;
+use crate::reduce::terminal_root::TerminalRoot;
 
 /// A design with its gains, as it is kept.
 pub(super) type GainsResult = Arc<StoreEntry<Design, Result<Gains, RootError>>>;

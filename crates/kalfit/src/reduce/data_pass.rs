@@ -2,8 +2,8 @@
 
 use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::design::Design;
-use crate::reduce::gains::{Gains, Turns};
-use crate::reduce::lanes::{DataWorkspace, InnovationLook, innovations, solve};
+use crate::reduce::gains::{FactorRotations, Gains};
+use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, solve};
 
 /// A measurement that can only be one value may miss it by this part of the size of its terms.
 const ROUNDING: f64 = 1e-10;
@@ -36,7 +36,7 @@ struct Possible<'a> {
     miss: Option<Miss>,
 }
 
-impl InnovationLook<f64> for Possible<'_> {
+impl InnovationObserver<f64> for Possible<'_> {
     const EACH: bool = true;
 
     fn see(&mut self, (row, line): (usize, usize), e: f64, x: &[f64]) {
@@ -51,7 +51,7 @@ impl InnovationLook<f64> for Possible<'_> {
 }
 
 /// (d, residual sum of squares): the innovations take the rotations that made R.
-fn folded((p, gains): (usize, &Gains), turns: &Turns, e: &[f64]) -> (Vec<f64>, f64) {
+fn folded((p, gains): (usize, &Gains), turns: &FactorRotations, e: &[f64]) -> (Vec<f64>, f64) {
     let (mut d, mut residual) = (vec![0.0; p], 0.0);
     for (row, &e) in e.iter().enumerate() {
         let mut left = e * gains.row(row).0.sqrt();

@@ -3,16 +3,16 @@
 
 use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, StateFrame, Stretch};
-use crate::reduce::gains::Piece;
+use crate::reduce::gains::GainSpan;
 use crate::reduce::kernel::{self, FilterState};
-use crate::reduce::schedule::{GainsWork, Schedule};
-use crate::reduce::settling::Frozen;
+use crate::reduce::schedule::{GainSchedule, GainsWork};
+use crate::reduce::settling::SteadyState;
 use crate::reduce::small;
 use crate::reduce::sums::InformationSums;
 use kalfit_lanes::Real;
 
 /// Runs the covariance filter of a design.
-pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> Schedule {
+pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> GainSchedule {
     let frame = &*design.frame;
     let (p, r) = (frame.p, frame.r);
     work.P.clone_from(&design.variance);
@@ -20,10 +20,10 @@ pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> Schedule {
     work.G.clear();
     work.G.resize(r, 0.0);
     work.settling.start(&work.Psi);
-    let mut out = Schedule {
+    let mut out = GainSchedule {
         gains: Vec::with_capacity((1 + r) * design.ends.len()),
         sensitivities: Vec::with_capacity(p * design.ends.len()),
-        pieces: vec![Piece::all(0)],
+        pieces: vec![GainSpan::all(0)],
         sums: InformationSums::new(p),
         many: Vec::new(),
     };
@@ -33,23 +33,23 @@ pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> Schedule {
     out
 }
 
-impl Schedule {
+impl GainSchedule {
     /// Equal steps: in full until P no longer changes, then Ψ alone until it does not change either, then all others at once.
     fn stretch(&mut self, design: &Design, stretch: &Stretch<'_>, work: &mut GainsWork) {
         let frame = &*design.frame;
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
         let watched = work.settling.begin(stretch.count);
-        let (mut frozen, mut gain_steps, mut done) = (Frozen::Nothing, 0, 0);
+        let (mut frozen, mut gain_steps, mut done) = (SteadyState::Nothing, 0, 0);
         let small = if stretch.count > FEW { small::steps(design, stretch) } else { None };
-        while done < stretch.count && frozen != Frozen::All {
+        while done < stretch.count && frozen != SteadyState::All {
             let before = done;
             done = if watched { work.settling.next_look().min(stretch.count) } else { stretch.count };
             match (frozen, small) {
-                (Frozen::Nothing, Some(steps)) => steps(design, stretch, done - before, work, self),
-                (Frozen::Nothing, None) => (before..done).for_each(|_| self.step(design, stretch, work)),
+                (SteadyState::Nothing, Some(steps)) => steps(design, stretch, done - before, work, self),
+                (SteadyState::Nothing, None) => (before..done).for_each(|_| self.step(design, stretch, work)),
                 _ => (before..done).for_each(|_| self.sensitivities(design, stretch, work)),
             }
-            if frozen == Frozen::Nothing {
+            if frozen == SteadyState::Nothing {
                 gain_steps = done;
             }
             if watched {
@@ -57,7 +57,7 @@ impl Schedule {
             }
         }
         self.repeat(frame, stretch.lines.len(), stretch.count - done);
-        let piece = Piece {
+        let piece = GainSpan {
             row: stretch.rows.start,
             width: stretch.lines.len(),
             gain,

@@ -1,7 +1,7 @@
 //! The gains of a design: everything that the data pass needs but the data.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, S, J")]
 
-use crate::reduce::end::TerminalRoot;
+use crate::reduce::terminal_root::TerminalRoot;
 
 /// A finished design pass: everything but the data.
 #[derive(Debug, Clone)]
@@ -15,7 +15,7 @@ pub(crate) struct Gains {
     /// T (p) of scalar measurements, likewise.
     pub(crate) sensitivities: Vec<f64>,
     /// Which are kept, in order of rows; at least one piece.
-    pub(crate) pieces: Vec<Piece>,
+    pub(crate) pieces: Vec<GainSpan>,
     /// R with J = R'R, packed by columns.
     pub(crate) factor: Vec<f64>,
     /// Σ log S.
@@ -23,14 +23,14 @@ pub(crate) struct Gains {
     /// Number of measurements that say something.
     pub(crate) active: usize,
     /// How the data are folded, when square-root arrays made it.
-    pub(crate) turns: Option<Turns>,
+    pub(crate) turns: Option<FactorRotations>,
     /// The last state, where a phase follows.
     pub(crate) end: Option<TerminalRoot>,
 }
 
 /// Rows of equal steps and what is kept of them: of the first steps each, and the last one kept stands for all that follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Piece {
+pub(crate) struct GainSpan {
     /// The first row.
     pub(crate) row: usize,
     /// Rows of each step.
@@ -43,10 +43,10 @@ pub(crate) struct Piece {
     pub(crate) sensitivity_steps: usize,
 }
 
-impl Piece {
+impl GainSpan {
     /// The first `rows` rows, all of them kept, each a step to itself.
-    pub(crate) fn all(rows: usize) -> Piece {
-        Piece { row: 0, width: 1, gain: 0, gain_steps: rows, sensitivity: 0, sensitivity_steps: rows }
+    pub(crate) fn all(rows: usize) -> GainSpan {
+        GainSpan { row: 0, width: 1, gain: 0, gain_steps: rows, sensitivity: 0, sensitivity_steps: rows }
     }
 
     /// The step of a row, and its line there.
@@ -69,29 +69,29 @@ impl Piece {
 
 /// The rotations that took [T | ·]/√S into R: the data take them too.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Turns {
+pub(crate) struct FactorRotations {
     /// (c, s) with each row of R, for each scalar measurement.
     pub(crate) folds: Vec<(f64, f64)>,
     /// What rounded small diagonals of R to zero, in order.
-    pub(crate) settle: Vec<RootSettling>,
+    pub(crate) settle: Vec<RankOperation>,
 }
 
 /// One operation on d.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum RootSettling {
+pub(crate) enum RankOperation {
     /// Rotate rows `k` and `i` by (c, s).
     Turn { k: usize, i: usize, c: f64, s: f64 },
     /// Row `i` of R is zero now: what is left of d_i is residual.
     Drop { i: usize },
 }
 
-impl RootSettling {
+impl RankOperation {
     /// Does it to d; what is left of a dropped entry joins the residual sum of squares.
     #[inline]
     pub(crate) fn apply(self, d: &mut [f64], residual: &mut f64) {
         match self {
-            RootSettling::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
-            RootSettling::Drop { i } => {
+            RankOperation::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
+            RankOperation::Drop { i } => {
                 *residual += d[i] * d[i];
                 d[i] = 0.0;
             }
@@ -114,14 +114,14 @@ impl Gains {
 
     /// [`Gains::row`] of a row in this piece.
     #[inline(always)]
-    pub(crate) fn of(&self, piece: &Piece, row: usize) -> (f64, &[f64], &[f64]) {
+    pub(crate) fn of(&self, piece: &GainSpan, row: usize) -> (f64, &[f64], &[f64]) {
         let (weight, K) = self.weighted(piece, row).split_first().expect("it has 1/S");
         (*weight, K, self.sensitive(piece, row))
     }
 
     /// 1/S and K of a row in this piece, one after the other.
     #[inline(always)]
-    pub(crate) fn weighted(&self, piece: &Piece, row: usize) -> &[f64] {
+    pub(crate) fn weighted(&self, piece: &GainSpan, row: usize) -> &[f64] {
         let (step, line) = piece.step(row);
         let gain = piece.gain + step.min(piece.gain_steps - 1) * piece.width + line;
         &self.gains[gain * (1 + self.r)..][..1 + self.r]
@@ -129,7 +129,7 @@ impl Gains {
 
     /// T of a row in this piece.
     #[inline(always)]
-    pub(crate) fn sensitive(&self, piece: &Piece, row: usize) -> &[f64] {
+    pub(crate) fn sensitive(&self, piece: &GainSpan, row: usize) -> &[f64] {
         let (step, line) = piece.step(row);
         let sensitivity = piece.sensitivity + step.min(piece.sensitivity_steps - 1) * piece.width + line;
         &self.sensitivities[sensitivity * self.p..][..self.p]

@@ -40,7 +40,7 @@
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
-mod batch;
+mod batch_reducer;
 mod blocks;
 mod carry;
 mod chain;
@@ -51,7 +51,6 @@ mod design;
 mod design_pass;
 mod digest;
 mod dynamics;
-mod end;
 mod error;
 mod evidence;
 mod flops;
@@ -91,6 +90,7 @@ mod subject;
 mod suboptimal;
 mod sums;
 mod terminal;
+mod terminal_root;
 
 pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};
@@ -109,28 +109,28 @@ pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 pub use terminal::Terminal;
 
-pub(crate) use batch::share;
-pub(crate) use blocks::FilteredBlock;
-pub(crate) use blocks::beside::{EnteringMoments, OneBatch};
+pub(crate) use batch_reducer::share;
+pub(crate) use blocks::FilteredBatch;
+pub(crate) use blocks::batch_workspace::{BatchWorkspace, EnteringMoments};
 pub(crate) use carry::Inherits;
 pub(crate) use data::Data;
 pub(crate) use design::{Design, DesignStep, StateFrame, Stretch, Transition, same_bits};
 pub(crate) use dynamics::{Component, Table};
 pub(crate) use error::{of_shape, refuse};
-pub(crate) use gains::{Gains, Piece};
+pub(crate) use gains::{GainSpan, Gains};
 pub(crate) use instances::Instance;
 pub(crate) use kernel::{advance, mirror, predict, update};
 pub(crate) use known_steps::KnownSteps;
 pub(crate) use lanes::{DataBlock, DesignBatch, Interleaved, at};
-pub(crate) use motion::{Evaluated, Filled, MotionBack, Moves};
+pub(crate) use motion::{Evaluated, Filled, MotionPullback, Moves};
 pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;
-pub(crate) use phased::{PhasedBlocks, PhasedFiltered, PhasedWork};
+pub(crate) use phased::{FilteredPhases, PhasedBatches, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
-pub(crate) use reducer::{EqualDesigns, own_innovations};
+pub(crate) use reducer::{LongDesignClasses, own_innovations};
 pub(crate) use scan::{InvariantStep, Scan, with_states};
 pub(crate) use semidefinite::ldl;
-pub(crate) use settling::{Frozen, Settling};
+pub(crate) use settling::{SteadyState, SteadyStateMonitor};
 pub(crate) use shared::SharedStore;
 pub(crate) use small::{SmallMotion, moving};
 pub(crate) use start::{LawAdjoint, StartAdjoint};

@@ -18,7 +18,7 @@ use crate::reduce::subject::{Fault, Subject};
 
 pub(crate) use backward::Evaluated;
 pub(crate) use fill::{Filled, MotionColumns, Transitions};
-pub(crate) use pull::MotionBack;
+pub(crate) use pull::MotionPullback;
 
 /// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
 /// other: φ, Γ, Q of the first component, each m × m, then of the next.

@@ -10,17 +10,17 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
-use crate::reduce::batch::ToEnd;
+use crate::reduce::batch_reducer::ToEnd;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{PhasePosition, PhaseReducer, ReducedPhase};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{EqualDesigns, Reducer, Work};
+use crate::reduce::reducer::{LongDesignClasses, Reducer, Work};
 use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
 
-pub(crate) use blocks::{PhasedBlocks, PhasedFiltered};
+pub(crate) use blocks::{FilteredPhases, PhasedBatches};
 
 /// Reduces the tests of a model in phases at α.
 ///
@@ -93,14 +93,14 @@ impl PhasedReducer {
     /// Takes the steps that are known of the tests of each phase, and leaves what it finds with them.
     pub(crate) fn knowing(&mut self, steps: &[Arc<KnownSteps>]) {
         for (phase, steps) in self.phases.iter_mut().zip(steps) {
-            phase.reducer.know(steps.clone());
+            phase.reducer.share_steps(steps.clone());
         }
     }
 
     /// Takes which long tests are alike, where there is one phase.
-    pub(crate) fn knowing_alike(&mut self, alike: &Arc<EqualDesigns>) {
+    pub(crate) fn knowing_alike(&mut self, alike: &Arc<LongDesignClasses>) {
         if let ([phase], false) = (&mut *self.phases, alike.is_empty()) {
-            phase.reducer.know_alike(alike.clone());
+            phase.reducer.set_equal_designs(alike.clone());
         }
     }
 

@@ -7,7 +7,6 @@ use nalgebra::DMatrix;
 use crate::reduce::data::Data;
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
-use crate::reduce::end::TerminalRoot;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::DataWorkspace;
@@ -22,6 +21,7 @@ use crate::reduce::schedule::GainsWork;
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::terminal::Terminal;
+use crate::reduce::terminal_root::TerminalRoot;
 
 impl Plain {
     /// Its reduction.

@@ -21,7 +21,7 @@ use crate::reduce::order::Order;
 use crate::reduce::recognise::CellMask;
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::SharedStore;
-use crate::reduce::start::{InitialMoment, ModelStart};
+use crate::reduce::start::{ModelStart, StartMoments};
 use crate::reduce::steps::{GatheredCells, StepSpan, spans};
 use crate::reduce::subject::{Fault, ModelAt, Subject, Uses};
 
@@ -66,9 +66,9 @@ pub(crate) struct Preparer {
     /// Tests can be evaluated column by column: noises of states that are correlated are the same on every row.
     columnwise: bool,
     /// The law of x_0, when no test changes it.
-    law: Option<InitialMoment>,
+    law: Option<StartMoments>,
     /// How tests of one design are recognised; `None` where they cannot be, as values are mixed.
-    pub(crate) looks: Option<CellMask>,
+    pub(crate) cell_mask: Option<CellMask>,
     transitions: SharedStore<Vec<u64>, Result<Moves, Box<Fault>>>,
     /// Steps that were found at another α; `None` where nobody keeps them.
     pub(crate) steps: Option<Arc<KnownSteps>>,
@@ -176,7 +176,7 @@ impl Preparer {
             order,
             meters,
             law,
-            looks,
+            cell_mask: looks,
             transitions: SharedStore::new(TRANSITION_BYTES),
             steps: None,
             computed: AtomicU64::new(0),
@@ -193,7 +193,7 @@ impl Preparer {
     }
 
     /// The law of x_0, when no test changes it.
-    pub(crate) fn law(&self) -> Option<&InitialMoment> {
+    pub(crate) fn law(&self) -> Option<&StartMoments> {
         self.law.as_ref()
     }
 

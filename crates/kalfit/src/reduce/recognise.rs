@@ -62,7 +62,7 @@ impl CellMask {
     }
 
     /// What others are compared with.
-    pub(crate) fn likeness(&self, test: &Test) -> DesignCells {
+    pub(crate) fn design_cells(&self, test: &Test) -> DesignCells {
         let missing = |row: usize| {
             let numbers = test.numbers(row);
             self.measured.iter().filter(|&&c| numbers[c].is_nan()).map(move |c| row * numbers.len() + c)
@@ -76,7 +76,7 @@ impl CellMask {
     }
 
     /// True when all that counts is the same bit for bit. (Whether measured values are there where they were is to be seen yet.)
-    pub(crate) fn alike(&self, test: &Test, known: &DesignCells) -> bool {
+    pub(crate) fn has_cells(&self, test: &Test, known: &DesignCells) -> bool {
         let cells = test.all_numbers();
         if test.rows() != known.rows || cells.len() != known.numbers.len() {
             return false;

@@ -1,7 +1,7 @@
 //! Tests → reductions.
 
 mod alike;
-mod known;
+mod exemplar;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,7 +13,6 @@ use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::schedule;
-use crate::reduce::end::TerminalRoot;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
@@ -25,9 +24,10 @@ use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
+use crate::reduce::terminal_root::TerminalRoot;
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions, Terminal};
-pub(crate) use alike::EqualDesigns;
-pub(crate) use known::DesignExemplar;
+pub(crate) use alike::LongDesignClasses;
+pub(crate) use exemplar::DesignExemplar;
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
@@ -48,7 +48,7 @@ pub struct Reducer {
     /// Tests of designs that were seen more than once.
     known: SharedStore<DesignCells, DesignExemplar>,
     /// Long tests that are known to be alike; `None` where nobody said so.
-    alike: Option<Arc<EqualDesigns>>,
+    alike: Option<Arc<LongDesignClasses>>,
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
@@ -58,7 +58,7 @@ pub struct Reducer {
 }
 
 /// What design passes work in.
-struct GainsRoom<'a> {
+struct GainsWorkspace<'a> {
     gains: &'a mut GainsWork,
     block: &'a DataBlock,
     room: &'a mut DataWorkspace,
@@ -67,7 +67,7 @@ struct GainsRoom<'a> {
 
 /// What a reduction has from its test beside the data.
 #[derive(Debug)]
-pub(crate) struct About<'a> {
+pub(crate) struct ReductionHeader<'a> {
     /// R, packed.
     pub(crate) factor: &'a [f64],
     pub(crate) covariates: &'a [f64],
@@ -77,11 +77,11 @@ pub(crate) struct About<'a> {
     pub(crate) digest: u128,
 }
 
-impl<'a> About<'a> {
+impl<'a> ReductionHeader<'a> {
     /// Of a test with these gains.
-    pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> About<'a> {
+    pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> ReductionHeader<'a> {
         let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
-        About { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
+        ReductionHeader { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
     }
 
     /// The reduction of a test.
@@ -142,17 +142,17 @@ impl Reducer {
     }
 
     /// Takes steps that are known of tests of one ensemble, and leaves what it finds with them: it must reduce no other.
-    pub(crate) fn know(&mut self, steps: Arc<KnownSteps>) {
+    pub(crate) fn share_steps(&mut self, steps: Arc<KnownSteps>) {
         self.preparer.steps = Some(steps);
     }
 
     /// Takes which long tests of one ensemble are alike: it must reduce no other.
-    pub(crate) fn know_alike(&mut self, alike: Arc<EqualDesigns>) {
+    pub(crate) fn set_equal_designs(&mut self, alike: Arc<LongDesignClasses>) {
         self.alike = Some(alike);
     }
 
     /// Long tests that are known to be alike.
-    pub(crate) fn alike(&self) -> Option<&EqualDesigns> {
+    pub(crate) fn alike(&self) -> Option<&LongDesignClasses> {
         self.alike.as_deref()
     }
 
@@ -218,7 +218,7 @@ impl Reducer {
                 return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
             }
             let outcome = Outcome { data: vec![0.0; work.design.frame.p], ..Outcome::default() };
-            let about = About::new(gains, &work.covariates, (work.design.steps(), digest));
+            let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
             Ok(Reduction { residual: None, ..about.row(test, &outcome).into() })
         })
     }
@@ -275,15 +275,21 @@ impl Reducer {
 
     /// The reduction of a test, and its class; x̂_K is left in the work space.
     pub(crate) fn one(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
-        self.with_class(test, work, Reducer::class, |digest, gains, work| self.told(test, (digest, gains), work))
+        self.with_class(test, work, Reducer::class, |digest, gains, work| {
+            self.reduce_prepared(test, (digest, gains), work)
+        })
     }
 
     /// [`Reducer::one`] of a test whose design is known to call for square-root arrays.
-    pub(crate) fn rooted(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
+    pub(crate) fn reduce_by_root(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+    ) -> Result<(Reduction, DesignClass), ReduceError> {
         let class = |reducer: &Reducer, digest, work: &mut Workspace| {
             reducer.class_of((digest, &work.design), |design| reducer.root(design))
         };
-        self.with_class(test, work, class, |digest, gains, work| self.told(test, (digest, gains), work))
+        self.with_class(test, work, class, |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
     /// Evaluates a test, and reduces it under the gains of its class.
@@ -304,7 +310,7 @@ impl Reducer {
     }
 
     /// The reduction of the test in the work space under these gains.
-    fn told(
+    fn reduce_prepared(
         &self,
         test: &Test,
         (digest, gains): (u128, &Gains),
@@ -317,18 +323,18 @@ impl Reducer {
         if !outcome.is_finite() {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
-        let about = About::new(gains, &work.covariates, (work.design.steps(), digest));
+        let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
         Ok(self.row(test, &outcome, about).into())
     }
 
     /// The reduction of a test.
-    pub(crate) fn row<'a>(&self, test: &'a Test, outcome: &'a Outcome, about: About<'a>) -> ReductionRef<'a> {
+    pub(crate) fn row<'a>(&self, test: &'a Test, outcome: &'a Outcome, about: ReductionHeader<'a>) -> ReductionRef<'a> {
         self.data_runs.fetch_add(1, Ordering::Relaxed);
         about.row(test, outcome)
     }
 
     /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
-    fn information(&self, design: &Design, work: &mut GainsRoom<'_>) -> Option<Gains> {
+    fn information(&self, design: &Design, work: &mut GainsWorkspace<'_>) -> Option<Gains> {
         let states = &self.preparer.order.states;
         if is_short(design) {
             let mut gains = work.block.gains(design, work.gained, work.room)?;
@@ -350,16 +356,16 @@ impl Reducer {
     }
 
     /// Takes note of a design whose filter was run side by side with others.
-    pub(crate) fn ran(&self, digest: u128) {
+    pub(crate) fn count_design_run(&self, digest: u128) {
         // threads that meet one design at the same time count once: the work told of does not depend on threads
         self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
     }
 
     /// Recognises others by a test, as it is in the work space.
-    pub(crate) fn learn(&self, test: &Test, class: &DesignClass, digest: u128, work: &Workspace) {
+    pub(crate) fn add_exemplar(&self, test: &Test, class: &DesignClass, digest: u128, work: &Workspace) {
         let known = DesignExemplar::new(&self.preparer, test, class, work);
-        if let Some((looks, known)) = self.preparer.looks.as_ref().zip(known) {
-            let likeness = looks.likeness(test);
+        if let Some((looks, known)) = self.preparer.cell_mask.as_ref().zip(known) {
+            let likeness = looks.design_cells(test);
             let bytes = likeness.bytes() + known.bytes();
             self.known.keep(digest, likeness, known, bytes);
         }
@@ -382,7 +388,7 @@ impl Reducer {
     /// The design class of the test in the work space.
     fn class(&self, digest: u128, work: &mut Workspace) -> GainsResult {
         let Workspace { design, gains, block, room, gained, .. } = work;
-        let mut room = GainsRoom { gains, block, room, gained };
+        let mut room = GainsWorkspace { gains, block, room, gained };
         let make = |design: &Design| self.information(design, &mut room).map_or_else(|| self.root(design), Ok);
         self.class_of((digest, design), make)
     }
@@ -393,7 +399,7 @@ impl Reducer {
         make: impl FnOnce(&Design) -> Result<Gains, RootError>,
     ) -> GainsResult {
         let counted = |design: &Design| {
-            self.ran(digest);
+            self.count_design_run(digest);
             make(design)
         };
         self.classes.get(digest, |known| known.same(design), || design.clone(), counted, class_bytes)

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
 
-use crate::linalg::column::RowLists;
+use crate::linalg::row_lists::RowLists;
 use crate::reduce::chain::Chain;
 use crate::reduce::path::Path;
 use crate::reduce::reduction::Reduction;

@@ -6,7 +6,7 @@
 
 use crate::linalg::fold::{Rotation, fold, fold_row, norm};
 use crate::reduce::design::{Design, StateFrame, Transition};
-use crate::reduce::gains::{Gains, Piece, RootSettling, Turns};
+use crate::reduce::gains::{FactorRotations, GainSpan, Gains, RankOperation};
 use crate::reduce::kernel;
 use crate::reduce::semidefinite::{NotSemidefinite, root};
 
@@ -53,14 +53,14 @@ pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a
         p,
         gains: vec![0.0; (1 + r) * design.rows()],
         sensitivities: vec![0.0; p * design.rows()],
-        pieces: vec![Piece::all(design.rows())],
+        pieces: vec![GainSpan::all(design.rows())],
         factor: Vec::with_capacity(p * (p + 1) / 2),
         log_determinant: 0.0,
         active: 0,
         turns: None,
         end: None,
     };
-    let mut turns = Turns { folds: Vec::with_capacity(p * design.rows()), settle: Vec::new() };
+    let mut turns = FactorRotations { folds: Vec::with_capacity(p * design.rows()), settle: Vec::new() };
     for step in design.each_step() {
         if let Some(transition) = step.transition {
             filter.predict(transition)?;
@@ -200,7 +200,7 @@ impl<'a> RootFilter<'a> {
 
 /// Rounds directions without information to none, those with a diagonal below this `part` of its column: their rows of R go into the
 /// rows below, their data into the residual. Shape: `R` p × p, row-major, upper triangular.
-pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<RootSettling>) {
+pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<RankOperation>) {
     let column = |k: usize| -> Vec<f64> { (0..=k).map(|i| R[i * p + k]).collect() };
     let norms: Vec<f64> = (0..p).map(|k| norm(&column(k))).collect();
     for i in 0..p {
@@ -217,8 +217,8 @@ pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<RootSe
                 (R[k * p + c], R[i * p + c]) = turn.turn(R[k * p + c], R[i * p + c]);
             }
             R[i * p + k] = 0.0;
-            settle.push(RootSettling::Turn { k, i, c: turn.c, s: turn.s });
+            settle.push(RankOperation::Turn { k, i, c: turn.c, s: turn.s });
         }
-        settle.push(RootSettling::Drop { i });
+        settle.push(RankOperation::Drop { i });
     }
 }

@@ -3,7 +3,7 @@
 
 use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Stretch};
-use crate::reduce::gains::{Gains, Piece};
+use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::small::moving;
 use kalfit_lanes::{Lanes, Part, Real};
 
@@ -29,7 +29,7 @@ pub(crate) struct Scan<'a, T> {
     pub(crate) design: &'a Design,
     pub(crate) stretch: &'a Stretch<'a>,
     /// The piece that its first row is in.
-    pub(crate) gains: (&'a Gains, &'a Piece),
+    pub(crate) gains: (&'a Gains, &'a GainSpan),
     /// x̂ before the steps, then after them.
     pub(crate) x: &'a mut [T],
     /// z - d of each, then e; of several tests beside each other.

@@ -4,17 +4,17 @@
 use std::ops::Range;
 
 use crate::reduce::design::Stretch;
-use crate::reduce::gains::{Gains, Piece};
-use crate::reduce::settling::Settling;
+use crate::reduce::gains::{GainSpan, Gains};
+use crate::reduce::settling::SteadyStateMonitor;
 use crate::reduce::sums::InformationSums;
 
 /// What a design pass leaves.
 #[derive(Debug, Clone)]
-pub(crate) struct Schedule {
+pub(crate) struct GainSchedule {
     /// As in [`Gains`].
     pub(crate) gains: Vec<f64>,
     pub(crate) sensitivities: Vec<f64>,
-    pub(super) pieces: Vec<Piece>,
+    pub(super) pieces: Vec<GainSpan>,
     pub(crate) sums: InformationSums,
     /// Rows that Π S lacks: (S, how many).
     pub(super) many: Vec<(f64, usize)>,
@@ -28,12 +28,12 @@ pub(crate) struct GainsWork {
     pub(crate) Psi: Vec<f64>,
     pub(super) G: Vec<f64>,
     pub(super) rows: Vec<f64>,
-    pub(crate) settling: Settling,
+    pub(crate) settling: SteadyStateMonitor,
 }
 
-impl Schedule {
+impl GainSchedule {
     /// Notes what is kept of a stretch.
-    pub(super) fn note(&mut self, piece: Piece, stretch: &Stretch<'_>) {
+    pub(super) fn note(&mut self, piece: GainSpan, stretch: &Stretch<'_>) {
         let rows: Range<usize> = stretch.rows.clone();
         if rows.is_empty() {
             return;
@@ -49,7 +49,7 @@ impl Schedule {
             last.sensitivity_steps += rows.len();
         } else {
             let steps = rows.len();
-            self.pieces.push(Piece { width: 1, gain_steps: steps, sensitivity_steps: steps, ..piece });
+            self.pieces.push(GainSpan { width: 1, gain_steps: steps, sensitivity_steps: steps, ..piece });
         }
     }
 

@@ -14,7 +14,7 @@ const FADED: f64 = 1e-3;
 
 /// What has stopped changing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Frozen {
+pub(crate) enum SteadyState {
     Nothing,
     /// P, and with it S and K.
     Gains,
@@ -30,7 +30,7 @@ pub(crate) enum Frozen {
 /// itself a step: over 10⁶ steps 1e-11.
 /// Without noise P falls like 1/k, a fifth over any window, and is never frozen.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Settling {
+pub(crate) struct SteadyStateMonitor {
     /// Nothing is ever frozen.
     pub(crate) off: bool,
     P: Vec<f64>,
@@ -42,7 +42,7 @@ pub(crate) struct Settling {
     next: usize,
 }
 
-impl Settling {
+impl SteadyStateMonitor {
     /// Begins a design.
     pub(crate) fn start(&mut self, Psi: &[f64]) {
         self.peaks.clear();
@@ -62,7 +62,13 @@ impl Settling {
 
     /// Looks, if it is time: after `step` of these steps. Shapes: `P` r × r, row-major, lower triangle.
     #[inline]
-    pub(crate) fn look(&mut self, step: usize, (P, r): (&[f64], usize), Psi: &[f64], frozen: Frozen) -> Frozen {
+    pub(crate) fn look(
+        &mut self,
+        step: usize,
+        (P, r): (&[f64], usize),
+        Psi: &[f64],
+        frozen: SteadyState,
+    ) -> SteadyState {
         if step < self.next {
             return frozen;
         }
@@ -73,9 +79,9 @@ impl Settling {
         }
         let frozen = match frozen {
             _ if first => frozen,
-            Frozen::Nothing if !self.variance_rests(P, r, slack) => Frozen::Nothing,
-            _ if self.sensitivity_rests(Psi, slack) => Frozen::All,
-            _ => Frozen::Gains,
+            SteadyState::Nothing if !self.variance_rests(P, r, slack) => SteadyState::Nothing,
+            _ if self.sensitivity_rests(Psi, slack) => SteadyState::All,
+            _ => SteadyState::Gains,
         };
         self.P.clear();
         self.P.extend_from_slice(P);

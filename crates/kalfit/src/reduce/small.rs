@@ -4,7 +4,7 @@
 
 use crate::reduce::design::{Design, Stretch, Transition};
 use crate::reduce::kernel::{ScalarUpdate, inform, mirror, update};
-use crate::reduce::schedule::{GainsWork, Schedule};
+use crate::reduce::schedule::{GainSchedule, GainsWork};
 use kalfit_lanes::Real;
 
 /// The transition of the N states that move; W columns of Ψ. Those of states that rest are constants.
@@ -26,7 +26,7 @@ struct Small<const N: usize, const W: usize> {
 }
 
 /// So many steps of a stretch.
-pub(crate) type SmallSteps = fn(&Design, &Stretch<'_>, usize, &mut GainsWork, &mut Schedule);
+pub(crate) type SmallSteps = fn(&Design, &Stretch<'_>, usize, &mut GainsWork, &mut GainSchedule);
 
 /// The steps of a stretch, if it is of this kind.
 pub(crate) fn steps(design: &Design, stretch: &Stretch<'_>) -> Option<SmallSteps> {
@@ -65,7 +65,7 @@ fn run<const N: usize, const W: usize>(
     stretch: &Stretch<'_>,
     many: usize,
     work: &mut GainsWork,
-    out: &mut Schedule,
+    out: &mut GainSchedule,
 ) {
     let r = design.frame.r;
     let step = Small::<N, W>::new(design, stretch, &work.Psi);
@@ -176,7 +176,7 @@ impl<const N: usize, const W: usize> Small<N, W> {
 
     /// One step; its gains, sensitivities and information go to `out` and `J`.
     #[inline(always)]
-    fn take(&self, P: &mut [[f64; N]; N], Psi: &mut [[f64; W]; N], r: usize, J: &mut [f64], out: &mut Schedule) {
+    fn take(&self, P: &mut [[f64; N]; N], Psi: &mut [[f64; W]; N], r: usize, J: &mut [f64], out: &mut GainSchedule) {
         let predicted = self.motion.advance(Psi);
         *P = self.motion.predict(P);
         let (mut G, mut K, mut T) = ([0.0; N], [0.0; N], self.t);

@@ -45,7 +45,7 @@ struct StationaryGroup {
 
 /// a and P0, by state of the model.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct InitialMoment {
+pub(crate) struct StartMoments {
     /// a.
     pub(crate) mean: Vec<f64>,
     /// (state, state, covariance), each pair once.
@@ -79,7 +79,7 @@ impl ModelStart {
         }
         if start.covariance.iter().all(|(.., entry)| entry.constant().is_some()) {
             let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: at.alpha };
-            start.add_known_covariance(at, &scope, &mut InitialMoment::default())?; // no test is to blame
+            start.add_known_covariance(at, &scope, &mut StartMoments::default())?; // no test is to blame
         }
         if let Some(time) = &at.model.clock.initial_time {
             if at.model.clock.time.is_none() {
@@ -140,8 +140,8 @@ impl ModelStart {
         scope: &Scope<'_>,
         values: &[f64],
         inputs: &[f64],
-    ) -> Result<InitialMoment, Box<Fault>> {
-        let mut law = InitialMoment { mean: vec![0.0; at.model.states.len()], covariance: Vec::new() };
+    ) -> Result<StartMoments, Box<Fault>> {
+        let mut law = StartMoments { mean: vec![0.0; at.model.states.len()], covariance: Vec::new() };
         for (state, mean, variance) in &self.known {
             law.mean[*state] = at.value(mean, scope)?;
             law.covariance.push((*state, *state, at.variance_value(variance, scope)?));
@@ -160,7 +160,7 @@ impl ModelStart {
         &self,
         at: &ModelAt<'_>,
         scope: &Scope<'_>,
-        law: &mut InitialMoment,
+        law: &mut StartMoments,
     ) -> Result<(), Box<Fault>> {
         if self.covariance.is_empty() {
             return Ok(());
@@ -264,7 +264,7 @@ impl StationaryGroup {
         at: &ModelAt<'_>,
         values: &[f64],
         inputs: &[f64],
-        law: &mut InitialMoment,
+        law: &mut StartMoments,
     ) -> Result<(), Box<Fault>> {
         let m = self.states.len();
         let (f, q) = self.matrices(values);

@@ -27,10 +27,10 @@ mod data_adjoint;
 mod design_sums;
 mod equal;
 mod filtered;
-mod legs;
-mod line;
-mod parts;
+mod forward;
+mod record_segments;
 mod run;
+mod scalar_measurement;
 mod sink;
 mod smooth;
 mod steady;
@@ -39,20 +39,20 @@ mod tests;
 mod work;
 
 use crate::reduce::DesignStep;
-use adjoint::{Adjoint, LineBar};
+use adjoint::{Adjoint, ScalarAdjoint};
 use work::{Segment, SegmentKind};
 
-pub(crate) use batch::{BatchBackward, LaneBars};
+pub(crate) use batch::{BatchAdjoints, BatchBackward};
 pub(crate) use data_adjoint::DataSums;
-pub(crate) use equal::Equal;
-pub(crate) use filtered::Seen;
-pub(crate) use legs::{Leg, Legs};
-pub(crate) use run::{AdjointsWanted, TerminalAdjoint, TestRun};
+pub(crate) use equal::EqualStretch;
+pub(crate) use filtered::FilterSnapshot;
+pub(crate) use record_segments::{RecordSegment, RecordSegments};
+pub(crate) use run::{AdjointsWanted, BackwardInput, TerminalAdjoint};
 pub(crate) use sink::{MeasurementAdjoint, Sink, TransitionAdjoint};
 pub(crate) use smooth::{Smoothed, SmoothedNoise, SmoothedTest};
 pub(crate) use work::BackwardWork;
 
-impl TestRun<'_> {
+impl BackwardInput<'_> {
     /// The adjoints of the test, into the sink.
     pub(crate) fn backward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
         self.forward(work, sink);
@@ -104,13 +104,14 @@ impl TestRun<'_> {
             if !step.rows.is_empty() {
                 rows = rows.saturating_sub(step.rows.len());
                 let first = rows;
-                let before = |place: usize| Seen::new(&before[seen(before, first + place)], self.sizes());
+                let before = |place: usize| FilterSnapshot::new(&before[seen(before, first + place)], self.sizes());
                 self.measured_back(&step, e, before, (adjoint, measured));
                 sink.measured(k, measured)?;
             }
             if let Some(transition) = step.transition {
                 transitions = transitions.saturating_sub(1);
-                let left = self.wanted.motion.then(|| Seen::new(&left[seen(left, transitions)], self.sizes()));
+                let left =
+                    self.wanted.motion.then(|| FilterSnapshot::new(&left[seen(left, transitions)], self.sizes()));
                 adjoint.moved(&self.unknown(), transition, left, moved);
                 sink.moved(k, moved)?;
             }
@@ -123,7 +124,7 @@ impl TestRun<'_> {
         &self,
         step: &DesignStep<'_>,
         e: &[f64],
-        before: impl Fn(usize) -> Seen<'s>,
+        before: impl Fn(usize) -> FilterSnapshot<'s>,
         (adjoint, bar): (&mut Adjoint, &mut MeasurementAdjoint),
     ) {
         let (n, m) = (self.design.frame.n, step.rows.len());
@@ -138,7 +139,7 @@ impl TestRun<'_> {
                 continue; // it can only be what it is: K and T are zero
             }
             let h = if self.wanted.equation { Some((&mut bar.h[place * n..][..n], before(place))) } else { None };
-            let bar = LineBar { noise: &mut bar.noise[place], value: &mut bar.value[place], h };
+            let bar = ScalarAdjoint { noise: &mut bar.noise[place], value: &mut bar.value[place], h };
             adjoint.measured(&line, e[row], &self.unknown(), bar);
         }
     }

@@ -4,24 +4,24 @@ use std::sync::{Arc, OnceLock};
 
 use crate::model::{PhasedModel, Slots};
 use crate::reduce::{
-    EqualDesigns, KnownSteps, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions,
+    FilteredPhases, KnownSteps, LongDesignClasses, PhasedBatches, PhasedReducer, PhasedTest, ReduceError, Reductions,
 };
-use crate::score::{PhasedScorer, ScoredClasses};
+use crate::score::{PhasedScorer, TestClasses};
 
 /// Which tests are alike, and which are kept side by side.
 #[derive(Debug, Default)]
 pub(crate) struct Batching {
-    classes: OnceLock<ScoredClasses>,
-    blocks: OnceLock<Option<PhasedBlocks>>,
+    classes: OnceLock<TestClasses>,
+    blocks: OnceLock<Option<PhasedBatches>>,
     /// Long tests that are alike.
-    alike: OnceLock<Arc<EqualDesigns>>,
+    alike: OnceLock<Arc<LongDesignClasses>>,
     /// Steps of long records, by phase.
     steps: OnceLock<Vec<Arc<KnownSteps>>>,
 }
 
 impl Batching {
     /// Which tests are alike.
-    pub(crate) fn classes(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &ScoredClasses {
+    pub(crate) fn classes(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &TestClasses {
         if self.classes.get().is_none() {
             // not within the lock: threads that find them may take up other work meanwhile
             let _ = self.classes.set(scorer.classes(tests));
@@ -41,10 +41,10 @@ impl Batching {
         (model, slots): (&PhasedModel, &Slots),
         reducer: &mut PhasedReducer,
         tests: &[PhasedTest],
-    ) -> Result<(Reductions, Option<PhasedFiltered>), ReduceError> {
+    ) -> Result<(Reductions, Option<FilteredPhases>), ReduceError> {
         let blocks = self.blocks((model, slots), reducer, tests);
         reducer.knowing_alike(self.alike.get_or_init(|| {
-            let long = |classes: &ScoredClasses| classes.long(tests);
+            let long = |classes: &TestClasses| classes.long(tests);
             Arc::new(self.classes.get().map(long).unwrap_or_default())
         }));
         match blocks {
@@ -62,7 +62,7 @@ impl Batching {
         (model, slots): (&PhasedModel, &Slots),
         reducer: &PhasedReducer,
         tests: &[PhasedTest],
-    ) -> Option<&PhasedBlocks> {
+    ) -> Option<&PhasedBatches> {
         if self.blocks.get().is_none() {
             let scorer = PhasedScorer::new(model, reducer, slots).ok()?;
             let _ = self.blocks.set(scorer.blocks(tests, self.classes(&scorer, tests)));

@@ -6,7 +6,7 @@ use crate::ensemble::Test;
 use crate::reduce::{ReduceError, Transition, Workspace};
 use crate::score::Scorer;
 use crate::score::backward::{
-    AdjointsWanted, BackwardWork, Smoothed, SmoothedNoise, SmoothedTest, TerminalAdjoint, TestRun,
+    AdjointsWanted, BackwardInput, BackwardWork, Smoothed, SmoothedNoise, SmoothedTest, TerminalAdjoint,
 };
 use crate::score::moments::Moments;
 
@@ -94,7 +94,7 @@ impl Scorer<'_> {
     ) -> Result<Complete, ReduceError> {
         let wanted = AdjointsWanted { motion: true, equation: false };
         self.reducer.with_gains(test, work, |gains, work| {
-            let run = TestRun::of((work, gains), (moments, ending), wanted);
+            let run = BackwardInput::of((work, gains), (moments, ending), wanted);
             Complete::of(work, run.smooth(backward))
         })
     }

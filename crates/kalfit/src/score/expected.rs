@@ -17,8 +17,8 @@ use crate::linalg::symmetric;
 use crate::reduce::{Design, DesignStep, Fault, ReduceError, StateFrame, Transition, Workspace};
 use crate::score::Scorer;
 use crate::score::backward::{MeasurementAdjoint, Smoothed, TransitionAdjoint};
-use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::{Complete, InitialMoments, Move};
+use crate::score::pullback::{Adjoints, Gradient};
 
 /// Scaled eigenvalues of a covariance below this part of the largest are outside its range.
 const RANGE: f64 = 1e-10;

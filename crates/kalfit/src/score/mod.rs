@@ -8,13 +8,13 @@ mod backward;
 mod batching;
 #[cfg(test)]
 pub(crate) mod by_differences;
-mod chain;
 mod classes;
 mod complete;
 mod expected;
 mod levels;
 mod moments;
 mod phased;
+mod pullback;
 mod smoother;
 #[cfg(test)]
 mod tests;
@@ -25,17 +25,17 @@ use crate::ensemble::Test;
 use crate::model::Slots;
 use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
 use backward::{MeasurementAdjoint, Sink, TerminalAdjoint, TransitionAdjoint};
-use chain::{Adjoints, Pullback};
+use pullback::{Adjoints, Pullback};
 
-use smoother::Smooth;
+use smoother::SmoothedPhase;
 
-pub(crate) use backward::{AdjointsWanted, BackwardWork, Seen, Smoothed, TestRun};
+pub(crate) use backward::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Smoothed};
 pub(crate) use batching::Batching;
-pub(crate) use chain::{Gradient, add};
-pub(crate) use classes::ScoredClasses;
+pub(crate) use classes::TestClasses;
 pub(crate) use levels::{Levels, carried, dependences};
 pub(crate) use moments::{Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};
+pub(crate) use pullback::{Gradient, add};
 pub(crate) use smoother::{PhaseLaws, SmootherPlan};
 
 /// Scores of tests at the α of a reducer.
@@ -54,12 +54,12 @@ impl<'a> Scorer<'a> {
     }
 
     /// What a phase's later ones say of its last state, where there are any.
-    fn ending_of(&self, smooth: &Smooth) -> Option<TerminalAdjoint> {
+    fn ending_of(&self, smooth: &SmoothedPhase) -> Option<TerminalAdjoint> {
         smooth.later.is_some().then(|| self.ending(smooth, smooth.moments.columns))
     }
 
     /// The same in the order of the kernels, zero where there is no later phase; ρ with so many columns, those beyond its own zero.
-    fn ending(&self, smooth: &Smooth, columns: usize) -> TerminalAdjoint {
+    fn ending(&self, smooth: &SmoothedPhase, columns: usize) -> TerminalAdjoint {
         let order = &self.reducer.preparer().order;
         let (n, r) = (order.frame.n, order.frame.r);
         let mut ending = TerminalAdjoint { r: vec![0.0; n], rho: vec![0.0; n * columns], N: vec![0.0; r * r] };
@@ -88,8 +88,8 @@ impl<'a> Scorer<'a> {
     ) -> Result<Gradient, ReduceError> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let result = self.reducer.with_gains(test, work, |gains, work| {
-            let run = TestRun::of((work, gains), (moments, ending), self.wanted());
-            let done = run.backward(backward, &mut Onward { adjoints, test, work });
+            let run = BackwardInput::of((work, gains), (moments, ending), self.wanted());
+            let done = run.backward(backward, &mut PullbackSink { adjoints, test, work });
             adjoints.finished(done, test, work)
         })?;
         result.map_err(|fault| self.reducer.named(*fault, test))
@@ -97,13 +97,13 @@ impl<'a> Scorer<'a> {
 }
 
 /// Takes the adjoints of a test on to the chain rule.
-struct Onward<'a, 'b> {
+struct PullbackSink<'a, 'b> {
     adjoints: &'a mut Adjoints<'b>,
     test: &'a Test,
     work: &'a Workspace,
 }
 
-impl Sink for Onward<'_, '_> {
+impl Sink for PullbackSink<'_, '_> {
     type Error = Box<Fault>;
 
     fn sums(&mut self, steps: Range<usize>) -> bool {

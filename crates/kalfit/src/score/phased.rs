@@ -7,11 +7,11 @@
 //!
 //! Phases that are known by estimates or by a reduction have no part in it.
 
-mod apart;
 mod blocks;
+mod design_classes;
 #[cfg(test)]
 mod tests;
-mod together;
+mod unclassed;
 
 use std::collections::BTreeMap;
 
@@ -21,15 +21,15 @@ use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Slots, Tape};
 use crate::reduce::{
-    Fault, Inherits, PhasedFiltered, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reductions, SharedStore,
+    Fault, FilteredPhases, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reductions, SharedStore,
 };
 use crate::score::backward::BackwardWork;
-use crate::score::chain::{Adjoints, Gradient};
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
-use crate::score::phased::together::ScoredEnsemble;
-use crate::score::smoother::{InheritedBar, PhaseLaws, PlanKey, Smooth, SmootherPlan};
-use crate::score::{ScoredClasses, Scorer, Smoothed};
+use crate::score::phased::design_classes::ScoredEnsemble;
+use crate::score::pullback::{Adjoints, Gradient};
+use crate::score::smoother::{InheritanceAdjoint, PhaseLaws, PlanKey, SmoothedPhase, SmootherPlan};
+use crate::score::{Scorer, Smoothed, TestClasses};
 
 /// Bytes of smoothers that are kept: tests of one design share one while they fit.
 const PLAN_BYTES: usize = 64 << 20;
@@ -83,7 +83,7 @@ impl<'a> PhasedScorer<'a> {
         tests: &[PhasedTest],
         reductions: &Reductions,
         law: &InitialLaw,
-        (classes, filtered): (&ScoredClasses, Option<&PhasedFiltered>),
+        (classes, filtered): (&TestClasses, Option<&FilteredPhases>),
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = SharedStore::new(PLAN_BYTES);
         let mut scores = self.in_classes(ScoredEnsemble { tests, reductions, law, plans: &plans, filtered }, classes);
@@ -149,10 +149,15 @@ impl<'a> PhasedScorer<'a> {
     }
 
     /// What the passes through each phase of a test begin from.
-    fn begin(&self, of: ScoredEnsemble<'_>, number: usize, work: &mut PhasedWork) -> Result<Vec<Smooth>, ReduceError> {
+    fn begin(
+        &self,
+        of: ScoredEnsemble<'_>,
+        number: usize,
+        work: &mut PhasedWork,
+    ) -> Result<Vec<SmoothedPhase>, ReduceError> {
         let reduction = of.reductions.get(number);
         if self.model.is_single() {
-            return Ok(vec![Smooth { moments: moments(reduction, of.law), ..Smooth::default() }]);
+            return Ok(vec![SmoothedPhase { moments: moments(reduction, of.law), ..SmoothedPhase::default() }]);
         }
         let made;
         let pieces = match of.filtered.and_then(|filtered| filtered.pieces(number)) {
@@ -177,7 +182,7 @@ impl<'a> PhasedScorer<'a> {
     fn carried(
         &self,
         test: &PhasedTest,
-        phases: &[Smooth],
+        phases: &[SmoothedPhase],
         room: &mut ScoreWorkspace<'_>,
     ) -> Result<Gradient, ReduceError> {
         let mut sum = BTreeMap::new();
@@ -193,7 +198,7 @@ impl<'a> PhasedScorer<'a> {
     fn carry(
         &self,
         (at, rows): (usize, &Test),
-        bar: &InheritedBar,
+        bar: &InheritanceAdjoint,
         room: &mut ScoreWorkspace<'_>,
         sum: &mut BTreeMap<usize, f64>,
     ) -> Result<(), ReduceError> {
@@ -225,10 +230,10 @@ impl<'a> PhasedScorer<'a> {
     fn complete(
         &self,
         test: &PhasedTest,
-        phases: Vec<Smooth>,
+        phases: Vec<SmoothedPhase>,
         room: &mut ScoreWorkspace<'_>,
     ) -> Result<PhasedComplete, ReduceError> {
-        let one = |(at, smooth): (usize, &Smooth)| {
+        let one = |(at, smooth): (usize, &SmoothedPhase)| {
             let Some(rows) = self.reducer.rows_of(at, test) else { return Ok(None) };
             let scorer = &self.phases[at];
             let ending = scorer.ending_of(smooth);

@@ -28,18 +28,18 @@ pub(crate) use plan::{PlanKey, SmootherPlan};
 
 /// What the passes through one phase begin from.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Smooth {
+pub(crate) struct SmoothedPhase {
     /// Moments of its σ given all phases.
     pub(crate) moments: Moments,
     /// What later phases say of its last state; `None` where none follows.
-    pub(crate) later: Option<Later>,
+    pub(crate) later: Option<LaterAdjoint>,
     /// Derivatives to what it inherits; `None` for the first phase.
-    pub(crate) inherited: Option<InheritedBar>,
+    pub(crate) inherited: Option<InheritanceAdjoint>,
 }
 
 /// Adjoints of x_K, in the order of the model's states: r (n), ρ (n × columns of the moments), N (n × n).
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Later {
+pub(crate) struct LaterAdjoint {
     pub(crate) r: DVector<f64>,
     pub(crate) rho: DMatrix<f64>,
     pub(crate) N: DMatrix<f64>,
@@ -47,7 +47,7 @@ pub(crate) struct Later {
 
 /// ∂ℓ/∂T and ∂ℓ/∂t of σ = [ξ; 0] + T x_K + t.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct InheritedBar {
+pub(crate) struct InheritanceAdjoint {
     /// q × n of the phase before.
     pub(crate) transition: DMatrix<f64>,
     /// q numbers.

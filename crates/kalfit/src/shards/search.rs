@@ -116,7 +116,7 @@ fn with_free(
         opening.ok_or(ShardError::Question { what: "the number of free values" })?;
     // α, μ and Σ move together: what a step asks for is one sum
     let settings = Settings { method: Method::Innovations, inner: asks.settings.clone(), ..Settings::default() };
-    let fit = dynamic::fit_elsewhere(model, (slots, &settings), (answers, start, units), progress).map_err(Box::new)?;
+    let fit = dynamic::fit_remote(model, (slots, &settings), (answers, start, units), progress).map_err(Box::new)?;
     let (inference, parameters) = dynamic::infer(model, &[], &fit, choices).map_err(Box::new)?;
     let labels = &Labels::new(&model.shared().literals);
     let parts = DynamicParts { model, labels, fit: &fit, inference: &inference, parameters: &parameters };

@@ -7,7 +7,7 @@ use crate::ensemble::{Grouping, Labels};
 use crate::estimate::{Silent, Structure, Summed};
 use crate::infer::counted;
 use crate::model::{PhasedModel, Slots};
-use crate::reduce::{Evidence, PhasedFiltered, PhasedReducer, PhasedTest, ReduceError, Reductions, grouping};
+use crate::reduce::{Evidence, FilteredPhases, PhasedReducer, PhasedTest, ReduceError, Reductions, grouping};
 use crate::remote::{Answer, Asked, Law, Question};
 use crate::score::{Batching, Gradient, PhasedScorer};
 use crate::shards::error::ShardError;
@@ -39,7 +39,7 @@ struct ShardAtAlpha {
     values: Vec<f64>,
     summed: Summed,
     /// Tests that are kept side by side.
-    filtered: Option<PhasedFiltered>,
+    filtered: Option<FilteredPhases>,
 }
 
 impl Shard {
@@ -125,7 +125,7 @@ impl Shard {
     }
 
     /// Runs the filters, for scores too where they are wanted.
-    fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<PhasedFiltered>), Box<ReduceError>> {
+    fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<FilteredPhases>), Box<ReduceError>> {
         if self.slots.is_empty() || self.scale.is_some() {
             return Ok((self.passed(values)?, None));
         }
@@ -144,7 +144,7 @@ impl Shard {
     fn score(
         &self,
         values: &[f64],
-        (summed, filtered): (&mut Summed, Option<&PhasedFiltered>),
+        (summed, filtered): (&mut Summed, Option<&FilteredPhases>),
         law: &Law,
     ) -> Result<Answer, ShardError> {
         let law = summed.law(law).ok_or(ShardError::Question { what: "the number of states" })?;

@@ -1,7 +1,7 @@
 //! Maximum of a smooth function in the coordinates of α, within their bounds: limited-memory BFGS. What is learnt of the
 //! curvature is kept from one E-step to the next, as the complete data change little.
 
-use crate::dynamic::bench::Bench;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 
 /// Pairs of steps and changes of the gradient that are remembered.
 const DEPTH: usize = 12;
@@ -32,19 +32,19 @@ impl Ascent {
         function: &AscentFunction<'_>,
         mut values: Vec<f64>,
         free: &[bool],
-        bench: &Bench<'_>,
+        objective: &ProfileLikelihood<'_>,
     ) -> Vec<f64> {
         let Some((mut value, mut gradient)) = function(&values) else { return values };
         let mut first = None;
         for _ in 0..STEPS {
-            let inside = inward(bench, &values, &gradient, free);
-            let step = self.direction(&gradient, &inside, bench);
+            let inside = inward(objective, &values, &gradient, free);
+            let step = self.direction(&gradient, &inside, objective);
             let promised = dot(&step, &gradient, &inside);
             let first = *first.get_or_insert(promised);
             if promised <= LITTLE.max(PART * first) {
                 break;
             }
-            let Some(next) = climb(function, (&values, value), (&step, promised), bench) else {
+            let Some(next) = climb(function, (&values, value), (&step, promised), objective) else {
                 if self.pairs.is_empty() {
                     break;
                 }
@@ -52,7 +52,7 @@ impl Ascent {
                 continue;
             };
             let moved: Vec<f64> = (0..values.len())
-                .map(|s| bench.coordinates[s].of_value(next.0[s]) - bench.coordinates[s].of_value(values[s]))
+                .map(|s| objective.coordinates[s].of_value(next.0[s]) - objective.coordinates[s].of_value(values[s]))
                 .map(|d| if d.is_finite() { d } else { 0.0 })
                 .collect();
             let fall: Vec<f64> = gradient.iter().zip(&next.2).map(|(old, new)| old - new).collect();
@@ -73,7 +73,7 @@ impl Ascent {
     }
 
     /// The two loops of L-BFGS over the coordinates in `inside`.
-    fn direction(&self, gradient: &[f64], inside: &[bool], bench: &Bench<'_>) -> Vec<f64> {
+    fn direction(&self, gradient: &[f64], inside: &[bool], objective: &ProfileLikelihood<'_>) -> Vec<f64> {
         let mut step: Vec<f64> = gradient.iter().zip(inside).map(|(g, own)| if *own { *g } else { 0.0 }).collect();
         let useful = |(s, y): &&(Vec<f64>, Vec<f64>)| dot(s, y, inside) > 0.0;
         let pairs: Vec<&(Vec<f64>, Vec<f64>)> = self.pairs.iter().filter(useful).collect();
@@ -99,7 +99,7 @@ impl Ascent {
             let back = dot(y, &step, inside) / dot(s, y, inside);
             add(&mut step, weight - back, s, inside);
         }
-        let far = |(s, d): (usize, &f64)| if bench.coordinates[s].log { d.abs() } else { 0.0 };
+        let far = |(s, d): (usize, &f64)| if objective.coordinates[s].log { d.abs() } else { 0.0 };
         let longest = step.iter().enumerate().map(far).fold(0.0, f64::max);
         if longest > LONGEST {
             step.iter_mut().for_each(|d| *d *= LONGEST / longest);
@@ -109,9 +109,9 @@ impl Ascent {
 }
 
 /// Values that are free and do not press against a bound.
-fn inward(bench: &Bench<'_>, values: &[f64], gradient: &[f64], free: &[bool]) -> Vec<bool> {
+fn inward(objective: &ProfileLikelihood<'_>, values: &[f64], gradient: &[f64], free: &[bool]) -> Vec<bool> {
     let one = |s: usize| {
-        let coordinate = &bench.coordinates[s];
+        let coordinate = &objective.coordinates[s];
         let pressed = coordinate.at_lower(values[s]) && gradient[s] <= 0.0
             || coordinate.at_upper(values[s]) && gradient[s] >= 0.0;
         free[s] && !pressed
@@ -124,12 +124,12 @@ fn climb(
     function: &AscentFunction<'_>,
     (values, value): (&[f64], f64),
     (step, promised): (&[f64], f64),
-    bench: &Bench<'_>,
+    objective: &ProfileLikelihood<'_>,
 ) -> Option<(Vec<f64>, f64, Vec<f64>)> {
     let slack = 1e-13 * value.abs().max(1.0);
     let mut part = 1.0;
     for _ in 0..30 {
-        let next = bench.moved(values, step, part);
+        let next = objective.moved(values, step, part);
         if next == values {
             return None;
         }

@@ -15,9 +15,9 @@ mod ways;
 use nalgebra::DVector;
 
 use crate::dynamic::DynamicError;
-use crate::dynamic::bench::ProfilePoint;
-use crate::dynamic::iterate::{LONGEST, NEAR_ENOUGH, SearchEnd, SearchState};
 use crate::dynamic::joint::JointInformation;
+use crate::dynamic::profile_likelihood::ProfilePoint;
+use crate::dynamic::search_state::{LONGEST, NEAR_ENOUGH, SearchEnd, SearchState};
 use crate::estimate::{Stage, Stop};
 use anderson::Anderson;
 use ascent::Ascent;
@@ -58,7 +58,7 @@ pub(crate) struct Em<'b, 'a> {
 }
 
 /// A look at the certificate.
-struct CertificateLook {
+struct CertificateCheck {
     joint: JointInformation,
     decrement: f64,
     concave: bool,
@@ -66,7 +66,7 @@ struct CertificateLook {
 
 impl<'b, 'a> Em<'b, 'a> {
     pub(crate) fn new(search: SearchState<'b, 'a>) -> Result<Em<'b, 'a>, DynamicError> {
-        let ways = ways(search.bench, &search.home)?;
+        let ways = ways(search.objective, &search.home)?;
         let zero = zeros(&search.home);
         Ok(Em { search, ways, zero, ascent: Ascent::default(), anderson: Anderson::default(), stretch: SHORTEST })
     }
@@ -120,11 +120,11 @@ impl<'b, 'a> Em<'b, 'a> {
         Ok(self.search.ended((last.joint, last.decrement), stop))
     }
 
-    fn look(&self, fine: bool) -> CertificateLook {
-        let joint = JointInformation::new(self.search.bench, &self.search.home, &self.search.active(), fine);
+    fn look(&self, fine: bool) -> CertificateCheck {
+        let joint = JointInformation::new(self.search.objective, &self.search.home, &self.search.active(), fine);
         let still = DVector::zeros(self.search.home.estimate.state.place.tangent.gradient.len());
         let step = joint.step(&self.search.home.gradient, &still, 0.0);
-        CertificateLook { joint, decrement: step.decrement, concave: step.concave }
+        CertificateCheck { joint, decrement: step.decrement, concave: step.concave }
     }
 
     fn leap(&mut self, joint: &JointInformation) -> bool {
@@ -157,7 +157,7 @@ impl<'b, 'a> Em<'b, 'a> {
             self.anderson.clear();
         }
         if self.zero.iter().any(|&s| self.search.home.values[s] != 0.0) {
-            (self.ways, self.zero) = (ways(self.search.bench, &self.search.home)?, zeros(&self.search.home));
+            (self.ways, self.zero) = (ways(self.search.objective, &self.search.home)?, zeros(&self.search.home));
             self.forget();
         }
         self.search.tell(None);
@@ -191,10 +191,10 @@ impl<'b, 'a> Em<'b, 'a> {
     /// Goes a part of a step in the coordinates unless ℓ rises by less than `gain`, rounding apart.
     fn go(&mut self, step: &[f64], (part, gain): (f64, f64)) -> bool {
         let home = &self.search.home;
-        let far = |(s, d): (usize, &f64)| if self.search.bench.coordinates[s].log { d.abs() } else { 0.0 };
+        let far = |(s, d): (usize, &f64)| if self.search.objective.coordinates[s].log { d.abs() } else { 0.0 };
         let longest = step.iter().enumerate().map(far).fold(0.0, f64::max) * part;
         let part = part * if longest > LONGEST { LONGEST / longest } else { 1.0 };
-        let values = self.search.bench.moved(&home.values, step, part);
+        let values = self.search.objective.moved(&home.values, step, part);
         let slack = 1e-12 * home.value().abs().max(1.0);
         match self.search.at(&values).filter(|next: &ProfilePoint| next.value() >= home.value() + gain - slack) {
             Some(next) => {
@@ -207,31 +207,34 @@ impl<'b, 'a> Em<'b, 'a> {
 
     /// The values as they are sought; 0 for logarithms of zero, which stay.
     fn coordinates(&self) -> Vec<f64> {
-        let one = |(s, v): (usize, &f64)| Some(self.search.bench.coordinates[s].of_value(*v)).filter(|c| c.is_finite());
+        let one =
+            |(s, v): (usize, &f64)| Some(self.search.objective.coordinates[s].of_value(*v)).filter(|c| c.is_finite());
         self.search.home.values.iter().enumerate().map(|pair| one(pair).unwrap_or(0.0)).collect()
     }
 
     /// What E-step and M-step do to the coordinates.
     fn step(&mut self, active: &[bool]) -> Result<Vec<f64>, DynamicError> {
-        let (bench, home) = (self.search.bench, &self.search.home);
+        let (objective, home) = (self.search.objective, &self.search.home);
         let mut step = vec![0.0; active.len()];
         for s in (0..active.len()).filter(|&s| active[s]) {
             if let Way::Level { degree, count } = self.ways[s] {
-                step[s] = level_step(&bench.coordinates[s], home, s, (degree, count));
+                step[s] = level_step(&objective.coordinates[s], home, s, (degree, count));
             }
         }
         let smooth: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Expected).collect();
         if smooth.contains(&true) {
-            let complete = bench.complete(home)?;
-            let begun = bench.moved(&home.values, &step, 1.0);
-            let reached = self.ascent.maximise(&|values| bench.expected(&complete, values), begun, &smooth, bench);
+            let complete = objective.complete(home)?;
+            let begun = objective.moved(&home.values, &step, 1.0);
+            let reached =
+                self.ascent.maximise(&|values| objective.expected(&complete, values), begun, &smooth, objective);
             for s in (0..active.len()).filter(|&s| smooth[s]) {
-                step[s] = bench.coordinates[s].of_value(reached[s]) - bench.coordinates[s].of_value(home.values[s]);
+                step[s] =
+                    objective.coordinates[s].of_value(reached[s]) - objective.coordinates[s].of_value(home.values[s]);
             }
         }
         let direct: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Likelihood).collect();
         if direct.contains(&true) {
-            let joint = JointInformation::new(bench, home, &direct, false);
+            let joint = JointInformation::new(objective, home, &direct, false);
             let still = DVector::zeros(home.estimate.state.place.tangent.gradient.len());
             let newton = joint.step(&home.gradient, &still, 0.0);
             (0..active.len()).filter(|&s| direct[s]).for_each(|s| step[s] = newton.alpha[s]);

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use super::*;
-use crate::dynamic::bench::Bench;
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{Method, Settings};
 use crate::ensemble::{Labels, Source, Test};
 use crate::estimate::Silent;
@@ -122,26 +122,26 @@ fn phased(tests: Vec<Test>) -> Vec<PhasedTest> {
     tests.into_iter().map(PhasedTest::from).collect()
 }
 
-fn with_bench<T>(model: &Model, seed: u64, go: impl FnOnce(&Bench<'_>) -> T) -> T {
+fn with_bench<T>(model: &Model, seed: u64, go: impl FnOnce(&ProfileLikelihood<'_>) -> T) -> T {
     let (tests, model) = (phased(drawn(model, seed)), PhasedModel::from(model.clone()));
     let slots = Slots::in_phases(&model, &Labels::default(), &tests);
-    go(&Bench::new(&model, &tests, &slots, &Settings::default()))
+    go(&ProfileLikelihood::new(&model, &tests, &slots, &Settings::default()))
 }
 
-fn end(bench: &Bench<'_>, values: &[f64], method: Method) -> SearchEnd {
-    let settings = Settings { method, ..bench.settings.clone() };
-    let own = Bench::new(bench.model, bench.tests, bench.slots, &settings);
+fn end(objective: &ProfileLikelihood<'_>, values: &[f64], method: Method) -> SearchEnd {
+    let settings = Settings { method, ..objective.settings.clone() };
+    let own = ProfileLikelihood::new(objective.model, objective.tests, objective.slots, &settings);
     crate::dynamic::search::search(&own, values.to_vec().into(), None, &mut Silent).expect("it ends")
 }
 
 #[test]
 fn the_expected_likelihood_has_the_slope_of_the_likelihood_where_its_moments_are() {
     for model in [sensors(), recursion(), decay()] {
-        with_bench(&model, 1, |bench| {
-            let home = bench.solve(&off(&model), None).expect("solved");
-            let complete = bench.complete(&home).expect("moments");
-            let (_, gradient) = bench.expected(&complete, &home.values).expect("defined at home");
-            let ways = ways(bench, &home).expect("ways");
+        with_bench(&model, 1, |objective| {
+            let home = objective.solve(&off(&model), None).expect("solved");
+            let complete = objective.complete(&home).expect("moments");
+            let (_, gradient) = objective.expected(&complete, &home.values).expect("defined at home");
+            let ways = ways(objective, &home).expect("ways");
             let own = |(s, _): &(usize, (&f64, &f64))| ways[*s] != Way::Likelihood;
             for (s, (own, wanted)) in gradient.iter().zip(&home.gradient).enumerate().filter(own) {
                 let apart = (own - wanted).abs() / (1.0 + wanted.abs());
@@ -154,16 +154,16 @@ fn the_expected_likelihood_has_the_slope_of_the_likelihood_where_its_moments_are
 #[test]
 fn the_gradient_of_the_expected_likelihood_equals_difference_quotients() {
     for model in [sensors(), recursion()] {
-        with_bench(&model, 2, |bench| {
-            let home = bench.solve(&off(&model), None).expect("solved");
-            let complete = bench.complete(&home).expect("moments");
+        with_bench(&model, 2, |objective| {
+            let home = objective.solve(&off(&model), None).expect("solved");
+            let complete = objective.complete(&home).expect("moments");
             let away: Vec<f64> = home.values.iter().map(|x| x * 1.07).collect();
-            let (_, gradient) = bench.expected(&complete, &away).expect("defined");
+            let (_, gradient) = objective.expected(&complete, &away).expect("defined");
             for (s, own) in gradient.iter().enumerate() {
                 let at = |h: f64| {
                     let mut values = away.clone();
-                    values[s] = bench.coordinates[s].moved(values[s], h);
-                    bench.expected(&complete, &values).expect("defined").0
+                    values[s] = objective.coordinates[s].moved(values[s], h);
+                    objective.expected(&complete, &values).expect("defined").0
                 };
                 let quotient = slope(at, 1e-4);
                 let apart = (own - quotient).abs() / (1.0 + quotient.abs());
@@ -176,18 +176,18 @@ fn the_gradient_of_the_expected_likelihood_equals_difference_quotients() {
 #[test]
 fn a_noise_level_in_closed_form_maximises_the_expected_likelihood() {
     let model = decay();
-    with_bench(&model, 3, |bench| {
-        let home = bench.solve(&off(&model), None).expect("solved");
-        let ways = ways(bench, &home).expect("ways");
+    with_bench(&model, 3, |objective| {
+        let home = objective.solve(&off(&model), None).expect("solved");
+        let ways = ways(objective, &home).expect("ways");
         assert_eq!(ways[0], Way::Likelihood, "no noise accompanies the rate");
         let free: Vec<bool> = ways.iter().map(|way| matches!(way, Way::Level { .. })).collect();
         assert_eq!(free, [false, true, true], "noise levels: {ways:?}");
-        let complete = bench.complete(&home).expect("moments");
-        let expected = |values: &[f64]| bench.expected(&complete, values);
-        let found = Ascent::default().maximise(&expected, home.values.clone(), &free, bench);
+        let complete = objective.complete(&home).expect("moments");
+        let expected = |values: &[f64]| objective.expected(&complete, values);
+        let found = Ascent::default().maximise(&expected, home.values.clone(), &free, objective);
         for s in 1..3 {
             let Way::Level { degree, count } = ways[s] else { unreachable!("just asserted") };
-            let closed = home.values[s] * level_step(&bench.coordinates[s], &home, s, (degree, count)).exp();
+            let closed = home.values[s] * level_step(&objective.coordinates[s], &home, s, (degree, count)).exp();
             assert!((closed / found[s] - 1.0).abs() < 1e-7, "level {s}: closed form {closed}, maximum {}", found[s]);
         }
     });
@@ -196,15 +196,15 @@ fn a_noise_level_in_closed_form_maximises_the_expected_likelihood() {
 #[test]
 fn the_likelihood_rises_at_least_as_much_as_the_expected_one() {
     for (model, seed) in [(sensors(), 4), (recursion(), 5), (sensors(), 6), (recursion(), 7)] {
-        with_bench(&model, seed, |bench| {
-            let home = bench.solve(&off(&model), None).expect("solved");
-            let complete = bench.complete(&home).expect("moments");
-            let expected = |values: &[f64]| bench.expected(&complete, values);
+        with_bench(&model, seed, |objective| {
+            let home = objective.solve(&off(&model), None).expect("solved");
+            let complete = objective.complete(&home).expect("moments");
+            let expected = |values: &[f64]| objective.expected(&complete, values);
             let before = expected(&home.values).expect("defined").0;
             let found =
-                Ascent::default().maximise(&expected, home.values.clone(), &vec![true; home.values.len()], bench);
+                Ascent::default().maximise(&expected, home.values.clone(), &vec![true; home.values.len()], objective);
             let promised = expected(&found).expect("defined").0 - before;
-            let risen = bench.value(&found).expect("defined") - home.value();
+            let risen = objective.value(&found).expect("defined") - home.value();
             assert!(promised > 1e-3 && risen >= promised - 1e-9, "Q rises by {promised}, the likelihood by {risen}");
         });
     }
@@ -213,9 +213,9 @@ fn the_likelihood_rises_at_least_as_much_as_the_expected_one() {
 #[test]
 fn em_never_lets_the_likelihood_fall_and_ends_where_the_hybrid_ends() {
     for (model, seed) in [(sensors(), 11), (recursion(), 12), (decay(), 13), (decay(), 14), (recursion(), 15)] {
-        with_bench(&model, seed, |bench| {
+        with_bench(&model, seed, |objective| {
             let from = off(&model);
-            let (em, hybrid) = (end(bench, &from, Method::Em), end(bench, &from, Method::Hybrid));
+            let (em, hybrid) = (end(objective, &from, Method::Em), end(objective, &from, Method::Hybrid));
             let slack = 1e-11 * em.home.value().abs();
             for pair in em.trace.windows(2) {
                 assert!(pair[1] >= pair[0] - slack, "seed {seed}: from {} to {}", pair[0], pair[1]);
@@ -226,7 +226,7 @@ fn em_never_lets_the_likelihood_fall_and_ends_where_the_hybrid_ends() {
             let worth = em.joint.covariances();
             for (s, (a, b)) in em.home.values.iter().zip(&hybrid.home.values).enumerate() {
                 let Some(variance) = worth.alpha[s] else { continue };
-                let error = variance.sqrt() * bench.coordinates[s].slope(*a).abs();
+                let error = variance.sqrt() * objective.coordinates[s].slope(*a).abs();
                 assert!(
                     (a.abs() - b.abs()).abs() < 1e-5 * error,
                     "seed {seed}, value {s}: {a} by EM, {b} by the hybrid"
@@ -240,11 +240,11 @@ fn em_never_lets_the_likelihood_fall_and_ends_where_the_hybrid_ends() {
 fn a_level_that_should_be_zero_gets_there() {
     let mut model = decay();
     model.parameters[1].value = Value::Free { start: Some(0.05) };
-    with_bench(&model, 21, |bench| {
+    with_bench(&model, 21, |objective| {
         let mut noiseless = model.clone();
         noiseless.parameters[1].value = Value::Free { start: Some(1e-9) };
         let (tests, model) = (phased(drawn(&noiseless, 22)), PhasedModel::from(model.clone()));
-        let own = Bench::new(&model, &tests, bench.slots, bench.settings);
+        let own = ProfileLikelihood::new(&model, &tests, objective.slots, objective.settings);
         let (em, hybrid) = (end(&own, &[0.4, 0.05, 0.3], Method::Em), end(&own, &[0.4, 0.05, 0.3], Method::Hybrid));
         assert_eq!(em.stop, Stop::Certified);
         let (a, b) = (em.home.value(), hybrid.home.value());

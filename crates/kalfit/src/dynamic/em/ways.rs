@@ -1,7 +1,7 @@
 //! How EM moves each free value.
 
 use crate::dynamic::DynamicError;
-use crate::dynamic::bench::{Bench, ProfilePoint};
+use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 
 /// A step of a coordinate that shows whether the complete data let it move.
 const PROBE: f64 = 1e-4;
@@ -18,11 +18,11 @@ pub(super) enum Way {
 }
 
 /// The way of every free value, by what the model says and, where it does not, by trying.
-pub(super) fn ways(bench: &Bench<'_>, home: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
-    let levels = bench.levels(&home.alpha)?;
-    let mut direct = bench.matrix_slots();
-    direct.extend(bench.hidden_slots());
-    let first = |s: usize| match levels.of(bench.slots, s) {
+pub(super) fn ways(objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
+    let levels = objective.levels(&home.alpha)?;
+    let mut direct = objective.matrix_slots();
+    direct.extend(objective.hidden_slots());
+    let first = |s: usize| match levels.of(objective.slots, s) {
         _ if direct.contains(&s) => Way::Likelihood,
         // a level at zero would stay there
         Some(_) if home.values[s] == 0.0 => Way::Likelihood,
@@ -33,14 +33,14 @@ pub(super) fn ways(bench: &Bench<'_>, home: &ProfilePoint) -> Result<Vec<Way>, D
     if !ways.contains(&Way::Expected) {
         return Ok(ways);
     }
-    let complete = bench.complete(home)?;
-    for parameter in 0..bench.model.shared().parameters.len() {
-        let own = |s: &usize| bench.slots.slots()[*s].parameter == parameter && ways[*s] == Way::Expected;
+    let complete = objective.complete(home)?;
+    for parameter in 0..objective.model.shared().parameters.len() {
+        let own = |s: &usize| objective.slots.slots()[*s].parameter == parameter && ways[*s] == Way::Expected;
         let own: Vec<usize> = (0..home.values.len()).filter(own).collect();
         let moves = |sign: f64| {
             let mut values = home.values.clone();
-            own.iter().for_each(|&s| values[s] = bench.coordinates[s].moved(values[s], sign * PROBE));
-            values != home.values && bench.expected(&complete, &values).is_some()
+            own.iter().for_each(|&s| values[s] = objective.coordinates[s].moved(values[s], sign * PROBE));
+            values != home.values && objective.expected(&complete, &values).is_some()
         };
         if !own.is_empty() && !moves(1.0) && !moves(-1.0) {
             own.iter().for_each(|&s| ways[s] = Way::Likelihood);

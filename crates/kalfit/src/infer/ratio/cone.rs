@@ -25,13 +25,13 @@ const DRAWS: usize = 200_000;
 const MOST: usize = 20;
 
 /// What the tangent cone says.
-pub(super) struct ConeLaw {
+pub(super) struct TangentCone {
     pub(super) degrees_of_freedom: usize,
     pub(super) law: ReferenceLaw,
     pub(super) null_on_boundary: bool,
 }
 
-pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> ConeLaw {
+pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> TangentCone {
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let information = information(null, outer, &places);
@@ -50,7 +50,7 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> ConeLaw {
             mixture(&covariance, degrees_of_freedom)
         }
     };
-    ConeLaw { degrees_of_freedom, law, null_on_boundary }
+    TangentCone { degrees_of_freedom, law, null_on_boundary }
 }
 
 /// Expected information of mean coordinates and elements of Σ at the end of the hypothesis.

@@ -15,7 +15,7 @@ impl BatchValues {
         steps: &[usize],
         identities: &mut Vec<Identity>,
     ) -> Vec<u128> {
-        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
+        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers, lane| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
@@ -51,7 +51,7 @@ impl BatchValues {
 
     /// Whether so many steps on end of the test in a lane, which has so many in all, are equal that they have a pass of their own.
     pub(super) fn is_long(&self, layout: &BatchLayout, lane: usize, steps: usize) -> bool {
-        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.kept.gained);
+        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());

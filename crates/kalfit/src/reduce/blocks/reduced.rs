@@ -5,12 +5,12 @@ use crate::reduce::blocks::layout::BatchLayout;
 use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::Outcome;
 use crate::reduce::lanes::DataWorkspace;
-use crate::reduce::reducer::{About, Reducer};
+use crate::reduce::reducer::{Reducer, ReductionHeader};
 use crate::reduce::{Path, Reductions, Terminal};
 
 /// What a reduction has from its test, whatever α.
 #[derive(Debug)]
-pub(super) struct TestInfo {
+pub(super) struct TestHeader {
     pub(super) digest: u128,
     pub(super) covariates: Vec<f64>,
     pub(super) steps: usize,
@@ -33,21 +33,21 @@ impl BatchValues {
     /// Runs the filters of tests that were evaluated. `digest`: of a design.
     pub(super) fn filter(
         &mut self,
-        (layout, own): (&BatchLayout, &[TestInfo]),
-        (reducer, digest): (&Reducer, impl Fn(&TestInfo) -> u128),
+        (layout, own): (&BatchLayout, &[TestHeader]),
+        (reducer, digest): (&Reducer, impl Fn(&TestHeader) -> u128),
         tests: &[&Test],
         room: &mut DataWorkspace,
         found: &mut ReducedTests,
     ) {
-        self.kept.gained.with_ends = reducer.wants_ends();
-        self.kept.filter(&layout.design, own.len(), room);
+        self.batch_filter.design_batch.with_ends = reducer.wants_ends();
+        self.batch_filter.filter(&layout.design, own.len(), room);
         for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
             let Some((factor, outcome, end)) = self.of(lane, (layout, own.observations), reducer, room) else {
                 self.sound[lane] = false;
                 found.odd.push(number);
                 continue;
             };
-            let about = About {
+            let about = ReductionHeader {
                 factor,
                 covariates: &own.covariates,
                 steps: own.steps,
@@ -70,8 +70,8 @@ impl BatchValues {
         reducer: &Reducer,
         room: &DataWorkspace,
     ) -> Option<(&[f64], Outcome, Option<Terminal>)> {
-        let (factor, determinant) = self.kept.gained.found[lane].as_ref().filter(|_| self.sound[lane])?;
-        let outcome = self.kept.block.outcome(lane, (observations, *determinant), room);
+        let (factor, determinant) = self.batch_filter.design_batch.found[lane].as_ref().filter(|_| self.sound[lane])?;
+        let outcome = self.batch_filter.block.outcome(lane, (observations, *determinant), room);
         let end = match reducer.wants_ends() {
             true => Some(self.end(lane, layout, reducer, room)?),
             false => None,
@@ -82,7 +82,7 @@ impl BatchValues {
     /// Where the test in a lane ends; `None` where that calls for square-root arrays.
     fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, room: &DataWorkspace) -> Option<Terminal> {
         let states = &reducer.preparer().order.states;
-        let end = self.kept.gained.end((lane, layout.lanes), states)?;
-        Some(end.terminal(states, self.kept.block.last(lane, room)))
+        let end = self.batch_filter.design_batch.end((lane, layout.lanes), states)?;
+        Some(end.terminal(states, self.batch_filter.block.last(lane, room)))
     }
 }

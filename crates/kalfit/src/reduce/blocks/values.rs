@@ -16,7 +16,7 @@ use crate::reduce::subject::{Coefficient, Fault, ModelAt};
 /// What tests are at an α, and what their filters leave.
 #[derive(Debug, Clone)]
 pub(crate) struct BatchValues {
-    pub(crate) kept: BatchFilter,
+    pub(crate) batch_filter: BatchFilter,
     pub(crate) motion: MotionColumns,
     /// Whether the numbers of the test in each lane are sound: others are to be looked at one by one.
     pub(super) sound: [bool; MOST],
@@ -74,14 +74,14 @@ struct Rates<'a> {
 impl BatchValues {
     /// Of no test yet.
     pub(super) fn new(isa: Isa) -> BatchValues {
-        BatchValues { kept: BatchFilter::new(isa), motion: MotionColumns::default(), sound: [true; MOST] }
+        BatchValues { batch_filter: BatchFilter::new(isa), motion: MotionColumns::default(), sound: [true; MOST] }
     }
 
     /// The numbers of tests, none of them evaluated before, in place of those of others.
     pub(super) fn take(&mut self, layout: &BatchLayout, of: (&Preparer, &[&Test])) {
         let dynamics = &of.0.dynamics;
         let varying = [&dynamics.table, &dynamics.inputs].map(|table| table.varying.len());
-        self.kept.blank(&layout.design, layout.moves());
+        self.batch_filter.blank(&layout.design, layout.moves());
         self.motion.blank(varying, layout.transitions.dt.len());
         self.evaluate(layout, of, true);
     }
@@ -95,7 +95,7 @@ impl BatchValues {
         let (dynamics, motion) = (&preparer.dynamics, &mut self.motion);
         table((layout, tests), (&at, &dynamics.table), &mut motion.values, fresh, &mut self.sound);
         table((layout, tests), (&at, &dynamics.inputs), &mut motion.inputs, fresh, &mut self.sound);
-        let (isa, out) = (self.kept.block.isa(), self.kept.columns());
+        let (isa, out) = (self.batch_filter.block.isa(), self.batch_filter.columns());
         let finite = preparer.plan.fill(isa, dynamics, (&layout.transitions, motion), out);
         self.sound.iter_mut().zip(finite).for_each(|(sound, finite)| *sound &= finite);
     }
@@ -103,7 +103,7 @@ impl BatchValues {
     /// a and P0.
     fn start(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
-        let BatchValues { kept, sound, .. } = self;
+        let BatchValues { batch_filter: kept, sound, .. } = self;
         let BatchColumns { start, variance, .. } = kept.columns();
         let mut replay = Replay::default();
         variance.fill(0.0);
@@ -142,7 +142,7 @@ impl BatchValues {
             terms: terms.iter().map(|(_, h)| rate(h)).collect(),
         });
         let rates: Vec<Rates<'_>> = rates.collect();
-        let BatchValues { kept, sound, .. } = self;
+        let BatchValues { batch_filter: kept, sound, .. } = self;
         let BatchColumns { h, noise, values, .. } = kept.columns();
         if mixed {
             h.fill(0.0);

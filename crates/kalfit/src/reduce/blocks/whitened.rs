@@ -34,11 +34,11 @@ impl BatchValues {
         }
         let place = |row: usize| row * layout.lanes + lane;
         let (n, (mut dense, mut measured)) = (layout.design.frame.n, self.measured_in(layout, lane, rows));
-        let noises: Vec<f64> = rows.iter().map(|&row| self.kept.gained.noise[place(row)]).collect();
+        let noises: Vec<f64> = rows.iter().map(|&row| self.batch_filter.design_batch.noise[place(row)]).collect();
         let whitening = Whitening::new(&noises, found.iter().map(|c| (c.i, c.j, c.value))).ok()?;
         whitening.apply(&mut dense, n);
         whitening.apply(&mut measured, 1);
-        let BatchColumns { h, noise, values, .. } = self.kept.columns();
+        let BatchColumns { h, noise, values, .. } = self.batch_filter.columns();
         for (i, &row) in rows.iter().enumerate() {
             (noise[place(row)], values[place(row)]) = (whitening.noise(i), measured[i]);
             for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
@@ -51,12 +51,12 @@ impl BatchValues {
     /// M of these lines of the test in a lane, a row of n numbers for each, and z - d.
     pub(crate) fn measured_in(&self, layout: &BatchLayout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
         let (n, place) = (layout.design.frame.n, |row: usize| row * layout.lanes + lane);
-        let (mut dense, coefficients) = (vec![0.0; rows.len() * n], &self.kept.gained.h);
+        let (mut dense, coefficients) = (vec![0.0; rows.len() * n], &self.batch_filter.design_batch.h);
         for (&row, own) in rows.iter().zip(dense.chunks_exact_mut(n)) {
             for (term, &state) in layout.terms(row).zip(layout.design.terms(row).0) {
                 own[state as usize] = coefficients[place(term)];
             }
         }
-        (dense, rows.iter().map(|&row| self.kept.block.measured()[place(row)]).collect())
+        (dense, rows.iter().map(|&row| self.batch_filter.block.measured()[place(row)]).collect())
     }
 }

@@ -4,7 +4,7 @@ use kalfit_lanes::Lanes;
 
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::lanes::DataBlock;
-use crate::reduce::lanes::designs::{DesignBatch, transition};
+use crate::reduce::lanes::design_batch::{DesignBatch, transition};
 use crate::reduce::lanes::numbers::{Numbers, at};
 
 /// A test in each lane. Where one is shorter than the longest it goes on with measurements that say nothing, and transitions that
@@ -62,7 +62,7 @@ impl<T: Lanes> Interleaved<'_, T> {
 impl DataBlock {
     /// The tests of the block, after `FilteredTests::filter` into `gained`; `longest` as there.
     #[inline(always)]
-    pub(crate) fn woven<'a, T: Lanes>(&self, longest: &'a Design, gained: &'a DesignBatch) -> Interleaved<'a, T> {
+    pub(crate) fn interleave<'a, T: Lanes>(&self, longest: &'a Design, gained: &'a DesignBatch) -> Interleaved<'a, T> {
         let side = self.side();
         let (r, p) = (longest.frame.r, longest.frame.p);
         let mut gains: Vec<T> = Vec::with_capacity(longest.rows() * (1 + r + p));

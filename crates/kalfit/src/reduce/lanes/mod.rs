@@ -6,21 +6,21 @@
 //! goes depends on its design alone ([`is_short`], [`fits`]); only long records of a fit that are known to be alike go side by side
 //! ([`EqualDesigns`](crate::reduce::EqualDesigns)), which depends on the ensemble.
 
-mod block;
-mod designs;
+mod batch_filter;
+mod data_block;
+mod design_batch;
 mod interleaved;
-mod kept;
 mod numbers;
 mod pass;
 mod squares;
 mod workspace;
 
-pub(crate) use block::DataBlock;
-pub(crate) use designs::DesignBatch;
+pub(crate) use batch_filter::{BatchColumns, BatchFilter};
+pub(crate) use data_block::DataBlock;
+pub(crate) use design_batch::DesignBatch;
 pub(crate) use interleaved::Interleaved;
-pub(crate) use kept::{BatchColumns, BatchFilter};
 pub(crate) use numbers::at;
-pub(crate) use pass::{InnovationLook, innovations, solve};
+pub(crate) use pass::{InnovationObserver, innovations, solve};
 pub(crate) use workspace::DataWorkspace;
 
 use crate::reduce::data::FEW;

@@ -6,7 +6,7 @@ use kalfit_lanes::{Kernel, Lanes, Part};
 
 use crate::reduce::data::{Data, FEW};
 use crate::reduce::design::{Design, Pattern, Stretch, TransitionRow};
-use crate::reduce::gains::{Gains, Piece};
+use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::squares;
 use crate::reduce::lanes::workspace::DataWorkspace;
@@ -27,7 +27,7 @@ impl<'a> SharedDesign<'a> {
 
     /// The piece that has a row, and where it ends.
     #[inline(always)]
-    fn piece(&self, row: usize) -> (&Piece, usize) {
+    fn piece(&self, row: usize) -> (&GainSpan, usize) {
         let (pieces, last) = (&self.gains.pieces, self.piece.get());
         let end = |at: usize| pieces.get(at + 1).map_or(usize::MAX, |next| next.row);
         if pieces[last].row <= row && row < end(last) {
@@ -112,7 +112,7 @@ impl Kernel for DataPass<'_> {
 }
 
 /// The innovations of a test by itself: e'S⁻¹e; y to `room.d`.
-pub(crate) fn innovations<L: InnovationLook<f64>>(
+pub(crate) fn innovations<L: InnovationObserver<f64>>(
     (design, gains): (&Design, &Gains),
     data: &Data,
     room: &mut DataWorkspace,
@@ -128,7 +128,7 @@ pub(crate) fn solve((design, gains): (&Design, &Gains), square: f64, room: &mut 
 }
 
 /// Sees innovations on the way.
-pub(crate) trait InnovationLook<T> {
+pub(crate) trait InnovationObserver<T> {
     /// It wants to see every one: no stretch is gone over at once.
     const EACH: bool;
 
@@ -136,7 +136,7 @@ pub(crate) trait InnovationLook<T> {
     fn see(&mut self, at: (usize, usize), e: T, x: &[T]);
 }
 
-impl<T> InnovationLook<T> for () {
+impl<T> InnovationObserver<T> for () {
     const EACH: bool = false;
 
     #[inline(always)]
@@ -158,7 +158,7 @@ struct MeanState<T> {
 
 /// The pass over tests of designs of one shape, of which `design` is one: e'S⁻¹e; y to `room.d`.
 #[inline(always)]
-pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationLook<T>>(
+pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver<T>>(
     design: &Design,
     numbers: &N,
     data: DataView<'_>,
@@ -289,7 +289,7 @@ impl<T: Lanes> MeanState<T> {
 
     /// The innovation of a scalar measurement, after which x and the sums have it.
     #[inline(always)]
-    fn measure<N: Numbers<T>, L: InnovationLook<T>>(
+    fn measure<N: Numbers<T>, L: InnovationObserver<T>>(
         &mut self,
         (design, line): (&Design, usize),
         (numbers, row): (&N, usize),

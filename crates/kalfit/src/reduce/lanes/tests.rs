@@ -8,7 +8,7 @@ use crate::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     State,
 };
-use crate::reduce::blocks::beside::OneBatch;
+use crate::reduce::blocks::batch_workspace::BatchWorkspace;
 use crate::reduce::blocks::reduced::ReducedTests;
 use crate::reduce::data::Outcome;
 use crate::reduce::data_pass::outcome;
@@ -112,7 +112,7 @@ fn side_by_side(isa: Isa, reducer: &Reducer, tests: &[Test]) -> ReducedTests {
         assert!(reducer.preparer().skeleton(test, number, &mut work, own), "{} goes beside others", test.id);
     }
     let tests: Vec<&Test> = tests.iter().collect();
-    OneBatch::new(isa, reducer).reduce(reducer, (&tests, &mut all), &mut work.room, &mut found);
+    BatchWorkspace::new(isa, reducer).reduce(reducer, (&tests, &mut all), &mut work.room, &mut found);
     assert!(found.odd.is_empty(), "all are well conditioned");
     found
 }

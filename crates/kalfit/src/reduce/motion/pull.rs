@@ -29,7 +29,7 @@ impl MotionPlan {
         dynamics: &'a Dynamics,
         (steps, motion): (&'a Transitions, &'a MotionColumns),
         free: &'a [bool],
-    ) -> MotionBack<'a> {
+    ) -> MotionPullback<'a> {
         let back = |single| {
             let &Single { offset, rate, .. } = single;
             SingleBack { single, counts: rate.is_some_and(|slot| free[slot]), holds: self.holds_over(offset) }
@@ -44,7 +44,7 @@ impl MotionPlan {
             counts: component.counts(free),
             steady: steady(component),
         });
-        MotionBack {
+        MotionPullback {
             plan: self,
             steps,
             flows: &motion.flows,
@@ -75,7 +75,7 @@ struct SingleBack<'a> {
 }
 
 /// The way from the adjoints of transitions back to the coefficients of the motion.
-pub(crate) struct MotionBack<'a> {
+pub(crate) struct MotionPullback<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
     flows: &'a [f64],
@@ -96,7 +96,7 @@ pub(crate) struct MotionBars<T> {
     pub(crate) inputs: Vec<T>,
 }
 
-impl MotionBack<'_> {
+impl MotionPullback<'_> {
     /// Adjoints of zero.
     #[inline(always)]
     pub(crate) fn zero<T: Lanes>(&self) -> MotionBars<T> {

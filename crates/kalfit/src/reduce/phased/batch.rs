@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch::{Batch, ToEnd, joined, share};
+use crate::reduce::batch_reducer::{BatchReducer, ToEnd, joined, share};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::ReducedPhase;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
@@ -14,7 +14,7 @@ use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reduction, Reductions}
 struct PhasedBatch<'a> {
     reducer: &'a PhasedReducer,
     /// One for each phase.
-    phases: Vec<Batch<'a>>,
+    phases: Vec<BatchReducer<'a>>,
     /// For phases that go one by one.
     work: PhasedWork,
 }
@@ -54,7 +54,7 @@ impl PhasedReducer {
 
 impl<'a> PhasedBatch<'a> {
     fn new(reducer: &'a PhasedReducer) -> PhasedBatch<'a> {
-        let phases = reducer.phases.iter().map(|phase| Batch::new(&phase.reducer)).collect();
+        let phases = reducer.phases.iter().map(|phase| BatchReducer::new(&phase.reducer)).collect();
         PhasedBatch { reducer, phases, work: reducer.workspace() }
     }
 

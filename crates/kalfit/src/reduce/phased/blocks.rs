@@ -5,8 +5,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch::{ToEnd, share};
-use crate::reduce::blocks::{FilteredBlock, FilteredDesigns, OwnDesigns};
+use crate::reduce::batch_reducer::{ToEnd, share};
+use crate::reduce::blocks::{EnsembleBatches, FilteredBatch, FilteredBatches};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::ReducedPhase;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
@@ -14,7 +14,7 @@ use crate::reduce::{PhaseReduction, PhasedTest, Reduction, Reductions};
 
 /// The phases of tests with designs of their own.
 #[derive(Debug)]
-pub(crate) struct PhasedBlocks {
+pub(crate) struct PhasedBatches {
     phases: Vec<Members>,
     /// Whether a phase of a test is in a block.
     pub(crate) has: Vec<bool>,
@@ -25,25 +25,25 @@ pub(crate) struct PhasedBlocks {
 struct Members {
     /// By number, ascending.
     numbers: Arc<Vec<usize>>,
-    blocks: Arc<OwnDesigns>,
+    blocks: Arc<EnsembleBatches>,
 }
 
 /// Tests in phases at an α, after their filters.
 #[derive(Debug)]
-pub(crate) struct PhasedFiltered {
-    phases: Vec<(Arc<Vec<usize>>, FilteredDesigns)>,
+pub(crate) struct FilteredPhases {
+    phases: Vec<(Arc<Vec<usize>>, FilteredBatches)>,
     /// By test, the phases of those that are in blocks; empty where there is one phase.
     pieces: Vec<Option<Vec<PhaseReduction>>>,
 }
 
-impl PhasedFiltered {
+impl FilteredPhases {
     /// The phases of a test by themselves, where they are known.
     pub(crate) fn pieces(&self, number: usize) -> Option<&[PhaseReduction]> {
         self.pieces.get(number)?.as_deref()
     }
 
     /// The numbers of the tests that have rows in a phase, and the blocks of these, for several threads.
-    pub(crate) fn phase(&self, at: usize) -> (&[usize], impl IndexedParallelIterator<Item = FilteredBlock<'_>>) {
+    pub(crate) fn phase(&self, at: usize) -> (&[usize], impl IndexedParallelIterator<Item = FilteredBatch<'_>>) {
         let (numbers, filtered) = &self.phases[at];
         (numbers, filtered.blocks())
     }
@@ -52,19 +52,19 @@ impl PhasedFiltered {
 impl PhasedReducer {
     /// The tests with designs of their own, to be kept side by side: of those with the numbers `alone`. `shared`: some of each kind of
     /// the others.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], alone: &[usize], shared: &[usize]) -> Option<PhasedBlocks> {
+    pub(crate) fn blocks(&self, tests: &[PhasedTest], alone: &[usize], shared: &[usize]) -> Option<PhasedBatches> {
         let mut has = vec![false; tests.len()];
         let mut phase = |at: usize| {
             let (numbers, rows) = self.members(at, tests);
             let places = |wanted: &[usize]| -> Vec<usize> {
                 wanted.iter().filter_map(|number| numbers.binary_search(number).ok()).collect()
             };
-            let blocks = OwnDesigns::new(&self.phases[at].reducer, &rows, &places(alone), &places(shared));
+            let blocks = EnsembleBatches::new(&self.phases[at].reducer, &rows, &places(alone), &places(shared));
             blocks.numbers().for_each(|place| has[numbers[place]] = true);
             Members { numbers: Arc::new(numbers), blocks: Arc::new(blocks) }
         };
         let phases: Vec<Members> = (0..self.phases.len()).map(&mut phase).collect();
-        has.contains(&true).then_some(PhasedBlocks { phases, has })
+        has.contains(&true).then_some(PhasedBatches { phases, has })
     }
 
     /// The tests, by number, that have rows in a phase for the optimal filter; and these rows.
@@ -77,12 +77,12 @@ impl PhasedReducer {
     pub(crate) fn reduce_blocks(
         &self,
         tests: &[PhasedTest],
-        blocks: &PhasedBlocks,
-    ) -> Result<(Reductions, PhasedFiltered), ReduceError> {
+        blocks: &PhasedBatches,
+    ) -> Result<(Reductions, FilteredPhases), ReduceError> {
         if let Some((phase, rows)) = self.plain(tests) {
             let Members { numbers, blocks } = &blocks.phases[0];
             let (reductions, filtered) = blocks.reduce(&phase.reducer, &rows)?;
-            return Ok((reductions, PhasedFiltered { phases: vec![(numbers.clone(), filtered)], pieces: Vec::new() }));
+            return Ok((reductions, FilteredPhases { phases: vec![(numbers.clone(), filtered)], pieces: Vec::new() }));
         }
         let mut found: Vec<Vec<Option<ToEnd>>> = tests.iter().map(|_| Vec::new()).collect();
         let mut phases = Vec::with_capacity(self.phases.len());
@@ -107,7 +107,7 @@ impl PhasedReducer {
             chunks.map_init(|| self.workspace(), whole).flatten_iter().collect();
         let (reductions, pieces): (Vec<_>, Vec<_>) = all.into_iter().unzip();
         let reductions = reductions.into_iter().collect::<Result<_, _>>()?;
-        Ok((reductions, PhasedFiltered { phases, pieces }))
+        Ok((reductions, FilteredPhases { phases, pieces }))
     }
 }
 

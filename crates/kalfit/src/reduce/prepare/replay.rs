@@ -5,7 +5,7 @@ use std::ops::Range;
 use crate::ensemble::{Label, Test};
 use crate::model::{Alpha, Scope};
 use crate::reduce::prepare::{Preparer, StepRows, Workspace};
-use crate::reduce::start::InitialMoment;
+use crate::reduce::start::StartMoments;
 use crate::reduce::steps::{GatheredCells, StepSpan};
 use crate::reduce::subject::Fault;
 
@@ -123,7 +123,7 @@ impl Preparer {
         test: &Test,
         opening: &StartCells,
         out: &mut Replay,
-    ) -> Result<InitialMoment, Box<Fault>> {
+    ) -> Result<StartMoments, Box<Fault>> {
         if self.start.settles() {
             self.settling(&opening.first(test, &self.alpha), out)?;
         }

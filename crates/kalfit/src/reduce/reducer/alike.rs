@@ -7,9 +7,9 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::{Test, TestId};
-use crate::reduce::batch::joined;
+use crate::reduce::batch_reducer::joined;
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{About, Reducer};
+use crate::reduce::reducer::{Reducer, ReductionHeader};
 use crate::reduce::{ReduceError, Reduction, Reductions};
 
 /// Most measurements of tests that are reduced so: they and their innovations stand there for each lane.
@@ -17,13 +17,13 @@ const MOST_ROWS: usize = 1 << 23;
 
 /// Which tests of one ensemble are alike: by the id of each, the number of its kind. No two have one id.
 #[derive(Debug, Default)]
-pub(crate) struct EqualDesigns(HashMap<TestId, usize>);
+pub(crate) struct LongDesignClasses(HashMap<TestId, usize>);
 
-impl EqualDesigns {
+impl LongDesignClasses {
     /// Kinds of two tests or more.
-    pub(crate) fn new<'a>(kinds: impl Iterator<Item = Vec<&'a TestId>>) -> EqualDesigns {
+    pub(crate) fn new<'a>(kinds: impl Iterator<Item = Vec<&'a TestId>>) -> LongDesignClasses {
         let numbered = kinds.enumerate().flat_map(|(kind, ids)| ids.into_iter().map(move |id| (id.clone(), kind)));
-        EqualDesigns(numbered.collect())
+        LongDesignClasses(numbered.collect())
     }
 
     /// True where no test is like another.
@@ -46,7 +46,7 @@ impl EqualDesigns {
 
 impl Reducer {
     /// The reductions of tests, those that are alike side by side.
-    pub(crate) fn reduce_alike(&self, alike: &EqualDesigns, tests: &[&Test]) -> Result<Reductions, ReduceError> {
+    pub(crate) fn reduce_alike(&self, alike: &LongDesignClasses, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         let (kinds, mut rest) = alike.parted(tests);
         let of = |places: &[usize]| places.iter().map(|&place| tests[place]).collect::<Vec<_>>();
         let side_by_side = |work: &mut Workspace, kind: &Vec<usize>| self.side_by_side(&of(kind), work);
@@ -92,7 +92,7 @@ impl Reducer {
             for (lane, test) in tests.iter().enumerate() {
                 let outcome = own.block.outcome(lane, (gains.active, gains.log_determinant), &own.room);
                 self.preparer.covariates_of(test, own).ok().filter(|()| outcome.is_finite())?;
-                let about = About::new(gains, &own.covariates, (steps, digest));
+                let about = ReductionHeader::new(gains, &own.covariates, (steps, digest));
                 reductions.push(Reduction::from(self.row(test, &outcome, about)));
             }
             Some(reductions)
@@ -139,7 +139,7 @@ mod tests {
         let mut reducer = Reducer::new(model, &Alpha::default()).expect("sound");
         let alone = reducer.reduce(&tests).expect("sound");
         // two kinds of the same cells, and others by themselves
-        reducer.know_alike(std::sync::Arc::new(EqualDesigns::new([ids(0), ids(1)].into_iter())));
+        reducer.set_equal_designs(std::sync::Arc::new(LongDesignClasses::new([ids(0), ids(1)].into_iter())));
         let together = reducer.reduce(&tests).expect("sound");
         assert_eq!(together.len(), alone.len());
         let close = |a: f64, b: f64| (a - b).abs() <= 1e-12 * (1.0 + b.abs());

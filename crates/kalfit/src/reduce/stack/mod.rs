@@ -15,7 +15,7 @@ mod together;
 use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
-use crate::reduce::gains::RootSettling;
+use crate::reduce::gains::RankOperation;
 use crate::reduce::root::{UNINFORMED, settle};
 use join::{JoinedPhase, apart};
 
@@ -33,7 +33,7 @@ fn given<T: Lanes>(tests: &[&[StackPhase<'_>]]) -> Vec<JoinedPhase<T>> {
 }
 
 /// Rounds directions without information to none.
-fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<RootSettling>) {
+fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<RankOperation>) {
     let mut entries = vec![0.0; width * width];
     let places = || (0..width).flat_map(|k| (0..=k).map(move |i| i * width + k));
     places().zip(&*factor).for_each(|(place, x)| entries[place] = *x);

@@ -31,9 +31,9 @@ impl Kernel for StackKernel<'_> {
         let mut room = (JoinWorkspace::default(), Vec::new());
         for tests in self.0.chunks(T::COUNT) {
             if tests.len() == 1 {
-                stack_abreast::<f64>(tests, &mut Default::default(), &mut all);
+                stack_batch::<f64>(tests, &mut Default::default(), &mut all);
             } else {
-                stack_abreast::<T>(tests, &mut room, &mut all);
+                stack_batch::<T>(tests, &mut room, &mut all);
             }
         }
         all
@@ -42,7 +42,7 @@ impl Kernel for StackKernel<'_> {
 
 /// As many tests as there are lanes, or fewer.
 #[inline(always)]
-fn stack_abreast<T: Lanes>(
+fn stack_batch<T: Lanes>(
     tests: &[&[StackPhase<'_>]],
     (room, memory): &mut (JoinWorkspace<T>, Vec<T>),
     all: &mut Vec<Stacked>,

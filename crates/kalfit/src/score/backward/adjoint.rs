@@ -4,8 +4,8 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::Transition;
-use crate::score::backward::filtered::{Seen, second};
-use crate::score::backward::line::{ScalarMeasurement, Unknown, dot};
+use crate::score::backward::filtered::{FilterSnapshot, second};
+use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement, dot};
 use crate::score::backward::sink::TransitionAdjoint;
 
 /// Adjoints of the state: r (n), ρ (n × c), N (r × r).
@@ -38,13 +38,13 @@ impl<T> Default for Adjoint<T> {
 }
 
 /// Adjoints of one scalar measurement.
-pub(super) struct LineBar<'a, T = f64> {
+pub(super) struct ScalarAdjoint<'a, T = f64> {
     /// ∂ℓ/∂R.
     pub(super) noise: &'a mut T,
     /// ∂ℓ/∂(z - d).
     pub(super) value: &'a mut T,
     /// ∂ℓ/∂h over all states, and the filter before the measurement, where it is wanted.
-    pub(super) h: Option<(&'a mut [T], Seen<'a, T>)>,
+    pub(super) h: Option<(&'a mut [T], FilterSnapshot<'a, T>)>,
 }
 
 /// One scalar measurement on its way back.
@@ -59,7 +59,7 @@ struct Scalar<'a, T> {
 impl<T: Real> Adjoint<T> {
     /// As after the last step: zero, or (r, ρ, N) that later phases say of the state there.
     #[inline(always)]
-    pub(super) fn begin(&mut self, unknown: &Unknown<'_, T>, ending: Option<[&[T]; 3]>) {
+    pub(super) fn begin(&mut self, unknown: &PosteriorRoot<'_, T>, ending: Option<[&[T]; 3]>) {
         let (n, r, c) = (unknown.frame.n, unknown.frame.r, unknown.columns);
         for (list, size) in [(&mut self.r, n), (&mut self.rho, n * c), (&mut self.N, r * r)] {
             list.clear();
@@ -74,7 +74,7 @@ impl<T: Real> Adjoint<T> {
 
     /// ∂ℓ/∂P0, each place by itself.
     #[inline(always)]
-    pub(super) fn variance(&self, unknown: &Unknown<'_, T>, out: &mut Vec<T>) {
+    pub(super) fn variance(&self, unknown: &PosteriorRoot<'_, T>, out: &mut Vec<T>) {
         let (r, c, half) = (unknown.frame.r, unknown.columns, T::splat(0.5));
         out.clear();
         for ij in 0..r * r {
@@ -88,8 +88,8 @@ impl<T: Real> Adjoint<T> {
         &mut self,
         line: &ScalarMeasurement<'_, T>,
         e: T,
-        unknown: &Unknown<'_, T>,
-        bar: LineBar<'_, T>,
+        unknown: &PosteriorRoot<'_, T>,
+        bar: ScalarAdjoint<'_, T>,
     ) {
         let KNK = self.innovation(line, unknown);
         let u = e * line.weight - dot(line.K, &self.r);
@@ -105,7 +105,7 @@ impl<T: Real> Adjoint<T> {
 
     /// υ and NK of a measurement; returns K'NK.
     #[inline(always)]
-    fn innovation(&mut self, line: &ScalarMeasurement<'_, T>, unknown: &Unknown<'_, T>) -> T {
+    fn innovation(&mut self, line: &ScalarMeasurement<'_, T>, unknown: &PosteriorRoot<'_, T>) -> T {
         let (r, c) = (unknown.frame.r, unknown.columns);
         let Adjoint { rho, N, NK, upsilon, .. } = self;
         unknown.times_root(line.T, upsilon);
@@ -158,7 +158,7 @@ impl<T: Real> Adjoint<T> {
 
     /// ∂ℓ/∂h; r and ρ are those after the line.
     #[inline(always)]
-    fn equation_bar(&mut self, scalar: &Scalar<'_, T>, before: Seen<'_, T>, bar: &mut [T]) {
+    fn equation_bar(&mut self, scalar: &Scalar<'_, T>, before: FilterSnapshot<'_, T>, bar: &mut [T]) {
         let Adjoint { r: adjoint, rho, NK, upsilon, smoothed, .. } = self;
         let (r, c) = (NK.len(), upsilon.len());
         for (i, bar) in bar.iter_mut().enumerate() {
@@ -182,9 +182,9 @@ impl<T: Real> Adjoint<T> {
     #[inline(always)]
     pub(super) fn moved(
         &mut self,
-        unknown: &Unknown<'_, T>,
+        unknown: &PosteriorRoot<'_, T>,
         transition: &Transition<T>,
-        left: Option<Seen<'_, T>>,
+        left: Option<FilterSnapshot<'_, T>>,
         bar: &mut TransitionAdjoint<T>,
     ) {
         let (r, c) = (unknown.frame.r, unknown.columns);
@@ -217,7 +217,13 @@ impl<T: Real> Adjoint<T> {
 
     /// ∂ℓ/∂φ; r and ρ are φ'r and φ'ρ, N is Nφ.
     #[inline(always)]
-    fn motion_bar(&mut self, transition: &Transition<T>, left: Seen<'_, T>, (r, c): (usize, usize), bar: &mut [T]) {
+    fn motion_bar(
+        &mut self,
+        transition: &Transition<T>,
+        left: FilterSnapshot<'_, T>,
+        (r, c): (usize, usize),
+        bar: &mut [T],
+    ) {
         let Adjoint { r: adjoint, rho, N, before, smoothed, .. } = self;
         let (adjoint_before, rho_before) = before.split_at(adjoint.len());
         // x̄ + Pφ'r and ΨC - Pφ'ρ of the noisy states; the others are as they were

@@ -4,10 +4,10 @@
 use kalfit_lanes::{Kernel, Lanes, abreast};
 
 use crate::reduce::{DataBlock, Design, DesignBatch, Interleaved};
-use crate::score::backward::adjoint::{Adjoint, LineBar};
-use crate::score::backward::filtered::{Begin, FilteredMoments, Seen};
-use crate::score::backward::line::{ScalarMeasurement, Unknown};
+use crate::score::backward::adjoint::{Adjoint, ScalarAdjoint};
+use crate::score::backward::filtered::{Begin, FilterSnapshot, FilteredMoments};
 use crate::score::backward::run::{AdjointsWanted, TerminalAdjoint};
+use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 use crate::score::backward::sink::TransitionAdjoint;
 use crate::score::moments::Moments;
 
@@ -26,7 +26,7 @@ pub(crate) struct BatchBackward<'a> {
 
 /// The adjoints of all of them, each number of one test beside the same of the others.
 #[derive(Debug, Clone)]
-pub(crate) struct LaneBars {
+pub(crate) struct BatchAdjoints {
     lanes: usize,
     /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h, of each measurement.
     rows: Vec<f64>,
@@ -40,21 +40,21 @@ pub(crate) struct LaneBars {
 
 impl BatchBackward<'_> {
     /// Runs the pass.
-    pub(crate) fn pass(self) -> LaneBars {
+    pub(crate) fn pass(self) -> BatchAdjoints {
         self.block.isa().run(self)
     }
 }
 
 impl Kernel for BatchBackward<'_> {
-    type Output = LaneBars;
+    type Output = BatchAdjoints;
 
     #[inline(always)]
-    fn run<T: Lanes>(self) -> LaneBars {
-        let woven = self.block.woven::<T>(self.longest, self.gained);
+    fn run<T: Lanes>(self) -> BatchAdjoints {
+        let woven = self.block.interleave::<T>(self.longest, self.gained);
         let root = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].root);
         let mean = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
-        let unknown = Unknown { frame: &self.longest.frame, root: &root, columns, wanted: self.wanted };
+        let unknown = PosteriorRoot { frame: &self.longest.frame, root: &root, columns, wanted: self.wanted };
         let forward = Forward::new(&woven, &mean, &unknown);
         let mut ending = None;
         if let Some(first) = self.endings.first() {
@@ -89,7 +89,7 @@ fn line<'a, T: Lanes>(woven: &'a Interleaved<'_, T>, (line, row): (usize, usize)
 
 impl<T: Lanes> Forward<T> {
     #[inline(always)]
-    fn new(woven: &Interleaved<'_, T>, mean: &[T], unknown: &Unknown<'_, T>) -> Forward<T> {
+    fn new(woven: &Interleaved<'_, T>, mean: &[T], unknown: &PosteriorRoot<'_, T>) -> Forward<T> {
         let (design, driven) = (woven.shape, unknown.frame.driven.len());
         let (n, r) = (unknown.frame.n, unknown.frame.r);
         let stride = n + r * r + n * unknown.columns;
@@ -131,7 +131,12 @@ impl<T: Lanes> Forward<T> {
     }
 
     #[inline(always)]
-    fn back(self, woven: &Interleaved<'_, T>, unknown: &Unknown<'_, T>, ending: Option<[&[T]; 3]>) -> LaneBars {
+    fn back(
+        self,
+        woven: &Interleaved<'_, T>,
+        unknown: &PosteriorRoot<'_, T>,
+        ending: Option<[&[T]; 3]>,
+    ) -> BatchAdjoints {
         let (design, frame, wanted) = (woven.shape, unknown.frame, unknown.wanted);
         let (n, zero) = (frame.n, T::splat(0.0));
         let sizes = (n, frame.r);
@@ -155,9 +160,10 @@ impl<T: Lanes> Forward<T> {
                     let (noise, value) = scalars.split_at_mut(1);
                     let mut equation = None;
                     if wanted.equation {
-                        equation = Some((h, Seen::new(&self.before[row * self.stride..][..self.stride], sizes)));
+                        equation =
+                            Some((h, FilterSnapshot::new(&self.before[row * self.stride..][..self.stride], sizes)));
                     }
-                    let out = LineBar { noise: &mut noise[0], value: &mut value[0], h: equation };
+                    let out = ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h: equation };
                     adjoint.measured(&line(woven, (number, row)), self.e[row], unknown, out);
                     for k in 0..width {
                         bar[k].store(&mut rows[(row * width + k) * T::COUNT..]);
@@ -173,7 +179,7 @@ impl<T: Lanes> Forward<T> {
                 transitions -= 1;
                 let mut left = None;
                 if wanted.motion {
-                    left = Some(Seen::new(&self.left[transitions * self.stride..][..self.stride], sizes));
+                    left = Some(FilterSnapshot::new(&self.left[transitions * self.stride..][..self.stride], sizes));
                 }
                 adjoint.moved(unknown, &transition, left, &mut moved);
                 let mut at = transitions * kinds.iter().sum::<usize>();
@@ -188,7 +194,7 @@ impl<T: Lanes> Forward<T> {
         let mut variance = Vec::new();
         adjoint.variance(unknown, &mut variance);
         let (mean, variance) = (apart(&adjoint.r), apart(&variance));
-        LaneBars { lanes: T::COUNT, rows, moves, mean, variance, sizes: (width, kinds) }
+        BatchAdjoints { lanes: T::COUNT, rows, moves, mean, variance, sizes: (width, kinds) }
     }
 }
 
@@ -201,7 +207,7 @@ fn apart<T: Lanes>(numbers: &[T]) -> Vec<f64> {
     all
 }
 
-impl LaneBars {
+impl BatchAdjoints {
     /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h to all states, of each measurement; how many numbers those are.
     pub(crate) fn rows(&self) -> (&[f64], usize) {
         (&self.rows, self.sizes.0)

@@ -9,7 +9,7 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::{self, Stretch};
-use crate::score::backward::run::{AdjointsWanted, TestRun};
+use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 
 /// The coefficients of a step.
 #[derive(Debug, Clone, Copy)]
@@ -50,7 +50,7 @@ impl<T: Real, const N: usize> DataSums<T, N> {
 impl<T: Real, const N: usize> DataAdjoint<T, N> {
     /// Of a stretch; `x`: the filter before it.
     #[inline(always)]
-    pub(crate) fn new(run: &TestRun<'_>, stretch: &Stretch<'_>, x: &[T]) -> DataAdjoint<T, N> {
+    pub(crate) fn new(run: &BackwardInput<'_>, stretch: &Stretch<'_>, x: &[T]) -> DataAdjoint<T, N> {
         let filter = reduce::InvariantStep::new(run.design, stretch, x);
         DataAdjoint { filter, wanted: run.wanted, moves: stretch.transition.is_some() }
     }

@@ -18,7 +18,7 @@ pub(super) struct Gain<const N: usize, const C: usize> {
 
 /// ρ, N.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Bars<const N: usize, const C: usize> {
+pub(super) struct DesignAdjoint<const N: usize, const C: usize> {
     pub(super) rho: [[f64; C]; N],
     pub(super) N: [[f64; N]; N],
 }

@@ -3,11 +3,11 @@
 
 use kalfit_lanes::Real;
 
-use crate::reduce::{Frozen, Piece, Stretch, moving};
+use crate::reduce::{GainSpan, SteadyState, Stretch, moving};
 use crate::score::backward::data_adjoint::{DataAdjoint, DataSums, PriorVariances};
-use crate::score::backward::design_sums::{Bars, DesignSums, FilterCovariance, Gain};
+use crate::score::backward::design_sums::{DesignAdjoint, DesignSums, FilterCovariance, Gain};
 use crate::score::backward::filtered::FilteredMoments;
-use crate::score::backward::run::TestRun;
+use crate::score::backward::run::BackwardInput;
 use crate::score::backward::steady::StepCoefficients;
 use crate::score::backward::work::Segment;
 use crate::score::backward::work::{BackwardWork, Kernel};
@@ -29,7 +29,7 @@ impl Kernel {
 }
 
 /// The kernel of a stretch, if there is one. The model must have no driven states.
-pub(super) fn kernel(run: &TestRun<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
+pub(super) fn kernel(run: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option<Kernel> {
     let c = run.moments.columns;
     if stretch.lines.len() != 1 {
         return None;
@@ -46,10 +46,10 @@ pub(super) fn kernel(run: &TestRun<'_>, stretch: &Stretch<'_>) -> Option<Kernel>
 
 /// A stretch with its gains: from `moving` steps on none of them changes, from `gains` on S and K do not.
 #[derive(Debug)]
-pub(crate) struct Equal<'a> {
-    run: &'a TestRun<'a>,
+pub(crate) struct EqualStretch<'a> {
+    run: &'a BackwardInput<'a>,
     pub(crate) stretch: Stretch<'a>,
-    pub(crate) piece: &'a Piece,
+    pub(crate) piece: &'a GainSpan,
     moving: usize,
     gains: usize,
     pub(crate) block: usize,
@@ -58,19 +58,19 @@ pub(crate) struct Equal<'a> {
     marks: Vec<f64>,
 }
 
-impl<'a> Equal<'a> {
-    pub(super) fn new(run: &'a TestRun<'a>, part: &Segment, block: usize) -> Equal<'a> {
+impl<'a> EqualStretch<'a> {
+    pub(super) fn new(run: &'a BackwardInput<'a>, part: &Segment, block: usize) -> EqualStretch<'a> {
         let stretch = run.design.stretch(part.stretch);
         let first = stretch.rows.start;
         let piece = &run.gains.pieces[run.gains.piece(first)];
         let moving = (piece.row + piece.moving()).saturating_sub(first).min(stretch.count);
         let gains = piece.moving_gains(first).min(stretch.count);
-        Equal { run, stretch, piece, moving, gains, block, states: 0, marks: Vec::new() }
+        EqualStretch { run, stretch, piece, moving, gains, block, states: 0, marks: Vec::new() }
     }
 
     /// With P at the beginning of each block.
-    pub(super) fn with_marks(self, states: usize, marks: Vec<f64>) -> Equal<'a> {
-        Equal { states, marks, ..self }
+    pub(super) fn with_marks(self, states: usize, marks: Vec<f64>) -> EqualStretch<'a> {
+        EqualStretch { states, marks, ..self }
     }
 
     fn row(&self, step: usize) -> usize {
@@ -172,8 +172,8 @@ impl<'a> Equal<'a> {
 }
 
 /// The innovations of a stretch; the state of the filter is kept at the beginning of every block but the first.
-fn forward<const N: usize, const C: usize>(run: &TestRun<'_>, part: &Segment, work: &mut BackwardWork) {
-    let steps = Equal::new(run, part, work.cut.block);
+fn forward<const N: usize, const C: usize>(run: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
+    let steps = EqualStretch::new(run, part, work.cut.block);
     let BackwardWork { e, marks, now, .. } = work;
     let step = StepCoefficients::<N, C>::new(run, &steps.stretch, now);
     let (mut x, mut spread) = load::<N, C>(run, now);
@@ -213,7 +213,7 @@ fn save<const N: usize, const C: usize>(x: &[f64; N], spread: &FilterCovariance<
 }
 
 fn load<const N: usize, const C: usize>(
-    run: &TestRun<'_>,
+    run: &BackwardInput<'_>,
     now: &FilteredMoments,
 ) -> ([f64; N], FilterCovariance<N, C>) {
     let r = run.design.frame.r;
@@ -227,7 +227,7 @@ fn load<const N: usize, const C: usize>(
 }
 
 fn store<const N: usize, const C: usize>(
-    run: &TestRun<'_>,
+    run: &BackwardInput<'_>,
     (x, spread): (&[f64; N], &FilterCovariance<N, C>),
     now: &mut FilteredMoments,
 ) {
@@ -253,7 +253,7 @@ fn marked<const N: usize, const C: usize>(mut kept: &[f64]) -> ([f64; N], Filter
 struct EqualBackward<const N: usize, const C: usize> {
     step: StepCoefficients<N, C>,
     r: [f64; N],
-    bars: Bars<N, C>,
+    bars: DesignAdjoint<N, C>,
     answers: DataSums<f64, N>,
     sums: DesignSums<N, C>,
     /// P where it rests, and what each step adds to the sums while N and ρ rest too: so many steps so far.
@@ -263,8 +263,8 @@ struct EqualBackward<const N: usize, const C: usize> {
 }
 
 /// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
-fn backward<const N: usize, const C: usize>(run: &TestRun<'_>, part: &Segment, work: &mut BackwardWork) {
-    let steps = Equal::new(run, part, work.cut.block);
+fn backward<const N: usize, const C: usize>(run: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
+    let steps = EqualStretch::new(run, part, work.cut.block);
     let mut back = EqualBackward::<N, C>::new(&steps, work);
     let (mut xs, mut spreads) = (Vec::new(), Vec::new());
     for (from, to) in steps.blocks().rev() {
@@ -291,9 +291,9 @@ fn backward<const N: usize, const C: usize>(run: &TestRun<'_>, part: &Segment, w
 }
 
 impl<const N: usize, const C: usize> EqualBackward<N, C> {
-    fn new(steps: &Equal<'_>, work: &mut BackwardWork) -> EqualBackward<N, C> {
+    fn new(steps: &EqualStretch<'_>, work: &mut BackwardWork) -> EqualBackward<N, C> {
         let (r, adjoint) = (steps.run.design.frame.r, &work.adjoint);
-        let mut bars = Bars { rho: [[0.0; C]; N], N: [[0.0; N]; N] };
+        let mut bars = DesignAdjoint { rho: [[0.0; C]; N], N: [[0.0; N]; N] };
         bars.rho.as_flattened_mut().copy_from_slice(&adjoint.rho[..N * C]);
         (0..r).for_each(|i| bars.N[i][..r].copy_from_slice(&adjoint.N[i * r..][..r]));
         work.settling.start(bars.rho.as_flattened());
@@ -312,7 +312,7 @@ impl<const N: usize, const C: usize> EqualBackward<N, C> {
     /// Back over steps `from..to`.
     fn block(
         &mut self,
-        steps: &Equal<'_>,
+        steps: &EqualStretch<'_>,
         (from, to): (usize, usize),
         (xs, spreads): (&[[f64; N]], &[FilterCovariance<N, C>]),
         work: &mut BackwardWork,
@@ -360,7 +360,7 @@ impl<const N: usize, const C: usize> EqualBackward<N, C> {
     }
 
     /// Whether N and ρ have come to rest after so many steps.
-    fn looks(&self, steps: &Equal<'_>, done: usize, settling: &mut crate::reduce::Settling) -> bool {
+    fn looks(&self, steps: &EqualStretch<'_>, done: usize, settling: &mut crate::reduce::SteadyStateMonitor) -> bool {
         if done < settling.next_look() {
             return false;
         }
@@ -370,7 +370,7 @@ impl<const N: usize, const C: usize> EqualBackward<N, C> {
             information[i * r..][..r].copy_from_slice(&self.bars.N[i][..r]);
         }
         let rho = self.bars.rho.as_flattened();
-        settling.look(done, (&information[..r * r], r), rho, Frozen::Nothing) == Frozen::All
+        settling.look(done, (&information[..r * r], r), rho, SteadyState::Nothing) == SteadyState::All
     }
 
     /// Sums what the steps have added since N and ρ came to rest.
@@ -381,7 +381,7 @@ impl<const N: usize, const C: usize> EqualBackward<N, C> {
     }
 
     /// The adjoints of the states before the stretch, and of its coefficients.
-    fn finish(&self, steps: &Equal<'_>, work: &mut BackwardWork) {
+    fn finish(&self, steps: &EqualStretch<'_>, work: &mut BackwardWork) {
         let (run, sums, answers) = (steps.run, &self.sums, &self.answers);
         let r = run.design.frame.r;
         let adjoint = &mut work.adjoint;

@@ -5,8 +5,8 @@ use kalfit_lanes::Real;
 use nalgebra::{DMatrix, DMatrixView};
 
 use crate::reduce::{Transition, advance, mirror, predict, update};
-use crate::score::backward::line::{ScalarMeasurement, Unknown, dot};
-use crate::score::backward::run::TestRun;
+use crate::score::backward::run::BackwardInput;
+use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement, dot};
 
 /// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
 #[derive(Debug, Clone)]
@@ -36,23 +36,23 @@ impl<T> Default for FilteredMoments<T> {
 
 /// What [`FilteredMoments::save`] has kept, to read.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Seen<'a, T = f64> {
+pub(crate) struct FilterSnapshot<'a, T = f64> {
     pub(crate) x: &'a [T],
     pub(crate) P: &'a [T],
     pub(crate) Psi: &'a [T],
 }
 
-impl<'a, T> Seen<'a, T> {
+impl<'a, T> FilterSnapshot<'a, T> {
     /// Of n states, r of them noisy.
     #[inline(always)]
-    pub(super) fn new(kept: &'a [T], (n, r): (usize, usize)) -> Seen<'a, T> {
+    pub(super) fn new(kept: &'a [T], (n, r): (usize, usize)) -> FilterSnapshot<'a, T> {
         let (x, rest) = kept.split_at(n);
         let (P, Psi) = rest.split_at(r * r);
-        Seen { x, P, Psi }
+        FilterSnapshot { x, P, Psi }
     }
 }
 
-impl Seen<'_> {
+impl FilterSnapshot<'_> {
     /// Ψ, n × q.
     pub(crate) fn sensitivity(&self) -> DMatrix<f64> {
         let n = self.x.len();
@@ -79,7 +79,7 @@ pub(super) struct Begin<'a, T = f64> {
 impl<T: Real> FilteredMoments<T> {
     /// x_0 = a + Ax̂, P0 and AC.
     #[inline(always)]
-    pub(super) fn begin(&mut self, begin: &Begin<'_, T>, unknown: &Unknown<'_, T>) {
+    pub(super) fn begin(&mut self, begin: &Begin<'_, T>, unknown: &PosteriorRoot<'_, T>) {
         let frame = unknown.frame;
         let (n, p, r, c) = (frame.n, frame.p, frame.r, unknown.columns);
         self.x.clear();
@@ -111,8 +111,8 @@ impl<T: Real> FilteredMoments<T> {
     }
 
     /// Its state, to read.
-    pub(super) fn seen(&self) -> Seen<'_, T> {
-        Seen { x: &self.x, P: &self.P, Psi: &self.Psi }
+    pub(super) fn seen(&self) -> FilterSnapshot<'_, T> {
+        FilterSnapshot { x: &self.x, P: &self.P, Psi: &self.Psi }
     }
 
     #[inline(always)]
@@ -123,7 +123,7 @@ impl<T: Real> FilteredMoments<T> {
     }
 
     #[inline(always)]
-    pub(super) fn advance(&mut self, transition: &Transition<T>, inputs: &[T], unknown: &Unknown<'_, T>) {
+    pub(super) fn advance(&mut self, transition: &Transition<T>, inputs: &[T], unknown: &PosteriorRoot<'_, T>) {
         let (r, c) = (unknown.frame.r, unknown.columns);
         advance(&mut self.x, 1, transition, &mut self.rows);
         for (&state, &input) in unknown.frame.driven.iter().zip(inputs) {
@@ -150,7 +150,7 @@ impl<T: Real> FilteredMoments<T> {
 
     /// The update by a measurement.
     #[inline(always)]
-    pub(super) fn measure(&mut self, line: &ScalarMeasurement<'_, T>, e: T, unknown: &Unknown<'_, T>) {
+    pub(super) fn measure(&mut self, line: &ScalarMeasurement<'_, T>, e: T, unknown: &PosteriorRoot<'_, T>) {
         let (r, c) = (unknown.frame.r, unknown.columns);
         for i in 0..r {
             self.x[i] = line.K[i].fma(e, self.x[i]);
@@ -189,7 +189,7 @@ impl FilteredMoments {
     }
 
     pub(super) fn load(&mut self, kept: &[f64], sizes: (usize, usize)) {
-        let seen = Seen::new(kept, sizes);
+        let seen = FilterSnapshot::new(kept, sizes);
         for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {
             own.clear();
             own.extend_from_slice(seen);
@@ -197,7 +197,7 @@ impl FilteredMoments {
     }
 }
 
-impl TestRun<'_> {
+impl BackwardInput<'_> {
     /// The filter at the start of the test.
     pub(super) fn begin(&self, now: &mut FilteredMoments) {
         let begin = Begin { start: self.start, variance: &self.design.variance, mean: &self.moments.mean };

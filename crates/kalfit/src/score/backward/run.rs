@@ -15,7 +15,7 @@ pub(crate) struct AdjointsWanted {
 
 /// One test as the pass sees it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct TestRun<'a> {
+pub(crate) struct BackwardInput<'a> {
     pub(crate) design: &'a Design,
     pub(crate) gains: &'a Gains,
     pub(crate) start: &'a [f64],
@@ -29,16 +29,16 @@ pub(crate) struct TestRun<'a> {
     pub(crate) wanted: AdjointsWanted,
 }
 
-impl<'a> TestRun<'a> {
+impl<'a> BackwardInput<'a> {
     /// Of the test in a work space under the gains of its design.
     pub(crate) fn of(
         (work, gains): (&'a Workspace, &'a Gains),
         (moments, ending): (&'a Moments, Option<&'a TerminalAdjoint>),
         wanted: AdjointsWanted,
-    ) -> TestRun<'a> {
+    ) -> BackwardInput<'a> {
         let (design, data) = (&work.design, &work.data);
         let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-        TestRun { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+        BackwardInput { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
     }
 }
 

@@ -8,10 +8,10 @@
 
 use crate::reduce::{DesignStep, Transition};
 use crate::score::backward::adjoint::columns;
-use crate::score::backward::filtered::{Seen, second};
-use crate::score::backward::line::dot;
-use crate::score::backward::parts::FilterPosition;
-use crate::score::backward::run::TestRun;
+use crate::score::backward::filtered::{FilterSnapshot, second};
+use crate::score::backward::forward::FilterPosition;
+use crate::score::backward::run::BackwardInput;
+use crate::score::backward::scalar_measurement::dot;
 use crate::score::backward::work::BackwardWork;
 
 /// The moments of a test.
@@ -69,7 +69,7 @@ impl SmoothedNoise {
     pub(super) fn across(
         &mut self,
         transition: &Transition,
-        left: Seen<'_>,
+        left: FilterSnapshot<'_>,
         (rho, rho_before): (&[f64], &[f64]),
         (N, r, c): (&[f64], usize, usize),
     ) {
@@ -99,7 +99,7 @@ fn product(a: &[f64], b: &[f64], r: usize, n: usize) -> Vec<f64> {
     out
 }
 
-impl Seen<'_> {
+impl FilterSnapshot<'_> {
     /// ΨC - Pρ (n × c): what the smoothed state owes to ξ.
     fn unknown_part(&self, rho: &[f64], r: usize, c: usize) -> Vec<f64> {
         let mut B = self.Psi.to_vec();
@@ -128,7 +128,7 @@ impl Seen<'_> {
     }
 }
 
-impl TestRun<'_> {
+impl BackwardInput<'_> {
     /// The moments of the test: step by step, every state of the forward filter remembered. `wanted.motion` must be set, so that the
     /// filter keeps P and ΨC.
     pub(crate) fn smooth(&self, work: &mut BackwardWork) -> SmoothedTest {
@@ -142,13 +142,13 @@ impl TestRun<'_> {
         let (mut k, mut transitions) = (self.design.steps(), left.len() / stride.max(1));
         let (mut states, mut noises) = (vec![Smoothed::default(); k + 1], vec![None; k]);
         for step in self.design.each_step().rev() {
-            let end = Seen::new(&ends[seen(&ends, k)], self.sizes());
+            let end = FilterSnapshot::new(&ends[seen(&ends, k)], self.sizes());
             end.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[k]);
             k -= 1;
             self.measured_back(&step, e, |_| end, (adjoint, measured));
             let Some(transition) = step.transition else { continue };
             transitions -= 1;
-            let before = Seen::new(&left[seen(&left, transitions)], self.sizes());
+            let before = FilterSnapshot::new(&left[seen(&left, transitions)], self.sizes());
             let mut noise = SmoothedNoise::default();
             noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
             let mut turned = adjoint.N.clone();
@@ -158,7 +158,7 @@ impl TestRun<'_> {
             noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
             noises[k] = Some(noise);
         }
-        let start = Seen::new(&ends[seen(&ends, 0)], self.sizes());
+        let start = FilterSnapshot::new(&ends[seen(&ends, 0)], self.sizes());
         start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[0]);
         adjoint.variance(&self.unknown(), variance);
         SmoothedTest { states, noises, mean: adjoint.r.clone(), variance: variance.clone() }
@@ -170,7 +170,7 @@ impl TestRun<'_> {
         &self,
         work: &mut BackwardWork,
         e: &[f64],
-        mut tell: impl FnMut(&DesignStep<'_>, bool, Seen<'_>),
+        mut tell: impl FnMut(&DesignStep<'_>, bool, FilterSnapshot<'_>),
     ) {
         let BackwardWork { now, .. } = work;
         self.begin(now);

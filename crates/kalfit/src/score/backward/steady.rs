@@ -4,9 +4,9 @@
 
 use crate::reduce::{SmallMotion, Stretch, mirror, update};
 use crate::score::backward::data_adjoint::{DataAdjoint, PriorVariances};
-use crate::score::backward::design_sums::{Bars, DesignSums, FilterCovariance, Gain};
+use crate::score::backward::design_sums::{DesignAdjoint, DesignSums, FilterCovariance, Gain};
 use crate::score::backward::filtered::FilteredMoments;
-use crate::score::backward::run::{AdjointsWanted, TestRun};
+use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 
 /// The coefficients of a step. C: columns of ΨC.
 #[derive(Debug, Clone, Copy)]
@@ -56,7 +56,7 @@ fn product<const N: usize, const W: usize>(x: &[[f64; N]; N], y: &[[f64; W]; N])
 }
 
 impl<const N: usize, const C: usize> StepCoefficients<N, C> {
-    pub(super) fn new(run: &TestRun<'_>, stretch: &Stretch<'_>, now: &FilteredMoments) -> StepCoefficients<N, C> {
+    pub(super) fn new(run: &BackwardInput<'_>, stretch: &Stretch<'_>, now: &FilteredMoments) -> StepCoefficients<N, C> {
         StepCoefficients {
             data: DataAdjoint::new(run, stretch, &now.x),
             motion: SmallMotion::new(stretch.transition.map(|transition| &**transition), &now.Psi),
@@ -100,7 +100,7 @@ impl<const N: usize, const C: usize> StepCoefficients<N, C> {
     #[inline(always)]
     pub(super) fn back(
         &self,
-        bars: &mut Bars<N, C>,
+        bars: &mut DesignAdjoint<N, C>,
         gain: &Gain<N, C>,
         (spread, ahead): (&FilterCovariance<N, C>, &PriorVariances<N>),
         sums: &mut DesignSums<N, C>,
@@ -134,13 +134,13 @@ impl<const N: usize, const C: usize> StepCoefficients<N, C> {
                 }
             }
         }
-        *bars = Bars { rho, N: transposed(phi, &Nphi) };
+        *bars = DesignAdjoint { rho, N: transposed(phi, &Nphi) };
     }
 
     #[inline(always)]
     fn measured(
         &self,
-        bars: &mut Bars<N, C>,
+        bars: &mut DesignAdjoint<N, C>,
         gain: &Gain<N, C>,
         (spread, ahead): (&FilterCovariance<N, C>, &PriorVariances<N>),
         sums: &mut DesignSums<N, C>,
@@ -187,7 +187,7 @@ impl<const N: usize, const C: usize> StepCoefficients<N, C> {
     /// The design's part of one step where ρ and N rest.
     pub(super) fn rested(
         &self,
-        bars: &Bars<N, C>,
+        bars: &DesignAdjoint<N, C>,
         gain: &Gain<N, C>,
         spread: &FilterCovariance<N, C>,
     ) -> DesignSums<N, C> {

@@ -255,9 +255,9 @@ fn run<'a>(
     (design, data, gains): (&'a Design, &'a Data, &'a Gains),
     (moments, ending): (&'a Moments, Option<&'a TerminalAdjoint>),
     wanted: AdjointsWanted,
-) -> TestRun<'a> {
+) -> BackwardInput<'a> {
     let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
-    TestRun { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+    BackwardInput { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
 }
 
 /// Every adjoint, in the order of the numbers.

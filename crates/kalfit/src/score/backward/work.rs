@@ -1,9 +1,9 @@
 //! What is remembered of the forward pass, and the parts in which it is gone back through.
 
-use crate::reduce::{Design, DesignStep, Settling};
+use crate::reduce::{Design, DesignStep, SteadyStateMonitor};
 use crate::score::backward::adjoint::Adjoint;
 use crate::score::backward::filtered::FilteredMoments;
-use crate::score::backward::run::TestRun;
+use crate::score::backward::run::BackwardInput;
 use crate::score::backward::sink::{MeasurementAdjoint, TransitionAdjoint};
 
 /// How long records are cut.
@@ -40,7 +40,7 @@ pub(crate) struct BackwardWork {
     pub(super) before: Vec<f64>,
     pub(super) now: FilteredMoments,
     pub(super) adjoint: Adjoint,
-    pub(super) settling: Settling,
+    pub(super) settling: SteadyStateMonitor,
     pub(super) variance: Vec<f64>,
     pub(super) measured: MeasurementAdjoint,
     pub(super) moved: TransitionAdjoint,
@@ -99,4 +99,4 @@ pub(super) struct Kernel {
 }
 
 /// One way over a part.
-pub(super) type SegmentPass = fn(&TestRun<'_>, &Segment, &mut BackwardWork);
+pub(super) type SegmentPass = fn(&BackwardInput<'_>, &Segment, &mut BackwardWork);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::reduce::{EqualDesigns, Evidence, PhasedReducer, PhasedTest};
+use crate::reduce::{Evidence, LongDesignClasses, PhasedReducer, PhasedTest};
 
 /// Fewer tests than these are not worth the chain rule put down as factors,
 const FEWEST: usize = 16;
@@ -14,7 +14,7 @@ const EQUAL: usize = 16;
 
 /// The tests of an ensemble by whose class they are in. It depends on the ensemble, not on the order of its tests.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct ScoredClasses {
+pub(crate) struct TestClasses {
     /// Numbers of the tests of each, ascending.
     pub(crate) classes: Vec<Vec<usize>>,
     /// Which of these are of long records in equal steps.
@@ -23,14 +23,17 @@ pub(crate) struct ScoredClasses {
     pub(crate) alone: Vec<usize>,
 }
 
-impl ScoredClasses {
+impl TestClasses {
     /// Of tests that differ in nothing but what was measured.
-    pub(crate) fn of(reducer: &PhasedReducer, tests: &[PhasedTest]) -> ScoredClasses {
+    pub(crate) fn of(reducer: &PhasedReducer, tests: &[PhasedTest]) -> TestClasses {
         let phases = reducer.phases().len();
-        let Some(looks) =
-            reducer.phases().iter().map(|phase| phase.reducer.preparer().looks.as_ref()).collect::<Option<Vec<_>>>()
+        let Some(looks) = reducer
+            .phases()
+            .iter()
+            .map(|phase| phase.reducer.preparer().cell_mask.as_ref())
+            .collect::<Option<Vec<_>>>()
         else {
-            return ScoredClasses::none(tests.len());
+            return TestClasses::none(tests.len());
         };
         let hash = |test: &PhasedTest| {
             let of = |at: usize| reducer.rows_of(at, test).map(|rows| looks[at].hash(rows, true));
@@ -40,10 +43,10 @@ impl ScoredClasses {
         let mut known: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         hashes.into_iter().enumerate().for_each(|(number, hash)| known.entry(hash).or_default().push(number));
         let likeness = |number: usize| {
-            let of = |at: usize| reducer.rows_of(at, &tests[number]).map(|rows| looks[at].likeness(rows));
+            let of = |at: usize| reducer.rows_of(at, &tests[number]).map(|rows| looks[at].design_cells(rows));
             (0..phases).map(of).collect::<Vec<_>>()
         };
-        let mut found = ScoredClasses::default();
+        let mut found = TestClasses::default();
         for mut left in known.into_values() {
             // tests of one hash are alike, but for chance
             let long = left.len() > 1 && is_long(reducer, &tests[left[0]]);
@@ -67,18 +70,20 @@ impl ScoredClasses {
     }
 
     /// Tests of long records that are alike.
-    pub(crate) fn long(&self, tests: &[PhasedTest]) -> EqualDesigns {
+    pub(crate) fn long(&self, tests: &[PhasedTest]) -> LongDesignClasses {
         let rows = |&number: &usize| match tests[number].phases.first() {
             Some(Evidence::Rows(rows)) => Some(&rows.id),
             _ => None,
         };
         let ids = |class: &Vec<usize>| class.iter().filter_map(rows).collect();
-        EqualDesigns::new(self.classes.iter().zip(&self.long).filter(|(_, long)| **long).map(|(class, _)| ids(class)))
+        LongDesignClasses::new(
+            self.classes.iter().zip(&self.long).filter(|(_, long)| **long).map(|(class, _)| ids(class)),
+        )
     }
 
     /// All of so many tests by themselves.
-    pub(crate) fn none(tests: usize) -> ScoredClasses {
-        ScoredClasses { classes: Vec::new(), long: Vec::new(), alone: (0..tests).collect() }
+    pub(crate) fn none(tests: usize) -> TestClasses {
+        TestClasses { classes: Vec::new(), long: Vec::new(), alone: (0..tests).collect() }
     }
 }
 

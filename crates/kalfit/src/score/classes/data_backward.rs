@@ -10,9 +10,9 @@ use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::ensemble::Test;
 use crate::reduce::{Design, DesignStep, Gains, Scan, Transition, at, with_states};
-use crate::score::backward::{AdjointsWanted, DataSums, Equal, Leg, Legs};
-use crate::score::chain::{Response, ResponseEntry};
+use crate::score::backward::{AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments};
 use crate::score::classes::equal::EqualDataBackward;
+use crate::score::pullback::{PullbackFactors, ResponseEntry};
 
 /// What tests share.
 #[derive(Debug)]
@@ -23,10 +23,10 @@ pub(super) struct ClassShared<'a> {
     pub(super) inputs: &'a [f64],
     /// Cell and d of each scalar measurement.
     pub(super) cells: &'a [(usize, f64)],
-    pub(super) legs: &'a Legs<'a>,
+    pub(super) legs: &'a RecordSegments<'a>,
     pub(super) wanted: AdjointsWanted,
     /// Of the steps that stand for all.
-    pub(super) response: &'a Response,
+    pub(super) response: &'a PullbackFactors,
 }
 
 /// One of the tests: what it alone has.
@@ -52,7 +52,7 @@ impl Kernel for DataBackward<'_> {
     fn run<T: Lanes>(self) -> Vec<f64> {
         let slots = self.shared.response.slots.len();
         let mut found = vec![0.0; self.tests.len() * slots];
-        let mut pass = DataBackwardPass::<T>::new(self.shared);
+        let mut pass = DataBackwardState::<T>::new(self.shared);
         let mut lanes = [0.0; MOST];
         for (tests, found) in self.tests.chunks(T::COUNT).zip(found.chunks_mut((T::COUNT * slots).max(1))) {
             pass.forth(self.shared, tests);
@@ -69,7 +69,7 @@ impl Kernel for DataBackward<'_> {
 }
 
 /// A block of tests on its way.
-struct DataBackwardPass<T> {
+struct DataBackwardState<T> {
     /// x̄ on the way forth, r on the way back.
     x: Vec<T>,
     moved: Vec<T>,
@@ -101,11 +101,11 @@ fn each<T: Lanes>(tests: &[ClassMember<'_>], mut number: impl FnMut(&ClassMember
     T::load(&lanes)
 }
 
-impl<T: Lanes> DataBackwardPass<T> {
-    fn new(shared: &ClassShared<'_>) -> DataBackwardPass<T> {
+impl<T: Lanes> DataBackwardState<T> {
+    fn new(shared: &ClassShared<'_>) -> DataBackwardState<T> {
         let (zero, n, response) = (T::splat(0.0), shared.design.frame.n, shared.response);
         let wanted = |is: bool, many: usize| if is { many * n } else { 0 };
-        DataBackwardPass {
+        DataBackwardState {
             x: vec![zero; n],
             moved: vec![zero; n],
             e: vec![0.0; shared.cells.len() * T::COUNT],
@@ -143,12 +143,12 @@ impl<T: Lanes> DataBackwardPass<T> {
         let (mut at, mut input) = (Cursor::default(), 0);
         for leg in &shared.legs.legs {
             match leg {
-                Leg::Steps(steps) => {
+                RecordSegment::Steps(steps) => {
                     for step in steps {
                         self.step_forth(shared, step, (&mut at, &mut input));
                     }
                 }
-                Leg::Equal(leg) => {
+                RecordSegment::Equal(leg) => {
                     self.equal_forth(shared, leg);
                     at.row += 1;
                     at.transition += usize::from(leg.stretch.transition.is_some());
@@ -190,8 +190,8 @@ impl<T: Lanes> DataBackwardPass<T> {
     }
 
     #[inline(always)]
-    fn equal_forth(&mut self, shared: &ClassShared<'_>, leg: &Equal<'_>) {
-        let DataBackwardPass { x, e, marks, .. } = self;
+    fn equal_forth(&mut self, shared: &ClassShared<'_>, leg: &EqualStretch<'_>) {
+        let DataBackwardState { x, e, marks, .. } = self;
         marks.extend_from_slice(x);
         let (stretch, gains) = (&leg.stretch, (shared.gains, leg.piece));
         let e = &mut e[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
@@ -227,12 +227,12 @@ impl<T: Lanes> DataBackwardPass<T> {
         let mut at = Cursor { row: response.rows.len(), transition: response.moves.len() };
         for leg in shared.legs.legs.iter().rev() {
             match leg {
-                Leg::Steps(steps) => {
+                RecordSegment::Steps(steps) => {
                     for step in steps.iter().rev() {
                         self.step_back(shared, step, &mut at);
                     }
                 }
-                Leg::Equal(leg) => {
+                RecordSegment::Equal(leg) => {
                     at.row -= 1;
                     at.transition -= usize::from(leg.stretch.transition.is_some());
                     self.equal_back(shared, leg, at);
@@ -260,10 +260,10 @@ impl<T: Lanes> DataBackwardPass<T> {
     }
 
     #[inline(always)]
-    fn equal_back(&mut self, shared: &ClassShared<'_>, leg: &Equal<'_>, at: Cursor) {
+    fn equal_back(&mut self, shared: &ClassShared<'_>, leg: &EqualStretch<'_>, at: Cursor) {
         let (n, states) = (self.x.len(), leg.states);
         let start = self.marks.len() - n - leg.blocks().count() * states;
-        let DataBackwardPass { x: r, e, marks, .. } = &mut *self;
+        let DataBackwardState { x: r, e, marks, .. } = &mut *self;
         let (first, marks) = marks[start..].split_at(n);
         let first = first.to_vec();
         let e = &e[leg.stretch.rows.start * T::COUNT..leg.stretch.rows.end * T::COUNT];
@@ -279,7 +279,7 @@ impl<T: Lanes> DataBackwardPass<T> {
     fn answered<const N: usize>(
         &mut self,
         shared: &ClassShared<'_>,
-        leg: &Equal<'_>,
+        leg: &EqualStretch<'_>,
         (at, first): (Cursor, &[T]),
         answers: &DataSums<T, N>,
     ) {
@@ -379,12 +379,12 @@ impl<T: Lanes> DataBackwardPass<T> {
     }
 
     #[inline(always)]
-    fn add(&mut self, response: &Response, entry: &ResponseEntry, bar: T) {
+    fn add(&mut self, response: &PullbackFactors, entry: &ResponseEntry, bar: T) {
         self.add_span(response, entry.span, bar);
     }
 
     #[inline(always)]
-    fn add_span(&mut self, response: &Response, span: (u32, u32), bar: T) {
+    fn add_span(&mut self, response: &PullbackFactors, span: (u32, u32), bar: T) {
         for &(slot, factor) in response.factors(span) {
             let sum = &mut self.sums[slot as usize];
             *sum = T::splat(factor).fma(bar, *sum);

@@ -3,11 +3,11 @@
 use kalfit_lanes::{Lanes, Part};
 
 use crate::reduce::at;
-use crate::score::backward::{DataSums, Equal};
+use crate::score::backward::{DataSums, EqualStretch};
 
 /// Back over them, from r after them to r before them.
 pub(super) struct EqualDataBackward<'a, T, const N: usize> {
-    pub(super) leg: &'a Equal<'a>,
+    pub(super) leg: &'a EqualStretch<'a>,
     /// x̄ of all states before them.
     pub(super) first: &'a [T],
     pub(super) marks: &'a [T],

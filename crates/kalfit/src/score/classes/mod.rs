@@ -18,13 +18,13 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::reduce::{Design, Fault, Gains, ReduceError, Workspace};
-use crate::score::backward::{AdjointsWanted, BackwardWork, TerminalAdjoint, TestRun};
-use crate::score::chain::{Adjoints, Gradient, add};
+use crate::score::backward::{AdjointsWanted, BackwardInput, BackwardWork, TerminalAdjoint};
 use crate::score::moments::Moments;
-use crate::score::{Onward, Scorer};
+use crate::score::pullback::{Adjoints, Gradient, add};
+use crate::score::{PullbackSink, Scorer};
 use data_backward::{ClassShared, DataBackward};
 
-pub(crate) use alike::ScoredClasses;
+pub(crate) use alike::TestClasses;
 pub(crate) use data_backward::ClassMember;
 
 /// Numbers that one test passes through one by one and that are remembered: no more than these.
@@ -50,16 +50,16 @@ impl Scorer<'_> {
         let first = tests[0].test;
         let found: Result<_, Box<Fault>> = self.reducer.with_gains(first, work, |gains, work| {
             let cells = self.reducer.preparer().measured_cells(first, work)?;
-            let blank = Blank::new(work, shared);
+            let blank = ZeroData::new(work, shared);
             let run = blank.run((&work.design, gains), wanted);
-            run.cut(backward, &mut Onward { adjoints, test: first, work });
+            run.cut(backward, &mut PullbackSink { adjoints, test: first, work });
             let standing: Vec<usize> = backward.standing().collect();
-            let worth = adjoints.questions(work) * standing.len() <= tests.len() * work.design.steps();
+            let worth = adjoints.adjoint_count(work) * standing.len() <= tests.len() * work.design.steps();
             if !worth || !is_small(&work.design, &standing, wanted) {
                 return Ok(None);
             }
             let response = adjoints.response((first, work), standing.into_iter())?;
-            run.forward(backward, &mut Onward { adjoints, test: first, work });
+            run.forward(backward, &mut PullbackSink { adjoints, test: first, work });
             let legs = run.legs(backward);
             let shared = ClassShared {
                 design: &work.design,
@@ -72,7 +72,7 @@ impl Scorer<'_> {
                 response: &response,
             };
             let design = || {
-                let done = run.back(backward, &mut Onward { adjoints, test: first, work });
+                let done = run.back(backward, &mut PullbackSink { adjoints, test: first, work });
                 adjoints.finished(done, first, work)
             };
             let (design, data) = rayon::join(design, || of_data(&shared, tests));
@@ -92,7 +92,7 @@ fn is_small(design: &Design, standing: &[usize], wanted: AdjointsWanted) -> bool
 }
 
 /// Data of zero.
-struct Blank {
+struct ZeroData {
     start: Vec<f64>,
     inputs: Vec<f64>,
     values: Vec<f64>,
@@ -100,10 +100,10 @@ struct Blank {
     ending: Option<TerminalAdjoint>,
 }
 
-impl Blank {
-    fn new(work: &Workspace, (moments, ending): (&Moments, Option<&TerminalAdjoint>)) -> Blank {
+impl ZeroData {
+    fn new(work: &Workspace, (moments, ending): (&Moments, Option<&TerminalAdjoint>)) -> ZeroData {
         let zeros = |like: &[f64]| vec![0.0; like.len()];
-        Blank {
+        ZeroData {
             start: zeros(&work.data.start),
             inputs: zeros(&work.data.inputs),
             values: zeros(&work.data.values),
@@ -112,9 +112,9 @@ impl Blank {
         }
     }
 
-    fn run<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: AdjointsWanted) -> TestRun<'a> {
-        let Blank { start, inputs, values, moments, ending } = self;
-        TestRun { design, gains, start, inputs, values, blank: true, moments, ending: ending.as_ref(), wanted }
+    fn run<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: AdjointsWanted) -> BackwardInput<'a> {
+        let ZeroData { start, inputs, values, moments, ending } = self;
+        BackwardInput { design, gains, start, inputs, values, blank: true, moments, ending: ending.as_ref(), wanted }
     }
 }
 

@@ -6,25 +6,25 @@ mod tests;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::{FilteredBlock, PhasedBlocks, PhasedTest};
+use crate::reduce::{FilteredBatch, PhasedBatches, PhasedTest};
 use crate::score::backward::{BatchBackward, TerminalAdjoint};
-use crate::score::chain::Gradient;
 use crate::score::moments::Moments;
-use crate::score::phased::apart::TestScore;
-use crate::score::phased::together::ScoredEnsemble;
+use crate::score::phased::design_classes::ScoredEnsemble;
+use crate::score::phased::unclassed::TestScore;
 use crate::score::phased::{PhasedScorer, ScoreWorkspace};
-use crate::score::smoother::Smooth;
-use crate::score::{ScoredClasses, Scorer};
+use crate::score::pullback::Gradient;
+use crate::score::smoother::SmoothedPhase;
+use crate::score::{Scorer, TestClasses};
 
 /// No place.
 const NONE: usize = usize::MAX;
 
 /// The test in a lane, by its place among those asked about, and what its pass begins from.
-type LaneStart<'a> = (usize, usize, &'a Smooth);
+type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
 
 impl PhasedScorer<'_> {
     /// The tests that have no class, where they can be kept side by side.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], classes: &ScoredClasses) -> Option<PhasedBlocks> {
+    pub(crate) fn blocks(&self, tests: &[PhasedTest], classes: &TestClasses) -> Option<PhasedBatches> {
         let shared: Vec<usize> = classes.classes.iter().map(|class| class[0]).collect();
         self.reducer.blocks(tests, &classes.alone, &shared)
     }
@@ -48,7 +48,7 @@ impl PhasedScorer<'_> {
             let place = places[members[member]];
             Some((lane, place, known.get(place)?.phases.get(at)?))
         };
-        let block = |room: &mut ScoreWorkspace<'_>, block: FilteredBlock<'_>| {
+        let block = |room: &mut ScoreWorkspace<'_>, block: FilteredBatch<'_>| {
             let own: Vec<LaneStart<'_>> = block.tests().filter_map(lane).collect();
             self.phases[at].block(at, (&own, &rows), block, room)
         };
@@ -61,7 +61,7 @@ impl Scorer<'_> {
         &self,
         at: usize,
         (own, rows): (&[LaneStart<'_>], &[&Test]),
-        block: FilteredBlock<'_>,
+        block: FilteredBatch<'_>,
         room: &mut ScoreWorkspace<'_>,
     ) -> Vec<(usize, Gradient)> {
         let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
@@ -75,9 +75,9 @@ impl Scorer<'_> {
         own.iter().zip(&told).for_each(|(&(lane, ..), told)| moments[lane] = told);
         let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
         own.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
-        let (kept, longest, wanted) = (&block.values.kept, &block.layout.design, self.wanted());
+        let (kept, longest, wanted) = (&block.values.batch_filter, &block.layout.design, self.wanted());
         let (moments, endings) = (&*moments, &*endings);
-        let pass = BatchBackward { block: &kept.block, gained: &kept.gained, longest, moments, endings, wanted };
+        let pass = BatchBackward { block: &kept.block, gained: &kept.design_batch, longest, moments, endings, wanted };
         let mut bars = pass.pass();
         let pulled = self.chain.pull(block, rows, &mut bars);
         let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::together::ScoredEnsemble;
+use super::design_classes::ScoredEnsemble;
 use super::*;
 use crate::ensemble::{Label, Labels, Source};
 pub(super) use crate::model::by_hand::{
@@ -169,8 +169,7 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
         let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
         let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let scores =
-            scorer.scores(&tests, &reductions, &law, (&ScoredClasses::none(tests.len()), None)).expect("sound");
+        let scores = scorer.scores(&tests, &reductions, &law, (&TestClasses::none(tests.len()), None)).expect("sound");
         for (j, score) in scores.iter().enumerate() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
@@ -201,7 +200,7 @@ fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
     let law = law();
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let scores = scorer.scores(&tests, &reductions, &law, (&ScoredClasses::none(tests.len()), None)).expect("sound");
+    let scores = scorer.scores(&tests, &reductions, &law, (&TestClasses::none(tests.len()), None)).expect("sound");
     let complete = scorer.all_complete(&tests, &reductions, &law).expect("sound");
     let expected = scorer.all_expected(&tests, &complete).expect("sound").expect("it came about");
     let carried: Vec<usize> = model.phases.iter().flat_map(|phase| crate::score::carried(phase, &slots)).collect();
@@ -222,11 +221,10 @@ fn scores_have_the_same_bits_alone_and_together() {
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let together =
-        scorer.scores(&tests, &reductions, &law(), (&ScoredClasses::none(tests.len()), None)).expect("sound");
+    let together = scorer.scores(&tests, &reductions, &law(), (&TestClasses::none(tests.len()), None)).expect("sound");
     for j in 0..tests.len() {
         let alone = scorer
-            .scores(&tests[j..=j], &reductions.select(&[j]), &law(), (&ScoredClasses::none(1), None))
+            .scores(&tests[j..=j], &reductions.select(&[j]), &law(), (&TestClasses::none(1), None))
             .expect("sound");
         assert_eq!(alone[0], together[j], "test {j}");
     }
@@ -282,7 +280,7 @@ fn alike_tests_are_scored_as_one_by_one() {
             assert!(found.is_some(), "they go together");
         }
         let together = scorer.scores(&many, &reductions, &law, (&classes, None)).expect("sound");
-        let alone = scorer.scores(&many, &reductions, &law, (&ScoredClasses::none(many.len()), None)).expect("sound");
+        let alone = scorer.scores(&many, &reductions, &law, (&TestClasses::none(many.len()), None)).expect("sound");
         assert!(alone.iter().any(|score| score.len() > 7), "most values count");
         for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
             let of = |score: &Gradient, slot: usize| score.iter().find(|(s, _)| *s == slot).map(|(_, x)| *x);

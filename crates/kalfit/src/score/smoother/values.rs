@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::reduce::PhaseReduction;
 use crate::score::moments::Moments;
 use crate::score::smoother::plan::{InheritPlan, LinkPlan, SmootherPlan};
-use crate::score::smoother::{InheritedBar, Later, PhaseLaws, Smooth, inherited, terminal};
+use crate::score::smoother::{InheritanceAdjoint, LaterAdjoint, PhaseLaws, SmoothedPhase, inherited, terminal};
 
 /// What phases from each on say of its σ (d), and what later ones say of its last state (d of those).
 struct PhaseData {
@@ -17,7 +17,7 @@ struct PhaseData {
 
 impl SmootherPlan {
     /// The moments of each phase of a test given all of it, what later phases say, and derivatives to what phases inherit.
-    pub(crate) fn smooth(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> Vec<Smooth> {
+    pub(crate) fn smooth(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> Vec<SmoothedPhase> {
         let data = self.gather(pieces, laws);
         let mut prior = self.first(laws);
         let mut before: Option<DVector<f64>> = None;
@@ -40,7 +40,7 @@ impl SmootherPlan {
                 let terminal = terminal(piece);
                 &terminal.mean + &terminal.sensitivity * (&prior + &plan.own_gain * own)
             });
-            all.push(Smooth { moments: Moments::of(&mean, &plan.root), later, inherited });
+            all.push(SmoothedPhase { moments: Moments::of(&mean, &plan.root), later, inherited });
         }
         all
     }
@@ -83,19 +83,19 @@ impl SmootherPlan {
 
 impl LinkPlan {
     /// r = R'S⁻¹(d - R x̄_K), x̄_K at the mean of σ given all.
-    fn later(&self, piece: &PhaseReduction, d: &DVector<f64>, mean: &DVector<f64>) -> Later {
+    fn later(&self, piece: &PhaseReduction, d: &DVector<f64>, mean: &DVector<f64>) -> LaterAdjoint {
         let terminal = terminal(piece);
         let state = &terminal.mean + &terminal.sensitivity * mean;
         let residual = solved(&self.state_lower, d - &self.factor * state);
-        Later { r: self.state_factor.tr_mul(&residual), rho: self.rho.clone(), N: self.N.clone() }
+        LaterAdjoint { r: self.state_factor.tr_mul(&residual), rho: self.rho.clone(), N: self.N.clone() }
     }
 }
 
 impl InheritPlan {
     /// ∂ℓ/∂t = r, ∂ℓ/∂T = r (x + PT'r)' - NTP, with r and N those of the prior of σ and x, P those of the last state before.
-    fn bar(&self, before: &DVector<f64>, r: DVector<f64>) -> InheritedBar {
+    fn bar(&self, before: &DVector<f64>, r: DVector<f64>) -> InheritanceAdjoint {
         let smoothed = before + &self.carried * &r;
-        InheritedBar { transition: &self.transition + &r * smoothed.transpose(), input: r }
+        InheritanceAdjoint { transition: &self.transition + &r * smoothed.transpose(), input: r }
     }
 }
 

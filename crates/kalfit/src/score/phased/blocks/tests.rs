@@ -7,10 +7,10 @@ use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::InitialLaw;
 use crate::model::by_hand::{continuous, gauss_markov, minus};
 use crate::model::{Clock, Expression, Initial, Motion, PhasedModel, Slots};
-use crate::reduce::{Path, PhasedBlocks, PhasedFiltered, PhasedReducer, PhasedTest, Reduction, Reductions};
+use crate::reduce::{FilteredPhases, Path, PhasedBatches, PhasedReducer, PhasedTest, Reduction, Reductions};
 use crate::score::phased::PhasedScorer;
 use crate::score::phased::tests::*;
-use crate::score::{Gradient, ScoredClasses};
+use crate::score::{Gradient, TestClasses};
 
 /// A model of one phase with some of all that blocks can hold.
 fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
@@ -106,14 +106,14 @@ impl Case {
         reduced(&self.model, &self.slots, &VALUES, tests).1.get(0).into()
     }
 
-    fn blocks(&self, tests: &[PhasedTest]) -> PhasedBlocks {
+    fn blocks(&self, tests: &[PhasedTest]) -> PhasedBatches {
         let (reducer, _) = reduced(&self.model, &self.slots, &VALUES, tests);
         let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
-        scorer.blocks(tests, &ScoredClasses::none(tests.len())).expect("some tests are in blocks")
+        scorer.blocks(tests, &TestClasses::none(tests.len())).expect("some tests are in blocks")
     }
 
     /// Which tests of one phase went with the others of their block.
-    fn in_lanes(&self, values: &[f64], tests: &[PhasedTest], blocks: &PhasedBlocks) -> Vec<bool> {
+    fn in_lanes(&self, values: &[f64], tests: &[PhasedTest], blocks: &PhasedBatches) -> Vec<bool> {
         let (reducer, _) = reduced(&self.model, &self.slots, values, tests);
         let (_, filtered) = reducer.reduce_blocks(tests, blocks).expect("sound");
         let (numbers, blocks) = filtered.phase(0);
@@ -125,15 +125,15 @@ impl Case {
     }
 
     /// Reductions and scores, in blocks where there are some.
-    fn at(&self, values: &[f64], tests: &[PhasedTest], blocks: Option<&PhasedBlocks>) -> (Reductions, Vec<Gradient>) {
+    fn at(&self, values: &[f64], tests: &[PhasedTest], blocks: Option<&PhasedBatches>) -> (Reductions, Vec<Gradient>) {
         let (reducer, mut reductions): (PhasedReducer, _) = reduced(&self.model, &self.slots, values, tests);
-        let mut filtered: Option<PhasedFiltered> = None;
+        let mut filtered: Option<FilteredPhases> = None;
         if let Some(blocks) = blocks {
             let (own, after) = reducer.reduce_blocks(tests, blocks).expect("sound");
             (reductions, filtered) = (own, Some(after));
         }
         let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
-        let classes = ScoredClasses::none(tests.len());
+        let classes = TestClasses::none(tests.len());
         let scores = scorer.scores(tests, &reductions, &self.law, (&classes, filtered.as_ref())).expect("sound");
         (reductions, scores)
     }

@@ -3,12 +3,12 @@
 use rayon::prelude::*;
 
 use crate::estimate::InitialLaw;
-use crate::reduce::{PhasedFiltered, PhasedTest, ReduceError, Reductions, same_bits};
-use crate::score::chain::{Gradient, add};
+use crate::reduce::{FilteredPhases, PhasedTest, ReduceError, Reductions, same_bits};
 use crate::score::classes::ClassMember;
 use crate::score::phased::{PhasedScorer, Plans, ScoreWorkspace};
-use crate::score::smoother::Smooth;
-use crate::score::{ScoredClasses, Scorer};
+use crate::score::pullback::{Gradient, add};
+use crate::score::smoother::SmoothedPhase;
+use crate::score::{Scorer, TestClasses};
 
 /// Tests that one thread begins at a time.
 const SHARE: usize = 64;
@@ -24,7 +24,7 @@ pub(super) struct ScoredEnsemble<'a> {
     pub(super) law: &'a InitialLaw,
     pub(super) plans: &'a Plans,
     /// Those that are kept side by side, after their filters.
-    pub(super) filtered: Option<&'a PhasedFiltered>,
+    pub(super) filtered: Option<&'a FilteredPhases>,
 }
 
 /// What one test alone has of each of its phases: x̂ and r, and what goes through the carries.
@@ -35,17 +35,17 @@ struct MemberStart {
 
 impl PhasedScorer<'_> {
     /// Which of these tests are alike.
-    pub(crate) fn classes(&self, tests: &[PhasedTest]) -> ScoredClasses {
-        ScoredClasses::of(self.reducer, tests)
+    pub(crate) fn classes(&self, tests: &[PhasedTest]) -> TestClasses {
+        TestClasses::of(self.reducer, tests)
     }
 
     /// The scores of tests, in any order.
-    pub(super) fn in_classes(&self, of: ScoredEnsemble<'_>, classes: &ScoredClasses) -> Vec<Score> {
+    pub(super) fn in_classes(&self, of: ScoredEnsemble<'_>, classes: &TestClasses) -> Vec<Score> {
         // covariates move the uncertainty of the mean
         let own = of.law.is_restricted() && of.reductions.iter().any(|reduction| !reduction.covariates.is_empty());
         let none;
         let classes = if own {
-            none = ScoredClasses::none(of.tests.len());
+            none = TestClasses::none(of.tests.len());
             &none
         } else {
             classes
@@ -113,7 +113,7 @@ impl PhasedScorer<'_> {
         &self,
         of: ScoredEnsemble<'_>,
         (first, number): (usize, usize),
-        like: &[Smooth],
+        like: &[SmoothedPhase],
         room: &mut ScoreWorkspace<'_>,
     ) -> Result<Option<MemberStart>, ReduceError> {
         let (test, reduction) = (&of.tests[number], of.reductions.get(number));
@@ -128,7 +128,7 @@ impl PhasedScorer<'_> {
             return Ok(None);
         }
         let carried = self.carried(test, &own, room)?;
-        let phase = |(scorer, smooth): (&Scorer<'_>, Smooth)| {
+        let phase = |(scorer, smooth): (&Scorer<'_>, SmoothedPhase)| {
             let ending = scorer.ending_of(&smooth).map_or(Vec::new(), |ending| ending.r);
             (smooth.moments.mean, ending)
         };
@@ -136,9 +136,9 @@ impl PhasedScorer<'_> {
     }
 }
 
-impl Smooth {
+impl SmoothedPhase {
     /// All but what the data say is the same bit for bit.
-    fn same_design(&self, other: &Smooth) -> bool {
+    fn same_design(&self, other: &SmoothedPhase) -> bool {
         let later = match (&self.later, &other.later) {
             (Some(a), Some(b)) => {
                 same_bits(a.rho.as_slice(), b.rho.as_slice()) && same_bits(a.N.as_slice(), b.N.as_slice())

@@ -3,51 +3,51 @@
 use crate::ensemble::Label;
 use crate::model::{Alpha, EvaluationError, Expression, Scope, Slots, Tape};
 use crate::reduce::{Coefficient, Fault, ModelAt, ReduceErrorKind, Subject, Uses};
-use crate::score::chain::gradient::Gradient;
+use crate::score::pullback::gradient::Gradient;
 
 /// A cell of the data that a coefficient reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Read {
+pub(super) enum CellRead {
     Number(usize),
     Text(usize),
     Step,
 }
 
-impl Read {
+impl CellRead {
     pub(super) fn bits(self, scope: &Scope<'_>) -> u64 {
         match self {
-            Read::Number(column) => scope.numbers[column].to_bits(),
-            Read::Text(column) => scope.texts[column].index() as u64,
-            Read::Step => scope.step.to_bits(),
+            CellRead::Number(column) => scope.numbers[column].to_bits(),
+            CellRead::Text(column) => scope.texts[column].index() as u64,
+            CellRead::Step => scope.step.to_bits(),
         }
     }
 }
 
 /// A coefficient that depends on free values.
 #[derive(Debug, Clone)]
-struct Tap {
+struct FreeCoefficient {
     expression: Expression,
     subject: Subject,
-    reads: Vec<Read>,
+    reads: Vec<CellRead>,
     /// Where its cells stand in [`Pending::cells`].
     start: usize,
 }
 
 /// All coefficients of a model that depend on free values.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Taps {
-    taps: Vec<Tap>,
+pub(super) struct FreeCoefficients {
+    taps: Vec<FreeCoefficient>,
     cells: usize,
 }
 
-impl Taps {
+impl FreeCoefficients {
     /// A place for the coefficient, if it depends on free values.
     pub(super) fn add(&mut self, at: &ModelAt<'_>, coefficient: &Coefficient) -> Option<usize> {
         let (expression, subject) = coefficient.source().filter(|(expression, _)| at.depends(expression))?;
         let reads = reads(expression, at.alpha);
         let start = self.cells;
         self.cells += reads.len();
-        self.taps.push(Tap { expression: expression.clone(), subject, reads, start });
+        self.taps.push(FreeCoefficient { expression: expression.clone(), subject, reads, start });
         Some(self.taps.len() - 1)
     }
 
@@ -56,26 +56,26 @@ impl Taps {
     }
 
     /// Cells that any of them reads.
-    pub(super) fn all_reads(&self) -> Vec<Read> {
-        let mut reads: Vec<Read> = self.taps.iter().flat_map(|tap| &tap.reads).copied().collect();
+    pub(super) fn all_reads(&self) -> Vec<CellRead> {
+        let mut reads: Vec<CellRead> = self.taps.iter().flat_map(|tap| &tap.reads).copied().collect();
         reads.sort_unstable();
         reads.dedup();
         reads
     }
 
     /// Cells that a coefficient reads.
-    pub(super) fn reads(&self, tap: usize) -> &[Read] {
+    pub(super) fn reads(&self, tap: usize) -> &[CellRead] {
         &self.taps[tap].reads
     }
 }
 
-fn reads(expression: &Expression, alpha: &Alpha) -> Vec<Read> {
+fn reads(expression: &Expression, alpha: &Alpha) -> Vec<CellRead> {
     let mut uses = Uses::default();
     uses.expression(expression, alpha);
-    let mut reads: Vec<Read> = uses.numbers.into_iter().map(Read::Number).collect();
-    reads.extend(uses.texts.into_iter().map(Read::Text));
+    let mut reads: Vec<CellRead> = uses.numbers.into_iter().map(CellRead::Number).collect();
+    reads.extend(uses.texts.into_iter().map(CellRead::Text));
     if expression.any(&mut |part| matches!(part, Expression::Step)) {
-        reads.push(Read::Step);
+        reads.push(CellRead::Step);
     }
     reads
 }
@@ -108,7 +108,7 @@ struct SlotSums {
 }
 
 impl Pending {
-    pub(super) fn new(taps: &Taps, at: &ModelAt<'_>, slots: &Slots) -> Pending {
+    pub(super) fn new(taps: &FreeCoefficients, at: &ModelAt<'_>, slots: &Slots) -> Pending {
         let count = taps.taps.len();
         Pending {
             seeds: vec![0.0; count],
@@ -135,7 +135,7 @@ impl Pending {
         if seed == 0.0 {
             return Ok(());
         }
-        let Tap { reads, start, .. } = &context.taps.taps[tap];
+        let FreeCoefficient { reads, start, .. } = &context.taps.taps[tap];
         if !reads.is_empty() {
             let known = &self.cells[*start..][..reads.len()];
             let same = self.begun[tap] && reads.iter().zip(known).all(|(read, &bits)| read.bits(scope) == bits);
@@ -156,13 +156,13 @@ impl Pending {
         if !std::mem::take(&mut self.begun[tap]) {
             return Ok(());
         }
-        let Tap { expression, subject, reads, start } = &context.taps.taps[tap];
+        let FreeCoefficient { expression, subject, reads, start } = &context.taps.taps[tap];
         let mut step = 0.0;
         for (read, &bits) in reads.iter().zip(&self.cells[*start..]) {
             match *read {
-                Read::Number(column) => self.row.numbers[column] = f64::from_bits(bits),
-                Read::Text(column) => self.row.texts[column] = Label::literal(bits as usize),
-                Read::Step => step = f64::from_bits(bits),
+                CellRead::Number(column) => self.row.numbers[column] = f64::from_bits(bits),
+                CellRead::Text(column) => self.row.texts[column] = Label::literal(bits as usize),
+                CellRead::Step => step = f64::from_bits(bits),
             }
         }
         let Row { numbers, texts } = &self.row;
@@ -202,7 +202,7 @@ impl Pending {
 pub(super) struct Context<'a> {
     pub(super) at: ModelAt<'a>,
     pub(super) slots: &'a Slots,
-    pub(super) taps: &'a Taps,
+    pub(super) taps: &'a FreeCoefficients,
 }
 
 impl SlotSums {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::model::Scope;
 use crate::reduce::Transition;
-use crate::score::chain::taps::Read;
+use crate::score::pullback::taps::CellRead;
 
 /// More distinct transitions than this are not kept apart in memory.
 const MOST: usize = 1024;
@@ -36,7 +36,7 @@ impl Groups {
     pub(super) fn again(
         &self,
         transition: &Arc<Transition>,
-        reads: &[Read],
+        reads: &[CellRead],
         scope: Option<&Scope<'_>>,
     ) -> Option<usize> {
         let (known, group) = self.last.as_ref()?;
@@ -49,7 +49,7 @@ impl Groups {
     pub(super) fn find(
         &mut self,
         (transition, k): (&Arc<Transition>, usize),
-        (reads, scope): (&[Read], &Scope<'_>),
+        (reads, scope): (&[CellRead], &Scope<'_>),
         made: impl Iterator<Item = f64>,
     ) -> (usize, bool) {
         self.cells.clear();

@@ -14,12 +14,12 @@ use crate::dynamic::indirect::{Around, Indirect};
 use crate::dynamic::matrices::{self, matrix_gradient};
 use crate::dynamic::scale::{self, AtScale, Scale};
 use crate::dynamic::scales::Scales;
-use crate::dynamic::twins::Twins;
+use crate::dynamic::twins::ExchangeablePair;
 use crate::dynamic::{Coordinate, DynamicError, Settings};
 use crate::ensemble::Grouping;
 use crate::estimate::{self, Criterion, Estimate, FitError, InitialLaw, NoiseInformation, Silent, Structure};
 use crate::model::{Alpha, PhasedModel, Population, Slots};
-use crate::reduce::{PhasedFiltered, PhasedReducer, PhasedTest, Reductions, grouping};
+use crate::reduce::{FilteredPhases, PhasedReducer, PhasedTest, Reductions, grouping};
 use crate::remote::{Answers, Question, Remote};
 use crate::score::{Batching, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
 
@@ -31,7 +31,7 @@ const ROOM: usize = 1 << 24;
 
 /// The ensemble and the model, ready for any α.
 #[derive(Debug)]
-pub(crate) struct Bench<'a> {
+pub(crate) struct ProfileLikelihood<'a> {
     pub(crate) model: &'a PhasedModel,
     pub(crate) tests: &'a [PhasedTest],
     pub(crate) slots: &'a Slots,
@@ -42,7 +42,7 @@ pub(crate) struct Bench<'a> {
     /// Levels that a known covariance bounds.
     pub(crate) cone: BTreeSet<usize>,
     /// Processes that may change places.
-    pub(crate) twins: Vec<Twins>,
+    pub(crate) twins: Vec<ExchangeablePair>,
     /// The groups that tests stand in, where the model has levels.
     grouping: Option<Arc<Grouping>>,
     units: OnceLock<Vec<f64>>,
@@ -64,7 +64,7 @@ pub(crate) struct Reduced {
     reducer: Option<PhasedReducer>,
     pub(crate) reductions: Reductions,
     /// Tests that are kept side by side.
-    filtered: Option<PhasedFiltered>,
+    filtered: Option<FilteredPhases>,
 }
 
 /// ℓ at α with its gradient, at the best (μ, Σ).
@@ -76,7 +76,7 @@ pub(crate) struct ProfilePoint {
     pub(crate) estimate: Estimate,
     /// dℓ/dcoordinate.
     pub(crate) gradient: Vec<f64>,
-    pub(crate) told: SecondDerivatives,
+    pub(crate) second_derivatives: SecondDerivatives,
 }
 
 /// What second derivatives are made of.
@@ -105,7 +105,7 @@ impl ProfilePoint {
 
 /// ℓ near a solved α at the (μ, Σ) found there.
 #[derive(Debug)]
-pub(crate) struct Shifted {
+pub(crate) struct FixedLawPoint {
     pub(crate) values: Vec<f64>,
     /// Gradient along the tangent basis of (μ, Σ) of the solved place.
     pub(crate) inner: DVector<f64>,
@@ -114,20 +114,20 @@ pub(crate) struct Shifted {
     pub(crate) matrix: Gradient,
 }
 
-impl<'a> Bench<'a> {
+impl<'a> ProfileLikelihood<'a> {
     pub(crate) fn new(
         model: &'a PhasedModel,
         tests: &'a [PhasedTest],
         slots: &'a Slots,
         settings: &'a Settings,
-    ) -> Bench<'a> {
+    ) -> ProfileLikelihood<'a> {
         let zero = || AtomicUsize::new(0);
         let edges = Edges::of(model, slots, tests);
         let mut coordinates = Coordinate::of(model, slots);
         edges.bound(&mut coordinates);
         let cone = Edges::least(model, slots, tests);
         cone.iter().for_each(|&(s, least)| coordinates[s].lower = coordinates[s].lower.max(least));
-        Bench {
+        ProfileLikelihood {
             model,
             tests,
             slots,
@@ -135,7 +135,7 @@ impl<'a> Bench<'a> {
             edges,
             cone: cone.into_iter().map(|(s, _)| s).collect(),
             settings,
-            twins: Twins::of(model, slots),
+            twins: ExchangeablePair::of(model, slots),
             grouping: grouping(model, tests).ok().flatten().map(Arc::new), // whether there is one is looked at before
             units: OnceLock::new(),
             scales: OnceLock::new(),
@@ -155,10 +155,16 @@ impl<'a> Bench<'a> {
         model: &'a PhasedModel,
         (slots, settings): (&'a Slots, &'a Settings),
         (answers, units): (&Arc<Answers>, Vec<f64>),
-    ) -> Bench<'a> {
-        let bench = Bench::new(model, &[], slots, settings);
+    ) -> ProfileLikelihood<'a> {
+        let objective = ProfileLikelihood::new(model, &[], slots, settings);
         // all of them together stand for one test that knows every value
-        Bench { scale: None, order: vec![0].into(), answers: Some(answers.clone()), units: units.into(), ..bench }
+        ProfileLikelihood {
+            scale: None,
+            order: vec![0].into(),
+            answers: Some(answers.clone()),
+            units: units.into(),
+            ..objective
+        }
     }
 
     /// The groups that tests stand in, where the model has levels.
@@ -230,8 +236,8 @@ impl<'a> Bench<'a> {
 
     /// The same by the filters and their backward runs alone.
     #[cfg(test)]
-    pub(crate) fn unscaled(self) -> Bench<'a> {
-        Bench { scale: None, ..self }
+    pub(crate) fn unscaled(self) -> ProfileLikelihood<'a> {
+        ProfileLikelihood { scale: None, ..self }
     }
 
     /// Runs of the filters over all tests, forward.
@@ -244,8 +250,8 @@ impl<'a> Bench<'a> {
         self.score_passes.load(Ordering::Relaxed)
     }
 
-    /// Counts what another bench of the same ensemble has run.
-    pub(crate) fn absorb(&self, other: &Bench<'_>) {
+    /// Counts what another objective of the same ensemble has run.
+    pub(crate) fn absorb(&self, other: &ProfileLikelihood<'_>) {
         let pairs = [
             (&self.filter_passes, &other.filter_passes),
             (&self.score_passes, &other.score_passes),
@@ -311,7 +317,7 @@ impl<'a> Bench<'a> {
         let alpha = self.alpha(values);
         if let Some(AtScale { estimate, gradient, information }) = self.scaled(values, &alpha, near, scale::EXACT)? {
             let (gradient, told) = (vec![gradient], SecondDerivatives::Scale(information));
-            return Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, told });
+            return Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, second_derivatives: told });
         }
         let reduced = self.reduce(values)?;
         let estimate = self.inner(&reduced.reductions, &alpha, near)?;
@@ -331,7 +337,7 @@ impl<'a> Bench<'a> {
             matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
         let gradient = self.gradient(values, &scores, &matrix);
         let told = SecondDerivatives::Tests(Box::new(OfTests { reductions: reduced.reductions, scores }));
-        Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, told })
+        Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, second_derivatives: told })
     }
 
     /// The same where one value scales all noise.
@@ -353,7 +359,7 @@ impl<'a> Bench<'a> {
 
     /// The reductions at a solved α.
     fn reductions_at<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, Reductions>, DynamicError> {
-        match &home.told {
+        match &home.second_derivatives {
             SecondDerivatives::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
             SecondDerivatives::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
         }
@@ -361,7 +367,7 @@ impl<'a> Bench<'a> {
 
     /// What each test says at a solved α.
     pub(crate) fn of_tests<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, OfTests>, DynamicError> {
-        if let SecondDerivatives::Tests(tests) = &home.told {
+        if let SecondDerivatives::Tests(tests) = &home.second_derivatives {
             return Ok(Cow::Borrowed(&**tests));
         }
         let reduced = self.reduce(&home.values)?;
@@ -413,7 +419,7 @@ impl<'a> Bench<'a> {
     }
 
     /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
-    pub(crate) fn shift(&self, home: &ProfilePoint, values: &[f64]) -> Option<Shifted> {
+    pub(crate) fn shift(&self, home: &ProfilePoint, values: &[f64]) -> Option<FixedLawPoint> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
@@ -422,7 +428,7 @@ impl<'a> Bench<'a> {
         let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
         let inner = at.gradient(&home.estimate.state);
         let tests = OfTests { reductions: reduced.reductions, scores };
-        Some(Shifted { values: values.to_vec(), inner, tests, matrix })
+        Some(FixedLawPoint { values: values.to_vec(), inner, tests, matrix })
     }
 
     /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
@@ -445,10 +451,10 @@ impl<'a> Bench<'a> {
     }
 
     /// What [`Bench::shift`] gives at home.
-    pub(crate) fn at_home(&self, home: &ProfilePoint) -> Option<Shifted> {
+    pub(crate) fn at_home(&self, home: &ProfilePoint) -> Option<FixedLawPoint> {
         let state = &home.estimate.state;
         let sigma = &home.estimate.covariance;
-        Some(Shifted {
+        Some(FixedLawPoint {
             values: home.values.clone(),
             inner: state.place.tangent.gradient.clone(),
             tests: self.of_tests(home).ok()?.into_owned(),
@@ -458,7 +464,7 @@ impl<'a> Bench<'a> {
 
     /// The reductions at a solved α, and the estimate on them.
     pub(crate) fn grounded(&self, home: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
-        let ProfilePoint { values, estimate, told, .. } = home;
+        let ProfilePoint { values, estimate, second_derivatives: told, .. } = home;
         if let SecondDerivatives::Tests(tests) = told {
             return Ok((tests.reductions, estimate));
         }

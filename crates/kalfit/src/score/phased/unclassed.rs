@@ -3,16 +3,16 @@
 use rayon::prelude::*;
 
 use crate::reduce::ReduceError;
-use crate::score::chain::{Gradient, add};
-use crate::score::phased::together::{Score, ScoredEnsemble};
+use crate::score::phased::design_classes::{Score, ScoredEnsemble};
 use crate::score::phased::{PhasedScorer, ScoreWorkspace};
-use crate::score::smoother::Smooth;
+use crate::score::pullback::{Gradient, add};
+use crate::score::smoother::SmoothedPhase;
 
 /// What is known of one test so far.
 #[derive(Debug, Default)]
 pub(super) struct TestScore {
     /// What the passes through its phases begin from.
-    pub(super) phases: Vec<Smooth>,
+    pub(super) phases: Vec<SmoothedPhase>,
     /// By phase; last, what goes through the carries.
     parts: Vec<Gradient>,
     /// Of several errors, that of the first phase.

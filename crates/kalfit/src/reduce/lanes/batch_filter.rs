@@ -3,8 +3,8 @@
 use kalfit_lanes::Isa;
 
 use crate::reduce::design::Design;
-use crate::reduce::lanes::block::DataBlock;
-use crate::reduce::lanes::designs::{DesignBatch, Loaded};
+use crate::reduce::lanes::data_block::DataBlock;
+use crate::reduce::lanes::design_batch::{DesignBatch, DesignPassKernel};
 use crate::reduce::lanes::workspace::DataWorkspace;
 
 /// A test in each lane: design and data, and what their filters leave. All tests have the steps and the measurements of one
@@ -12,7 +12,7 @@ use crate::reduce::lanes::workspace::DataWorkspace;
 #[derive(Debug, Clone)]
 pub(crate) struct BatchFilter {
     pub(crate) block: DataBlock,
-    pub(crate) gained: DesignBatch,
+    pub(crate) design_batch: DesignBatch,
 }
 
 /// What may change of them: number k of the test in a lane stands at k × lanes + lane.
@@ -38,24 +38,24 @@ pub(crate) struct BatchColumns<'a> {
 impl BatchFilter {
     /// Of no test yet.
     pub(crate) fn new(isa: Isa) -> BatchFilter {
-        BatchFilter { block: DataBlock::new(isa), gained: DesignBatch::default() }
+        BatchFilter { block: DataBlock::new(isa), design_batch: DesignBatch::default() }
     }
 
     /// Of a shape in which each step is a run, with so many transitions: all numbers are zero, but noises are one.
     pub(crate) fn blank(&mut self, design: &Design, transitions: usize) {
         self.block.clear(design.frame.n, transitions * design.frame.driven.len(), design.rows());
-        self.gained.blank(design, self.block.lanes());
+        self.design_batch.blank(design, self.block.lanes());
     }
 
     pub(crate) fn columns(&mut self) -> BatchColumns<'_> {
-        let DesignBatch { variance, h, noise, phi, q, .. } = &mut self.gained;
+        let DesignBatch { variance, h, noise, phi, q, .. } = &mut self.design_batch;
         let [start, inputs, values] = self.block.numbers_mut();
         BatchColumns { variance, h, noise, phi, q, start, inputs, values }
     }
 
     /// Runs the filters of so many tests, and their data passes.
     pub(crate) fn filter(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
-        let BatchFilter { block, gained } = self;
-        block.isa().run(Loaded { design, tests, data: Some(block.side()), gained, room });
+        let BatchFilter { block, design_batch: gained } = self;
+        block.isa().run(DesignPassKernel { design, tests, data: Some(block.side()), gained, room });
     }
 }

@@ -12,8 +12,8 @@ use std::sync::Arc;
 use crate::ensemble::Test;
 use crate::reduce::{Fault, Workspace};
 use crate::score::backward::{MeasurementAdjoint, TransitionAdjoint};
-use crate::score::chain::adjoints::Adjoints;
-use crate::score::chain::gradient::Gradient;
+use crate::score::pullback::adjoints::Adjoints;
+use crate::score::pullback::gradient::Gradient;
 
 /// Where factors stand, from and to.
 pub(crate) type FactorSpan = (u32, u32);
@@ -52,7 +52,7 @@ pub(crate) struct MoveResponse {
 
 /// The answers to all adjoints of a test.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Response {
+pub(crate) struct PullbackFactors {
     /// The free values that answer, ascending.
     pub(crate) slots: Vec<usize>,
     /// (place among the slots, factor).
@@ -68,7 +68,7 @@ pub(crate) struct Response {
     pub(crate) variance: Range<usize>,
 }
 
-impl Response {
+impl PullbackFactors {
     /// (place among the slots, factor) of a span.
     #[inline(always)]
     pub(crate) fn factors(&self, (from, to): FactorSpan) -> &[(u32, f64)] {
@@ -81,14 +81,14 @@ impl Response {
     }
 
     /// Turns numbers of slots into places among those that answer.
-    fn settle(mut self) -> Response {
+    fn settle(mut self) -> PullbackFactors {
         let mut slots: Vec<usize> = self.factors.iter().map(|&(slot, _)| slot as usize).collect();
         slots.sort_unstable();
         slots.dedup();
         for (slot, _) in &mut self.factors {
             *slot = slots.binary_search(&(*slot as usize)).expect("it is among them") as u32;
         }
-        Response { slots, ..self }
+        PullbackFactors { slots, ..self }
     }
 }
 
@@ -99,7 +99,7 @@ struct Asking<'a, 'b> {
     adjoints: &'a mut Adjoints<'b>,
     test: &'a Test,
     work: &'a Workspace,
-    response: Response,
+    response: PullbackFactors,
     known: HashMap<MoveKey, MoveResponse>,
 }
 
@@ -113,8 +113,9 @@ impl Adjoints<'_> {
         &mut self,
         (test, work): (&Test, &Workspace),
         steps: impl Iterator<Item = usize>,
-    ) -> Result<Response, Box<Fault>> {
-        let mut asking = Asking { adjoints: self, test, work, response: Response::default(), known: HashMap::new() };
+    ) -> Result<PullbackFactors, Box<Fault>> {
+        let mut asking =
+            Asking { adjoints: self, test, work, response: PullbackFactors::default(), known: HashMap::new() };
         let done = asking.all(steps);
         let response = asking.response;
         if done.is_err() {
@@ -124,7 +125,7 @@ impl Adjoints<'_> {
     }
 
     /// How many adjoints one transition is asked about.
-    pub(crate) fn questions(&self, work: &Workspace) -> usize {
+    pub(crate) fn adjoint_count(&self, work: &Workspace) -> usize {
         let (needs, frame) = (self.chain.needs, &work.design.frame);
         let (phi, q) = self.chain.preparer.plan.entries();
         let inputs = needs.rates || needs.inputs;

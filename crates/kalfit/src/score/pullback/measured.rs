@@ -6,7 +6,7 @@ use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::{Fault, Workspace};
 use crate::score::backward::MeasurementAdjoint;
-use crate::score::chain::adjoints::{Adjoints, Measuring};
+use crate::score::pullback::adjoints::{Adjoints, Measuring};
 
 impl Adjoints<'_> {
     /// The measurements of step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. h̄ is

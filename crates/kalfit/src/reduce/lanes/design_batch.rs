@@ -7,14 +7,14 @@ use std::sync::Arc;
 use kalfit_lanes::{Kernel, Lanes};
 
 use crate::reduce::design::{Design, EqualSteps, Pattern, Transition};
-use crate::reduce::end::TerminalRoot;
-use crate::reduce::gains::{Gains, Piece};
+use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel::{self, FilterState};
 use crate::reduce::lanes::numbers::{DataView, Numbers, at, put};
 use crate::reduce::lanes::pass::innovate;
 use crate::reduce::lanes::squares;
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::sums::{InformationSums, packed};
+use crate::reduce::terminal_root::TerminalRoot;
 
 /// Designs of one shape and all that their pass leaves, in lanes.
 #[derive(Debug, Clone, Default)]
@@ -47,7 +47,7 @@ pub(crate) struct DesignBatch {
 
 /// The design pass over designs whose numbers are in lanes, so many of them and of the shape of `design`; then the data pass, if there
 /// are data.
-pub(super) struct Loaded<'a> {
+pub(super) struct DesignPassKernel<'a> {
     pub(super) design: &'a Design,
     pub(super) tests: usize,
     pub(super) data: Option<DataView<'a>>,
@@ -55,12 +55,12 @@ pub(super) struct Loaded<'a> {
     pub(super) room: &'a mut DataWorkspace,
 }
 
-impl Kernel for Loaded<'_> {
+impl Kernel for DesignPassKernel<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Loaded { design, tests, data, gained, room } = self;
+        let DesignPassKernel { design, tests, data, gained, room } = self;
         let sums = gained.filter::<T>(design);
         gained.finish(&sums, tests);
         if let Some(data) = data {
@@ -216,7 +216,7 @@ impl DesignBatch {
             p: self.p,
             gains: own(&self.gains, rows * self.stride),
             sensitivities: own(&self.sensitivities, rows * self.p),
-            pieces: vec![Piece::all(rows)],
+            pieces: vec![GainSpan::all(rows)],
             factor,
             log_determinant,
             active: rows,

@@ -4,7 +4,7 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::StateFrame;
-use crate::score::backward::run::{AdjointsWanted, TestRun};
+use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 
 /// A scalar measurement.
 #[derive(Debug, Clone, Copy)]
@@ -21,14 +21,14 @@ pub(super) struct ScalarMeasurement<'a, T = f64> {
 
 /// The states, and the root C of what is not known of ξ (p × columns, by rows).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Unknown<'a, T = f64> {
+pub(super) struct PosteriorRoot<'a, T = f64> {
     pub(super) frame: &'a StateFrame,
     pub(super) root: &'a [T],
     pub(super) columns: usize,
     pub(super) wanted: AdjointsWanted,
 }
 
-impl<T: Real> Unknown<'_, T> {
+impl<T: Real> PosteriorRoot<'_, T> {
     /// Adjoints of φ or h are wanted, so that P and ΨC are needed.
     #[inline(always)]
     pub(super) fn tracked(&self) -> bool {
@@ -49,16 +49,16 @@ impl<T: Real> Unknown<'_, T> {
     }
 }
 
-impl TestRun<'_> {
+impl BackwardInput<'_> {
     /// A scalar measurement of the design.
     pub(super) fn line(&self, (line, row): (usize, usize)) -> ScalarMeasurement<'_> {
         let ((states, h), (weight, K, T)) = (self.design.terms(line), self.gains.row(row));
         ScalarMeasurement { states, h, noise: self.design.noise[line], weight, K, T }
     }
 
-    pub(super) fn unknown(&self) -> Unknown<'_> {
-        let TestRun { design, moments, wanted, .. } = *self;
-        Unknown { frame: &design.frame, root: &moments.root, columns: moments.columns, wanted }
+    pub(super) fn unknown(&self) -> PosteriorRoot<'_> {
+        let BackwardInput { design, moments, wanted, .. } = *self;
+        PosteriorRoot { frame: &design.frame, root: &moments.root, columns: moments.columns, wanted }
     }
 }
 

@@ -6,7 +6,7 @@ use crate::innovations::law::EnteringLaw;
 
 /// What a phase adds of its own.
 #[derive(Debug)]
-pub(super) struct OwnLaw {
+pub(super) struct PhasePrior {
     pub(super) mean: Vec<f64>,
     /// (element of μ, coefficient), in the order of the covariates.
     pub(super) regressions: Vec<(usize, f64)>,
@@ -19,7 +19,7 @@ pub(super) struct OwnLaw {
     pub(super) filtered: bool,
 }
 
-impl OwnLaw {
+impl PhasePrior {
     /// What the phase adds to the mean of σ, q numbers.
     pub(super) fn mean_of(&self, covariates: &[f64], q: usize) -> DVector<f64> {
         let mut mean = DVector::from_fn(q, |i, _| self.mean.get(i).copied().unwrap_or(0.0));

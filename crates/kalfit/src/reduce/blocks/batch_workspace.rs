@@ -7,7 +7,7 @@ use kalfit_lanes::Isa;
 use crate::ensemble::Test;
 use crate::reduce::Terminal;
 use crate::reduce::blocks::layout::BatchLayout;
-use crate::reduce::blocks::reduced::{ReducedTests, TestInfo};
+use crate::reduce::blocks::reduced::{ReducedTests, TestHeader};
 use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
@@ -28,10 +28,10 @@ pub(super) fn together(own: &[Skeleton], lanes: usize) -> usize {
 
 /// Room for tests side by side.
 #[derive(Debug)]
-pub(crate) struct OneBatch {
+pub(crate) struct BatchWorkspace {
     layout: BatchLayout,
     values: BatchValues,
-    own: Vec<TestInfo>,
+    own: Vec<TestHeader>,
     identities: Vec<Identity>,
 }
 
@@ -44,30 +44,30 @@ pub(crate) struct EnteringMoments {
 
 /// What the filter of a test has found.
 #[derive(Debug)]
-pub(crate) struct Passed<'a> {
-    beside: &'a OneBatch,
+pub(crate) struct FilteredLane<'a> {
+    beside: &'a BatchWorkspace,
     lane: usize,
     room: &'a DataWorkspace,
     /// Where it ends, if that is wanted.
     pub(crate) end: Option<Terminal>,
 }
 
-impl Passed<'_> {
+impl FilteredLane<'_> {
     /// e and 1/S of each of its measurements.
     pub(crate) fn innovations(&self) -> impl Iterator<Item = (f64, f64)> {
         let BatchLayout { lanes, measured, design, .. } = &self.beside.layout;
-        let kept = &self.beside.values.kept;
-        let weights = kept.gained.weights((self.lane, *lanes), design.rows());
+        let kept = &self.beside.values.batch_filter;
+        let weights = kept.design_batch.weights((self.lane, *lanes), design.rows());
         let has = measured.iter().skip(self.lane).step_by(*lanes);
         let all = kept.block.innovations(self.lane, self.room).zip(weights).zip(has);
         all.filter(|(_, has)| **has != 0.0).map(|(found, _)| found)
     }
 }
 
-impl OneBatch {
+impl BatchWorkspace {
     /// For tests of a model.
-    pub(crate) fn new(isa: Isa, reducer: &Reducer) -> OneBatch {
-        OneBatch {
+    pub(crate) fn new(isa: Isa, reducer: &Reducer) -> BatchWorkspace {
+        BatchWorkspace {
             layout: BatchLayout::new(isa, reducer.preparer()),
             values: BatchValues::new(isa),
             own: Vec::new(),
@@ -85,9 +85,12 @@ impl OneBatch {
     ) {
         each_group(skeletons, self.layout.lanes, |group| {
             self.take(reducer, tests, group);
-            let OneBatch { layout, values, own, .. } = self;
-            own.iter().zip(values.sound).filter(|(_, sound)| *sound).for_each(|(own, _)| reducer.ran(own.digest));
-            values.filter((layout, own), (reducer, |own: &TestInfo| own.digest), tests, room, found);
+            let BatchWorkspace { layout, values, own, .. } = self;
+            own.iter()
+                .zip(values.sound)
+                .filter(|(_, sound)| *sound)
+                .for_each(|(own, _)| reducer.count_design_run(own.digest));
+            values.filter((layout, own), (reducer, |own: &TestHeader| own.digest), tests, room, found);
         });
     }
 
@@ -98,30 +101,30 @@ impl OneBatch {
         reducer: &Reducer,
         (tests, skeletons, entering): (&[&Test], &mut [Skeleton], &[EnteringMoments]),
         room: &mut DataWorkspace,
-        mut show: impl FnMut(&Skeleton, Option<Passed<'_>>),
+        mut show: impl FnMut(&Skeleton, Option<FilteredLane<'_>>),
     ) {
         each_group(skeletons, self.layout.lanes, |group| {
             self.take(reducer, tests, group);
-            let OneBatch { layout, values, .. } = self;
-            let BatchColumns { start, variance, .. } = values.kept.columns();
+            let BatchWorkspace { layout, values, .. } = self;
+            let BatchColumns { start, variance, .. } = values.batch_filter.columns();
             for (lane, &number) in layout.tests.iter().enumerate() {
                 let EnteringMoments { mean, variance: own } = &entering[number];
                 mean.iter().for_each(|&(place, x)| start[place * layout.lanes + lane] += x);
                 own.iter().for_each(|&(place, x)| variance[place * layout.lanes + lane] += x);
             }
-            values.kept.gained.with_ends = reducer.wants_ends();
-            values.kept.filter(&layout.design, group.len(), room);
+            values.batch_filter.design_batch.with_ends = reducer.wants_ends();
+            values.batch_filter.filter(&layout.design, group.len(), room);
             for (lane, own) in group.iter().enumerate() {
                 let found = self.values.of(lane, (&self.layout, own.instances.len()), reducer, room);
                 let end = found.map(|(.., end)| end);
-                show(own, end.map(|end| Passed { beside: self, lane, room, end }));
+                show(own, end.map(|end| FilteredLane { beside: self, lane, room, end }));
             }
         });
     }
 
     /// Takes tests, in place of others.
     fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &mut [Skeleton]) {
-        let OneBatch { layout, values, own, identities } = self;
+        let BatchWorkspace { layout, values, own, identities } = self;
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         own.clear();
@@ -132,7 +135,7 @@ impl OneBatch {
             values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());
             let covariates = std::mem::take(&mut skeleton.covariates);
             let (steps, observations) = (skeleton.len(), skeleton.instances.len());
-            own.push(TestInfo { digest, covariates, steps, observations });
+            own.push(TestHeader { digest, covariates, steps, observations });
         }
     }
 }

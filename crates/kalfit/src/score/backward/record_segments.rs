@@ -1,33 +1,33 @@
 //! A record in legs, for other data to pass over: what it is made of, and the P of the way of one record over it.
 
 use crate::reduce::{DesignStep, moving};
-use crate::score::backward::equal::Equal;
-use crate::score::backward::parts::FilterPosition;
-use crate::score::backward::run::TestRun;
+use crate::score::backward::equal::EqualStretch;
+use crate::score::backward::forward::FilterPosition;
+use crate::score::backward::run::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment, SegmentKind};
 
 /// Steps that are gone through together.
 #[derive(Debug)]
-pub(crate) enum Leg<'a> {
+pub(crate) enum RecordSegment<'a> {
     /// One by one.
     Steps(Vec<DesignStep<'a>>),
     /// Equal ones of one scalar measurement.
-    Equal(Equal<'a>),
+    Equal(EqualStretch<'a>),
 }
 
 /// The legs of a record, and P, r × r, as far as adjoints are wanted that need it: before each transition, and before each scalar
 /// measurement. Of equal steps there is one place, of the first of them, and it is not filled.
 #[derive(Debug, Default)]
-pub(crate) struct Legs<'a> {
-    pub(crate) legs: Vec<Leg<'a>>,
+pub(crate) struct RecordSegments<'a> {
+    pub(crate) legs: Vec<RecordSegment<'a>>,
     pub(crate) left: Vec<f64>,
     pub(crate) before: Vec<f64>,
 }
 
-impl<'a> TestRun<'a> {
+impl<'a> BackwardInput<'a> {
     /// Its legs, after the way forth over it.
-    pub(crate) fn legs(&'a self, work: &mut BackwardWork) -> Legs<'a> {
-        let mut legs = Legs::default();
+    pub(crate) fn legs(&'a self, work: &mut BackwardWork) -> RecordSegments<'a> {
+        let mut legs = RecordSegments::default();
         for at in 0..work.parts.len() {
             let part = work.parts[at];
             match part.kind {
@@ -38,8 +38,8 @@ impl<'a> TestRun<'a> {
         legs
     }
 
-    fn one_by_one(&'a self, part: &Segment, work: &mut BackwardWork, legs: &mut Legs<'a>) {
-        let Legs { legs, left, before } = legs;
+    fn one_by_one(&'a self, part: &Segment, work: &mut BackwardWork, legs: &mut RecordSegments<'a>) {
+        let RecordSegments { legs, left, before } = legs;
         if self.tracked() {
             work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
             let BackwardWork { e, now, .. } = work;
@@ -49,10 +49,10 @@ impl<'a> TestRun<'a> {
                 _ => {}
             });
         }
-        legs.push(Leg::Steps(part.steps(self.design).collect()));
+        legs.push(RecordSegment::Steps(part.steps(self.design).collect()));
     }
 
-    fn together(&'a self, part: &Segment, work: &BackwardWork, legs: &mut Legs<'a>) {
+    fn together(&'a self, part: &Segment, work: &BackwardWork, legs: &mut RecordSegments<'a>) {
         let stretch = self.design.stretch(part.stretch);
         let (n, r, states) = (self.design.frame.n, self.design.frame.r, moving(self.design, &stretch));
         let blocks = stretch.count.div_ceil(work.cut.block);
@@ -69,7 +69,7 @@ impl<'a> TestRun<'a> {
         legs.left
             .resize(legs.left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
         legs.before.resize(legs.before.len() + usize::from(self.wanted.equation) * place, 0.0);
-        legs.legs.push(Leg::Equal(Equal::new(self, part, work.cut.block).with_marks(states, P)));
+        legs.legs.push(RecordSegment::Equal(EqualStretch::new(self, part, work.cut.block).with_marks(states, P)));
     }
 }
 

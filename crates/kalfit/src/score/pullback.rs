@@ -28,15 +28,15 @@ use crate::reduce::{Coefficient, Fault, ModelAt, Preparer, ReduceErrorKind, Subj
 
 pub(crate) use adjoints::Adjoints;
 pub(crate) use gradient::{Gradient, add};
-pub(crate) use response::{Response, ResponseEntry};
-use taps::{Context, Read, Taps};
+pub(crate) use response::{PullbackFactors, ResponseEntry};
+use taps::{CellRead, Context, FreeCoefficients};
 
 /// The way from the coefficients of a model at α to its free values. Threads share it.
 #[derive(Debug)]
 pub(crate) struct Pullback<'a> {
     preparer: &'a Preparer,
     slots: &'a Slots,
-    taps: Taps,
+    taps: FreeCoefficients,
     /// Tap of each slot of the dynamics' coefficients.
     values: Vec<Option<usize>>,
     /// Tap of each slot of the dynamics' inputs.
@@ -44,9 +44,9 @@ pub(crate) struct Pullback<'a> {
     /// For each slot of the dynamics' coefficients, whether it has a tap.
     free: Vec<bool>,
     /// Cells that taps of the dynamics' coefficients read.
-    reads: Vec<Read>,
+    reads: Vec<CellRead>,
     /// Cells that any tap reads, if any does.
-    cells: Option<Vec<Read>>,
+    cells: Option<Vec<CellRead>>,
     meters: Vec<MeterTaps>,
     pairs: Vec<Option<usize>>,
     /// Tap of each of the start's coefficients.
@@ -86,7 +86,7 @@ impl<'a> Pullback<'a> {
     pub(crate) fn new(preparer: &'a Preparer, slots: &'a Slots) -> Result<Pullback<'a>, Box<Fault>> {
         let at = preparer.at();
         refuse_jumps(&at, preparer)?;
-        let mut taps = Taps::default();
+        let mut taps = FreeCoefficients::default();
         let dynamics = &preparer.dynamics;
         let values = table(&mut taps, &at, &dynamics.table);
         let inputs = table(&mut taps, &at, &dynamics.inputs);
@@ -98,7 +98,7 @@ impl<'a> Pullback<'a> {
         }
         let pairs: Vec<Option<usize>> = preparer.meters.pairs().map(|pair| taps.add(&at, pair)).collect();
         let start: Vec<Option<usize>> = preparer.start.coefficients().map(|c| taps.add(&at, c)).collect();
-        let reads: BTreeSet<Read> = values.iter().flatten().flat_map(|&tap| taps.reads(tap)).copied().collect();
+        let reads: BTreeSet<CellRead> = values.iter().flatten().flat_map(|&tap| taps.reads(tap)).copied().collect();
         let free = values.iter().map(Option::is_some).collect();
         let cells = taps.all_reads();
         let mut chain = Pullback {
@@ -178,7 +178,7 @@ impl<'a> Pullback<'a> {
 }
 
 /// Taps of a table, by slot.
-fn table(taps: &mut Taps, at: &ModelAt<'_>, table: &crate::reduce::Table) -> Vec<Option<usize>> {
+fn table(taps: &mut FreeCoefficients, at: &ModelAt<'_>, table: &crate::reduce::Table) -> Vec<Option<usize>> {
     let mut places = vec![None; table.fixed.len()];
     for (slot, coefficient) in table.free.iter().map(|(slot, c)| (*slot, c)) {
         places[slot] = taps.add(at, coefficient);

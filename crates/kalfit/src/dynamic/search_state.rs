@@ -3,8 +3,8 @@
 use nalgebra::DVector;
 
 use crate::dynamic::Standing;
-use crate::dynamic::bench::{Bench, ProfilePoint};
 use crate::dynamic::joint::JointInformation;
+use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::dynamic::quadratic::{LevelScale, ProfileInformation};
 use crate::estimate::{Progress, Stage, Step, Stop};
 use crate::model::Population;
@@ -40,7 +40,7 @@ impl From<Vec<f64>> for SearchStart {
 
 /// Where a search is.
 pub(crate) struct SearchState<'b, 'a> {
-    pub(super) bench: &'b Bench<'a>,
+    pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) progress: &'b mut dyn Progress,
     pub(crate) home: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
@@ -92,14 +92,18 @@ impl SearchEnd {
 }
 
 impl<'b, 'a> SearchState<'b, 'a> {
-    pub(crate) fn new(bench: &'b Bench<'a>, progress: &'b mut dyn Progress, home: ProfilePoint) -> SearchState<'b, 'a> {
+    pub(crate) fn new(
+        objective: &'b ProfileLikelihood<'a>,
+        progress: &'b mut dyn Progress,
+        home: ProfilePoint,
+    ) -> SearchState<'b, 'a> {
         let n = home.values.len();
         let trace = vec![home.value()];
         let unit = |(value, unit): (&f64, &f64)| if *value > FAR_BELOW * unit { *value } else { *unit };
-        let before_zero = home.values.iter().zip(bench.units()).map(unit).collect();
-        let bottom = bench.coordinates.iter().map(|coordinate| coordinate.lower).collect();
+        let before_zero = home.values.iter().zip(objective.units()).map(unit).collect();
+        let bottom = objective.coordinates.iter().map(|coordinate| coordinate.lower).collect();
         let mut search = SearchState {
-            bench,
+            objective,
             progress,
             home,
             standing: vec![Standing::Inside; n],
@@ -123,7 +127,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
     /// Values at bounds that want to go beyond are held there, others are let go.
     pub(super) fn place(&mut self) {
         for s in 0..self.standing.len() {
-            let (coordinate, value, slope) = (self.bench.coordinates[s], self.home.values[s], self.home.gradient[s]);
+            let (coordinate, value, slope) =
+                (self.objective.coordinates[s], self.home.values[s], self.home.gradient[s]);
             self.standing[s] = match self.standing[s] {
                 kept if self.drifted[s] => kept,
                 _ if coordinate.log && value == 0.0 => Standing::Lower,
@@ -164,7 +169,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     }
 
     pub(super) fn tolerance(&self) -> f64 {
-        self.bench.settings.inner.tolerance.max(1e-7)
+        self.objective.settings.inner.tolerance.max(1e-7)
     }
 
     /// Somebody asks the search to end where it is.
@@ -180,7 +185,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     /// Says where a step has led, and how far that is from the optimum where it is known.
     pub(super) fn tell(&mut self, decrement: Option<f64>) {
         self.trace.push(self.home.value());
-        let passes = self.bench.filter_passes();
+        let passes = self.objective.filter_passes();
         self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement });
     }
 
@@ -192,7 +197,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.
     pub(super) fn at(&self, values: &[f64]) -> Option<ProfilePoint> {
         let near = Population::from(&self.home.estimate);
-        let solved = self.bench.solve(values, Some(&near)).ok()?;
+        let solved = self.objective.solve(values, Some(&near)).ok()?;
         solved.value().is_finite().then_some(solved)
     }
 

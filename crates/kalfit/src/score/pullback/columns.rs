@@ -4,12 +4,12 @@ use kalfit_lanes::{Kernel, Lanes};
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::{Fault, FilteredBlock, MotionBack, Workspace};
-use crate::score::backward::LaneBars;
-use crate::score::chain::adjoints::Adjoints;
-use crate::score::chain::gradient::Gradient;
-use crate::score::chain::whitened::PairBar;
-use crate::score::chain::{MeterTaps, Pullback};
+use crate::reduce::{Fault, FilteredBatch, MotionPullback, Workspace};
+use crate::score::backward::BatchAdjoints;
+use crate::score::pullback::adjoints::Adjoints;
+use crate::score::pullback::gradient::Gradient;
+use crate::score::pullback::whitened::PairBar;
+use crate::score::pullback::{MeterTaps, Pullback};
 
 /// The adjoints of coefficients, in lanes.
 #[derive(Debug)]
@@ -25,19 +25,19 @@ pub(crate) struct Pulled {
 
 struct Pull<'a> {
     chain: &'a Pullback<'a>,
-    block: FilteredBlock<'a>,
-    back: MotionBack<'a>,
-    bars: &'a LaneBars,
+    block: FilteredBatch<'a>,
+    back: MotionPullback<'a>,
+    bars: &'a BatchAdjoints,
 }
 
 impl Pullback<'_> {
     /// From the adjoints of a block to those of the coefficients that depend on free values; those of measurements are then of the
     /// measurements as the model has them.
-    pub(crate) fn pull(&self, block: FilteredBlock<'_>, tests: &[&Test], bars: &mut LaneBars) -> Pulled {
+    pub(crate) fn pull(&self, block: FilteredBatch<'_>, tests: &[&Test], bars: &mut BatchAdjoints) -> Pulled {
         let pairs = if self.pairs.is_empty() { Vec::new() } else { self.unwhiten(block, tests, bars) };
         let steps = (&block.layout.transitions, &block.values.motion);
         let back = self.preparer.plan.back(&self.preparer.dynamics, steps, &self.free);
-        let pulled = block.values.kept.block.isa().run(Pull { chain: self, block, back, bars });
+        let pulled = block.values.batch_filter.block.isa().run(Pull { chain: self, block, back, bars });
         Pulled { pairs, ..pulled }
     }
 
@@ -118,7 +118,7 @@ impl Adjoints<'_> {
     /// dℓ/dα of the test in a lane of a block, from what [`Pullback::pull`] has summed. `work`: room.
     pub(crate) fn of_lane(
         &mut self,
-        (block, bars, pulled): (FilteredBlock<'_>, &LaneBars, &Pulled),
+        (block, bars, pulled): (FilteredBatch<'_>, &BatchAdjoints, &Pulled),
         lane: usize,
         tests: &[&Test],
         work: &Workspace,
@@ -140,7 +140,7 @@ impl Adjoints<'_> {
 
     fn gather(
         &mut self,
-        (block, bars, pulled): (FilteredBlock<'_>, &LaneBars, &Pulled),
+        (block, bars, pulled): (FilteredBatch<'_>, &BatchAdjoints, &Pulled),
         lane: usize,
         tests: &[&Test],
     ) -> Result<(), Box<Fault>> {
@@ -173,7 +173,7 @@ impl Adjoints<'_> {
     /// What the measurements say of coefficients that are read from cells.
     fn rows(
         &mut self,
-        (block, bars): (FilteredBlock<'_>, &LaneBars),
+        (block, bars): (FilteredBatch<'_>, &BatchAdjoints),
         lane: usize,
         tests: &[&Test],
     ) -> Result<(), Box<Fault>> {

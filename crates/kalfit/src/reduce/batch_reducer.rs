@@ -6,14 +6,14 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::beside::OneBatch;
+use crate::reduce::blocks::batch_workspace::BatchWorkspace;
 use crate::reduce::blocks::reduced::ReducedTests;
 use crate::reduce::class::DesignClass;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::DataBlock;
 use crate::reduce::prepare::{Skeleton, Workspace};
 use crate::reduce::recognise::DesignCells;
-use crate::reduce::reducer::{About, DesignExemplar, Reducer};
+use crate::reduce::reducer::{DesignExemplar, Reducer, ReductionHeader};
 use crate::reduce::shared::StoreEntry;
 use crate::reduce::{Reduction, Reductions, Terminal};
 
@@ -44,7 +44,7 @@ pub(crate) fn joined(batches: Vec<Result<Reductions, ReduceError>>) -> Result<Re
 
 /// Reduces batches of tests.
 #[derive(Debug)]
-pub(crate) struct Batch<'a> {
+pub(crate) struct BatchReducer<'a> {
     reducer: &'a Reducer,
     work: Workspace,
     groups: Vec<PendingBatch>,
@@ -55,7 +55,7 @@ pub(crate) struct Batch<'a> {
     /// Tests with designs of their own, and room for them.
     own: Vec<Skeleton>,
     spare: Vec<Skeleton>,
-    beside: OneBatch,
+    beside: BatchWorkspace,
     /// Reductions as they come. Odd ones, with which something is wrong or that call for square-root arrays, come last, each by itself.
     found: ReducedTests,
     /// What is wrong with tests, by their numbers.
@@ -90,16 +90,16 @@ impl Reducer {
         let rows = tests.iter().map(|test| test.rows()).sum();
         let batches = tests
             .par_chunks(share(tests.len(), rows))
-            .map_init(|| Batch::new(self), |batch, tests| batch.reduce(tests))
+            .map_init(|| BatchReducer::new(self), |batch, tests| batch.reduce(tests))
             .collect();
         joined(batches)
     }
 }
 
-impl<'a> Batch<'a> {
-    pub(crate) fn new(reducer: &'a Reducer) -> Batch<'a> {
+impl<'a> BatchReducer<'a> {
+    pub(crate) fn new(reducer: &'a Reducer) -> BatchReducer<'a> {
         let work = reducer.workspace();
-        Batch {
+        BatchReducer {
             reducer,
             work,
             groups: Vec::new(),
@@ -107,7 +107,7 @@ impl<'a> Batch<'a> {
             oldest: 0,
             own: Vec::new(),
             spare: Vec::new(),
-            beside: OneBatch::new(Isa::best(), reducer),
+            beside: BatchWorkspace::new(Isa::best(), reducer),
             found: ReducedTests::default(),
             faults: Vec::new(),
             endings: Vec::new(),
@@ -162,8 +162,8 @@ impl<'a> Batch<'a> {
 
     /// Makes the group of the test's design the latest one; else the digest that it is to be known by, if any.
     fn recognise(&mut self, tests: &[&Test], test: &Test) -> Result<(), Option<u128>> {
-        let looks = self.reducer.preparer().looks.as_ref().ok_or(None)?;
-        if self.groups.get(self.latest).is_some_and(|group| looks.alike(test, &group.known.key)) {
+        let looks = self.reducer.preparer().cell_mask.as_ref().ok_or(None)?;
+        if self.groups.get(self.latest).is_some_and(|group| looks.has_cells(test, &group.known.key)) {
             return Ok(());
         }
         // tests with designs of their own mostly differ from the first rows on
@@ -172,7 +172,7 @@ impl<'a> Batch<'a> {
         }
         let digest = looks.digest(test, true);
         let known = self.reducer.known().find(digest).map_err(|seen| seen.then_some(digest))?;
-        if !looks.alike(test, &known.key) {
+        if !looks.has_cells(test, &known.key) {
             return Err(None);
         }
         let open = self.groups.iter().position(|group| Arc::ptr_eq(&group.known, &known));
@@ -220,7 +220,7 @@ impl<'a> Batch<'a> {
         for (lane, (number, covariates)) in seats.drain(..).enumerate() {
             let outcome = block.outcome(lane, (gains.active, gains.log_determinant), &self.work.room);
             if outcome.is_finite() {
-                let about = About::new(gains, &covariates, (known.steps, known.digest));
+                let about = ReductionHeader::new(gains, &covariates, (known.steps, known.digest));
                 self.found.reductions.put(self.reducer.row(tests[number], &outcome, about));
                 self.found.numbers.push(number);
                 if let Some(ending) = self.endings.get_mut(number) {
@@ -248,14 +248,14 @@ impl<'a> Batch<'a> {
         }
         let found = reducer.one(test, &mut self.work);
         if let (Some(digest), Ok((_, class))) = (digest, &found) {
-            reducer.learn(test, class, digest, &self.work);
+            reducer.add_exemplar(test, class, digest, &self.work);
         }
         self.note_alone(number, found);
     }
 
     /// Reduces tests with designs of their own.
     fn side_by_side(&mut self, tests: &[&Test]) {
-        let Batch { reducer, work, own, beside, found, .. } = self;
+        let BatchReducer { reducer, work, own, beside, found, .. } = self;
         let first = found.numbers.len();
         beside.reduce(reducer, (tests, own), &mut work.room, found);
         for (&number, terminal) in found.numbers[first..].iter().zip(found.terminals.drain(..)) {
@@ -375,7 +375,7 @@ mod tests {
                 continue;
             }
             many[processes] += 1;
-            let (root, _) = reducer.rooted(&test, &mut reducer.workspace()).expect("sound");
+            let (root, _) = reducer.reduce_by_root(&test, &mut reducer.workspace()).expect("sound");
             assert_eq!(root.path, Path::SquareRoot);
             // d is a projection of all innovations, in units of their deviations
             let all = norm(&root.data) + root.residual.expect("it was made of measurements").sqrt();

@@ -6,10 +6,10 @@ use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::{Fault, GatheredCells, LawAdjoint, Replay, StartAdjoint, Unwhitened, Workspace};
 use crate::score::backward::MeasurementAdjoint;
-use crate::score::chain::Pullback;
-use crate::score::chain::gradient::Gradient;
-use crate::score::chain::groups::Groups;
-use crate::score::chain::taps::{Pending, Read};
+use crate::score::pullback::Pullback;
+use crate::score::pullback::gradient::Gradient;
+use crate::score::pullback::groups::Groups;
+use crate::score::pullback::taps::{CellRead, Pending};
 
 /// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
 #[derive(Debug)]
@@ -90,11 +90,11 @@ impl Adjoints<'_> {
         let rows = work.rows_of(&steps, chain.preparer.clock_previous());
         let (numbers, texts) = (test.numbers(rows.start), test.texts(rows.start));
         reads.iter().all(|read| match *read {
-            Read::Step => true,
-            Read::Number(column) => {
+            CellRead::Step => true,
+            CellRead::Number(column) => {
                 rows.clone().all(|row| test.numbers(row)[column].to_bits() == numbers[column].to_bits())
             }
-            Read::Text(column) => rows.clone().all(|row| test.texts(row)[column] == texts[column]),
+            CellRead::Text(column) => rows.clone().all(|row| test.texts(row)[column] == texts[column]),
         })
     }
 

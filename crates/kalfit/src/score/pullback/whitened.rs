@@ -1,9 +1,9 @@
 //! Correlated measurements of tests side by side: from the adjoints of what was whitened to those of the measurements themselves.
 
 use crate::ensemble::Test;
-use crate::reduce::{Fault, FilteredBlock, Instance, Unwhitened};
-use crate::score::backward::LaneBars;
-use crate::score::chain::Pullback;
+use crate::reduce::{Fault, FilteredBatch, Instance, Unwhitened};
+use crate::score::backward::BatchAdjoints;
+use crate::score::pullback::Pullback;
 
 /// ∂ℓ/∂covariance of two measurements of a step.
 #[derive(Debug, Clone, Copy)]
@@ -19,7 +19,7 @@ pub(super) struct PairBar {
 impl Pullback<'_> {
     /// Makes the adjoints of the measurements of a block those of the measurements as the model has them; returns those of their free
     /// covariances.
-    pub(super) fn unwhiten(&self, block: FilteredBlock<'_>, tests: &[&Test], bars: &mut LaneBars) -> Vec<PairBar> {
+    pub(super) fn unwhiten(&self, block: FilteredBatch<'_>, tests: &[&Test], bars: &mut BatchAdjoints) -> Vec<PairBar> {
         let (mut pairs, mut back) = (Vec::new(), Unwhitened::default());
         for (lane, number) in block.tests() {
             for stretch in block.layout.design.stretches() {
@@ -36,9 +36,9 @@ impl Pullback<'_> {
 
     fn unwhiten_step(
         &self,
-        (block, lane, rows): (FilteredBlock<'_>, usize, &[usize]),
+        (block, lane, rows): (FilteredBatch<'_>, usize, &[usize]),
         test: &Test,
-        (bars, back): (&mut LaneBars, &mut Unwhitened),
+        (bars, back): (&mut BatchAdjoints, &mut Unwhitened),
         pairs: &mut Vec<PairBar>,
     ) -> Result<(), Box<Fault>> {
         let (meters, at, m) = (&self.preparer.meters, self.preparer.at(), rows.len());

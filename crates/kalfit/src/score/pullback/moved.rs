@@ -6,7 +6,7 @@ use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::{Evaluated, Fault, Transition, Workspace};
 use crate::score::backward::TransitionAdjoint;
-use crate::score::chain::adjoints::{Adjoints, Moving};
+use crate::score::pullback::adjoints::{Adjoints, Moving};
 
 impl Adjoints<'_> {
     /// The transition to step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. What no

@@ -3,11 +3,11 @@
 use crate::reduce::DesignStep;
 use crate::score::backward::equal::kernel;
 use crate::score::backward::filtered::FilteredMoments;
-use crate::score::backward::run::TestRun;
+use crate::score::backward::run::BackwardInput;
 use crate::score::backward::sink::Sink;
 use crate::score::backward::work::{BackwardWork, MOST, Segment, SegmentKind};
 
-impl TestRun<'_> {
+impl BackwardInput<'_> {
     /// Length of a kept state.
     pub(super) fn stride(&self) -> usize {
         let frame = &self.design.frame;

@@ -4,7 +4,7 @@ use kalfit_lanes::Isa;
 use crate::reduce::data::{Data, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::gains::Gains;
-use crate::reduce::lanes::designs::{DesignBatch, Loaded};
+use crate::reduce::lanes::design_batch::{DesignBatch, DesignPassKernel};
 use crate::reduce::lanes::numbers::DataView;
 use crate::reduce::lanes::pass::DataPass;
 use crate::reduce::lanes::workspace::DataWorkspace;
@@ -83,7 +83,7 @@ impl DataBlock {
     /// The gains of one design; `None` where square-root arrays are called for.
     pub(crate) fn gains(&self, design: &Design, gained: &mut DesignBatch, room: &mut DataWorkspace) -> Option<Gains> {
         gained.load(design, self.isa.lanes());
-        self.isa.run(Loaded { design, tests: 1, data: None, gained, room });
+        self.isa.run(DesignPassKernel { design, tests: 1, data: None, gained, room });
         gained.gains((0, self.isa.lanes()), design.rows())
     }
 
