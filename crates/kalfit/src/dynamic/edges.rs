@@ -12,7 +12,7 @@
 use crate::dynamic::Coordinate;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::ensemble::{Label, Test};
-use crate::model::{Alpha, Expression, Model, PhasedModel, Scope, Site, Slots, Tape};
+use crate::model::{Alpha, Expression, Model, Operator, PhasedModel, Scope, Site, Slots, Tape};
 use crate::reduce::{Evidence, PhasedTest};
 use crate::score::{Gradient, add};
 
@@ -164,7 +164,7 @@ impl Edge {
             match &own[..] {
                 _ if elsewhere => return None,
                 [] => {}
-                [entry] if found.is_none() && entry.covariance.exponent(parameter) == Some(1.0) => {
+                [entry] if found.is_none() && is_multiple(entry.covariance, parameter) => {
                     let one = |index: usize| (index == parameter).then_some(Expression::Number(1.0));
                     let factor = entry.covariance.replaced(&one);
                     found = Some((at, entry.variances.map(Expression::clone), factor));
@@ -267,6 +267,16 @@ fn entries(model: &Model) -> Vec<CrossNoise<'_>> {
     measured.chain(moved).flatten().collect()
 }
 
+/// c times what does not hold c, whatever the sign of c.
+fn is_multiple(covariance: &Expression, c: usize) -> bool {
+    let is_one_sided = |part: &Expression| match part {
+        Expression::Call(_, arguments) => arguments.iter().any(|argument| argument.mentions(c)),
+        Expression::Binary(Operator::Power, base, _) => base.mentions(c),
+        _ => false,
+    };
+    covariance.exponent(c) == Some(1.0) && !covariance.any(&mut |part| is_one_sided(part))
+}
+
 /// Rows of tests whose cells differ where these expressions read them; `None` where they are very many.
 fn rows<'a>(
     expressions: &[&Expression],
@@ -344,7 +354,9 @@ mod tests {
 
     #[test]
     fn what_stands_elsewhere_too_is_no_part_of_an_edge() {
-        for covariance in [name("c") * name("c"), name("c") + 0.1, name("c") * name("s")] {
+        let one_sided = (name("c") * name("s")).max(name("c") * 2.0);
+        let size = (name("c") * name("c")).power(0.5);
+        for covariance in [name("c") * name("c"), name("c") + 0.1, name("c") * name("s"), one_sided, size] {
             let (model, slots, tests) = instruments(covariance.clone());
             let sought = Edges::of(&model, &slots, &tests);
             let is_factor = covariance == name("c") * name("s");

@@ -76,6 +76,7 @@ pub(super) fn check_gradient((model, tests, slots): (&PhasedModel, &[PhasedTest]
         let settings = settings(Method::Hybrid, criterion);
         let objective = ProfileLikelihood::new(model, tests, slots, &settings);
         let home = objective.solve(values, None).expect("defined");
+        assert_eq!(home.gradient.len(), values.len());
         for (s, found) in home.gradient.iter().enumerate() {
             let at = |h: f64| {
                 let mut moved = values.to_vec();

@@ -155,10 +155,7 @@ impl ChainedFilter {
                 start.law(&work.covariates, q, link.as_ref().map(|(before, inherited)| before.link(inherited)));
             take((at, rows), gains, work, &mut law);
             let states = &phase.reducer.preparer().order.states;
-            After {
-                law: law.posterior(),
-                terminal: gains.end.clone().map(|end| end.terminal(states, work.pass.x.iter().copied())),
-            }
+            After { law: law.posterior(), terminal: gains.terminal(states, &work.pass.x) }
         });
         found.map_err(|error| phase.named(error))
     }

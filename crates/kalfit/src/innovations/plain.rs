@@ -158,7 +158,7 @@ impl PhaseBatch<'_> {
             let found = passed.map(|passed| {
                 let each = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
                 let series = rows::listed((self.at, tests[place], self.time), skeleton.measured(), each);
-                (series, passed.end)
+                (series, passed.end.map(|end| end.terminal()))
             });
             // those that call for square roots may go by themselves where there is one phase
             if found.is_none() && *alone { odd.push(place) } else { note(&mut tracks[numbers[place]], found) }
@@ -194,7 +194,7 @@ impl PhaseBatch<'_> {
         }
         let found = rows::series((self.at, rows, self.time), gains, work, |e, weight, _| figures(e, weight));
         let states = &self.known.reducer.preparer().order.states;
-        Some((found, gains.end.clone().map(|end| end.terminal(states, work.pass.x.iter().copied()))))
+        Some((found, gains.terminal(states, &work.pass.x)))
     }
 }
 

@@ -121,7 +121,7 @@ impl Propagator {
                 }
             });
             let states = &phase.reducer.preparer().order.states;
-            let end = gains.end.clone().map(|end| end.terminal(states, work.pass.x.iter().copied()));
+            let end = gains.terminal(states, &work.pass.x);
             (PhaseTrajectory { phase: at, steps: trajectory }, end.map(|end| (entering, end)))
         };
         phase.reducer.with_gains(&blank, &mut work.phases[at], follow).map_err(|error| phase.named(error).into())

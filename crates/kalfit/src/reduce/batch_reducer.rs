@@ -15,7 +15,8 @@ use crate::reduce::prepare::{Skeleton, Workspace};
 use crate::reduce::recognise::DesignCells;
 use crate::reduce::reducer::{DesignExemplar, Reducer, ReductionHeader};
 use crate::reduce::shared::StoreEntry;
-use crate::reduce::{Reduction, Reductions, Terminal};
+use crate::reduce::terminal_root::TerminalState;
+use crate::reduce::{Reduction, Reductions};
 
 /// Most classes whose blocks are filled at the same time.
 const OPEN: usize = 32;
@@ -61,11 +62,11 @@ pub(crate) struct BatchReducer<'a> {
     /// What is wrong with tests, by their numbers.
     faults: Vec<(usize, ReduceError)>,
     /// Where the tests end; empty where that is not wanted.
-    endings: Vec<Option<Terminal>>,
+    endings: Vec<Option<TerminalState>>,
 }
 
 /// A reduction, and where its test ends, if that is wanted.
-pub(crate) type ToEnd = Result<(Reduction, Option<Terminal>), ReduceError>;
+pub(crate) type ToEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
 
 /// Tests of a known design, gathered in a block.
 #[derive(Debug)]

@@ -27,7 +27,7 @@ impl DesignClass {
     }
 
     /// The last state, where it was wanted.
-    pub(crate) fn end(&self) -> Option<&TerminalRoot> {
+    pub(crate) fn end(&self) -> Option<&Arc<TerminalRoot>> {
         self.0.value().as_ref().ok()?.end.as_ref()
     }
 }

@@ -1,7 +1,10 @@
 //! The gains of a design: everything that the data pass needs but the data.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, S, J")]
 
-use crate::reduce::terminal_root::TerminalRoot;
+use std::sync::Arc;
+
+use crate::reduce::terminal::Terminal;
+use crate::reduce::terminal_root::{TerminalRoot, TerminalState};
 
 /// A finished design pass: everything but the data.
 #[derive(Debug, Clone)]
@@ -25,7 +28,7 @@ pub(crate) struct Gains {
     /// How the data are folded, when square-root arrays made it.
     pub(crate) turns: Option<FactorRotations>,
     /// The last state, where a phase follows.
-    pub(crate) end: Option<TerminalRoot>,
+    pub(crate) end: Option<Arc<TerminalRoot>>,
 }
 
 /// Rows of equal steps and what is kept of them: of the first steps each, and the last one kept stands for all that follow.
@@ -135,10 +138,15 @@ impl Gains {
         &self.sensitivities[sensitivity * self.p..][..self.p]
     }
 
+    /// Where a test with this x̂_K, in the kernels' order, ends; `None` where no phase follows.
+    pub(crate) fn terminal(&self, states: &[usize], x: &[f64]) -> Option<Terminal> {
+        Some(TerminalState::new(self.end.clone()?, states, x.iter().copied()).terminal())
+    }
+
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());
-        let end = self.end.as_ref().map_or(0, TerminalRoot::bytes);
+        let end = self.end.as_ref().map_or(0, |end| end.bytes());
         let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
         8 * (kept + self.factor.len() + turns) + end + 200
     }

@@ -163,7 +163,11 @@ impl PhaseReducer {
     ) -> Result<ReducedPhase<'a>, ReduceError> {
         let (reduction, terminal) = found?;
         let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
-        Ok(ReducedPhase { reduction: Cow::Owned(reduction), terminal: terminal.map(Cow::Owned), inherited })
+        Ok(ReducedPhase {
+            reduction: Cow::Owned(reduction),
+            terminal: terminal.map(|end| Cow::Owned(end.terminal())),
+            inherited,
+        })
     }
 
     /// What a later phase with these rows inherits.

@@ -50,7 +50,8 @@ impl Plain {
         let information = if square_root { None } else { information_gains(&design, &mut work) };
         let information = information.and_then(|mut gains| {
             if ends {
-                gains.end = Some(TerminalRoot::of_covariance(&order.states, &work.Psi, &work.P, design.frame.r)?);
+                let end = TerminalRoot::of_covariance(&order.states, &work.Psi, &work.P, design.frame.r)?;
+                gains.end = Some(Arc::new(end));
             }
             Some(gains)
         });
@@ -64,7 +65,7 @@ impl Plain {
         if !outcome.is_finite() {
             return Err(self.refuse(WHOLE, ReduceErrorKind::NotFinite));
         }
-        let terminal = gains.end.clone().map(|end| end.terminal(&order.states, pass.x.iter().copied()));
+        let terminal = gains.terminal(&order.states, &pass.x);
         let Gains { factor, active, turns, .. } = gains;
         let reduction = Reduction {
             test: self.id.clone(),
@@ -91,7 +92,7 @@ impl Plain {
             RootError::NotSemidefinite(bad) => self.refuse("process noise", bad),
             RootError::NotFinite => self.refuse(WHOLE, ReduceErrorKind::NotFinite),
         })?;
-        gains.end = Some(TerminalRoot::new(&order.states, &filter.Psi, &filter.U, design.frame.r));
+        gains.end = Some(Arc::new(TerminalRoot::new(&order.states, &filter.Psi, &filter.U, design.frame.r)));
         Ok(gains)
     }
 

@@ -24,8 +24,8 @@ use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::terminal_root::TerminalRoot;
-use crate::reduce::{Path, Reduction, ReductionRef, Reductions, Terminal};
+use crate::reduce::terminal_root::{TerminalRoot, TerminalState};
+use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
 pub(crate) use alike::LongDesignClasses;
 pub(crate) use exemplar::DesignExemplar;
 
@@ -196,8 +196,8 @@ impl Reducer {
     }
 
     /// Where a test of a class ends, if that is wanted, with x̂ of its last step, in the order of the kernels.
-    pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<Terminal> {
-        class.end().cloned().map(|end| end.terminal(&self.preparer.order.states, x))
+    pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<TerminalState> {
+        class.end().cloned().map(|end| TerminalState::new(end, &self.preparer.order.states, x))
     }
 
     /// Nothing is frozen.
@@ -339,13 +339,14 @@ impl Reducer {
         if is_short(design) {
             let mut gains = work.block.gains(design, work.gained, work.room)?;
             if self.ends {
-                gains.end = Some(work.gained.end((0, work.block.lanes()), states)?);
+                gains.end = Some(Arc::new(work.gained.end((0, work.block.lanes()), states)?));
             }
             return Some(gains);
         }
         let mut gains = information_gains(design, work.gains)?;
         if self.ends {
-            gains.end = Some(TerminalRoot::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?);
+            let end = TerminalRoot::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?;
+            gains.end = Some(Arc::new(end));
         }
         Some(gains)
     }
@@ -380,7 +381,8 @@ impl Reducer {
         self.root_runs.fetch_add(1, Ordering::Relaxed);
         let (mut gains, filter) = root_gains(design)?;
         if self.ends {
-            gains.end = Some(TerminalRoot::new(&self.preparer.order.states, &filter.Psi, &filter.U, design.frame.r));
+            let end = TerminalRoot::new(&self.preparer.order.states, &filter.Psi, &filter.U, design.frame.r);
+            gains.end = Some(Arc::new(end));
         }
         Ok(gains)
     }

@@ -52,7 +52,7 @@ impl Hasher for Half {
 }
 
 /// Most digests that a shard remembers of what was asked for once.
-const NOTED: usize = 1 << 16;
+const NOTED: usize = 1 << 15;
 
 impl<K, V> StoreShard<K, V> {
     /// Whether this was asked for before; it is from now on.

@@ -1,6 +1,8 @@
 //! Where a test ends: the state after the last step, as far as the design decides it.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, U with U'U = P")]
 
+use std::sync::Arc;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::semidefinite::information_root;
@@ -51,14 +53,29 @@ impl TerminalRoot {
         end
     }
 
-    /// With x̂_K, in the kernels' order.
-    pub(crate) fn terminal(self, states: &[usize], x: impl Iterator<Item = f64>) -> Terminal {
-        Terminal { mean: placed(states, x), sensitivity: self.sensitivity, root: self.root }
-    }
-
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.sensitivity.len() + self.root.len())
+    }
+}
+
+/// Where a test ends; tests of one design share what does not depend on their data.
+#[derive(Debug, Clone)]
+pub(crate) struct TerminalState {
+    mean: DVector<f64>,
+    root: Arc<TerminalRoot>,
+}
+
+impl TerminalState {
+    /// With x̂_K, in the kernels' order.
+    pub(crate) fn new(root: Arc<TerminalRoot>, states: &[usize], x: impl Iterator<Item = f64>) -> TerminalState {
+        TerminalState { mean: placed(states, x), root }
+    }
+
+    /// By itself.
+    pub(crate) fn terminal(self) -> Terminal {
+        let TerminalRoot { sensitivity, root } = Arc::unwrap_or_clone(self.root);
+        Terminal { mean: self.mean, sensitivity, root }
     }
 }
 

@@ -3,7 +3,9 @@
 use crate::dense;
 
 use dense::{dense, twofold};
-use kalfit::reduce::{Path, Plain, ReduceErrorKind, Reduction, StepMatrices};
+use kalfit::build::{constant, measurement, name};
+use kalfit::reduce::{Path, Plain, ReduceErrorKind, Reducer, Reduction, StepMatrices};
+use kalfit::{Alpha, Model, Source, Test};
 use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -418,4 +420,31 @@ fn overflow_is_an_error() {
     test.covariance[(0, 0)] = 1e300;
     let error = test.reduce().expect_err("refused");
     assert_eq!(*error.kind, ReduceErrorKind::NotFinite, "{error}");
+}
+
+#[test]
+fn a_value_that_cannot_be_is_seen_among_many_equal_steps() {
+    let model = Model::builder("")
+        .state(constant("level").known(0.0, 2.0))
+        .state(constant("offset"))
+        .measurement(measurement("z", name("level") + name("offset"), 0.0));
+    let model = model.build().expect("sound").phases.remove(0).model;
+    let mut reducer = Reducer::new(&model, &Alpha::default()).expect("sound");
+    let mut reduce = |wrong: Option<usize>| {
+        let mut test = Test::new("one", model.columns.len(), 0);
+        for row in 0..200 {
+            let level = if Some(row) == wrong { 1.6 } else { 1.5 };
+            test.push(&[level], &[], Source::default());
+        }
+        reducer.reduce(&[test])
+    };
+    assert_eq!(reduce(None).expect("sound").get(0).observations, 1);
+    for wrong in [1, 100, 199] {
+        let error = reduce(Some(wrong)).expect_err("it can only be 1.5");
+        let off = match *error.kind {
+            ReduceErrorKind::Impossible { residual } => residual - 0.1,
+            ref other => panic!("row {wrong}: {other:?}"),
+        };
+        assert!(off.abs() < 1e-12, "row {wrong}: {off}");
+    }
 }

@@ -5,7 +5,6 @@ use std::cmp::Ordering;
 use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
-use crate::reduce::Terminal;
 use crate::reduce::blocks::layout::BatchLayout;
 use crate::reduce::blocks::reduced::{ReducedTests, TestHeader};
 use crate::reduce::blocks::values::BatchValues;
@@ -14,6 +13,7 @@ use crate::reduce::design::Identity;
 use crate::reduce::lanes::{BatchColumns, DataWorkspace};
 use crate::reduce::prepare::Skeleton;
 use crate::reduce::reducer::Reducer;
+use crate::reduce::terminal_root::TerminalState;
 
 /// The order in which tests go together: by length, then by what they measure.
 pub(crate) fn by_shape(a: &Skeleton, b: &Skeleton) -> Ordering {
@@ -49,7 +49,7 @@ pub(crate) struct FilteredLane<'a> {
     lane: usize,
     room: &'a DataWorkspace,
     /// Where it ends, if that is wanted.
-    pub(crate) end: Option<Terminal>,
+    pub(crate) end: Option<TerminalState>,
 }
 
 impl FilteredLane<'_> {

@@ -1,12 +1,15 @@
 //! What the filters of tests in lanes have found, as reductions.
 
+use std::sync::Arc;
+
 use crate::ensemble::Test;
 use crate::reduce::blocks::layout::BatchLayout;
 use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::Outcome;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
-use crate::reduce::{Path, Reductions, Terminal};
+use crate::reduce::terminal_root::TerminalState;
+use crate::reduce::{Path, Reductions};
 
 /// What a reduction has from its test, whatever α.
 #[derive(Debug)]
@@ -24,7 +27,7 @@ pub(crate) struct ReducedTests {
     /// The number of the test of each.
     pub(crate) numbers: Vec<usize>,
     /// Where each ends, if that is wanted.
-    pub(crate) terminals: Vec<Terminal>,
+    pub(crate) terminals: Vec<TerminalState>,
     /// Tests that must be looked at by themselves.
     pub(crate) odd: Vec<usize>,
 }
@@ -69,7 +72,7 @@ impl BatchValues {
         (layout, observations): (&BatchLayout, usize),
         reducer: &Reducer,
         room: &DataWorkspace,
-    ) -> Option<(&[f64], Outcome, Option<Terminal>)> {
+    ) -> Option<(&[f64], Outcome, Option<TerminalState>)> {
         let (factor, determinant) = self.batch_filter.design_batch.found[lane].as_ref().filter(|_| self.sound[lane])?;
         let outcome = self.batch_filter.block.outcome(lane, (observations, *determinant), room);
         let end = match reducer.wants_ends() {
@@ -80,9 +83,9 @@ impl BatchValues {
     }
 
     /// Where the test in a lane ends; `None` where that calls for square-root arrays.
-    fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, room: &DataWorkspace) -> Option<Terminal> {
+    fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, room: &DataWorkspace) -> Option<TerminalState> {
         let states = &reducer.preparer().order.states;
         let end = self.batch_filter.design_batch.end((lane, layout.lanes), states)?;
-        Some(end.terminal(states, self.batch_filter.block.last(lane, room)))
+        Some(TerminalState::new(Arc::new(end), states, self.batch_filter.block.last(lane, room)))
     }
 }

@@ -82,7 +82,7 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e:
 #[inline(always)]
 fn each<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, (e, xi): (&[f64], &[T]), sum: &mut [T]) -> T {
     let zero = T::splat(0.0);
-    let (mut total, mut part) = (zero, vec![zero; sum.len()]);
+    let (mut total, mut part) = (zero, vec![zero; if rows.is_empty() { 0 } else { sum.len() }]);
     for start in rows.clone().step_by(BLOCK) {
         part.fill(zero);
         let mut square = zero;

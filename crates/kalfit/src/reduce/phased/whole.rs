@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::digest::Digest;
-use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
+use crate::reduce::error::{ReduceError, finite, refuse};
 use crate::reduce::part::{PhaseReducer, ReducedPhase};
 use crate::reduce::phased::PhasedReducer;
 use crate::reduce::stack::{StackPhase, StackShape, Stacked, shape};
@@ -105,9 +105,8 @@ impl PhasedReducer {
     fn together(&self, test: &PhasedTest, linked: Linked<'_>, stacked: Stacked) -> Result<Reduction, ReduceError> {
         let Stacked { factor, links, constant, data } = stacked;
         let Linked { parts, means, design } = linked;
-        let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
-        if !constant.is_finite() || !finite(&data) || !finite(&factor) {
-            return Err(refuse(Some(&test.id), WHOLE, ReduceErrorKind::NotFinite));
+        for numbers in [&[constant], &*data, &*factor] {
+            finite(numbers).map_err(|kind| refuse(Some(&test.id), WHOLE, kind))?;
         }
         let mut reduction = Reduction {
             test: test.id.to_string(),
