@@ -1,8 +1,8 @@
 //! How well a model predicts tests that it was not fitted to: `kalfit validate`.
 
 use kalfit::model::Column;
-use kalfit::record::{NotComparable, ValidateProvenance, ValidatedRecord};
 use kalfit::validate::{Folds, ValidateError, Validation, validate as run};
+use kalfit::validate::{NotComparable, ValidateProvenance, ValidatedRecord};
 use kalfit::{Ensemble, EnsembleError, Model, Options};
 use kalfit_data::{Input, Reading};
 use kalfit_spec::Spec;

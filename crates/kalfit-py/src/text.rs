@@ -2,9 +2,8 @@
 
 use kalfit::TestKey;
 use kalfit::compare::ComparedRecord;
-use kalfit::record::{
-    AppliedRecord, DatasheetRecord, ExportRecord, PlanRecord, PredictedRecord, RatioRecord, ValidatedRecord,
-};
+use kalfit::record::{AppliedRecord, DatasheetRecord, ExportRecord, PlanRecord, PredictedRecord, RatioRecord};
+use kalfit::validate::ValidatedRecord;
 use kalfit_job::Document;
 use kalfit_report::Style;
 use pyo3::exceptions::PyValueError;

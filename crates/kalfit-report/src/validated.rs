@@ -1,6 +1,6 @@
 //! What `kalfit validate` found.
 
-use kalfit::record::{AgainstRecord, PieceRecord, ValidatedRecord};
+use kalfit::validate::{AgainstRecord, PieceRecord, ValidatedRecord};
 
 use crate::Style;
 use crate::number::{p_value, plain};
@@ -142,7 +142,7 @@ fn folds(record: &ValidatedRecord, page: &Page<'_>) -> String {
     if record.folds.len() > MOST_FOLDS {
         return String::new();
     }
-    let column = |heading: &str, side: Side, cell: &dyn Fn(&kalfit::record::FoldRecord) -> String| {
+    let column = |heading: &str, side: Side, cell: &dyn Fn(&kalfit::validate::FoldRecord) -> String| {
         Column::new(heading, side, record.folds.iter().map(cell).collect())
     };
     page.table(&[

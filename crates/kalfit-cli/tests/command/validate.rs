@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
 
 use insta::assert_snapshot;
-use kalfit::record::ValidatedRecord;
+use kalfit::validate::ValidatedRecord;
 
 use crate::folder::{Folder, shown};
 

@@ -2,7 +2,8 @@
 
 mod head;
 
-use kalfit::record::{FIT_SCHEMA, VALIDATE_SCHEMA};
+use kalfit::record::FIT_SCHEMA;
+use kalfit::validate::VALIDATE_SCHEMA;
 use serde::de::DeserializeOwned;
 
 use crate::document::Document;

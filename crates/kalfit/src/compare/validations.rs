@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::compare::PredictiveDifference;
 use crate::compare::data::CompareError;
-use crate::record::{PieceRecord, ValidatedRecord};
+use crate::validate::{PieceRecord, ValidatedRecord};
 
 /// How well one model predicts folds of tests that it was not fitted to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

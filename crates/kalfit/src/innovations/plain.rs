@@ -7,7 +7,7 @@
 //! m = [μ_j; 0] + T x̂_K + t        C = EΣE' + T P_K T'
 //! ```
 //!
-//! Tests are filtered side by side, phase after phase, and to the same bits in any company. Those that go better by themselves share
+//! Tests are filtered side by side, phase after phase, and to the same bits whatever else is in the batch. Those that go better by themselves share
 //! the covariance run of their design.
 
 use kalfit_lanes::Isa;

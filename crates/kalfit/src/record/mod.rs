@@ -29,7 +29,6 @@ mod series;
 mod series_keeper;
 mod square;
 mod test;
-mod validated;
 
 use serde::{Deserialize, Serialize};
 
@@ -67,10 +66,6 @@ pub use series_keeper::SeriesKeeper;
 pub use square::{NotSquare, SquareRecord};
 pub use test::{
     DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord,
-};
-pub use validated::{
-    AgainstRecord, CoverageRecord, FoldRecord, NotComparable, PieceRecord, VALIDATE_SCHEMA, ValidateProvenance,
-    ValidatedRecord,
 };
 
 /// The results of a fit. `None` is written as null: unknown, not identified, or not applicable.

@@ -1,13 +1,13 @@
 //! Tests with designs of their own, kept side by side for all values of α.
 //!
 //! ```text
-//! once:        cells ── Skeleton ──> Layout      steps, measurements and lengths of steps, a test in each lane
-//! at an α:     coefficients ── Values ──> h, R, z - d, φ, Q, b, a, P0 in place ── filters ──> reductions
-//! its score:   Values ── backward, pulled back column by column (score/blocks) ──> dℓ/dα
+//! once:        cells ── Skeleton ──> BatchLayout steps, measurements and lengths of steps, a test in each lane
+//! at an α:     coefficients ── BatchValues ──> h, R, z - d, φ, Q, b, a, P0 in place ── filters ──> reductions
+//! its score:   BatchValues ── backward, pulled back column by column (score/phased/blocks) ──> dℓ/dα
 //! ```
 //!
 //! Which tests share a shape, which cells each step reads and what is measured depends on the cells of the data alone, so it is
-//! found once. A test that lacks a measurement or a step of its block has one that changes nothing. What is wrong with a test, or
+//! found once. A test that lacks a measurement or a step of its batch has one that changes nothing. What is wrong with a test, or
 //! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
 
 pub(crate) mod batch_workspace;

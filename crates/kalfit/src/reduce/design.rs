@@ -19,7 +19,7 @@ pub(crate) const DENSE: u32 = u32::MAX;
 /// Row of Ψ that is zero, always.
 pub(crate) const ZERO: u32 = u32::MAX - 1;
 
-/// What the tests of a model share.
+/// The states of a model in the order of the kernels, and A.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct StateFrame {
     /// n, number of states.

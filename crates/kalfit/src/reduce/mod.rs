@@ -20,7 +20,8 @@
 //! Gains + Data ── lanes (pass, scan) ──> Reduction       e, x̂, y: once per test, a long one in a lane by itself
 //! ```
 //!
-//! Each equation stands in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for plain numbers and for lanes. Up
+//! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for plain numbers and for lanes
+//! (`small`, of few moving states, and `root`, of square roots, have their own); innovations, x̂ and y in `lanes`. Up
 //! to 64 equal steps go through `lanes`, a test or a design in each lane; more through `design_pass`, `small` where few states move,
 //! and `scan`; designs that covariances lose digits of through `root`.
 //!
@@ -35,7 +36,8 @@
 //! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch, [`kalfit_lanes`]). A
 //! test whose cells are those of one before it, measured values apart, is not evaluated (recognise), and tests of one design have one
 //! data pass (lanes); tests of designs of their own are evaluated, filtered and whitened side by side (blocks): their steps are found
-//! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on the company.
+//! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on what else is in
+//! the batch, long records known to be alike excepted.
 //!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).

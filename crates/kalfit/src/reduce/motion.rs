@@ -27,7 +27,7 @@ pub(crate) struct MotionPlan {
     pattern: Arc<Pattern>,
     phi: Vec<EntrySource>,
     q: Vec<EntrySource>,
-    /// b of each state of [`Frame::driven`](crate::reduce::design::StateFrame::driven).
+    /// b of each state of [`StateFrame::driven`](crate::reduce::design::StateFrame::driven).
     drives: Vec<Drive>,
     /// Start of each component's flow.
     offsets: Vec<usize>,

@@ -20,7 +20,7 @@ struct StoreShard<K, V> {
     entries: HashMap<u128, Arc<StoreEntry<K, V>>, DigestHasher>,
     /// Asked for once.
     noted: HashSet<u128, DigestHasher>,
-    /// Told of.
+    /// Keys that [`SharedStore::is_new`] has seen.
     told: HashSet<u128, DigestHasher>,
 }
 
@@ -33,7 +33,7 @@ impl<K, V> Default for StoreShard<K, V> {
 /// Digests are mixed already.
 type DigestHasher = BuildHasherDefault<Half>;
 
-/// The upper half of a digest: the lower one has told the shard.
+/// The upper half of a digest: the lower one selects the shard.
 #[derive(Debug, Default)]
 struct Half(u64);
 

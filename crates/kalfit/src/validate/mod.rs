@@ -8,11 +8,16 @@
 
 mod error;
 mod folds;
+mod record;
 #[cfg(test)]
 mod tests;
 
 pub use error::ValidateError;
 pub use folds::{Folds, FoldsError};
+pub use record::{
+    AgainstRecord, CoverageRecord, FoldRecord, NotComparable, PieceRecord, VALIDATE_SCHEMA, ValidateProvenance,
+    ValidatedRecord,
+};
 
 use crate::apply::Applied;
 use crate::estimate::{Criterion, Progress, Stop};

@@ -30,7 +30,7 @@ pub(super) struct Along {
 /// What moves of a test or a group.
 pub(super) struct NodeTangent<'a, T> {
     pub(super) level: usize,
-    /// Its number among the tests of the bundle; `None` for a group.
+    /// Its number among the tests of the batch data; `None` for a group.
     pub(super) test: Option<usize>,
     pub(super) of: &'a Down<T>,
     /// dr.

@@ -41,7 +41,7 @@ pub(super) struct Integrated<T> {
 /// A node on the way up: what it says of the mean of its group.
 pub(super) struct Up<T> {
     pub(super) W: Rows<T>,
-    /// s, a column for each column of the bundle after those of the mean coordinates.
+    /// s, a column for each column of the batch data after those of the mean coordinates.
     pub(super) s: Rows<T>,
     /// [R | d] of all that its members say of their mean, by columns as s.
     said: Rows<T>,

@@ -26,7 +26,7 @@ pub(super) fn together(own: &[Skeleton], lanes: usize) -> usize {
     own.iter().take(lanes).take_while(|other| other.goes_with(&own[0])).count()
 }
 
-/// Room for tests side by side.
+/// Work space that evaluates and filters one batch after another.
 #[derive(Debug)]
 pub(crate) struct BatchWorkspace {
     layout: BatchLayout,

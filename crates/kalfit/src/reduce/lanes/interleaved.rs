@@ -60,7 +60,8 @@ impl<T: Lanes> Interleaved<'_, T> {
 }
 
 impl DataBlock {
-    /// The tests of the block, after `FilteredTests::filter` into `gained`; `longest` as there.
+    /// The tests of the batch, after [`BatchFilter::filter`](crate::reduce::lanes::BatchFilter::filter) into `gained`; `longest`: the
+    /// shape of their designs.
     #[inline(always)]
     pub(crate) fn interleave<'a, T: Lanes>(&self, longest: &'a Design, gained: &'a DesignBatch) -> Interleaved<'a, T> {
         let side = self.side();

@@ -2,7 +2,7 @@
 //! are one too.
 //!
 //! What a lane holds never depends on the others, and a short test by itself goes the same way with the other lanes empty: it is
-//! reduced to the same bits in any company. A long one by itself takes the data pass with one lane ([`innovations`]). Which way a test
+//! reduced to the same bits whatever else is in its batch. A long one by itself takes the data pass with one lane ([`innovations`]). Which way a test
 //! goes depends on its design alone ([`is_short`], [`fits`]); only long records of a fit that are known to be alike go side by side
 //! ([`EqualDesigns`](crate::reduce::EqualDesigns)), which depends on the ensemble.
 

@@ -11,7 +11,7 @@ use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasuremen
 use crate::score::backward::sink::TransitionAdjoint;
 use crate::score::moments::Moments;
 
-/// Tests after their filters: `FilteredTests::filter`.
+/// The backward pass of a batch of tests, after their filters.
 #[derive(Debug)]
 pub(crate) struct BatchBackward<'a> {
     pub(crate) block: &'a DataBlock,

@@ -1,4 +1,4 @@
-//! A record in legs, for other data to pass over: what it is made of, and the P of the way of one record over it.
+//! A record as segments, for other data to pass over: its steps, and the P of the way of one record over it.
 
 use crate::reduce::{DesignStep, moving};
 use crate::score::backward::equal::EqualStretch;
@@ -15,31 +15,31 @@ pub(crate) enum RecordSegment<'a> {
     Equal(EqualStretch<'a>),
 }
 
-/// The legs of a record, and P, r × r, as far as adjoints are wanted that need it: before each transition, and before each scalar
+/// The segments of a record, and P, r × r, as far as adjoints are wanted that need it: before each transition, and before each scalar
 /// measurement. Of equal steps there is one place, of the first of them, and it is not filled.
 #[derive(Debug, Default)]
 pub(crate) struct RecordSegments<'a> {
-    pub(crate) legs: Vec<RecordSegment<'a>>,
+    pub(crate) segments: Vec<RecordSegment<'a>>,
     pub(crate) left: Vec<f64>,
     pub(crate) before: Vec<f64>,
 }
 
 impl<'a> BackwardInput<'a> {
-    /// Its legs, after the way forth over it.
-    pub(crate) fn legs(&'a self, work: &mut BackwardWork) -> RecordSegments<'a> {
-        let mut legs = RecordSegments::default();
+    /// Its segments, after the forward pass over it.
+    pub(crate) fn segments(&'a self, work: &mut BackwardWork) -> RecordSegments<'a> {
+        let mut segments = RecordSegments::default();
         for at in 0..work.parts.len() {
             let part = work.parts[at];
             match part.kind {
-                SegmentKind::Steps => self.one_by_one(&part, work, &mut legs),
-                SegmentKind::Equal(_) => self.together(&part, work, &mut legs),
+                SegmentKind::Steps => self.one_by_one(&part, work, &mut segments),
+                SegmentKind::Equal(_) => self.together(&part, work, &mut segments),
             }
         }
-        legs
+        segments
     }
 
-    fn one_by_one(&'a self, part: &Segment, work: &mut BackwardWork, legs: &mut RecordSegments<'a>) {
-        let RecordSegments { legs, left, before } = legs;
+    fn one_by_one(&'a self, part: &Segment, work: &mut BackwardWork, segments: &mut RecordSegments<'a>) {
+        let RecordSegments { segments, left, before } = segments;
         if self.tracked() {
             work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
             let BackwardWork { e, now, .. } = work;
@@ -49,10 +49,10 @@ impl<'a> BackwardInput<'a> {
                 _ => {}
             });
         }
-        legs.push(RecordSegment::Steps(part.steps(self.design).collect()));
+        segments.push(RecordSegment::Steps(part.steps(self.design).collect()));
     }
 
-    fn together(&'a self, part: &Segment, work: &BackwardWork, legs: &mut RecordSegments<'a>) {
+    fn together(&'a self, part: &Segment, work: &BackwardWork, segments: &mut RecordSegments<'a>) {
         let stretch = self.design.stretch(part.stretch);
         let (n, r, states) = (self.design.frame.n, self.design.frame.r, moving(self.design, &stretch));
         let blocks = stretch.count.div_ceil(work.cut.block);
@@ -66,10 +66,13 @@ impl<'a> BackwardInput<'a> {
             (1..blocks).for_each(|block| P.extend_from_slice(&later(block)[..states * states]));
         }
         let place = r * r;
-        legs.left
-            .resize(legs.left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
-        legs.before.resize(legs.before.len() + usize::from(self.wanted.equation) * place, 0.0);
-        legs.legs.push(RecordSegment::Equal(EqualStretch::new(self, part, work.cut.block).with_marks(states, P)));
+        segments
+            .left
+            .resize(segments.left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
+        segments.before.resize(segments.before.len() + usize::from(self.wanted.equation) * place, 0.0);
+        segments
+            .segments
+            .push(RecordSegment::Equal(EqualStretch::new(self, part, work.cut.block).with_marks(states, P)));
     }
 }
 

@@ -23,7 +23,7 @@ pub(super) struct ClassShared<'a> {
     pub(super) inputs: &'a [f64],
     /// Cell and d of each scalar measurement.
     pub(super) cells: &'a [(usize, f64)],
-    pub(super) legs: &'a RecordSegments<'a>,
+    pub(super) record: &'a RecordSegments<'a>,
     pub(super) wanted: AdjointsWanted,
     /// Of the steps that stand for all.
     pub(super) response: &'a PullbackFactors,
@@ -78,7 +78,7 @@ struct DataBackwardState<T> {
     /// x̄ before each transition, and before each measurement, of the steps that stand for all, where P is wanted too.
     left: Vec<T>,
     before: Vec<T>,
-    /// x̄ before equal steps, of all states, and of those that move at the beginning of each block; leg after leg.
+    /// x̄ before equal steps, of all states, and of those that move at the beginning of each block; segment after segment.
     marks: Vec<T>,
     /// By slot.
     sums: Vec<T>,
@@ -141,8 +141,8 @@ impl<T: Lanes> DataBackwardState<T> {
         }
         self.marks.clear();
         let (mut at, mut input) = (Cursor::default(), 0);
-        for leg in &shared.legs.legs {
-            match leg {
+        for segment in &shared.record.segments {
+            match segment {
                 RecordSegment::Steps(steps) => {
                     for step in steps {
                         self.step_forth(shared, step, (&mut at, &mut input));
@@ -225,8 +225,8 @@ impl<T: Lanes> DataBackwardState<T> {
         }
         let response = shared.response;
         let mut at = Cursor { row: response.rows.len(), transition: response.moves.len() };
-        for leg in shared.legs.legs.iter().rev() {
-            match leg {
+        for segment in shared.record.segments.iter().rev() {
+            match segment {
                 RecordSegment::Steps(steps) => {
                     for step in steps.iter().rev() {
                         self.step_back(shared, step, &mut at);
@@ -268,7 +268,7 @@ impl<T: Lanes> DataBackwardState<T> {
         let first = first.to_vec();
         let e = &e[leg.stretch.rows.start * T::COUNT..leg.stretch.rows.end * T::COUNT];
         with_states!(states, N => {
-            let answers = T::apart(EqualDataBackward::<T, N> { leg, first: &first, marks, e, r });
+            let answers = T::apart(EqualDataBackward::<T, N> { stretch: leg, first: &first, marks, e, r });
             self.answered(shared, leg, (at, &first), &answers);
         });
         self.marks.truncate(start);
@@ -331,7 +331,7 @@ impl<T: Lanes> DataBackwardState<T> {
         }
         let (n, r) = (self.x.len(), K.len());
         for entry in response.entries(&own.h) {
-            let P = shared.legs.before.get((standing * r + entry.i) * r..).unwrap_or(&[]);
+            let P = shared.record.before.get((standing * r + entry.i) * r..).unwrap_or(&[]);
             let smoothed = self.smoothed(self.before[standing * n + entry.i], (entry.i < r).then_some(&P[..r]));
             self.add(response, entry, u * smoothed);
         }
@@ -360,7 +360,7 @@ impl<T: Lanes> DataBackwardState<T> {
             }
         }
         for entry in response.entries(&own.phi) {
-            let P = shared.legs.left.get((number * r + entry.j) * r..).unwrap_or(&[]);
+            let P = shared.record.left.get((number * r + entry.j) * r..).unwrap_or(&[]);
             let smoothed = self.smoothed(self.left[number * n + entry.j], (entry.j < r).then_some(&P[..r]));
             self.add(response, entry, self.moved[entry.i] * smoothed);
         }

@@ -7,7 +7,7 @@ use crate::score::backward::{DataSums, EqualStretch};
 
 /// Back over them, from r after them to r before them.
 pub(super) struct EqualDataBackward<'a, T, const N: usize> {
-    pub(super) leg: &'a EqualStretch<'a>,
+    pub(super) stretch: &'a EqualStretch<'a>,
     /// x̄ of all states before them.
     pub(super) first: &'a [T],
     pub(super) marks: &'a [T],
@@ -21,27 +21,27 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
 
     #[inline(always)]
     fn run(self) -> DataSums<T, N> {
-        let EqualDataBackward { leg, first, marks, e, r: all } = self;
-        let adjoint = leg.data_adjoint::<T, N>(first);
+        let EqualDataBackward { stretch, first, marks, e, r: all } = self;
+        let adjoint = stretch.data_adjoint::<T, N>(first);
         let mut r = known(all);
         let (mut answers, mut xs) = (DataSums::none(), Vec::new());
-        for (number, (from, to)) in leg.blocks().enumerate().rev() {
+        for (number, (from, to)) in stretch.blocks().enumerate().rev() {
             let mut x = known(&marks[number * N..]);
-            let ahead = leg.ahead::<N>((from, to));
-            let still = leg.moving().clamp(from, to);
+            let ahead = stretch.ahead::<N>((from, to));
+            let still = stretch.moving().clamp(from, to);
             xs.clear();
             for k in from..to {
                 xs.push(x);
-                x = adjoint.filter.state(&x, &leg.weighted(k).1, at(e, k));
+                x = adjoint.filter.state(&x, &stretch.weighted(k).1, at(e, k));
             }
             if still < to {
-                let (gain, ahead) = (leg.weighted::<N>(still), ahead[ahead.len() - 1]);
+                let (gain, ahead) = (stretch.weighted::<N>(still), ahead[ahead.len() - 1]);
                 for k in (still..to).rev() {
                     adjoint.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], &ahead), &mut answers);
                 }
             }
             for k in (from..still).rev() {
-                let (gain, ahead) = (leg.weighted::<N>(k), &ahead[(k - from).min(ahead.len() - 1)]);
+                let (gain, ahead) = (stretch.weighted::<N>(k), &ahead[(k - from).min(ahead.len() - 1)]);
                 adjoint.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], ahead), &mut answers);
             }
         }

@@ -60,14 +60,14 @@ impl Scorer<'_> {
             }
             let response = adjoints.response((first, work), standing.into_iter())?;
             run.forward(backward, &mut PullbackSink { adjoints, test: first, work });
-            let legs = run.legs(backward);
+            let segments = run.segments(backward);
             let shared = ClassShared {
                 design: &work.design,
                 gains,
                 start: &work.data.start,
                 inputs: &work.data.inputs,
                 cells: &cells,
-                legs: &legs,
+                record: &segments,
                 wanted,
                 response: &response,
             };
