@@ -93,6 +93,19 @@ impl Lanes for f64 {
     }
 }
 
+impl Lanes for Counted {
+    const COUNT: usize = 1;
+    const OWN_SIZES: usize = 0;
+
+    fn load(from: &[f64]) -> Counted {
+        Counted(from[0])
+    }
+
+    fn store(self, to: &mut [f64]) {
+        to[0] = self.0;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

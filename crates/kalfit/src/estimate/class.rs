@@ -4,20 +4,20 @@ use crate::estimate::chained::ChainStore;
 
 /// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct ClassRef<'a, T = f64> {
+pub(crate) struct ClassRef<'a> {
     /// n, the number of tests.
-    pub(crate) count: T,
+    pub(crate) count: f64,
     /// Σ_j constant_j.
-    pub(crate) constant: T,
+    pub(crate) constant: f64,
     /// R, p × p by rows, upper triangular.
-    pub(crate) factor: &'a [T],
+    pub(crate) factor: &'a [f64],
     /// Mean of d_j.
-    pub(crate) mean: &'a [T],
+    pub(crate) mean: &'a [f64],
     /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; no more of them than p, and none
     /// for a single test.
-    pub(crate) scatter: &'a [T],
+    pub(crate) scatter: &'a [f64],
     /// Scaled covariates of the regressions.
-    pub(crate) covariates: &'a [T],
+    pub(crate) covariates: &'a [f64],
     /// Some test of it needs square-root arithmetic.
     pub(crate) square_root: bool,
     /// The same phase by phase; R, d and their scatter are then empty.

@@ -27,8 +27,8 @@ pub(crate) fn forms_in_parts<T: Send>(
 ) -> Vec<T> {
     let isa = classes.blocks.isa();
     let p = point.mean.len();
-    let one = |(terms, forms): (&mut ClassTerms, &mut Vec<f64>), class: ClassRef<'_>| {
-        terms.evaluate(class, regressors, point, ChainDetail::Between);
+    let one = |(terms, forms): (&mut ClassTerms<'_>, &mut Vec<f64>), class: ClassRef<'_>| {
+        terms.evaluate(class, ChainDetail::Between);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let form = |u: &[f64]| terms.W.chunks_exact(p).zip(u).map(|(row, own)| own * dot(row, u)).sum::<f64>();
         forms.clear();
@@ -37,7 +37,7 @@ pub(crate) fn forms_in_parts<T: Send>(
     let root = &Root::of(&point.root);
     let parts = in_pieces(
         classes,
-        &|| (start(), ClassTerms::new(p), Vec::new()),
+        &|| (start(), ClassTerms::new(point, regressors), Vec::new()),
         &|(made, terms, forms), k, class| {
             one((terms, forms), class);
             of(made, k, forms);

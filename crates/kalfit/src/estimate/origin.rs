@@ -75,7 +75,7 @@ impl Classes {
         }
         let p = mean.len();
         let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
-        let of = |told: &mut Vec<(usize, Excess)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms| {
+        let of = |told: &mut Vec<(usize, Excess)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {
             let one = |at: usize| (terms.outer[at] - class.count * terms.W[at], terms.W[at]);
             told.push((k, (class.count, (0..p).map(|i| one(i * p + i)).collect())));
         };

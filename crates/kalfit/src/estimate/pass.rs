@@ -8,13 +8,12 @@ use rayon::prelude::*;
 use crate::estimate::chained::{ChainDetail, Packed};
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
-use crate::estimate::lanes::{Accumulator, ChainPass, ChainSums, ClassSums, Says};
+use crate::estimate::lanes::{Accumulator, ChainPass, ChainSums, ClassEvaluator, ClassSums, InPhases};
 use crate::estimate::levels;
 use crate::estimate::order::{FlatMean, Order, SumsWanted, most_tasks};
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::remote;
 use crate::estimate::sums::{OfLevels, Sums};
-use crate::estimate::terms::ClassTerms;
 use crate::linalg::elements::Elements;
 
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
@@ -90,10 +89,14 @@ fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: 
 /// Sums over classes one by one.
 pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let of_chunk = |chunk: &[ClassRef<'_>]| {
-        let (mut sums, mut terms) = (Accumulator::new(wanted), ClassTerms::new(point.mean.len()));
+        let (mut sums, mut at) = (Accumulator::new(wanted), ClassEvaluator::new(point, wanted.regressors));
         for &class in chunk {
-            terms.evaluate(class, wanted.regressors, point, wanted.detail());
-            sums.add(&Alone { terms: &terms, class, wanted }, class.covariates);
+            if let Some(chain) = class.chain {
+                let said = &at.in_phases(class, chain, wanted.detail());
+                sums.add(&InPhases { said, count: class.count }, class.covariates);
+            } else {
+                sums.add(&at.whole(class, wanted.elements.blocks()), class.covariates);
+            }
         }
         (chunk.iter().map(|class| class.constant).sum(), sums.totals())
     };
@@ -127,49 +130,4 @@ fn wanted<'a>(
 ) -> SumsWanted<'a> {
     let least = if regressors.is_empty() && flat.is_none() { Order::First } else { Order::Mean };
     SumsWanted { elements, regressors, order: order.max(least), flat }
-}
-
-/// A class by itself.
-struct Alone<'a> {
-    terms: &'a ClassTerms,
-    class: ClassRef<'a>,
-    wanted: SumsWanted<'a>,
-}
-
-impl Alone<'_> {
-    /// A row of a matrix over all states from phase i on.
-    fn row<'a>(&self, matrix: &'a [f64], (k, a): (usize, usize), i: usize) -> &'a [f64] {
-        let (p, blocks) = (self.terms.r.len(), self.wanted.elements.blocks());
-        &matrix[(blocks[k].start + a) * p..][blocks[i].start..p]
-    }
-}
-
-impl Says<f64> for Alone<'_> {
-    fn phases(&self) -> usize {
-        self.wanted.elements.blocks().len()
-    }
-
-    fn count(&self) -> Option<f64> {
-        Some(self.class.count)
-    }
-
-    fn det(&self) -> (f64, f64) {
-        self.terms.det()
-    }
-
-    fn quadratic(&self) -> f64 {
-        self.terms.quadratic
-    }
-
-    fn r(&self, k: usize, a: usize) -> f64 {
-        self.terms.r[self.wanted.elements.blocks()[k].start + a]
-    }
-
-    fn weight(&self, at: (usize, usize), i: usize) -> &[f64] {
-        self.row(&self.terms.W, at, i)
-    }
-
-    fn outer(&self, at: (usize, usize), i: usize, to: &mut [f64]) {
-        to.copy_from_slice(&self.row(&self.terms.outer, at, i)[..to.len()]);
-    }
 }

@@ -25,19 +25,19 @@ pub(crate) fn in_parts<T: Send>(
     point: &Point,
     detail: ChainDetail,
     start: &(dyn Fn() -> T + Sync),
-    of: &(dyn Fn(&mut T, usize, ClassRef<'_>, &ClassTerms) + Sync),
+    of: &(dyn Fn(&mut T, usize, ClassRef<'_>, &ClassTerms<'_>) + Sync),
 ) -> Vec<T> {
     let (isa, class) = (classes.blocks.isa(), &|k: usize| classes.listed.get(k));
     let root = &Root::of(&point.root);
     let parts = in_pieces(
         classes,
-        &|| (start(), ClassTerms::new(point.mean.len())),
+        &|| (start(), ClassTerms::new(point, regressors)),
         &|(made, terms), k, class| {
-            terms.evaluate(class, regressors, point, detail);
+            terms.evaluate(class, detail);
             of(made, k, class, terms);
         },
         &|(made, terms), packed| {
-            let of: &mut dyn FnMut(usize, &ClassTerms) = &mut |k, terms| of(made, k, class(k), terms);
+            let of: &mut dyn FnMut(usize, &ClassTerms<'_>) = &mut |k, terms| of(made, k, class(k), terms);
             isa.run(Tell { packed, class, regressors, point, root, detail, terms, of });
         },
     );
@@ -71,14 +71,14 @@ pub(super) fn in_pieces<T: Send>(
 }
 
 struct Tell<'a, 'b, 'c> {
-    packed: &'a Packed,
-    class: Numbered<'a, 'c>,
+    packed: &'b Packed,
+    class: Numbered<'b, 'c>,
     regressors: &'a Regressors,
     point: &'a Point,
     root: &'a Root<'a>,
     detail: ChainDetail,
-    terms: &'a mut ClassTerms,
-    of: &'b mut dyn FnMut(usize, &ClassTerms),
+    terms: &'b mut ClassTerms<'a>,
+    of: &'b mut dyn FnMut(usize, &ClassTerms<'_>),
 }
 
 impl Kernel for Tell<'_, '_, '_> {
@@ -94,7 +94,7 @@ impl Kernel for Tell<'_, '_, '_> {
         for (lane, &k) in packed.members().iter().enumerate() {
             match &said {
                 Some(said) => terms.take((&ranges, class(k)), said, detail, |x| x.lane(lane)),
-                None => terms.evaluate(class(k), regressors, point, detail),
+                None => terms.evaluate(class(k), detail),
             }
             of(k, terms);
         }

@@ -58,7 +58,7 @@ fn of_classes(
     reductions: &Reductions,
 ) -> Vec<(usize, Posterior)> {
     let sigma = point.covariance();
-    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms| {
+    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {
         let test = classes.tests_of(k)[0];
         found.push((test, posterior((problem, point, &sigma), terms, class, reductions.get(test))));
     };
@@ -70,7 +70,7 @@ fn of_classes(
 
 fn posterior(
     (problem, point, sigma): (&Problem, &Point, &DMatrix<f64>),
-    terms: &ClassTerms,
+    terms: &ClassTerms<'_>,
     class: ClassRef<'_>,
     reduction: ReductionRef<'_>,
 ) -> Posterior {
@@ -88,14 +88,9 @@ fn posterior(
 /// log p of a test's measurements and its distance from the population, at any point.
 pub(crate) fn distance(problem: &Problem, point: &Point, reductions: &Reductions, test: usize) -> (f64, Distance) {
     let class = problem.classes.single(reductions, test);
-    let terms = terms(problem, point, class.view());
+    let mut terms = ClassTerms::new(point, &problem.mean.regressors);
+    terms.evaluate(class.view(), ChainDetail::Posterior);
     (terms.value(class.view()), Distance::of(&terms, class.view(), reductions.get(test)))
-}
-
-fn terms(problem: &Problem, point: &Point, class: ClassRef<'_>) -> ClassTerms {
-    let mut terms = ClassTerms::new(point.mean.len());
-    terms.evaluate(class, &problem.mean.regressors, point, ChainDetail::Posterior);
-    terms
 }
 
 impl Distance {
@@ -105,7 +100,7 @@ impl Distance {
         Distance { squared, degrees_of_freedom, p_value }
     }
 
-    fn of(terms: &ClassTerms, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
+    fn of(terms: &ClassTerms<'_>, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
         let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
@@ -123,7 +118,7 @@ impl Distance {
 fn covariances(
     problem: &Problem,
     class: ClassRef<'_>,
-    terms: &ClassTerms,
+    terms: &ClassTerms<'_>,
     (point, sigma): (&Point, &DMatrix<f64>),
 ) -> Vec<DMatrix<f64>> {
     let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &point.root));

@@ -42,13 +42,12 @@ impl<'a> Root<'a> {
         if (0..p).all(|i| root[(i, i)] >= 0.0 && (i + 1..p).all(|c| root[(i, c)] == 0.0)) {
             return Root(Cow::Borrowed(root));
         }
-        let mut upper = root.transpose().qr().r();
-        for (i, mut row) in upper.row_iter_mut().enumerate() {
-            if row[i] < 0.0 {
-                row.neg_mut();
-            }
-        }
-        Root(Cow::Owned(upper.transpose()))
+        Root(Cow::Owned(root.transpose().qr().r().transpose()))
+    }
+
+    /// F.
+    pub(crate) fn lower(&self) -> &DMatrix<f64> {
+        &self.0
     }
 }
 

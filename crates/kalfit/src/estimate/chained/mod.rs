@@ -50,7 +50,7 @@ impl ChainedClass {
     /// n J of the first phases together on the initial states of all, `states` of them.
     pub(crate) fn information(&self, phases: usize, states: usize) -> DMatrix<f64> {
         let first = ChainedClass { phases: self.phases[..phases].to_vec(), ..self.clone() };
-        let said = first.at(&vec![0.0; states], &DMatrix::zeros(states, states), ChainDetail::Between);
+        let said = first.at(&vec![0.0; states], &Root::of(&DMatrix::zeros(states, states)), ChainDetail::Between);
         let mut information = DMatrix::zeros(states, states);
         let own: Vec<&Range<usize>> = first.ranges().collect();
         let mut blocks = said.W.iter().flatten();
@@ -69,8 +69,8 @@ impl ChainedClass {
 
     /// All that the class says at a point: μ of its tests and F with Σ = FF', both of all phases, in as much
     /// detail as is wanted.
-    pub(crate) fn at(&self, mean: &[f64], root: &DMatrix<f64>, detail: ChainDetail) -> ChainTerms {
-        let prior = Prior { root: &Root::of(root), mean };
+    pub(crate) fn at(&self, mean: &[f64], root: &Root<'_>, detail: ChainDetail) -> ChainTerms {
+        let prior = Prior { root, mean };
         let plain = if self.careful { None } else { self.through::<CrossFactors<f64>>().said(&prior, detail) };
         plain.unwrap_or_else(|| self.through::<Rotations<f64>>().said(&prior, detail).expect(BEARS))
     }
@@ -239,6 +239,7 @@ mod tests {
     fn rotations_give_what_reflections_give() {
         let (chained, _) = chain(4);
         let (root, mean) = (DMatrix::identity(12, 12), vec![0.1; 12]);
+        let root = Root::of(&root);
         let plain = chained.at(&mean, &root, ChainDetail::Between);
         let careful = ChainedClass { careful: true, ..chained.clone() }.at(&mean, &root, ChainDetail::Between);
         let close = |what: &str, a: f64, b: f64| assert!((a - b).abs() < 1e-12 * (1.0 + b.abs()), "{what}: {a} {b}");
@@ -277,7 +278,7 @@ mod tests {
                 let gathered = Packed::of_tests(shape, members, isa.lanes(), (&ranges, &frame), |_| vec![&chain]);
                 assert_eq!(format!("{gathered:?}"), format!("{packed:?}"), "and so it is as gathered");
                 for detail in [ChainDetail::Phases, ChainDetail::Between, ChainDetail::Posterior] {
-                    let alone = figures(&chained.at(&mean, &root, detail), |x| x);
+                    let alone = figures(&chained.at(&mean, &Root::of(&root), detail), |x| x);
                     let found = isa.run(Told(&packed, &mean, &root, detail));
                     assert_eq!(found.len(), alone.len());
                     for (at, (found, alone)) in found.iter().zip(&alone).enumerate() {

@@ -1,5 +1,5 @@
-//! What tests with one J each say at a point, a block of them side by side, for any number of states: the formulas of
-//! [`super::dense`], row by row. One elimination takes S to D⁻¹-free triangular form and R and d with it:
+//! What tests with one J each say at a point, a block of them side by side or one by itself, for any number of states: the formulas
+//! of [`super::dense`], row by row. One elimination takes S to D⁻¹-free triangular form and R and d with it:
 //!
 //! ```text
 //! [S R d-Rμ] → [DL' U u]      U = L⁻¹R, u = L⁻¹(d-Rμ)      [W r; r' u'D⁻¹u] = [U u]'D⁻¹[U u]
@@ -12,15 +12,17 @@ use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
 
 use crate::estimate::lanes::rows::add_weighed;
+use crate::estimate::point::{Point, Regressors};
+use crate::linalg::fold::fold;
 
 /// The room that one block needs, and what it says at last. Matrices by rows.
 #[derive(Debug)]
 pub(super) struct ClassWorkspace<T> {
     p: usize,
     /// Columns of u.
-    pub(super) columns: usize,
+    columns: usize,
     /// μ of each test.
-    pub(super) mean: Vec<T>,
+    mean: Vec<T>,
     /// F.
     F: DMatrix<f64>,
     /// (RF)', p × p.
@@ -52,6 +54,25 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
+    /// Makes room for so many columns of u.
+    pub(super) fn widen(&mut self, columns: usize) {
+        self.columns = columns;
+        let width = self.width();
+        self.rows.resize(self.p * (self.p + width), T::splat(0.0));
+        self.W.resize(width * width, T::splat(0.0));
+    }
+
+    /// Moves μ by the regressions.
+    #[inline(always)]
+    pub(super) fn move_mean(&mut self, covariates: &[T], point: &Point, regressors: &Regressors) {
+        for &element in regressors {
+            self.mean[element] = T::splat(point.mean[element]);
+        }
+        for (c, &element) in regressors.iter().enumerate() {
+            self.mean[element] = covariates[c].fma(T::splat(point.coefficients[c]), self.mean[element]);
+        }
+    }
+
     /// Numbers of a row of [R d-Rμ].
     #[inline(always)]
     fn width(&self) -> usize {
@@ -65,7 +86,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         self.load(block);
         self.spread(block);
         self.cover();
-        let det = self.eliminate();
+        let det = self.eliminate(None);
         self.weigh();
         det
     }
@@ -125,9 +146,9 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// [S R d-Rμ] → [DL' U u].
+    /// [S R d-Rμ] → [DL' U u]. Of S a root may be known, upper triangular by rows with S = root' root: S itself is then not read.
     #[inline(always)]
-    fn eliminate(&mut self) -> (T, T) {
+    fn eliminate(&mut self, root: Option<&[T]>) -> (T, T) {
         let (p, wide) = (self.p, self.p + self.width());
         let one = T::splat(1.0);
         let (mut mantissa, mut exponent) = (one, T::splat(0.0));
@@ -136,6 +157,12 @@ impl<T: Lanes> ClassWorkspace<T> {
             let row = &mut row[i..wide];
             if i > 0 {
                 add_weighed(row, i, (&done[i..], wide, 0), Some(&self.minus_inverse));
+            }
+            if let Some(root) = root {
+                let known = &root[i * p..][i..p];
+                for (s, x) in row.iter_mut().zip(known) {
+                    *s = known[0] * *x;
+                }
             }
             // S ⪰ I, so no pivot is below one; rounding must not make it so
             let pivot = row[0].maximum(one);
@@ -159,10 +186,10 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// r.
+    /// Columns of u.
     #[inline(always)]
-    pub(super) fn r(&self) -> &[T] {
-        self.r_of(0)
+    pub(super) fn columns(&self) -> usize {
+        self.columns
     }
 
     /// r of a column of u.
@@ -181,5 +208,20 @@ impl<T: Lanes> ClassWorkspace<T> {
     #[inline(always)]
     pub(super) fn row(&self, a: usize) -> &[T] {
         &self.W[a * self.width()..][..a + 1]
+    }
+}
+
+impl ClassWorkspace<f64> {
+    /// The same as [`Self::evaluate`] without forming S: the rows of (RF)' folded into I by QR.
+    pub(super) fn evaluate_by_qr(&mut self, block: &[f64]) -> (f64, f64) {
+        self.load(block);
+        self.spread(block);
+        let p = self.p;
+        let mut root = vec![0.0; p * p];
+        (0..p).for_each(|i| root[i * p + i] = 1.0);
+        fold(&mut root, &mut self.X, p);
+        let det = self.eliminate(Some(&root));
+        self.weigh();
+        det
     }
 }

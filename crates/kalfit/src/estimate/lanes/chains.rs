@@ -55,9 +55,9 @@ impl Kernel for ChainBlockPass<'_> {
 }
 
 /// What a block says.
-struct InPhases<'a, T> {
-    said: &'a ChainTerms<T>,
-    count: T,
+pub(crate) struct InPhases<'a, T> {
+    pub(crate) said: &'a ChainTerms<T>,
+    pub(crate) count: T,
 }
 
 impl<T: Lanes> Says<T> for InPhases<'_, T> {

@@ -1,5 +1,5 @@
 //! What tests with one J each say at a point, a block of them side by side: the pass of the theory with sizes that the compiler
-//! knows (theory §3). The same formulas for any size and any class stand in [`crate::estimate::terms`].
+//! knows (theory §3). The same formulas for any size and any class stand in [`super::any`].
 //!
 //! ```text
 //! S = I + RΣR' = LDL'      U = L⁻¹R      u = L⁻¹(d - Rμ)      W = U'D⁻¹U      r = U'D⁻¹u

@@ -1,6 +1,8 @@
-//! Tests side by side: blocks of tests with one J each, whose numbers stand in lanes, and passes over them.
+//! Tests side by side: blocks of tests with one J each, whose numbers stand in lanes, and passes over them. A class by itself is a
+//! block of one lane.
 
 mod accumulator;
+mod alone;
 mod any;
 mod chains;
 mod dense;
@@ -13,16 +15,18 @@ mod whole;
 use std::sync::Arc;
 
 use kalfit_lanes::Isa;
-use nalgebra::DMatrix;
 use rayon::prelude::*;
 
+use crate::estimate::chained::Root;
 use crate::estimate::class::Class;
 use crate::estimate::lanes::layout::ClassLayout;
 use crate::estimate::order::{SumsWanted, most_tasks};
 use crate::estimate::point::Point;
 use crate::linalg::symmetric::pairs;
 pub(crate) use accumulator::{Accumulator, ClassSums, Says};
-pub(crate) use chains::{ChainBlockPass as ChainPass, ChainSums};
+pub(crate) use alone::ClassEvaluator;
+pub(crate) use chains::{ChainBlockPass as ChainPass, ChainSums, InPhases};
+pub(crate) use whole::flops_of_a_test;
 
 /// Classes of p states that are not in phases, in blocks of as many as the machine has lanes: all of a single test, or all of several.
 /// Places that no class takes hold zeros, which add nothing.
@@ -108,7 +112,8 @@ impl ClassBlocks {
         if self.constants.is_empty() {
             return Vec::new();
         }
-        let (root, layout, isa) = (&lower(&point.root), self.layout, self.isa);
+        let (root, layout, isa) = (Root::of(&point.root), self.layout, self.isa);
+        let root = root.lower();
         let size = layout.size() * isa.lanes();
         let fewest = fewest(layout.p);
         let blocks = self.numbers.len() / size;
@@ -121,15 +126,6 @@ impl ClassBlocks {
 /// Fewest blocks of p states that one task sums.
 fn fewest(p: usize) -> usize {
     FEWEST.max(FEWEST_OF_ONE * 8 / (p + 1).pow(3))
-}
-
-/// The lower triangular root of FF'.
-fn lower(root: &DMatrix<f64>) -> DMatrix<f64> {
-    let p = root.nrows();
-    if (0..p).all(|i| (i + 1..p).all(|c| root[(i, c)] == 0.0)) {
-        return root.clone();
-    }
-    root.transpose().qr().r().transpose()
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};
 
 use super::*;
+use crate::estimate::class::ClassRef;
 use crate::estimate::order::{FlatMean, Order};
 use crate::estimate::pass::one_by_one;
 use crate::linalg::elements::Elements;
@@ -96,7 +97,9 @@ fn assert_sums(classes: &[Class], (isa, several): (Isa, bool), point: &Point, wa
     let mut together = wanted.zero();
     together.value += blocks.constant();
     blocks.totals(point, wanted).into_iter().for_each(|totals| together.take(totals));
-    let alone = one_by_one(&classes.iter().map(Class::view).collect::<Vec<_>>(), point, wanted);
+    // each second one by square roots
+    let view = |j: usize| ClassRef { square_root: j % 2 == 1, ..classes[j].view() };
+    let alone = one_by_one(&(0..classes.len()).map(view).collect::<Vec<_>>(), point, wanted);
     let expected = by_hand(classes, point, wanted);
     let largest = expected.iter().fold(0.0_f64, |most, x| most.max(x.abs()));
     for (way, found) in [("side by side", together), ("one by one", alone)] {

@@ -1,14 +1,18 @@
 //! Passes over blocks of classes: of few states by sizes that the compiler knows, else of any number of states.
 
-use kalfit_lanes::{Kernel, Lanes};
+use std::ops::Range;
+
+use kalfit_lanes::{Counted, Flops, Kernel, Lanes};
 use nalgebra::DMatrix;
 
 use crate::estimate::lanes::accumulator::{Accumulator, ClassSums, Says};
 use crate::estimate::lanes::any::ClassWorkspace;
 use crate::estimate::lanes::layout::ClassLayout;
 use crate::estimate::lanes::rows::add_one;
-use crate::estimate::order::SumsWanted;
+use crate::estimate::order::{Order, SumsWanted};
 use crate::estimate::point::Point;
+use crate::linalg::elements::Elements;
+use crate::linalg::symmetric::pairs;
 
 /// One pass over some blocks.
 pub(super) struct BlockPass<'a> {
@@ -58,38 +62,41 @@ impl BlockPass<'_> {
             for (to, x) in covariates.iter_mut().zip(own) {
                 *to = T::load(x);
             }
-            self.move_mean(&covariates, &mut room);
+            room.move_mean(&covariates, self.point, self.wanted.regressors);
             let det = room.evaluate(block);
             let count = if self.layout.several { Some(T::load(&block[count_at..])) } else { None };
-            sums.add(&InBlock { room: &room, det, count }, &covariates);
+            sums.add(&InBlock { room: &room, det, count, phases: self.wanted.elements.blocks() }, &covariates);
         }
         sums.totals()
     }
+}
 
-    /// Moves μ by the regressions.
-    #[inline(always)]
-    fn move_mean<T: Lanes>(&self, covariates: &[T], room: &mut ClassWorkspace<T>) {
-        let regressors = self.wanted.regressors;
-        for &element in regressors {
-            room.mean[element] = T::splat(self.point.mean[element]);
-        }
-        for (c, &element) in regressors.iter().enumerate() {
-            room.mean[element] = covariates[c].fma(T::splat(self.point.coefficients[c]), room.mean[element]);
-        }
-    }
+/// Floating-point operations on one test of p states, counted as they are done: those of the kernel, and of adding what it says to the
+/// sums of first derivatives.
+pub(crate) fn flops_of_a_test(p: usize) -> Flops {
+    let elements = Elements::single(p);
+    let wanted = SumsWanted { elements: &elements, regressors: &[], order: Order::Mean, flat: None };
+    let (mut sums, block) = (Accumulator::new(wanted), vec![0.0; pairs(p) + p]);
+    let mut room = ClassWorkspace::<Counted>::new(&vec![0.0; p], &DMatrix::identity(p, p), 1);
+    Counted::count(|| {
+        let det = room.evaluate(&block);
+        sums.add(&InBlock { room: &room, det, count: None, phases: elements.blocks() }, &[]);
+    })
 }
 
 /// What a block says.
-struct InBlock<'a, T> {
-    room: &'a ClassWorkspace<T>,
-    det: (T, T),
-    count: Option<T>,
+pub(crate) struct InBlock<'a, T> {
+    pub(super) room: &'a ClassWorkspace<T>,
+    pub(super) det: (T, T),
+    pub(super) count: Option<T>,
+    /// Where the states of each phase stand.
+    pub(super) phases: &'a [Range<usize>],
 }
 
 impl<T: Lanes> Says<T> for InBlock<'_, T> {
     #[inline(always)]
     fn phases(&self) -> usize {
-        1
+        self.phases.len()
     }
 
     #[inline(always)]
@@ -105,29 +112,30 @@ impl<T: Lanes> Says<T> for InBlock<'_, T> {
     #[inline(always)]
     fn quadratic(&self) -> T {
         let mut sum = self.count.unwrap_or(T::splat(1.0)) * self.room.quadratic(0);
-        for column in 1..self.room.columns {
+        for column in 1..self.room.columns() {
             sum = sum + self.room.quadratic(column);
         }
         sum
     }
 
     #[inline(always)]
-    fn r(&self, _: usize, a: usize) -> T {
-        self.room.r()[a]
+    fn r(&self, k: usize, a: usize) -> T {
+        self.room.r_of(0)[self.phases[k].start + a]
     }
 
     #[inline(always)]
-    fn weight(&self, (_, a): (usize, usize), _: usize) -> &[T] {
-        self.room.row(a)
+    fn weight(&self, (k, a): (usize, usize), i: usize) -> &[T] {
+        &self.room.row(self.phases[k].start + a)[self.phases[i].start..]
     }
 
     #[inline(always)]
-    fn outer(&self, (_, a): (usize, usize), _: usize, to: &mut [T]) {
+    fn outer(&self, (k, a): (usize, usize), i: usize, to: &mut [T]) {
         to.fill(T::splat(0.0));
-        for column in 0..self.room.columns {
+        for column in 0..self.room.columns() {
             let r = self.room.r_of(column);
-            let weight = if column == 0 { self.count.unwrap_or(T::splat(1.0)) * r[a] } else { r[a] };
-            add_one(to, weight, r);
+            let own = r[self.phases[k].start + a];
+            let weight = if column == 0 { self.count.unwrap_or(T::splat(1.0)) * own } else { own };
+            add_one(to, weight, &r[self.phases[i].start..]);
         }
     }
 }
