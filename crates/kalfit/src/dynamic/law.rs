@@ -1,4 +1,4 @@
-//! The joint law of μ, Σ and the values of α that move Σ, from the inverse of the joint information.
+//! The joint law of μ, Σ and the free values of α, from the inverse of the joint information.
 
 use std::collections::BTreeMap;
 
@@ -7,14 +7,10 @@ use nalgebra::DMatrix;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_derivatives;
 use crate::dynamic::{Coordinate, DynamicFit, Standing};
-use crate::estimate::{JointLaw, Values};
+use crate::estimate::JointLaw;
 use crate::model::PhasedModel;
 
-/// Covariances of more coordinates are not kept.
-const MOST: usize = 400;
-
-/// The covariance of the inner coordinates and of the values that stand in matrices of the structures, with what those move; and that of
-/// all free values with everything else.
+/// The covariance of the inner coordinates and of the free values, with what those move that stand in matrices of the structures.
 pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCovariances) -> JointLaw {
     let coordinates = Coordinate::of(model, &fit.slots);
     let (state, sigma) = (&fit.estimate.state, &fit.estimate.covariance);
@@ -30,24 +26,20 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCo
     let (known, mut open): (Vec<usize>, Vec<usize>) = (0..fit.values.len()).partition(is_known);
     // at a bound it stays
     open.retain(|&slot| matches!(fit.standing[slot], Standing::Inside | Standing::Unidentified));
-    let in_matrices = |slots: &[usize]| slots.iter().copied().filter(|slot| columns.contains_key(slot)).collect();
-    let (moving, open_moving): (Vec<usize>, Vec<usize>) = (in_matrices(&known), in_matrices(&open));
+    let open_moving: Vec<usize> = open.iter().copied().filter(|slot| columns.contains_key(slot)).collect();
     let (elements, inner) = (state.problem.covariance.elements.count(), covariances.shared.len());
     let moves = |slots: &[usize]| {
         DMatrix::from_fn(elements, slots.len(), |i, c| columns.get(&slots[c]).map_or(0.0, |column| column[i]))
     };
-    let covariance = |slots: &[usize]| {
-        let places: Vec<usize> = (inner..covariances.whole.nrows()).chain(slots.iter().filter_map(place)).collect();
-        DMatrix::from_fn(places.len(), places.len(), |i, j| covariances.whole[(places[i], places[j])])
-    };
+    let places: Vec<usize> = (inner..covariances.whole.nrows()).chain(known.iter().filter_map(place)).collect();
     let is_zero = |slot: &usize| fit.standing[*slot] == Standing::Lower && fit.values[*slot] == 0.0;
-    let is_small = covariances.whole.nrows() - inner + known.len() <= MOST;
-    let values = Values {
+    JointLaw {
+        covariance: DMatrix::from_fn(places.len(), places.len(), |i, j| covariances.whole[(places[i], places[j])]),
         slots: known.iter().map(|&slot| (slot, slope(slot))).collect(),
-        covariance: is_small.then(|| covariance(&known)),
         moves: moves(&known),
+        open_moves: moves(&open_moving),
         open,
         at_zero: (0..fit.values.len()).filter(is_zero).collect(),
-    };
-    JointLaw { covariance: covariance(&moving), moves: moves(&moving), open: moves(&open_moving), values, mixed: None }
+        mixed: None,
+    }
 }

@@ -2,18 +2,22 @@
 
 use nalgebra::DMatrix;
 
-/// Covariance along the tangent basis of (μ, Σ) and of the parameters that stand in matrices of the structure of Σ: those move Σ
-/// at fixed coordinates of it.
+/// Covariance along the tangent basis of (μ, Σ) and of the free values of α that have a law. Values that stand in matrices of the
+/// structure of Σ move Σ at fixed coordinates of it.
 #[derive(Debug, Clone)]
 pub(crate) struct JointLaw {
-    /// Along the tangent basis, then of the parameters' coordinates.
+    /// Along the tangent basis, then of the coordinates of the values.
     pub(crate) covariance: DMatrix<f64>,
-    /// dσ/dcoordinate of each of those parameters, elements × parameters, in η.
+    /// The values: (slot, dvalue/dcoordinate).
+    pub(crate) slots: Vec<(usize, f64)>,
+    /// dσ/dcoordinate of each, elements × values, in η.
     pub(crate) moves: DMatrix<f64>,
-    /// The same of parameters that the data do not determine: what they move has no standard error.
-    pub(crate) open: DMatrix<f64>,
-    /// All free values of α with everything else.
-    pub(crate) values: Values,
+    /// Slots that the data do not determine, or of single tests.
+    pub(crate) open: Vec<usize>,
+    /// dσ/dcoordinate of those of them that move Σ: what they move has no standard error.
+    pub(crate) open_moves: DMatrix<f64>,
+    /// Slots of noise levels that ended at zero.
+    pub(crate) at_zero: Vec<usize>,
     /// What score tests of constraints want to know besides, where there are any and it was worked out.
     pub(crate) mixed: Option<Mixed>,
 }
@@ -25,19 +29,4 @@ pub(crate) struct Mixed {
     pub(crate) covariance: DMatrix<f64>,
     /// -∂²ℓ/∂α∂(μ in η, γ; σ pairs), a row for each coordinate of α.
     pub(crate) information: DMatrix<f64>,
-}
-
-/// Free values of α that have a law, together with the tangent basis.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Values {
-    /// (slot, dvalue/dcoordinate).
-    pub(crate) slots: Vec<(usize, f64)>,
-    /// Along the tangent basis, then of the coordinates of those; `None` of very many.
-    pub(crate) covariance: Option<DMatrix<f64>>,
-    /// dσ/dcoordinate of each, elements × values, in η: zero but of those that stand in matrices of the structure of Σ.
-    pub(crate) moves: DMatrix<f64>,
-    /// Slots that the data do not determine, or of single tests.
-    pub(crate) open: Vec<usize>,
-    /// Slots of noise levels that ended at zero.
-    pub(crate) at_zero: Vec<usize>,
 }

@@ -99,7 +99,7 @@ pub(crate) use elsewhere::InitialLaw;
 pub(crate) use evidence::evidence;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
-pub(crate) use joint_law::{JointLaw, Mixed, Values};
+pub(crate) use joint_law::{JointLaw, Mixed};
 pub(crate) use levels::{LevelPosteriors, ScaledGroupPosterior, TestPosterior, Units, posteriors as level_posteriors};
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::NewtonIterate;

@@ -26,19 +26,18 @@ const STILL: f64 = 1e-12;
 impl AsymptoticLaw<'_> {
     /// The covariance of all that was estimated; `None` of very many numbers. `is_open`: whether the data do not determine one.
     pub(super) fn estimates(&self, is_open: &dyn Fn(Estimated) -> bool) -> Option<EstimateCovariance> {
-        let joint = self.state.joint.as_ref().map(|joint| &joint.values);
+        let joint = self.state.joint.as_ref();
         let empty = DMatrix::zeros(0, 0);
-        let (law, free) = match joint {
-            Some(values) => (values.covariance.as_ref()?, values.slots.as_slice()),
-            None => (self.coordinates(), &[][..]),
+        let (law, free, moved) = match joint {
+            Some(joint) => (&joint.covariance, joint.slots.as_slice(), &joint.moves),
+            None => (self.coordinates(), &[][..], &empty),
         };
-        let moved = joint.map_or(&empty, |values| &values.moves);
         let (rows, coordinates) = (self.jacobian().nrows(), self.jacobian().ncols());
         let by_row = self.jacobian().transposed();
         let elements = moved.nrows();
         let mut all: Vec<(Estimated, DVector<f64>)> = Vec::new();
         let mut open: Vec<Estimated> =
-            joint.map_or(Vec::new(), |values| values.open.iter().map(|&slot| Estimated::Value(slot)).collect());
+            joint.map_or(Vec::new(), |joint| joint.open.iter().map(|&slot| Estimated::Value(slot)).collect());
         for (row, quantity, unit) in self.quantities() {
             if is_open(quantity) {
                 open.push(quantity);
@@ -76,7 +75,7 @@ impl AsymptoticLaw<'_> {
         });
         let quantities = all.into_iter().map(|(quantity, _)| quantity).collect();
         let at_zero =
-            joint.map_or(Vec::new(), |values| values.at_zero.iter().map(|&slot| Estimated::Value(slot)).collect());
+            joint.map_or(Vec::new(), |joint| joint.at_zero.iter().map(|&slot| Estimated::Value(slot)).collect());
         let is_known = covariance.iter().all(|entry| entry.is_finite());
         is_known.then_some(EstimateCovariance { quantities, covariance, open, at_zero })
     }

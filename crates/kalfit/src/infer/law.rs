@@ -27,7 +27,7 @@ pub(crate) struct AsymptoticLaw<'a> {
     joint: Option<WithParameters>,
 }
 
-/// Coordinates along the tangent basis, then parameters in matrices of the structure of Σ.
+/// Coordinates along the tangent basis, then free values of α.
 struct WithParameters {
     covariance: DMatrix<f64>,
     jacobian: Sparse,
@@ -74,8 +74,8 @@ impl<'a> AsymptoticLaw<'a> {
         };
         // the sandwich is of the mean as well; the other two are generalised least squares for it
         let mean = gls.filter(|_| kind != StdErrors::Sandwich);
-        let joint = state.joint.as_ref().filter(|joint| joint.moves.ncols() + joint.open.ncols() > 0);
-        let joint = joint.map(|joint| WithParameters::of(joint, &jacobian));
+        let moves_sigma = |joint: &&JointLaw| joint.moves.iter().chain(&joint.open_moves).any(|x| *x != 0.0);
+        let joint = state.joint.as_ref().filter(moves_sigma).map(|joint| WithParameters::of(joint, &jacobian));
         AsymptoticLaw { state, coordinates, mean, jacobian, joint }
     }
 
@@ -214,7 +214,7 @@ impl WithParameters {
         };
         let (mut jacobian, mut open) = (along.clone(), Sparse::of_height(rows));
         below(&joint.moves, &mut jacobian);
-        below(&joint.open, &mut open);
+        below(&joint.open_moves, &mut open);
         WithParameters { covariance: joint.covariance.clone(), jacobian, open }
     }
 
