@@ -24,7 +24,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xd5e5_9f68_0fba_4d23,
             0xb535_8cd6_5aa9_58fa,
-            0x21b6_d2ac_a6a3_8ec3,
+            0x50a4_1653_2275_48cb,
             0x509f_ae5a_fe31_5c81,
             0x8862_1a4b_48fb_d9a0,
         ],
@@ -34,7 +34,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xec39_104f_cd16_28d1,
             0xadaa_c1eb_49bd_3987,
-            0x9140_192b_1d56_2e3d,
+            0xa96e_c586_621f_cb26,
             0x4fe7_9563_2306_5ea2,
             0x3659_7d54_eddc_0dc2,
         ],
@@ -44,7 +44,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xec39_104f_cd16_28d1,
             0x82c2_e84f_5b54_7bad,
-            0x9336_acda_0b57_6061,
+            0x38c4_f4e4_0adc_b53a,
             0x9c68_c22f_7236_e67e,
             0xd114_9b40_35bb_129b,
         ],
