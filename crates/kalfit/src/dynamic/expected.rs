@@ -91,14 +91,14 @@ impl Directions {
                 let mut sought = fit.sought.clone();
                 sought[s] = value;
                 let alpha = objective.alpha(&sought);
-                let there = state.elsewhere(&fit.reductions, &alpha).ok().flatten();
+                let there = state.at_other_alpha(&fit.reductions, &alpha).ok().flatten();
                 there.map(|there| place(&alpha, there.law())).transpose()
             };
             let width = coordinate.of_value(values[0]) - coordinate.of_value(values[1]);
             let (Some(up), Some(down)) = (at(values[0])?, at(values[1])?) else { return Ok(None) };
             all.push(([up, down], width));
         }
-        let tangent = &state.place.tangent;
+        let tangent = &state.newton_iterate.tangent;
         for i in 0..tangent.gradient.len() {
             let information = tangent.information[(i, i)];
             let step = STEP * if information > 0.0 { information.sqrt().recip() } else { tangent.sizes[i] };

@@ -65,7 +65,7 @@ impl JointInformation {
         central: bool,
     ) -> JointInformation {
         let n = home.values.len();
-        let inner = informed(&home.estimate.state.place.tangent);
+        let inner = informed(&home.estimate.state.newton_iterate.tangent);
         let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
         let tests = match &home.second_derivatives {
             SecondDerivatives::Tests(tests) => tests,

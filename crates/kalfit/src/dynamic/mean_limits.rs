@@ -45,7 +45,7 @@ pub fn mean_limits(
             return Some([centre; 2]);
         }
         let step = quantile * outer.error(mean)?;
-        let maximum = estimate.state.place.local.value;
+        let maximum = estimate.state.newton_iterate.local.value;
         let profile = Profile { holder: &means, what: number, centre, maximum, quantile, limits: [None; 2] };
         profile.ends(&WarmStart::best(fit, &estimate), step)
     };

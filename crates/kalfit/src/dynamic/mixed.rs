@@ -66,6 +66,6 @@ fn row(
 /// Scores of all elements at other values but the (μ, Σ) of the fit.
 fn scores(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, values: &[f64]) -> Option<DVector<f64>> {
     let reduced = objective.reduce(values).ok()?;
-    let at = fit.estimate.state.elsewhere(&reduced.reductions, &objective.alpha(values)).ok()??;
+    let at = fit.estimate.state.at_other_alpha(&reduced.reductions, &objective.alpha(values)).ok()??;
     Some(at.scores())
 }

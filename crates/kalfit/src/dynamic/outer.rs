@@ -199,9 +199,9 @@ impl<'b, 'a> Outer<'b, 'a> {
         let objective = self.objective;
         let reduced = objective.reduce(&values).ok()?;
         let alpha = objective.alpha(&values);
-        let point = near.point.as_ref().unwrap_or(&near.state.place.point);
+        let point = near.point.as_ref().unwrap_or(&near.state.newton_iterate.point);
         let state = near.state.at(&reduced.reductions, &alpha, point.clone())?;
-        let found = what.maximum((&Holder::new(&state), &alpha), x, &state.place.point)?;
+        let found = what.maximum((&Holder::new(&state), &alpha), x, &state.newton_iterate.point)?;
         let scores = objective.scores(&values, &reduced, &state.law_at(&found.near)).ok()?;
         let there = state.problem.values_of(&found.near.point);
         let score = state.residual_score_at(&found.near);

@@ -250,7 +250,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.score_passes.load(Ordering::Relaxed)
     }
 
-    /// Counts what another objective of the same ensemble has run.
+    /// Counts what another profile likelihood of the same ensemble has run.
     pub(crate) fn absorb(&self, other: &ProfileLikelihood<'_>) {
         let pairs = [
             (&self.filter_passes, &other.filter_passes),
@@ -423,7 +423,7 @@ impl<'a> ProfileLikelihood<'a> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
         self.passes.fetch_add(1, Ordering::Relaxed);
-        let at = home.estimate.state.elsewhere(&reduced.reductions, &alpha).ok()??;
+        let at = home.estimate.state.at_other_alpha(&reduced.reductions, &alpha).ok()??;
         let scores = self.scores(values, &reduced, &at.law()).ok()?;
         let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
         let inner = at.gradient(&home.estimate.state);
@@ -450,13 +450,13 @@ impl<'a> ProfileLikelihood<'a> {
         self.solved(values, alpha, reduced, estimate)
     }
 
-    /// What [`Bench::shift`] gives at home.
+    /// What [`ProfileLikelihood::shift`] gives at home.
     pub(crate) fn at_home(&self, home: &ProfilePoint) -> Option<FixedLawPoint> {
         let state = &home.estimate.state;
         let sigma = &home.estimate.covariance;
         Some(FixedLawPoint {
             values: home.values.clone(),
-            inner: state.place.tangent.gradient.clone(),
+            inner: state.newton_iterate.tangent.gradient.clone(),
             tests: self.of_tests(home).ok()?.into_owned(),
             matrix: matrix_gradient(self.model, &home.alpha, self.slots, sigma, &state.covariance_score()),
         })

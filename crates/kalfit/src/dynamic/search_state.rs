@@ -191,7 +191,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
 
     /// Gradient along the coordinates of (μ, Σ): nothing where they have been solved for.
     pub(super) fn inner_gradient(&self) -> &DVector<f64> {
-        &self.home.estimate.state.place.tangent.gradient
+        &self.home.estimate.state.newton_iterate.tangent.gradient
     }
 
     /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.

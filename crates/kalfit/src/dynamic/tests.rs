@@ -1,4 +1,4 @@
-//! Gradients, information and searches on a small objective of instruments: two noise levels that vary within a test, a drift.
+//! Gradients, information and searches on a small bench of instruments: two noise levels that vary within a test, a drift.
 
 use crate::dynamic::joint::JointInformation;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
@@ -287,7 +287,7 @@ fn values_of_single_tests_are_eliminated_exactly() {
     let joint = JointInformation::new(&objective, &home, &[true; 33], true);
     assert_eq!(joint.shared().len(), 3, "the others are of single tests");
     let whole = joint.undivided();
-    let inner = home.estimate.state.place.tangent.gradient.clone();
+    let inner = home.estimate.state.newton_iterate.tangent.gradient.clone();
     let (a, b) = (joint.step(&home.gradient, &inner, 0.0), whole.step(&home.gradient, &inner, 0.0));
     assert!(a.concave && b.concave, "at a maximum the curvature is positive");
     for (a, b) in a.alpha.iter().zip(&b.alpha) {

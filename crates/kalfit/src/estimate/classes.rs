@@ -19,7 +19,7 @@ use crate::estimate::chained::{ChainShape, ChainStore, Packed, grouped};
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::frame::{Frame, Pooled};
 use crate::estimate::gather::{gather, gather_chains};
-use crate::estimate::lanes::ClassBlocks;
+use crate::estimate::lanes::ClassBatches;
 use crate::estimate::levels::Units;
 use crate::estimate::listed::Listed;
 use crate::estimate::residual::{NoiseScale, Residual};
@@ -36,13 +36,13 @@ pub(crate) struct Classes {
     /// blocks know one by one.
     noise: Option<NoiseScale>,
     /// Those of a single test that are worked on side by side.
-    pub(crate) blocks: ClassBlocks,
+    pub(crate) blocks: ClassBatches,
     /// The same of several tests each.
-    pub(crate) shared: ClassBlocks,
+    pub(crate) shared: ClassBatches,
     /// The others.
     pub(crate) listed: Listed,
     /// Numbers of those of them that are worked on one by one.
-    pub(crate) beside: Vec<usize>,
+    pub(crate) unbatched: Vec<usize>,
     /// Those of them that are worked on side by side, in phases.
     pub(crate) chains: Vec<Arc<Packed>>,
     pub(crate) frame: Frame,
@@ -222,13 +222,13 @@ impl Classes {
         let (p, regressors) = (frame.scale.len(), frame.covariate_scale.len());
         let filled = |several: bool, numbers: &[usize]| {
             let fill = |at: usize, room: &mut Class| fill(numbers[at], room);
-            ClassBlocks::filled((p, regressors, several), Isa::best(), numbers.len(), &fill)
+            ClassBatches::filled((p, regressors, several), Isa::best(), numbers.len(), &fill)
         };
         let (blocks, shared) = (filled(false, single), filled(true, several));
         let listed = list(listed, fill);
         let alone = |&number: &usize| listed.get(number).chain.is_none_or(ChainStore::is_careful);
         Classes {
-            beside: (0..listed.len()).filter(alone).collect(),
+            unbatched: (0..listed.len()).filter(alone).collect(),
             places: Arc::new(places),
             noise: None,
             blocks,
@@ -328,7 +328,7 @@ impl Classes {
             shared: self.shared.shrunk(noise.unit(), several),
             listed: self.listed.shrunk(noise.unit(), |at| listed[at]),
             noise: Some(noise),
-            beside: self.beside.clone(),
+            unbatched: self.unbatched.clone(),
             chains: Vec::new(),
             frame: Frame { scale, ..self.frame.clone() },
             information: self.information.clone(),

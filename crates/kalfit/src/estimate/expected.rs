@@ -61,7 +61,14 @@ pub(crate) fn at_population(
     }
     point.root = tangent.chart.root.clone();
     let place = NewtonIterate { curvature: Curvature::new(&tangent), point, local, tangent };
-    Ok(FinalState { problem: Arc::new(problem), place, sums, assumed: structure.into(), settings, joint: None })
+    Ok(FinalState {
+        problem: Arc::new(problem),
+        newton_iterate: place,
+        sums,
+        assumed: structure.into(),
+        settings,
+        joint: None,
+    })
 }
 
 /// At the truth the score is zero on average, the information of μ is Σ E'WE, that of Σ is ½ Σ tr(W D W E), and they are

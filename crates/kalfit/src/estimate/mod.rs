@@ -16,6 +16,7 @@
 //! The estimator sees reductions, never data. [`fit`] returns an [`Estimate`], which always carries the optimality
 //! [`Certificate`]: an estimate without one cannot be written down.
 
+mod at_other_alpha;
 mod canonical;
 mod certificate;
 #[cfg(test)]
@@ -28,7 +29,6 @@ mod climb;
 mod covariance;
 mod curvature;
 mod directions;
-mod elsewhere;
 mod em;
 mod error;
 mod evidence;
@@ -89,13 +89,13 @@ pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, S
 pub use stop::Stop;
 pub use structure::{PhaseStructure, Structure};
 
+pub(crate) use at_other_alpha::InitialLaw;
 pub(crate) use chained::{ChainDetail, ChainStore, ChainedClass};
 pub(crate) use class::{Class, ClassRef};
 pub(crate) use classes::Classes;
 pub(crate) use climb::{ClimbLimits, climb};
 pub(crate) use covariance::{Constraint, CoordinateForm, CovarianceMap, PhaseForm};
 pub(crate) use curvature::NOTHING;
-pub(crate) use elsewhere::InitialLaw;
 pub(crate) use evidence::evidence;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::forms_in_parts;
@@ -163,7 +163,7 @@ pub(crate) fn fit_on(
 ) -> Result<Estimate, FitError> {
     let problem = Problem::within(&end.evidence(reductions), structure, &end.problem)?;
     let search = search::Search::new(problem, &end.settings, progress);
-    search.resume(end.place.point.clone(), structure)?.of_all(reductions)
+    search.resume(end.newton_iterate.point.clone(), structure)?.of_all(reductions)
 }
 
 /// The end of a search, from values near the optimum if there are any.
@@ -194,7 +194,7 @@ pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Re
 }
 
 /// Of ids that two tests have, the first by order.
-fn twice(reductions: &Reductions) -> Option<&str> {
+fn duplicate_id(reductions: &Reductions) -> Option<&str> {
     let hash = |j: usize| {
         let mut hasher = DefaultHasher::new();
         reductions.id(j).hash(&mut hasher);
@@ -214,7 +214,7 @@ fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settin
     if reductions.is_empty() && reductions.remote().is_none() {
         return Err(FitError::NoTests);
     }
-    if let Some(id) = twice(reductions) {
+    if let Some(id) = duplicate_id(reductions) {
         return Err(FitError::DuplicateTest { id: id.to_owned() });
     }
     if let Some(grouping) = &structure.grouping

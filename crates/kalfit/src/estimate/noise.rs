@@ -70,7 +70,7 @@ impl Noisy {
     /// ∂ℓ/∂u where a fit at this λ ended.
     pub(crate) fn slope(&self, variance: f64, state: &FinalState) -> f64 {
         let Residual { measurements, squares } = self.all;
-        let (sums, sigma) = (&state.sums, state.place.point.covariance());
+        let (sums, sigma) = (&state.sums, state.newton_iterate.point.covariance());
         let own = squares / variance - measurements + sums.quadratic + (&sums.weight - &sums.outer).dot(&sigma);
         let restricted = sums.restricted.as_ref().map(|restricted| restricted.score.dot(&sigma));
         0.5 * (own + state.problem.informed() as f64) - restricted.unwrap_or(0.0)
@@ -91,10 +91,11 @@ pub(crate) struct NoiseInformation {
 
 impl FinalState {
     fn noise_information(&self, measurements: f64, slope: f64) -> NoiseInformation {
-        let (local, tangent, elements) = (&self.place.local, &self.place.tangent, &self.sums.elements);
+        let (local, tangent, elements) =
+            (&self.newton_iterate.local, &self.newton_iterate.tangent, &self.sums.elements);
         let levels = self.problem.classes.units.is_some();
         debug_assert!(levels || elements.is_single(), "between phases noise has links of its own");
-        let covariance = self.place.point.covariance();
+        let covariance = self.newton_iterate.point.covariance();
         let sigma = DVector::from_iterator(elements.count(), elements.all().map(|(k, l)| covariance[(k, l)]));
         let outer = elements.pack_score(&self.sums.outer);
         let curved = &*local.information * &sigma;
@@ -180,7 +181,7 @@ mod tests {
             for criterion in [Criterion::Ml, Criterion::Reml] {
                 let settings = Settings { criterion, ..Settings::default() };
                 let noisy = Noisy::new(&reductions, &residuals, &structure, &settings).expect("sound");
-                assert!(!noisy.classes.beside.is_empty() && noisy.classes.len() < 40, "of all kinds");
+                assert!(!noisy.classes.unbatched.is_empty() && noisy.classes.len() < 40, "of all kinds");
                 let direct = |variance: f64, near: Option<&Population>| {
                     let there: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
                     let problem = problem(&there, &structure, &settings).expect("sound");
@@ -207,7 +208,8 @@ mod tests {
                     assert!((slope - by_differences).abs() < 1e-5 * (1.0 + slope.abs()), "{slope} {by_differences}");
                     let all: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
                     let grounded = found.state.clone().grounded(&all).expect("sound");
-                    let again = grounded.problem.sums(&grounded.place.point, Order::First, None).expect("defined");
+                    let again =
+                        grounded.problem.sums(&grounded.newton_iterate.point, Order::First, None).expect("defined");
                     assert!(near(again.value, found.log_likelihood), "{} {}", again.value, found.log_likelihood);
                 }
             }

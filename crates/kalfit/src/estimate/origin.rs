@@ -87,6 +87,6 @@ impl Classes {
 
     /// Some are kept phase by phase.
     fn is_chained(&self) -> bool {
-        !self.chains.is_empty() || self.beside.iter().any(|&k| self.listed.get(k).chain.is_some())
+        !self.chains.is_empty() || self.unbatched.iter().any(|&k| self.listed.get(k).chain.is_some())
     }
 }

@@ -59,7 +59,7 @@ impl Estimate {
     /// With the log-likelihood of all phases together, where something else was maximised.
     pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
         if self.state.is_marginal() {
-            let (problem, point) = (&self.state.problem, &self.state.place.point);
+            let (problem, point) = (&self.state.problem, &self.state.newton_iterate.point);
             let whole = Problem::within(reductions, &self.state.structure(), problem)?;
             self.composite = Some(self.log_likelihood);
             self.log_likelihood = whole.likelihood(point, Order::First).value;
@@ -86,7 +86,7 @@ impl Estimate {
     /// β of a phase's Σ = βΣ*; zero for other structures.
     pub fn covariance_scale(&self, phase: usize) -> f64 {
         let part = &self.state.problem.covariance.parts[phase];
-        let sigma = self.state.place.point.covariance();
+        let sigma = self.state.newton_iterate.point.covariance();
         match &part.form {
             CoordinateForm::Scale(star) => {
                 part.states.clone().map(|i| sigma[(i, i)]).sum::<f64>() / star.norm_squared()
@@ -110,7 +110,7 @@ impl From<&Estimate> for Population {
 #[derive(Debug, Clone)]
 pub(crate) struct FinalState {
     pub(crate) problem: Arc<Problem>,
-    pub(crate) place: NewtonIterate,
+    pub(crate) newton_iterate: NewtonIterate,
     pub(crate) sums: Sums,
     pub(crate) assumed: Assumed,
     pub(crate) settings: Settings,
@@ -132,7 +132,7 @@ impl FinalState {
 
     /// What rounding leaves open, by mean coordinate (elements of μ, then regression coefficients), in standard errors.
     pub(crate) fn rounding(&self) -> Vec<f64> {
-        rounding(&self.problem.classes.frame, &self.place)
+        rounding(&self.problem.classes.frame, &self.newton_iterate)
     }
 
     /// The structure that was assumed.

@@ -304,7 +304,7 @@ impl<'a> Search<'a> {
         }
         let settings = self.settings.clone();
         let state = FinalState {
-            place,
+            newton_iterate: place,
             sums,
             problem: Arc::new(self.problem),
             assumed: structure.into(),
@@ -360,7 +360,7 @@ fn is_as_good(next: &NewtonIterate, place: &NewtonIterate) -> bool {
 impl Estimate {
     /// What is known at a place that no search has ended at.
     pub(crate) fn unfinished(state: FinalState) -> Estimate {
-        let certificate = certified(&state.problem, &state.place);
+        let certificate = certified(&state.problem, &state.newton_iterate);
         leave(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
     }
 }
@@ -374,7 +374,7 @@ fn certified(problem: &Problem, place: &NewtonIterate) -> Certificate {
 /// The estimate in the user's units.
 fn leave(state: FinalState, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
     let problem = &state.problem;
-    let Population { mean, coefficients, covariance } = problem.values_of(&state.place.point);
+    let Population { mean, coefficients, covariance } = problem.values_of(&state.newton_iterate.point);
     Estimate {
         mean,
         coefficients,

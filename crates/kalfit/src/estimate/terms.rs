@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use crate::estimate::chained::{ChainDetail, ChainTerms};
 use crate::estimate::class::ClassRef;
-use crate::estimate::lanes::{ClassEvaluator, Says};
+use crate::estimate::lanes::{ClassEvaluator, Contribution};
 use crate::estimate::point::{Point, Regressors};
 use crate::linalg::rows::Rows;
 use kalfit_lanes::Real;

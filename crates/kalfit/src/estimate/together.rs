@@ -54,7 +54,7 @@ pub(super) fn in_pieces<T: Send>(
 ) -> Vec<T> {
     // where some are packed all are listed, in their order
     let packed = !classes.chains.is_empty();
-    let alone = if packed { classes.beside.clone() } else { (0..classes.len()).collect() };
+    let alone = if packed { classes.unbatched.clone() } else { (0..classes.len()).collect() };
     let one_by_one = |numbers: &[usize]| {
         let (mut made, mut room) = (start(), Class::default());
         numbers.iter().for_each(|&k| one(&mut made, k, classes.get(k, &mut room)));

@@ -75,7 +75,7 @@ fn held(state: &FinalState, i: usize, j: usize) -> Option<HeldElement> {
     let constrained =
         map.constraints.iter().position(|c| c.terms.len() == 1 && pair(c.terms[0].0, c.terms[0].1) == pair(i, j));
     if let Some(k) = constrained {
-        return Some(HeldElement::Multiplier(state.place.tangent.multipliers[k]));
+        return Some(HeldElement::Multiplier(state.newton_iterate.tangent.multipliers[k]));
     }
     match map.form_of(i) {
         CoordinateForm::Fixed(_) => Some(HeldElement::Form),
@@ -91,7 +91,7 @@ fn of_mean(
     (i, value): (usize, f64),
 ) -> Sensitivity {
     let scale = &state.problem.classes.frame.scale;
-    let local = &state.place.local;
+    let local = &state.newton_iterate.local;
     let mut direction = DVector::zeros(local.mean_score.len());
     direction[i] = scale[i].recip();
     for (t, element) in elements.iter().enumerate() {
@@ -118,7 +118,7 @@ fn of_covariance(
     let state = &estimate.state;
     let scale = &state.problem.classes.frame.scale;
     let unit = (scale[i] * scale[j]).recip();
-    let local = &state.place.local;
+    let local = &state.newton_iterate.local;
     let places = if i == j { 1.0 } else { 2.0 };
     let score = unit
         * match held {
@@ -166,7 +166,7 @@ fn lost(
 
 /// Cross information between an element and the free coordinates along the tangent basis.
 fn tangent_cross(state: &FinalState, mean: &DVector<f64>, sigma: &DVector<f64>) -> DVector<f64> {
-    let tangent = &state.place.tangent;
+    let tangent = &state.newton_iterate.tangent;
     tangent.pulled_back(state.problem.mean_jacobian(), mean, &tangent.jacobian.transposed_times(sigma))
 }
 

@@ -49,7 +49,7 @@ pub(super) fn alone(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<
 
 /// Rough number of multiplications that [`deletions`](super::deletions) takes: of each step the pass, and what is done with its Hessian.
 pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
-    let (p, free) = (estimate.mean.len() as f64, estimate.state.place.tangent.basis.ncols() as f64);
+    let (p, free) = (estimate.mean.len() as f64, estimate.state.newton_iterate.tangent.basis.ncols() as f64);
     // without shortcuts where tests stand in groups: whole fits, from near their ends, of the tests and of groups
     let each = if estimate.grouping().is_some() { 60.0 } else { 3.0 };
     each * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
@@ -64,7 +64,7 @@ struct All {
 
 impl All {
     fn of(estimate: &Estimate) -> All {
-        let (problem, place) = (&estimate.state.problem, &estimate.state.place);
+        let (problem, place) = (&estimate.state.problem, &estimate.state.newton_iterate);
         let sums = problem.unrestricted(&place.point, Order::Second, place.near());
         All { log_likelihood: sums.value, sums }
     }
@@ -108,11 +108,11 @@ fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)
     let state = &estimate.state;
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
     let objective = Without { problem, test: problem.classes.single(reductions, j) };
-    if !problem.informed_without(&all.sums, &objective.test, &state.place.point) {
+    if !problem.informed_without(&all.sums, &objective.test, &state.newton_iterate.point) {
         return None; // log|ΣX'WX| is over fewer directions
     }
-    let local = objective.from(all.sums.clone(), &state.place.point, state.place.near())?;
-    let start = NewtonIterate::at(local, objective.mean_jacobian(), map, state.place.point.clone())?;
+    let local = objective.from(all.sums.clone(), &state.newton_iterate.point, state.newton_iterate.near())?;
+    let start = NewtonIterate::at(local, objective.mean_jacobian(), map, state.newton_iterate.point.clone())?;
     let limits = ClimbLimits { tolerance: state.settings.tolerance, steps: STEPS };
     let (place, stop) = climb(&objective, map, problem.classes.tests as f64 - 1.0, start, limits);
     let log_likelihood = (estimate.criterion == Criterion::Ml).then_some(place.local.value);

@@ -13,7 +13,7 @@ pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior
 
 /// What is known of the tests, and of the groups of each level, the innermost first, at an estimate.
 pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
-    let (problem, point) = (&estimate.state.problem, &estimate.state.place.point);
+    let (problem, point) = (&estimate.state.problem, &estimate.state.newton_iterate.point);
     match estimate.grouping() {
         Some(_) => posteriors_at(problem, point, &estimate.state.evidence(reductions)),
         None => posteriors_at(problem, point, reductions),

@@ -171,7 +171,7 @@ impl<'a> Holder<'a> {
     }
 
     fn climb(&self, objective: &dyn Objective, map: &CovarianceMap, start: Point) -> Option<NewtonIterate> {
-        let start = NewtonIterate::new(objective, map, start, self.state.place.near())?;
+        let start = NewtonIterate::new(objective, map, start, self.state.newton_iterate.near())?;
         let tests = self.state.problem.classes.tests as f64;
         let (place, stop) = climb(objective, map, tests, start, self.limits);
         (stop == Stop::Certified).then_some(place)

@@ -38,7 +38,7 @@ pub fn examine_at_start(reductions: &Reductions, structure: &Structure<'_>) -> R
 pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &Reductions) -> Examination {
     let state = &estimate.state;
     let phases = phases(&state.problem, reductions);
-    let at = (&*state.problem, &state.place.point, &state.sums);
+    let at = (&*state.problem, &state.newton_iterate.point, &state.sums);
     examination(at, &state.structure(), (evidence, reductions), phases)
 }
 
@@ -64,7 +64,7 @@ fn examination(
 /// Unidentified directions at an estimate.
 pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
     let state = &estimate.state;
-    directions(&state.problem, &state.place.point, &state.sums)
+    directions(&state.problem, &state.newton_iterate.point, &state.sums)
 }
 
 pub(crate) fn directions(problem: &Problem, point: &Point, sums: &Sums) -> Vec<Direction> {

@@ -89,7 +89,7 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
     let problem = &estimate.state.problem;
     let p = estimate.mean.len();
     let mean = |i: usize| problem.mean.basis.row(i).amax() > 0.0 && !takes_part(unidentified, Quantity::Mean, i);
-    let directions = problem.covariance.free_directions(&estimate.state.place.tangent.chart).row_sizes();
+    let directions = problem.covariance.free_directions(&estimate.state.newton_iterate.tangent.chart).row_sizes();
     let map = &problem.covariance;
     let moves = |i: usize, j: usize| {
         map.elements
@@ -167,7 +167,7 @@ fn uncertainty_by(
 ) -> Uncertainty {
     let state = law.state;
     let map = &state.problem.covariance;
-    let boundary = boundary(map, &state.place.point.root);
+    let boundary = boundary(map, &state.newton_iterate.point.root);
     let p = sigma.nrows();
     let parts = |quantity: Quantity, k: usize| takes_part(unidentified, quantity, k);
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));

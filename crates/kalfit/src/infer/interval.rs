@@ -121,7 +121,7 @@ pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> I
     }
     let wanted = profiled(estimate, free);
     let holder = Holder::new(&estimate.state);
-    found.follow((estimate, uncertainty), &wanted, &holder, &estimate.state.place.point);
+    found.follow((estimate, uncertainty), &wanted, &holder, &estimate.state.newton_iterate.point);
     found
 }
 
@@ -148,7 +148,7 @@ impl Intervals {
             .map(|&what| {
                 let centre = value(estimate, what)?;
                 let step = uncertainty.of(what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
-                let maximum = estimate.state.place.local.value;
+                let maximum = estimate.state.newton_iterate.local.value;
                 let profile = Profile { holder, what, centre, maximum, quantile: QUANTILE, limits: limits(what) };
                 Some([profile.end(start, -step), profile.end(start, step)])
             })
@@ -186,7 +186,7 @@ pub(crate) fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
 /// A first step for a quantity of Σ without a standard error, from Σ_j W_j alone.
 fn guess(estimate: &Estimate, what: Holdable) -> f64 {
     let state = &estimate.state;
-    let (scale, weight) = (&state.problem.classes.frame.scale, &state.place.local.weight);
+    let (scale, weight) = (&state.problem.classes.frame.scale, &state.newton_iterate.local.weight);
     let tests = state.problem.classes.tests as f64;
     let unit = |i: usize| {
         let own = weight[(i, i)];

@@ -42,13 +42,13 @@ impl<'a> AsymptoticLaw<'a> {
     }
 
     pub(super) fn of(state: &'a FinalState, reductions: &Reductions, kind: StdErrors) -> AsymptoticLaw<'a> {
-        let tangent = &state.place.tangent;
+        let tangent = &state.newton_iterate.tangent;
         let mean = state.problem.mean.jacobian();
         let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
         let mut jacobian = Sparse::of_height(m + s);
         mean.column_iter().for_each(|column| jacobian.push(column.iter().copied().enumerate()));
         tangent.jacobian.columns().for_each(|column| jacobian.push(column.iter().map(|&(row, x)| (m + row, x))));
-        let gls = state.place.near().map(|own| {
+        let gls = state.newton_iterate.near().map(|own| {
             let mut mean = DMatrix::zeros(tangent.basis.ncols(), tangent.basis.ncols());
             mean.view_mut((0, 0), own.shape()).copy_from(own); // the basis begins with the mean coordinates
             mean

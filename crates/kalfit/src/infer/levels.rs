@@ -98,7 +98,7 @@ pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(D
     let problem = &estimate.state.problem;
     let classes = problem.classes.of(evidence);
     let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
-    let whole = problem.likelihood(&estimate.state.place.point, Order::First).value;
+    let whole = problem.likelihood(&estimate.state.newton_iterate.point, Order::First).value;
     let tests = (0..evidence.len()).into_par_iter().map(|j| {
         let (point, found) = ensemble.without(estimate, &[j], whole)?;
         let (_, distance) = distance(problem, &point, evidence, j);

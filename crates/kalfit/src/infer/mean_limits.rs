@@ -57,9 +57,9 @@ pub fn mean_limits(estimate: &Estimate, all: &[MeanCombination], quantile: f64) 
             return Some([centre; 2]);
         }
         let step = Some(quantile * variance.sqrt()).filter(|step| *step > 0.0 && step.is_finite())?;
-        let maximum = estimate.state.place.local.value;
+        let maximum = estimate.state.newton_iterate.local.value;
         let profile = Profile { holder: &holder, what, centre, maximum, quantile, limits: [None; 2] };
-        profile.ends(&estimate.state.place.point, step)
+        profile.ends(&estimate.state.newton_iterate.point, step)
     };
     all.par_iter().enumerate().map(limits).collect()
 }

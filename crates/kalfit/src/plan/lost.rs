@@ -56,7 +56,7 @@ pub fn information_lost(
 
 /// log |I| of the free directions, over an orthonormal basis of them in the user's units.
 fn log_determinant(state: &FinalState) -> Option<f64> {
-    let (problem, tangent) = (&state.problem, &state.place.tangent);
+    let (problem, tangent) = (&state.problem, &state.newton_iterate.tangent);
     let (scale, mean) = (&problem.classes.frame.scale, problem.mean.jacobian());
     let m = mean.nrows();
     let mut units = problem.mean_units();

@@ -133,7 +133,7 @@ struct Expected {
 impl Expected {
     fn of(reductions: &Reductions, structure: &Structure<'_>, population: &Population) -> Result<Expected, PlanError> {
         let state = at_population(reductions, structure, population).map_err(off_structure)?;
-        let unidentified = infer::directions(&state.problem, &state.place.point, &state.sums);
+        let unidentified = infer::directions(&state.problem, &state.newton_iterate.point, &state.sums);
         let uncertainty = infer::uncertainty_at(&state, &population.covariance, &unidentified);
         Ok(Expected { state, unidentified, uncertainty })
     }

@@ -122,7 +122,7 @@ impl<'b, 'a> Em<'b, 'a> {
 
     fn look(&self, fine: bool) -> CertificateCheck {
         let joint = JointInformation::new(self.search.objective, &self.search.home, &self.search.active(), fine);
-        let still = DVector::zeros(self.search.home.estimate.state.place.tangent.gradient.len());
+        let still = DVector::zeros(self.search.home.estimate.state.newton_iterate.tangent.gradient.len());
         let step = joint.step(&self.search.home.gradient, &still, 0.0);
         CertificateCheck { joint, decrement: step.decrement, concave: step.concave }
     }
@@ -235,7 +235,7 @@ impl<'b, 'a> Em<'b, 'a> {
         let direct: Vec<bool> = (0..active.len()).map(|s| active[s] && self.ways[s] == Way::Likelihood).collect();
         if direct.contains(&true) {
             let joint = JointInformation::new(objective, home, &direct, false);
-            let still = DVector::zeros(home.estimate.state.place.tangent.gradient.len());
+            let still = DVector::zeros(home.estimate.state.newton_iterate.tangent.gradient.len());
             let newton = joint.step(&home.gradient, &still, 0.0);
             (0..active.len()).filter(|&s| direct[s]).for_each(|s| step[s] = newton.alpha[s]);
         }

@@ -12,7 +12,7 @@ use crate::estimate::order::{Order, SumsWanted};
 use crate::linalg::symmetric::{pair, pairs};
 
 /// What one class says, or one in each lane. States are counted within their phase.
-pub(crate) trait Says<T> {
+pub(crate) trait Contribution<T> {
     /// How many phases its tests have, the first ones of all.
     fn phases(&self) -> usize;
 
@@ -127,7 +127,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// Adds what a class says whose covariates these are.
     #[inline(always)]
-    pub(crate) fn add(&mut self, said: &impl Says<T>, covariates: &[T]) {
+    pub(crate) fn add(&mut self, said: &impl Contribution<T>, covariates: &[T]) {
         let count = said.count().unwrap_or(T::splat(1.0));
         self.add_det(said);
         self.quadratic = self.quadratic + said.quadratic();
@@ -157,7 +157,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
     }
 
     #[inline(always)]
-    fn add_det(&mut self, said: &impl Says<T>) {
+    fn add_det(&mut self, said: &impl Contribution<T>) {
         let (mantissa, exponent) = said.det();
         let Some(count) = said.count() else {
             let (both, more) = (self.mantissa * mantissa).split();
@@ -172,7 +172,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// WE.
     #[inline(always)]
-    fn weigh(&mut self, said: &impl Says<T>, covariates: &[T]) {
+    fn weigh(&mut self, said: &impl Contribution<T>, covariates: &[T]) {
         let (m, blocks) = (self.mean, self.wanted.elements.blocks());
         let regressors = self.wanted.regressors;
         if said.phases() < blocks.len() {
@@ -199,7 +199,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// n E'r and n E'WE of the coefficients.
     #[inline(always)]
-    fn add_regressions(&mut self, count: T, said: &impl Says<T>, covariates: &[T]) {
+    fn add_regressions(&mut self, count: T, said: &impl Contribution<T>, covariates: &[T]) {
         let (m, elements) = (self.mean, self.wanted.elements);
         for (c, &element) in self.wanted.regressors.iter().enumerate() {
             let (k, x) = (elements.block_of(element), count * covariates[c]);
@@ -236,7 +236,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// n W, n r r' and what the scatter adds to it, and their products, of phases k ≥ i.
     #[inline(always)]
-    fn add_pair(&mut self, (k, i): (usize, usize), count: T, said: &impl Says<T>, uncertain: bool) {
+    fn add_pair(&mut self, (k, i): (usize, usize), count: T, said: &impl Contribution<T>, uncertain: bool) {
         let (number, q, blocks) = (pair(k, i), self.free, self.wanted.elements.blocks());
         let second = self.wanted.order >= Order::Second;
         let (mut left, mut right): (&mut [T], &mut [T]) = (&mut [], &mut []);
@@ -283,7 +283,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
 
     /// n WE ⊗ r of a phase.
     #[inline(always)]
-    fn add_cross(&mut self, k: usize, count: T, said: &impl Says<T>) {
+    fn add_cross(&mut self, k: usize, count: T, said: &impl Contribution<T>) {
         let (m, own) = (self.mean, &self.wanted.elements.blocks()[k]);
         let (left, right) = self.cross[k].next();
         for (a, r) in right.iter_mut().enumerate() {

@@ -5,14 +5,14 @@ use std::sync::Arc;
 use kalfit_lanes::{Kernel, Lanes};
 
 use crate::estimate::chained::{ChainTerms, Packed, Root};
-use crate::estimate::lanes::accumulator::{Accumulator, ClassSums, Says};
+use crate::estimate::lanes::accumulator::{Accumulator, ClassSums, Contribution};
 use crate::estimate::listed::Listed;
 use crate::estimate::order::SumsWanted;
 use crate::estimate::point::Point;
 use crate::linalg::symmetric::pair;
 
 /// One pass over some blocks.
-pub(crate) struct ChainBlockPass<'a> {
+pub(crate) struct ChainKernel<'a> {
     pub(crate) blocks: &'a [Arc<Packed>],
     pub(crate) classes: &'a Listed,
     pub(crate) point: &'a Point,
@@ -28,12 +28,12 @@ pub(crate) struct ChainSums {
     pub(crate) refused: Vec<usize>,
 }
 
-impl Kernel for ChainBlockPass<'_> {
+impl Kernel for ChainKernel<'_> {
     type Output = ChainSums;
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> ChainSums {
-        let ChainBlockPass { classes, point, wanted, .. } = self;
+        let ChainKernel { classes, point, wanted, .. } = self;
         let mut sums = Accumulator::<T>::new(wanted);
         let (mut constant, mut refused) = (0.0, Vec::new());
         let root = Root::of(&point.root);
@@ -60,7 +60,7 @@ pub(crate) struct InPhases<'a, T> {
     pub(crate) count: T,
 }
 
-impl<T: Lanes> Says<T> for InPhases<'_, T> {
+impl<T: Lanes> Contribution<T> for InPhases<'_, T> {
     #[inline(always)]
     fn phases(&self) -> usize {
         self.said.r.len()

@@ -23,15 +23,15 @@ use crate::estimate::lanes::layout::ClassLayout;
 use crate::estimate::order::{SumsWanted, most_tasks};
 use crate::estimate::point::Point;
 use crate::linalg::symmetric::pairs;
-pub(crate) use accumulator::{Accumulator, ClassSums, Says};
+pub(crate) use accumulator::{Accumulator, ClassSums, Contribution};
 pub(crate) use alone::ClassEvaluator;
-pub(crate) use chains::{ChainBlockPass as ChainPass, ChainSums, InPhases};
+pub(crate) use chains::{ChainKernel as ChainPass, ChainSums, InPhases};
 pub(crate) use whole::flops_of_a_test;
 
 /// Classes of p states that are not in phases, in blocks of as many as the machine has lanes: all of a single test, or all of several.
 /// Places that no class takes hold zeros, which add nothing.
 #[derive(Debug, Clone)]
-pub(crate) struct ClassBlocks {
+pub(crate) struct ClassBatches {
     isa: Isa,
     layout: ClassLayout,
     numbers: Arc<Vec<f64>>,
@@ -53,7 +53,7 @@ const MOST: usize = 32;
 /// Tasks there are at least, where blocks are many.
 const TASKS: usize = 64;
 
-impl ClassBlocks {
+impl ClassBatches {
     /// So many classes of p states and so many covariates, of several tests each or of one, with no need of rotations; `class` puts
     /// the one with a number into a place.
     pub(crate) fn filled(
@@ -61,7 +61,7 @@ impl ClassBlocks {
         isa: Isa,
         count: usize,
         class: &(dyn Fn(usize, &mut Class) + Sync),
-    ) -> ClassBlocks {
+    ) -> ClassBatches {
         let layout = ClassLayout { p, covariates, several };
         let (lanes, size) = (isa.lanes(), layout.size() * isa.lanes());
         let mut numbers = vec![0.0; count.div_ceil(lanes) * size];
@@ -75,7 +75,7 @@ impl ClassBlocks {
             }
         });
         let constant = constants.iter().sum();
-        ClassBlocks { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant }
+        ClassBatches { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant }
     }
 
     /// Puts the class with this number into a place, its constant as it was gathered.
@@ -87,14 +87,14 @@ impl ClassBlocks {
     }
 
     /// The same with other noise: d and what classes scatter so many times as large, and this much more of Σ constant.
-    pub(crate) fn shrunk(&self, unit: f64, change: f64) -> ClassBlocks {
+    pub(crate) fn shrunk(&self, unit: f64, change: f64) -> ClassBatches {
         let (lanes, layout) = (self.isa.lanes(), self.layout);
         let data = pairs(layout.p) * lanes..layout.covariates() * lanes;
         let mut numbers = (*self.numbers).clone();
         let shrink = |block: &mut [f64]| block[data.clone()].iter_mut().for_each(|x| *x *= unit);
         numbers.par_chunks_mut((layout.size() * lanes).max(1)).with_min_len(TASKS).for_each(shrink);
         let constants = self.constants.clone();
-        ClassBlocks { numbers: Arc::new(numbers), constants, constant: self.constant + change, ..*self }
+        ClassBatches { numbers: Arc::new(numbers), constants, constant: self.constant + change, ..*self }
     }
 
     /// What it is worked on with.

@@ -93,7 +93,7 @@ fn by_hand(classes: &[Class], point: &Point, SumsWanted { regressors, flat, .. }
 fn assert_sums(classes: &[Class], (isa, several): (Isa, bool), point: &Point, wanted: SumsWanted<'_>) {
     let p = point.mean.len();
     let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
-    let blocks = ClassBlocks::filled((p, wanted.regressors.len(), several), isa, classes.len(), &fill);
+    let blocks = ClassBatches::filled((p, wanted.regressors.len(), several), isa, classes.len(), &fill);
     let mut together = wanted.zero();
     together.value += blocks.constant();
     blocks.totals(point, wanted).into_iter().for_each(|totals| together.take(totals));
@@ -177,7 +177,7 @@ fn classes_are_read_as_they_were_put() {
     for (p, covariates, several) in [(1, 0, false), (3, 2, false), (2, 1, true), (4, 0, true)] {
         let classes: Vec<Class> = (0..19).map(|j| any_class(p, j, (covariates, several))).collect();
         let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
-        let blocks = ClassBlocks::filled((p, covariates, several), Isa::best(), classes.len(), &fill);
+        let blocks = ClassBatches::filled((p, covariates, several), Isa::best(), classes.len(), &fill);
         let mut found = Class::default();
         for (j, class) in classes.iter().enumerate() {
             blocks.read(j, &mut found);

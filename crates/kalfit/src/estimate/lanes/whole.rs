@@ -5,7 +5,7 @@ use std::ops::Range;
 use kalfit_lanes::{Counted, Flops, Kernel, Lanes};
 use nalgebra::DMatrix;
 
-use crate::estimate::lanes::accumulator::{Accumulator, ClassSums, Says};
+use crate::estimate::lanes::accumulator::{Accumulator, ClassSums, Contribution};
 use crate::estimate::lanes::any::ClassWorkspace;
 use crate::estimate::lanes::layout::ClassLayout;
 use crate::estimate::lanes::rows::add_one;
@@ -93,7 +93,7 @@ pub(crate) struct InBlock<'a, T> {
     pub(super) phases: &'a [Range<usize>],
 }
 
-impl<T: Lanes> Says<T> for InBlock<'_, T> {
+impl<T: Lanes> Contribution<T> for InBlock<'_, T> {
     #[inline(always)]
     fn phases(&self) -> usize {
         self.phases.len()

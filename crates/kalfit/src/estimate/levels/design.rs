@@ -19,7 +19,7 @@ pub(super) struct UnitDesign {
     /// The groups, those of inner levels before those that they stand in; the last one is the unit.
     pub(super) groups: Vec<UnitGroup>,
     /// The units, each by the numbers of its reductions and of its groups in their levels.
-    pub(super) units: Vec<OuterGroup>,
+    pub(super) units: Vec<UnitMembers>,
     /// d of the tests from the centre on: of each test p rows of as many numbers as there are units.
     pub(super) data: Vec<Rows>,
 }
@@ -42,7 +42,7 @@ pub(super) struct UnitGroup {
 
 /// One group of the outermost level.
 #[derive(Debug, Clone)]
-pub(super) struct OuterGroup {
+pub(super) struct UnitMembers {
     /// Numbers of its reductions, in the order of the tests of the design.
     pub(super) tests: Vec<usize>,
     /// Numbers of its groups in their levels, in the order of the groups of the design.

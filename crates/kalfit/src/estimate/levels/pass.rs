@@ -30,10 +30,10 @@ pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums
         ..Wish::of(units, wanted, wanted.order)
     };
     let pieces = pieces(units);
-    let of_part = |pieces: &[UnitShare<'_>]| {
-        let shared = pieces.iter().filter_map(UnitShare::columns);
+    let of_part = |pieces: &[UnitWork<'_>]| {
+        let shared = pieces.iter().filter_map(UnitWork::columns);
         let columns = in_columns(units, (point, wanted), shared, wish);
-        let batches = pieces.iter().filter_map(UnitShare::batch).collect();
+        let batches = pieces.iter().filter_map(UnitWork::batch).collect();
         columns.and(Isa::best().run(UnitKernel { units, point, wanted, wish, batches }))
     };
     let parts: Vec<UnitSums> = pieces.par_chunks(pieces.len().div_ceil(TASKS).max(1)).map(of_part).collect();
@@ -60,35 +60,35 @@ impl Wish<'_> {
 }
 
 /// Units that are walked through together.
-enum UnitShare<'a> {
+enum UnitWork<'a> {
     /// Some units of one design.
     Columns(&'a UnitDesign, Range<usize>),
     Batch(&'a UnitBatch),
 }
 
-impl<'a> UnitShare<'a> {
+impl<'a> UnitWork<'a> {
     fn columns(&self) -> Option<(&'a UnitDesign, Range<usize>)> {
         match self {
-            UnitShare::Columns(design, units) => Some((design, units.clone())),
-            UnitShare::Batch(_) => None,
+            UnitWork::Columns(design, units) => Some((design, units.clone())),
+            UnitWork::Batch(_) => None,
         }
     }
 
     fn batch(&self) -> Option<&'a UnitBatch> {
         match self {
-            UnitShare::Columns(..) => None,
-            UnitShare::Batch(batch) => Some(batch),
+            UnitWork::Columns(..) => None,
+            UnitWork::Batch(batch) => Some(batch),
         }
     }
 }
 
-fn pieces<'a>(units: &'a Units) -> Vec<UnitShare<'a>> {
+fn pieces<'a>(units: &'a Units) -> Vec<UnitWork<'a>> {
     let of = |design: &'a UnitDesign| {
         let count = design.units.len();
-        (0..count).step_by(TOGETHER).map(move |from| UnitShare::Columns(design, from..(from + TOGETHER).min(count)))
+        (0..count).step_by(TOGETHER).map(move |from| UnitWork::Columns(design, from..(from + TOGETHER).min(count)))
     };
     let shared = units.designs.iter().filter(|design| design.is_shared()).flat_map(of);
-    shared.chain(units.batches.iter().map(UnitShare::Batch)).collect()
+    shared.chain(units.batches.iter().map(UnitWork::Batch)).collect()
 }
 
 /// Sums over units whose designs are shared.

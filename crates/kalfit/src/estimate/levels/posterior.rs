@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::estimate::levels::batch_data::BatchData;
-use crate::estimate::levels::design::{OuterGroup, UnitDesign};
+use crate::estimate::levels::design::{UnitDesign, UnitMembers};
 use crate::estimate::levels::units::Units;
 use crate::estimate::levels::walk::{GroupMean, LevelLaws, Walked};
 use crate::estimate::point::{Point, Regressors};
@@ -92,7 +92,7 @@ pub(crate) fn posteriors(
 }
 
 /// Units of one design, and what they say.
-type EqualUnits<'a> = (&'a [OuterGroup], &'a BatchData<'a, f64>, &'a Walked<f64>);
+type EqualUnits<'a> = (&'a [UnitMembers], &'a BatchData<'a, f64>, &'a Walked<f64>);
 
 fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize) -> Vec<MemberId> {
     let (member, down) = (bundle.tests[t], &walked.tests[t]);
@@ -106,7 +106,7 @@ fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize
         .flat_map(|i| (0..walked.before).map(move |c| (i, c)))
         .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
         .collect();
-    let one = |(unit, numbers): (usize, &OuterGroup)| {
+    let one = |(unit, numbers): (usize, &UnitMembers)| {
         let own = |i: usize| centre[i] + mean.mean[(i, walked.before + unit)];
         let covariance = mean.covariance.as_slice().to_vec();
         MemberId::Test(
@@ -142,7 +142,7 @@ fn of_group(
     let (squares, log_det) = up.apart(&above.0[node.level]);
     let within = walked.within(bundle, g);
     let members: Vec<usize> = (0..bundle.tests.len()).filter(|&t| bundle.stands_in(bundle.tests[t].group, g)).collect();
-    let one = |(unit, numbers): (usize, &OuterGroup)| {
+    let one = |(unit, numbers): (usize, &UnitMembers)| {
         let column = walked.before + unit;
         let constant: f64 = members.iter().map(|&t| constants[numbers.tests[t]]).sum();
         let squared = squares[column];

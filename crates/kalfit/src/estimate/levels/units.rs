@@ -9,7 +9,7 @@ use crate::ensemble::Grouping;
 use crate::estimate::classes::Classes;
 use crate::estimate::frame::Frame;
 use crate::estimate::levels::batches::{UnitBatch, batches};
-use crate::estimate::levels::design::{Leaf, OuterGroup, UnitDesign, UnitTest};
+use crate::estimate::levels::design::{Leaf, UnitDesign, UnitMembers, UnitTest};
 use crate::estimate::levels::trees::{GroupTree, Laid, trees};
 use crate::linalg::rows::Rows;
 use crate::linalg::symmetric::pair;
@@ -141,7 +141,7 @@ impl UnitDesign {
             groups: laid[0].groups.iter().map(|(node, _)| *node).collect(),
             units: laid
                 .iter()
-                .map(|one| OuterGroup {
+                .map(|one| UnitMembers {
                     tests: one.tests.iter().map(|(_, j)| *j).collect(),
                     groups: one.groups.iter().map(|(_, group)| *group).collect(),
                 })

@@ -35,12 +35,12 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> TangentCone {
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let information = information(null, outer, &places);
-    let wide = directions(outer, outer.mean.jacobian(), &null.state.place.point.root);
+    let wide = directions(outer, outer.mean.jacobian(), &null.state.newton_iterate.point.root);
     let mean = narrow_mean(&null.state.problem.mean.jacobian(), outer.mean.jacobian().nrows(), &places);
-    let narrow = directions(inner, mean, &null.state.place.point.root);
+    let narrow = directions(inner, mean, &null.state.newton_iterate.point.root);
     let rank = |basis: &DMatrix<f64>| rank(&(basis.transpose() * &information * basis));
     let degrees_of_freedom = rank(&wide).saturating_sub(rank(&narrow));
-    let sides = sides(&null.state.place.point.root, inner, outer);
+    let sides = sides(&null.state.newton_iterate.point.root, inner, outer);
     let null_on_boundary = !null_is_generic(null, inner);
     let law = match sides {
         BoundaryCone::None => ReferenceLaw::chi_squared(degrees_of_freedom),
@@ -55,7 +55,7 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> TangentCone {
 
 /// Expected information of mean coordinates and elements of Σ at the end of the hypothesis.
 fn information(null: &Estimate, outer: &Problem, places: &[usize]) -> DMatrix<f64> {
-    let mut point = null.state.place.point.clone();
+    let mut point = null.state.newton_iterate.point.clone();
     let mut coefficients = vec![0.0; outer.mean.regressors.len()];
     places.iter().zip(&point.coefficients).for_each(|(&at, value)| coefficients[at] = *value);
     point.coefficients = coefficients;
@@ -164,7 +164,7 @@ fn null_is_generic(null: &Estimate, inner: &Problem) -> bool {
     let map: &CovarianceMap = &inner.covariance;
     let generic = generic_root(inner);
     let rank = |root: &DMatrix<f64>| map.random.len() - null_space(root, &map.random, NONE).ncols();
-    rank(&null.state.place.point.root) >= rank(&generic)
+    rank(&null.state.newton_iterate.point.root) >= rank(&generic)
 }
 
 /// Covariance of the estimates along lines, once all other free quantities have adapted.

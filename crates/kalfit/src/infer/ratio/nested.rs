@@ -76,7 +76,7 @@ fn mean(inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
 
 /// Σ at the end of the one is one of the other, and so is every Σ near it.
 fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
-    let root = &null.state.place.point.root;
+    let root = &null.state.newton_iterate.point.root;
     let sigma = root * root.transpose();
     let (map, size) = (&outer.covariance, symmetric::sizes(&sigma));
     let masked = map.mask(&sigma);

@@ -4,7 +4,7 @@
 //! What a lane holds never depends on the others, and a short test by itself goes the same way with the other lanes empty: it is
 //! reduced to the same bits whatever else is in its batch. A long one by itself takes the data pass with one lane ([`innovations`]). Which way a test
 //! goes depends on its design alone ([`is_short`], [`fits`]); only long records of a fit that are known to be alike go side by side
-//! ([`EqualDesigns`](crate::reduce::EqualDesigns)), which depends on the ensemble.
+//! ([`LongDesignClasses`](crate::reduce::LongDesignClasses)), which depends on the ensemble.
 
 mod batch_filter;
 mod data_block;

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 
 /// The objective at one point under some reductions.
 #[derive(Debug)]
-pub(crate) struct Elsewhere {
+pub(crate) struct Reevaluation {
     pub(crate) problem: Problem,
     pub(crate) point: Point,
     pub(crate) sums: Sums,
@@ -223,7 +223,7 @@ impl JointPosteriors {
 impl FinalState {
     /// The law of ξ_j where the search ended.
     pub(crate) fn law(&self) -> InitialLaw {
-        InitialLaw::of(&self.problem, &self.place.point, self.place.near())
+        InitialLaw::of(&self.problem, &self.newton_iterate.point, self.newton_iterate.near())
     }
 
     /// The same at a place of its own.
@@ -242,19 +242,19 @@ impl FinalState {
     }
 
     /// The objective at this point under other reductions of the same tests; `None` where it is not defined.
-    pub(crate) fn elsewhere(
+    pub(crate) fn at_other_alpha(
         &self,
         reductions: &Reductions,
         alpha: &Alpha,
-    ) -> Result<Option<Elsewhere>, StructureError> {
-        let home = (&*self.problem, &self.place.point, self.place.near());
-        Elsewhere::of(home, &self.evidence(reductions), &self.assumed.at(alpha))
+    ) -> Result<Option<Reevaluation>, StructureError> {
+        let home = (&*self.problem, &self.newton_iterate.point, self.newton_iterate.near());
+        Reevaluation::of(home, &self.evidence(reductions), &self.assumed.at(alpha))
     }
 
     /// Where a step along the tangent basis of this place leads, of tests that are elsewhere: nobody has answered yet what they say
     /// there.
     pub(crate) fn ahead(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<UpcomingPoint> {
-        let point = newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?;
+        let point = newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?;
         let (problem, point) = self.carried_to(reductions, &self.assumed.at(alpha), point).ok()?;
         let point = charted(&problem, &point);
         Some(UpcomingPoint { problem, point, assumed: self.assumed.clone() })
@@ -275,7 +275,7 @@ impl FinalState {
     /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
     /// is not defined.
     pub(crate) fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<FinalState> {
-        self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.place, step)?)
+        self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?)
     }
 
     /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
@@ -284,8 +284,9 @@ impl FinalState {
         let (problem, point) = self.carried_to(reductions, &structure, point).ok()?;
         let charted = charted(&problem, &point);
         problem.ends_soon(true); // nothing more is asked of this place
-        let place = problem
-            .with_score(&charted, || NewtonIterate::new(&problem, &problem.covariance, point, self.place.near()))?;
+        let place = problem.with_score(&charted, || {
+            NewtonIterate::new(&problem, &problem.covariance, point, self.newton_iterate.near())
+        })?;
         // the restricted likelihood's second derivatives want the covariance of the mean at the place itself
         let place = match place.near().cloned() {
             Some(own) => NewtonIterate::new(&problem, &problem.covariance, place.point, Some(&own))?,
@@ -298,21 +299,21 @@ impl FinalState {
         };
         let assumed = (&structure).into();
         let settings = self.settings.clone();
-        Some(FinalState { problem: Arc::new(problem), place, sums, assumed, settings, joint: None })
+        Some(FinalState { problem: Arc::new(problem), newton_iterate: place, sums, assumed, settings, joint: None })
     }
 
     /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
     pub(crate) fn gradient_of(&self, reduction: ReductionRef<'_>) -> DVector<f64> {
         let class = self.class_of(reduction);
-        let sums = self.problem.of_class(&class, &self.place.point, Order::First);
-        self.along(&sums, &self.problem, &self.place.point)
+        let sums = self.problem.of_class(&class, &self.newton_iterate.point, Order::First);
+        self.along(&sums, &self.problem, &self.newton_iterate.point)
     }
 
     /// Calls `of` with the numbers of the tests, and their sums of first order at this place, of each test, or of each unit where tests
     /// stand in groups: of what is independent of the others. The order depends on nothing but the ids.
     pub(crate) fn each_independent(&self, evidence: &Reductions, of: &mut dyn FnMut(&[usize], &Sums)) {
         let classes = self.problem.classes.of(evidence);
-        let (point, regressors) = (&self.place.point, &self.problem.mean.regressors[..]);
+        let (point, regressors) = (&self.newton_iterate.point, &self.problem.mean.regressors[..]);
         if let Some(units) = &classes.units {
             let elements = &classes.elements;
             let wanted = SumsWanted { elements, regressors, order: Order::First, flat: None };
@@ -327,7 +328,7 @@ impl FinalState {
 
     /// A gradient at this place along its tangent basis.
     pub(crate) fn gradient_along(&self, sums: &Sums) -> DVector<f64> {
-        self.along(sums, &self.problem, &self.place.point)
+        self.along(sums, &self.problem, &self.newton_iterate.point)
     }
 
     /// ∂ℓ/∂Σ of sums at this place, in the user's units.
@@ -346,14 +347,14 @@ impl FinalState {
         let chart = problem.covariance.chart(&point.root);
         let score = self.problem.covariance.elements.pack_score(&sums.score());
         let of_psi = chart.jacobian_at(&chart.root).transposed_times(&score);
-        self.place.tangent.pulled_back(problem.mean_jacobian(), &sums.mean_score, &of_psi)
+        self.newton_iterate.tangent.pulled_back(problem.mean_jacobian(), &sums.mean_score, &of_psi)
     }
 }
 
 impl UpcomingPoint {
-    /// Asks for what [`FinalState::elsewhere`] will ask for from there.
+    /// Asks for what [`FinalState::at_other_alpha`] will ask for from there.
     pub(crate) fn ask(&self, reductions: &Reductions, alpha: &Alpha) {
-        _ = Elsewhere::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
+        _ = Reevaluation::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
     }
 
     /// Asks how many tests there are, and how many inform each state there: what a fit tells of its end.
@@ -363,17 +364,17 @@ impl UpcomingPoint {
     }
 }
 
-impl Elsewhere {
+impl Reevaluation {
     fn of(
         (problem, point, near): (&Problem, &Point, Option<&DMatrix<f64>>),
         reductions: &Reductions,
         structure: &Structure<'_>,
-    ) -> Result<Option<Elsewhere>, StructureError> {
+    ) -> Result<Option<Reevaluation>, StructureError> {
         let own = Problem::within(reductions, structure, problem)?;
         let root = carried(&problem.covariance, &own.covariance, &point.root);
         let point = Point { root, ..point.clone() };
         let sums = own.with_score(&point, || own.sums(&point, Order::First, near));
-        Ok(sums.map(|sums| Elsewhere { problem: own, point, sums }))
+        Ok(sums.map(|sums| Reevaluation { problem: own, point, sums }))
     }
 
     /// ∂ℓ/∂(μ in η, γ; σ pairs): of every element, whatever the structure holds.
