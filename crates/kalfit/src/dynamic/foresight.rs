@@ -7,8 +7,8 @@ use crate::dynamic::search::HARDLY;
 use crate::dynamic::search_state::SearchState;
 
 impl SearchState<'_, '_> {
-    /// [`ProfileLikelihood::step`](crate::dynamic::profile_likelihood::ProfileLikelihood::step) from home. Where nobody has answered what the tests say there, the differences
-    /// about that place are asked for, too.
+    /// [`ProfileLikelihood::step`](crate::dynamic::profile_likelihood::ProfileLikelihood::step) from home. Where nobody has answered
+    /// what the tests say there, the differences about that place are asked for, too.
     pub(super) fn stepped(&self, values: &[f64], step: &JointStep, fine: bool) -> Option<ProfilePoint> {
         self.objective.together(|| {
             let next = self.objective.step(&self.home, values, &step.inner);

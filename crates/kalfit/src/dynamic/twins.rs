@@ -72,7 +72,7 @@ impl ExchangeablePair {
         }
     }
 
-    /// The level that is at zero where the two are [merged](Twins::merged).
+    /// The level that is at zero where the two are [merged](ExchangeablePair::merged).
     pub(crate) fn freed(&self, coordinates: &[Coordinate]) -> Option<usize> {
         self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_some())
     }
