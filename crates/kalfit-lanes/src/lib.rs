@@ -61,7 +61,7 @@ pub const MOST: usize = 8;
 
 /// So many lists side by side, at least one, as long as the first: one in each lane. Lanes beyond the last list are as the last one.
 #[inline(always)]
-pub fn abreast<'a, T: Lanes>(lists: usize, list: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
+pub fn interleaved<'a, T: Lanes>(lists: usize, list: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
     let mut all: [&[f64]; MOST] = [&[]; MOST];
     for (lane, slice) in all.iter_mut().enumerate() {
         *slice = list(lane.min(lists - 1));
@@ -176,7 +176,7 @@ mod tests {
         #[inline(always)]
         fn run<T: Lanes>(self) -> Vec<Vec<f64>> {
             let lists = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]];
-            let all = abreast::<T>(3.min(T::COUNT), |at| &lists[at]);
+            let all = interleaved::<T>(3.min(T::COUNT), |at| &lists[at]);
             (0..T::COUNT).map(|lane| all.iter().map(|x| x.lane(lane)).collect()).collect()
         }
     }

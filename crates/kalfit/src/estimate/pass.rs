@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::estimate::chained::{ChainDetail, Packed};
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
-use crate::estimate::lanes::{Accumulator, ChainPass, ChainSums, ClassEvaluator, ClassSums, InPhases};
+use crate::estimate::lanes::{Accumulator, ChainKernel, ChainSums, ClassEvaluator, ClassSums, InPhases};
 use crate::estimate::levels;
 use crate::estimate::order::{FlatMean, Order, SumsWanted, most_tasks};
 use crate::estimate::point::{Point, Regressors};
@@ -74,7 +74,7 @@ pub(crate) fn pass(
 /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
 fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();
-    let of = |blocks: &[Arc<Packed>]| isa.run(ChainPass { blocks, classes: &classes.listed, point, wanted });
+    let of = |blocks: &[Arc<Packed>]| isa.run(ChainKernel { blocks, classes: &classes.listed, point, wanted });
     let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
     let all: Vec<ChainSums> = classes.chains.par_chunks(each).map(of).collect();
     let mut left = Vec::new();

@@ -25,7 +25,7 @@ use crate::estimate::point::Point;
 use crate::linalg::symmetric::pairs;
 pub(crate) use accumulator::{Accumulator, ClassSums, Contribution};
 pub(crate) use alone::ClassEvaluator;
-pub(crate) use chains::{ChainKernel as ChainPass, ChainSums, InPhases};
+pub(crate) use chains::{ChainKernel, ChainSums, InPhases};
 pub(crate) use whole::flops_of_a_test;
 
 /// Classes of p states that are not in phases, in blocks of as many as the machine has lanes: all of a single test, or all of several.

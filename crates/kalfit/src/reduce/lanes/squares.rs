@@ -69,7 +69,9 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e:
     let (mut total, mut from) = (T::splat(0.0), rows.start);
     while from < rows.end {
         let Repeats { still, end, width } = numbers.repeats(from, rows.end);
-        total = total + each::<T, N>(numbers, from..still, (e, xi), sum);
+        if from < still {
+            total = total + each::<T, N>(numbers, from..still, (e, xi), sum);
+        }
         if still < end {
             total = total + equal::<T, N>(numbers, (still..end, width), (e, xi), sum);
         }
@@ -82,7 +84,7 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e:
 #[inline(always)]
 fn each<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, (e, xi): (&[f64], &[T]), sum: &mut [T]) -> T {
     let zero = T::splat(0.0);
-    let (mut total, mut part) = (zero, vec![zero; if rows.is_empty() { 0 } else { sum.len() }]);
+    let (mut total, mut part) = (zero, vec![zero; sum.len()]);
     for start in rows.clone().step_by(BLOCK) {
         part.fill(zero);
         let mut square = zero;

@@ -1,7 +1,7 @@
 //! Joining a phase and what is known of all after it, for one test or for tests side by side.
 #![expect(non_snake_case, reason = "the letters of the theory: G, C, A the rows on σ")]
 
-use kalfit_lanes::{Lanes, MOST, abreast};
+use kalfit_lanes::{Lanes, MOST, interleaved};
 use nalgebra::DMatrix;
 
 use crate::linalg::fold::fold_rows;
@@ -79,9 +79,9 @@ impl<T: Lanes> JoinedPhase<T> {
             let transition = Matrix::new(like[2], count, |lane| link_of(&tests[lane][at])[2].as_slice());
             link = Some(GivenLink { G: transition.times(&sensitivity), C: transition.times(&root).narrowed() });
         }
-        let mean = abreast(count, |lane| tests[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
-        let data = abreast(count, |lane| tests[lane][at].data);
-        let factor = abreast(count, |lane| tests[lane][at].factor);
+        let mean = interleaved(count, |lane| tests[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
+        let data = interleaved(count, |lane| tests[lane][at].data);
+        let factor = interleaved(count, |lane| tests[lane][at].factor);
         JoinedPhase { own: first.own, size: first.size(), factor, link, data, mean }
     }
 
@@ -162,7 +162,7 @@ fn dot<T: Lanes>(a: &[T], b: &[T]) -> T {
 impl<T: Lanes> Matrix<T> {
     #[inline(always)]
     fn new<'a>(like: &DMatrix<f64>, tests: usize, entries: impl Fn(usize) -> &'a [f64]) -> Matrix<T> {
-        Matrix { rows: like.nrows(), columns: like.ncols(), entries: abreast(tests, entries) }
+        Matrix { rows: like.nrows(), columns: like.ncols(), entries: interleaved(tests, entries) }
     }
 
     #[inline(always)]

@@ -1,7 +1,7 @@
 //! The backward pass of tests with designs of one shape, a test in each lane.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, N")]
 
-use kalfit_lanes::{Kernel, Lanes, abreast};
+use kalfit_lanes::{Kernel, Lanes, interleaved};
 
 use crate::reduce::{DataBlock, Design, DesignBatch, Interleaved};
 use crate::score::backward::adjoint::{Adjoint, ScalarAdjoint};
@@ -50,24 +50,24 @@ impl Kernel for BatchBackward<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> BatchAdjoints {
-        let woven = self.block.interleave::<T>(self.longest, self.gained);
-        let root = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].root);
-        let mean = abreast::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
+        let numbers = self.block.interleave::<T>(self.longest, self.gained);
+        let root = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].root);
+        let mean = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
         let unknown = PosteriorRoot { frame: &self.longest.frame, root: &root, columns, wanted: self.wanted };
-        let forward = Forward::new(&woven, &mean, &unknown);
+        let forward = Forward::new(&numbers, &mean, &unknown);
         let mut ending = None;
         if let Some(first) = self.endings.first() {
             debug_assert!(first.r.len() == unknown.frame.n, "one for each state");
             let many = self.endings.len();
             ending = Some([
-                abreast::<T>(many, |lane| &self.endings[lane].r),
-                abreast::<T>(many, |lane| &self.endings[lane].rho),
-                abreast::<T>(many, |lane| &self.endings[lane].N),
+                interleaved::<T>(many, |lane| &self.endings[lane].r),
+                interleaved::<T>(many, |lane| &self.endings[lane].rho),
+                interleaved::<T>(many, |lane| &self.endings[lane].N),
             ]);
         }
         let ending = ending.as_ref().map(|[r, rho, N]| [&**r, &**rho, &**N]);
-        forward.back(&woven, &unknown, ending)
+        forward.back(&numbers, &unknown, ending)
     }
 }
 
@@ -82,15 +82,15 @@ struct Forward<T> {
 }
 
 #[inline(always)]
-fn line<'a, T: Lanes>(woven: &'a Interleaved<'_, T>, (line, row): (usize, usize)) -> ScalarMeasurement<'a, T> {
-    let ((states, h, noise), (weight, K, T)) = (woven.line(line), woven.row(row));
+fn line<'a, T: Lanes>(numbers: &'a Interleaved<'_, T>, (line, row): (usize, usize)) -> ScalarMeasurement<'a, T> {
+    let ((states, h, noise), (weight, K, T)) = (numbers.line(line), numbers.row(row));
     ScalarMeasurement { states, h, noise, weight, K, T }
 }
 
 impl<T: Lanes> Forward<T> {
     #[inline(always)]
-    fn new(woven: &Interleaved<'_, T>, mean: &[T], unknown: &PosteriorRoot<'_, T>) -> Forward<T> {
-        let (design, driven) = (woven.shape, unknown.frame.driven.len());
+    fn new(numbers: &Interleaved<'_, T>, mean: &[T], unknown: &PosteriorRoot<'_, T>) -> Forward<T> {
+        let (design, driven) = (numbers.shape, unknown.frame.driven.len());
         let (n, r) = (unknown.frame.n, unknown.frame.r);
         let stride = n + r * r + n * unknown.columns;
         let steps = if unknown.wanted.motion { design.runs.iter().map(|run| run.count).sum() } else { 0 };
@@ -102,24 +102,24 @@ impl<T: Lanes> Forward<T> {
             stride,
         };
         let mut now = FilteredMoments::<T>::default();
-        now.begin(&Begin { start: &woven.start, variance: &woven.variance, mean }, unknown);
+        now.begin(&Begin { start: &numbers.start, variance: &numbers.variance, mean }, unknown);
         let (mut input, mut row, mut first) = (0, 0, 0);
-        let mut transition = woven.transition();
+        let mut transition = numbers.transition();
         for (at_run, run) in design.runs.iter().enumerate() {
             for _ in 0..run.count {
-                if woven.take(at_run, &mut transition) {
+                if numbers.take(at_run, &mut transition) {
                     if unknown.wanted.motion {
                         now.save(&mut forward.left);
                     }
-                    now.advance(&transition, &woven.inputs[input..input + driven], unknown);
+                    now.advance(&transition, &numbers.inputs[input..input + driven], unknown);
                     input += driven;
                 }
                 for number in first..run.lines {
                     if unknown.wanted.equation {
                         now.save(&mut forward.before);
                     }
-                    let line = line(woven, (number, row));
-                    let e = now.innovation(&line, woven.values[row]);
+                    let line = line(numbers, (number, row));
+                    let e = now.innovation(&line, numbers.values[row]);
                     now.measure(&line, e, unknown);
                     forward.e.push(e);
                     row += 1;
@@ -133,11 +133,11 @@ impl<T: Lanes> Forward<T> {
     #[inline(always)]
     fn back(
         self,
-        woven: &Interleaved<'_, T>,
+        numbers: &Interleaved<'_, T>,
         unknown: &PosteriorRoot<'_, T>,
         ending: Option<[&[T]; 3]>,
     ) -> BatchAdjoints {
-        let (design, frame, wanted) = (woven.shape, unknown.frame, unknown.wanted);
+        let (design, frame, wanted) = (numbers.shape, unknown.frame, unknown.wanted);
         let (n, zero) = (frame.n, T::splat(0.0));
         let sizes = (n, frame.r);
         let mut adjoint = Adjoint::<T>::default();
@@ -146,7 +146,7 @@ impl<T: Lanes> Forward<T> {
         let mut rows = vec![0.0; design.rows() * width * T::COUNT];
         let (mut moves, mut kinds) = (Vec::new(), [0; 3]);
         let (mut bar, mut moved) = (vec![zero; width], TransitionAdjoint::<T>::default());
-        let (mut transitions, mut row, mut transition) = (0, design.rows(), woven.transition());
+        let (mut transitions, mut row, mut transition) = (0, design.rows(), numbers.transition());
         for run in &design.runs {
             transitions += if run.transition.is_some() { run.count } else { 0 };
         }
@@ -164,12 +164,12 @@ impl<T: Lanes> Forward<T> {
                             Some((h, FilterSnapshot::new(&self.before[row * self.stride..][..self.stride], sizes)));
                     }
                     let out = ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h: equation };
-                    adjoint.measured(&line(woven, (number, row)), self.e[row], unknown, out);
+                    adjoint.measured(&line(numbers, (number, row)), self.e[row], unknown, out);
                     for k in 0..width {
                         bar[k].store(&mut rows[(row * width + k) * T::COUNT..]);
                     }
                 }
-                if !woven.take(at_run, &mut transition) {
+                if !numbers.take(at_run, &mut transition) {
                     continue;
                 }
                 if moves.is_empty() {

@@ -148,10 +148,10 @@ impl<T: Lanes> DataBackwardState<T> {
                         self.step_forth(shared, step, (&mut at, &mut input));
                     }
                 }
-                RecordSegment::Equal(leg) => {
-                    self.equal_forth(shared, leg);
+                RecordSegment::Equal(equal) => {
+                    self.equal_forth(shared, equal);
                     at.row += 1;
-                    at.transition += usize::from(leg.stretch.transition.is_some());
+                    at.transition += usize::from(equal.stretch.transition.is_some());
                 }
             }
         }
@@ -190,12 +190,12 @@ impl<T: Lanes> DataBackwardState<T> {
     }
 
     #[inline(always)]
-    fn equal_forth(&mut self, shared: &ClassShared<'_>, leg: &EqualStretch<'_>) {
+    fn equal_forth(&mut self, shared: &ClassShared<'_>, equal: &EqualStretch<'_>) {
         let DataBackwardState { x, e, marks, .. } = self;
         marks.extend_from_slice(x);
-        let (stretch, gains) = (&leg.stretch, (shared.gains, leg.piece));
+        let (stretch, gains) = (&equal.stretch, (shared.gains, equal.piece));
         let e = &mut e[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
-        Scan { design: shared.design, stretch, gains, x, e, marks: Some((marks, leg.block)) }.run(leg.states);
+        Scan { design: shared.design, stretch, gains, x, e, marks: Some((marks, equal.block)) }.run(equal.states);
     }
 
     /// x ← φx.
@@ -232,10 +232,10 @@ impl<T: Lanes> DataBackwardState<T> {
                         self.step_back(shared, step, &mut at);
                     }
                 }
-                RecordSegment::Equal(leg) => {
+                RecordSegment::Equal(equal) => {
                     at.row -= 1;
-                    at.transition -= usize::from(leg.stretch.transition.is_some());
-                    self.equal_back(shared, leg, at);
+                    at.transition -= usize::from(equal.stretch.transition.is_some());
+                    self.equal_back(shared, equal, at);
                 }
             }
         }
@@ -260,16 +260,16 @@ impl<T: Lanes> DataBackwardState<T> {
     }
 
     #[inline(always)]
-    fn equal_back(&mut self, shared: &ClassShared<'_>, leg: &EqualStretch<'_>, at: Cursor) {
-        let (n, states) = (self.x.len(), leg.states);
-        let start = self.marks.len() - n - leg.blocks().count() * states;
+    fn equal_back(&mut self, shared: &ClassShared<'_>, equal: &EqualStretch<'_>, at: Cursor) {
+        let (n, states) = (self.x.len(), equal.states);
+        let start = self.marks.len() - n - equal.blocks().count() * states;
         let DataBackwardState { x: r, e, marks, .. } = &mut *self;
         let (first, marks) = marks[start..].split_at(n);
         let first = first.to_vec();
-        let e = &e[leg.stretch.rows.start * T::COUNT..leg.stretch.rows.end * T::COUNT];
+        let e = &e[equal.stretch.rows.start * T::COUNT..equal.stretch.rows.end * T::COUNT];
         with_states!(states, N => {
-            let answers = T::apart(EqualDataBackward::<T, N> { stretch: leg, first: &first, marks, e, r });
-            self.answered(shared, leg, (at, &first), &answers);
+            let answers = T::apart(EqualDataBackward::<T, N> { stretch: equal, first: &first, marks, e, r });
+            self.answered(shared, equal, (at, &first), &answers);
         });
         self.marks.truncate(start);
     }
@@ -279,7 +279,7 @@ impl<T: Lanes> DataBackwardState<T> {
     fn answered<const N: usize>(
         &mut self,
         shared: &ClassShared<'_>,
-        leg: &EqualStretch<'_>,
+        equal: &EqualStretch<'_>,
         (at, first): (Cursor, &[T]),
         answers: &DataSums<T, N>,
     ) {
@@ -291,11 +291,11 @@ impl<T: Lanes> DataBackwardState<T> {
             let bar = if entry.i < N { answers.h[entry.i] } else { answers.u * first[entry.i] };
             self.add(response, entry, bar);
         }
-        let (states, h) = shared.design.terms(leg.stretch.lines.start);
+        let (states, h) = shared.design.terms(equal.stretch.lines.start);
         for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
             self.x[state as usize] = T::splat(h).fma(answers.u, self.x[state as usize]);
         }
-        let Some(transition) = leg.stretch.transition else { return };
+        let Some(transition) = equal.stretch.transition else { return };
         let (own, pattern) = (&response.moves[at.transition], &transition.pattern);
         for entry in response.entries(&own.q) {
             let both = answers.rr[entry.i.max(entry.j)][entry.i.min(entry.j)];
