@@ -15,8 +15,6 @@ pub(crate) struct Gather {
     texts: usize,
     /// Text cell with the phase of the row.
     phase_cell: Option<usize>,
-    /// Hashes of the ids seen, with the number of the test.
-    seen: HashTable<(u64, usize)>,
     open: Open,
     /// Complete tests, to be handed over.
     complete: Option<Vec<Test>>,
@@ -26,10 +24,10 @@ pub(crate) struct Gather {
 
 /// Tests that may still get rows, and those handed over with them.
 enum Open {
-    /// The last test alone, after complete ones that are not handed over yet.
-    Last { batch: Box<TestBatch>, times: Option<Times> },
-    /// All tests, in order of first appearance, and the number of that of the last row.
-    All { tests: Vec<(Test, Option<Times>)>, current: usize },
+    /// The last test alone, after complete ones that are not handed over yet; and hashes of the ids seen.
+    Last { batch: Box<TestBatch>, times: Option<Times>, seen: HashTable<u64> },
+    /// All tests, in order of first appearance, and the number of that of the last row; hashes of their ids, with their numbers.
+    All { tests: Vec<(Test, Option<Times>)>, current: usize, seen: HashTable<(u64, usize)> },
 }
 
 /// Times of a test: the first of all, and the last of each phase, since times may start again with a phase.
@@ -79,10 +77,12 @@ const BATCH_CELLS: usize = 1_000_000;
 impl Gather {
     pub(crate) fn new(holds: bool, (numbers, texts): (usize, usize), phase_cell: Option<usize>) -> Gather {
         let open = match holds {
-            true => Open::All { tests: Vec::new(), current: 0 },
-            false => Open::Last { batch: Box::new(TestBatch::new(numbers, texts)), times: None },
+            true => Open::All { tests: Vec::new(), current: 0, seen: HashTable::new() },
+            false => {
+                Open::Last { batch: Box::new(TestBatch::new(numbers, texts)), times: None, seen: HashTable::new() }
+            }
         };
-        Gather { numbers, texts, phase_cell, seen: HashTable::new(), open, complete: None, held: 0 }
+        Gather { numbers, texts, phase_cell, open, complete: None, held: 0 }
     }
 
     /// Turns to the test of the next rows, by its id and the hash of that.
@@ -92,10 +92,10 @@ impl Gather {
         }
         // while streaming, two ids with one hash are taken for one: all is read again then, and ids are compared
         let found = match &mut self.open {
-            Open::Last { .. } => self.seen.find(hash, |(other, _)| *other == hash).map(|_| Turn::Returned),
-            Open::All { tests, current } => {
+            Open::Last { seen, .. } => seen.find(hash, |other| *other == hash).map(|_| Turn::Returned),
+            Open::All { tests, current, seen } => {
                 let same = |&(other, at): &(u64, usize)| other == hash && tests[at].0.id == id;
-                self.seen.find(hash, same).map(|&(_, known)| {
+                seen.find(hash, same).map(|&(_, known)| {
                     *current = known;
                     Turn::Known
                 })
@@ -119,7 +119,7 @@ impl Gather {
     pub(crate) fn first_texts(&self) -> Option<&[Label]> {
         match &self.open {
             Open::Last { batch, .. } => batch.last_texts(),
-            Open::All { tests, current } => {
+            Open::All { tests, current, .. } => {
                 tests.get(*current).filter(|(test, _)| test.rows() > 0).map(|(test, _)| test.texts(0))
             }
         }
@@ -129,7 +129,7 @@ impl Gather {
     pub(crate) fn current(&self) -> &str {
         match &self.open {
             Open::Last { batch, .. } => batch.last_id().unwrap_or_default(),
-            Open::All { tests, current } => tests.get(*current).map_or("", |(test, _)| &test.id),
+            Open::All { tests, current, .. } => tests.get(*current).map_or("", |(test, _)| &test.id),
         }
     }
 
@@ -147,7 +147,7 @@ impl Gather {
         self.held += (rows.len() * (8 * self.numbers + 4 * self.texts)) as u64;
         let times = match &mut self.open {
             Open::Last { times, .. } => times,
-            Open::All { tests, current } => &mut tests[*current].1,
+            Open::All { tests, current, .. } => &mut tests[*current].1,
         };
         for row in rows.clone() {
             let Some(now) = block.time(row) else { break };
@@ -164,16 +164,16 @@ impl Gather {
             let source = Source { file, row };
             match &mut self.open {
                 Open::Last { batch, .. } => batch.push_rows(part.len(), numbers, texts, source),
-                Open::All { tests, current } => tests[*current].0.push_rows(part.len(), numbers, texts, source),
+                Open::All { tests, current, .. } => tests[*current].0.push_rows(part.len(), numbers, texts, source),
             }
         }
         Ok(())
     }
 
     fn begin(&mut self, id: &str, hash: u64) {
-        self.seen.insert_unique(hash, (hash, self.seen.len()), |(hash, _)| *hash);
         match &mut self.open {
-            Open::Last { batch, times } => {
+            Open::Last { batch, times, seen } => {
+                seen.insert_unique(hash, hash, |hash| *hash);
                 (*times, self.held) = (None, 0);
                 let cells = batch.rows() * (self.numbers + self.texts).max(1);
                 if batch.len() >= BATCH_TESTS || cells >= BATCH_CELLS {
@@ -182,8 +182,9 @@ impl Gather {
                 }
                 batch.begin(id);
             }
-            Open::All { tests, current } => {
+            Open::All { tests, current, seen } => {
                 *current = tests.len();
+                seen.insert_unique(hash, (hash, *current), |(hash, _)| *hash);
                 tests.push((Test::new(id, self.numbers, self.texts), None));
             }
         }
@@ -201,7 +202,10 @@ impl Gather {
 
     /// Number of tests seen.
     pub(crate) fn tests(&self) -> usize {
-        self.seen.len()
+        match &self.open {
+            Open::Last { seen, .. } => seen.len(),
+            Open::All { tests, .. } => tests.len(),
+        }
     }
 
     /// All that is left, in batches.

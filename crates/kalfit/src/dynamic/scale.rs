@@ -40,9 +40,8 @@ pub(crate) struct Scale {
 #[derive(Debug)]
 struct Home {
     value: f64,
+    /// r of each test is known.
     reductions: Reductions,
-    /// n and r of each test.
-    residuals: Vec<Residual>,
     noisy: OnceLock<Noisy>,
 }
 
@@ -82,12 +81,10 @@ impl Scale {
             Some(home) => home,
             None => {
                 let reductions = run(value)?;
-                let residual = |(squares, observations): (Option<f64>, usize)| {
-                    let squares = squares?.max(0.0); // rounding leaves less than nothing
-                    Some(Residual { measurements: observations as f64, squares })
-                };
-                let Some(residuals) = reductions.residuals().map(residual).collect() else { return Ok(None) };
-                let home = Arc::new(Home { value, reductions, residuals, noisy: OnceLock::new() });
+                if (0..reductions.len()).any(|number| reductions.residual(number).0.is_none()) {
+                    return Ok(None);
+                }
+                let home = Arc::new(Home { value, reductions, noisy: OnceLock::new() });
                 *self.home.lock().unwrap_or_else(PoisonError::into_inner) = Some(home.clone());
                 home
             }
@@ -108,18 +105,15 @@ impl Scale {
     /// The reductions at θ. `None` where θ is not one that others can be had from.
     pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
-        Ok(scaled(home.reductions.clone(), &home.residuals, variance))
+        Ok(scaled(home.reductions.clone(), variance))
     }
 
     /// The same at the end of a search: nothing is left here that others are had from.
     pub(crate) fn last_reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         *self.home.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        let (reductions, residuals) = match Arc::try_unwrap(home) {
-            Ok(home) => (home.reductions, home.residuals),
-            Err(home) => (home.reductions.clone(), home.residuals.clone()),
-        };
-        Ok(scaled(reductions, &residuals, variance))
+        let reductions = Arc::try_unwrap(home).map_or_else(|home| home.reductions.clone(), |home| home.reductions);
+        Ok(scaled(reductions, variance))
     }
 
     /// The same from this θ_0, whatever was asked before.
@@ -139,12 +133,13 @@ impl Scale {
     pub(crate) fn scores(&self, value: f64, reductions: &Reductions, law: &InitialLaw) -> Option<Vec<Gradient>> {
         let home = self.last().filter(|_| value > 0.0)?;
         let variance = self.variance(&home, value);
-        let one = |(at, residual): (ReductionRef<'_>, &Residual)| {
+        let one = |(at, there): (ReductionRef<'_>, usize)| {
+            let residual = Residual::of(&home.reductions, there);
             let expected = expected_square(at, law);
             let slope = 0.5 * (residual.squares / variance + expected - residual.measurements);
             vec![(0, self.power * slope / value)]
         };
-        let all: Vec<Gradient> = reductions.par_iter().zip(&home.residuals).map(one).collect();
+        let all: Vec<Gradient> = reductions.par_iter().zip(0..home.reductions.len()).map(one).collect();
         all.iter().all(|score| score[0].1.is_finite()).then_some(all)
     }
 
@@ -158,7 +153,7 @@ impl Scale {
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some((home, variance)) = self.home(value, far, run)? else { return Ok(None) };
         if home.noisy.get().is_none() {
-            let _ = home.noisy.set(Noisy::new(&home.reductions, &home.residuals, structure, settings)?);
+            let _ = home.noisy.set(Noisy::new(&home.reductions, structure, settings)?);
         }
         let noisy = home.noisy.get().expect("it was set");
         let estimate = noisy.fit(variance, structure, near, settings)?;
@@ -174,10 +169,11 @@ impl Scale {
 }
 
 /// To where variances are so many times as large; `None` where something is then not finite.
-fn scaled(mut all: Reductions, residuals: &[Residual], variance: f64) -> Option<Reductions> {
+fn scaled(mut all: Reductions, variance: f64) -> Option<Reductions> {
     let unit = variance.sqrt().recip();
     let mut finite = true;
-    for (number, residual) in residuals.iter().enumerate() {
+    for number in 0..all.len() {
+        let residual = Residual::of(&all, number);
         let test = all.get_mut(number);
         *test.residual = Some(residual.squares / variance);
         *test.constant += residual.change(variance);

@@ -76,7 +76,7 @@ impl TestBatch {
     /// The tests.
     pub fn finish(mut self) -> Vec<Test> {
         self.records.fit();
-        let (all, rows) = (Arc::<str>::from(self.ids.as_str()), self.records.rows());
+        let (all, rows) = (Arc::new(self.ids.into_boxed_str()), self.records.rows());
         let records = Arc::new(self.records);
         let ends = self.begins.iter().skip(1).copied().chain([(all.len(), rows)]);
         let test = |(&(id, row), (id_end, end)): (&(usize, usize), (usize, usize))| {

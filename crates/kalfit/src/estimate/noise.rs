@@ -38,18 +38,18 @@ pub(crate) struct Noisy {
 }
 
 impl Noisy {
-    /// From reductions at λ = 1 and what each says of the level of the noise.
+    /// From reductions at λ = 1, of which each says what it knows of the level of the noise.
     pub(crate) fn new(
         reductions: &Reductions,
-        residuals: &[Residual],
         structure: &Structure<'_>,
         settings: &Settings,
     ) -> Result<Noisy, FitError> {
         let evidence = evidence(reductions, structure, settings)?;
         let classes = problem(&evidence, structure, settings)?.classes;
         let sum = |told: &mut dyn Iterator<Item = Residual>| told.fold(Residual::default(), Residual::and);
+        let of_test = |&j: &usize| Residual::of(reductions, j);
         let told: Vec<Residual> =
-            (0..classes.len()).map(|k| sum(&mut classes.tests_of(k).iter().map(|&j| residuals[j]))).collect();
+            (0..classes.len()).map(|k| sum(&mut classes.tests_of(k).iter().map(of_test))).collect();
         let all = sum(&mut told.iter().copied());
         Ok(Noisy { classes, told: Arc::new(told), all })
     }
@@ -167,11 +167,6 @@ mod tests {
     #[test]
     fn fits_at_other_noise_are_those_of_the_reductions_there() {
         let reductions: Reductions = (0..40).map(test).collect();
-        let residual = |test: ReductionRef<'_>| Residual {
-            measurements: test.observations as f64,
-            squares: test.residual.expect("it is known"),
-        };
-        let residuals: Vec<Residual> = reductions.iter().map(residual).collect();
         let regression = vec![Regression { element: 0, column: 0 }];
         let covariance = CovarianceStructure::full();
         let alpha = Alpha { values: Vec::new() };
@@ -180,7 +175,7 @@ mod tests {
             let reductions = reductions.clone().with_covariates(&[0][..mean.regression.len()]);
             for criterion in [Criterion::Ml, Criterion::Reml] {
                 let settings = Settings { criterion, ..Settings::default() };
-                let noisy = Noisy::new(&reductions, &residuals, &structure, &settings).expect("sound");
+                let noisy = Noisy::new(&reductions, &structure, &settings).expect("sound");
                 assert!(!noisy.classes.unbatched.is_empty() && noisy.classes.len() < 40, "of all kinds");
                 let direct = |variance: f64, near: Option<&Population>| {
                     let there: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use crate::reduce::Reductions;
+
 /// What tests say of the level of the noise by themselves.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Residual {
@@ -12,6 +14,13 @@ pub(crate) struct Residual {
 }
 
 impl Residual {
+    /// Of a test whose r is known.
+    pub(crate) fn of(reductions: &Reductions, number: usize) -> Residual {
+        let (squares, observations) = reductions.residual(number);
+        let squares = squares.expect("r is known").max(0.0); // rounding leaves less than nothing
+        Residual { measurements: observations as f64, squares }
+    }
+
     pub(crate) fn and(self, other: Residual) -> Residual {
         Residual { measurements: self.measurements + other.measurements, squares: self.squares + other.squares }
     }

@@ -28,6 +28,9 @@ const MOST: usize = 512;
 const FEWEST: usize = 32;
 const FEW_ROWS: usize = 8192;
 
+/// Batches that are reduced before what they say goes where all is: there is never much of it twice.
+const BATCHES: usize = 256;
+
 /// Tests with designs of their own that are put in order together, for each lane: they fill lanes with their like, and need no room of
 /// their own for long.
 const TOGETHER: usize = 4;
@@ -88,12 +91,14 @@ impl Reducer {
 
     /// The same, each test by itself.
     pub(super) fn reduce_each(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
-        let rows = tests.iter().map(|test| test.rows()).sum();
-        let batches = tests
-            .par_chunks(share(tests.len(), rows))
-            .map_init(|| BatchReducer::new(self), |batch, tests| batch.reduce(tests))
-            .collect();
-        joined(batches)
+        let share = share(tests.len(), tests.iter().map(|test| test.rows()).sum());
+        let mut all = Reductions::new();
+        for some in tests.chunks(BATCHES * share) {
+            let batches =
+                some.par_chunks(share).map_init(|| BatchReducer::new(self), |batch, tests| batch.reduce(tests));
+            all.take(batches.collect::<Vec<_>>().into_iter().collect::<Result<_, _>>()?, tests.len());
+        }
+        Ok(all)
     }
 }
 

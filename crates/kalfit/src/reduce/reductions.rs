@@ -189,20 +189,27 @@ impl Reductions {
 
     /// All of some reductions, one after the other.
     pub(crate) fn joined(parts: Vec<Reductions>) -> Reductions {
-        let tests: usize = parts.iter().map(Reductions::len).sum();
-        let ids = parts.iter().map(|part| part.ids.len()).sum::<usize>();
-        let mut parts = parts.into_iter();
-        let mut all = parts.next().unwrap_or_default();
-        let more = tests - all.len();
-        all.ids.reserve_exact(ids - all.ids.len());
-        [&mut all.id_ends, &mut all.steps, &mut all.observations].into_iter().for_each(|x| x.reserve_exact(more));
-        [&mut all.data, &mut all.factors, &mut all.covariates].into_iter().for_each(|x| x.reserve(more));
-        all.constants.reserve_exact(more);
-        all.residuals.reserve_exact(more);
-        all.paths.reserve_exact(more);
-        all.designs.reserve_exact(more);
-        parts.for_each(|part| all.append(part));
+        let (mut all, tests) = (Reductions::new(), parts.iter().map(Reductions::len).sum());
+        all.take(parts, tests);
         all
+    }
+
+    /// Adds all tests of others, one after the other, of so many that there are at last.
+    pub(crate) fn take(&mut self, others: Vec<Reductions>, tests: usize) {
+        let ids = self.ids.len() + others.iter().map(|part| part.ids.len()).sum::<usize>();
+        let mut others = others.into_iter();
+        if self.is_empty() {
+            *self = others.next().unwrap_or_default();
+        }
+        let more = tests - self.len();
+        self.ids.reserve_exact(ids - self.ids.len());
+        [&mut self.id_ends, &mut self.steps, &mut self.observations].into_iter().for_each(|x| x.reserve_exact(more));
+        [&mut self.data, &mut self.factors, &mut self.covariates].into_iter().for_each(|x| x.reserve(more));
+        self.constants.reserve_exact(more);
+        self.residuals.reserve_exact(more);
+        self.paths.reserve_exact(more);
+        self.designs.reserve_exact(more);
+        others.for_each(|part| self.append(part));
     }
 
     /// The number of these reductions: others have another, but clones have the same.
@@ -221,9 +228,9 @@ impl Reductions {
         self.paths[number]
     }
 
-    /// The sum of squares that is left of each test, and how many measurements it has.
-    pub(crate) fn residuals(&self) -> impl Iterator<Item = (Option<f64>, usize)> + use<'_> {
-        self.residuals.iter().copied().zip(self.observations.iter().copied())
+    /// The sum of squares that is left of a test, if it is known, and how many measurements it has.
+    pub(crate) fn residual(&self, number: usize) -> (Option<f64>, usize) {
+        (self.residuals[number], self.observations[number])
     }
 
     /// d of a test.

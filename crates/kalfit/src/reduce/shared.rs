@@ -18,10 +18,10 @@ pub(crate) struct SharedStore<K, V> {
 #[derive(Debug)]
 struct StoreShard<K, V> {
     entries: HashMap<u128, Arc<StoreEntry<K, V>>, DigestHasher>,
-    /// Asked for once.
-    noted: HashSet<u128, DigestHasher>,
-    /// Keys that [`SharedStore::is_new`] has seen.
-    told: HashSet<u128, DigestHasher>,
+    /// Upper halves of what was asked for once.
+    noted: HashSet<u64, DigestHasher>,
+    /// The same of keys that [`SharedStore::is_new`] has seen.
+    told: HashSet<u64, DigestHasher>,
 }
 
 impl<K, V> Default for StoreShard<K, V> {
@@ -47,8 +47,17 @@ impl Hasher for Half {
     }
 
     fn write_u128(&mut self, digest: u128) {
-        self.0 = (digest >> 64) as u64;
+        self.0 = upper_half(digest);
     }
+
+    fn write_u64(&mut self, half: u64) {
+        self.0 = half;
+    }
+}
+
+/// What tells digests of a shard apart.
+fn upper_half(digest: u128) -> u64 {
+    (digest >> 64) as u64
 }
 
 /// Most digests that a shard remembers of what was asked for once.
@@ -62,11 +71,11 @@ impl<K, V> StoreShard<K, V> {
 }
 
 /// Remembers a digest; true where it was not remembered.
-fn note(noted: &mut HashSet<u128, DigestHasher>, digest: u128) -> bool {
+fn note(noted: &mut HashSet<u64, DigestHasher>, digest: u128) -> bool {
     if noted.len() >= NOTED {
         noted.clear();
     }
-    noted.insert(digest)
+    noted.insert(upper_half(digest))
 }
 
 /// A key and its value.

@@ -42,7 +42,7 @@ impl<'a> ClassEvaluator<'a> {
         self.room.widen(1 + class.scatter.len() / p.max(1));
         self.room.move_mean(class.covariates, self.point, self.regressors);
         let evaluate = if class.square_root { ClassWorkspace::evaluate_by_qr } else { ClassWorkspace::evaluate };
-        let det = evaluate(&mut self.room, &self.block);
+        let det = evaluate(&mut self.room, &self.block, 1.0);
         InBlock { room: &self.room, det, count: Some(class.count), phases }
     }
 }

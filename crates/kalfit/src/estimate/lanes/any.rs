@@ -80,10 +80,10 @@ impl<T: Lanes> ClassWorkspace<T> {
     }
 
     /// Evaluates a block: R by columns, d, then vectors of the scatter for the other columns of u, in lanes. |S| as
-    /// mantissa × 2^exponent.
+    /// mantissa × 2^exponent. d and the scatter are so many times as large as they stand there.
     #[inline(always)]
-    pub(super) fn evaluate(&mut self, block: &[f64]) -> (T, T) {
-        self.load(block);
+    pub(super) fn evaluate(&mut self, block: &[f64], unit: f64) -> (T, T) {
+        self.load(block, unit);
         self.spread(block);
         self.cover();
         let det = self.eliminate(None);
@@ -93,8 +93,8 @@ impl<T: Lanes> ClassWorkspace<T> {
 
     /// [0 R d-Rμ].
     #[inline(always)]
-    fn load(&mut self, block: &[f64]) {
-        let (p, width) = (self.p, self.p + self.width());
+    fn load(&mut self, block: &[f64], unit: f64) {
+        let (p, width, unit) = (self.p, self.p + self.width(), T::splat(unit));
         self.rows.fill(T::splat(0.0));
         let mut next = block.chunks_exact(T::COUNT);
         for k in 0..p {
@@ -106,7 +106,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
         for row in self.rows.chunks_exact_mut(width) {
             let Some(d) = next.next() else { break };
-            let mut residual = T::load(d);
+            let mut residual = T::load(d) * unit;
             for k in 0..p {
                 residual = row[p + k].fnma(self.mean[k], residual);
             }
@@ -115,7 +115,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         for column in 1..self.columns {
             for row in self.rows.chunks_exact_mut(width) {
                 let Some(x) = next.next() else { break };
-                row[2 * p + column] = T::load(x);
+                row[2 * p + column] = T::load(x) * unit;
             }
         }
     }
@@ -213,8 +213,8 @@ impl<T: Lanes> ClassWorkspace<T> {
 
 impl ClassWorkspace<f64> {
     /// The same as [`Self::evaluate`] without forming S: the rows of (RF)' folded into I by QR.
-    pub(super) fn evaluate_by_qr(&mut self, block: &[f64]) -> (f64, f64) {
-        self.load(block);
+    pub(super) fn evaluate_by_qr(&mut self, block: &[f64], unit: f64) -> (f64, f64) {
+        self.load(block, unit);
         self.spread(block);
         let p = self.p;
         let mut root = vec![0.0; p * p];

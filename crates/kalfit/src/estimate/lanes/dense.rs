@@ -11,6 +11,8 @@ use kalfit_lanes::Lanes;
 /// Where ℓ is evaluated: μ and F with Σ = FF', lower triangular.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LaneLaw<const P: usize> {
+    /// How many times as large as in the blocks d is.
+    pub(super) unit: f64,
     pub(super) mean: [f64; P],
     pub(super) root: [[f64; P]; P],
 }
@@ -45,7 +47,7 @@ pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &LaneLaw<P>, de
     }
     let mut u = [zero; P];
     for i in 0..P {
-        u[i] = T::load(&block[(at + i) * T::COUNT..]);
+        u[i] = T::load(&block[(at + i) * T::COUNT..]) * T::splat(law.unit);
         for k in i..P {
             u[i] = R[i][k].fnma(T::splat(law.mean[k]), u[i]);
         }

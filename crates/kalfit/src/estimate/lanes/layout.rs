@@ -48,8 +48,8 @@ impl ClassLayout {
         }
     }
 
-    /// Takes the class in a lane out of a block, its constant apart.
-    pub(super) fn read(&self, (block, lane, lanes): (&[f64], usize, usize), class: &mut Class) {
+    /// Takes the class in a lane out of a block, d and its scatter so many times as large, its constant apart.
+    pub(super) fn read(&self, (block, lane, lanes): (&[f64], usize, usize), unit: f64, class: &mut Class) {
         let p = self.p;
         let number = |at: usize| block[at * lanes + lane];
         let copy = |to: &mut Vec<f64>, from: usize, size: usize| {
@@ -67,6 +67,7 @@ impl ClassLayout {
         copy(&mut class.mean, pairs(p), p);
         copy(&mut class.scatter, self.scatter(), vectors * p);
         copy(&mut class.covariates, self.covariates(), self.covariates);
+        class.mean.iter_mut().chain(&mut class.scatter).for_each(|x| *x *= unit);
         (class.square_root, class.chain) = (false, None);
     }
 }

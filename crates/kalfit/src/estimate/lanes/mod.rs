@@ -22,7 +22,6 @@ use crate::estimate::class::Class;
 use crate::estimate::lanes::layout::ClassLayout;
 use crate::estimate::order::{SumsWanted, most_tasks};
 use crate::estimate::point::Point;
-use crate::linalg::symmetric::pairs;
 pub(crate) use accumulator::{Accumulator, ClassSums, Contribution};
 pub(crate) use alone::ClassEvaluator;
 pub(crate) use chains::{ChainKernel, ChainSums, InPhases};
@@ -39,6 +38,8 @@ pub(crate) struct ClassBatches {
     constants: Arc<Vec<f64>>,
     /// Σ constant.
     constant: f64,
+    /// How many times as large as these numbers d and what classes scatter are.
+    unit: f64,
 }
 
 /// Fewest blocks that one thread fills.
@@ -75,26 +76,20 @@ impl ClassBatches {
             }
         });
         let constant = constants.iter().sum();
-        ClassBatches { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant }
+        ClassBatches { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant, unit: 1.0 }
     }
 
     /// Puts the class with this number into a place, its constant as it was gathered.
     pub(crate) fn read(&self, number: usize, class: &mut Class) {
         let lanes = self.isa.lanes();
         let size = self.layout.size() * lanes;
-        self.layout.read((&self.numbers[number / lanes * size..][..size], number % lanes, lanes), class);
+        self.layout.read((&self.numbers[number / lanes * size..][..size], number % lanes, lanes), self.unit, class);
         class.constant = self.constants[number];
     }
 
     /// The same with other noise: d and what classes scatter so many times as large, and this much more of Σ constant.
     pub(crate) fn shrunk(&self, unit: f64, change: f64) -> ClassBatches {
-        let (lanes, layout) = (self.isa.lanes(), self.layout);
-        let data = pairs(layout.p) * lanes..layout.covariates() * lanes;
-        let mut numbers = (*self.numbers).clone();
-        let shrink = |block: &mut [f64]| block[data.clone()].iter_mut().for_each(|x| *x *= unit);
-        numbers.par_chunks_mut((layout.size() * lanes).max(1)).with_min_len(TASKS).for_each(shrink);
-        let constants = self.constants.clone();
-        ClassBatches { numbers: Arc::new(numbers), constants, constant: self.constant + change, ..*self }
+        ClassBatches { constant: self.constant + change, unit: self.unit * unit, ..self.clone() }
     }
 
     /// What it is worked on with.
@@ -118,7 +113,7 @@ impl ClassBatches {
         let fewest = fewest(layout.p);
         let blocks = self.numbers.len() / size;
         let each = (blocks / TASKS).clamp(fewest, MOST * fewest).max(blocks.div_ceil(most_tasks(layout.p)));
-        let pass = |blocks: &[f64]| isa.run(whole::BlockPass { blocks, layout, point, root, wanted });
+        let pass = |blocks: &[f64]| isa.run(whole::BlockPass { blocks, layout, unit: self.unit, point, root, wanted });
         self.numbers.par_chunks(each * size).map(pass).collect()
     }
 }

@@ -45,7 +45,7 @@ impl BlockPass<'_> {
     }
 
     fn law<const P: usize>(&self) -> LaneLaw<P> {
-        let mut law = LaneLaw { mean: [0.0; P], root: [[0.0; P]; P] };
+        let mut law = LaneLaw { unit: self.unit, mean: [0.0; P], root: [[0.0; P]; P] };
         for i in 0..P {
             law.mean[i] = self.point.mean[i];
             for c in 0..=i {

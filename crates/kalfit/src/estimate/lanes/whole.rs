@@ -18,6 +18,8 @@ use crate::linalg::symmetric::pairs;
 pub(super) struct BlockPass<'a> {
     pub(super) blocks: &'a [f64],
     pub(super) layout: ClassLayout,
+    /// How many times as large as in the blocks d and what classes scatter are.
+    pub(super) unit: f64,
     pub(super) point: &'a Point,
     /// F with Σ = FF', lower triangular.
     pub(super) root: &'a DMatrix<f64>,
@@ -63,7 +65,7 @@ impl BlockPass<'_> {
                 *to = T::load(x);
             }
             room.move_mean(&covariates, self.point, self.wanted.regressors);
-            let det = room.evaluate(block);
+            let det = room.evaluate(block, self.unit);
             let count = if self.layout.several { Some(T::load(&block[count_at..])) } else { None };
             sums.add(&InBlock { room: &room, det, count, phases: self.wanted.elements.blocks() }, &covariates);
         }
@@ -79,7 +81,7 @@ pub(crate) fn flops_of_a_test(p: usize) -> Flops {
     let (mut sums, block) = (Accumulator::new(wanted), vec![0.0; pairs(p) + p]);
     let mut room = ClassWorkspace::<Counted>::new(&vec![0.0; p], &DMatrix::identity(p, p), 1);
     Counted::count(|| {
-        let det = room.evaluate(&block);
+        let det = room.evaluate(&block, 1.0);
         sums.add(&InBlock { room: &room, det, count: None, phases: elements.blocks() }, &[]);
     })
 }
