@@ -1,6 +1,5 @@
 //! Estimates files: what somebody's filters made of each phase.
 
-use kalfit::linalg::symmetric::eigen;
 use kalfit::reduce::Estimates;
 use kalfit::{Evidence, Labels, Layout, PhasedModel};
 use nalgebra::{DMatrix, DVector};
@@ -122,40 +121,21 @@ fn root(row: Row<'_>, n: usize, m: usize) -> Result<DMatrix<f64>, ExchangeError>
     row.rows("covariance_root", size, rule)
 }
 
-/// A root of Γ by its eigenvalues, once it is scaled to a diagonal of ones. Those within rounding of zero are zero: as variances
-/// they would make certainty out of noise.
+/// A root of Γ.
 fn root_of(row: Row<'_>, covariance: &[f64], size: usize) -> Result<DMatrix<f64>, ExchangeError> {
     const COLUMN: &str = "covariance";
     let precision = if row.is_single(COLUMN) { f64::from(f32::EPSILON) } else { f64::EPSILON };
     let a = DMatrix::from_row_slice(size, size, covariance);
-    let refused = |least: f64, largest: f64| ExchangeError::NotSemidefinite { at: row.place(COLUMN), least, largest };
-    let mut scale = DVector::zeros(size);
-    for i in 0..size {
-        if a[(i, i)] < 0.0 {
-            return Err(refused(a[(i, i)], a.diagonal().max()));
-        }
-        scale[i] = a[(i, i)].sqrt();
-    }
     let rounding = 16.0 * size as f64 * precision;
     for i in 0..size {
         for j in 0..i {
             let (found, other) = (a[(i, j)], a[(j, i)]);
-            if (found - other).abs() > 1e3 * rounding * scale[i] * scale[j] {
+            if (found - other).abs() > 1e3 * rounding * a[(i, i)].sqrt() * a[(j, j)].sqrt() {
                 let (at, row, column) = (row.place(COLUMN), i + 1, j + 1);
                 return Err(ExchangeError::NotSymmetric { at, row, column, found, other });
             }
         }
     }
-    let unit = |i: usize, j: usize| {
-        let (element, of) = (a[(i, j)], scale[i] * scale[j]);
-        // What does not vary has no covariance with anything; if it does, an eigenvalue will be negative.
-        if of > 0.0 { element / scale[i] / scale[j] } else { element.signum() * f64::from(u8::from(element != 0.0)) }
-    };
-    let (values, vectors) = eigen(&DMatrix::from_fn(size, size, unit));
-    let (least, largest) = (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0));
-    if least < -1e3 * rounding * largest {
-        return Err(refused(least, largest));
-    }
-    let kept: Vec<usize> = (0..size).filter(|&k| values[k] > rounding * largest).collect();
-    Ok(DMatrix::from_fn(size, kept.len(), |i, k| scale[i] * vectors[(i, kept[k])] * values[kept[k]].sqrt()))
+    let refused = |[least, largest]: [f64; 2]| ExchangeError::NotSemidefinite { at: row.place(COLUMN), least, largest };
+    Estimates::root_of(&a, rounding).map_err(refused)
 }

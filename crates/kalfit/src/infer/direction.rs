@@ -10,7 +10,7 @@ pub(crate) const NONE: f64 = 1e-10;
 pub enum Quantity {
     /// Of μ; entries by element, then by regression coefficient where there are any.
     Mean,
-    /// Of Σ; entries by element (0,0), (1,0), (1,1), (2,0), … of each phase ([`Elements`](crate::linalg::elements::Elements)).
+    /// Of Σ; entries by element (0,0), (1,0), (1,1), (2,0), … of the first phase, then those of the next ones.
     Covariance,
 }
 

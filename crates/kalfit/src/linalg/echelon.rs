@@ -7,7 +7,7 @@ const RANK_TOLERANCE: f64 = 1e-11;
 
 /// A basis of the space of the columns (n × columns) whose rows at the pivots are those of the identity (n × rank), and the
 /// pivots, column by column. Pivots are the largest entries left; where none is left, the rank is found.
-pub fn echelon(mut basis: DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
+pub(crate) fn echelon(mut basis: DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
     let mut pivots: Vec<usize> = Vec::new();
     let floor = RANK_TOLERANCE * basis.amax();
     for c in 0..basis.ncols() {

@@ -19,7 +19,7 @@ pub enum Element {
 /// The elements (i ≥ j) of a symmetric matrix that is zero between its blocks, one block for each phase: those of the first block
 /// in the order (0,0), (1,0), (1,1), (2,0), …, then those of the second. With p_f states in block f there are Σ p_f(p_f+1)/2.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Elements {
+pub(crate) struct Elements {
     ranges: Vec<Range<usize>>,
     block: Vec<usize>,
     /// Number of the first element of each block; at the end their number.
@@ -28,7 +28,7 @@ pub struct Elements {
 
 impl Elements {
     /// Of blocks that hold these states, which follow each other from 0 on.
-    pub fn new(ranges: Vec<Range<usize>>) -> Elements {
+    pub(crate) fn new(ranges: Vec<Range<usize>>) -> Elements {
         let (mut first, mut block) = (vec![0], Vec::new());
         for (f, range) in ranges.iter().enumerate() {
             debug_assert_eq!(range.start, block.len(), "blocks follow each other");
@@ -39,49 +39,49 @@ impl Elements {
     }
 
     /// Of a matrix in one block of p states.
-    pub fn single(p: usize) -> Elements {
+    pub(crate) fn single(p: usize) -> Elements {
         Elements::new(std::iter::once(0..p).collect())
     }
 
     /// How many elements there are.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.first[self.ranges.len()]
     }
 
     /// How many states there are.
-    pub fn states(&self) -> usize {
+    pub(crate) fn states(&self) -> usize {
         self.block.len()
     }
 
     /// The states of each block.
-    pub fn blocks(&self) -> &[Range<usize>] {
+    pub(crate) fn blocks(&self) -> &[Range<usize>] {
         &self.ranges
     }
 
     /// There is one block only.
-    pub fn is_single(&self) -> bool {
+    pub(crate) fn is_single(&self) -> bool {
         self.ranges.len() == 1
     }
 
     /// The block of a state.
-    pub fn block_of(&self, i: usize) -> usize {
+    pub(crate) fn block_of(&self, i: usize) -> usize {
         self.block[i]
     }
 
     /// The number of element {i, j}; `None` between blocks.
-    pub fn get(&self, i: usize, j: usize) -> Option<usize> {
+    pub(crate) fn get(&self, i: usize, j: usize) -> Option<usize> {
         let f = self.block[i];
         let start = self.ranges[f].start;
         (self.block[j] == f).then(|| self.first[f] + pair(i - start, j - start))
     }
 
     /// The number of element {i, j} of one block.
-    pub fn index(&self, i: usize, j: usize) -> usize {
+    pub(crate) fn index(&self, i: usize, j: usize) -> usize {
         self.get(i, j).expect("both states are of one block")
     }
 
     /// The elements (i, j), i ≥ j, in their order.
-    pub fn all(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+    pub(crate) fn all(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let of = |range: &Range<usize>| {
             let start = range.start;
             range.clone().flat_map(move |i| (start..=i).map(move |j| (i, j)))
@@ -90,7 +90,7 @@ impl Elements {
     }
 
     /// Element (i, j), by its number.
-    pub fn at(&self, number: usize) -> Option<(usize, usize)> {
+    pub(crate) fn at(&self, number: usize) -> Option<(usize, usize)> {
         self.all().nth(number)
     }
 

@@ -11,18 +11,18 @@ pub(crate) use lanes::scalar_flows;
 
 /// φ, Γ, Q of one step; each m × m, row-major.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Flow {
+pub(crate) struct Flow {
     /// Transition φ.
-    pub phi: Vec<f64>,
+    pub(crate) phi: Vec<f64>,
     /// Response Γ to a constant input.
-    pub gamma: Vec<f64>,
+    pub(crate) gamma: Vec<f64>,
     /// Process noise covariance Q.
-    pub q: Vec<f64>,
+    pub(crate) q: Vec<f64>,
 }
 
 /// Why a motion has no answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum FlowError {
+pub(crate) enum FlowError {
     /// An entry overflows, or was not finite to begin with.
     #[error("the transition is not finite")]
     NotFinite,
@@ -32,7 +32,7 @@ pub enum FlowError {
 }
 
 /// The motion over `step` ≥ 0. Shapes: `f`, `q` m × m, row-major; `q` symmetric, per unit time.
-pub fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError> {
+pub(crate) fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError> {
     let flow = if m == 1 {
         let [phi, gamma, q] = scalar_flow(f[0], q[0], step);
         Flow { phi: vec![phi], gamma: vec![gamma], q: vec![q] }
@@ -73,7 +73,7 @@ fn scaling(f: &[f64], m: usize, step: f64) -> Result<(i32, f64), FlowError> {
 }
 
 /// The law that dx = Fx dt + noise settles in: FP + PF' + Q = 0. An error unless F is stable.
-pub fn stationary(f: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError> {
+pub(crate) fn stationary(f: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError> {
     if m == 1 {
         return if f[0] < 0.0 { finite(vec![-q[0] / (2.0 * f[0])]) } else { Err(FlowError::Unstable) };
     }
@@ -85,7 +85,7 @@ pub fn stationary(f: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError>
 }
 
 /// The law that x_k = φ x_{k-1} + noise settles in: P = φPφ' + Q. An error unless φ is stable.
-pub fn stationary_discrete(phi: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError> {
+pub(crate) fn stationary_discrete(phi: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError> {
     if m == 1 {
         let left = (1.0 - phi[0]) * (1.0 + phi[0]);
         return if left > 0.0 { finite(vec![q[0] / left]) } else { Err(FlowError::Unstable) };

@@ -7,19 +7,19 @@ const SQUARES: std::ops::RangeInclusive<f64> = 1e-280..=1e280;
 
 /// A rotation (c, s) and the length it leaves: c a + s b = length ≥ 0, c b - s a = 0, for a ≥ 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rotation<T = f64> {
+pub(crate) struct Rotation<T = f64> {
     /// Cosine.
-    pub c: T,
+    pub(crate) c: T,
     /// Sine.
-    pub s: T,
+    pub(crate) s: T,
     /// √(a² + b²), without overflow.
-    pub length: T,
+    pub(crate) length: T,
 }
 
 impl Rotation {
     /// The rotation that takes (a, b) to (length, 0).
     #[inline(always)]
-    pub fn of(a: f64, b: f64) -> Rotation {
+    pub(crate) fn of(a: f64, b: f64) -> Rotation {
         if b == 0.0 && a >= 0.0 {
             return Rotation { c: 1.0, s: 0.0, length: a };
         }
@@ -32,7 +32,7 @@ impl Rotation {
 impl<T: Lanes> Rotation<T> {
     /// (c a + s b, c b - s a).
     #[inline(always)]
-    pub fn turn(&self, a: T, b: T) -> (T, T) {
+    pub(crate) fn turn(&self, a: T, b: T) -> (T, T) {
         (self.c * a + self.s * b, self.c * b - self.s * a)
     }
 }
@@ -84,7 +84,7 @@ impl<T: Lanes> Part for OneByOne<T> {
 }
 
 /// √Σ x², without overflow.
-pub fn norm(numbers: &[f64]) -> f64 {
+pub(crate) fn norm(numbers: &[f64]) -> f64 {
     let square: f64 = numbers.iter().map(|x| x * x).sum();
     if SQUARES.contains(&square) { square.sqrt() } else { numbers.iter().fold(0.0, |n: f64, x| n.hypot(*x)) }
 }
@@ -94,7 +94,7 @@ pub fn norm(numbers: &[f64]) -> f64 {
 ///
 /// Shapes: `info` width × width, row-major, upper triangular with a diagonal that is not negative; `rows` m × width,
 /// row-major, overwritten.
-pub fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
+pub(crate) fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
     fold_rows(info, rows, (width, width));
 }
 

@@ -6,18 +6,18 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 const RANK_TOLERANCE: f64 = 1e-11;
 
 /// Number of pairs (i ≥ j): p(p+1)/2.
-pub fn pairs(p: usize) -> usize {
+pub(crate) fn pairs(p: usize) -> usize {
     p * (p + 1) / 2
 }
 
 /// Index of the pair {i, j} in the packed order (0,0), (1,0), (1,1), (2,0), …
-pub fn pair(i: usize, j: usize) -> usize {
+pub(crate) fn pair(i: usize, j: usize) -> usize {
     let (i, j) = if i >= j { (i, j) } else { (j, i) };
     i * (i + 1) / 2 + j
 }
 
 /// Eigenvalues and eigenvectors (columns), in ascending order, signs fixed so that the largest entry is positive.
-pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
+pub(crate) fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let n = a.nrows();
     if n == 0 {
         return (Vec::new(), DMatrix::zeros(0, 0));
@@ -93,12 +93,12 @@ fn rotate(a: &mut DMatrix<f64>, vectors: &mut DMatrix<f64>, k: usize, i: usize) 
 }
 
 /// Minimum-norm solution of a x = b for positive semidefinite a.
-pub fn pseudo_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
+pub(crate) fn pseudo_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
     pseudo_inverse(a) * b
 }
 
 /// Moore-Penrose inverse of a positive semidefinite matrix.
-pub fn pseudo_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
+pub(crate) fn pseudo_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (values, vectors) = eigen(a);
     let floor = values.last().copied().unwrap_or(0.0) * RANK_TOLERANCE;
     by_eigenvectors(&vectors, values.iter().map(|&v| if v > floor && v > 0.0 { 1.0 / v } else { 0.0 }))
@@ -113,7 +113,7 @@ pub(crate) fn by_eigenvectors(vectors: &DMatrix<f64>, values: impl Iterator<Item
 
 /// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero. They are those after
 /// scaling to unit diagonal, so that a large element costs a small one no digits.
-pub fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
+pub(crate) fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (size, values, vectors) = scaled_eigen(a);
     DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| size[i] * vectors[(i, k)] * values[k].max(0.0).sqrt())
 }
@@ -146,7 +146,7 @@ fn over_sizes(a: &DMatrix<f64>, size: &[f64]) -> DMatrix<f64> {
 }
 
 /// √a_ii, or one where that is zero.
-pub fn sizes(a: &DMatrix<f64>) -> Vec<f64> {
+pub(crate) fn sizes(a: &DMatrix<f64>) -> Vec<f64> {
     a.diagonal().iter().map(|x| if *x > 0.0 { x.sqrt() } else { 1.0 }).collect()
 }
 
@@ -161,7 +161,7 @@ pub(crate) fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
 
 /// DAD, D = diag(scale), of a symmetric matrix given by its entries (i, j), i ≥ j. Both places of an element get the same bits:
 /// by itself (d_i a_ij) d_j is rounded otherwise than (d_j a_ji) d_i.
-pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64> {
+pub(crate) fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64> {
     let p = scale.len();
     let mut matrix = DMatrix::zeros(p, p);
     for i in 0..p {

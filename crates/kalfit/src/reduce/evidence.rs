@@ -4,6 +4,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::ensemble::{Label, Labels, Test, TestId};
+use crate::linalg::symmetric::eigen;
 use crate::model::{PhasedModel, Slots};
 use crate::reduce::phases::Phases;
 use crate::reduce::reduction::Reduction;
@@ -79,6 +80,38 @@ pub struct Inherited {
     pub transition: DMatrix<f64>,
     /// t, q numbers.
     pub input: DVector<f64>,
+}
+
+impl Estimates {
+    /// A root D of Γ = DD' by the eigenvalues of Γ scaled to a diagonal of ones. Those within this part of the largest are zero: as
+    /// variances they would make certainty out of noise.
+    ///
+    /// # Errors
+    /// The least and the largest eigenvalue, where one is negative by more than rounding explains; of variances, where one is negative.
+    pub fn root_of(covariance: &DMatrix<f64>, rounding: f64) -> Result<DMatrix<f64>, [f64; 2]> {
+        let variances = covariance.diagonal();
+        if let Some(&negative) = variances.iter().find(|x| **x < 0.0) {
+            return Err([negative, variances.max()]);
+        }
+        let scale = variances.map(f64::sqrt);
+        let unit = |i: usize, j: usize| {
+            let (element, of) = (covariance[(i, j)], scale[i] * scale[j]);
+            // What does not vary has no covariance with anything; if it does, an eigenvalue will be negative.
+            if of > 0.0 {
+                element / scale[i] / scale[j]
+            } else {
+                element.signum() * f64::from(u8::from(element != 0.0))
+            }
+        };
+        let size = scale.len();
+        let (values, vectors) = eigen(&DMatrix::from_fn(size, size, unit));
+        let (least, largest) = (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0));
+        if least < -1e3 * rounding * largest {
+            return Err([least, largest]);
+        }
+        let kept: Vec<usize> = (0..size).filter(|&k| values[k] > rounding * largest).collect();
+        Ok(DMatrix::from_fn(size, kept.len(), |i, k| scale[i] * vectors[(i, kept[k])] * values[kept[k]].sqrt()))
+    }
 }
 
 impl From<Test> for PhasedTest {
