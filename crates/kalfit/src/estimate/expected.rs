@@ -51,7 +51,7 @@ pub(crate) fn at_population(
         test.chain.into_iter().for_each(Chain::blank);
     }
     let settings = Settings::default();
-    let problem = super::problem(&*super::evidence(&blanks, structure, &settings)?, structure, &settings)?;
+    let problem = super::problem(&blanks, structure, &settings)?;
     let mut point = point(&problem, population)?;
     let sums = problem.likelihood(&point, Order::Expected);
     let local = local(&sums);

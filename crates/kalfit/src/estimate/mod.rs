@@ -116,6 +116,7 @@ pub(crate) use sums::Sums;
 pub(crate) use terms::ClassTerms;
 pub(crate) use together::in_parts;
 
+use crate::estimate::search::{Beginning, Search};
 use crate::model::Population;
 use crate::reduce::Reductions;
 
@@ -127,7 +128,8 @@ pub fn fit(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    fit_near(None, reductions, structure, settings, progress)
+    let problem = problem(reductions, structure, settings)?;
+    Search::new(problem, settings, progress).run(Beginning::Open, structure)?.of_all(reductions)
 }
 
 /// As [`fit`], from values that are near the optimum: those of a fit under another structure or to other tests. They
@@ -139,19 +141,8 @@ pub fn fit_from(
     settings: &Settings,
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
-    fit_near(Some(start), reductions, structure, settings, progress)
-}
-
-fn fit_near(
-    near: Option<&Population>,
-    reductions: &Reductions,
-    structure: &Structure<'_>,
-    settings: &Settings,
-    progress: &mut dyn Progress,
-) -> Result<Estimate, FitError> {
-    let evidence = evidence(reductions, structure, settings)?;
-    let problem = problem(&evidence, structure, settings)?;
-    ended(problem, structure, near, settings, progress)?.of_all(reductions)
+    let problem = problem(reductions, structure, settings)?;
+    Search::new(problem, settings, progress).run(Beginning::Near(start), structure)?.of_all(reductions)
 }
 
 /// As [`fit`], from the end of another search, under other reductions of the same tests and in its coordinates.
@@ -162,31 +153,13 @@ pub(crate) fn fit_on(
     progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
     let problem = Problem::within(&end.evidence(reductions), structure, &end.problem)?;
-    let search = search::Search::new(problem, &end.settings, progress);
-    search.resume(end.newton_iterate.point.clone(), structure)?.of_all(reductions)
-}
-
-/// The end of a search, from values near the optimum if there are any.
-fn ended(
-    problem: Problem,
-    structure: &Structure<'_>,
-    near: Option<&Population>,
-    settings: &Settings,
-    progress: &mut dyn Progress,
-) -> Result<Estimate, FitError> {
-    let start = match near {
-        Some(values) => start::near(&problem, values)?,
-        None => start::start(&problem, structure)?,
-    };
-    let search = search::Search::new(problem, settings, progress);
-    if near.is_some() { search.resume(start, structure) } else { search.run(start, structure) }
+    let start = Beginning::At(end.newton_iterate.point.clone());
+    Search::new(problem, &end.settings, progress).run(start, structure)?.of_all(reductions)
 }
 
 /// The place where a search would begin, with the expected information there.
 pub(crate) fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(Problem, Point, Sums), FitError> {
-    let settings = Settings::default();
-    let evidence = evidence(reductions, structure, &settings)?;
-    let problem = problem(&evidence, structure, &settings)?;
+    let problem = problem(reductions, structure, &Settings::default())?;
     let start = start::start(&problem, structure)?;
     let sums = problem.sums(&start, Order::Expected, None).filter(|sums| sums.value.is_finite());
     let sums = sums.ok_or(FitError::NotFinite)?;
@@ -210,7 +183,9 @@ fn duplicate_id(reductions: &Reductions) -> Option<&str> {
     again.min()
 }
 
+/// What is maximised over the reductions; an error where that has no meaning.
 fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
+    let reductions = &*evidence(reductions, structure, settings)?;
     if reductions.is_empty() && reductions.remote().is_none() {
         return Err(FitError::NoTests);
     }

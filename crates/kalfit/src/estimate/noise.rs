@@ -19,11 +19,11 @@ use std::sync::Arc;
 use nalgebra::DVector;
 
 use crate::estimate::classes::Classes;
-use crate::estimate::evidence::evidence;
 use crate::estimate::local::Objective;
 use crate::estimate::problem::Problem;
 use crate::estimate::residual::Residual;
-use crate::estimate::{Estimate, FinalState, FitError, Settings, Silent, Structure, ended, problem};
+use crate::estimate::search::{Beginning, Search};
+use crate::estimate::{Estimate, FinalState, FitError, Settings, Silent, Structure, problem};
 use crate::model::{Population, StructureError};
 use crate::reduce::Reductions;
 
@@ -44,8 +44,7 @@ impl Noisy {
         structure: &Structure<'_>,
         settings: &Settings,
     ) -> Result<Noisy, FitError> {
-        let evidence = evidence(reductions, structure, settings)?;
-        let classes = problem(&evidence, structure, settings)?.classes;
+        let classes = problem(reductions, structure, settings)?.classes;
         let sum = |told: &mut dyn Iterator<Item = Residual>| told.fold(Residual::default(), Residual::and);
         let of_test = |&j: &usize| Residual::of(reductions, j);
         let told: Vec<Residual> =
@@ -64,7 +63,8 @@ impl Noisy {
     ) -> Result<Estimate, FitError> {
         let classes = self.classes.with_noise(variance, &self.told);
         let problem = Problem::of(classes, structure, settings.criterion)?;
-        ended(problem, structure, near, settings, &mut Silent)
+        let start = near.map_or(Beginning::Open, Beginning::Near);
+        Search::new(problem, settings, &mut Silent).run(start, structure)
     }
 
     /// ∂ℓ/∂u where a fit at this λ ended.
@@ -122,7 +122,7 @@ impl FinalState {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::{Criterion, Order};
+    use crate::estimate::{Criterion, Order, fit, fit_from};
     use crate::model::{Alpha, CovarianceStructure, MeanStructure, Regression};
     use crate::reduce::{Path, Reduction, ReductionRef};
 
@@ -179,8 +179,11 @@ mod tests {
                 assert!(!noisy.classes.unbatched.is_empty() && noisy.classes.len() < 40, "of all kinds");
                 let direct = |variance: f64, near: Option<&Population>| {
                     let there: Reductions = reductions.iter().map(|test| noisier(test, variance)).collect();
-                    let problem = problem(&there, &structure, &settings).expect("sound");
-                    ended(problem, &structure, near, &settings, &mut Silent).expect("a fit")
+                    match near {
+                        Some(start) => fit_from(&there, &structure, start, &settings, &mut Silent),
+                        None => fit(&there, &structure, &settings, &mut Silent),
+                    }
+                    .expect("a fit")
                 };
                 for variance in [0.3, 1.0, 5.0] {
                     let found = noisy.fit(variance, &structure, None, &settings).expect("a fit");

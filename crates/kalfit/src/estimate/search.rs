@@ -45,6 +45,16 @@ const SNAP: f64 = 1e-5;
 /// constraints, the decrement is not to be trusted near them.
 const SMALL: f64 = 1e-3;
 
+/// Where a search begins.
+pub(crate) enum Beginning<'a> {
+    /// At a start of its own, from the model file or from the data.
+    Open,
+    /// At values near the optimum, which need not meet the structure.
+    Near(&'a Population),
+    /// At a point near the optimum.
+    At(Point),
+}
+
 pub(crate) struct Search<'a> {
     problem: Problem,
     settings: &'a Settings,
@@ -57,31 +67,25 @@ impl<'a> Search<'a> {
         Search { problem, settings, progress, trace: Vec::new() }
     }
 
-    /// From a start that is not known to be good.
-    pub(crate) fn run(self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
-        self.from(start, structure, |search, start| match search.piloted(&start, structure)? {
-            Some(place) => Ok(place),
-            None => search.scored_start(start),
-        })
-    }
-
-    /// From a start that is near the optimum.
-    pub(crate) fn resume(self, start: Point, structure: &Structure<'_>) -> Result<Estimate, FitError> {
-        self.from(start, structure, |search, start| search.place(start, None))
-    }
-
-    /// From a start; Newton's method begins at what `first` makes of it.
-    fn from(
-        mut self,
-        start: Point,
-        structure: &Structure<'_>,
-        first: impl FnOnce(&mut Self, Point) -> Result<NewtonIterate, FitError>,
-    ) -> Result<Estimate, FitError> {
+    /// To the optimum; from a start that is not known to be near it by way of a part of the tests, or by Fisher scoring.
+    pub(crate) fn run(mut self, beginning: Beginning<'_>, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+        let is_near = !matches!(beginning, Beginning::Open);
+        let start = match beginning {
+            Beginning::Open => start::start(&self.problem, structure)?,
+            Beginning::Near(values) => start::near(&self.problem, values)?,
+            Beginning::At(point) => point,
+        };
         let (place, stop) = match self.settings.solver {
             Solver::Newton => {
                 let began = start.root.clone();
-                let near = first(&mut self, start)?;
-                let (place, stop) = self.newton(near)?;
+                let first = match is_near {
+                    true => self.place(start, None)?,
+                    false => match self.piloted(&start, structure)? {
+                        Some(place) => place,
+                        None => self.scored_start(start)?,
+                    },
+                };
+                let (place, stop) = self.newton(first)?;
                 (self.restored(place, &began)?, stop)
             }
             Solver::Em => self.em(start)?,
@@ -113,10 +117,6 @@ impl<'a> Search<'a> {
             .ok_or(FitError::NotFinite)
     }
 
-    fn sums(&self, point: &Point, order: Order) -> Result<Sums, FitError> {
-        self.problem.sums(point, order, None).ok_or(FitError::NotFinite)
-    }
-
     /// Newton, and EM where Newton finds no step.
     fn newton(&mut self, mut place: NewtonIterate) -> Result<(NewtonIterate, Stop), FitError> {
         self.accept(place.local.value, Some(place.decrement()));
@@ -124,9 +124,9 @@ impl<'a> Search<'a> {
         let mut failures = 0;
         let mut before = f64::INFINITY;
         let mut tried_at_zero = false;
+        let tests = self.problem.classes.tests as f64;
         loop {
             if place.decrement() <= self.settings.tolerance {
-                let tests = self.problem.classes.tests as f64;
                 match escaped(&self.problem, &self.problem.covariance, tests, &mut place) {
                     Some(better) => place = better,
                     None => return Ok((place, Stop::Certified)),
@@ -139,7 +139,7 @@ impl<'a> Search<'a> {
             let fast = place.decrement() < FAST * before;
             before = place.decrement();
             if !fast || place.local.gradient_size() <= CHEAP {
-                let mut next = self.on_the_cone(&mut place);
+                let mut next = quadratic::step(&self.problem, &self.problem.covariance, tests, &mut place);
                 if next.is_none() && place.decrement() < NEAR_END && !std::mem::replace(&mut tried_at_zero, true) {
                     let closer = 0.5 * place.decrement();
                     next = self.snapped(&mut place, SMALL, closer)?;
@@ -219,14 +219,9 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn on_the_cone(&self, place: &mut NewtonIterate) -> Option<NewtonIterate> {
-        let tests = self.problem.classes.tests as f64;
-        quadratic::step(&self.problem, &self.problem.covariance, tests, place)
-    }
-
     /// An EM step, where it raises ℓ and is wanted.
     fn safeguard(&mut self, place: &mut NewtonIterate, wanted: bool) -> Result<Option<NewtonIterate>, FitError> {
-        let sums = self.sums(&place.point, Order::Mean)?;
+        let sums = self.problem.sums(&place.point, Order::Mean, None).ok_or(FitError::NotFinite)?;
         let next = em::step(&self.problem, &place.point, &sums, &mut ConditionalStep::Covariance);
         self.surpassed(place, next, |next, place| wanted && next.local.value > place.local.value)
     }
@@ -253,7 +248,7 @@ impl<'a> Search<'a> {
         let mut steps = 0_usize;
         let order = em::order(&self.problem);
         loop {
-            let sums = self.sums(&point, order)?;
+            let sums = self.problem.sums(&point, order, None).ok_or(FitError::NotFinite)?;
             if self.problem.criterion() == Criterion::Reml && turn == ConditionalStep::Mean {
                 // the restricted likelihood is that at the mean of least squares, which comes first
                 point = em::step(&self.problem, &point, &sums, &mut turn);
