@@ -184,7 +184,7 @@ impl PhaseBatch<'_> {
         mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
         variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
         let look = |gains: &Gains, work: &mut Workspace| self.look(rows, gains, work);
-        reducer.with_prepared(rows, work.design.digest(), work, look).ok()?
+        reducer.with_prepared(rows, work, look).ok()?
     }
 
     /// What its gains leave; `None` where they call for square roots.

@@ -1,18 +1,22 @@
 //! The design pass: one covariance run per design class leaves a schedule of weights, gains and sensitivities.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
+use std::sync::Arc;
+
 use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, StateFrame, Stretch};
-use crate::reduce::gains::GainSpan;
+use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel::{self, FilterState};
 use crate::reduce::schedule::{GainSchedule, GainsWork};
 use crate::reduce::settling::SteadyState;
 use crate::reduce::small;
 use crate::reduce::sums::InformationSums;
+use crate::reduce::terminal_root::TerminalRoot;
 use kalfit_lanes::Real;
 
-/// Runs the covariance filter of a design.
-pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> GainSchedule {
+/// The design pass in plain covariance and information arithmetic; `None` where that would lose too much. `states`: the state of the
+/// model at each place of the kernels, where the last state is wanted.
+pub(crate) fn information_gains(design: &Design, work: &mut GainsWork, states: Option<&[usize]>) -> Option<Gains> {
     let frame = &*design.frame;
     let (p, r) = (frame.p, frame.r);
     work.P.clone_from(&design.variance);
@@ -30,7 +34,11 @@ pub(crate) fn schedule(design: &Design, work: &mut GainsWork) -> GainSchedule {
     for stretch in design.stretches() {
         out.stretch(design, &stretch, work);
     }
-    out
+    let mut gains = out.finish((r, p), design.rows())?;
+    if let Some(states) = states {
+        gains.end = Some(Arc::new(TerminalRoot::of_covariance(states, &work.Psi, &work.P, r)?));
+    }
+    Some(gains)
 }
 
 impl GainSchedule {

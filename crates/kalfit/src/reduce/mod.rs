@@ -142,8 +142,8 @@ pub(crate) use subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 pub(crate) use {
     data_pass::outcome,
     design::{DENSE, Pattern},
+    design_pass::information_gains,
     lanes::DataWorkspace,
-    reducer::information_gains,
     root::root_gains,
     schedule::GainsWork,
 };

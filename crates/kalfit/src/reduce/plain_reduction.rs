@@ -7,6 +7,7 @@ use nalgebra::DMatrix;
 use crate::reduce::data::Data;
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
+use crate::reduce::design_pass::information_gains;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::DataWorkspace;
@@ -14,14 +15,13 @@ use crate::reduce::observe::whiten;
 use crate::reduce::path::Path;
 use crate::reduce::plain::Plain;
 use crate::reduce::plain_order::PlainOrder;
-use crate::reduce::reducer::{impossible, information_gains};
+use crate::reduce::reducer::impossible;
 use crate::reduce::reduction::Reduction;
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::semidefinite::ldl;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::terminal::Terminal;
-use crate::reduce::terminal_root::TerminalRoot;
 
 impl Plain {
     /// Its reduction.
@@ -46,18 +46,12 @@ impl Plain {
         let order = PlainOrder::new(self);
         let (mut design, mut data, mut rows) = (Design::new(order.frame.clone()), Data::default(), Vec::new());
         self.fill(&order, &mut design, &mut data, &mut rows)?;
-        let mut work = GainsWork::default();
-        let information = if square_root { None } else { information_gains(&design, &mut work) };
-        let information = information.and_then(|mut gains| {
-            if ends {
-                let end = TerminalRoot::of_covariance(&order.states, &work.Psi, &work.P, design.frame.r)?;
-                gains.end = Some(Arc::new(end));
-            }
-            Some(gains)
-        });
+        let states = ends.then_some(&*order.states);
+        let information =
+            if square_root { None } else { information_gains(&design, &mut GainsWork::default(), states) };
         let gains = match information {
             Some(gains) => gains,
-            None => self.root(&design, (&rows, &order))?,
+            None => self.root(&design, &rows, states)?,
         };
         let mut pass = DataWorkspace::default();
         let outcome = outcome(&design, &gains, &data, &mut pass)
@@ -84,16 +78,14 @@ impl Plain {
     }
 
     /// The gains by square-root arrays.
-    fn root(&self, design: &Design, (rows, order): (&[usize], &PlainOrder)) -> Result<Gains, ReduceError> {
-        let (mut gains, filter) = root_gains(design).map_err(|error| match error {
+    fn root(&self, design: &Design, rows: &[usize], states: Option<&[usize]>) -> Result<Gains, ReduceError> {
+        root_gains(design, states).map_err(|error| match error {
             RootError::Exact { row } => {
                 self.refuse(&format!("step {}", rows[row] + 1), ReduceErrorKind::ExactMeasurement)
             }
             RootError::NotSemidefinite(bad) => self.refuse("process noise", bad),
             RootError::NotFinite => self.refuse(WHOLE, ReduceErrorKind::NotFinite),
-        })?;
-        gains.end = Some(Arc::new(TerminalRoot::new(&order.states, &filter.Psi, &filter.U, design.frame.r)));
-        Ok(gains)
+        })
     }
 
     fn fill(

@@ -12,7 +12,7 @@ use crate::reduce::class::{DesignClass, GainsResult, class_bytes};
 use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
-use crate::reduce::design_pass::schedule;
+use crate::reduce::design_pass::information_gains;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
@@ -24,7 +24,7 @@ use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::terminal_root::{TerminalRoot, TerminalState};
+use crate::reduce::terminal_root::TerminalState;
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
 pub(crate) use alike::LongDesignClasses;
 pub(crate) use exemplar::DesignExemplar;
@@ -195,6 +195,11 @@ impl Reducer {
         self.ends
     }
 
+    /// The state of the model at each place of the kernels, where the last one is wanted.
+    fn ends(&self) -> Option<&[usize]> {
+        self.ends.then_some(&*self.preparer.order.states)
+    }
+
     /// Where a test of a class ends, if that is wanted, with x̂ of its last step, in the order of the kernels.
     pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<TerminalState> {
         class.end().cloned().map(|end| TerminalState::new(end, &self.preparer.order.states, x))
@@ -213,7 +218,7 @@ impl Reducer {
     /// The reduction of a design and its class: information and covariates as of [`Reducer::one`], from times, inputs and which
     /// values are missing. What was measured is not looked at, and `data` and `constant` are zero.
     pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
-        self.with_class(test, work, Reducer::class, |digest, gains, work| {
+        self.with_class(test, (work, false), |digest, gains, work| {
             if gains.factor.iter().any(|x| !x.is_finite()) {
                 return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
             }
@@ -250,20 +255,19 @@ impl Reducer {
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
         self.preparer.prepare(test, work).map_err(|fault| self.named(*fault, test))?;
-        self.with_prepared(test, work.design.digest(), work, pass)
+        self.with_prepared(test, work, pass)
     }
 
     /// The same of the test in the work space.
     pub(crate) fn with_prepared<T>(
         &self,
         test: &Test,
-        digest: u128,
         work: &mut Workspace,
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
-        let named = |fault: Box<Fault>| fault.name(&self.preparer.model, Some(test));
-        let class = self.class(digest, work);
-        let gains = class.value().as_ref().map_err(|&error| named(root_fault(error, &work.instances)))?;
+        let class = self.class(work.design.digest(), work, false);
+        let fault = |&error: &RootError| self.named(*root_fault(error, &work.instances), test);
+        let gains = class.value().as_ref().map_err(fault)?;
         Ok(pass(gains, work))
     }
 
@@ -275,9 +279,7 @@ impl Reducer {
 
     /// The reduction of a test, and its class; x̂_K is left in the work space.
     pub(crate) fn one(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
-        self.with_class(test, work, Reducer::class, |digest, gains, work| {
-            self.reduce_prepared(test, (digest, gains), work)
-        })
+        self.with_class(test, (work, false), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
     /// [`Reducer::one`] of a test whose design is known to call for square-root arrays.
@@ -286,23 +288,19 @@ impl Reducer {
         test: &Test,
         work: &mut Workspace,
     ) -> Result<(Reduction, DesignClass), ReduceError> {
-        let class = |reducer: &Reducer, digest, work: &mut Workspace| {
-            reducer.class_of((digest, &work.design), |design| reducer.root(design))
-        };
-        self.with_class(test, work, class, |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
+        self.with_class(test, (work, true), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
-    /// Evaluates a test, and reduces it under the gains of its class.
+    /// Evaluates a test, and reduces it under the gains of its class, found `by_root` or not.
     fn with_class(
         &self,
         test: &Test,
-        work: &mut Workspace,
-        class: impl FnOnce(&Reducer, u128, &mut Workspace) -> GainsResult,
+        (work, by_root): (&mut Workspace, bool),
         reduce: impl FnOnce(u128, &Gains, &mut Workspace) -> Result<Reduction, Box<Fault>>,
     ) -> Result<(Reduction, DesignClass), ReduceError> {
         let found = self.preparer.prepare(test, work).and_then(|()| {
             let digest = work.design.digest();
-            let class = class(self, digest, work);
+            let class = self.class(digest, work, by_root);
             let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
             Ok((reduce(digest, gains, work)?, DesignClass(class)))
         });
@@ -335,18 +333,12 @@ impl Reducer {
 
     /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
     fn information(&self, design: &Design, work: &mut GainsWorkspace<'_>) -> Option<Gains> {
-        let states = &self.preparer.order.states;
-        if is_short(design) {
-            let mut gains = work.block.gains(design, work.gained, work.room)?;
-            if self.ends {
-                gains.end = Some(Arc::new(work.gained.end((0, work.block.lanes()), states)?));
-            }
-            return Some(gains);
+        if !is_short(design) {
+            return information_gains(design, work.gains, self.ends());
         }
-        let mut gains = information_gains(design, work.gains)?;
-        if self.ends {
-            let end = TerminalRoot::of_covariance(states, &work.gains.Psi, &work.gains.P, design.frame.r)?;
-            gains.end = Some(Arc::new(end));
+        let mut gains = work.block.gains(design, work.gained, work.room)?;
+        if let Some(states) = self.ends() {
+            gains.end = Some(Arc::new(work.gained.end((0, work.block.lanes()), states)?));
         }
         Some(gains)
     }
@@ -377,34 +369,20 @@ impl Reducer {
         &self.known
     }
 
-    fn root(&self, design: &Design) -> Result<Gains, RootError> {
-        self.root_runs.fetch_add(1, Ordering::Relaxed);
-        let (mut gains, filter) = root_gains(design)?;
-        if self.ends {
-            let end = TerminalRoot::new(&self.preparer.order.states, &filter.Psi, &filter.U, design.frame.r);
-            gains.end = Some(Arc::new(end));
-        }
-        Ok(gains)
-    }
-
-    /// The design class of the test in the work space.
-    fn class(&self, digest: u128, work: &mut Workspace) -> GainsResult {
+    /// The design class of the test in the work space; `by_root`: its design is known to call for square-root arrays.
+    fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> GainsResult {
         let Workspace { design, gains, block, room, gained, .. } = work;
-        let mut room = GainsWorkspace { gains, block, room, gained };
-        let make = |design: &Design| self.information(design, &mut room).map_or_else(|| self.root(design), Ok);
-        self.class_of((digest, design), make)
-    }
-
-    fn class_of(
-        &self,
-        (digest, design): (u128, &Design),
-        make: impl FnOnce(&Design) -> Result<Gains, RootError>,
-    ) -> GainsResult {
-        let counted = |design: &Design| {
+        let make = |design: &Design| {
             self.count_design_run(digest);
-            make(design)
+            let mut room = GainsWorkspace { gains, block, room, gained };
+            if !by_root && let Some(gains) = self.information(design, &mut room) {
+                return Ok(gains);
+            }
+            self.root_runs.fetch_add(1, Ordering::Relaxed);
+            root_gains(design, self.ends())
         };
-        self.classes.get(digest, |known| known.same(design), || design.clone(), counted, class_bytes)
+        let design = &*design;
+        self.classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes)
     }
 }
 
@@ -427,11 +405,6 @@ pub(crate) fn own_innovations(gains: &Gains, work: &mut Workspace) {
     } else {
         innovations((design, gains), data, pass, &mut ());
     }
-}
-
-/// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
-pub(crate) fn information_gains(design: &Design, work: &mut GainsWork) -> Option<Gains> {
-    schedule(design, work).finish((design.frame.r, design.frame.p), design.rows())
 }
 
 pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {

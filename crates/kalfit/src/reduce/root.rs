@@ -4,11 +4,14 @@
 //! are folded into R (Bierman 1977, ch. V), so no digits cancel however singular P or J are.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, K, T, S, U with U'U = P, R with R'R = J")]
 
+use std::sync::Arc;
+
 use crate::linalg::fold::{Rotation, fold, fold_row, norm};
 use crate::reduce::design::{Design, StateFrame, Transition};
 use crate::reduce::gains::{FactorRotations, GainSpan, Gains, RankOperation};
 use crate::reduce::kernel;
 use crate::reduce::semidefinite::{NotSemidefinite, root};
+use crate::reduce::terminal_root::TerminalRoot;
 
 /// A noise-free measurement whose prior standard deviation is this part of what it was without measurements is known already.
 const KNOWN: f64 = 1e-12;
@@ -28,14 +31,14 @@ pub(crate) enum RootError {
     NotFinite,
 }
 
-/// A design in square-root arrays; afterwards the state of the last step.
+/// A design in square-root arrays.
 #[derive(Debug, Clone)]
-pub(crate) struct RootFilter<'a> {
+struct RootFilter<'a> {
     frame: &'a StateFrame,
     /// U, r × r, row-major, upper triangular.
-    pub(crate) U: Vec<f64>,
+    U: Vec<f64>,
     /// Ψ, n × p, row-major.
-    pub(crate) Psi: Vec<f64>,
+    Psi: Vec<f64>,
     /// P and Ψ as they would be without measurements: the measure of what is zero.
     open_P: Vec<f64>,
     open_Psi: Vec<f64>,
@@ -44,8 +47,9 @@ pub(crate) struct RootFilter<'a> {
     work: Vec<f64>,
 }
 
-/// Runs the square-root filter of a design.
-pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a>), RootError> {
+/// Runs the square-root filter of a design. `states`: the state of the model at each place of the kernels, where the last state is
+/// wanted.
+pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>) -> Result<Gains, RootError> {
     let mut filter = RootFilter::start(design)?;
     let (p, r) = (design.frame.p, design.frame.r);
     let mut gains = Gains {
@@ -76,7 +80,8 @@ pub(crate) fn root_gains<'a>(design: &'a Design) -> Result<(Gains, RootFilter<'a
     let sound = gains.log_determinant.is_finite()
         && gains.gains.iter().chain(&gains.sensitivities).chain(&gains.factor).all(|x| x.is_finite());
     gains.turns = Some(turns);
-    if sound { Ok((gains, filter)) } else { Err(RootError::NotFinite) }
+    gains.end = states.map(|states| Arc::new(TerminalRoot::new(states, &filter.Psi, &filter.U, r)));
+    if sound { Ok(gains) } else { Err(RootError::NotFinite) }
 }
 
 impl<'a> RootFilter<'a> {
