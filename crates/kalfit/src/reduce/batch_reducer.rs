@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::reduce::blocks::batch_workspace::BatchWorkspace;
-use crate::reduce::blocks::reduced::ReducedTests;
+use crate::reduce::blocks::reduced::{ReducedTests, ToEnd};
 use crate::reduce::class::DesignClass;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::DataBlock;
@@ -15,7 +15,6 @@ use crate::reduce::prepare::{Skeleton, Workspace};
 use crate::reduce::recognise::DesignCells;
 use crate::reduce::reducer::{DesignExemplar, Reducer, ReductionHeader};
 use crate::reduce::shared::StoreEntry;
-use crate::reduce::terminal_root::TerminalState;
 use crate::reduce::{Reduction, Reductions};
 
 /// Most classes whose blocks are filled at the same time.
@@ -64,12 +63,7 @@ pub(crate) struct BatchReducer<'a> {
     found: ReducedTests,
     /// What is wrong with tests, by their numbers.
     faults: Vec<(usize, ReduceError)>,
-    /// Where the tests end; empty where that is not wanted.
-    endings: Vec<Option<TerminalState>>,
 }
-
-/// A reduction, and where its test ends, if that is wanted.
-pub(crate) type ToEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
 
 /// Tests of a known design, gathered in a block.
 #[derive(Debug)]
@@ -116,7 +110,6 @@ impl<'a> BatchReducer<'a> {
             beside: BatchWorkspace::new(Isa::best(), reducer),
             found: ReducedTests::default(),
             faults: Vec::new(),
-            endings: Vec::new(),
         }
     }
 
@@ -133,11 +126,8 @@ impl<'a> BatchReducer<'a> {
 
     /// Reduces tests.
     fn look(&mut self, tests: &[&Test]) {
-        self.found.reductions = Reductions::new();
-        self.found.numbers.clear();
+        self.found = ReducedTests::default();
         self.faults.clear();
-        self.endings.clear();
-        self.endings.resize_with(if self.reducer.wants_ends() { tests.len() } else { 0 }, || None);
         for (number, test) in tests.iter().enumerate() {
             let digest = match self.recognise(tests, test) {
                 Ok(()) if self.seat(tests, number) => continue,
@@ -157,11 +147,7 @@ impl<'a> BatchReducer<'a> {
     /// The reduction of each test, and where it ends.
     pub(crate) fn reduce_to_end(&mut self, tests: &[&Test]) -> Vec<ToEnd> {
         self.look(tests);
-        self.endings.resize_with(tests.len(), || None);
-        let mut all: Vec<Option<ToEnd>> = tests.iter().map(|_| None).collect();
-        for (&number, row) in self.found.numbers.iter().zip(&self.found.reductions) {
-            all[number] = Some(Ok((row.into(), self.endings[number].take())));
-        }
+        let mut all = std::mem::take(&mut self.found).by_number(tests.len());
         self.faults.drain(..).for_each(|(number, error)| all[number] = Some(Err(error)));
         all.into_iter().map(|found| found.expect("every test was looked at")).collect()
     }
@@ -229,9 +215,7 @@ impl<'a> BatchReducer<'a> {
                 let about = ReductionHeader::new(gains, &covariates, (known.steps, known.digest));
                 self.found.reductions.put(self.reducer.row(tests[number], &outcome, about));
                 self.found.numbers.push(number);
-                if let Some(ending) = self.endings.get_mut(number) {
-                    *ending = self.reducer.ending(&known.class, block.last(lane, &self.work.room));
-                }
+                self.found.terminals.extend(self.reducer.ending(&known.class, block.last(lane, &self.work.room)));
             } else {
                 self.found.odd.push(number);
             }
@@ -262,23 +246,17 @@ impl<'a> BatchReducer<'a> {
     /// Reduces tests with designs of their own.
     fn side_by_side(&mut self, tests: &[&Test]) {
         let BatchReducer { reducer, work, own, beside, found, .. } = self;
-        let first = found.numbers.len();
         beside.reduce(reducer, (tests, own), &mut work.room, found);
-        for (&number, terminal) in found.numbers[first..].iter().zip(found.terminals.drain(..)) {
-            self.endings[number] = Some(terminal);
-        }
         self.spare.append(&mut self.own);
     }
 
     /// Takes what was found of the test in the work space.
     fn note_alone(&mut self, number: usize, found: Result<(Reduction, DesignClass), ReduceError>) {
-        if let (Ok((_, class)), Some(ending)) = (&found, self.endings.get_mut(number)) {
-            *ending = self.reducer.ending(class, self.work.pass.x.iter().copied());
-        }
         match found {
-            Ok((reduction, _)) => {
+            Ok((reduction, class)) => {
                 self.found.reductions.push(reduction);
                 self.found.numbers.push(number);
+                self.found.terminals.extend(self.reducer.ending(&class, self.work.pass.x.iter().copied()));
             }
             Err(error) => self.faults.push((number, error)),
         }

@@ -26,7 +26,7 @@ use rayon::prelude::*;
 use crate::ensemble::Test;
 use crate::model::{Alpha, Level};
 use crate::reduce::Reductions;
-use crate::reduce::batch_reducer::{BatchReducer, ToEnd, share};
+use crate::reduce::batch_reducer::{BatchReducer, share};
 use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::DataWorkspace;
@@ -34,7 +34,7 @@ use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reducer::Reducer;
 use batch_workspace::by_shape;
 pub(crate) use layout::BatchLayout;
-use reduced::{ReducedTests, TestHeader};
+use reduced::{ReducedTests, TestHeader, ToEnd};
 pub(crate) use values::BatchValues;
 
 /// Bytes of blocks, with their numbers at one α.
@@ -124,24 +124,21 @@ impl EnsembleBatches {
         reducer: &Reducer,
         tests: &[&Test],
     ) -> (Vec<ToEnd>, FilteredBatches) {
-        let (filtered, found) = self.filter(reducer, tests);
-        let mut all: Vec<Option<ToEnd>> = tests.iter().map(|_| None).collect();
-        let mut terminals = found.terminals.into_iter();
-        for (row, &number) in found.reductions.iter().zip(&found.numbers) {
-            all[number] = Some(Ok((row.into(), terminals.next())));
-        }
+        let (filtered, mut found) = self.filter(reducer, tests);
+        let odd = std::mem::take(&mut found.odd);
+        let mut all = found.by_number(tests.len());
         let root = |work: &mut Workspace, &number: &usize| {
             let found = reducer.reduce_by_root(tests[number], work).or_else(|_| reducer.one(tests[number], work));
             found.map(|(reduction, class)| (reduction, reducer.ending(&class, work.pass.x.iter().copied())))
         };
-        let rooted: Vec<ToEnd> = found.odd.par_iter().map_init(|| reducer.workspace(), root).collect();
+        let rooted: Vec<ToEnd> = odd.par_iter().map_init(|| reducer.workspace(), root).collect();
         let rows = self.others.iter().map(|&number| tests[number].rows()).sum();
         let rest = |batch: &mut BatchReducer<'_>, numbers: &[usize]| {
             batch.reduce_to_end(&numbers.iter().map(|&number| tests[number]).collect::<Vec<_>>())
         };
         let others = self.others.par_chunks(share(self.others.len(), rows));
         let rest: Vec<ToEnd> = others.map_init(|| BatchReducer::new(reducer), rest).flatten_iter().collect();
-        let left = found.odd.iter().chain(&self.others).zip(rooted.into_iter().chain(rest));
+        let left = odd.iter().chain(&self.others).zip(rooted.into_iter().chain(rest));
         left.for_each(|(&number, found)| all[number] = Some(found));
         (all.into_iter().map(|found| found.expect("every test was looked at")).collect(), filtered)
     }

@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Phase};
-use crate::reduce::batch_reducer::ToEnd;
+use crate::reduce::blocks::reduced::ToEnd;
 use crate::reduce::carry::Inheritance;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::Workspace;

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
-use crate::reduce::batch_reducer::ToEnd;
+use crate::reduce::blocks::reduced::ToEnd;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{PhasePosition, PhaseReducer, ReducedPhase};

@@ -9,7 +9,7 @@ use crate::reduce::data::Outcome;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
 use crate::reduce::terminal_root::TerminalState;
-use crate::reduce::{Path, Reductions};
+use crate::reduce::{Path, ReduceError, Reduction, Reductions};
 
 /// What a reduction has from its test, whatever α.
 #[derive(Debug)]
@@ -20,16 +20,31 @@ pub(super) struct TestHeader {
     pub(super) observations: usize,
 }
 
+/// A reduction, and where its test ends, if that is wanted.
+pub(crate) type ToEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
+
 /// Reductions as they come.
 #[derive(Debug, Default)]
 pub(crate) struct ReducedTests {
     pub(crate) reductions: Reductions,
     /// The number of the test of each.
     pub(crate) numbers: Vec<usize>,
-    /// Where each ends, if that is wanted.
+    /// Where each ends; none where that is not wanted.
     pub(crate) terminals: Vec<TerminalState>,
     /// Tests that must be looked at by themselves.
     pub(crate) odd: Vec<usize>,
+}
+
+impl ReducedTests {
+    /// What was found of each of so many tests, by number.
+    pub(crate) fn by_number(self, tests: usize) -> Vec<Option<ToEnd>> {
+        let mut all: Vec<Option<ToEnd>> = (0..tests).map(|_| None).collect();
+        let mut terminals = self.terminals.into_iter();
+        for (row, &number) in self.reductions.iter().zip(&self.numbers) {
+            all[number] = Some(Ok((row.into(), terminals.next())));
+        }
+        all
+    }
 }
 
 impl BatchValues {

@@ -3,7 +3,8 @@
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch_reducer::{BatchReducer, ToEnd, joined, share};
+use crate::reduce::batch_reducer::{BatchReducer, joined, share};
+use crate::reduce::blocks::reduced::ToEnd;
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::ReducedPhase;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch_reducer::{ToEnd, share};
+use crate::reduce::batch_reducer::share;
+use crate::reduce::blocks::reduced::ToEnd;
 use crate::reduce::blocks::{EnsembleBatches, FilteredBatch, FilteredBatches};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::ReducedPhase;
