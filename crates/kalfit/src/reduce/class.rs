@@ -8,12 +8,9 @@ use crate::reduce::root::RootError;
 use crate::reduce::shared::StoreEntry;
 use crate::reduce::terminal_root::TerminalRoot;
 
-/// A design with its gains, as it is kept.
-pub(super) type GainsResult = Arc<StoreEntry<Design, Result<Gains, RootError>>>;
-
-/// A design class.
+/// A design class: a design with its gains, as they are kept.
 #[derive(Debug, Clone)]
-pub(crate) struct DesignClass(pub(super) GainsResult);
+pub(crate) struct DesignClass(pub(super) Arc<StoreEntry<Design, Result<Gains, RootError>>>);
 
 impl DesignClass {
     /// The design that all tests of it have.

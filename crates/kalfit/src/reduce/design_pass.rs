@@ -16,7 +16,7 @@ use kalfit_lanes::Real;
 
 /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much. `states`: the state of the
 /// model at each place of the kernels, where the last state is wanted.
-pub(crate) fn information_gains(design: &Design, work: &mut GainsWork, states: Option<&[usize]>) -> Option<Gains> {
+pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
     let frame = &*design.frame;
     let (p, r) = (frame.p, frame.r);
     work.P.clone_from(&design.variance);

@@ -48,7 +48,7 @@ impl Plain {
         self.fill(&order, &mut design, &mut data, &mut rows)?;
         let states = ends.then_some(&*order.states);
         let information =
-            if square_root { None } else { information_gains(&design, &mut GainsWork::default(), states) };
+            if square_root { None } else { information_gains(&design, states, &mut GainsWork::default()) };
         let gains = match information {
             Some(gains) => gains,
             None => self.root(&design, &rows, states)?,

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Slots};
-use crate::reduce::class::{DesignClass, GainsResult, class_bytes};
+use crate::reduce::class::{DesignClass, class_bytes};
 use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
@@ -17,11 +17,10 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::lanes::{DataBlock, DataWorkspace, DesignBatch, fits, innovations, is_short};
+use crate::reduce::lanes::{fits, innovations, is_short};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::DesignCells;
 use crate::reduce::root::{RootError, root_gains};
-use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::terminal_root::TerminalState;
@@ -55,14 +54,6 @@ pub struct Reducer {
     design_runs: AtomicU64,
     root_runs: AtomicU64,
     data_runs: AtomicU64,
-}
-
-/// What design passes work in.
-struct GainsWorkspace<'a> {
-    gains: &'a mut GainsWork,
-    block: &'a DataBlock,
-    room: &'a mut DataWorkspace,
-    gained: &'a mut DesignBatch,
 }
 
 /// What a reduction has from its test beside the data.
@@ -195,11 +186,6 @@ impl Reducer {
         self.ends
     }
 
-    /// The state of the model at each place of the kernels, where the last one is wanted.
-    fn ends(&self) -> Option<&[usize]> {
-        self.ends.then_some(&*self.preparer.order.states)
-    }
-
     /// Where a test of a class ends, if that is wanted, with x̂ of its last step, in the order of the kernels.
     pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<TerminalState> {
         class.end().cloned().map(|end| TerminalState::new(end, &self.preparer.order.states, x))
@@ -267,7 +253,7 @@ impl Reducer {
     ) -> Result<T, ReduceError> {
         let class = self.class(work.design.digest(), work, false);
         let fault = |&error: &RootError| self.named(*root_fault(error, &work.instances), test);
-        let gains = class.value().as_ref().map_err(fault)?;
+        let gains = class.gains().as_ref().map_err(fault)?;
         Ok(pass(gains, work))
     }
 
@@ -301,8 +287,8 @@ impl Reducer {
         let found = self.preparer.prepare(test, work).and_then(|()| {
             let digest = work.design.digest();
             let class = self.class(digest, work, by_root);
-            let gains = class.value().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
-            Ok((reduce(digest, gains, work)?, DesignClass(class)))
+            let gains = class.gains().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
+            Ok((reduce(digest, gains, work)?, class))
         });
         found.map_err(|fault| self.named(*fault, test))
     }
@@ -329,18 +315,6 @@ impl Reducer {
     pub(crate) fn row<'a>(&self, test: &'a Test, outcome: &'a Outcome, about: ReductionHeader<'a>) -> ReductionRef<'a> {
         self.data_runs.fetch_add(1, Ordering::Relaxed);
         about.row(test, outcome)
-    }
-
-    /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much.
-    fn information(&self, design: &Design, work: &mut GainsWorkspace<'_>) -> Option<Gains> {
-        if !is_short(design) {
-            return information_gains(design, work.gains, self.ends());
-        }
-        let mut gains = work.block.gains(design, work.gained, work.room)?;
-        if let Some(states) = self.ends() {
-            gains.end = Some(Arc::new(work.gained.end((0, work.block.lanes()), states)?));
-        }
-        Some(gains)
     }
 
     /// A fault of a test, with names.
@@ -370,19 +344,24 @@ impl Reducer {
     }
 
     /// The design class of the test in the work space; `by_root`: its design is known to call for square-root arrays.
-    fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> GainsResult {
+    fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
         let Workspace { design, gains, block, room, gained, .. } = work;
+        let states = self.ends.then_some(&*self.preparer.order.states);
         let make = |design: &Design| {
             self.count_design_run(digest);
-            let mut room = GainsWorkspace { gains, block, room, gained };
-            if !by_root && let Some(gains) = self.information(design, &mut room) {
+            let information = match by_root {
+                true => None,
+                false if is_short(design) => block.gains(design, states, (gained, room)),
+                false => information_gains(design, states, gains),
+            };
+            if let Some(gains) = information {
                 return Ok(gains);
             }
             self.root_runs.fetch_add(1, Ordering::Relaxed);
-            root_gains(design, self.ends())
+            root_gains(design, states)
         };
         let design = &*design;
-        self.classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes)
+        DesignClass(self.classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
     }
 }
 

@@ -1,4 +1,7 @@
 //! The data of tests of one design, a test in each lane, and what their pass finds.
+
+use std::sync::Arc;
+
 use kalfit_lanes::Isa;
 
 use crate::reduce::data::{Data, Outcome};
@@ -80,11 +83,22 @@ impl DataBlock {
         self.isa.run(DataPass { design, gains, data: self.side(), room });
     }
 
-    /// The gains of one design; `None` where square-root arrays are called for.
-    pub(crate) fn gains(&self, design: &Design, gained: &mut DesignBatch, room: &mut DataWorkspace) -> Option<Gains> {
+    /// The gains of one design; `None` where square-root arrays are called for. `states`: the state of the model at each place of the
+    /// kernels, where the last state is wanted.
+    pub(crate) fn gains(
+        &self,
+        design: &Design,
+        states: Option<&[usize]>,
+        (gained, room): (&mut DesignBatch, &mut DataWorkspace),
+    ) -> Option<Gains> {
+        let first = (0, self.isa.lanes());
         gained.load(design, self.isa.lanes());
         self.isa.run(DesignPassKernel { design, tests: 1, data: None, gained, room });
-        gained.gains((0, self.isa.lanes()), design.rows())
+        let mut gains = gained.gains(first, design.rows())?;
+        if let Some(states) = states {
+            gains.end = Some(Arc::new(gained.end(first, states)?));
+        }
+        Some(gains)
     }
 
     /// Starts, inputs and values, to be changed.

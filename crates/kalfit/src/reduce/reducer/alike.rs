@@ -73,7 +73,7 @@ impl Reducer {
         self.preparer.prepare(first, work).ok()?;
         let (digest, steps) = (work.design.digest(), work.design.steps());
         let class = self.class(digest, work, false);
-        let gains = class.value().as_ref().ok().filter(|gains| gains.turns.is_none())?;
+        let gains = class.gains().as_ref().ok().filter(|gains| gains.turns.is_none())?;
         if work.design.rows() > MOST_ROWS {
             return None;
         }

@@ -78,7 +78,7 @@ fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
 }
 
 fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) {
-    let plain = information_gains(&design, &mut GainsWork::default(), None);
+    let plain = information_gains(&design, None, &mut GainsWork::default());
     let gains = plain.unwrap_or_else(|| root_gains(&design, None).expect("semidefinite")); // a part need not determine its unknowns
     let reduction = reduction_by(&gains, &design, &data);
     (design, data, gains, reduction)
@@ -457,7 +457,7 @@ fn totals(cut: SegmentLengths, unfrozen: bool, wanted: AdjointsWanted, takes_sum
     let (design, data) = long();
     let mut work = GainsWork::default();
     work.settling.off = unfrozen;
-    let gains = information_gains(&design, &mut work, None).expect("well conditioned");
+    let gains = information_gains(&design, None, &mut work).expect("well conditioned");
     let moments = moments(reduction_by(&gains, &design, &data).view(), &law());
     let run = run((&design, &data, &gains), (&moments, None), wanted);
     let mut back = BackwardWork { cut, ..BackwardWork::default() };
