@@ -524,7 +524,7 @@ impl<'a> ProfileLikelihood<'a> {
         let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
         self.score_passes.fetch_add(1, Ordering::Relaxed);
         let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
-        let known = (self.batching.classes(&scorer, self.tests), filtered.as_ref());
+        let known = (self.batching.classes(reducer, self.tests), filtered.as_ref());
         let mut scores = scorer.scores(self.tests, reductions, law, known).map_err(Box::new)?;
         self.edges.pull(values, &self.alpha(values), self.slots, &mut scores);
         let alpha = |values: &[f64]| self.alpha(values);

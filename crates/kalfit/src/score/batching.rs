@@ -21,10 +21,10 @@ pub(crate) struct Batching {
 
 impl Batching {
     /// Which tests are alike.
-    pub(crate) fn classes(&self, scorer: &PhasedScorer<'_>, tests: &[PhasedTest]) -> &TestClasses {
+    pub(crate) fn classes(&self, reducer: &PhasedReducer, tests: &[PhasedTest]) -> &TestClasses {
         if self.classes.get().is_none() {
             // not within the lock: threads that find them may take up other work meanwhile
-            let _ = self.classes.set(scorer.classes(tests));
+            let _ = self.classes.set(TestClasses::of(reducer, tests));
         }
         self.classes.get().expect("they were set")
     }
@@ -64,8 +64,10 @@ impl Batching {
         tests: &[PhasedTest],
     ) -> Option<&PhasedBatches> {
         if self.blocks.get().is_none() {
-            let scorer = PhasedScorer::new(model, reducer, slots).ok()?;
-            let _ = self.blocks.set(scorer.blocks(tests, self.classes(&scorer, tests)));
+            PhasedScorer::new(model, reducer, slots).ok()?; // where there is no score, which rows count may depend on α
+            let TestClasses { classes, alone, .. } = self.classes(reducer, tests);
+            let shared: Vec<usize> = classes.iter().map(|class| class[0]).collect();
+            let _ = self.blocks.set(reducer.blocks(tests, alone, &shared));
         }
         self.blocks.get()?.as_ref()
     }

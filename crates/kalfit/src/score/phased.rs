@@ -26,7 +26,7 @@ use crate::reduce::{
 use crate::score::backward::BackwardWork;
 use crate::score::complete::Complete;
 use crate::score::moments::moments;
-use crate::score::phased::design_classes::ScoredEnsemble;
+use crate::score::phased::design_classes::{Score, ScoredEnsemble};
 use crate::score::pullback::{Adjoints, Gradient};
 use crate::score::smoother::{InheritanceAdjoint, PhaseLaws, PlanKey, SmoothedPhase, SmootherPlan};
 use crate::score::{Scorer, Smoothed, TestClasses};
@@ -86,7 +86,14 @@ impl<'a> PhasedScorer<'a> {
         (classes, filtered): (&TestClasses, Option<&FilteredPhases>),
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = SharedStore::new(PLAN_BYTES);
-        let mut scores = self.in_classes(ScoredEnsemble { tests, reductions, law, plans: &plans, filtered }, classes);
+        let of = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered };
+        // covariates move the uncertainty of the mean
+        let own = law.is_restricted() && reductions.iter().any(|reduction| !reduction.covariates.is_empty());
+        let none = own.then(|| TestClasses::none(tests.len()));
+        let classes = none.as_ref().unwrap_or(classes);
+        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.of_class(of, members, room);
+        let mut scores: Vec<Score> = classes.classes.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
+        scores.extend(self.apart(of, &classes.alone));
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()
     }

@@ -155,7 +155,7 @@ impl Shard {
         let found = || {
             let reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
             let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots)?;
-            let known = (self.batching.classes(&scorer, &self.tests), filtered);
+            let known = (self.batching.classes(&reducer, &self.tests), filtered);
             scorer.scores(&self.tests, &summed.reductions, &law, known)
         };
         let Ok(scores) = found() else { return Ok(None) };

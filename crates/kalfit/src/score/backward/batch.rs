@@ -38,13 +38,6 @@ pub(crate) struct BatchAdjoints {
     sizes: (usize, [usize; 3]),
 }
 
-impl BatchBackward<'_> {
-    /// Runs the pass.
-    pub(crate) fn pass(self) -> BatchAdjoints {
-        self.block.isa().run(self)
-    }
-}
-
 impl Kernel for BatchBackward<'_> {
     type Output = BatchAdjoints;
 

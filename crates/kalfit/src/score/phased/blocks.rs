@@ -6,7 +6,8 @@ mod tests;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::{FilteredBatch, PhasedBatches, PhasedTest};
+use crate::reduce::FilteredBatch;
+use crate::score::Scorer;
 use crate::score::backward::{BatchBackward, TerminalAdjoint};
 use crate::score::moments::Moments;
 use crate::score::phased::design_classes::ScoredEnsemble;
@@ -14,7 +15,6 @@ use crate::score::phased::unclassed::TestScore;
 use crate::score::phased::{PhasedScorer, ScoreWorkspace};
 use crate::score::pullback::Gradient;
 use crate::score::smoother::SmoothedPhase;
-use crate::score::{Scorer, TestClasses};
 
 /// No place.
 const NONE: usize = usize::MAX;
@@ -23,12 +23,6 @@ const NONE: usize = usize::MAX;
 type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
 
 impl PhasedScorer<'_> {
-    /// The tests that have no class, where they can be kept side by side.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], classes: &TestClasses) -> Option<PhasedBatches> {
-        let shared: Vec<usize> = classes.classes.iter().map(|class| class[0]).collect();
-        self.reducer.blocks(tests, &classes.alone, &shared)
-    }
-
     /// What a phase says of the tests with these numbers that are in its blocks, by their places among them; those with which
     /// something is wrong are left out.
     pub(super) fn in_blocks(
@@ -78,7 +72,7 @@ impl Scorer<'_> {
         let (kept, longest, wanted) = (&block.values.batch_filter, &block.layout.design, self.wanted());
         let (moments, endings) = (&*moments, &*endings);
         let pass = BatchBackward { block: &kept.block, gained: &kept.design_batch, longest, moments, endings, wanted };
-        let mut bars = pass.pass();
+        let mut bars = kept.block.isa().run(pass);
         let pulled = self.chain.pull(block, rows, &mut bars);
         let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);
         let score = |&(lane, place, _): &LaneStart<'_>| {

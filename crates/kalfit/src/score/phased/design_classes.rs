@@ -4,11 +4,11 @@ use rayon::prelude::*;
 
 use crate::estimate::InitialLaw;
 use crate::reduce::{FilteredPhases, PhasedTest, ReduceError, Reductions, same_bits};
+use crate::score::Scorer;
 use crate::score::classes::ClassMember;
 use crate::score::phased::{PhasedScorer, Plans, ScoreWorkspace};
 use crate::score::pullback::{Gradient, add};
 use crate::score::smoother::SmoothedPhase;
-use crate::score::{Scorer, TestClasses};
 
 /// Tests that one thread begins at a time.
 const SHARE: usize = 64;
@@ -34,30 +34,13 @@ struct MemberStart {
 }
 
 impl PhasedScorer<'_> {
-    /// Which of these tests are alike.
-    pub(crate) fn classes(&self, tests: &[PhasedTest]) -> TestClasses {
-        TestClasses::of(self.reducer, tests)
-    }
-
-    /// The scores of tests, in any order.
-    pub(super) fn in_classes(&self, of: ScoredEnsemble<'_>, classes: &TestClasses) -> Vec<Score> {
-        // covariates move the uncertainty of the mean
-        let own = of.law.is_restricted() && of.reductions.iter().any(|reduction| !reduction.covariates.is_empty());
-        let none;
-        let classes = if own {
-            none = TestClasses::none(of.tests.len());
-            &none
-        } else {
-            classes
-        };
-        let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.of_class(of, members, room);
-        let mut scores: Vec<Score> = classes.classes.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
-        scores.extend(self.apart(of, &classes.alone));
-        scores
-    }
-
     /// Alike tests; one by one where they turn out to be so in their rows alone.
-    fn of_class(&self, of: ScoredEnsemble<'_>, numbers: &[usize], room: &mut ScoreWorkspace<'_>) -> Vec<Score> {
+    pub(super) fn of_class(
+        &self,
+        of: ScoredEnsemble<'_>,
+        numbers: &[usize],
+        room: &mut ScoreWorkspace<'_>,
+    ) -> Vec<Score> {
         match self.together(of, numbers, room) {
             Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
             // what is wrong is said of the test that it is wrong with

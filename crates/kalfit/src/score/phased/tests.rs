@@ -269,7 +269,7 @@ fn alike_tests_are_scored_as_one_by_one() {
         }));
         let (reducer, reductions) = reduced(&model, &slots, &values, &many);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let classes = scorer.classes(&many);
+        let classes = TestClasses::of(&reducer, &many);
         let sizes: Vec<usize> = classes.classes.iter().map(Vec::len).collect();
         assert_eq!((sizes, classes.alone.len()), (vec![37; 4], 4));
         let plans = SharedStore::new(PLAN_BYTES);

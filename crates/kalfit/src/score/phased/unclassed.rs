@@ -44,7 +44,13 @@ impl PhasedScorer<'_> {
         let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.begin_alone(of, number, room);
         let mut known: Vec<TestScore> = numbers.par_iter().map_init(|| self.room(), begin).collect();
         for at in 0..self.phases.len() {
-            for (place, score) in self.of_phase(at, of, numbers, &known) {
+            let mut left: Vec<bool> = known.iter().map(|known| known.error.is_none()).collect();
+            for (place, gradient) in self.in_blocks(at, of, numbers, &known) {
+                left[place] = false;
+                known[place].parts[at] = gradient;
+            }
+            let left: Vec<usize> = (0..numbers.len()).filter(|&place| left[place]).collect();
+            for (place, score) in self.one_by_one(at, of, (numbers, left), &known) {
                 known[place].take(at, score.map_err(|error| self.reducer.phases()[at].named(error)));
             }
         }
@@ -68,21 +74,14 @@ impl PhasedScorer<'_> {
         known
     }
 
-    /// What a phase says of the tests with these numbers, by their places among them.
-    fn of_phase(
+    /// What a phase says of the tests with these numbers that have these places among them, by their places.
+    fn one_by_one(
         &self,
         at: usize,
         of: ScoredEnsemble<'_>,
-        numbers: &[usize],
+        (numbers, places): (&[usize], Vec<usize>),
         known: &[TestScore],
     ) -> Vec<(usize, Result<Gradient, ReduceError>)> {
-        let mut left = vec![true; numbers.len()];
-        let mut scores = Vec::new();
-        for (place, gradient) in self.in_blocks(at, of, numbers, known) {
-            left[place] = false;
-            scores.push((place, Ok(gradient)));
-        }
-        let wanted = |place: usize| known[place].error.is_none() && left[place];
         let alone = |room: &mut ScoreWorkspace<'_>, place: usize| {
             let rows = self.reducer.rows_of(at, &of.tests[numbers[place]])?;
             let (scorer, smooth) = (&self.phases[at], &known[place].phases[at]);
@@ -90,9 +89,6 @@ impl PhasedScorer<'_> {
             let work = (&mut room.work.phases[at], &mut room.backward, &mut room.adjoints[at]);
             Some((place, scorer.alone(rows, (&smooth.moments, ending.as_ref()), work)))
         };
-        let places: Vec<usize> = (0..numbers.len()).filter(|&place| wanted(place)).collect();
-        let rest = places.into_par_iter().map_init(|| self.room(), alone);
-        scores.extend(rest.flatten_iter().collect::<Vec<_>>());
-        scores
+        places.into_par_iter().map_init(|| self.room(), alone).flatten_iter().collect()
     }
 }

@@ -108,8 +108,7 @@ impl Case {
 
     fn blocks(&self, tests: &[PhasedTest]) -> PhasedBatches {
         let (reducer, _) = reduced(&self.model, &self.slots, &VALUES, tests);
-        let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
-        scorer.blocks(tests, &TestClasses::none(tests.len())).expect("some tests are in blocks")
+        reducer.blocks(tests, &TestClasses::none(tests.len()).alone, &[]).expect("some tests are in blocks")
     }
 
     /// Which tests of one phase went with the others of their block.
