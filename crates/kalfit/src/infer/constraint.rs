@@ -152,7 +152,8 @@ fn lost(
     (mean, sigma): (&DVector<f64>, &DVector<f64>),
     of_alpha: &dyn Fn(&DMatrix<f64>) -> DVector<f64>,
 ) -> f64 {
-    let along = tangent_cross(state, mean, sigma);
+    let tangent = &state.newton_iterate.tangent;
+    let along = tangent.pulled_back(state.problem.mean_jacobian(), mean, &tangent.jacobian.transposed_times(sigma));
     match state.joint.as_ref().and_then(|joint| joint.mixed.as_ref()) {
         None => along.dot(&(law.coordinates() * &along)),
         Some(Mixed { covariance, information }) => {
@@ -162,12 +163,6 @@ fn lost(
             cross.dot(&(covariance * &cross))
         }
     }
-}
-
-/// Cross information between an element and the free coordinates along the tangent basis.
-fn tangent_cross(state: &FinalState, mean: &DVector<f64>, sigma: &DVector<f64>) -> DVector<f64> {
-    let tangent = &state.newton_iterate.tangent;
-    tangent.pulled_back(state.problem.mean_jacobian(), mean, &tangent.jacobian.transposed_times(sigma))
 }
 
 /// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted, which leaves

@@ -169,7 +169,6 @@ fn uncertainty_by(
     let map = &state.problem.covariance;
     let boundary = boundary(map, &state.newton_iterate.point.root);
     let p = sigma.nrows();
-    let parts = |quantity: Quantity, k: usize| takes_part(unidentified, quantity, k);
     let on_boundary = |i: usize| boundary.iter().any(|b| b.states.contains(&i));
     let without = |i: usize| match singular {
         SingularBlock::Face => boundary.iter().any(|b| b.zero_variances.contains(&i)),
@@ -186,7 +185,7 @@ fn uncertainty_by(
     let mut correlation = vec![vec![None; p]; p];
     let mut std_dev = vec![None; p];
     for (i, j) in elements.all() {
-        let error = known(i, j).then(|| law.sigma_error(i, j)).flatten();
+        let error = known(i, j).then(|| law.error(sigma, Holdable::Covariance(i, j))).flatten();
         covariance[i][j] = error;
         covariance[j][i] = error;
     }
@@ -195,14 +194,17 @@ fn uncertainty_by(
     }
     for (i, j) in elements.all().filter(|(i, j)| i != j) {
         let known = known(i, j) && known(i, i) && known(j, j) && !at_end(i, j);
-        let error = known.then(|| law.correlation_error(sigma, i, j)).flatten();
+        let error = known.then(|| law.error(sigma, Holdable::Correlation(i, j))).flatten();
         correlation[i][j] = error;
         correlation[j][i] = error;
     }
-    let mean = (0..p).map(|i| if parts(Quantity::Mean, i) { None } else { law.mean_error(i) }).collect();
-    let coefficients = (0..state.problem.mean.regressors.len())
-        .map(|c| if parts(Quantity::Mean, p + c) { None } else { law.coefficient_error(c) })
-        .collect();
+    let of_mean = |row: usize, what: Holdable| match takes_part(unidentified, Quantity::Mean, row) {
+        true => None,
+        false => law.error(sigma, what),
+    };
+    let mean = (0..p).map(|i| of_mean(i, Holdable::Mean(i))).collect();
+    let coefficients =
+        (0..state.problem.mean.regressors.len()).map(|c| of_mean(p + c, Holdable::Coefficient(c))).collect();
     let of_part = |part: &PhaseForm| {
         matches!(part.form, CoordinateForm::Scale(_)).then(|| law.scale_error(sigma, part)).flatten()
     };

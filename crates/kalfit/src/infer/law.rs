@@ -107,18 +107,6 @@ impl<'a> AsymptoticLaw<'a> {
         means.chain(coefficients).chain(covariances).collect()
     }
 
-    fn sigma_part(&self, weights: &DVector<f64>) -> Option<f64> {
-        match &self.joint {
-            Some(joint) if !joint.is_known(weights) => None,
-            Some(joint) => error(&joint.jacobian, &joint.covariance, weights),
-            None => error(&self.jacobian, &self.coordinates, weights),
-        }
-    }
-
-    fn mean_part(&self, weights: &DVector<f64>) -> Option<f64> {
-        error(&self.jacobian, self.mean.as_ref().unwrap_or(&self.coordinates), weights)
-    }
-
     fn weights(&self, entries: &[(usize, f64)]) -> DVector<f64> {
         let mut weights = DVector::zeros(self.jacobian.nrows());
         entries.iter().for_each(|&(k, w)| weights[k] += w);
@@ -136,58 +124,47 @@ impl<'a> AsymptoticLaw<'a> {
         (rows + self.state.problem.covariance.elements.index(i, j), weight * self.scale()[i] * self.scale()[j])
     }
 
-    pub(super) fn mean_error(&self, i: usize) -> Option<f64> {
-        self.mean_part(&self.mean_weights(i))
+    /// Derivatives of a quantity by mean coordinates and elements of Σ; `None` where it has none. `sigma` is Σ in the user's units.
+    fn weights_of(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<DVector<f64>> {
+        let variance = |i: usize| Some(sigma[(i, i)]).filter(|variance| *variance > 0.0);
+        Some(match what {
+            Holdable::Mean(i) => self.weights(&[(i, self.scale()[i])]),
+            Holdable::Coefficient(c) => {
+                let unit = self.state.problem.mean.coefficient_scale[c].recip();
+                self.weights(&[(self.scale().len() + c, unit)])
+            }
+            Holdable::StdDev(i) => self.weights(&[self.sigma(i, i, 0.5 / variance(i)?.sqrt())]),
+            Holdable::Covariance(i, j) => self.weights(&[self.sigma(i, j, 1.0)]),
+            // delta method for ρ = σ_ij / √(σ_ii σ_jj)
+            Holdable::Correlation(i, j) => {
+                let (vi, vj) = (variance(i)?, variance(j)?);
+                let unit = (vi * vj).sqrt();
+                let rho = sigma[(i, j)] / unit;
+                let (own, first) = (self.sigma(i, j, 1.0 / unit), self.sigma(i, i, -0.5 * rho / vi));
+                self.weights(&[own, first, self.sigma(j, j, -0.5 * rho / vj)])
+            }
+        })
     }
 
-    fn mean_weights(&self, i: usize) -> DVector<f64> {
-        self.weights(&[(i, self.scale()[i])])
-    }
-
-    pub(super) fn coefficient_error(&self, c: usize) -> Option<f64> {
-        self.mean_part(&self.coefficient_weights(c))
-    }
-
-    fn coefficient_weights(&self, c: usize) -> DVector<f64> {
-        let row = self.scale().len() + c;
-        self.weights(&[(row, self.state.problem.mean.coefficient_scale[c].recip())])
-    }
-
-    pub(super) fn sigma_error(&self, i: usize, j: usize) -> Option<f64> {
-        self.sigma_part(&self.weights(&[self.sigma(i, j, 1.0)]))
-    }
-
-    pub(super) fn correlation_error(&self, sigma: &DMatrix<f64>, i: usize, j: usize) -> Option<f64> {
-        self.sigma_part(&self.correlation_weights(sigma, i, j)?)
-    }
-
-    /// Delta method for ρ = σ_ij / √(σ_ii σ_jj).
-    fn correlation_weights(&self, sigma: &DMatrix<f64>, i: usize, j: usize) -> Option<DVector<f64>> {
-        let (vi, vj) = (sigma[(i, i)], sigma[(j, j)]);
-        if !(vi > 0.0 && vj > 0.0) {
-            return None;
+    /// Standard error of a quantity; `None` where it has none. `sigma` is Σ in the user's units.
+    pub(super) fn error(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<f64> {
+        let weights = &self.weights_of(sigma, what)?;
+        match (what, &self.joint) {
+            (Holdable::Mean(_) | Holdable::Coefficient(_), _) => {
+                error(&self.jacobian, self.mean.as_ref().unwrap_or(&self.coordinates), weights)
+            }
+            (_, Some(joint)) if !joint.is_known(weights) => None,
+            (_, Some(joint)) => error(&joint.jacobian, &joint.covariance, weights),
+            (_, None) => error(&self.jacobian, &self.coordinates, weights),
         }
-        let unit = (vi * vj).sqrt();
-        let rho = sigma[(i, j)] / unit;
-        let entries =
-            [self.sigma(i, j, 1.0 / unit), self.sigma(i, i, -0.5 * rho / vi), self.sigma(j, j, -0.5 * rho / vj)];
-        Some(self.weights(&entries))
     }
 
     /// Derivative of a quantity along the tangent basis; zero where it has none. `sigma` is Σ in the user's units.
     pub(crate) fn derivative(&self, sigma: &DMatrix<f64>, what: Holdable) -> DVector<f64> {
-        let weights = match what {
-            Holdable::Mean(i) => Some(self.mean_weights(i)),
-            Holdable::Coefficient(c) => Some(self.coefficient_weights(c)),
-            Holdable::StdDev(i) if sigma[(i, i)] > 0.0 => {
-                Some(self.weights(&[self.sigma(i, i, 0.5 / sigma[(i, i)].sqrt())]))
-            }
-            Holdable::StdDev(_) => None,
-            Holdable::Covariance(i, j) => Some(self.weights(&[self.sigma(i, j, 1.0)])),
-            Holdable::Correlation(i, j) => self.correlation_weights(sigma, i, j),
-        };
-        weights
-            .map_or_else(|| DVector::zeros(self.jacobian.ncols()), |weights| self.jacobian.transposed_times(&weights))
+        match self.weights_of(sigma, what) {
+            Some(weights) => self.jacobian.transposed_times(&weights),
+            None => DVector::zeros(self.jacobian.ncols()),
+        }
     }
 
     /// Derivative of weights'(μ, γ) along the tangent basis.
@@ -201,7 +178,8 @@ impl<'a> AsymptoticLaw<'a> {
     /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
     pub(super) fn scale_error(&self, sigma: &DMatrix<f64>, part: &PhaseForm) -> Option<f64> {
         let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
-        (sigma[(i, i)] > 0.0).then(|| self.sigma_error(i, i).map(|e| e / sigma[(i, i)])).flatten()
+        let error = self.error(sigma, Holdable::Covariance(i, i)).filter(|_| sigma[(i, i)] > 0.0)?;
+        Some(error / sigma[(i, i)])
     }
 }
 
