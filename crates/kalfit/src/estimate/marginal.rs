@@ -16,7 +16,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::linalg::factors::{Factors, Rotations};
 use crate::linalg::rows::Rows;
-use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction, ReductionRef};
+use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction, ReductionRef, unpack};
 
 /// Singular values below this part of what the columns were before anything was taken out of them are zero.
 const RANK_TOLERANCE: f64 = 1e-12;
@@ -46,7 +46,7 @@ struct Difference {
 
 impl Difference {
     fn of(before: Option<&ChainPhase>, phase: &ChainPhase) -> Difference {
-        let own = unpacked(phase);
+        let own = unpack(&phase.factor, phase.data.len());
         let data = DVector::from_column_slice(&phase.data);
         match (before, &phase.link) {
             (Some(before), Some(link)) => Difference::left(before, link, (own, data)),
@@ -56,7 +56,7 @@ impl Difference {
 
     /// What is left of both phases' rows once σ of the phase before is projected out.
     fn left(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
-        let (earlier, q) = (unpacked(before), own.nrows());
+        let (earlier, q) = (unpack(&before.factor, before.data.len()), own.nrows());
         let from = earlier.nrows();
         let spread = Rotations::<f64>::identity_plus(&Rows::from(&(&own * &link.root).transpose()));
         let residual = data - &own * &link.mean;
@@ -143,9 +143,4 @@ fn side_by_side(chain: &Chain, states: usize) -> (Vec<f64>, Vec<f64>) {
         start += phase.own;
     }
     (data, factor)
-}
-
-fn unpacked(phase: &ChainPhase) -> DMatrix<f64> {
-    let q = phase.data.len();
-    DMatrix::from_fn(q, q, |i, k| if i <= k { phase.factor[i + k * (k + 1) / 2] } else { 0.0 })
 }

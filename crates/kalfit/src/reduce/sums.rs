@@ -1,6 +1,7 @@
 //! What a design pass adds up.
 #![expect(non_snake_case, reason = "the letters of the theory: S, J")]
 
+use crate::linalg::symmetric::pairs;
 use crate::reduce::semidefinite::information_root_to;
 use kalfit_lanes::{Lanes, Real};
 
@@ -21,16 +22,11 @@ pub(crate) struct InformationSums<R = f64> {
     least: R,
 }
 
-/// Entries of a packed triangle.
-pub(crate) fn packed(p: usize) -> usize {
-    p * (p + 1) / 2
-}
-
 impl<R: Real> InformationSums<R> {
     #[inline(always)]
     pub(crate) fn new(p: usize) -> InformationSums<R> {
         let (zero, one) = (R::splat(0.0), R::splat(1.0));
-        InformationSums { J: vec![zero; packed(p)], mantissa: one, exponent: zero, kept: one, least: one }
+        InformationSums { J: vec![zero; pairs(p)], mantissa: one, exponent: zero, kept: one, least: one }
     }
 
     /// Takes S of a row into account.
@@ -84,7 +80,7 @@ impl InformationSums {
         if !sound || !self.mantissa.is_finite() {
             return None;
         }
-        let p = (0..).find(|&p| packed(p) == self.J.len()).expect("J is a packed triangle");
+        let p = (0..).find(|&p| pairs(p) == self.J.len()).expect("J is a packed triangle");
         let least = information_root_to(&mut root, &self.J, p, LEAST_PIVOT);
         let repeated: f64 = many.iter().map(|&(S, many)| many as f64 * S.ln()).sum();
         let log_determinant = self.mantissa.ln() + self.exponent * std::f64::consts::LN_2 + repeated;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use kalfit_lanes::{Kernel, Lanes};
 
+use crate::linalg::symmetric::pairs;
 use crate::reduce::design::{Design, EqualSteps, Pattern, Transition};
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel::{self, FilterState};
@@ -13,7 +14,7 @@ use crate::reduce::lanes::numbers::{DataView, Numbers, at, put};
 use crate::reduce::lanes::pass::innovate;
 use crate::reduce::lanes::squares;
 use crate::reduce::lanes::workspace::DataWorkspace;
-use crate::reduce::sums::{InformationSums, packed};
+use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal_root::TerminalRoot;
 
 /// Designs of one shape and all that their pass leaves, in lanes.
@@ -169,7 +170,7 @@ impl DesignBatch {
         sums.lanes(&mut self.sums);
         self.found.resize(designs, None);
         self.factor.clear();
-        self.factor.resize(packed(self.p) * T::COUNT, 0.0);
+        self.factor.resize(pairs(self.p) * T::COUNT, 0.0);
         let mut own = InformationSums::new(self.p);
         for (lane, found) in self.found.iter_mut().enumerate() {
             own.take_lane(&self.sums, lane, T::COUNT);

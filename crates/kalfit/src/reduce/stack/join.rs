@@ -12,13 +12,11 @@ use crate::reduce::stack::square::StackArray;
 pub(super) struct JoinedPhase<T> {
     /// p.
     pub(super) own: usize,
-    /// q.
-    size: usize,
     /// R, packed by columns.
     factor: Vec<T>,
     /// `None` for the first phase.
     pub(super) link: Option<GivenLink<T>>,
-    /// d, and g of the link that leads here.
+    /// d, q numbers, and g of the link that leads here.
     data: Vec<T>,
     mean: Vec<T>,
 }
@@ -82,14 +80,14 @@ impl<T: Lanes> JoinedPhase<T> {
         let mean = interleaved(count, |lane| tests[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
         let data = interleaved(count, |lane| tests[lane][at].data);
         let factor = interleaved(count, |lane| tests[lane][at].factor);
-        JoinedPhase { own: first.own, size: first.size(), factor, link, data, mean }
+        JoinedPhase { own: first.own, factor, link, data, mean }
     }
 
     /// What is known of the last phase.
     #[inline(always)]
     pub(super) fn last(&self, memory: Vec<T>) -> StackArray<T> {
-        let mut array = StackArray::zeros(self.size, memory);
-        array.put_packed(0, &self.factor, self.size);
+        let mut array = StackArray::zeros(self.data.len(), memory);
+        array.put_packed(0, &self.factor, self.data.len());
         array.put_data(0, &self.data);
         array
     }
@@ -105,7 +103,7 @@ impl<T: Lanes> JoinedPhase<T> {
         room: &mut JoinWorkspace<T>,
     ) -> (StackArray<T>, Vec<T>) {
         let GivenLink { G, C } = next.link.as_ref().expect("a later phase has a link");
-        let (u, from, q, own) = (C.columns, G.columns, next.size, next.own);
+        let (u, from, q, own) = (C.columns, G.columns, next.data.len(), next.own);
         let size = u + from + own + later.width - q;
         let mut array = StackArray::zeros(size, std::mem::take(&mut room.array));
         for k in 0..u {

@@ -9,7 +9,7 @@ pub(crate) struct StackPhase<'a> {
     pub(crate) own: usize,
     /// R_i, packed by columns, q_i × q_i.
     pub(crate) factor: &'a [f64],
-    /// d_i.
+    /// d_i, q_i numbers.
     pub(crate) data: &'a [f64],
     pub(crate) constant: f64,
     /// Ψ_K and a root of P_K of the phase before, and T; `None` for the first phase.
@@ -27,16 +27,4 @@ pub(crate) fn shape(phases: &[StackPhase<'_>]) -> StackShape {
         .iter()
         .map(|phase| (phase.own, phase.factor.len(), phase.link.map(|link| link.map(DMatrix::shape))))
         .collect()
-}
-
-impl StackPhase<'_> {
-    /// q_i.
-    pub(super) fn size(&self) -> usize {
-        packed_size(self.factor.len())
-    }
-}
-
-/// Size of a packed triangle with so many entries.
-fn packed_size(entries: usize) -> usize {
-    (0..).find(|&size| size * (size + 1) / 2 >= entries).expect("sizes have no end")
 }
