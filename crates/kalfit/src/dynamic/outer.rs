@@ -204,7 +204,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         let found = what.maximum((&Holder::new(&state), &alpha), x, &state.newton_iterate.point)?;
         let scores = objective.scores(&values, &reduced, &state.law_at(&found.near)).ok()?;
         let there = state.problem.values_of(&found.near.point);
-        let score = state.residual_score_at(&found.near);
+        let score = state.problem.score_out(&found.near.tangent.residual_score);
         let matrix = matrix_gradient(objective.model, &alpha, objective.slots, &there.covariance, &score);
         let mut gradient = objective.gradient(&values, &scores, &matrix);
         for (&s, own) in self.slots.iter().zip(what.slopes_at(self, &values, &there)?.iter()) {

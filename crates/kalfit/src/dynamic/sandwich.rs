@@ -43,7 +43,7 @@ fn score(
     (own, of_tests): (&Sums, impl Iterator<Item = (usize, f64)>),
 ) -> DVector<f64> {
     let state = &fit.estimate.state;
-    let of_sigma = state.covariance_score_of(own);
+    let of_sigma = state.problem.score_out(&own.score());
     let matrix = matrix_gradient(objective.model, &fit.alpha, objective.slots, &fit.estimate.covariance, &of_sigma);
     let inner = state.gradient_along(own);
     let mut score = DVector::zeros(shared.len() + inner.len());

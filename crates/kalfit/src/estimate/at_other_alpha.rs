@@ -231,14 +231,9 @@ impl FinalState {
         InitialLaw::of(&self.problem, &place.point, place.near())
     }
 
-    /// What is left of ∂ℓ/∂Σ at a place once constraints have taken their share, in the user's units.
-    pub(crate) fn residual_score_at(&self, place: &NewtonIterate) -> DMatrix<f64> {
-        out(&self.problem, &place.tangent.residual_score)
-    }
-
     /// ∂ℓ/∂Σ in the user's units: the objective changes by tr(G dΣ).
     pub(crate) fn covariance_score(&self) -> DMatrix<f64> {
-        out(&self.problem, &self.sums.score())
+        self.problem.score_out(&self.sums.score())
     }
 
     /// The objective at this point under other reductions of the same tests; `None` where it is not defined.
@@ -331,11 +326,6 @@ impl FinalState {
         self.along(sums, &self.problem, &self.newton_iterate.point)
     }
 
-    /// ∂ℓ/∂Σ of sums at this place, in the user's units.
-    pub(crate) fn covariance_score_of(&self, sums: &Sums) -> DMatrix<f64> {
-        out(&self.problem, &sums.score())
-    }
-
     /// One test as a class of its own.
     fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
         let alone = std::iter::once(reduction).collect();
@@ -403,13 +393,8 @@ impl Reevaluation {
 
     /// ∂ℓ/∂Σ in the user's units.
     pub(crate) fn covariance_score(&self) -> DMatrix<f64> {
-        out(&self.problem, &self.sums.score())
+        self.problem.score_out(&self.sums.score())
     }
-}
-
-fn out(problem: &Problem, score: &DMatrix<f64>) -> DMatrix<f64> {
-    let scale = &problem.classes.frame.scale;
-    DMatrix::from_fn(score.nrows(), score.ncols(), |i, j| score[(i, j)] / (scale[i] * scale[j]))
 }
 
 /// The point with its root in the chart that places have.
@@ -442,6 +427,12 @@ fn carried_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>) 
 }
 
 impl Problem {
+    /// ∂ℓ/∂Σ, or a part of it, in the user's units.
+    pub(crate) fn score_out(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
+        let scale = &self.classes.frame.scale;
+        DMatrix::from_fn(score.nrows(), score.ncols(), |i, j| score[(i, j)] / (scale[i] * scale[j]))
+    }
+
     /// Asks for a sum at a point of tests that are elsewhere together with what α's score is made of there, which is wanted next.
     pub(super) fn with_score<T>(&self, point: &Point, ask: impl FnOnce() -> T) -> T {
         let Some(remote) = &self.classes.remote else { return ask() };
