@@ -1,13 +1,20 @@
 //! What each number of a fit with free α is worth.
 
+use statrs::distribution::{ContinuousCDF, Normal};
+
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
-use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, expected, interval, law, profile, sandwich, worth};
+use crate::dynamic::{
+    Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, expected, interval, law, profile, sandwich,
+};
 use crate::estimate::{Criterion, Estimate, JointLaw, Stop};
 use crate::infer::{Choices, Inference, IntervalKind, StdErrors, sensitivities};
 use crate::model::PhasedModel;
 use crate::reduce::PhasedTest;
+
+/// A logarithm with a standard error beyond this is not determined by the data.
+const UNDETERMINED: f64 = 10.0;
 
 /// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α.
 pub fn infer(
@@ -39,11 +46,11 @@ pub fn infer(
             let inference = crate::infer::infer(&other, &fit.reductions, wald);
             // score tests stay those of the observed information
             let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
-            (inference, worth::parameters(model, fit, asked))
+            (inference, parameter_inferences(model, fit, asked))
         }
         None => {
             let inference = crate::infer::infer(&estimate, &fit.reductions, wald);
-            (inference, worth::parameters(model, fit, &observed))
+            (inference, parameter_inferences(model, fit, &observed))
         }
     };
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
@@ -79,4 +86,39 @@ fn of_expectation(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Result
         let parameter = fit.slots.slots().first().map_or(0, |slot| slot.parameter);
         DynamicError::Expected { parameter: objective.model.shared().parameters[parameter].name.clone() }
     })
+}
+
+/// Standard errors by the delta method; intervals by Wald in the coordinate, so that those of positive values are positive.
+fn parameter_inferences(
+    model: &PhasedModel,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+) -> Vec<ParameterInference> {
+    let coordinates = Coordinate::of(model, &fit.slots);
+    let normal = Normal::standard().inverse_cdf(0.975);
+    let one = |s: usize| {
+        let (coordinate, value) = (coordinates[s], fit.values[s]);
+        let nothing = |standing| ParameterInference { std_error: None, interval: None, standing };
+        if fit.standing[s] != Standing::Inside {
+            return nothing(fit.standing[s]);
+        }
+        let Some(error) = covariances.alpha[s].map(f64::sqrt).filter(|e| e.is_finite()) else {
+            return nothing(Standing::Unidentified);
+        };
+        if coordinate.log && error > UNDETERMINED {
+            return nothing(Standing::Unidentified);
+        }
+        let ends = if coordinate.log {
+            [value * (-normal * error).exp(), value * (normal * error).exp()]
+        } else {
+            [value - normal * error, value + normal * error]
+        };
+        let ends = ends.map(|end| end.clamp(coordinate.lower, coordinate.upper));
+        ParameterInference {
+            std_error: Some(error * coordinate.slope(value)),
+            interval: Some(ends.map(Some)),
+            standing: Standing::Inside,
+        }
+    };
+    (0..fit.values.len()).map(one).collect()
 }

@@ -56,7 +56,6 @@ mod touching;
 mod tries;
 mod twins;
 mod unbounded;
-mod worth;
 mod zero;
 
 pub(crate) use coordinates::Coordinate;

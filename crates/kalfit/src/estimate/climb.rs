@@ -5,7 +5,7 @@ use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::Objective;
 use crate::estimate::newton::{Attempt, Damping, NewtonIterate};
 use crate::estimate::point::Point;
-use crate::estimate::stop::Stop;
+use crate::estimate::settings::Stop;
 
 /// When a climb ends.
 #[derive(Debug, Clone, Copy)]

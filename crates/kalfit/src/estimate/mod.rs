@@ -67,7 +67,6 @@ mod scoring;
 mod search;
 mod settings;
 mod start;
-mod stop;
 mod structure;
 mod summed;
 mod sums;
@@ -85,8 +84,7 @@ pub use error::FitError;
 pub use likelihood::{Derivatives, Evaluation, Likelihood, pass_flops};
 pub use order::memory;
 pub use result::Estimate;
-pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Stage, Step};
-pub use stop::Stop;
+pub use settings::{Combination, Criterion, Progress, Settings, Silent, Solver, Stage, Step, Stop};
 pub use structure::{PhaseStructure, Structure};
 
 pub(crate) use at_other_alpha::InitialLaw;

@@ -1,4 +1,4 @@
-//! How to search, and whom to tell.
+//! How to search, whom to tell, and why a search stopped.
 
 /// How μ and Σ are sought.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -124,4 +124,17 @@ pub struct Silent;
 
 impl Progress for Silent {
     fn step(&mut self, _: Step) {}
+}
+
+/// Why the search stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stop {
+    /// The certificate holds.
+    Certified,
+    /// The passes ran out first.
+    PassLimit,
+    /// [`Progress::stops`](crate::estimate::Progress::stops) asked for it.
+    Interrupted,
+    /// No step raises ℓ, yet the certificate does not hold.
+    Stalled,
 }

@@ -6,7 +6,7 @@ use crate::reduce::design::Design;
 use crate::reduce::gains::Gains;
 use crate::reduce::root::RootError;
 use crate::reduce::shared::StoreEntry;
-use crate::reduce::terminal_root::TerminalRoot;
+use crate::reduce::terminal::TerminalRoot;
 
 /// A design class: a design with its gains, as they are kept.
 #[derive(Debug, Clone)]

@@ -11,7 +11,7 @@ use crate::reduce::schedule::{GainSchedule, GainsWork};
 use crate::reduce::settling::SteadyState;
 use crate::reduce::small;
 use crate::reduce::sums::InformationSums;
-use crate::reduce::terminal_root::TerminalRoot;
+use crate::reduce::terminal::TerminalRoot;
 use kalfit_lanes::Real;
 
 /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much. `states`: the state of the

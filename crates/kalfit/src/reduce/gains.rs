@@ -3,8 +3,7 @@
 
 use std::sync::Arc;
 
-use crate::reduce::terminal::Terminal;
-use crate::reduce::terminal_root::{TerminalRoot, TerminalState};
+use crate::reduce::terminal::{Terminal, TerminalRoot, TerminalState};
 
 /// A finished design pass: everything but the data.
 #[derive(Debug, Clone)]

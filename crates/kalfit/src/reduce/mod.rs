@@ -92,7 +92,6 @@ mod subject;
 mod suboptimal;
 mod sums;
 mod terminal;
-mod terminal_root;
 
 pub use chain::{Chain, ChainPhase, Link};
 pub use error::{Cell, ReduceError, ReduceErrorKind};

@@ -26,17 +26,15 @@ use crate::reduce::steps::{GatheredCells, StepSpan, spans};
 use crate::reduce::subject::{Fault, ModelAt, Subject, Uses};
 
 mod alike;
-mod covariates;
-mod last;
 mod opening;
 mod replay;
 mod skeleton;
 mod transition;
 
 use alike::looks;
-use last::Last;
 pub(crate) use replay::{Replay, StartCells};
 pub(crate) use skeleton::Skeleton;
+use transition::Last;
 
 /// Bytes of transitions that are kept.
 const TRANSITION_BYTES: usize = 16 << 20;

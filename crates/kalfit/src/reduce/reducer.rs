@@ -23,7 +23,7 @@ use crate::reduce::recognise::DesignCells;
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::shared::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::terminal_root::TerminalState;
+use crate::reduce::terminal::TerminalState;
 use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
 pub(crate) use alike::LongDesignClasses;
 pub(crate) use exemplar::DesignExemplar;

@@ -11,7 +11,7 @@ use crate::reduce::design::{Design, StateFrame, Transition};
 use crate::reduce::gains::{FactorRotations, GainSpan, Gains, RankOperation};
 use crate::reduce::kernel;
 use crate::reduce::semidefinite::{NotSemidefinite, root};
-use crate::reduce::terminal_root::TerminalRoot;
+use crate::reduce::terminal::TerminalRoot;
 
 /// A noise-free measurement whose prior standard deviation is this part of what it was without measurements is known already.
 const KNOWN: f64 = 1e-12;

@@ -11,7 +11,6 @@
 
 mod adjoints;
 mod columns;
-mod gradient;
 mod groups;
 mod measured;
 mod moved;
@@ -27,9 +26,9 @@ use crate::model::Slots;
 use crate::reduce::{Coefficient, Fault, ModelAt, Preparer, ReduceErrorKind, Subject};
 
 pub(crate) use adjoints::Adjoints;
-pub(crate) use gradient::{Gradient, add};
 pub(crate) use response::{PullbackFactors, ResponseEntry};
 use taps::{CellRead, Context, FreeCoefficients};
+pub(crate) use taps::{Gradient, add};
 
 /// The way from the coefficients of a model at α to its free values. Threads share it.
 #[derive(Debug)]

@@ -13,7 +13,7 @@ use crate::reduce::design::Identity;
 use crate::reduce::lanes::{BatchColumns, DataWorkspace};
 use crate::reduce::prepare::Skeleton;
 use crate::reduce::reducer::Reducer;
-use crate::reduce::terminal_root::TerminalState;
+use crate::reduce::terminal::TerminalState;
 
 /// The order in which tests go together: by length, then by what they measure.
 pub(crate) fn by_shape(a: &Skeleton, b: &Skeleton) -> Ordering {

@@ -8,7 +8,7 @@ use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::Outcome;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
-use crate::reduce::terminal_root::TerminalState;
+use crate::reduce::terminal::TerminalState;
 use crate::reduce::{Path, ReduceError, Reduction, Reductions};
 
 /// What a reduction has from its test, whatever α.

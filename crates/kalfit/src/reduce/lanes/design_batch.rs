@@ -15,7 +15,7 @@ use crate::reduce::lanes::pass::innovate;
 use crate::reduce::lanes::squares;
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::sums::InformationSums;
-use crate::reduce::terminal_root::TerminalRoot;
+use crate::reduce::terminal::TerminalRoot;
 
 /// Designs of one shape and all that their pass leaves, in lanes.
 #[derive(Debug, Clone, Default)]

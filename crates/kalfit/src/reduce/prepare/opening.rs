@@ -1,13 +1,34 @@
-//! Parts of a test that are needed apart from the rest: how it starts, and the cells and constants d of its measurements.
+//! Parts of a test that are needed apart from the rest: its covariates, how it starts, and the cells and constants d of its
+//! measurements.
 
 use crate::ensemble::Test;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::steps::StepSpan;
-use crate::reduce::subject::{Fault, Subject};
+use crate::reduce::subject::{Fault, ModelAt, Subject};
 
 impl Preparer {
+    /// The covariates of a test into the work space: of tests that look alike, they alone differ beside the measured values.
+    pub(crate) fn covariates_of(&self, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        work.covariates.clear();
+        if self.start.uses.is_empty() {
+            return Ok(());
+        }
+        let at = self.at();
+        work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true))?;
+        self.covariates(&at, work)
+    }
+
+    /// Those of the test whose cells are in the work space.
+    pub(super) fn covariates(&self, at: &ModelAt<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        work.covariates.clear();
+        for (r, regression) in self.model.mean.regression.iter().enumerate() {
+            work.covariates.push(at.cell(&work.whole.numbers, regression.column, Subject::Regression(r))?);
+        }
+        Ok(())
+    }
+
     /// a, P0 and covariates of a test of which only the columns constant within it are known, in one row. They go to the work
     /// space as [`Preparer::prepare`] puts them there; nothing else of it is of use then. The length of the first step is not known.
     pub(crate) fn open(&self, constants: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {

@@ -7,12 +7,40 @@ use std::sync::atomic::Ordering;
 use crate::ensemble::Test;
 use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::prepare::last::{KnownMoves, Last};
+use crate::reduce::motion::Moves;
 use crate::reduce::prepare::{Preparer, StepRows, Workspace};
+use crate::reduce::shared::StoreEntry;
 use crate::reduce::subject::{Fault, ModelAt, Subject};
 
 /// Transitions whose memory is kept for others.
 const SPARE: usize = 1 << 12;
+
+/// What leads to a step, in the store.
+type KnownMoves = StoreEntry<Vec<u64>, Result<Moves, Box<Fault>>>;
+
+/// What led to the last step, with the key it is known again by: the step's length and coefficients.
+#[derive(Debug)]
+pub(super) enum Last {
+    Own(Vec<u64>, Moves),
+    /// A sound one.
+    Shared(Arc<KnownMoves>),
+}
+
+impl Last {
+    pub(super) fn key(&self) -> &[u64] {
+        match self {
+            Last::Own(key, _) => key,
+            Last::Shared(moved) => &moved.key,
+        }
+    }
+
+    pub(super) fn moves(&self) -> &Moves {
+        match self {
+            Last::Own(_, moves) => moves,
+            Last::Shared(moved) => moved.value().as_ref().expect("the last one is sound"),
+        }
+    }
+}
 
 impl Workspace {
     /// Empties the design; the memory of transitions that nobody else has is kept for those of the next test.

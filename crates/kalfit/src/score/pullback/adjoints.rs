@@ -7,9 +7,8 @@ use crate::model::Scope;
 use crate::reduce::{Fault, GatheredCells, LawAdjoint, Replay, StartAdjoint, Unwhitened, Workspace};
 use crate::score::backward::MeasurementAdjoint;
 use crate::score::pullback::Pullback;
-use crate::score::pullback::gradient::Gradient;
 use crate::score::pullback::groups::Groups;
-use crate::score::pullback::taps::{CellRead, Pending};
+use crate::score::pullback::taps::{CellRead, Gradient, Pending};
 
 /// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
 #[derive(Debug)]

@@ -7,7 +7,7 @@ use crate::model::Scope;
 use crate::reduce::{Fault, FilteredBatch, MotionPullback, Workspace};
 use crate::score::backward::BatchAdjoints;
 use crate::score::pullback::adjoints::Adjoints;
-use crate::score::pullback::gradient::Gradient;
+use crate::score::pullback::taps::Gradient;
 use crate::score::pullback::whitened::PairBar;
 use crate::score::pullback::{MeterTaps, Pullback};
 

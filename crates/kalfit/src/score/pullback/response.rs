@@ -13,7 +13,7 @@ use crate::ensemble::Test;
 use crate::reduce::{Fault, Workspace};
 use crate::score::backward::{MeasurementAdjoint, TransitionAdjoint};
 use crate::score::pullback::adjoints::Adjoints;
-use crate::score::pullback::gradient::Gradient;
+use crate::score::pullback::taps::Gradient;
 
 /// Where factors stand, from and to.
 pub(crate) type FactorSpan = (u32, u32);

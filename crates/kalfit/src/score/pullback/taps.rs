@@ -1,9 +1,21 @@
-//! Coefficients that depend on free values of α, and the adjoints that have come to them.
+//! Coefficients that depend on free values of α, the adjoints that have come to them, and dℓ/dα that these add up to.
 
 use crate::ensemble::Label;
 use crate::model::{Alpha, EvaluationError, Expression, Scope, Slots, Tape};
 use crate::reduce::{Coefficient, Fault, ModelAt, ReduceErrorKind, Subject, Uses};
-use crate::score::pullback::gradient::Gradient;
+
+/// Gradient of one test: (slot, dℓ/dvalue), each slot at most once, ascending.
+pub(crate) type Gradient = Vec<(usize, f64)>;
+
+/// Adds one gradient to another.
+pub(crate) fn add(gradient: &mut Gradient, other: &Gradient) {
+    for &(slot, x) in other {
+        match gradient.binary_search_by_key(&slot, |&(slot, _)| slot) {
+            Ok(at) => gradient[at].1 += x,
+            Err(at) => gradient.insert(at, (slot, x)),
+        }
+    }
+}
 
 /// A cell of the data that a coefficient reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
