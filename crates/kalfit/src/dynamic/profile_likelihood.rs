@@ -445,7 +445,7 @@ impl<'a> ProfileLikelihood<'a> {
         let (values, alpha) = (&home.values, self.alpha(&home.values));
         let reduced = self.reduce(values)?;
         let structure = self.structure(&alpha);
-        let estimate = estimate::fit_on(&home.estimate.state, &reduced.reductions, &structure, &mut Silent)?;
+        let estimate = estimate::fit_on(&home.estimate.state, &reduced.reductions, &structure)?;
         self.count_passes(&estimate);
         self.solved(values, alpha, reduced, estimate)
     }

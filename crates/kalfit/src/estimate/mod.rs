@@ -148,11 +148,10 @@ pub(crate) fn fit_on(
     end: &FinalState,
     reductions: &Reductions,
     structure: &Structure<'_>,
-    progress: &mut dyn Progress,
 ) -> Result<Estimate, FitError> {
     let problem = Problem::within(&end.evidence(reductions), structure, &end.problem)?;
     let start = Beginning::At(end.newton_iterate.point.clone());
-    Search::new(problem, &end.settings, progress).run(start, structure)?.of_all(reductions)
+    Search::new(problem, &end.settings, &mut Silent).run(start, structure)?.of_all(reductions)
 }
 
 /// The place where a search would begin, with the expected information there.
