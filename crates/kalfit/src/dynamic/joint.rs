@@ -325,7 +325,7 @@ pub(crate) fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>) -> Option<D
 }
 
 /// The inverse with damped eigenvalues by absolute value, flat directions left out; whether none is negative.
-fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool) {
+pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool) {
     let (scale, values, vectors) = scaled_eigen(matrix);
     let positive = values.iter().all(|v| *v > -1e-6);
     let turned = values.iter().map(|v| if v.abs() > FLAT { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });

@@ -16,6 +16,7 @@ use crate::dynamic::branches::{WITHIN, others};
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_gradient;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
+use crate::dynamic::quadratic::{Iterate, ProfileInformation, Quadratic};
 use crate::dynamic::{DynamicFit, Standing};
 use crate::estimate::{Estimate, FinalState, NewtonIterate, Point};
 use crate::infer::{AsymptoticLaw, Held, HeldMaximum, Holdable, Holder, Holds, value};
@@ -126,6 +127,12 @@ impl Here {
     }
 }
 
+impl<'h> From<&'h Here> for Iterate<'h> {
+    fn from(here: &'h Here) -> Iterate<'h> {
+        Iterate { values: &here.values, gradient: &here.gradient }
+    }
+}
+
 impl<'b, 'a> Outer<'b, 'a> {
     pub(super) fn new(
         (objective, fit): (&'b ProfileLikelihood<'a>, &DynamicFit),
@@ -214,20 +221,15 @@ impl<'b, 'a> Outer<'b, 'a> {
         gradient.iter().all(|g| g.is_finite()).then_some(Here { values, state, place, slope, gradient })
     }
 
-    /// The gradient along the values that may move; zero where one stands at a bound and ℓ rises beyond.
-    fn gradient(&self, here: &Here) -> DVector<f64> {
-        let of = |&s: &usize| {
-            let (coordinate, value, g) = (&self.objective.coordinates[s], here.values[s], here.gradient[s]);
-            if coordinate.is_held(value, g) { 0.0 } else { g }
-        };
-        DVector::from_iterator(self.slots.len(), self.slots.iter().map(of))
-    }
-
-    /// The step of Newton's method with this inverse curvature among values that are not at a bound, and what it promises.
-    fn step(&self, inverse: &DMatrix<f64>, gradient: &DVector<f64>) -> (DVector<f64>, f64) {
-        let step = (inverse * gradient).zip_map(gradient, |d, g| if g == 0.0 { 0.0 } else { d });
-        let promised = step.dot(gradient);
-        (step, promised)
+    /// Newton's step from here among values that do not stand at a bound beyond which ℓ rises, and what it promises; `None` where ℓ
+    /// does not curve downward.
+    fn step(&self, quadratic: &Quadratic<'_>, here: &Here) -> Option<(DVector<f64>, f64)> {
+        let is_held = |s: usize| self.objective.coordinates[s].is_held(here.values[s], here.gradient[s]);
+        let gradient: Vec<f64> =
+            here.gradient.iter().enumerate().map(|(s, g)| if is_held(s) { 0.0 } else { *g }).collect();
+        let (mut step, decrement) = quadratic.step(Iterate { gradient: &gradient, ..here.into() })?;
+        self.slots.iter().zip(step.iter_mut()).filter(|(s, _)| gradient[**s] == 0.0).for_each(|(_, d)| *d = 0.0);
+        Some((step, decrement * decrement))
     }
 
     /// Up from here; `None` where no step raises ℓ.
@@ -244,24 +246,6 @@ impl<'b, 'a> Outer<'b, 'a> {
             length *= 0.3;
         }
         None
-    }
-
-    /// What was learned of the curvature on the way from `here` to `next`: Broyden, Fletcher, Goldfarb and Shanno's update.
-    fn learn(&self, inverse: &DMatrix<f64>, here: &Here, next: &Here) -> DMatrix<f64> {
-        let way = |&s: &usize| {
-            let coordinate = &self.objective.coordinates[s];
-            coordinate.of_value(next.values[s]) - coordinate.of_value(here.values[s])
-        };
-        let s = DVector::from_iterator(self.slots.len(), self.slots.iter().map(way));
-        let y =
-            DVector::from_iterator(self.slots.len(), self.slots.iter().map(|&s| here.gradient[s] - next.gradient[s]));
-        let bend = s.dot(&y);
-        if bend.is_nan() || bend <= 1e-8 * s.norm() * y.norm() {
-            return inverse.clone();
-        }
-        let n = s.len();
-        let turned = DMatrix::identity(n, n) - &s * y.transpose() / bend;
-        &turned * inverse * turned.transpose() + &s * s.transpose() / bend
     }
 }
 
@@ -295,29 +279,23 @@ impl Outer<'_, '_> {
 
     /// The maximum that a search from nearby ends at.
     fn nearby(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Here> {
-        let (mut inverse, follows) = self.given(what);
+        let (covariance, follows) = self.given(what);
         let from = near.at.or_else(|| what.value(self))?;
         let expected = self.moved(&near.values, &(follows * (x - from)));
         let mut here = self.at((what, x), expected, near).or_else(|| self.at((what, x), near.values.clone(), near))?;
-        let mut found = None;
+        let information = ProfileInformation::of_covariance(&self.slots, &covariance);
+        let mut quadratic = Quadratic::about(&self.objective.coordinates, information, &here.values);
         for _ in 0..STEPS {
-            let gradient = self.gradient(&here);
-            let (mut step, mut promised) = self.step(&inverse, &gradient);
-            if promised < 0.0 {
-                inverse = self.alpha.clone();
-                (step, promised) = self.step(&inverse, &gradient);
-            }
+            let (step, promised) = self.step(&quadratic, &here)?;
             if promised <= TOLERANCE * TOLERANCE {
-                found = Some(here);
-                break;
+                return Some(here);
             }
             let Some(next) = self.next((what, x), &here, &step, promised) else {
-                found = Some(here).filter(|_| promised <= NEAR_ENOUGH * NEAR_ENOUGH);
-                break;
+                return Some(here).filter(|_| promised <= NEAR_ENOUGH * NEAR_ENOUGH);
             };
-            inverse = self.learn(&inverse, &here, &next);
+            quadratic.learn((&here).into(), (&next).into());
             here = next;
         }
-        found
+        None
     }
 }

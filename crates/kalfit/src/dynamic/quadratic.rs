@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::Coordinate;
 use crate::dynamic::coordinates::in_variance;
-use crate::dynamic::joint::{JointInformation, solved};
+use crate::dynamic::joint::{JointInformation, positive_inverse, solved};
 use crate::dynamic::profile_likelihood::ProfilePoint;
 
 /// What ℓ is taken to be quadratic in, of a level.
@@ -45,6 +45,12 @@ impl ProfileInformation {
         Some(ProfileInformation { slots, information, level_scale })
     }
 
+    /// With this covariance of the values in these slots, levels by their logarithms.
+    pub(super) fn of_covariance(slots: &[usize], covariance: &DMatrix<f64>) -> ProfileInformation {
+        let (information, _) = positive_inverse(covariance, 0.0);
+        ProfileInformation { slots: slots.to_vec(), information, level_scale: LevelScale::Logarithm }
+    }
+
     /// The same at a maximum, by the other scale of levels.
     pub(super) fn other(self) -> ProfileInformation {
         let level_scale = match self.level_scale {
@@ -63,8 +69,8 @@ impl ProfileInformation {
 /// Values, and dℓ/dcoordinate there.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Iterate<'a> {
-    values: &'a [f64],
-    gradient: &'a [f64],
+    pub(super) values: &'a [f64],
+    pub(super) gradient: &'a [f64],
 }
 
 impl<'a> From<&'a ProfilePoint> for Iterate<'a> {
