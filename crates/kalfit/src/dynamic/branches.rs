@@ -22,3 +22,22 @@ pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec
     }
     kept.split_off(1)
 }
+
+/// The highest of what is found from nearby and from places of other branches, until one is higher than `enough`.
+pub(super) fn highest<T>(
+    nearby: Option<T>,
+    others: &[Vec<f64>],
+    (value, enough): (impl Fn(&T) -> f64, f64),
+    from: impl Fn(&[f64]) -> Option<T>,
+) -> Option<T> {
+    let height = |found: &Option<T>| found.as_ref().map_or(f64::NEG_INFINITY, &value);
+    let mut best = nearby;
+    for other in others {
+        if height(&best) > enough {
+            break;
+        }
+        let found = from(other);
+        best = if height(&found) > height(&best) { found } else { best };
+    }
+    best
+}

@@ -1,7 +1,5 @@
 //! What each number of a fit with free α is worth.
 
-use statrs::distribution::{ContinuousCDF, Normal};
-
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
@@ -9,7 +7,7 @@ use crate::dynamic::{
     Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, expected, interval, law, profile, sandwich,
 };
 use crate::estimate::{Criterion, Estimate, JointLaw, Stop};
-use crate::infer::{Choices, Inference, IntervalKind, StdErrors, sensitivities};
+use crate::infer::{Choices, Inference, IntervalKind, QUANTILE, StdErrors, sensitivities};
 use crate::model::PhasedModel;
 use crate::reduce::PhasedTest;
 
@@ -95,7 +93,6 @@ fn parameter_inferences(
     covariances: &ValueCovariances,
 ) -> Vec<ParameterInference> {
     let coordinates = Coordinate::of(model, &fit.slots);
-    let normal = Normal::standard().inverse_cdf(0.975);
     let one = |s: usize| {
         let (coordinate, value) = (coordinates[s], fit.values[s]);
         let nothing = |standing| ParameterInference { std_error: None, interval: None, standing };
@@ -108,12 +105,7 @@ fn parameter_inferences(
         if coordinate.log && error > UNDETERMINED {
             return nothing(Standing::Unidentified);
         }
-        let ends = if coordinate.log {
-            [value * (-normal * error).exp(), value * (normal * error).exp()]
-        } else {
-            [value - normal * error, value + normal * error]
-        };
-        let ends = ends.map(|end| end.clamp(coordinate.lower, coordinate.upper));
+        let ends = [-QUANTILE, QUANTILE].map(|quantile| coordinate.moved(value, quantile * error));
         ParameterInference {
             std_error: Some(error * coordinate.slope(value)),
             interval: Some(ends.map(Some)),

@@ -3,9 +3,7 @@
 //! The best ℓ is that of the highest branch: other ends of the searches, and what is found around an end, are tried before a value is
 //! called unlikely.
 
-use statrs::distribution::{ContinuousCDF, Normal};
-
-use crate::dynamic::branches::{ALIKE, others};
+use crate::dynamic::branches::{ALIKE, highest, others};
 use crate::dynamic::coordinates::alike;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::explore;
@@ -13,17 +11,14 @@ use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::dynamic::search_state::{SearchEnd, SearchState};
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, Standing};
 use crate::estimate::Silent;
+use crate::infer::{Held, Holds, Profile, QUANTILE};
 use crate::model::Population;
 
-/// Tries to meet the quantile.
-const TRIES: usize = 30;
-/// The deviance's root is met to this.
-const NEAR: f64 = 1e-4;
 /// A logarithm this far away has no limit there.
 const FAR: f64 = 25.0;
 /// A value at zero is followed from this part of the largest value.
 const TRACE: f64 = 1e-6;
-/// Logarithms move no further than this at once.
+/// Logarithms move no further than this at first.
 const STRIDE: f64 = 3.0;
 
 /// Intervals of up to so many values are profiled; Wald's stand for those of more.
@@ -52,123 +47,96 @@ pub(crate) fn profiles(
             kept += 1;
         } else if is_open(parameter) {
             let error = covariances.alpha[slot].map_or(0.5, f64::sqrt);
-            let end =
-                |sign: f64| IntervalSide { objective, best: &best, slot, sign, others: others.clone() }.limit(error);
-            parameter.interval = Some([end(-1.0), end(1.0)]);
+            parameter.interval = Some(HeldValue::new((objective, &best), slot).ends(&others, error));
         }
     }
     Ok(kept)
 }
 
-/// One side of the interval of the value in a slot.
-struct IntervalSide<'b, 'a> {
+/// The value in a slot, held at a way of its coordinate from its maximum; from where nothing can be felt yet if that is zero, as from
+/// there no logarithm leads away.
+struct HeldValue<'b, 'a> {
     objective: &'b ProfileLikelihood<'a>,
     best: &'b ProfilePoint,
     slot: usize,
-    sign: f64,
-    /// Places of other branches.
-    others: Vec<Vec<f64>>,
+    /// Where ways begin.
+    from: f64,
 }
 
-/// A held value with the best ℓ beside it.
-struct Tried {
+/// The best ℓ with the value held, and places of other branches.
+#[derive(Clone)]
+struct Branch {
     home: ProfilePoint,
-    root: f64,
-    /// It is on a branch that was not known before.
-    new: bool,
+    others: Vec<Vec<f64>>,
+    /// It was not known before.
+    is_new: bool,
 }
 
-impl IntervalSide<'_, '_> {
-    /// The end on this side; `error` is the standard error of the coordinate. The signed root of the deviance is nearly linear in the
-    /// coordinate, so that secants meet it in a few tries. `None` where no value is unlikely enough.
-    fn limit(mut self, error: f64) -> Option<f64> {
-        let (coordinate, value) = (self.objective.coordinates[self.slot], self.best.values[self.slot]);
-        let (sign, wanted) = (self.sign, wanted());
-        let bound = if sign < 0.0 { coordinate.lower } else { coordinate.upper };
-        if value == bound {
-            return Some(bound);
-        }
-        // from zero no logarithm leads away: begin where nothing can be felt yet
-        let value = if coordinate.log && value == 0.0 { TRACE * scale(self.best) } else { value };
-        let (mut inner, mut outer): ((f64, f64), Option<(f64, f64)>) = ((0.0, 0.0), None);
-        let mut distance = wanted * error;
-        // the last one within: a search from one too far may stay on a branch that is lower here
-        let mut near = self.best.clone();
-        for _ in 0..TRIES {
-            if coordinate.log {
-                distance = distance.min(inner.0 + STRIDE);
+impl Holds for HeldValue<'_, '_> {
+    const PRECISION: f64 = 1e-4;
+    const ATTAINS_LIMITS: bool = true;
+    type What = ();
+    type Near = Branch;
+
+    fn held(&self, (): (), way: f64, near: &Branch) -> Option<Held<Branch>> {
+        let found = self.highest(near, self.objective.coordinates[self.slot].moved(self.from, way))?;
+        Some(Held { value: found.home.value(), slope: found.home.gradient[self.slot], near: found })
+    }
+
+    fn is_on_new_branch(near: &Branch) -> bool {
+        near.is_new
+    }
+}
+
+impl<'b, 'a> HeldValue<'b, 'a> {
+    fn new((objective, best): (&'b ProfileLikelihood<'a>, &'b ProfilePoint), slot: usize) -> HeldValue<'b, 'a> {
+        let value = best.values[slot];
+        let from = if objective.coordinates[slot].log && value == 0.0 { TRACE * scale(best) } else { value };
+        HeldValue { objective, best, slot, from }
+    }
+
+    /// Both ends; `error` is the standard error of the coordinate. `None` where no value is unlikely enough.
+    fn ends(&self, others: &[Vec<f64>], error: f64) -> [Option<f64>; 2] {
+        let coordinate = self.objective.coordinates[self.slot];
+        let (far, longest) = if coordinate.log { (FAR, STRIDE) } else { (f64::INFINITY, f64::INFINITY) };
+        let bounds = [coordinate.lower, coordinate.upper];
+        let way = |bound: f64| (coordinate.of_value(bound) - coordinate.of_value(self.from)).clamp(-far, far);
+        let limits = bounds.map(|bound| Some(way(bound)).filter(|limit| limit.is_finite()));
+        let maximum = self.best.value();
+        let profile = Profile { holder: self, what: (), centre: 0.0, maximum, quantile: QUANTILE, limits };
+        let start = Branch { home: self.best.clone(), others: others.to_vec(), is_new: false };
+        let one = |(side, sign): (usize, f64)| {
+            let bound = bounds[side];
+            if self.best.values[self.slot] == bound {
+                return Some(bound);
             }
-            let tried = coordinate.moved(value, sign * distance);
-            let mut root = f64::INFINITY;
-            if let Some(found) = self.highest(&near, tried) {
-                // what was too low on the branches known before need not be on this one
-                outer = outer.filter(|_| !found.new);
-                root = found.root;
-                near = if root < wanted { found.home } else { near };
+            match profile.end(&start, sign * (QUANTILE * error).min(longest))? {
+                // every value down to zero, or up to infinity, may be
+                end if limits[side] == Some(end) => Some(bound).filter(|bound| bound.is_finite()),
+                end => Some(coordinate.moved(self.from, end)),
             }
-            if (root - wanted).abs() <= NEAR {
-                return Some(tried);
-            }
-            if root < wanted {
-                if tried == bound {
-                    return Some(bound);
-                }
-                if coordinate.log && distance >= FAR {
-                    // every value down to zero, or up to infinity, may be
-                    return (sign < 0.0).then_some(coordinate.lower);
-                }
-                inner = (distance, root);
-            } else {
-                outer = Some((distance, root));
-            }
-            distance = next(inner, outer);
-        }
-        outer.map(|(far, _)| coordinate.moved(value, sign * 0.5 * (inner.0 + far)))
+        };
+        [(0, -1.0), (1, 1.0)].map(one)
     }
 
     /// The best ℓ with the value held here: from nearby, where that is too low from other ends, and at the quantile from around it.
-    fn highest(&mut self, near: &ProfilePoint, tried: f64) -> Option<Tried> {
-        let wanted = wanted();
-        let root = |home: &ProfilePoint| (2.0 * (self.best.value() - home.value())).max(0.0).sqrt();
-        let mut end = held(self.objective, near, &near.values, (self.slot, tried));
-        for other in &self.others {
-            if end.as_ref().is_some_and(|end| root(&end.home) < wanted - NEAR) {
-                break;
-            }
-            let from = held(self.objective, near, other, (self.slot, tried));
-            let value = |end: &Option<SearchEnd>| end.as_ref().map_or(f64::NEG_INFINITY, |end| end.home.value());
-            end = if value(&from) > value(&end) { from } else { end };
-        }
-        let end = end?;
-        if (root(&end.home) - wanted).abs() > NEAR {
-            return Some(Tried { root: root(&end.home), home: end.home, new: false });
+    fn highest(&self, near: &Branch, tried: f64) -> Option<Branch> {
+        let from = |values: &[f64]| held(self.objective, &near.home, values, (self.slot, tried));
+        let at = |root: f64| self.best.value() - 0.5 * root * root;
+        let value = |end: &SearchEnd| end.home.value();
+        let likely = at(QUANTILE - Self::PRECISION);
+        let end = highest(from(&near.home.values), &near.others, (value, likely), from)?;
+        let mut others = near.others.clone();
+        if value(&end) > likely || value(&end) < at(QUANTILE + Self::PRECISION) {
+            return Some(Branch { home: end.home, others, is_new: false });
         }
         let before = end.home.values.clone();
-        let end = explore::around(self.objective, end, self.slot); // ℓ may be higher elsewhere
-        let new = !alike(&before, &end.home.values, ALIKE);
-        let root = root(&end.home);
-        if new {
-            self.others.push(end.home.values.clone());
+        let home = explore::around(self.objective, end, self.slot).home; // ℓ may be higher elsewhere
+        let is_new = !alike(&before, &home.values, ALIKE);
+        if is_new {
+            others.push(home.values.clone());
         }
-        Some(Tried { root, home: end.home, new })
-    }
-}
-
-/// Where the root of the deviance ends an interval.
-fn wanted() -> f64 {
-    Normal::standard().inverse_cdf(0.975)
-}
-
-/// The next distance to try, between (distance, root) of one that is likely and one that is not.
-fn next(inner: (f64, f64), outer: Option<(f64, f64)>) -> f64 {
-    match outer {
-        Some((far, root)) if root.is_finite() => {
-            let secant = inner.0 + (far - inner.0) * (wanted() - inner.1) / (root - inner.1);
-            secant.clamp(inner.0 + 0.05 * (far - inner.0), inner.0 + 0.95 * (far - inner.0))
-        }
-        Some((far, _)) => 0.5 * (inner.0 + far),
-        None if inner.1 > 0.1 * wanted() => inner.0 * (1.02 * wanted() / inner.1).min(3.0),
-        None => 3.0 * inner.0,
+        Some(Branch { home, others, is_new })
     }
 }
 

@@ -12,7 +12,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::dynamic::branches::{WITHIN, others};
+use crate::dynamic::branches::{WITHIN, highest, others};
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_gradient;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
@@ -262,18 +262,12 @@ impl Holds for Outer<'_, '_> {
 impl Outer<'_, '_> {
     /// The highest maximum with a quantity held that is found from nearby, or where that is too low from other branches.
     pub(super) fn highest(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
-        let mut best = self.nearby(what, x, near);
-        let value = |found: &Option<Here>| found.as_ref().map_or(f64::NEG_INFINITY, Here::value);
-        let high = self.estimate.log_likelihood - WITHIN;
-        for other in &self.others {
-            if value(&best) > high {
-                break;
-            }
-            let state = self.estimate.state.clone();
-            let found = self.nearby(what, x, &WarmStart { values: other.clone(), state, point: None, at: Some(x) });
-            best = if value(&found) > value(&best) { found } else { best };
-        }
-        let found = best?;
+        let from = |other: &[f64]| {
+            let (values, state) = (other.to_vec(), self.estimate.state.clone());
+            self.nearby(what, x, &WarmStart { values, state, point: None, at: Some(x) })
+        };
+        let likely = self.estimate.log_likelihood - WITHIN;
+        let found = highest(self.nearby(what, x, near), &self.others, (Here::value, likely), from)?;
         Some(Held { near: found.near(x), value: found.value(), slope: found.slope })
     }
 

@@ -3,15 +3,14 @@
 use rayon::prelude::*;
 
 use crate::estimate::{Criterion, Estimate, Point};
+use crate::infer::ends::{Holds, Profile};
 use crate::infer::held::{Held, HeldMaximum, Holder};
 use crate::infer::holdable::Holdable;
 use crate::infer::information::{Free, Uncertainty};
 use crate::linalg::elements::Elements;
 
 /// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
-const QUANTILE: f64 = 1.959_963_984_540_054;
-/// Evaluations for one end.
-const TRIES: usize = 40;
+pub(crate) const QUANTILE: f64 = 1.959_963_984_540_054;
 
 /// How intervals are made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -200,18 +199,6 @@ fn guess(estimate: &Estimate, what: Holdable) -> f64 {
     }
 }
 
-/// Finds maxima with one quantity held.
-pub(crate) trait Holds: Sync {
-    /// The root of the deviance is found to this.
-    const PRECISION: f64;
-    /// What can be held.
-    type What: Copy + Sync;
-    /// Where a search for a maximum begins: a maximum nearby.
-    type Near: Clone + Sync;
-    /// The maximum with `what` held at `value`. `None` where no certified one is found.
-    fn held(&self, what: Self::What, value: f64, near: &Self::Near) -> Option<Held<Self::Near>>;
-}
-
 impl Holds for Holder<'_> {
     const PRECISION: f64 = 1e-6;
     type What = Holdable;
@@ -228,93 +215,5 @@ fn limits(what: Holdable) -> [Option<f64>; 2] {
         Holdable::StdDev(_) => [Some(0.0), None],
         Holdable::Correlation(..) => [Some(-1.0), Some(1.0)],
         _ => [None; 2],
-    }
-}
-
-/// The profile of one quantity.
-pub(crate) struct Profile<'a, H: Holds> {
-    pub(crate) holder: &'a H,
-    pub(crate) what: H::What,
-    /// Its estimate.
-    pub(crate) centre: f64,
-    /// ℓ there.
-    pub(crate) maximum: f64,
-    /// An interval holds the values whose ℓ_max is within half the square of this of the maximum.
-    pub(crate) quantile: f64,
-    /// Values beyond which the quantity cannot go.
-    pub(crate) limits: [Option<f64>; 2],
-}
-
-impl<H: Holds> Profile<'_, H> {
-    /// Both ends, a first step to each side of this length; `None` where one is not found.
-    pub(crate) fn ends(&self, start: &H::Near, step: f64) -> Option<[f64; 2]> {
-        Some([self.end(start, -step)?, self.end(start, step)?])
-    }
-
-    /// ζ = √(2(ℓ_max - ℓ_max(x))) and its derivative away from the centre.
-    fn root(&self, x: f64, near: &H::Near, sign: f64) -> Option<(f64, f64, Held<H::Near>)> {
-        let held = self.holder.held(self.what, x, near)?;
-        let zeta = (2.0 * (self.maximum - held.value)).max(0.0).sqrt();
-        let slope = if zeta > 0.0 { -sign * held.slope / zeta } else { 0.0 };
-        Some((zeta, slope, held))
-    }
-
-    /// Where ζ reaches the quantile: Newton's method with the exact slope, which the multiplier gives, inside a bracket.
-    pub(crate) fn end(&self, start: &H::Near, step: f64) -> Option<f64> {
-        let sign = step.signum();
-        let limit = self.limits[usize::from(sign > 0.0)];
-        if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12) {
-            return limit;
-        }
-        let mut near = start.clone();
-        let (mut below, mut above) = (self.centre, f64::INFINITY * sign);
-        let mut x = self.inside(self.centre + step, self.centre, limit, sign);
-        for _ in 0..TRIES {
-            let Some((zeta, slope, held)) = self.root(x, &near, sign) else {
-                above = x; // no certified maximum there: nearer
-                x = 0.5 * (below + x);
-                continue;
-            };
-            if (zeta - self.quantile).abs() < H::PRECISION {
-                return Some(x);
-            }
-            if zeta < self.quantile {
-                below = x;
-                near = held.near;
-                if limit.is_some_and(|l| (l - x).abs() <= 1e-4 * (l - self.centre).abs()) {
-                    return limit;
-                }
-                if (x - self.centre).abs() > 1e7 * step.abs() {
-                    return None;
-                }
-            } else {
-                above = x;
-            }
-            x = self.next(x, zeta, slope, (below, above), step);
-            x = self.inside(x, below, limit, sign);
-        }
-        None
-    }
-
-    fn next(&self, x: f64, zeta: f64, slope: f64, (below, above): (f64, f64), step: f64) -> f64 {
-        let sign = step.signum();
-        let newton = x + sign * (self.quantile - zeta) / slope;
-        let farthest = below + 3.0 * sign * (below - self.centre).abs().max(step.abs());
-        let newton = if slope > 0.0 && newton.is_finite() { newton } else { farthest };
-        let newton = if above.is_finite() || sign * (newton - farthest) <= 0.0 { newton } else { farthest };
-        let inside = sign * (newton - below) > 0.0 && sign * (above - newton) > 0.0;
-        match (inside, above.is_finite()) {
-            (true, _) => newton,
-            (false, true) => 0.5 * (below + above),
-            (false, false) => farthest,
-        }
-    }
-
-    /// Short of the limit: nine tenths of the way there.
-    fn inside(&self, x: f64, below: f64, limit: Option<f64>, sign: f64) -> f64 {
-        match limit {
-            Some(limit) if sign * (x - limit) >= 0.0 => below + 0.9 * (limit - below),
-            _ => x,
-        }
     }
 }

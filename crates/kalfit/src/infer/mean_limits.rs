@@ -4,8 +4,8 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::estimate::{Estimate, Point};
+use crate::infer::ends::{Holds, Profile};
 use crate::infer::held::{Held, HeldMaximum, Holder};
-use crate::infer::interval::{Holds, Profile};
 use crate::infer::law::AsymptoticLaw;
 use crate::model::Population;
 
