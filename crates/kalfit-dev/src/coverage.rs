@@ -257,10 +257,10 @@ fn intervals(reducer: &mut Reducer, model: &Model, alpha: &Alpha, tests: &[Test]
     let intervals = infer::infer(&fit, &reductions, choices).intervals;
     let (p, r) = (fit.mean.len(), fit.coefficients.len());
     let of = |q: usize| match q {
-        q if q < p => intervals.mean[q],
-        q if q < p + r => intervals.coefficients[q - p],
-        q if q < p + r + p => intervals.std_dev[q - p - r],
-        _ => intervals.correlation[1][0],
+        q if q < p => intervals.ends.mean[q],
+        q if q < p + r => intervals.ends.coefficients[q - p],
+        q if q < p + r + p => intervals.ends.std_dev[q - p - r],
+        _ => intervals.ends.correlation[1][0],
     };
     (0..count).map(of).collect()
 }

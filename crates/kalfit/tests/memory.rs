@@ -70,7 +70,7 @@ fn a_fit_of_many_states_takes_no_more_memory_than_is_said_before_it_begins() {
         said >> 20
     );
     assert_eq!(estimate.stop, Stop::Certified);
-    assert!(inference.uncertainty.std_dev[0].is_some());
+    assert!(inference.uncertainty.errors.std_dev[0].is_some());
     assert!(taken < said + BESIDE, "{} MB, where {} MB are said", taken >> 20, said >> 20);
     assert!(taken > said / 10 * 8, "{} MB: less can be said than {} MB", taken >> 20, said >> 20);
 }

@@ -38,7 +38,7 @@ pub(crate) fn profiles(
         estimate.criterion == Criterion::Ml || !matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_))
     };
     let intervals = &mut inference.intervals;
-    let due = |what: &&Holdable| has_profile(what) && (wanted.contains(what) || intervals.of(**what).is_some());
+    let due = |what: &&Holdable| has_profile(what) && (wanted.contains(what) || intervals.ends.of(**what).is_some());
     let due: Vec<Holdable> = all.iter().filter(due).copied().collect();
     wanted.truncate(if fit.values.len() <= MOST_VALUES { MOST_PROFILED } else { 0 });
     intervals.kind = IntervalKind::Profile;

@@ -332,9 +332,9 @@ fn of_one_test_the_restricted_likelihood_says_nothing_of_the_covariance() {
         assert_eq!(fit.stop, Stop::Certified, "{rows} rows");
         let (inference, _) = infer(&model, &tests, &fit, Choices::default()).expect("inferred");
         let found = inference.uncertainty;
-        assert!(found.mean.iter().all(Option::is_some), "{rows} rows: {found:?}");
-        assert!(found.covariance.iter().flatten().all(Option::is_none), "{rows} rows: {found:?}");
-        assert!(found.std_dev.iter().all(Option::is_none), "{rows} rows: {found:?}");
+        assert!(found.errors.mean.iter().all(Option::is_some), "{rows} rows: {found:?}");
+        assert!(found.errors.covariance.iter().flatten().all(Option::is_none), "{rows} rows: {found:?}");
+        assert!(found.errors.std_dev.iter().all(Option::is_none), "{rows} rows: {found:?}");
     }
 }
 

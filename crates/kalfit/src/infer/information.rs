@@ -6,7 +6,7 @@ use crate::estimate::{CoordinateForm, CovarianceMap, Estimate, FinalState, Phase
 use crate::infer::direction::{Direction, Quantity};
 use crate::infer::estimated::Estimated;
 use crate::infer::estimates::EstimateCovariance;
-use crate::infer::holdable::Holdable;
+use crate::infer::holdable::{Holdable, Quantities};
 use crate::infer::law::AsymptoticLaw;
 use crate::infer::std_errors::{PART, StdErrors};
 use crate::linalg::elements::Elements;
@@ -22,33 +22,12 @@ const ROUNDING: f64 = 1e-11;
 /// one. Where Σ is singular, they are those of matrices of its rank.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
-    /// Of μ (p).
-    pub mean: Vec<Option<f64>>,
-    /// Of the regression coefficients.
-    pub coefficients: Vec<Option<f64>>,
-    /// Of Σ (p × p).
-    pub covariance: Vec<Vec<Option<f64>>>,
-    /// Of the standard deviations (p).
-    pub std_dev: Vec<Option<f64>>,
-    /// Of the correlations (p × p).
-    pub correlation: Vec<Vec<Option<f64>>>,
+    /// The errors.
+    pub errors: Quantities<Option<f64>>,
     /// Relative standard error of β in Σ = βΣ*, by phase.
     pub scale: Vec<Option<f64>>,
     /// Blocks of Σ that are singular.
     pub boundary: Vec<Boundary>,
-}
-
-impl Uncertainty {
-    /// The standard error of a quantity.
-    pub(crate) fn of(&self, what: Holdable) -> Option<f64> {
-        match what {
-            Holdable::Mean(i) => self.mean[i],
-            Holdable::Coefficient(c) => self.coefficients[c],
-            Holdable::StdDev(i) => self.std_dev[i],
-            Holdable::Covariance(i, j) => self.covariance[i][j],
-            Holdable::Correlation(i, j) => self.correlation[i][j],
-        }
-    }
 }
 
 /// A block of Σ on the boundary of the positive semidefinite cone.
@@ -73,19 +52,8 @@ fn element_takes_part(unidentified: &[Direction], elements: &Elements, i: usize,
     elements.get(i, j).is_some_and(|k| takes_part(unidentified, Quantity::Covariance, k))
 }
 
-/// Quantities that are neither fixed nor unidentified.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Free {
-    /// Of μ (p).
-    pub mean: Vec<bool>,
-    /// Of Σ (p × p).
-    pub covariance: Vec<Vec<bool>>,
-    /// Of the correlations (p × p).
-    pub correlation: Vec<Vec<bool>>,
-}
-
-/// The free quantities of an estimate.
-pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
+/// Which quantities of an estimate are neither fixed nor unidentified.
+pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Quantities<bool> {
     let problem = &estimate.state.problem;
     let p = estimate.mean.len();
     let mean = |i: usize| problem.mean.basis.row(i).amax() > 0.0 && !takes_part(unidentified, Quantity::Mean, i);
@@ -105,7 +73,13 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Free {
                     && !element_takes_part(unidentified, &map.elements, i, j)))
     };
     let matrix = |of: &dyn Fn(usize, usize) -> bool| (0..p).map(|i| (0..p).map(|j| of(i, j)).collect()).collect();
-    Free { mean: (0..p).map(mean).collect(), covariance: matrix(&moves), correlation: matrix(&bends) }
+    Quantities {
+        mean: (0..p).map(mean).collect(),
+        coefficients: vec![true; estimate.coefficients.len()],
+        std_dev: (0..p).map(|i| moves(i, i)).collect(),
+        covariance: matrix(&moves),
+        correlation: matrix(&bends),
+    }
 }
 
 /// Standard errors at an estimate. The reductions are those it was made from; only the sandwich looks at them.
@@ -181,35 +155,31 @@ fn uncertainty_by(
         let size = sigma[(i, i)] * sigma[(j, j)];
         on_boundary(i) && on_boundary(j) && sigma[(i, j)].powi(2) >= (1.0 - END) * size
     };
-    let mut covariance = vec![vec![None; p]; p];
-    let mut correlation = vec![vec![None; p]; p];
-    let mut std_dev = vec![None; p];
+    let has_mean = |row: usize| !takes_part(unidentified, Quantity::Mean, row);
+    let mut errors = Quantities::all(None, p, state.problem.mean.regressors.len());
+    let set = |errors: &mut Quantities<Option<f64>>, what: Holdable, known: bool| {
+        errors.set(what, known.then(|| law.error(sigma, what)).flatten());
+    };
     for (i, j) in elements.all() {
-        let error = known(i, j).then(|| law.error(sigma, Holdable::Covariance(i, j))).flatten();
-        covariance[i][j] = error;
-        covariance[j][i] = error;
+        set(&mut errors, Holdable::Covariance(i, j), known(i, j));
     }
     for i in 0..p {
-        std_dev[i] = covariance[i][i].filter(|_| sigma[(i, i)] > 0.0).map(|e| e / (2.0 * sigma[(i, i)].sqrt()));
+        let of_variance = errors.covariance[i][i].filter(|_| sigma[(i, i)] > 0.0);
+        errors.std_dev[i] = of_variance.map(|e| e / (2.0 * sigma[(i, i)].sqrt()));
+        set(&mut errors, Holdable::Mean(i), has_mean(i));
     }
     for (i, j) in elements.all().filter(|(i, j)| i != j) {
         let known = known(i, j) && known(i, i) && known(j, j) && !at_end(i, j);
-        let error = known.then(|| law.error(sigma, Holdable::Correlation(i, j))).flatten();
-        correlation[i][j] = error;
-        correlation[j][i] = error;
+        set(&mut errors, Holdable::Correlation(i, j), known);
     }
-    let of_mean = |row: usize, what: Holdable| match takes_part(unidentified, Quantity::Mean, row) {
-        true => None,
-        false => law.error(sigma, what),
-    };
-    let mean = (0..p).map(|i| of_mean(i, Holdable::Mean(i))).collect();
-    let coefficients =
-        (0..state.problem.mean.regressors.len()).map(|c| of_mean(p + c, Holdable::Coefficient(c))).collect();
+    for c in 0..errors.coefficients.len() {
+        set(&mut errors, Holdable::Coefficient(c), has_mean(p + c));
+    }
     let of_part = |part: &PhaseForm| {
         matches!(part.form, CoordinateForm::Scale(_)).then(|| law.scale_error(sigma, part)).flatten()
     };
     let scale = map.parts.iter().map(of_part).collect();
-    Uncertainty { mean, coefficients, covariance, std_dev, correlation, scale, boundary }
+    Uncertainty { errors, scale, boundary }
 }
 
 /// Blocks of Σ that are singular.

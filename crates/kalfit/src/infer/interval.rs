@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use crate::estimate::{Criterion, Estimate, Point};
 use crate::infer::ends::{Holds, Profile};
 use crate::infer::held::{Held, HeldMaximum, Holder};
-use crate::infer::holdable::Holdable;
-use crate::infer::information::{Free, Uncertainty};
+use crate::infer::holdable::{Holdable, Quantities};
+use crate::infer::information::Uncertainty;
 use crate::linalg::elements::Elements;
 
 /// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
@@ -32,68 +32,31 @@ pub struct Intervals {
     pub kind: IntervalKind,
     /// How many come from standard errors where profiles were asked for, those of means under the restricted likelihood apart.
     pub unprofiled: usize,
-    /// Of μ (p).
-    pub mean: Vec<Interval>,
-    /// Of the regression coefficients.
-    pub coefficients: Vec<Interval>,
-    /// Of the standard deviations (p).
-    pub std_dev: Vec<Interval>,
-    /// Of Σ (p × p); of the variances, the squares of those of the standard deviations.
-    pub covariance: Vec<Vec<Interval>>,
-    /// Of the correlations (p × p).
-    pub correlation: Vec<Vec<Interval>>,
+    /// The intervals; of the variances, the squares of those of the standard deviations.
+    pub ends: Quantities<Interval>,
 }
 
 impl Intervals {
-    fn none(kind: IntervalKind, p: usize, coefficients: usize) -> Intervals {
-        Intervals {
-            kind,
-            unprofiled: 0,
-            mean: vec![None; p],
-            coefficients: vec![None; coefficients],
-            std_dev: vec![None; p],
-            covariance: vec![vec![None; p]; p],
-            correlation: vec![vec![None; p]; p],
-        }
-    }
-
-    /// The interval of a quantity.
-    pub(crate) fn of(&self, what: Holdable) -> Interval {
-        match what {
-            Holdable::Mean(i) => self.mean[i],
-            Holdable::Coefficient(c) => self.coefficients[c],
-            Holdable::StdDev(i) => self.std_dev[i],
-            Holdable::Covariance(i, j) => self.covariance[i][j],
-            Holdable::Correlation(i, j) => self.correlation[i][j],
-        }
+    fn none(kind: IntervalKind, estimate: &Estimate) -> Intervals {
+        let ends = Quantities::all(None, estimate.mean.len(), estimate.coefficients.len());
+        Intervals { kind, unprofiled: 0, ends }
     }
 
     pub(crate) fn set(&mut self, what: Holdable, interval: Interval) {
-        let mut both = |matrix: fn(&mut Intervals) -> &mut Vec<Vec<Interval>>, i: usize, j: usize| {
-            matrix(self)[i][j] = interval;
-            matrix(self)[j][i] = interval;
-        };
-        match what {
-            Holdable::Covariance(i, j) => both(|s| &mut s.covariance, i, j),
-            Holdable::Correlation(i, j) => both(|s| &mut s.correlation, i, j),
-            Holdable::Mean(i) => self.mean[i] = interval,
-            Holdable::Coefficient(c) => self.coefficients[c] = interval,
-            Holdable::StdDev(i) => {
-                self.std_dev[i] = interval;
-                self.covariance[i][i] = interval.map(|ends| ends.map(|end| end.map(|s| s * s)));
-            }
+        self.ends.set(what, interval);
+        if let Holdable::StdDev(i) = what {
+            self.ends.covariance[i][i] = interval.map(|ends| ends.map(|end| end.map(|s| s * s)));
         }
     }
 }
 
 /// Intervals from standard errors.
 pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
-    let p = estimate.mean.len();
-    let mut found = Intervals::none(IntervalKind::Wald, p, estimate.coefficients.len());
+    let mut found = Intervals::none(IntervalKind::Wald, estimate);
     let elements = &estimate.state.problem.covariance.elements;
     for what in quantities(elements, estimate.coefficients.len()) {
         let value = value(estimate, what);
-        let interval = uncertainty.of(what).zip(value).and_then(|(e, x)| {
+        let interval = uncertainty.errors.of(what).zip(value).and_then(|(e, x)| {
             let around = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
             let ends = match what {
                 Holdable::StdDev(_) if x > 0.0 => around(x.ln(), e / x).map(f64::exp),
@@ -110,13 +73,11 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
 
 /// Intervals by profile likelihood; of means under the restricted likelihood, which has no profile of them, Wald's. A quantity on the boundary has one too; one for which no certified maximum is found near
 /// an end has none there.
-pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> Intervals {
-    let p = estimate.mean.len();
-    let mut found = Intervals::none(IntervalKind::Profile, p, estimate.coefficients.len());
+pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Quantities<bool>) -> Intervals {
+    let mut found = Intervals::none(IntervalKind::Profile, estimate);
     if estimate.criterion == Criterion::Reml {
-        let wald = wald(estimate, uncertainty);
-        found.mean = wald.mean;
-        found.coefficients = wald.coefficients;
+        let wald = wald(estimate, uncertainty).ends;
+        (found.ends.mean, found.ends.coefficients) = (wald.mean, wald.coefficients);
     }
     let wanted = profiled(estimate, free);
     let holder = Holder::new(&estimate.state);
@@ -125,12 +86,12 @@ pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Free) -> I
 }
 
 /// Free quantities that have a profile: under the restricted likelihood means have none.
-pub(crate) fn profiled(estimate: &Estimate, free: &Free) -> Vec<Holdable> {
+pub(crate) fn profiled(estimate: &Estimate, free: &Quantities<bool>) -> Vec<Holdable> {
     let elements = &estimate.state.problem.covariance.elements;
     let of_mean = |what: &Holdable| matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_));
     let has_profile = |what: &Holdable| estimate.criterion == Criterion::Ml || !of_mean(what);
     let all = quantities(elements, estimate.coefficients.len()).into_iter();
-    all.filter(|what| is_free(free, estimate, *what) && has_profile(what)).collect()
+    all.filter(|what| free.of(*what) && value(estimate, *what).is_some() && has_profile(what)).collect()
 }
 
 impl Intervals {
@@ -146,7 +107,7 @@ impl Intervals {
             .par_iter()
             .map(|&what| {
                 let centre = value(estimate, what)?;
-                let step = uncertainty.of(what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
+                let step = uncertainty.errors.of(what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
                 let maximum = estimate.state.newton_iterate.local.value;
                 let profile = Profile { holder, what, centre, maximum, quantile: QUANTILE, limits: limits(what) };
                 Some([profile.end(start, -step), profile.end(start, step)])
@@ -166,16 +127,6 @@ pub(crate) fn quantities(elements: &Elements, coefficients: usize) -> Vec<Holdab
     all.extend(below().map(|(i, j)| Holdable::Covariance(i, j)));
     all.extend(below().map(|(i, j)| Holdable::Correlation(i, j)));
     all
-}
-
-fn is_free(free: &Free, estimate: &Estimate, what: Holdable) -> bool {
-    match what {
-        Holdable::Mean(i) => free.mean[i],
-        Holdable::Coefficient(_) => true,
-        Holdable::StdDev(i) => free.covariance[i][i],
-        Holdable::Covariance(i, j) => free.covariance[i][j],
-        Holdable::Correlation(i, j) => free.correlation[i][j] && value(estimate, what).is_some(),
-    }
 }
 
 pub(crate) fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {

@@ -175,7 +175,7 @@ impl Found<'_> {
     }
 
     fn error(&self, quantity: Quantity) -> Option<f64> {
-        self.uncertainty.of(quantity).filter(|error| error.is_finite())
+        self.uncertainty.errors.of(quantity).filter(|error| error.is_finite())
     }
 
     /// The number of an element of Σ.

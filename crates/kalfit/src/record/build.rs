@@ -328,7 +328,7 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
     notes.extend(shortage_notes(model, observability));
     for (i, name) in model.element_names().iter().enumerate() {
         let variance = estimate.covariance[(i, i)];
-        if let Some(error) = uncertainty.covariance[i][i].filter(|e| *e >= variance) {
+        if let Some(error) = uncertainty.errors.covariance[i][i].filter(|e| *e >= variance) {
             notes.push(format!(
                 "the variance of `{name}` is weakly determined: its standard error ({}) is no smaller than the variance itself ({})",
                 plain(error, DIGITS),

@@ -86,13 +86,13 @@ fn phase(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> Phas
         covariance: covariance(cut, estimate, inference),
         std_dev: VectorRecord {
             estimate: cut.list(deviations.as_slice()),
-            std_error: cut.list(&uncertainty.std_dev),
-            interval95: cut.list(&intervals.std_dev),
+            std_error: cut.list(&uncertainty.errors.std_dev),
+            interval95: cut.list(&intervals.ends.std_dev),
         },
         correlation: MatrixRecord {
             estimate: cut.square(&correlations(&estimate.covariance)),
-            std_error: cut.square(&uncertainty.correlation),
-            interval95: cut.square(&intervals.correlation),
+            std_error: cut.square(&uncertainty.errors.correlation),
+            interval95: cut.square(&intervals.ends.correlation),
         },
         boundary: uncertainty.boundary.iter().filter_map(|b| boundary(cut, &states, b)).collect(),
         unidentified: Vec::new(),
@@ -166,8 +166,8 @@ fn mean(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanR
     let model = &cut.phase.model;
     let structure = if cut.level.is_some() { &MeanStructure::zero(cut.elements.len()) } else { &model.mean };
     let estimates = cut.list(&estimate.mean);
-    let errors = cut.list(&inference.uncertainty.mean);
-    let intervals = cut.list(&inference.intervals.mean);
+    let errors = cut.list(&inference.uncertainty.errors.mean);
+    let intervals = cut.list(&inference.intervals.ends.mean);
     let proportional = structure.elements.iter().enumerate().find_map(|(i, e)| match e {
         MeanElement::Proportional(weight) if *weight != 0.0 => Some((i, *weight)),
         _ => None,
@@ -176,8 +176,8 @@ fn mean(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> MeanR
         state: model.states[model.estimated[r.element]].name.clone(),
         column: model.columns[r.column].name.clone(),
         estimate: estimate.coefficients[c],
-        std_error: inference.uncertainty.coefficients[c],
-        interval95: inference.intervals.coefficients[c],
+        std_error: inference.uncertainty.errors.coefficients[c],
+        interval95: inference.intervals.ends.coefficients[c],
     };
     MeanRecord {
         fixed: structure.elements.iter().map(|e| matches!(e, MeanElement::Fixed(_))).collect(),
@@ -208,8 +208,8 @@ fn covariance(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) ->
     let scale = proportional.then(|| estimate.covariance_scale(cut.index));
     CovarianceRecord {
         estimate: cut.block(&estimate.covariance),
-        std_error: cut.square(&inference.uncertainty.covariance),
-        interval95: cut.square(&inference.intervals.covariance),
+        std_error: cut.square(&inference.uncertainty.errors.covariance),
+        interval95: cut.square(&inference.intervals.ends.covariance),
         fixed,
         scale: scale.map(|beta| ScaleRecord {
             estimate: beta,
@@ -223,7 +223,7 @@ fn covariance(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) ->
 fn scale_interval(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
     let variance = |i: usize| estimate.covariance[(i, i)];
     let i = cut.elements.clone().max_by(|&a, &b| variance(a).total_cmp(&variance(b)))?;
-    let ends = inference.intervals.covariance[i][i]?;
+    let ends = inference.intervals.ends.covariance[i][i]?;
     (variance(i) > 0.0).then(|| scaled(ends, beta / variance(i)))
 }
 

@@ -35,7 +35,7 @@ fn levels(offset: f64) -> Fit {
 #[test]
 fn the_certificate_knows_what_rounding_leaves_open() {
     let plain = levels(0.0);
-    let error = plain.inference.uncertainty.mean[0].expect("the mean is free");
+    let error = plain.inference.uncertainty.errors.mean[0].expect("the mean is free");
     assert!(plain.converged() && plain.record.certificate.rounding < 1e-15, "{:?}", plain.record.certificate);
     for (offset, told, certified) in [
         (1e3, false, true),
@@ -50,7 +50,7 @@ fn the_certificate_knows_what_rounding_leaves_open() {
         let (certificate, limit) = (&found.record.certificate, found.record.certificate.rounding);
         let off = (found.estimate.mean[0] - offset - plain.estimate.mean[0]).abs() / error;
         let variance_off = (found.estimate.covariance[(0, 0)] - plain.estimate.covariance[(0, 0)]).abs()
-            / plain.inference.uncertainty.covariance[0][0].expect("it is free");
+            / plain.inference.uncertainty.errors.covariance[0][0].expect("it is free");
         let what =
             format!("offset {offset:e}: off by {off:.1e} and {variance_off:.1e} standard errors, bound {limit:.1e}");
         println!("{what}");
@@ -181,7 +181,7 @@ fn covariances_are_symmetric_to_the_last_bit() {
             for deletion in inferred.deletions.iter().flatten().flatten() {
                 is_symmetric(&format!("{what}: Σ without a test"), &deletion.estimate.covariance);
             }
-            let errors = &inferred.uncertainty;
+            let errors = &inferred.uncertainty.errors;
             for (i, j) in [(1, 0), (2, 0), (2, 1)] {
                 assert_eq!(errors.covariance[i][j], errors.covariance[j][i], "{what}: standard errors");
                 assert_eq!(errors.correlation[i][j], errors.correlation[j][i], "{what}: of correlations");

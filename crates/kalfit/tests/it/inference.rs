@@ -151,26 +151,26 @@ fn profile_intervals_end_where_a_refit_loses_half_the_squared_quantile() {
     let lost = |held: Estimate| 2.0 * (all.log_likelihood - held.log_likelihood);
     let quantile = 1.959_963_984_540_054_f64.powi(2);
     for i in 0..2 {
-        for end in intervals.mean[i].expect("free").map(|end| end.expect("finite")) {
+        for end in intervals.ends.mean[i].expect("free").map(|end| end.expect("finite")) {
             let mut held = mean.clone();
             held.elements[i] = MeanElement::Fixed(end);
             close(lost(fit(&data, &held, &covariance)), quantile, 1e-5, "mean");
         }
-        for end in intervals.std_dev[i].expect("free").map(|end| end.expect("finite")) {
+        for end in intervals.ends.std_dev[i].expect("free").map(|end| end.expect("finite")) {
             close(lost(fit(&data, &mean, &fixed(&[(i, i, end * end)]))), quantile, 1e-5, "standard deviation");
         }
     }
-    for end in intervals.covariance[1][0].expect("free").map(|end| end.expect("finite")) {
+    for end in intervals.ends.covariance[1][0].expect("free").map(|end| end.expect("finite")) {
         close(lost(fit(&data, &mean, &fixed(&[(1, 0, end)]))), quantile, 1e-5, "covariance");
     }
-    for end in intervals.correlation[1][0].expect("free").map(|end| end.expect("finite")) {
+    for end in intervals.ends.correlation[1][0].expect("free").map(|end| end.expect("finite")) {
         let number = |x: f64| kalfit::Expression::Number(x);
         let matrix = vec![vec![number(1.0), number(end)], vec![number(end), number(1.0)]];
         let held = CovarianceStructure { kind: CovarianceKind::Correlation(matrix), ..CovarianceStructure::full() };
         close(lost(fit(&data, &mean, &held)), quantile, 1e-5, "correlation");
     }
     // a regression coefficient is held by moving its part of the data over
-    for end in intervals.coefficients[0].expect("free").map(|end| end.expect("finite")) {
+    for end in intervals.ends.coefficients[0].expect("free").map(|end| end.expect("finite")) {
         let moved: Reductions = data.iter().map(|r| moved(r, end)).collect();
         close(lost(fit(&moved, &MeanStructure::free(2), &covariance)), quantile, 1e-5, "coefficient");
     }
@@ -191,8 +191,8 @@ fn a_profile_interval_on_the_boundary_begins_there() {
     assert_eq!(all.covariance[(0, 0)], 0.0, "the ensemble was chosen for a zero variance");
     let choices = Choices { intervals: IntervalKind::Profile, ..Choices::default() };
     let inference = inferred(&all, &data, choices);
-    assert_eq!(inference.uncertainty.std_dev[0], None);
-    let [lower, upper] = inference.intervals.std_dev[0].expect("a free variance has an interval");
+    assert_eq!(inference.uncertainty.errors.std_dev[0], None);
+    let [lower, upper] = inference.intervals.ends.std_dev[0].expect("a free variance has an interval");
     assert_eq!(lower, Some(0.0));
     let upper = upper.expect("the data limit it");
     let mut held = fixed(&[(0, 0, upper * upper)]);
@@ -206,7 +206,7 @@ fn a_profile_interval_on_the_boundary_begins_there() {
 fn expected_and_sandwich_errors_equal_dense_ones() {
     let data = ensemble(60, &spread(), 0, 8);
     let all = free_fit(&data, 2);
-    let errors = |kind| inferred(&all, &data, Choices { std_errors: kind, ..Choices::default() }).uncertainty;
+    let errors = |kind| inferred(&all, &data, Choices { std_errors: kind, ..Choices::default() }).uncertainty.errors;
     let (expected, observed) = (dense_expected(&all, &data), dense_observed(&all, &data));
     let meat = scores(&all, &data);
     let inverse = |m: &DMatrix<f64>| m.clone().try_inverse().expect("informative");

@@ -86,7 +86,9 @@ fn structures_said_otherwise_are_the_same() {
                 let of = |e| infer::infer(e, &data, infer::Choices::default());
                 (of(&a), of(&b))
             };
-            for (x, y) in a.uncertainty.covariance.iter().flatten().zip(b.uncertainty.covariance.iter().flatten()) {
+            for (x, y) in
+                a.uncertainty.errors.covariance.iter().flatten().zip(b.uncertainty.errors.covariance.iter().flatten())
+            {
                 match (x, y) {
                     (Some(x), Some(y)) => assert!((x / y - 1.0).abs() < 1e-5, "{what}: errors {x} and {y}"),
                     (x, y) => assert_eq!(x, y, "{what}"),

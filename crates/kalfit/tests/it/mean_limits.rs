@@ -47,7 +47,7 @@ fn profile_of_mean(ensemble: &Ensemble) -> (f64, [f64; 2]) {
     let choices = Choices { intervals: IntervalKind::Profile, ..Choices::default() };
     let fit = ensemble.fit_with(&Options { choices, ..Options::default() }, &mut Silent).expect("a fit");
     assert!(fit.converged(), "{}", fit.record.reason);
-    let ends = fit.inference.intervals.mean[0].expect("an interval").map(|end| end.expect("an end"));
+    let ends = fit.inference.intervals.ends.mean[0].expect("an interval").map(|end| end.expect("an end"));
     (fit.log_likelihood(), ends)
 }
 

@@ -367,7 +367,7 @@ fn inferred(data: &Reductions, mean: &MeanStructure, covariance: &CovarianceStru
 
 /// Standard errors of μ1, μ2, σ11, σ12, σ22.
 fn standard_errors(inference: &Inference) -> [Option<f64>; 5] {
-    let u = &inference.uncertainty;
+    let u = &inference.uncertainty.errors;
     [u.mean[0], u.mean[1], u.covariance[0][0], u.covariance[1][0], u.covariance[1][1]]
 }
 
@@ -461,7 +461,7 @@ fn a_singular_covariance_is_named_and_keeps_the_standard_errors_of_its_rank() {
     assert_eq!((boundary.len(), boundary[0].rank, boundary[0].states.len()), (1, 1, 2));
     assert!(standard_errors(&inference).iter().all(Option::is_some), "{:?}", standard_errors(&inference));
     // of rank one the correlation is ±1, and has none
-    assert_eq!(inference.uncertainty.correlation[1][0], None);
+    assert_eq!(inference.uncertainty.errors.correlation[1][0], None);
     assert!(estimate.certificate.holds(1e-8), "{:?}", estimate.certificate);
 }
 

@@ -180,11 +180,11 @@ fn a_covariate_that_does_not_vary_is_confounded_with_the_mean() {
     assert_eq!(inference.unidentified.len(), 1, "{:?}", inference.unidentified);
     assert_direction(&inference.unidentified[0].direction, &[0.0, 2.0, -1.0]);
     assert_eq!(inference.explanations[0].reason, Reason::Confounded { regressions: vec![0] });
-    assert_eq!((inference.uncertainty.mean[1], inference.uncertainty.coefficients[0]), (None, None));
-    assert!(inference.uncertainty.mean[0].is_some());
+    assert_eq!((inference.uncertainty.errors.mean[1], inference.uncertainty.errors.coefficients[0]), (None, None));
+    assert!(inference.uncertainty.errors.mean[0].is_some());
     let inference = fit(&with(&|j| j as f64));
     assert!(inference.unidentified.is_empty(), "{:?}", inference.unidentified);
-    assert!(inference.uncertainty.coefficients[0].is_some());
+    assert!(inference.uncertainty.errors.coefficients[0].is_some());
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn what_is_not_identified_has_no_standard_error_and_what_is_has_one() {
     let structure = Structure::single(&mean, &covariance, &alpha);
     let fit = estimate::fit(&data, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
     let inference = infer::infer(&fit, &data, infer::Choices::default());
-    let errors = &inference.uncertainty.mean;
+    let errors = &inference.uncertainty.errors.mean;
     assert_eq!(errors.iter().map(Option::is_some).collect::<Vec<_>>(), [false, false, true, false], "{errors:?}");
     let leading: Vec<bool> = inference.observability.states.iter().map(|s| s.leading.is_some()).collect();
     assert_eq!(leading, [false, false, true, false], "shares of means that are not identified");

@@ -110,12 +110,12 @@ fn each_phase_has_its_part_of_the_estimate() {
         assert_eq!((&phase.name, &phase.states), (&model.phases[k].name, &model.phases[k].model.estimated_names()));
         assert_eq!(phase.units, [Some("deg/h".to_owned()), None]);
         assert_eq!(phase.mean.estimate, estimate.mean[range.clone()]);
-        assert_eq!(phase.mean.std_error, inference.uncertainty.mean[range.clone()]);
+        assert_eq!(phase.mean.std_error, inference.uncertainty.errors.mean[range.clone()]);
         for (i, whole) in range.clone().enumerate() {
             assert_eq!(phase.std_dev.estimate[i], estimate.covariance[(whole, whole)].sqrt());
             for (j, other) in range.clone().enumerate() {
                 assert_eq!(phase.covariance.estimate[i][j], estimate.covariance[(whole, other)]);
-                assert_eq!(phase.covariance.std_error[i][j], inference.uncertainty.covariance[whole][other]);
+                assert_eq!(phase.covariance.std_error[i][j], inference.uncertainty.errors.covariance[whole][other]);
                 assert!(!phase.covariance.fixed[i][j]);
             }
         }

@@ -60,7 +60,7 @@ fn the_restricted_likelihood_is_the_dense_one() {
                 let plain = dense(&data, mean, &beta(&found, mean), &found.covariance);
                 near(&format!("ℓ_R, {what}"), found.log_likelihood, plain.restricted, 1e-10);
                 near(&format!("ℓ at μ̂, {what}"), plain.log_likelihood, at(&data, mean, &plain.beta, &found), 1e-12);
-                let errors = infer::infer(&found, &data, infer::Choices::default()).uncertainty.mean;
+                let errors = infer::infer(&found, &data, infer::Choices::default()).uncertainty.errors.mean;
                 let (_, b) = mean.basis();
                 let law = &b * &plain.covariance * b.transpose();
                 for i in 0..3 {
@@ -96,7 +96,7 @@ fn regression_coefficients_are_part_of_the_mean() {
         let inference = infer::infer(&found, &data, infer::Choices::default());
         for c in 0..2 {
             near("coefficient", found.coefficients[c], plain.beta[3 + c], 1e-7);
-            let error = inference.uncertainty.coefficients[c].expect("the data inform it");
+            let error = inference.uncertainty.errors.coefficients[c].expect("the data inform it");
             let expected = plain.covariance[(3 + c, 3 + c)].sqrt();
             assert!((error / expected - 1.0).abs() < 1e-8, "error {error}, expected {expected}");
         }
@@ -152,7 +152,7 @@ fn standard_errors_of_the_covariance_are_those_of_difference_quotients() {
             -(at(1.0, 1.0) - at(1.0, -1.0) - at(-1.0, 1.0) + at(-1.0, -1.0)) / (4.0 * h * h)
         });
         let law = second.try_inverse().expect("a maximum");
-        let errors = infer::infer(&found, &data, infer::Choices::default()).uncertainty.covariance;
+        let errors = infer::infer(&found, &data, infer::Choices::default()).uncertainty.errors.covariance;
         for (k, (i, j)) in elements.into_iter().enumerate() {
             let (found, expected) = (errors[i][j].expect("inside"), law[(k, k)].sqrt());
             assert!(
@@ -269,8 +269,8 @@ fn a_mean_that_no_test_informs_does_not_count() {
         certified(&large, &format!("seed {seed}"));
         near("ℓ_R", large.log_likelihood, small.log_likelihood, 1e-11);
         let inference = infer::infer(&large, &outer, infer::Choices::default());
-        assert_eq!(inference.uncertainty.mean[2], None, "no error without information");
-        assert!(inference.uncertainty.mean[0].is_some());
+        assert_eq!(inference.uncertainty.errors.mean[2], None, "no error without information");
+        assert!(inference.uncertainty.errors.mean[0].is_some());
     }
 }
 

@@ -31,7 +31,7 @@ fn em_and_newton_end_at_the_same_point_under_every_structure() {
             }
             arrived += 1;
             assert!(gap < 1e-6, "{what}: newton {} em {}", newton.log_likelihood, em.log_likelihood);
-            let errors = infer::infer(&newton, &data, infer::Choices::default()).uncertainty;
+            let errors = infer::infer(&newton, &data, infer::Choices::default()).uncertainty.errors;
             for i in 0..3 {
                 let unit = errors.mean[i].unwrap_or(1.0);
                 let far = (newton.mean[i] - em.mean[i]).abs() / unit;

@@ -171,12 +171,12 @@ fn same_inference(name: &str, found: &Inference, expected: &Inference) {
         assert_eq!(a.is_some(), b.is_some(), "{name}: {what}");
         a.zip(b).into_iter().for_each(|(a, b)| close(&format!("{name}: {what}"), a, b, 1e-6));
     };
-    let (a, b) = (&found.uncertainty, &expected.uncertainty);
+    let (a, b) = (&found.uncertainty.errors, &expected.uncertainty.errors);
     a.mean.iter().zip(&b.mean).for_each(|(a, b)| both("error of μ", *a, *b));
     a.std_dev.iter().zip(&b.std_dev).for_each(|(a, b)| both("error of a standard deviation", *a, *b));
     a.covariance.iter().flatten().zip(b.covariance.iter().flatten()).for_each(|(a, b)| both("error of Σ", *a, *b));
     a.correlation.iter().flatten().zip(b.correlation.iter().flatten()).for_each(|(a, b)| both("ρ", *a, *b));
-    assert_eq!(a.boundary, b.boundary, "{name}");
+    assert_eq!(found.uncertainty.boundary, expected.uncertainty.boundary, "{name}");
     for (a, b) in found.posteriors.iter().zip(&expected.posteriors) {
         close(&format!("{name}: ℓ_j"), a.log_likelihood, b.log_likelihood, 1e-8);
         a.mean.iter().zip(&b.mean).for_each(|(a, b)| close(&format!("{name}: posterior"), *a, *b, 1e-6));

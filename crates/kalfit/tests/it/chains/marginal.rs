@@ -71,7 +71,7 @@ fn the_marginal_fit_is_that_of_the_differences_phase_by_phase() {
     let settings = by(Combination::Marginal);
     let found = fit(&data, &phases, &settings);
     assert_eq!(found.stop, Stop::Certified, "{:?}", found.certificate);
-    let errors = uncertainty(&found, &data, &[], StdErrors::Observed);
+    let errors = uncertainty(&found, &data, &[], StdErrors::Observed).errors;
     let mut composite = 0.0;
     for (f, range) in recipe.ranges().into_iter().enumerate() {
         let own: Vec<(String, DVector<f64>, DMatrix<f64>)> = data
@@ -81,7 +81,7 @@ fn the_marginal_fit_is_that_of_the_differences_phase_by_phase() {
         let reductions: Reductions = own.iter().map(|(test, x, p)| reduction(test, x, p)).collect();
         let one = vec![(MeanStructure::free(2), CovarianceStructure::full())];
         let apart = fit(&reductions, &one, &Settings::default());
-        let apart_errors = uncertainty(&apart, &reductions, &[], StdErrors::Observed);
+        let apart_errors = uncertainty(&apart, &reductions, &[], StdErrors::Observed).errors;
         for (i, at) in range.clone().enumerate() {
             let (a, b) = (found.mean[at], apart.mean[i]);
             assert!((a - b).abs() < 1e-6, "phase {f} μ {i}: {a} {b}");
