@@ -54,6 +54,17 @@ fn record(model: &Model, m: usize, alpha: &Alpha, rows: &Test) -> Vec<(f64, f64)
     (0..rows.rows()).filter_map(value).collect()
 }
 
+/// Why there is no curve without a step.
+fn why_no_step(records: Option<&CurveRecords>) -> &'static str {
+    match records {
+        None => "there is no curve without a step: give data or `--step`",
+        Some(records) if records.own.iter().all(Vec::is_empty) => "no curve: the data have no records of it",
+        Some(_) => {
+            "its records have no regular step: fewer than half of their steps are within 10 % of the median; `--step` in place of data draws the curve of the model alone"
+        }
+    }
+}
+
 /// What a curve is drawn for.
 #[derive(Debug)]
 pub(super) struct CurveRequest<'a> {
@@ -87,14 +98,7 @@ impl CurveRequest<'_> {
             notes: Vec::new(),
         };
         let Some(length) = step else {
-            let why = match records {
-                None => "there is no curve without a step: give data or `--step`",
-                Some(records) if records.own.iter().all(Vec::is_empty) => "no curve: the data have no records of it",
-                Some(_) => {
-                    "its records have no regular step: fewer than half of their steps are within 10 % of the median; `--step` in place of data draws the curve of the model alone"
-                }
-            };
-            curve.notes.push(why.to_owned());
+            curve.notes.push(why_no_step(records).to_owned());
             return curve;
         };
         let pieces: Option<Vec<Vec<Vec<f64>>>> =
