@@ -27,7 +27,7 @@ pub(crate) struct Block {
     pub(crate) clock: Vec<usize>,
     /// Times, where some are date-times.
     pub(crate) moments: Vec<Moment>,
-    pub(crate) ids: Ids,
+    pub(crate) ids: TestIds,
     /// Numbers of the rows in the file.
     pub(crate) numbering: Numbering,
     /// What is wrong with the row after the last one.
@@ -36,35 +36,35 @@ pub(crate) struct Block {
 
 /// Ids of tests, in runs of rows of one test that follow each other. Each id stands there once, however often it comes.
 #[derive(Debug, Default)]
-pub(crate) struct Ids {
+pub(crate) struct TestIds {
     texts: String,
     /// Hashes and places of all ids.
-    known: HashTable<Id>,
+    known: HashTable<HashedId>,
     /// The first row of each run, and its id.
-    runs: Vec<(usize, Id)>,
+    runs: Vec<(usize, HashedId)>,
 }
 
 /// An id: its hash, and where it stands among the texts.
 #[derive(Debug, Clone, Copy)]
-struct Id {
+struct HashedId {
     hash: u64,
     start: usize,
     end: usize,
 }
 
-impl Ids {
+impl TestIds {
     /// Says the id of a row after those before, and of the rows that follow; `hasher` is the same for all blocks.
     pub(crate) fn push(&mut self, row: usize, id: &str, hasher: &RandomState) {
-        let Ids { texts, known, runs } = self;
+        let TestIds { texts, known, runs } = self;
         if runs.last().is_some_and(|(_, last)| texts[last.start..last.end] == *id) {
             return;
         }
         let hash = hasher.hash_one(id);
-        let same = |other: &Id| other.hash == hash && texts[other.start..other.end] == *id;
+        let same = |other: &HashedId| other.hash == hash && texts[other.start..other.end] == *id;
         let place = match known.find(hash, same) {
             Some(place) => *place,
             None => {
-                let place = Id { hash, start: texts.len(), end: texts.len() + id.len() };
+                let place = HashedId { hash, start: texts.len(), end: texts.len() + id.len() };
                 texts.push_str(id);
                 *known.insert_unique(hash, place, |id| id.hash).get()
             }

@@ -2,7 +2,7 @@
 
 /// Texts that stand for a missing cell.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Tokens {
+pub(crate) struct MissingTexts {
     texts: Vec<Vec<u8>>,
     /// Those of `texts` that are numbers: -99 also stands for -99.0 in a numeric column, whatever the format of the file.
     values: Vec<f64>,
@@ -10,16 +10,16 @@ pub(crate) struct Tokens {
 
 /// Why a cell is not a finite number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Fault {
+pub(crate) enum CellFault {
     NotANumber,
     Infinite,
     NotUtf8,
 }
 
-impl Tokens {
-    pub(crate) fn new(missing: &[String]) -> Tokens {
+impl MissingTexts {
+    pub(crate) fn new(missing: &[String]) -> MissingTexts {
         let values = missing.iter().filter_map(|text| text.trim().parse().ok()).collect();
-        Tokens { texts: missing.iter().map(|text| text.clone().into_bytes()).collect(), values }
+        MissingTexts { texts: missing.iter().map(|text| text.clone().into_bytes()).collect(), values }
     }
 
     /// True for a cell that stands for nothing.
@@ -30,7 +30,7 @@ impl Tokens {
 
     /// The number in a cell, spaces around it apart; NaN when it is missing.
     #[inline]
-    pub(crate) fn number(&self, cell: &[u8]) -> Result<f64, Fault> {
+    pub(crate) fn number(&self, cell: &[u8]) -> Result<f64, CellFault> {
         match plain(cell).or_else(|| finite(cell)) {
             Some(value) => self.finite(value),
             None => self.unusual(cell),
@@ -38,19 +38,19 @@ impl Tokens {
     }
 
     /// The same of a cell that is no number as it stands.
-    fn unusual(&self, cell: &[u8]) -> Result<f64, Fault> {
+    fn unusual(&self, cell: &[u8]) -> Result<f64, CellFault> {
         let cell = cell.trim_ascii();
         if self.is_missing(cell) {
             return Ok(f64::NAN);
         }
-        let fault = |_| std::str::from_utf8(cell).map_or(Fault::NotUtf8, |_| Fault::NotANumber);
+        let fault = |_| std::str::from_utf8(cell).map_or(CellFault::NotUtf8, |_| CellFault::NotANumber);
         self.finite(lexical_core::parse(cell).map_err(fault)?)
     }
 
     /// A number that is already one: NaN when missing.
-    pub(crate) fn finite(&self, value: f64) -> Result<f64, Fault> {
+    pub(crate) fn finite(&self, value: f64) -> Result<f64, CellFault> {
         if value.is_infinite() {
-            return Err(Fault::Infinite);
+            return Err(CellFault::Infinite);
         }
         // Equality is meant: the sentinel was written as this very number.
         Ok(if self.values.contains(&value) { f64::NAN } else { value })
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn spaces_around_numbers_and_tokens_do_not_count() {
-        let tokens = Tokens::new(&["-99".into(), ".".into()]);
+        let tokens = MissingTexts::new(&["-99".into(), ".".into()]);
         assert_eq!(tokens.number(b" 1.5e3 "), Ok(1500.0));
         assert_eq!(tokens.number(b"+2"), Ok(2.0));
         for missing in ["", "  ", "NA", " NaN", "null ", ".", "-99", "-99.0", "-9.9e1"] {
@@ -160,11 +160,11 @@ mod tests {
 
     #[test]
     fn numbers_too_large_to_hold_are_infinite() {
-        let tokens = Tokens::default();
+        let tokens = MissingTexts::default();
         for text in ["inf", "-Infinity", "1e999"] {
-            assert_eq!(tokens.number(text.as_bytes()), Err(Fault::Infinite), "{text}");
+            assert_eq!(tokens.number(text.as_bytes()), Err(CellFault::Infinite), "{text}");
         }
-        assert_eq!(tokens.number(b"1,5"), Err(Fault::NotANumber));
-        assert_eq!(tokens.number(b"\xff"), Err(Fault::NotUtf8));
+        assert_eq!(tokens.number(b"1,5"), Err(CellFault::NotANumber));
+        assert_eq!(tokens.number(b"\xff"), Err(CellFault::NotUtf8));
     }
 }

@@ -4,14 +4,14 @@ use crate::cell::shown;
 
 /// The columns a file has, and the one that was probably meant.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Columns {
+pub struct FileColumns {
     /// The column whose name is close, if there is one.
     pub near: Option<String>,
     /// All names, in the order of the file.
     pub names: Vec<String>,
 }
 
-impl Columns {
+impl FileColumns {
     /// What to do when the column that is needed is not there.
     pub(crate) fn hint(&self) -> String {
         const MOST: usize = 12;

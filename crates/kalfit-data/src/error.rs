@@ -5,9 +5,9 @@ use std::io;
 use arrow::error::ArrowError;
 use parquet::errors::ParquetError;
 
-use crate::columns::Columns;
+use crate::columns::FileColumns;
 use crate::exchange::ExchangeError;
-use crate::place::Place;
+use crate::place::CellPlace;
 use crate::room::bytes_in_words;
 
 /// What is wrong with the data. The message says where, what was found and what was expected; [`DataError::hint`] says
@@ -111,7 +111,7 @@ pub enum DataError {
         /// What it is needed for, in words.
         used_in: String,
         /// The columns of the file, the likeliest first if one is close.
-        columns: Box<Columns>,
+        columns: Box<FileColumns>,
     },
     /// A column that is needed is there more than once.
     #[error("{file} has two columns named `{column}`: its columns {first} and {second}")]
@@ -201,7 +201,7 @@ pub enum DataError {
     #[error("{at}: found a text of {found} bytes, expected at most {limit}")]
     LongText {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Its bytes.
         found: usize,
         /// The limit.
@@ -211,7 +211,7 @@ pub enum DataError {
     #[error("{at}: found `{found}`, expected a number")]
     NotANumber {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Its text, shortened.
         found: String,
     },
@@ -229,7 +229,7 @@ pub enum DataError {
     #[error("{at}: found `{found}`, expected a finite number")]
     Infinite {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Its text, shortened.
         found: String,
     },
@@ -237,19 +237,19 @@ pub enum DataError {
     #[error("{at}: found a missing cell, expected the id of the row's test")]
     MissingTest {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
     },
     /// A row does not say of which group its test is.
     #[error("{at}: found a missing cell, expected the group of the row's test at level `{}`", at.column)]
     MissingGroup {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
     },
     /// A test stands in two groups of one level.
     #[error("{at}: found group `{found}` in a row of test `{test}`, expected `{expected}` as in its first row")]
     TwoGroups {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Id of the test, shortened.
         test: String,
         /// The group of the row, shortened.
@@ -263,13 +263,13 @@ pub enum DataError {
     #[error("{at}: found a missing cell, expected the time of the row")]
     MissingTime {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
     },
     /// A cell of the time column that is no time.
     #[error("{at}: found `{found}`, expected a number or a date-time")]
     NotATime {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Its text, shortened.
         found: String,
     },
@@ -277,7 +277,7 @@ pub enum DataError {
     #[error("{at}: found time {found} after time {previous} in {}test `{test}`, expected times that do not decrease", phase.as_ref().map(|phase| format!("phase `{phase}` of ")).unwrap_or_default())]
     TimeDecreases {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Id of the test, shortened.
         test: String,
         /// Phase of the row, in a model of several; shortened.
@@ -294,7 +294,7 @@ pub enum DataError {
     })]
     TimeUnit {
         /// The first such cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// The model's unit.
         found: Option<String>,
     },
@@ -302,13 +302,13 @@ pub enum DataError {
     #[error("{at}: found {found}, expected {expected} as in {first}")]
     MixedTimes {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// What it is.
         found: &'static str,
         /// What came before.
         expected: &'static str,
         /// The first cell of all.
-        first: Box<Place>,
+        first: Box<CellPlace>,
     },
     /// A compression inside a Parquet file that is not read.
     #[error("{file}, column `{column}`: found compression {found}, expected none, snappy or zstd")]

@@ -8,21 +8,21 @@ use crate::block::Block;
 use crate::error::DataError;
 use crate::moment::Moment;
 use crate::numbering::Numbering;
-use crate::wanted::{Wanted, WantedColumn};
+use crate::wanted::{WantedColumn, WantedColumns};
 
 /// A row that is wrong, and what is wrong with it.
-pub(crate) type Bad = (usize, DataError);
+pub(crate) type BadRow = (usize, DataError);
 
 /// Rows of which every wanted column, by its number, is read by itself.
-pub(crate) trait Columns {
+pub(crate) trait ColumnwiseRows {
     /// Number of rows.
     fn rows(&self) -> usize;
 
     /// Puts the numbers of a column, row after row, NaN where missing.
-    fn numbers(&self, column: usize, put: impl FnMut(f64)) -> Result<(), Bad>;
+    fn numbers(&self, column: usize, put: impl FnMut(f64)) -> Result<(), BadRow>;
 
     /// Puts the times of a column, row after row.
-    fn times(&self, column: usize, put: impl FnMut(Moment)) -> Result<(), Bad>;
+    fn times(&self, column: usize, put: impl FnMut(Moment)) -> Result<(), BadRow>;
 
     /// The text in a row, written to `scratch` unless it is one already; `None` when it is missing.
     fn text<'t>(&'t self, column: usize, row: usize, scratch: &'t mut String) -> Result<Option<&'t str>, DataError>;
@@ -41,17 +41,17 @@ pub(crate) fn change<T: PartialEq>(rows: Range<usize>, value: impl Fn(usize) -> 
 }
 
 /// Fills a block.
-pub(crate) struct Filler<'a> {
-    wanted: &'a Wanted,
+pub(crate) struct BlockFiller<'a> {
+    wanted: &'a WantedColumns,
     block: Block,
 }
 
 /// The first of all errors: by its row, then by the column.
 #[derive(Default)]
-struct First(Option<((usize, usize), DataError)>);
+struct FirstError(Option<((usize, usize), DataError)>);
 
-impl First {
-    fn note(&mut self, column: usize, read: Result<(), Bad>) {
+impl FirstError {
+    fn note(&mut self, column: usize, read: Result<(), BadRow>) {
         let Err((row, error)) = read else { return };
         if self.0.as_ref().is_none_or(|(first, _)| (row, column) < *first) {
             self.0 = Some(((row, column), error));
@@ -69,24 +69,24 @@ impl First {
     }
 }
 
-impl<'a> Filler<'a> {
+impl<'a> BlockFiller<'a> {
     /// A block of about so many rows, none yet.
-    pub(crate) fn new(wanted: &'a Wanted, rows: usize) -> Filler<'a> {
+    pub(crate) fn new(wanted: &'a WantedColumns, rows: usize) -> BlockFiller<'a> {
         let numbers = Vec::with_capacity(wanted.numbers * rows);
         let texts = Vec::with_capacity(wanted.texts * rows);
         let clock = wanted.time().map_or_else(Vec::new, |column| column.numbers.clone());
-        Filler { wanted, block: Block { numbers, texts, width: wanted.numbers, clock, ..Block::default() } }
+        BlockFiller { wanted, block: Block { numbers, texts, width: wanted.numbers, clock, ..Block::default() } }
     }
 
     /// Appends rows, up to the first that is wrong.
     ///
     /// # Errors
     /// What is wrong with it, first by the order of the wanted columns.
-    pub(crate) fn fill(&mut self, columns: &impl Columns) -> Result<(), Bad> {
+    pub(crate) fn fill(&mut self, columns: &impl ColumnwiseRows) -> Result<(), BadRow> {
         let (wanted, rows) = (self.wanted, columns.rows());
         self.block.numbers.resize((self.block.rows + rows) * wanted.numbers, f64::NAN);
         self.block.texts.resize((self.block.rows + rows) * wanted.texts, Label::MISSING);
-        let mut first = First::default();
+        let mut first = FirstError::default();
         for (at, column) in wanted.columns.iter().enumerate() {
             if column.is_number() {
                 first.note(at, self.numbers(columns, (at, column)));
@@ -126,7 +126,7 @@ impl<'a> Filler<'a> {
         block
     }
 
-    fn numbers(&mut self, columns: &impl Columns, (at, column): (usize, &WantedColumn)) -> Result<(), Bad> {
+    fn numbers(&mut self, columns: &impl ColumnwiseRows, (at, column): (usize, &WantedColumn)) -> Result<(), BadRow> {
         let width = self.wanted.numbers;
         let mut rows = self.block.numbers[self.block.rows * width..].chunks_exact_mut(width);
         columns.numbers(at, |value| {
@@ -135,7 +135,7 @@ impl<'a> Filler<'a> {
         })
     }
 
-    fn ids(&mut self, columns: &impl Columns, at: usize, rows: usize) -> Result<(), Bad> {
+    fn ids(&mut self, columns: &impl ColumnwiseRows, at: usize, rows: usize) -> Result<(), BadRow> {
         let (mut row, mut scratch) = (0, String::new());
         while row < rows {
             let id = columns.text(at, row, &mut scratch).map_err(|error| (row, error))?;
@@ -147,7 +147,7 @@ impl<'a> Filler<'a> {
     }
 
     /// Ids of several columns: their texts with `/` between.
-    fn joined_ids(&mut self, columns: &impl Columns, rows: usize) -> Result<(), (usize, Bad)> {
+    fn joined_ids(&mut self, columns: &impl ColumnwiseRows, rows: usize) -> Result<(), (usize, BadRow)> {
         // of each column: the row up to which its text stands, so that no row is looked through twice
         let mut parts: Vec<(usize, usize)> = self.wanted.ids.iter().map(|&at| (at, 0)).collect();
         let (mut row, mut scratch, mut id) = (0, String::new(), String::new());
@@ -171,7 +171,7 @@ impl<'a> Filler<'a> {
     }
 
     /// Texts go row by row: labels are numbered in the order of their first appearance.
-    fn labels(&mut self, columns: &impl Columns, rows: usize) -> Result<(), (usize, Bad)> {
+    fn labels(&mut self, columns: &impl ColumnwiseRows, rows: usize) -> Result<(), (usize, BadRow)> {
         let texts = self.wanted.columns.iter().enumerate().filter(|(_, column)| !column.texts.is_empty());
         // of each column: its label, and the row up to which it stands
         let mut texts: Vec<_> = texts.map(|(at, column)| (at, &column.texts, Label::MISSING, 0)).collect();
@@ -205,23 +205,23 @@ mod tests {
     use kalfit::Labels;
 
     use super::*;
-    use crate::cell::Tokens;
+    use crate::cell::MissingTexts;
 
     /// Cells of text, column by column: one of ids, one of numbers, two of labels. A cell `bad` is wrong.
-    struct Sheet([[&'static str; 5]; 4]);
+    struct TextSheet([[&'static str; 5]; 4]);
 
-    impl Columns for Sheet {
+    impl ColumnwiseRows for TextSheet {
         fn rows(&self) -> usize {
             5
         }
 
-        fn numbers(&self, column: usize, put: impl FnMut(f64)) -> Result<(), Bad> {
+        fn numbers(&self, column: usize, put: impl FnMut(f64)) -> Result<(), BadRow> {
             let read = |(row, text): (usize, &&str)| text.parse().map_err(|_| (row, error(column, row)));
             self.0[column].iter().enumerate().map(read).collect::<Result<Vec<f64>, _>>()?.into_iter().for_each(put);
             Ok(())
         }
 
-        fn times(&self, _: usize, _: impl FnMut(Moment)) -> Result<(), Bad> {
+        fn times(&self, _: usize, _: impl FnMut(Moment)) -> Result<(), BadRow> {
             Ok(())
         }
 
@@ -243,7 +243,7 @@ mod tests {
         DataError::Empty { file: format!("row {row}, column {column}") }
     }
 
-    fn wanted() -> Wanted {
+    fn wanted() -> WantedColumns {
         let column = |is_test, numbers: &[usize], texts: &[usize]| WantedColumn {
             name: String::new(),
             used_in: String::new(),
@@ -255,13 +255,13 @@ mod tests {
         };
         let columns =
             vec![column(true, &[], &[]), column(false, &[0], &[]), column(false, &[], &[0]), column(false, &[], &[1])];
-        Wanted {
+        WantedColumns {
             columns,
             numbers: 1,
             texts: 2,
             ids: vec![0],
             groups: Vec::new(),
-            tokens: Tokens::default(),
+            tokens: MissingTexts::default(),
             comment: None,
             hasher: RandomState::new(),
         }
@@ -277,8 +277,8 @@ mod tests {
     #[test]
     fn a_block_has_the_rows_that_were_filled() {
         let wanted = wanted();
-        let mut filler = Filler::new(&wanted, 10);
-        assert!(filler.fill(&Sheet(SOUND)).is_ok() && filler.fill(&Sheet(SOUND)).is_ok());
+        let mut filler = BlockFiller::new(&wanted, 10);
+        assert!(filler.fill(&TextSheet(SOUND)).is_ok() && filler.fill(&TextSheet(SOUND)).is_ok());
         let mut block = filler.finish(Numbering::from(2), None);
         let run = |run: usize| (block.run(run).0, block.run(run).1.map(|(id, _)| id));
         let runs: Vec<_> = (0..block.runs()).map(run).collect();
@@ -295,19 +295,19 @@ mod tests {
 
     #[test]
     fn ids_of_several_columns_are_joined() {
-        let wanted = Wanted { ids: vec![2, 0], ..wanted() };
+        let wanted = WantedColumns { ids: vec![2, 0], ..wanted() };
         let mut sheet = SOUND;
         sheet[0][3] = "b";
-        let mut filler = Filler::new(&wanted, 5);
-        assert!(filler.fill(&Sheet(sheet)).is_ok());
+        let mut filler = BlockFiller::new(&wanted, 5);
+        assert!(filler.fill(&TextSheet(sheet)).is_ok());
         let block = filler.finish(Numbering::from(2), None);
         let run = |run: usize| (block.run(run).0, block.run(run).1.map(|(id, _)| id));
         let runs: Vec<_> = (0..block.runs()).map(run).collect();
         assert_eq!(runs, [(0..2, Some("same/a")), (2..5, Some("same/b"))]);
         for (at, text) in [(2, "NA"), (0, "bad")] {
             sheet[at][3] = text;
-            let mut filler = Filler::new(&wanted, 5);
-            let (row, found) = filler.fill(&Sheet(sheet)).expect_err("a cell is wrong");
+            let mut filler = BlockFiller::new(&wanted, 5);
+            let (row, found) = filler.fill(&TextSheet(sheet)).expect_err("a cell is wrong");
             assert_eq!((row, found.to_string()), (3, error(at, 3).to_string()));
             sheet = SOUND;
         }
@@ -324,8 +324,8 @@ mod tests {
             let mut sheet = SOUND;
             bad.iter().for_each(|&(row, column)| sheet[column][row] = "bad");
             let wanted = wanted();
-            let mut filler = Filler::new(&wanted, 5);
-            let (row, found) = filler.fill(&Sheet(sheet)).expect_err("a cell is wrong");
+            let mut filler = BlockFiller::new(&wanted, 5);
+            let (row, found) = filler.fill(&TextSheet(sheet)).expect_err("a cell is wrong");
             assert_eq!((row, found.to_string()), (expected.0, error(expected.1, expected.0).to_string()));
             let block = filler.finish(Numbering::from(1), None);
             let rows = if block.runs() == 0 { 0 } else { block.run(block.runs() - 1).0.end };

@@ -10,12 +10,12 @@ use crate::block::Block;
 use crate::moment::Moment;
 
 /// Gathers rows by test. Streaming, a test is complete when the next one begins; holding, when all is read.
-pub(crate) struct Gather {
+pub(crate) struct TestGatherer {
     numbers: usize,
     texts: usize,
     /// Text cell with the phase of the row.
     phase_cell: Option<usize>,
-    open: Open,
+    open: OpenTests,
     /// Complete tests, to be handed over.
     complete: Option<Vec<Test>>,
     /// Bytes of the rows of tests that may still get some.
@@ -23,15 +23,15 @@ pub(crate) struct Gather {
 }
 
 /// Tests that may still get rows, and those handed over with them.
-enum Open {
+enum OpenTests {
     /// The last test alone, after complete ones that are not handed over yet; and hashes of the ids seen.
-    Last { batch: Box<TestBatch>, times: Option<Times>, seen: HashTable<u64> },
+    Last { batch: Box<TestBatch>, times: Option<TestTimes>, seen: HashTable<u64> },
     /// All tests, in order of first appearance, and the number of that of the last row; hashes of their ids, with their numbers.
-    All { tests: Vec<(Test, Option<Times>)>, current: usize, seen: HashTable<(u64, usize)> },
+    All { tests: Vec<(Test, Option<TestTimes>)>, current: usize, seen: HashTable<(u64, usize)> },
 }
 
 /// Times of a test: the first of all, and the last of each phase, since times may start again with a phase.
-struct Times {
+struct TestTimes {
     first: Moment,
     /// Phase of the last row, and its time.
     phase: Label,
@@ -40,9 +40,9 @@ struct Times {
     others: BTreeMap<Label, Moment>,
 }
 
-impl Times {
-    fn new(phase: Label, first: Moment) -> Times {
-        Times { first, phase, last: first, others: BTreeMap::new() }
+impl TestTimes {
+    fn new(phase: Label, first: Moment) -> TestTimes {
+        TestTimes { first, phase, last: first, others: BTreeMap::new() }
     }
 
     /// Takes the time of the next row; the time before it in its phase, when that is later.
@@ -61,7 +61,7 @@ impl Times {
 
 /// Whose turn it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Turn {
+pub(crate) enum TestTurn {
     /// A test that was not seen before.
     New,
     /// One that was.
@@ -74,52 +74,52 @@ pub(crate) enum Turn {
 const BATCH_TESTS: usize = 1024;
 const BATCH_CELLS: usize = 1_000_000;
 
-impl Gather {
-    pub(crate) fn new(holds: bool, (numbers, texts): (usize, usize), phase_cell: Option<usize>) -> Gather {
+impl TestGatherer {
+    pub(crate) fn new(holds: bool, (numbers, texts): (usize, usize), phase_cell: Option<usize>) -> TestGatherer {
         let open = match holds {
-            true => Open::All { tests: Vec::new(), current: 0, seen: HashTable::new() },
+            true => OpenTests::All { tests: Vec::new(), current: 0, seen: HashTable::new() },
             false => {
-                Open::Last { batch: Box::new(TestBatch::new(numbers, texts)), times: None, seen: HashTable::new() }
+                OpenTests::Last { batch: Box::new(TestBatch::new(numbers, texts)), times: None, seen: HashTable::new() }
             }
         };
-        Gather { numbers, texts, phase_cell, open, complete: None, held: 0 }
+        TestGatherer { numbers, texts, phase_cell, open, complete: None, held: 0 }
     }
 
     /// Turns to the test of the next rows, by its id and the hash of that.
-    pub(crate) fn turn(&mut self, id: &str, hash: u64) -> Turn {
+    pub(crate) fn turn(&mut self, id: &str, hash: u64) -> TestTurn {
         if self.has_test() && self.current() == id {
-            return Turn::Known;
+            return TestTurn::Known;
         }
         // while streaming, two ids with one hash are taken for one: all is read again then, and ids are compared
         let found = match &mut self.open {
-            Open::Last { seen, .. } => seen.find(hash, |other| *other == hash).map(|_| Turn::Returned),
-            Open::All { tests, current, seen } => {
+            OpenTests::Last { seen, .. } => seen.find(hash, |other| *other == hash).map(|_| TestTurn::Returned),
+            OpenTests::All { tests, current, seen } => {
                 let same = |&(other, at): &(u64, usize)| other == hash && tests[at].0.id == id;
                 seen.find(hash, same).map(|&(_, known)| {
                     *current = known;
-                    Turn::Known
+                    TestTurn::Known
                 })
             }
         };
         found.unwrap_or_else(|| {
             self.begin(id, hash);
-            Turn::New
+            TestTurn::New
         })
     }
 
     /// Whether there is a test whose turn it is.
     fn has_test(&self) -> bool {
         match &self.open {
-            Open::Last { batch, .. } => !batch.is_empty(),
-            Open::All { tests, .. } => !tests.is_empty(),
+            OpenTests::Last { batch, .. } => !batch.is_empty(),
+            OpenTests::All { tests, .. } => !tests.is_empty(),
         }
     }
 
     /// The texts of the first row of the test whose turn it is.
     pub(crate) fn first_texts(&self) -> Option<&[Label]> {
         match &self.open {
-            Open::Last { batch, .. } => batch.last_texts(),
-            Open::All { tests, current, .. } => {
+            OpenTests::Last { batch, .. } => batch.last_texts(),
+            OpenTests::All { tests, current, .. } => {
                 tests.get(*current).filter(|(test, _)| test.rows() > 0).map(|(test, _)| test.texts(0))
             }
         }
@@ -128,8 +128,8 @@ impl Gather {
     /// Id of the test whose turn it is.
     pub(crate) fn current(&self) -> &str {
         match &self.open {
-            Open::Last { batch, .. } => batch.last_id().unwrap_or_default(),
-            Open::All { tests, current, .. } => tests.get(*current).map_or("", |(test, _)| &test.id),
+            OpenTests::Last { batch, .. } => batch.last_id().unwrap_or_default(),
+            OpenTests::All { tests, current, .. } => tests.get(*current).map_or("", |(test, _)| &test.id),
         }
     }
 
@@ -146,13 +146,13 @@ impl Gather {
     ) -> Result<(), (usize, Moment)> {
         self.held += (rows.len() * (8 * self.numbers + 4 * self.texts)) as u64;
         let times = match &mut self.open {
-            Open::Last { times, .. } => times,
-            Open::All { tests, current, .. } => &mut tests[*current].1,
+            OpenTests::Last { times, .. } => times,
+            OpenTests::All { tests, current, .. } => &mut tests[*current].1,
         };
         for row in rows.clone() {
             let Some(now) = block.time(row) else { break };
             let phase = self.phase_cell.map_or(Label::MISSING, |cell| block.texts[row * self.texts + cell]);
-            let times = times.get_or_insert_with(|| Times::new(phase, now));
+            let times = times.get_or_insert_with(|| TestTimes::new(phase, now));
             times.advance(phase, now).map_err(|last| (row, last))?;
             if !block.moments.is_empty() {
                 block.set_time(row, now.value(times.first, unit));
@@ -163,8 +163,10 @@ impl Gather {
             let texts = &block.texts[part.start * self.texts..part.end * self.texts];
             let source = Source { file, row };
             match &mut self.open {
-                Open::Last { batch, .. } => batch.push_rows(part.len(), numbers, texts, source),
-                Open::All { tests, current, .. } => tests[*current].0.push_rows(part.len(), numbers, texts, source),
+                OpenTests::Last { batch, .. } => batch.push_rows(part.len(), numbers, texts, source),
+                OpenTests::All { tests, current, .. } => {
+                    tests[*current].0.push_rows(part.len(), numbers, texts, source)
+                }
             }
         }
         Ok(())
@@ -172,7 +174,7 @@ impl Gather {
 
     fn begin(&mut self, id: &str, hash: u64) {
         match &mut self.open {
-            Open::Last { batch, times, seen } => {
+            OpenTests::Last { batch, times, seen } => {
                 seen.insert_unique(hash, hash, |hash| *hash);
                 (*times, self.held) = (None, 0);
                 let cells = batch.rows() * (self.numbers + self.texts).max(1);
@@ -182,7 +184,7 @@ impl Gather {
                 }
                 batch.begin(id);
             }
-            Open::All { tests, current, seen } => {
+            OpenTests::All { tests, current, seen } => {
                 *current = tests.len();
                 seen.insert_unique(hash, (hash, *current), |(hash, _)| *hash);
                 tests.push((Test::new(id, self.numbers, self.texts), None));
@@ -203,17 +205,17 @@ impl Gather {
     /// Number of tests seen.
     pub(crate) fn tests(&self) -> usize {
         match &self.open {
-            Open::Last { seen, .. } => seen.len(),
-            Open::All { tests, .. } => tests.len(),
+            OpenTests::Last { seen, .. } => seen.len(),
+            OpenTests::All { tests, .. } => tests.len(),
         }
     }
 
     /// All that is left, in batches.
     pub(crate) fn finish(self) -> Vec<Vec<Test>> {
         let tests = match self.open {
-            Open::Last { batch, .. } if batch.is_empty() => return Vec::new(),
-            Open::Last { batch, .. } => return vec![batch.finish()],
-            Open::All { tests, .. } => tests,
+            OpenTests::Last { batch, .. } if batch.is_empty() => return Vec::new(),
+            OpenTests::Last { batch, .. } => return vec![batch.finish()],
+            OpenTests::All { tests, .. } => tests,
         };
         let width = (self.numbers + self.texts).max(1);
         let (mut batches, mut batch, mut cells) = (Vec::new(), Vec::new(), 0);

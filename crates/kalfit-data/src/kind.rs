@@ -2,7 +2,7 @@
 
 /// What a file is read as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum FileKind {
     /// Text; with `tab` the delimiter is known.
     Csv { tab: bool },
     /// Parquet.
@@ -31,19 +31,19 @@ const REFUSED: [(&[u8], &str); 7] = [
 ];
 
 /// The kind of a file, or what it is that is not read.
-pub(crate) fn detect(extension: Option<&str>, head: &[u8]) -> Result<Kind, &'static str> {
+pub(crate) fn detect(extension: Option<&str>, head: &[u8]) -> Result<FileKind, &'static str> {
     if let Some((_, found)) = REFUSED.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Err(found);
     }
-    let arrow = if head.starts_with(b"ARROW1") { Kind::ArrowFile } else { Kind::ArrowStream };
+    let arrow = if head.starts_with(b"ARROW1") { FileKind::ArrowFile } else { FileKind::ArrowStream };
     Ok(match extension {
-        Some("csv" | "txt") => Kind::Csv { tab: false },
-        Some("tsv") => Kind::Csv { tab: true },
-        Some("parquet" | "pq") => Kind::Parquet,
+        Some("csv" | "txt") => FileKind::Csv { tab: false },
+        Some("tsv") => FileKind::Csv { tab: true },
+        Some("parquet" | "pq") => FileKind::Parquet,
         Some("arrow" | "ipc" | "feather" | "arrows") => arrow,
-        _ if head.starts_with(b"PAR1") => Kind::Parquet,
+        _ if head.starts_with(b"PAR1") => FileKind::Parquet,
         _ if head.starts_with(b"ARROW1") || head.starts_with(&[0xff; 4]) => arrow,
-        _ => Kind::Csv { tab: false },
+        _ => FileKind::Csv { tab: false },
     })
 }
 
@@ -53,12 +53,12 @@ mod tests {
 
     #[test]
     fn extensions_go_before_first_bytes() {
-        assert_eq!(detect(Some("csv"), b"PAR1"), Ok(Kind::Csv { tab: false }));
-        assert_eq!(detect(Some("dat"), b"PAR1\x15"), Ok(Kind::Parquet));
-        assert_eq!(detect(None, b"ARROW1\0\0"), Ok(Kind::ArrowFile));
-        assert_eq!(detect(None, &[0xff, 0xff, 0xff, 0xff, 0x10, 0, 0, 0]), Ok(Kind::ArrowStream));
-        assert_eq!(detect(Some("feather"), b"\xff\xff\xff\xff"), Ok(Kind::ArrowStream));
-        assert_eq!(detect(None, b"a,b\n1,2"), Ok(Kind::Csv { tab: false }));
+        assert_eq!(detect(Some("csv"), b"PAR1"), Ok(FileKind::Csv { tab: false }));
+        assert_eq!(detect(Some("dat"), b"PAR1\x15"), Ok(FileKind::Parquet));
+        assert_eq!(detect(None, b"ARROW1\0\0"), Ok(FileKind::ArrowFile));
+        assert_eq!(detect(None, &[0xff, 0xff, 0xff, 0xff, 0x10, 0, 0, 0]), Ok(FileKind::ArrowStream));
+        assert_eq!(detect(Some("feather"), b"\xff\xff\xff\xff"), Ok(FileKind::ArrowStream));
+        assert_eq!(detect(None, b"a,b\n1,2"), Ok(FileKind::Csv { tab: false }));
         assert_eq!(detect(Some("csv"), b"\x1f\x8b\x08"), Err("compressed with gzip"));
     }
 }

@@ -1,8 +1,8 @@
 //! Tables in, tests out: CSV, Parquet and Arrow IPC, from files and standard input, as [`Test`](kalfit::Test)s of the core.
 //!
-//! [`read`] goes through the inputs once, row by row, and hands complete tests to a [`Sink`] in batches, so that an
+//! [`read`] goes through the inputs once, row by row, and hands complete tests to a [`TestSink`] in batches, so that an
 //! ensemble whose tests stand together in the data is never held whole. When a test comes back after another one began,
-//! the sink is told to [restart](Sink::restart), and everything is read again with the rows gathered by test first.
+//! the sink is told to [restart](TestSink::restart), and everything is read again with the rows gathered by test first.
 //!
 //! # What is read
 //!
@@ -66,9 +66,11 @@ mod write;
 pub use error::DataError;
 pub use input::{Datum, Input};
 pub use memory::MemoryTable;
-pub use place::Place;
+pub use place::CellPlace;
 pub use reading::{SINGLE_TEST, read, read_from};
 pub use room::{bytes_in_words, memory_left};
-pub use sink::{ReadError, Reading, Sink};
+pub use sink::{DataReading, ReadError, TestSink};
 pub use table::guard::keep_quiet_of_broken_files;
-pub use write::{Cell, CellKind, Format, Ids, StateWriter, TableWriter, TestWriter, WriteError, added_id_column};
+pub use write::{
+    CellKind, StateWriter, TableCell, TableFormat, TableWriter, TestWriter, WriteError, WrittenIds, added_id_column,
+};

@@ -13,10 +13,10 @@ use crate::error::DataError;
 
 /// Record batches of one schema. A clone shares them, and equals what it was cloned from and nothing else.
 #[derive(Debug, Clone)]
-pub struct MemoryTable(Arc<Contents>);
+pub struct MemoryTable(Arc<SharedBatches>);
 
 #[derive(Debug)]
-struct Contents {
+struct SharedBatches {
     name: String,
     schema: SchemaRef,
     batches: Vec<RecordBatch>,
@@ -42,7 +42,7 @@ impl MemoryTable {
             found.len() == expected.len() && found.iter().zip(expected).all(same)
         };
         match batches.iter().all(fits) {
-            true => Ok(MemoryTable(Arc::new(Contents { name, schema, batches }))),
+            true => Ok(MemoryTable(Arc::new(SharedBatches { name, schema, batches }))),
             false => Err(DataError::Crashed { file: name, format: "Arrow" }),
         }
     }

@@ -8,21 +8,21 @@ use kalfit::{Label, Labels, PhasedModel, Test};
 use crate::block::Block;
 use crate::cell::shown;
 use crate::error::DataError;
-use crate::gather::{Gather, Turn};
+use crate::gather::{TestGatherer, TestTurn};
 use crate::input::Input;
 use crate::moment::{Moment, unit_nanoseconds};
-use crate::place::Place;
-use crate::room::Watch;
-use crate::sink::{ReadError, Reading, Sink};
+use crate::place::CellPlace;
+use crate::room::MemoryWatch;
+use crate::sink::{DataReading, ReadError, TestSink};
 use crate::spool::Spool;
 use crate::table;
-use crate::table::ahead::{Done, Goes, each};
-use crate::wanted::Wanted;
+use crate::table::ahead::{Goes, TableProgress, each};
+use crate::wanted::WantedColumns;
 
 /// What a pass must know, the same for every pass.
-pub(crate) struct Job<'a> {
+pub(crate) struct PassInput<'a> {
     inputs: &'a [Input],
-    wanted: &'a Wanted,
+    wanted: &'a WantedColumns,
     /// Id of the test of each input; none when a column tells tests apart.
     ids: Vec<String>,
     model: &'a PhasedModel,
@@ -30,7 +30,7 @@ pub(crate) struct Job<'a> {
 
 /// How a pass ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Ended {
+pub(crate) enum PassEnd {
     /// Everything was handed over.
     Complete,
     /// A test came back after it was complete.
@@ -38,63 +38,68 @@ pub(crate) enum Ended {
 }
 
 /// Times seen so far, which must be of one kind and have a unit if they are date-times.
-struct Times<'a> {
-    wanted: &'a Wanted,
+struct TimeChecker<'a> {
+    wanted: &'a WantedColumns,
     time_unit: Option<&'a str>,
-    first: Option<(Moment, Box<Place>)>,
+    first: Option<(Moment, Box<CellPlace>)>,
     /// Nanoseconds in a time unit; 1 when times are numbers.
     unit: i128,
 }
 
-impl<'a> Job<'a> {
-    pub(crate) fn new(inputs: &'a [Input], wanted: &'a Wanted, ids: Vec<String>, model: &'a PhasedModel) -> Job<'a> {
-        Job { inputs, wanted, ids, model }
+impl<'a> PassInput<'a> {
+    pub(crate) fn new(
+        inputs: &'a [Input],
+        wanted: &'a WantedColumns,
+        ids: Vec<String>,
+        model: &'a PhasedModel,
+    ) -> PassInput<'a> {
+        PassInput { inputs, wanted, ids, model }
     }
 }
 
 /// Bytes of the inputs, for whoever waits.
-struct Sizes {
+struct InputSizes {
     /// Of each input; none of what is no file.
     each: Vec<Option<u64>>,
     all: Option<u64>,
 }
 
-impl Sizes {
-    fn of(inputs: &[Input]) -> Sizes {
+impl InputSizes {
+    fn of(inputs: &[Input]) -> InputSizes {
         let size = |input: &Input| std::fs::metadata(input.path()?).ok().filter(|found| found.is_file());
         let each: Vec<Option<u64>> = inputs.iter().map(|input| size(input).map(|found| found.len())).collect();
         let all = each.iter().copied().collect::<Option<Vec<u64>>>().map(|sizes| sizes.iter().sum());
-        Sizes { each, all }
+        InputSizes { each, all }
     }
 
     /// Bytes read, once so much of an input is.
-    fn read(&self, input: usize, done: Done) -> u64 {
+    fn read(&self, input: usize, done: TableProgress) -> u64 {
         let before: u64 = self.each[..input].iter().flatten().sum();
         let own = |size: u64| match done {
-            Done::Bytes(bytes) => bytes.min(size),
-            Done::Share(share) => (share * size as f64) as u64,
+            TableProgress::Bytes(bytes) => bytes.min(size),
+            TableProgress::Share(share) => (share * size as f64) as u64,
         };
         before + self.each[input].map_or(0, own)
     }
 }
 
 /// Reads every input once.
-pub(crate) fn run<S: Sink>(
-    job: &Job<'_>,
-    mut gather: Gather,
-    reading: &mut Reading,
+pub(crate) fn run<S: TestSink>(
+    job: &PassInput<'_>,
+    mut gather: TestGatherer,
+    reading: &mut DataReading,
     sink: &mut S,
     spool: &mut Spool<'_>,
-) -> Result<Ended, ReadError<S::Error>> {
-    let (sizes, mut watch) = (Sizes::of(job.inputs), Watch::default());
+) -> Result<PassEnd, ReadError<S::Error>> {
+    let (sizes, mut watch) = (InputSizes::of(job.inputs), MemoryWatch::default());
     let clock = &job.model.shared().clock;
-    let mut times = Times { wanted: job.wanted, time_unit: clock.unit.as_deref(), first: None, unit: 1 };
+    let mut times = TimeChecker { wanted: job.wanted, time_unit: clock.unit.as_deref(), first: None, unit: 1 };
     for (index, input) in job.inputs.iter().enumerate() {
         let file = input.name();
         let mut table = table::open(input, &file, job.wanted, spool)?;
         let before = reading.rows;
         let number = u32::try_from(index).expect("fewer than 2^32 files");
-        let mut taker = Taker { job, file: (&file, number), gather: &mut gather, times: &mut times };
+        let mut taker = BlockTaker { job, file: (&file, number), gather: &mut gather, times: &mut times };
         let goes = each::<Block, ReadError<S::Error>>(&mut *table, &mut |mut block, done| {
             block.relabel(&mut reading.labels);
             let goes = taker.take(&mut block, reading, sink)?;
@@ -105,7 +110,7 @@ pub(crate) fn run<S: Sink>(
             block.end.take().map_or(Ok(goes), |error| Err(error.into()))
         })?;
         if goes == Goes::NoFurther {
-            return Ok(Ended::MustHold);
+            return Ok(PassEnd::MustHold);
         }
         if reading.rows == before {
             return Err(DataError::NoRows { file: file.clone() }.into());
@@ -115,23 +120,23 @@ pub(crate) fn run<S: Sink>(
     for batch in gather.finish() {
         hand_over(sink, batch, reading)?;
     }
-    Ok(Ended::Complete)
+    Ok(PassEnd::Complete)
 }
 
 /// Takes in the blocks of one file.
-struct Taker<'t, 'a> {
-    job: &'t Job<'a>,
+struct BlockTaker<'t, 'a> {
+    job: &'t PassInput<'a>,
     /// Its name and number.
     file: (&'t str, u32),
-    gather: &'t mut Gather,
-    times: &'t mut Times<'a>,
+    gather: &'t mut TestGatherer,
+    times: &'t mut TimeChecker<'a>,
 }
 
-impl Taker<'_, '_> {
-    fn take<S: Sink>(
+impl BlockTaker<'_, '_> {
+    fn take<S: TestSink>(
         &mut self,
         block: &mut Block,
-        reading: &mut Reading,
+        reading: &mut DataReading,
         sink: &mut S,
     ) -> Result<Goes, ReadError<S::Error>> {
         for run in 0..block.runs() {
@@ -142,10 +147,10 @@ impl Taker<'_, '_> {
                 (id, self.job.wanted.hasher.hash_one(id))
             });
             match self.gather.turn(id, hash) {
-                Turn::Returned => return Ok(Goes::NoFurther),
-                Turn::Known => {}
+                TestTurn::Returned => return Ok(Goes::NoFurther),
+                TestTurn::Known => {}
                 // the tests before it go before what may be wrong with its rows
-                Turn::New => self.gather.batch().map_or(Ok(()), |batch| hand_over(sink, batch, reading))?,
+                TestTurn::New => self.gather.batch().map_or(Ok(()), |batch| hand_over(sink, batch, reading))?,
             }
             self.rows(block, rows, reading)?;
         }
@@ -153,7 +158,7 @@ impl Taker<'_, '_> {
     }
 
     /// Puts rows into the test whose turn it is.
-    fn rows(&mut self, block: &mut Block, rows: Range<usize>, reading: &mut Reading) -> Result<(), DataError> {
+    fn rows(&mut self, block: &mut Block, rows: Range<usize>, reading: &mut DataReading) -> Result<(), DataError> {
         let file = self.file.0;
         // times are checked row by row, each against the first of all and then against the one before it
         let mut sound = rows.clone();
@@ -205,20 +210,24 @@ impl Taker<'_, '_> {
     }
 }
 
-fn tell<S: Sink>(
+fn tell<S: TestSink>(
     sink: &mut S,
     (done, of): (u64, Option<u64>),
-    reading: &mut Reading,
+    reading: &mut DataReading,
 ) -> Result<(), ReadError<S::Error>> {
     sink.bytes(done, of).map_err(|error| ReadError::Sink { error, reading: Box::new(std::mem::take(reading)) })
 }
 
-fn hand_over<S: Sink>(sink: &mut S, batch: Vec<Test>, reading: &mut Reading) -> Result<(), ReadError<S::Error>> {
+fn hand_over<S: TestSink>(
+    sink: &mut S,
+    batch: Vec<Test>,
+    reading: &mut DataReading,
+) -> Result<(), ReadError<S::Error>> {
     sink.tests(batch, &reading.labels)
         .map_err(|error| ReadError::Sink { error, reading: Box::new(std::mem::take(reading)) })
 }
 
-impl Times<'_> {
+impl TimeChecker<'_> {
     /// Refuses a time of another kind than the first, and date-times without a unit.
     fn check(&mut self, block: &Block, row: usize, file: &str) -> Result<(), DataError> {
         let Some(now) = block.time(row) else { return Ok(()) };
@@ -261,7 +270,7 @@ impl Times<'_> {
         }
     }
 
-    fn place(&self, block: &Block, row: usize, file: &str) -> Box<Place> {
+    fn place(&self, block: &Block, row: usize, file: &str) -> Box<CellPlace> {
         self.wanted.time().expect("a row has a time only with a time column").place(file, block.numbering.of(row))
     }
 }

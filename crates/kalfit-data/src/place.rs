@@ -6,7 +6,7 @@ use kalfit::Source;
 
 /// A cell of a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Place {
+pub struct CellPlace {
     /// The file, as it was given.
     pub file: String,
     /// Its row: the line of a CSV file (the header is line 1), else the number of the row from 1.
@@ -15,7 +15,7 @@ pub struct Place {
     pub column: String,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for CellPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}, row {}, column `{}`", self.file, self.row, self.column)
     }

@@ -5,12 +5,12 @@ use std::io::Read;
 use kalfit::{Labels, Layout, PhasedModel, TestKey};
 
 use crate::error::DataError;
-use crate::gather::Gather;
+use crate::gather::TestGatherer;
 use crate::input::{Input, test_ids};
-use crate::pass::{Ended, Job, run};
-use crate::sink::{ReadError, Reading, Sink};
+use crate::pass::{PassEnd, PassInput, run};
+use crate::sink::{DataReading, ReadError, TestSink};
 use crate::spool::Spool;
-use crate::wanted::Wanted;
+use crate::wanted::WantedColumns;
 
 /// Id of the test when all rows are one.
 pub const SINGLE_TEST: &str = "all";
@@ -20,12 +20,12 @@ pub const SINGLE_TEST: &str = "all";
 ///
 /// # Errors
 /// [`ReadError::Data`] when the data are wrong, [`ReadError::Sink`] when the sink refuses a test.
-pub fn read<S: Sink>(
+pub fn read<S: TestSink>(
     model: &PhasedModel,
     layout: &Layout,
     inputs: &[Input],
     sink: &mut S,
-) -> Result<Reading, ReadError<S::Error>> {
+) -> Result<DataReading, ReadError<S::Error>> {
     read_from(model, layout, inputs, sink, &mut std::io::stdin().lock())
 }
 
@@ -33,27 +33,27 @@ pub fn read<S: Sink>(
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_from<S: Sink>(
+pub fn read_from<S: TestSink>(
     model: &PhasedModel,
     layout: &Layout,
     inputs: &[Input],
     sink: &mut S,
     stdin: &mut dyn Read,
-) -> Result<Reading, ReadError<S::Error>> {
+) -> Result<DataReading, ReadError<S::Error>> {
     if inputs.is_empty() {
         return Err(DataError::NoInput.into());
     }
     let mut reading =
-        Reading { labels: Labels::new(&model.shared().literals), files: names(inputs), ..Reading::default() };
-    let wanted = Wanted::new(model.shared(), layout);
+        DataReading { labels: Labels::new(&model.shared().literals), files: names(inputs), ..DataReading::default() };
+    let wanted = WantedColumns::new(model.shared(), layout);
     let ids = match &layout.test {
         TestKey::Single => vec![SINGLE_TEST.to_owned(); inputs.len()],
         TestKey::File => test_ids(inputs)?,
         TestKey::Column(_) => Vec::new(),
     };
-    let job = Job::new(inputs, &wanted, ids, model);
+    let job = PassInput::new(inputs, &wanted, ids, model);
     let mut spool = Spool::new(stdin, matches!(layout.test, TestKey::Column(_)));
-    if run(&job, gather(model, &wanted, false), &mut reading, sink, &mut spool)? == Ended::MustHold {
+    if run(&job, gather(model, &wanted, false), &mut reading, sink, &mut spool)? == PassEnd::MustHold {
         sink.restart();
         spool.last_time();
         reading.rows = 0;
@@ -66,6 +66,6 @@ fn names(inputs: &[Input]) -> Vec<String> {
     inputs.iter().map(Input::name).collect()
 }
 
-fn gather(model: &PhasedModel, wanted: &Wanted, holds: bool) -> Gather {
-    Gather::new(holds, (wanted.numbers, wanted.texts), model.column)
+fn gather(model: &PhasedModel, wanted: &WantedColumns, holds: bool) -> TestGatherer {
+    TestGatherer::new(holds, (wanted.numbers, wanted.texts), model.column)
 }

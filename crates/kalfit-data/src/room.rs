@@ -64,7 +64,7 @@ pub fn bytes_in_words(bytes: u64) -> String {
 
 /// Watches memory while rows are read, so that it ends in a message and not in the middle of the work.
 #[derive(Debug, Default)]
-pub(crate) struct Watch {
+pub(crate) struct MemoryWatch {
     /// Rows at which memory was looked up last.
     looked: u64,
 }
@@ -73,7 +73,7 @@ pub(crate) struct Watch {
 const STEP: u64 = 1 << 16;
 const RESERVE: u64 = 96 << 20;
 
-impl Watch {
+impl MemoryWatch {
     /// What the process takes and what is left, where the latter may not be enough to go on after so many rows. Room that grows does so
     /// by as much as it is, and may have to stand beside itself: rows of tests that have not ended take `held`, and no other list is so
     /// large a part of all.

@@ -6,7 +6,7 @@ use crate::error::DataError;
 use crate::place::place;
 
 /// What takes the tests as they are completed.
-pub trait Sink {
+pub trait TestSink {
     /// Why it may refuse one.
     type Error;
 
@@ -30,7 +30,7 @@ pub trait Sink {
 
 /// What was read, beside the tests.
 #[derive(Debug, Clone, Default)]
-pub struct Reading {
+pub struct DataReading {
     /// The texts of the data; those that the model names come first.
     pub labels: Labels,
     /// Names of the files, by [`Source::file`].
@@ -41,7 +41,7 @@ pub struct Reading {
     pub tests: usize,
 }
 
-impl Reading {
+impl DataReading {
     /// Where a row came from, in words: "bench.csv, row 12".
     pub fn place(&self, source: Source) -> String {
         place(&self.files, source)
@@ -59,7 +59,7 @@ pub enum ReadError<E> {
     Sink {
         /// What it said.
         error: E,
-        /// What was read so far: [`Reading::place`] turns the sources of the error into files and rows.
-        reading: Box<Reading>,
+        /// What was read so far: [`DataReading::place`] turns the sources of the error into files and rows.
+        reading: Box<DataReading>,
     },
 }

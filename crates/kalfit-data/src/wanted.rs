@@ -5,18 +5,18 @@ use std::hash::RandomState;
 use kalfit::{Layout, Model, TestKey};
 
 use crate::cell::shown;
-use crate::cell::{Fault, Tokens};
-use crate::columns::{Columns, nearest};
+use crate::cell::{CellFault, MissingTexts};
+use crate::columns::{FileColumns, nearest};
 use crate::error::DataError;
 use crate::moment::Moment;
-use crate::place::Place;
+use crate::place::CellPlace;
 
 /// Bytes of a text that names something, at most: each is kept, and compared with others.
 const TEXT: usize = 1 << 16;
 
 /// Every column that the model or the layout names, once, with its uses.
 #[derive(Debug)]
-pub(crate) struct Wanted {
+pub(crate) struct WantedColumns {
     /// The columns.
     pub(crate) columns: Vec<WantedColumn>,
     /// Number of numeric cells of a row.
@@ -28,7 +28,7 @@ pub(crate) struct Wanted {
     /// Text cells with the groups of the row's test, and their columns.
     pub(crate) groups: Vec<(usize, usize)>,
     /// What stands for a missing cell.
-    pub(crate) tokens: Tokens,
+    pub(crate) tokens: MissingTexts,
     /// Lines of CSV that begin with this are comments.
     pub(crate) comment: Option<String>,
     /// What hashes ids.
@@ -54,13 +54,14 @@ pub(crate) struct WantedColumn {
     pub(crate) is_time: bool,
 }
 
-impl Wanted {
-    pub(crate) fn new(model: &Model, layout: &Layout) -> Wanted {
+impl WantedColumns {
+    pub(crate) fn new(model: &Model, layout: &Layout) -> WantedColumns {
         let (numbers, texts) = (model.columns.len(), model.text_columns.len());
-        let (tokens, comment) = (Tokens::new(&layout.missing), layout.comment.clone().filter(|text| !text.is_empty()));
+        let (tokens, comment) =
+            (MissingTexts::new(&layout.missing), layout.comment.clone().filter(|text| !text.is_empty()));
         let (ids, groups) = (Vec::new(), Vec::new());
         let hasher = RandomState::new();
-        let mut wanted = Wanted { columns: Vec::new(), numbers, texts, ids, groups, tokens, comment, hasher };
+        let mut wanted = WantedColumns { columns: Vec::new(), numbers, texts, ids, groups, tokens, comment, hasher };
         wanted.tests(layout);
         for (index, column) in model.columns.iter().enumerate() {
             let wanted = wanted.column(&column.name, &column.used_in);
@@ -129,7 +130,7 @@ impl WantedColumn {
                 file: file.to_owned(),
                 column: self.name.clone(),
                 used_in: self.used_in.clone(),
-                columns: Box::new(Columns { near: nearest(name, &names), names }),
+                columns: Box::new(FileColumns { near: nearest(name, &names), names }),
             });
         };
         match places.next() {
@@ -154,8 +155,8 @@ impl WantedColumn {
     }
 
     /// Its cell in a row of a file.
-    pub(crate) fn place(&self, file: &str, row: u64) -> Box<Place> {
-        Box::new(Place { file: file.to_owned(), row, column: self.name.clone() })
+    pub(crate) fn place(&self, file: &str, row: u64) -> Box<CellPlace> {
+        Box::new(CellPlace { file: file.to_owned(), row, column: self.name.clone() })
     }
 
     /// The error for a row that does not say of which test, or of which group, it is.
@@ -173,12 +174,12 @@ impl WantedColumn {
     }
 
     /// The error for a cell that is not a number.
-    pub(crate) fn fault(&self, fault: Fault, file: &str, row: u64, cell: &[u8]) -> DataError {
+    pub(crate) fn fault(&self, fault: CellFault, file: &str, row: u64, cell: &[u8]) -> DataError {
         let at = self.place(file, row);
         match fault {
-            Fault::NotANumber => DataError::NotANumber { at, found: shown(cell) },
-            Fault::Infinite => DataError::Infinite { at, found: shown(cell) },
-            Fault::NotUtf8 => self.not_utf8(file, row),
+            CellFault::NotANumber => DataError::NotANumber { at, found: shown(cell) },
+            CellFault::Infinite => DataError::Infinite { at, found: shown(cell) },
+            CellFault::NotUtf8 => self.not_utf8(file, row),
         }
     }
 
@@ -190,14 +191,14 @@ impl WantedColumn {
     /// The time in a cell of text, in a row of a file; `number`: the number in it.
     pub(crate) fn moment(
         &self,
-        number: Result<f64, Fault>,
+        number: Result<f64, CellFault>,
         (file, row): (&str, u64),
         cell: &[u8],
     ) -> Result<Moment, DataError> {
         match number {
             Ok(value) if value.is_nan() => Err(DataError::MissingTime { at: self.place(file, row) }),
             Ok(value) => Ok(Moment::Number(value)),
-            Err(Fault::NotANumber) => {
+            Err(CellFault::NotANumber) => {
                 let text = std::str::from_utf8(cell.trim_ascii()).map_err(|_| self.not_utf8(file, row))?;
                 Moment::parse(text)
                     .ok_or_else(|| DataError::NotATime { at: self.place(file, row), found: shown(text.as_bytes()) })

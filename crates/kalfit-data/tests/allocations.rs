@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 use kalfit::build::{constant, measurement, name};
 use kalfit::reduce::{PhasedReducer, ReduceError};
 use kalfit::{Alpha, Labels, Layout, Model, PhasedModel, PhasedTest, Reductions, Test, TestKey};
-use kalfit_data::{Input, Sink, read_from};
+use kalfit_data::{Input, TestSink, read_from};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 
 #[global_allocator]
@@ -25,7 +25,7 @@ struct Reducing<'a> {
     reductions: Reductions,
 }
 
-impl Sink for Reducing<'_> {
+impl TestSink for Reducing<'_> {
     type Error = ReduceError;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), ReduceError> {

@@ -10,7 +10,7 @@ use kalfit::record::{
 };
 use kalfit::reduce::grouping;
 use kalfit::{Alpha, Evidence, Grouping, Model, PhasedModel, PhasedTest, Reductions, infer};
-use kalfit_data::Reading;
+use kalfit_data::DataReading;
 use kalfit_report::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
 
@@ -104,7 +104,7 @@ fn started(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<Param
 fn starts(
     (model, slots): (&PhasedModel, &Slots),
     tests: &[PhasedTest],
-    reading: &Reading,
+    reading: &DataReading,
     work: &mut Work<'_>,
 ) -> Result<Vec<f64>, Failure> {
     let given = |slot: &kalfit::model::Slot| match model.shared().parameters[slot.parameter].value {

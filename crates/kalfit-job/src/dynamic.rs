@@ -7,7 +7,7 @@ use kalfit::model::{Population, Slots};
 use kalfit::record::{DynamicParts, LevelCounts, MethodRecord, level_notes};
 use kalfit::reduce::grouping;
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest};
-use kalfit_data::Reading;
+use kalfit_data::DataReading;
 use kalfit_spec::Spec;
 
 use crate::along::Held;
@@ -82,7 +82,7 @@ pub(crate) fn known(
     job: &FitJob,
     spec: &Spec,
     given: &Given,
-    (alpha, tests, reading): (&Alpha, &[PhasedTest], &Reading),
+    (alpha, tests, reading): (&Alpha, &[PhasedTest], &DataReading),
     work: &mut Work<'_>,
 ) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
@@ -103,7 +103,7 @@ pub(crate) fn known(
 pub(crate) struct Data<'a> {
     pub(crate) model: &'a PhasedModel,
     pub(crate) tests: &'a [PhasedTest],
-    pub(crate) reading: &'a Reading,
+    pub(crate) reading: &'a DataReading,
 }
 
 impl Data<'_> {
@@ -118,7 +118,7 @@ impl Data<'_> {
 }
 
 /// What the core says, with the files and texts of the data.
-pub(crate) fn failure(error: DynamicError, reading: &Reading) -> Failure {
+pub(crate) fn failure(error: DynamicError, reading: &DataReading) -> Failure {
     match error {
         DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         DynamicError::Fit(error) => Failure::Fit(error),

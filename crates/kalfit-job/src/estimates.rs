@@ -3,7 +3,7 @@
 use kalfit::reduce::{Estimates, FilterRunner};
 use kalfit::{Evidence, Labels, PhasedModel, Test};
 use kalfit_data::WriteError;
-use kalfit_data::exchange::{Entry, EstimatesWriter};
+use kalfit_data::exchange::{EstimatesWriter, ExchangeEntry};
 
 use crate::exchange::{self, Maker, Refused, Setting, Sunk};
 use crate::failure::Failure;
@@ -43,9 +43,9 @@ impl Maker for Filters {
         EstimatesWriter::new(&setting.spec.model, setting.metadata(), sink)
     }
 
-    fn make(&mut self, entries: Vec<Entry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
+    fn make(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
         let mut rows: Vec<Vec<Test>> = self.0.iter().map(|_| Vec::new()).collect();
-        for Entry { test, phase, evidence, at } in entries {
+        for ExchangeEntry { test, phase, evidence, at } in entries {
             match (evidence, &self.0[phase]) {
                 (Evidence::Rows(test), Ok(_)) => rows[phase].push(test),
                 (Evidence::Rows(_), Err(name)) => return Err(Refused::NoFilter { phase: name.clone(), at }),

@@ -9,10 +9,10 @@ use kalfit::record::Provenance;
 use kalfit::reduce::SplitError;
 use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Reductions, Test};
 use kalfit_data::exchange::{
-    Assembly, Entry, ExchangeError, Metadata, ParameterValue, Sorted, Source, difference, merge, read_estimates,
-    read_reductions, sort, twice,
+    Assembly, ExchangeEntry, ExchangeError, ExchangeFile, Metadata, ParameterValue, SortedInputs, difference, merge,
+    read_estimates, read_reductions, sort, twice,
 };
-use kalfit_data::{DataError, Datum, Input, Reading, Sink};
+use kalfit_data::{DataError, DataReading, Datum, Input, TestSink};
 use kalfit_spec::Spec;
 use rayon::prelude::*;
 
@@ -26,8 +26,8 @@ pub(crate) struct Given {
     /// All of them, as they were given.
     pub(crate) inputs: Vec<Input>,
     rows: Vec<Input>,
-    reductions: Vec<Source>,
-    estimates: Vec<Source>,
+    reductions: Vec<ExchangeFile>,
+    estimates: Vec<ExchangeFile>,
     /// Names of the inputs, those of rows first.
     files: Vec<String>,
     stdin: RefCell<Option<Box<dyn Read>>>,
@@ -45,7 +45,7 @@ impl Given {
     pub(crate) fn open(spec: &mut Spec, data: &[Datum]) -> Result<Given, Failure> {
         let inputs = Input::expand(data).map_err(|error| Failure::data(error, spec))?;
         let sorted = sort(&inputs, stdin(&inputs)).map_err(|error| Failure::data(error, spec))?;
-        let Sorted { rows, reductions, estimates, files, stdin, .. } = sorted;
+        let SortedInputs { rows, reductions, estimates, files, stdin, .. } = sorted;
         let stdin = RefCell::new(Some(stdin));
         let mut given =
             Given { inputs, rows, reductions, estimates, files, stdin, of_estimates: false, notes: Vec::new() };
@@ -180,7 +180,7 @@ impl Given {
         spec: &Spec,
         model: &PhasedModel,
         work: &mut Work<'_>,
-    ) -> Result<(Vec<Entry>, Reading), Failure> {
+    ) -> Result<(Vec<ExchangeEntry>, DataReading), Failure> {
         let (assembly, reading) = self.assembly(spec, model, work)?;
         Ok((assembly.into_entries(), reading))
     }
@@ -191,7 +191,7 @@ impl Given {
         spec: &Spec,
         model: &PhasedModel,
         work: &mut Work<'_>,
-    ) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+    ) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
         let (assembly, mut reading) = self.assembly(spec, model, work)?;
         let tests = assembly.finish().map_err(|error| Failure::data(error, spec))?;
         reading.tests = tests.len();
@@ -203,14 +203,14 @@ impl Given {
         spec: &Spec,
         model: &'a PhasedModel,
         work: &mut Work<'_>,
-    ) -> Result<(Assembly<'a>, Reading), Failure> {
+    ) -> Result<(Assembly<'a>, DataReading), Failure> {
         let refused = |error: DataError| Failure::data(error, spec);
         let (rows, mut reading) = self.rows(spec, model, work)?;
         reading.files = self.files.clone();
         let mut assembly = Assembly::new(model, &self.files);
         rows.into_iter().try_for_each(|entry| assembly.add(entry)).map_err(refused)?;
         let mut done = 0;
-        let mut add = |entry: Entry| {
+        let mut add = |entry: ExchangeEntry| {
             done += 1;
             work.say(|| format!("reading: {done} phases of tests"));
             assembly.add(entry)
@@ -224,10 +224,15 @@ impl Given {
         Ok((assembly, reading))
     }
 
-    fn rows(&self, spec: &Spec, model: &PhasedModel, work: &mut Work<'_>) -> Result<(Vec<Entry>, Reading), Failure> {
+    fn rows(
+        &self,
+        spec: &Spec,
+        model: &PhasedModel,
+        work: &mut Work<'_>,
+    ) -> Result<(Vec<ExchangeEntry>, DataReading), Failure> {
         if self.rows.is_empty() {
             let labels = Labels::new(&model.shared().literals);
-            return Ok((Vec::new(), Reading { labels, ..Reading::default() }));
+            return Ok((Vec::new(), DataReading { labels, ..DataReading::default() }));
         }
         let mut sink = Rows { model, entries: Vec::new(), work };
         let reading = kalfit_data::read_from(model, &spec.layout, &self.rows, &mut sink, &mut self.stdin());
@@ -246,7 +251,7 @@ struct Reduced {
 }
 
 impl Reduced {
-    fn take(&mut self, entry: Entry) {
+    fn take(&mut self, entry: ExchangeEntry) {
         if let Evidence::Reduced(piece) = entry.evidence {
             self.reductions.push(piece.reduction);
             self.places.push(entry.at);
@@ -285,13 +290,17 @@ pub(crate) fn stdin(inputs: &[Input]) -> Box<dyn Read> {
 }
 
 /// Rows by phase.
-pub(crate) fn entries(model: &PhasedModel, tests: Vec<Test>, labels: &Labels) -> Result<Vec<Entry>, SplitError> {
+pub(crate) fn entries(
+    model: &PhasedModel,
+    tests: Vec<Test>,
+    labels: &Labels,
+) -> Result<Vec<ExchangeEntry>, SplitError> {
     let mut entries = Vec::new();
     for test in tests {
         for (phase, rows) in model.rows_by_phase(test, labels)?.into_iter().enumerate() {
             if rows.rows() > 0 {
                 let (test, at) = (rows.id.to_string(), rows.source(0));
-                entries.push(Entry { test, phase, evidence: Evidence::Rows(rows), at });
+                entries.push(ExchangeEntry { test, phase, evidence: Evidence::Rows(rows), at });
             }
         }
     }
@@ -300,11 +309,11 @@ pub(crate) fn entries(model: &PhasedModel, tests: Vec<Test>, labels: &Labels) ->
 
 struct Rows<'a, 'w> {
     model: &'a PhasedModel,
-    entries: Vec<Entry>,
+    entries: Vec<ExchangeEntry>,
     work: &'a mut Work<'w>,
 }
 
-impl Sink for Rows<'_, '_> {
+impl TestSink for Rows<'_, '_> {
     type Error = Refused;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {

@@ -10,8 +10,8 @@ use kalfit::dynamic::DynamicError;
 use kalfit::model::ParameterError;
 use kalfit::reduce::{GroupingError, ReduceError, SplitError};
 use kalfit::{Alpha, Labels, PhasedModel, Source, Test};
-use kalfit_data::exchange::{Entry, Metadata, ParameterValue};
-use kalfit_data::{ReadError, Reading, Sink, WriteError};
+use kalfit_data::exchange::{ExchangeEntry, Metadata, ParameterValue};
+use kalfit_data::{DataReading, ReadError, TestSink, WriteError};
 use kalfit_spec::Spec;
 
 use crate::document::Document;
@@ -45,7 +45,7 @@ pub(crate) trait Maker: Sized {
     fn open(setting: &Setting, sink: Sunk) -> Result<Self::Writer, WriteError>;
 
     /// Makes rows of entries and writes them.
-    fn make(&mut self, entries: Vec<Entry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused>;
+    fn make(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused>;
 
     fn close(writer: Self::Writer) -> Result<Sunk, WriteError>;
 }
@@ -156,7 +156,7 @@ impl<M: Maker> Filing<'_, '_, M> {
     /// Rows as they are read; where there is more than rows, all at once.
     fn fill(&mut self, given: &Given) -> Result<(), Failure> {
         let (spec, path) = (&self.setting.spec, self.pending.name());
-        let failed = |refused: Refused, reading: &Reading| failure(refused, reading, &path);
+        let failed = |refused: Refused, reading: &DataReading| failure(refused, reading, &path);
         if given.is_rows() {
             let (inputs, layout) = (&given.inputs, &spec.layout);
             let read = kalfit_data::read_from(&spec.model, layout, inputs, self, &mut given.stdin());
@@ -174,7 +174,7 @@ impl<M: Maker> Filing<'_, '_, M> {
         Ok(())
     }
 
-    fn take(&mut self, entries: Vec<Entry>, labels: &Labels) -> Result<(), Refused> {
+    fn take(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels) -> Result<(), Refused> {
         if self.work.is_stopped() {
             return Err(Refused::Interrupted);
         }
@@ -211,7 +211,7 @@ impl<M: Maker> Filing<'_, '_, M> {
     }
 }
 
-impl<M: Maker> Sink for Filing<'_, '_, M> {
+impl<M: Maker> TestSink for Filing<'_, '_, M> {
     type Error = Refused;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
@@ -230,7 +230,7 @@ impl<M: Maker> Sink for Filing<'_, '_, M> {
     }
 }
 
-fn failure(refused: Refused, reading: &Reading, path: &str) -> Failure {
+fn failure(refused: Refused, reading: &DataReading, path: &str) -> Failure {
     match refused {
         Refused::Split(error) => Failure::Split { error, reading: Box::new(reading.clone()) },
         Refused::Reduce(error) => Failure::Reduce { error, reading: Some(Box::new(reading.clone())) },

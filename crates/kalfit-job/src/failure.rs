@@ -16,7 +16,7 @@ use kalfit::reduce::{ReduceError, SplitError};
 use kalfit::simulate::SimulateError;
 use kalfit::validate::NotComparable;
 use kalfit::validate::{FoldsError, ValidateError};
-use kalfit_data::{DataError, Reading, WriteError, bytes_in_words};
+use kalfit_data::{DataError, DataReading, WriteError, bytes_in_words};
 use kalfit_spec::{Spec, SpecError};
 
 use crate::output::OutputError;
@@ -72,7 +72,7 @@ pub enum Failure {
         /// What is wrong.
         error: SplitError,
         /// What was read so far.
-        reading: Box<Reading>,
+        reading: Box<DataReading>,
     },
     /// The model does not work on the data.
     #[error("{}", reduce_message(error, reading.as_deref()))]
@@ -80,7 +80,7 @@ pub enum Failure {
         /// What is wrong.
         error: ReduceError,
         /// What was read so far.
-        reading: Option<Box<Reading>>,
+        reading: Option<Box<DataReading>>,
     },
     /// A test of several groups.
     #[error("{0}")]
@@ -123,7 +123,7 @@ pub enum Failure {
         /// What is wrong.
         error: Box<SimulateError>,
         /// What was read so far.
-        reading: Option<Box<Reading>>,
+        reading: Option<Box<DataReading>>,
     },
     /// The model is not applied.
     #[error("{0}")]
@@ -481,7 +481,7 @@ impl Failure {
 }
 
 /// As [`reduce_message`], for what is drawn.
-fn simulate_message(error: &SimulateError, reading: Option<&Reading>) -> String {
+fn simulate_message(error: &SimulateError, reading: Option<&DataReading>) -> String {
     match (error, reading) {
         (SimulateError::Reduce(error), reading) => reduce_message(error, reading),
         (SimulateError::SharedCell { row, .. } | SimulateError::NotFinite { row, .. }, Some(reading)) => {
@@ -544,7 +544,7 @@ fn write_hint(error: &WriteError) -> Option<&'static str> {
 }
 
 /// The core knows rows by number only.
-fn split_message(error: &SplitError, reading: &Reading) -> String {
+fn split_message(error: &SplitError, reading: &DataReading) -> String {
     let place = format!("{} (test `{}`)", reading.place(error.at()), error.test());
     match error {
         SplitError::MissingCell { column, phases, .. } => {
@@ -560,13 +560,13 @@ fn split_message(error: &SplitError, reading: &Reading) -> String {
 }
 
 /// The core knows rows by number only; the reading knows their files, and the texts behind labels.
-fn reduce_message(error: &ReduceError, reading: Option<&Reading>) -> String {
+fn reduce_message(error: &ReduceError, reading: Option<&DataReading>) -> String {
     let (Some(reading), Some(row)) = (reading, error.row) else { return error.to_string() };
     let test = error.test.as_ref().map_or(String::new(), |test| format!(" (test `{test}`)"));
     format!("{}{test}: {}: {}", reading.place(row), error.what, kind_message(error, reading))
 }
 
-fn kind_message(error: &ReduceError, reading: &Reading) -> String {
+fn kind_message(error: &ReduceError, reading: &DataReading) -> String {
     use kalfit::reduce::{Cell, ReduceErrorKind as Kind};
     let text = |cell: &Cell| match cell {
         Cell::Text(label) => format!("`{}`", reading.labels.text(*label)),

@@ -8,7 +8,7 @@ use kalfit::model::Population;
 use kalfit::record::{InnovationRecord, SeriesKeeper, TestGroups, TestRecord};
 use kalfit::reduce::{Evidence, ReduceError, SplitError};
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
-use kalfit_data::{DataError, Input, ReadError, Sink};
+use kalfit_data::{DataError, Input, ReadError, TestSink};
 use kalfit_spec::Spec;
 use rayon::prelude::*;
 use tempfile::SpooledTempFile;
@@ -295,7 +295,7 @@ impl<'a, 'w> Looking<'a, 'w> {
     }
 }
 
-impl Sink for Looking<'_, '_> {
+impl TestSink for Looking<'_, '_> {
     type Error = Unavailable;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Unavailable> {

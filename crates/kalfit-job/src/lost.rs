@@ -5,7 +5,7 @@ use kalfit::model::{PhasedModel, Population};
 use kalfit::plan::information_lost;
 use kalfit::record::InformationLostRecord;
 use kalfit::{Alpha, Evidence, FitRecord, PhasedTest, Reductions};
-use kalfit_data::Reading;
+use kalfit_data::DataReading;
 
 use crate::reductions;
 
@@ -20,7 +20,7 @@ pub(crate) fn add(
     record: &mut FitRecord,
     (model, alpha, population): (&PhasedModel, &Alpha, &Population),
     reductions: &Reductions,
-    (tests, reading): (&[PhasedTest], &Reading),
+    (tests, reading): (&[PhasedTest], &DataReading),
 ) {
     for i in 0..model.phases.len() {
         let measured =

@@ -7,7 +7,7 @@ use kalfit::record::DataRecord;
 use kalfit::record::{PlanProvenance, PlanRecord};
 use kalfit::reduce::PhasedReducer;
 use kalfit::{Alpha, Labels, Reductions, Test};
-use kalfit_data::{Input, Sink};
+use kalfit_data::{Input, TestSink};
 use kalfit_spec::Spec;
 
 use crate::evidence::stdin;
@@ -88,7 +88,7 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut Work<'_>) ->
         reductions: Reductions,
         work: &'a mut Work<'w>,
     }
-    impl Sink for Designing<'_, '_> {
+    impl TestSink for Designing<'_, '_> {
         type Error = Refused;
 
         fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {

@@ -11,7 +11,7 @@ use kalfit::model::Slots;
 use kalfit::record::{DynamicParts, DynamicSides, PartRecord, RatioProvenance, RatioRecord};
 use kalfit::reduce::grouping;
 use kalfit::{Labels, Model, PhasedModel, PhasedTest};
-use kalfit_data::Reading;
+use kalfit_data::DataReading;
 use kalfit_spec::{Hypothesis, Spec};
 
 use crate::dynamic::{Data, failure};
@@ -95,7 +95,7 @@ struct Bench<'a> {
     wide: &'a PhasedModel,
     null: &'a PhasedModel,
     tests: &'a [PhasedTest],
-    reading: &'a Reading,
+    reading: &'a DataReading,
     settings: Settings,
 }
 

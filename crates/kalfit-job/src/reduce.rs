@@ -3,7 +3,7 @@
 use kalfit::reduce::{PhasedReducer, groups_of};
 use kalfit::{Evidence, Labels, PhasedModel};
 use kalfit_data::WriteError;
-use kalfit_data::exchange::{Entry, ReductionWriter};
+use kalfit_data::exchange::{ExchangeEntry, ReductionWriter};
 
 use crate::exchange::{self, Maker, Refused, Setting, Sunk};
 use crate::failure::Failure;
@@ -39,11 +39,11 @@ impl Maker for Reductions {
         ReductionWriter::new(&setting.spec.model, setting.metadata(), sink)
     }
 
-    fn make(&mut self, entries: Vec<Entry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
+    fn make(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
         let phases: Vec<(&str, usize, &Evidence)> =
             entries.iter().map(|entry| (entry.test.as_str(), entry.phase, &entry.evidence)).collect();
         let pieces = self.reducer.each_piece(&phases).map_err(Refused::Reduce)?;
-        for (Entry { test, phase, evidence, .. }, piece) in entries.iter().zip(&pieces) {
+        for (ExchangeEntry { test, phase, evidence, .. }, piece) in entries.iter().zip(&pieces) {
             let groups = groups_of(&self.model, test, evidence).map_err(Refused::Grouping)?;
             let groups: Vec<String> = groups.into_iter().map(|name| labels.text(name).to_owned()).collect();
             writer.write(test, *phase, piece, &groups).map_err(Refused::Write)?;

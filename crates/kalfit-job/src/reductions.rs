@@ -3,7 +3,7 @@
 use kalfit::record::TestGroups;
 use kalfit::reduce::PhasedReducer;
 use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reductions, Test};
-use kalfit_data::{Reading, Sink};
+use kalfit_data::{DataReading, TestSink};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
@@ -25,7 +25,7 @@ struct Reducing<'a, 'w> {
     work: &'a mut Work<'w>,
 }
 
-impl Sink for Reducing<'_, '_> {
+impl TestSink for Reducing<'_, '_> {
     type Error = Refused;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
@@ -114,7 +114,7 @@ const BATCH: usize = 1024;
 pub(crate) fn of_all(
     model: &PhasedModel,
     alpha: &Alpha,
-    (tests, reading): (&[PhasedTest], &Reading),
+    (tests, reading): (&[PhasedTest], &DataReading),
     work: &mut Work<'_>,
 ) -> Result<Reductions, Failure> {
     let failed = |error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) };
@@ -134,7 +134,7 @@ pub(crate) fn of(
     model: &PhasedModel,
     alpha: &Alpha,
     tests: &[PhasedTest],
-    reading: &Reading,
+    reading: &DataReading,
 ) -> Result<Reductions, Failure> {
     PhasedReducer::new(model, alpha)
         .and_then(|mut reducer| reducer.reduce(tests))

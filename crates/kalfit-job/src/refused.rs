@@ -4,7 +4,7 @@ use kalfit::apply::ApplyError;
 use kalfit::predict::PredictError;
 use kalfit::record::MixedGroup;
 use kalfit::reduce::{ReduceError, SplitError};
-use kalfit_data::{ReadError, Reading};
+use kalfit_data::{DataReading, ReadError};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
@@ -44,7 +44,7 @@ pub(crate) fn failure(error: ReadError<Refused>, spec: &Spec) -> Failure {
 }
 
 /// What a model that is applied to tests says of them.
-pub(crate) fn by_apply(error: ApplyError, reading: &Reading) -> Failure {
+pub(crate) fn by_apply(error: ApplyError, reading: &DataReading) -> Failure {
     match error {
         ApplyError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         ApplyError::Fit(error) => Failure::Fit(error),
@@ -53,7 +53,7 @@ pub(crate) fn by_apply(error: ApplyError, reading: &Reading) -> Failure {
 }
 
 /// What a prediction says of designs.
-pub(crate) fn by_predict(error: PredictError, reading: Option<&Reading>) -> Failure {
+pub(crate) fn by_predict(error: PredictError, reading: Option<&DataReading>) -> Failure {
     match error {
         PredictError::Reduce(error) => {
             Failure::Reduce { error: *error, reading: reading.map(|reading| Box::new(reading.clone())) }

@@ -6,7 +6,7 @@ use std::io::{BufWriter, Write};
 use kalfit::Test;
 use kalfit::reduce::Evidence;
 use kalfit::simulate::{Designs, Drawn, Simulator};
-use kalfit_data::{Format, Ids, Input, Reading, StateWriter, TestWriter, WriteError, added_id_column};
+use kalfit_data::{DataReading, Input, StateWriter, TableFormat, TestWriter, WriteError, WrittenIds, added_id_column};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
@@ -28,8 +28,8 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulat
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let format = match &job.out {
-        Some(path) => Format::of(path).map_err(|error| failed(error, path.display().to_string()))?,
-        None => Format::Arrow,
+        Some(path) => TableFormat::of(path).map_err(|error| failed(error, path.display().to_string()))?,
+        None => TableFormat::Arrow,
     };
     let used = files(&[&job.model.document, &job.from], &inputs);
     let output = Target::prepare(job.out.as_deref(), &used)?;
@@ -45,7 +45,7 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulat
     if count > designs.tests().len() as u64 && !spec.model.levels.is_empty() {
         return Err(Failure::MoreThanDesign { found: count, expected: designs.tests().len() as u64 });
     }
-    let ids = if count > designs.tests().len() as u64 { Ids::New } else { Ids::Same };
+    let ids = if count > designs.tests().len() as u64 { WrittenIds::New } else { WrittenIds::Same };
     let task = Task { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
     let Written { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;
     let added = added_id_column(spec.model.shared(), &spec.layout, ids);
@@ -70,17 +70,17 @@ struct Task<'a> {
     spec: &'a Spec,
     simulator: &'a Simulator,
     designs: &'a Designs,
-    reading: &'a Reading,
+    reading: &'a DataReading,
     /// Number of tests.
     count: u64,
-    ids: Ids,
+    ids: WrittenIds,
 }
 
 impl Task<'_> {
     /// Draws and writes; nothing is in place before all is written. The number of rows.
     fn write(
         &self,
-        (output, format): (&Target, Format),
+        (output, format): (&Target, TableFormat),
         states: Option<&Output>,
         work: &mut Work<'_>,
     ) -> Result<Written, Failure> {
@@ -96,7 +96,7 @@ impl Task<'_> {
 
     fn fill(
         &self,
-        (data, format): (&Pending<'_>, Format),
+        (data, format): (&Pending<'_>, TableFormat),
         (states, mut keep): (Option<&Pending<'_>>, Option<&mut Initial>),
         work: &mut Work<'_>,
     ) -> Result<u64, Failure> {

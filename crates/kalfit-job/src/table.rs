@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use kalfit_data::{CellKind, Format, TableWriter, WriteError};
+use kalfit_data::{CellKind, TableFormat, TableWriter, WriteError};
 
 use crate::failure::Failure;
 use crate::job::TableTo;
@@ -13,7 +13,7 @@ use crate::output::{Pending, Target};
 /// A table that will be written.
 pub(crate) struct Table {
     pub(crate) target: Target,
-    format: Format,
+    format: TableFormat,
 }
 
 pub(crate) type Writer<'a> = TableWriter<BufWriter<&'a File>>;
@@ -22,9 +22,9 @@ impl Table {
     pub(crate) fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<Table>, Failure> {
         let (path, format) = match to {
             TableTo::Nowhere => return Ok(None),
-            TableTo::Back => (None, Format::Arrow),
+            TableTo::Back => (None, TableFormat::Arrow),
             TableTo::File(path) => {
-                let format = Format::of(path).map_err(|error| failed(error, path.display().to_string()))?;
+                let format = TableFormat::of(path).map_err(|error| failed(error, path.display().to_string()))?;
                 (Some(path.as_path()), format)
             }
         };

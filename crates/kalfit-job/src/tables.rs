@@ -4,7 +4,7 @@ use std::fs::File;
 
 use kalfit::FitRecord;
 use kalfit::record::{ConstraintRecord, PosteriorRecord, QuantityRecord, TestRecord};
-use kalfit_data::{Cell, CellKind};
+use kalfit_data::{CellKind, TableCell};
 
 use crate::failure::Failure;
 use crate::job::TableTo;
@@ -42,16 +42,16 @@ fn columns<const N: usize>(names: [&str; N], kind: CellKind) -> Columns {
     names.map(|name| (name.to_owned(), kind)).to_vec()
 }
 
-fn text(text: Option<&String>) -> Cell<'_> {
-    text.map_or(Cell::Missing, |text| Cell::Text(text))
+fn text(text: Option<&String>) -> TableCell<'_> {
+    text.map_or(TableCell::Missing, |text| TableCell::Text(text))
 }
 
-fn number(x: Option<f64>) -> Cell<'static> {
-    x.map_or(Cell::Missing, Cell::Number)
+fn number(x: Option<f64>) -> TableCell<'static> {
+    x.map_or(TableCell::Missing, TableCell::Number)
 }
 
-fn counted(n: Option<usize>) -> Cell<'static> {
-    n.map_or(Cell::Missing, Cell::Count)
+fn counted(n: Option<usize>) -> TableCell<'static> {
+    n.map_or(TableCell::Missing, TableCell::Count)
 }
 
 /// Means, spreads, correlations and dynamic parameters, a row for each number.
@@ -64,10 +64,10 @@ pub(crate) fn parameters<'t>(table: &'t Table, record: &FitRecord) -> Result<Pen
     table.write(&head, |writer| all.iter().try_for_each(|own| writer.write(quantity(own))).map_err(table.failed()))
 }
 
-fn quantity(own: &QuantityRecord) -> Vec<Cell<'_>> {
+fn quantity(own: &QuantityRecord) -> Vec<TableCell<'_>> {
     vec![
-        Cell::Text(&own.name),
-        Cell::Text(&own.kind),
+        TableCell::Text(&own.name),
+        TableCell::Text(&own.kind),
         text(own.phase.as_ref()),
         text(own.level.as_ref()),
         text(own.state.as_ref()),
@@ -78,7 +78,7 @@ fn quantity(own: &QuantityRecord) -> Vec<Cell<'_>> {
         number(own.std_error),
         number(own.lower),
         number(own.upper),
-        Cell::Text(&own.status),
+        TableCell::Text(&own.status),
     ]
 }
 
@@ -91,12 +91,12 @@ pub(crate) fn constraints<'t>(table: &'t Table, record: &FitRecord) -> Result<Pe
     table.write(&head, |writer| all.iter().try_for_each(|own| writer.write(constraint(own))).map_err(table.failed()))
 }
 
-fn constraint(own: &ConstraintRecord) -> Vec<Cell<'_>> {
+fn constraint(own: &ConstraintRecord) -> Vec<TableCell<'_>> {
     vec![
-        Cell::Text(&own.element),
-        Cell::Text(&own.phase),
+        TableCell::Text(&own.element),
+        TableCell::Text(&own.phase),
         text(own.level.as_ref()),
-        Cell::Number(own.value),
+        TableCell::Number(own.value),
         number(own.sensitivity),
         number(own.score_statistic),
         number(own.p_value),
@@ -174,20 +174,20 @@ impl<'a> Shape<'a> {
         head
     }
 
-    fn row<'r>(&self, test: &'r TestRecord, phase: &'r PosteriorRecord) -> Vec<Cell<'r>> {
-        let mut cells = vec![Cell::Text(&test.id)];
+    fn row<'r>(&self, test: &'r TestRecord, phase: &'r PosteriorRecord) -> Vec<TableCell<'r>> {
+        let mut cells = vec![TableCell::Text(&test.id)];
         cells.extend((0..self.levels.len()).map(|level| text(test.groups.get(level))));
         cells.extend(self.record.group_column.iter().map(|_| text(test.group.as_ref())));
         let (seen, without) = (test.innovations.as_ref(), test.deletion.as_ref());
         let white = seen.and_then(|own| own.whiteness.as_ref());
         cells.extend([
-            Cell::Text(&phase.name),
-            Cell::Number(test.log_likelihood),
-            Cell::Count(test.observations),
+            TableCell::Text(&phase.name),
+            TableCell::Number(test.log_likelihood),
+            TableCell::Count(test.observations),
             counted(test.steps),
             counted(test.design_class),
             number(test.distance),
-            Cell::Count(test.degrees_of_freedom),
+            TableCell::Count(test.degrees_of_freedom),
             number(test.p_value),
             number(seen.and_then(|own| own.nis)),
             number(seen.and_then(|own| own.nis_p_value)),

@@ -1,7 +1,7 @@
 //! Data that are kept whole: what the filters run over again and again, or what others are drawn like.
 
 use kalfit::{Labels, PhasedModel, PhasedTest, Test};
-use kalfit_data::{Reading, Sink};
+use kalfit_data::{DataReading, TestSink};
 use kalfit_spec::Spec;
 
 use crate::evidence::Given;
@@ -26,7 +26,7 @@ struct Keep<'a, 'w> {
     work: &'a mut Work<'w>,
 }
 
-impl Sink for Keep<'_, '_> {
+impl TestSink for Keep<'_, '_> {
     type Error = Refused;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
@@ -49,7 +49,7 @@ impl Sink for Keep<'_, '_> {
 }
 
 /// Reads all tests.
-pub(crate) fn read(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+pub(crate) fn read(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
     read_for(spec, &spec.model, given, work)
 }
 
@@ -59,7 +59,7 @@ pub(crate) fn read_for(
     model: &PhasedModel,
     given: &Given,
     work: &mut Work<'_>,
-) -> Result<(Vec<PhasedTest>, Reading), Failure> {
+) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
     if !given.is_rows() {
         return given.tests(spec, model, work);
     }

@@ -4,7 +4,7 @@ use kalfit::model::Column;
 use kalfit::validate::{Folds, ValidateError, Validation, validate as run};
 use kalfit::validate::{NotComparable, ValidateProvenance, ValidatedRecord};
 use kalfit::{Ensemble, EnsembleError, Model, Options};
-use kalfit_data::{Input, Reading};
+use kalfit_data::{DataReading, Input};
 use kalfit_spec::Spec;
 
 use crate::document::Document;
@@ -93,7 +93,7 @@ struct Read {
     spec: Spec,
     given: Given,
     ensemble: Ensemble,
-    reading: Reading,
+    reading: DataReading,
 }
 
 impl Read {

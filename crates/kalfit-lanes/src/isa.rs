@@ -27,10 +27,10 @@ static FIXED: OnceLock<Isa> = OnceLock::new();
 
 /// A set of instructions that this machine has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Isa(Kind);
+pub struct Isa(IsaKind);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum IsaKind {
     Portable,
     #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
     Neon,
@@ -42,7 +42,7 @@ enum Kind {
 
 impl Isa {
     /// Four at a time by plain arrays, which a compiler may or may not put into registers.
-    pub const PORTABLE: Isa = Isa(Kind::Portable);
+    pub const PORTABLE: Isa = Isa(IsaKind::Portable);
 
     /// The best one, or the one that is fixed.
     pub fn best() -> Isa {
@@ -69,13 +69,13 @@ impl Isa {
     /// Its word.
     pub fn word(self) -> &'static str {
         match self.0 {
-            Kind::Portable => "portable",
+            IsaKind::Portable => "portable",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-            Kind::Neon => "neon",
+            IsaKind::Neon => "neon",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => "avx2",
+            IsaKind::Avx2 => "avx2",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => "avx512",
+            IsaKind::Avx512 => "avx512",
         }
     }
 
@@ -88,41 +88,41 @@ impl Isa {
     /// How many numbers it works on at once.
     pub fn lanes(self) -> usize {
         match self.0 {
-            Kind::Portable => 4,
+            IsaKind::Portable => 4,
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-            Kind::Neon => 4,
+            IsaKind::Neon => 4,
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => 4,
+            IsaKind::Avx2 => 4,
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => 8,
+            IsaKind::Avx512 => 8,
         }
     }
 
     /// Its name.
     pub fn name(self) -> &'static str {
         match self.0 {
-            Kind::Portable => "four numbers at a time",
+            IsaKind::Portable => "four numbers at a time",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-            Kind::Neon => "NEON, four numbers at a time",
+            IsaKind::Neon => "NEON, four numbers at a time",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => "AVX2 and FMA, four numbers at a time",
+            IsaKind::Avx2 => "AVX2 and FMA, four numbers at a time",
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => "AVX-512, eight numbers at a time",
+            IsaKind::Avx512 => "AVX-512, eight numbers at a time",
         }
     }
 
     /// Runs a kernel.
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
-            Kind::Portable => kernel.run::<Four>(),
+            IsaKind::Portable => kernel.run::<Four>(),
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-            Kind::Neon => kernel.run::<crate::neon::Neon>(),
+            IsaKind::Neon => kernel.run::<crate::neon::Neon>(),
             // SAFETY: `found` made this value, so the machine has AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => unsafe { in_avx2(kernel) },
+            IsaKind::Avx2 => unsafe { in_avx2(kernel) },
             // SAFETY: `found` made this value, so the machine has AVX-512F, AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => unsafe { in_avx512(kernel) },
+            IsaKind::Avx512 => unsafe { in_avx512(kernel) },
         }
     }
 }
@@ -131,7 +131,7 @@ impl Isa {
 fn found() -> Vec<Isa> {
     let avx2 = std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma");
     let avx512 = avx2 && std::is_x86_feature_detected!("avx512f");
-    let some = [(true, Kind::Portable), (avx2, Kind::Avx2), (avx512, Kind::Avx512)];
+    let some = [(true, IsaKind::Portable), (avx2, IsaKind::Avx2), (avx512, IsaKind::Avx512)];
     some.into_iter().filter(|(has, _)| *has).map(|(_, kind)| Isa(kind)).collect()
 }
 

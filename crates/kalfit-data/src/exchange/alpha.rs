@@ -24,7 +24,7 @@ pub struct ParameterValue {
 
 /// Where two α's are not the same.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Difference {
+pub struct AlphaDifference {
     /// The parameter.
     pub name: String,
     /// The level; `None` for a value common to all or to every other level.
@@ -74,18 +74,18 @@ impl ParameterValue {
     }
 
     /// The first level at which both have a value and these are not the same, bit for bit.
-    fn difference(&self, other: &ParameterValue) -> Option<Difference> {
+    fn difference(&self, other: &ParameterValue) -> Option<AlphaDifference> {
         let levels: BTreeSet<&String> = self.levels.keys().chain(other.levels.keys()).collect();
         std::iter::once(None).chain(levels.into_iter().map(Some)).find_map(|level| {
             let (first, second) = (self.at(level)?, other.at(level)?);
             let (name, level) = (self.name.clone(), level.cloned());
-            (first.to_bits() != second.to_bits()).then_some(Difference { name, level, first, second })
+            (first.to_bits() != second.to_bits()).then_some(AlphaDifference { name, level, first, second })
         })
     }
 }
 
 /// The first difference between the parameters that both have.
-pub fn difference(first: &[ParameterValue], second: &[ParameterValue]) -> Option<Difference> {
+pub fn difference(first: &[ParameterValue], second: &[ParameterValue]) -> Option<AlphaDifference> {
     first.iter().find_map(|one| one.difference(second.iter().find(|other| other.name == one.name)?))
 }
 
@@ -105,7 +105,7 @@ pub fn merge(known: &mut Vec<ParameterValue>, more: &[ParameterValue]) {
     }
 }
 
-impl std::fmt::Display for Difference {
+impl std::fmt::Display for AlphaDifference {
     /// The parameter as `--set` names it: `tau`, `sigma[A]`.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.level {

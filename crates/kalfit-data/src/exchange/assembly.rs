@@ -10,7 +10,7 @@ use crate::error::DataError;
 
 /// What one row of an exchange file says.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Entry {
+pub struct ExchangeEntry {
     /// Id of the test.
     pub test: String,
     /// Place of the phase in the model.
@@ -28,12 +28,12 @@ pub struct Assembly<'a> {
     /// By [`Source::file`].
     files: &'a [String],
     /// In order of first appearance.
-    tests: Vec<Parts>,
+    tests: Vec<AssembledTest>,
     places: HashMap<String, usize>,
 }
 
 #[derive(Debug)]
-struct Parts {
+struct AssembledTest {
     id: String,
     phases: Vec<Option<(Evidence, Source)>>,
 }
@@ -48,10 +48,10 @@ impl<'a> Assembly<'a> {
     ///
     /// # Errors
     /// The phase is known already.
-    pub fn add(&mut self, entry: Entry) -> Result<(), DataError> {
-        let Entry { test, phase, evidence, at } = entry;
+    pub fn add(&mut self, entry: ExchangeEntry) -> Result<(), DataError> {
+        let ExchangeEntry { test, phase, evidence, at } = entry;
         let place = *self.places.entry(test).or_insert_with_key(|id| {
-            self.tests.push(Parts { id: id.clone(), phases: self.model.phases.iter().map(|_| None).collect() });
+            self.tests.push(AssembledTest { id: id.clone(), phases: self.model.phases.iter().map(|_| None).collect() });
             self.tests.len() - 1
         });
         let parts = &mut self.tests[place];
@@ -68,11 +68,11 @@ impl<'a> Assembly<'a> {
     }
 
     /// All that was added, test by test, each phase by itself.
-    pub fn into_entries(self) -> Vec<Entry> {
-        let of = |Parts { id, phases }: Parts| {
+    pub fn into_entries(self) -> Vec<ExchangeEntry> {
+        let of = |AssembledTest { id, phases }: AssembledTest| {
             let known = phases.into_iter().enumerate();
             known.filter_map(move |(phase, part)| {
-                part.map(|(evidence, at)| Entry { test: id.clone(), phase, evidence, at })
+                part.map(|(evidence, at)| ExchangeEntry { test: id.clone(), phase, evidence, at })
             })
         };
         self.tests.into_iter().flat_map(of).collect()
@@ -95,8 +95,8 @@ pub fn twice(model: &PhasedModel, files: &[String], (test, phase): (&str, usize)
     ExchangeError::Twice { test, phase, first, second }.into()
 }
 
-fn whole(parts: Parts, model: &PhasedModel, files: &[String]) -> Result<PhasedTest, DataError> {
-    let Parts { id, phases } = parts;
+fn whole(parts: AssembledTest, model: &PhasedModel, files: &[String]) -> Result<PhasedTest, DataError> {
+    let AssembledTest { id, phases } = parts;
     let mut known = Vec::new();
     let mut lacking = None;
     for (index, part) in phases.into_iter().enumerate() {

@@ -3,9 +3,9 @@
 use arrow::datatypes::Schema;
 use kalfit::{Label, Labels, Layout, PhasedModel, Test, TestKey};
 
-use super::schema::{ESTIMATES, Shape, TEST};
-use super::sheet::Row;
-use crate::cell::Tokens;
+use super::schema::{ColumnShape, ESTIMATES, TEST};
+use super::sheet::SheetRow;
+use crate::cell::MissingTexts;
 use crate::cell::shown;
 use crate::error::DataError;
 
@@ -17,12 +17,12 @@ pub(super) struct Constants {
     /// By numeric column of the model: its name in the file.
     numbers: Vec<Option<String>>,
     /// By text column.
-    texts: Vec<From>,
-    tokens: Tokens,
+    texts: Vec<TextCellSource>,
+    tokens: MissingTexts,
 }
 
 /// What fills a text cell.
-enum From {
+enum TextCellSource {
     Nothing,
     Column(String),
     /// The id of the test.
@@ -57,28 +57,28 @@ impl Constants {
         numeric(model).for_each(|(index, name)| numbers[index] = there(name));
         let texts = shared.text_columns.iter().enumerate().map(|(index, column)| {
             if model.column == Some(index) {
-                return From::Phase(model.phases.iter().map(|phase| phase.label).collect());
+                return TextCellSource::Phase(model.phases.iter().map(|phase| phase.label).collect());
             }
             match there(&column.name) {
-                Some(name) => From::Column(name),
-                None if matches!(&layout.test, TestKey::Column(id) if *id == column.name) => From::Id,
-                None => From::Nothing,
+                Some(name) => TextCellSource::Column(name),
+                None if matches!(&layout.test, TestKey::Column(id) if *id == column.name) => TextCellSource::Id,
+                None => TextCellSource::Nothing,
             }
         });
-        Constants { numbers, texts: texts.collect(), tokens: Tokens::new(&layout.missing) }
+        Constants { numbers, texts: texts.collect(), tokens: MissingTexts::new(&layout.missing) }
     }
 
     /// The columns to read beside those of the schema.
-    pub(super) fn columns(&self, layout: &Layout) -> Vec<(String, Shape)> {
+    pub(super) fn columns(&self, layout: &Layout) -> Vec<(String, ColumnShape)> {
         let texts = self.texts.iter().filter_map(|from| match from {
-            From::Column(name) => Some((name.clone(), Shape::Text)),
+            TextCellSource::Column(name) => Some((name.clone(), ColumnShape::Text)),
             _ => None,
         });
         // A column that is read both ways is read as text, which holds the number too.
-        let mut columns: Vec<(String, Shape)> = texts.collect();
-        let numbers = self.numbers.iter().flatten().map(|name| (name.clone(), Shape::Number));
+        let mut columns: Vec<(String, ColumnShape)> = texts.collect();
+        let numbers = self.numbers.iter().flatten().map(|name| (name.clone(), ColumnShape::Number));
         let id = match &layout.test {
-            TestKey::Column(name) if name != TEST => Some((name.clone(), Shape::Text)),
+            TestKey::Column(name) if name != TEST => Some((name.clone(), ColumnShape::Text)),
             _ => None,
         };
         for (name, shape) in id.into_iter().chain(numbers) {
@@ -92,7 +92,7 @@ impl Constants {
     /// A test of one row with the constants of a row.
     pub(super) fn test(
         &self,
-        row: Row<'_>,
+        row: SheetRow<'_>,
         (id, phase): (&str, usize),
         at: kalfit::Source,
         labels: &mut Labels,
@@ -101,11 +101,11 @@ impl Constants {
         for name in &self.numbers {
             numbers.push(name.as_ref().map_or(Ok(f64::NAN), |name| self.number(row, name))?);
         }
-        let text = |from: &From| match from {
-            From::Nothing => Label::MISSING,
-            From::Id => labels.intern(id),
-            From::Phase(names) => names.get(phase).copied().flatten().map_or(Label::MISSING, Label::literal),
-            From::Column(name) => {
+        let text = |from: &TextCellSource| match from {
+            TextCellSource::Nothing => Label::MISSING,
+            TextCellSource::Id => labels.intern(id),
+            TextCellSource::Phase(names) => names.get(phase).copied().flatten().map_or(Label::MISSING, Label::literal),
+            TextCellSource::Column(name) => {
                 let text = row.text(name).filter(|text| !self.tokens.is_missing(text.as_bytes()));
                 text.map_or(Label::MISSING, |text| labels.intern(&text))
             }
@@ -116,7 +116,7 @@ impl Constants {
         Ok(test)
     }
 
-    fn number(&self, row: Row<'_>, name: &str) -> Result<f64, DataError> {
+    fn number(&self, row: SheetRow<'_>, name: &str) -> Result<f64, DataError> {
         let found = match row.text(name) {
             Some(text) => self.tokens.number(text.as_bytes()).map_err(|fault| (fault, text)),
             None => {
@@ -127,7 +127,7 @@ impl Constants {
         found.map_err(|(fault, text)| {
             let (at, found) = (row.place(name), shown(text.as_bytes()));
             match fault {
-                crate::cell::Fault::Infinite => DataError::Infinite { at, found },
+                crate::cell::CellFault::Infinite => DataError::Infinite { at, found },
                 _ => DataError::NotANumber { at, found },
             }
         })

@@ -13,12 +13,12 @@ use super::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
 use crate::cell::shown;
 use crate::error::DataError;
 use crate::input::Input;
-use crate::kind::{HEAD, Kind, detect};
+use crate::kind::{FileKind, HEAD, detect};
 use crate::memory::MemoryTable;
 
 /// What an input holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Content {
+pub enum InputContent {
     /// Rows of tests.
     Rows,
     /// Reductions.
@@ -29,31 +29,31 @@ pub enum Content {
 
 /// An exchange file.
 #[derive(Debug, Clone)]
-pub struct Source {
+pub struct ExchangeFile {
     /// What messages call it.
     pub name: String,
     /// Its number, for [`kalfit::Source`]: its place among all inputs.
     pub number: u32,
-    pub(super) bytes: Contents,
+    pub(super) bytes: ExchangeBytes,
 }
 
 /// Where the bytes are.
 #[derive(Debug, Clone)]
-pub(super) enum Contents {
+pub(super) enum ExchangeBytes {
     Path(PathBuf),
     Memory(Bytes),
 }
 
 /// Inputs told apart.
-pub struct Sorted<'a> {
+pub struct SortedInputs<'a> {
     /// What each input holds, in their order.
-    pub contents: Vec<Content>,
+    pub contents: Vec<InputContent>,
     /// The inputs of rows, in their order.
     pub rows: Vec<Input>,
     /// Reductions files.
-    pub reductions: Vec<Source>,
+    pub reductions: Vec<ExchangeFile>,
     /// Estimates files.
-    pub estimates: Vec<Source>,
+    pub estimates: Vec<ExchangeFile>,
     /// Names of the inputs as [`kalfit::Source::file`] numbers them: those of rows first.
     pub files: Vec<String>,
     /// Standard input from its start, when rows are read from it.
@@ -64,12 +64,12 @@ pub struct Sorted<'a> {
 macro_rules! opened {
     ($source:expr, |$opened:ident| $body:block) => {
         match &$source.bytes {
-            $crate::exchange::content::Contents::Path(path) => {
+            $crate::exchange::content::ExchangeBytes::Path(path) => {
                 let failed = |source| $crate::DataError::Io { file: $source.name.clone(), source };
                 let $opened = $crate::exchange::sheet::open(&$source.name, std::fs::File::open(path).map_err(failed)?)?;
                 $body
             }
-            $crate::exchange::content::Contents::Memory(bytes) => {
+            $crate::exchange::content::ExchangeBytes::Memory(bytes) => {
                 let $opened = $crate::exchange::sheet::open(&$source.name, bytes.clone())?;
                 $body
             }
@@ -78,7 +78,7 @@ macro_rules! opened {
 }
 pub(super) use opened;
 
-impl Source {
+impl ExchangeFile {
     /// What the file says of itself; `None` when it is not kalfit's.
     ///
     /// # Errors
@@ -91,8 +91,8 @@ impl Source {
     pub fn rows_hint(&self) -> usize {
         const LEAST_BYTES: u64 = 8; // of a row
         let bytes = match &self.bytes {
-            Contents::Path(path) => std::fs::metadata(path).map_or(0, |found| found.len()),
-            Contents::Memory(bytes) => bytes.len() as u64,
+            ExchangeBytes::Path(path) => std::fs::metadata(path).map_or(0, |found| found.len()),
+            ExchangeBytes::Memory(bytes) => bytes.len() as u64,
         };
         let rows = || -> Result<i64, DataError> {
             opened!(self, |opened| { Ok(opened.about.metadata().file_metadata().num_rows()) })
@@ -107,7 +107,7 @@ impl Source {
 ///
 /// # Errors
 /// A Parquet file that cannot be opened, or of another version of the schema.
-pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorted<'a>, DataError> {
+pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<SortedInputs<'a>, DataError> {
     let (mut contents, mut exchanged, mut rows) = (Vec::new(), Vec::new(), Vec::new());
     for input in inputs {
         let name = input.name();
@@ -115,10 +115,11 @@ pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorte
             let content = of_table(table)?;
             contents.push(content);
             match content {
-                Content::Rows => rows.push(input.clone()),
-                _ => {
-                    exchanged.push((content, Source { name, number: 0, bytes: Contents::Memory(table.to_parquet()?) }))
-                }
+                InputContent::Rows => rows.push(input.clone()),
+                _ => exchanged.push((
+                    content,
+                    ExchangeFile { name, number: 0, bytes: ExchangeBytes::Memory(table.to_parquet()?) },
+                )),
             }
             continue;
         }
@@ -126,10 +127,10 @@ pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorte
         let mut head = Vec::with_capacity(HEAD);
         let bytes = match input {
             // What comes but once must not be looked into: a pipe is read as rows.
-            Input::Path(path) if !path.is_file() => Contents::Path(path.clone()),
+            Input::Path(path) if !path.is_file() => ExchangeBytes::Path(path.clone()),
             Input::Path(path) => {
                 File::open(path).and_then(|file| file.take(HEAD as u64).read_to_end(&mut head)).map_err(failed)?;
-                Contents::Path(path.clone())
+                ExchangeBytes::Path(path.clone())
             }
             Input::Stdin | Input::Table(_) => {
                 stdin.by_ref().take(HEAD as u64).read_to_end(&mut head).map_err(failed)?;
@@ -139,15 +140,15 @@ pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorte
                 }
                 let all = Bytes::from(all);
                 stdin = Box::new(Cursor::new(all.clone()).chain(stdin));
-                Contents::Memory(all)
+                ExchangeBytes::Memory(all)
             }
         };
-        let source = Source { name, number: 0, bytes };
-        let content = if is_parquet(input, &head) { source.content()? } else { Content::Rows };
+        let source = ExchangeFile { name, number: 0, bytes };
+        let content = if is_parquet(input, &head) { source.content()? } else { InputContent::Rows };
         contents.push(content);
         match content {
-            Content::Rows => rows.push(input.clone()),
-            Content::Reductions | Content::Estimates => exchanged.push((content, source)),
+            InputContent::Rows => rows.push(input.clone()),
+            InputContent::Reductions | InputContent::Estimates => exchanged.push((content, source)),
         }
     }
     let mut files: Vec<String> = rows.iter().map(Input::name).collect();
@@ -155,18 +156,18 @@ pub fn sort<'a>(inputs: &[Input], mut stdin: Box<dyn Read + 'a>) -> Result<Sorte
     for (content, mut source) in exchanged {
         source.number = u32::try_from(files.len()).expect("fewer than 2^32 files");
         files.push(source.name.clone());
-        if content == Content::Reductions { reductions.push(source) } else { estimates.push(source) }
+        if content == InputContent::Reductions { reductions.push(source) } else { estimates.push(source) }
     }
-    Ok(Sorted { contents, rows, reductions, estimates, files, stdin })
+    Ok(SortedInputs { contents, rows, reductions, estimates, files, stdin })
 }
 
 /// As the reader of rows sees it.
 fn is_parquet(input: &Input, head: &[u8]) -> bool {
-    !head.is_empty() && detect(input.extension().as_deref(), head) == Ok(Kind::Parquet)
+    !head.is_empty() && detect(input.extension().as_deref(), head) == Ok(FileKind::Parquet)
 }
 
-impl Source {
-    fn content(&self) -> Result<Content, DataError> {
+impl ExchangeFile {
+    fn content(&self) -> Result<InputContent, DataError> {
         opened!(self, |opened| {
             if let Some(content) = by_schema(&self.name, opened.about.metadata())? {
                 return Ok(content);
@@ -175,29 +176,33 @@ impl Source {
                 let found = opened.about.schema().column_with_name(name);
                 found.is_some_and(|(_, field)| super::lists::is_numbers(field.data_type()))
             };
-            Ok(if is_list("estimates") && is_list("sensitivities") { Content::Estimates } else { Content::Rows })
+            Ok(if is_list("estimates") && is_list("sensitivities") {
+                InputContent::Estimates
+            } else {
+                InputContent::Rows
+            })
         })
     }
 }
 
 /// What a table in memory holds.
-fn of_table(table: &MemoryTable) -> Result<Content, ExchangeError> {
+fn of_table(table: &MemoryTable) -> Result<InputContent, ExchangeError> {
     if let Some(content) = of_schema(table.name(), table.metadata(SCHEMA))? {
         return Ok(content);
     }
     let is_list = |name: &str| table.has(name, super::lists::is_numbers);
-    Ok(if is_list("estimates") && is_list("sensitivities") { Content::Estimates } else { Content::Rows })
+    Ok(if is_list("estimates") && is_list("sensitivities") { InputContent::Estimates } else { InputContent::Rows })
 }
 
-fn by_schema(file: &str, metadata: &ParquetMetaData) -> Result<Option<Content>, ExchangeError> {
+fn by_schema(file: &str, metadata: &ParquetMetaData) -> Result<Option<InputContent>, ExchangeError> {
     of_schema(file, value(metadata, SCHEMA))
 }
 
-fn of_schema(file: &str, schema: Option<&str>) -> Result<Option<Content>, ExchangeError> {
+fn of_schema(file: &str, schema: Option<&str>) -> Result<Option<InputContent>, ExchangeError> {
     match schema {
         None => Ok(None),
-        Some(REDUCTIONS_SCHEMA) => Ok(Some(Content::Reductions)),
-        Some(ESTIMATES_SCHEMA) => Ok(Some(Content::Estimates)),
+        Some(REDUCTIONS_SCHEMA) => Ok(Some(InputContent::Reductions)),
+        Some(ESTIMATES_SCHEMA) => Ok(Some(InputContent::Estimates)),
         Some(found) => {
             let (file, found) = (file.to_owned(), shown(found.as_bytes()));
             Err(ExchangeError::Schema { file, found })

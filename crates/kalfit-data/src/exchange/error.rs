@@ -1,9 +1,9 @@
 //! What can be wrong with exchange files, and with several of them together.
 
-use crate::columns::Columns;
-use crate::exchange::alpha::Difference;
+use crate::columns::FileColumns;
+use crate::exchange::alpha::AlphaDifference;
 use crate::exchange::schema::{ESTIMATES_SCHEMA, REDUCTIONS_KIND, REDUCTIONS_SCHEMA};
-use crate::place::Place;
+use crate::place::CellPlace;
 
 /// What is wrong with an exchange file. The message says where, what was found and what was expected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -36,13 +36,13 @@ pub enum ExchangeError {
         /// Name of the column.
         column: &'static str,
         /// The columns of the file.
-        columns: Box<Columns>,
+        columns: Box<FileColumns>,
     },
     /// A value that is needed is null.
     #[error("{at}: found a missing value, expected {expected}")]
     Missing {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// What belongs there, in words.
         expected: &'static str,
     },
@@ -50,7 +50,7 @@ pub enum ExchangeError {
     #[error("{at}: found a list of {found} numbers, expected {expected}: {rule}")]
     Length {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Its length.
         found: usize,
         /// The length it should have, or "a multiple of" one.
@@ -62,7 +62,7 @@ pub enum ExchangeError {
     #[error("{at}: found {found} as element {element} of the list, expected a finite number")]
     NotFinite {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// What it is.
         found: f64,
         /// Which one, from 1.
@@ -72,7 +72,7 @@ pub enum ExchangeError {
     #[error("{at}: found {found}, expected {expected}")]
     Value {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// What was found, shortened.
         found: String,
         /// What belongs there, in words.
@@ -82,7 +82,7 @@ pub enum ExchangeError {
     #[error("{at}: found {}, expected a phase of the model: {}", quoted(found), list(phases))]
     Phase {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// What was found; `None` when nothing.
         found: Option<String>,
         /// Names of the model's phases.
@@ -92,7 +92,7 @@ pub enum ExchangeError {
     #[error("{at}: found {}, expected the states of phase `{phase}`{}: {}", list(found), if *ordered { " in this order" } else { "" }, list(expected))]
     States {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Names that were found.
         found: Vec<String>,
         /// The phase.
@@ -108,7 +108,7 @@ pub enum ExchangeError {
     )]
     NotSemidefinite {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// The smallest eigenvalue.
         least: f64,
         /// The largest one.
@@ -118,7 +118,7 @@ pub enum ExchangeError {
     #[error("{at}: not symmetric: found {found} at ({row}, {column}) and {other} across the diagonal")]
     NotSymmetric {
         /// The cell.
-        at: Box<Place>,
+        at: Box<CellPlace>,
         /// Row of the element, from 1.
         row: usize,
         /// Column of the element, from 1.
@@ -132,7 +132,7 @@ pub enum ExchangeError {
     #[error("{at}: found a covariance beside `covariance_root`, expected one of the two")]
     Both {
         /// The cell of the covariance.
-        at: Box<Place>,
+        at: Box<CellPlace>,
     },
     /// One phase of a test from two places.
     #[error("phase `{phase}` of test `{test}` is given twice: {first} and {second}")]
@@ -182,7 +182,7 @@ pub enum ExchangeError {
         /// The file.
         file: String,
         /// The difference: the second value is the file's.
-        difference: Box<Difference>,
+        difference: Box<AlphaDifference>,
         /// What has the first value: the model, or another file.
         other: String,
     },

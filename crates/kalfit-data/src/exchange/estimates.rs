@@ -4,14 +4,14 @@ use kalfit::reduce::Estimates;
 use kalfit::{Evidence, Labels, Layout, PhasedModel};
 use nalgebra::{DMatrix, DVector};
 
-use super::assembly::Entry;
+use super::assembly::ExchangeEntry;
 use super::constants::Constants;
-use super::content::{Source, opened};
+use super::content::{ExchangeFile, opened};
 use super::error::ExchangeError;
-use super::keys::{Key, Phases};
+use super::keys::{PhaseFinder, TestIdFinder};
 use super::metadata::Metadata;
 use super::schema::ESTIMATES;
-use super::sheet::{Row, Sheet, Wish};
+use super::sheet::{ExchangeSheet, SheetRequest, SheetRow};
 use crate::error::DataError;
 
 const KIND: &str = "estimates";
@@ -21,10 +21,10 @@ const KIND: &str = "estimates";
 /// # Errors
 /// A model with levels of groups; what is wrong with the file, with its place; whatever `take` returns.
 pub fn read_estimates(
-    source: &Source,
+    source: &ExchangeFile,
     (model, layout): (&PhasedModel, &Layout),
     labels: &mut Labels,
-    take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
+    take: &mut dyn FnMut(ExchangeEntry) -> Result<(), DataError>,
 ) -> Result<Option<Metadata>, DataError> {
     if !model.levels.is_empty() {
         return Err(ExchangeError::Levels { file: source.name.clone(), kind: KIND }.into());
@@ -32,10 +32,10 @@ pub fn read_estimates(
     opened!(source, |opened| {
         let metadata = Metadata::read(&source.name, opened.about.metadata())?;
         let constants = Constants::new(model, layout, opened.about.schema());
-        let wish = Wish { kind: KIND, columns: &ESTIMATES, further: constants.columns(layout) };
-        let mut sheet = Sheet::new(&source.name, opened, &wish)?;
-        let key = Key::new(layout);
-        let phases = Phases::new(model);
+        let wish = SheetRequest { kind: KIND, columns: &ESTIMATES, further: constants.columns(layout) };
+        let mut sheet = ExchangeSheet::new(&source.name, opened, &wish)?;
+        let key = TestIdFinder::new(layout);
+        let phases = PhaseFinder::new(model);
         let mut rows = 0;
         while let Some(batch) = sheet.next()? {
             for row in batch.rows() {
@@ -44,7 +44,7 @@ pub fn read_estimates(
                 let at = kalfit::Source { file: source.number, row: row.number() };
                 let constants = constants.test(row, (&test, phase), at, labels)?;
                 let estimates = estimates(row, model, phase, constants)?;
-                take(Entry { test, phase, evidence: Evidence::Estimates(Box::new(estimates)), at })?;
+                take(ExchangeEntry { test, phase, evidence: Evidence::Estimates(Box::new(estimates)), at })?;
                 rows += 1;
             }
         }
@@ -54,7 +54,7 @@ pub fn read_estimates(
 
 /// One row. n states, m estimates.
 fn estimates(
-    row: Row<'_>,
+    row: SheetRow<'_>,
     model: &PhasedModel,
     phase: usize,
     constants: kalfit::Test,
@@ -88,7 +88,7 @@ fn estimates(
 }
 
 /// Where each state of the model stands in the file's vectors.
-fn order(row: Row<'_>, names: &[&str], phase: &str) -> Result<Vec<usize>, ExchangeError> {
+fn order(row: SheetRow<'_>, names: &[&str], phase: &str) -> Result<Vec<usize>, ExchangeError> {
     let Some(found) = row.words("states") else {
         return Err(ExchangeError::Missing { at: row.place("states"), expected: "the names of the states" });
     };
@@ -103,7 +103,7 @@ fn order(row: Row<'_>, names: &[&str], phase: &str) -> Result<Vec<usize>, Exchan
 }
 
 /// D with DD' = Γ, (n + m) × k.
-fn root(row: Row<'_>, n: usize, m: usize) -> Result<DMatrix<f64>, ExchangeError> {
+fn root(row: SheetRow<'_>, n: usize, m: usize) -> Result<DMatrix<f64>, ExchangeError> {
     let size = n + m;
     let covariance = row.list("covariance")?;
     if row.list("covariance_root")?.is_none() {
@@ -122,7 +122,7 @@ fn root(row: Row<'_>, n: usize, m: usize) -> Result<DMatrix<f64>, ExchangeError>
 }
 
 /// A root of Γ.
-fn root_of(row: Row<'_>, covariance: &[f64], size: usize) -> Result<DMatrix<f64>, ExchangeError> {
+fn root_of(row: SheetRow<'_>, covariance: &[f64], size: usize) -> Result<DMatrix<f64>, ExchangeError> {
     const COLUMN: &str = "covariance";
     let precision = if row.is_single(COLUMN) { f64::from(f32::EPSILON) } else { f64::EPSILON };
     let a = DMatrix::from_row_slice(size, size, covariance);

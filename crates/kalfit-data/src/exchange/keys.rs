@@ -4,26 +4,26 @@ use kalfit::{Layout, PhasedModel, TestKey};
 
 use super::error::ExchangeError;
 use super::schema::{PHASE, TEST};
-use super::sheet::Row;
+use super::sheet::SheetRow;
 use crate::error::DataError;
 use crate::reading::SINGLE_TEST;
 
 /// Finds the id of a row's test: in `test`, else in the model's own column of ids.
-pub(super) struct Key {
+pub(super) struct TestIdFinder {
     own: Option<String>,
     single: bool,
 }
 
-impl Key {
-    pub(super) fn new(layout: &Layout) -> Key {
+impl TestIdFinder {
+    pub(super) fn new(layout: &Layout) -> TestIdFinder {
         let own = match &layout.test {
             TestKey::Column(name) if name != TEST => Some(name.clone()),
             _ => None,
         };
-        Key { own, single: layout.test == TestKey::Single }
+        TestIdFinder { own, single: layout.test == TestKey::Single }
     }
 
-    pub(super) fn id(&self, row: Row<'_>) -> Result<String, DataError> {
+    pub(super) fn id(&self, row: SheetRow<'_>) -> Result<String, DataError> {
         let own = self.own.as_deref().filter(|_| !row.has(TEST));
         let column = own.filter(|own| row.has(own)).unwrap_or(TEST);
         match row.text(column) {
@@ -35,15 +35,15 @@ impl Key {
 }
 
 /// The phases of a model by name.
-pub(super) struct Phases<'a>(Vec<&'a str>);
+pub(super) struct PhaseFinder<'a>(Vec<&'a str>);
 
-impl<'a> Phases<'a> {
-    pub(super) fn new(model: &'a PhasedModel) -> Phases<'a> {
-        Phases(model.phases.iter().map(|phase| phase.name.as_str()).collect())
+impl<'a> PhaseFinder<'a> {
+    pub(super) fn new(model: &'a PhasedModel) -> PhaseFinder<'a> {
+        PhaseFinder(model.phases.iter().map(|phase| phase.name.as_str()).collect())
     }
 
     /// The phase of a row: the only one where none is named.
-    pub(super) fn of(&self, row: Row<'_>) -> Result<usize, ExchangeError> {
+    pub(super) fn of(&self, row: SheetRow<'_>) -> Result<usize, ExchangeError> {
         let place = match row.with_text(PHASE, |found| self.0.iter().position(|name| *name == found)) {
             None if self.0.len() == 1 => Some(0),
             place => place.flatten(),

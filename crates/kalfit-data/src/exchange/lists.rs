@@ -6,11 +6,11 @@ use arrow::array::{Array, ArrayRef, AsArray};
 use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
 
-use crate::table::arrays::{Numbers, is_numeric};
+use crate::table::arrays::{NumberArray, is_numeric};
 use crate::table::strings::{Strings, is_text};
 
 /// A column of lists of numbers.
-pub(super) struct Lists {
+pub(super) struct NumberLists {
     rows: Vec<Option<Range<usize>>>,
     /// Elements of all lists; NaN where null.
     values: Vec<f64>,
@@ -19,7 +19,7 @@ pub(super) struct Lists {
 }
 
 /// A column of lists of texts.
-pub(super) struct Words {
+pub(super) struct TextLists {
     rows: Vec<Option<Range<usize>>>,
     /// Elements of all lists; none when all lists are empty.
     texts: Option<Strings>,
@@ -46,10 +46,10 @@ pub(super) fn is_words(data_type: &DataType) -> bool {
 }
 
 /// Where the list of each row stands among the values of all; `None` for a missing one.
-type Parts = (Vec<Option<Range<usize>>>, ArrayRef);
+type ListRanges = (Vec<Option<Range<usize>>>, ArrayRef);
 
 /// Elements of each row, and all elements.
-fn parts(array: &dyn Array) -> Result<Parts, ArrowError> {
+fn parts(array: &dyn Array) -> Result<ListRanges, ArrowError> {
     let rows = |ranges: &dyn Fn(usize) -> Range<usize>| -> Vec<Option<Range<usize>>> {
         (0..array.len()).map(|row| array.is_valid(row).then(|| ranges(row))).collect()
     };
@@ -68,15 +68,15 @@ fn parts(array: &dyn Array) -> Result<Parts, ArrowError> {
     }
 }
 
-impl Lists {
-    pub(super) fn new(array: &dyn Array) -> Result<Lists, ArrowError> {
+impl NumberLists {
+    pub(super) fn new(array: &dyn Array) -> Result<NumberLists, ArrowError> {
         let (rows, values) = parts(array)?;
         let single = matches!(values.data_type(), DataType::Float16 | DataType::Float32);
-        let values = match Numbers::new(&values)? {
-            Numbers::Values(values) => values,
-            Numbers::Texts(_) => return Err(ArrowError::CastError("texts are no numbers".to_owned())),
+        let values = match NumberArray::new(&values)? {
+            NumberArray::Values(values) => values,
+            NumberArray::Texts(_) => return Err(ArrowError::CastError("texts are no numbers".to_owned())),
         };
-        Ok(Lists { rows, values, single })
+        Ok(NumberLists { rows, values, single })
     }
 
     /// The list in a row, with NaN for null elements; `None` when it is null.
@@ -90,10 +90,10 @@ impl Lists {
     }
 }
 
-impl Words {
-    pub(super) fn new(array: &dyn Array) -> Result<Words, ArrowError> {
+impl TextLists {
+    pub(super) fn new(array: &dyn Array) -> Result<TextLists, ArrowError> {
         let (rows, values) = parts(array)?;
-        Ok(Words { rows, texts: Strings::new(&values) })
+        Ok(TextLists { rows, texts: Strings::new(&values) })
     }
 
     /// True when the list in a row is this one and has no null element.

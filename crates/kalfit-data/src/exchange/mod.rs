@@ -25,9 +25,9 @@ mod schema;
 mod sheet;
 mod write;
 
-pub use alpha::{Difference, ParameterValue, difference, merge};
-pub use assembly::{Assembly, Entry, twice};
-pub use content::{Content, Sorted, Source, sort};
+pub use alpha::{AlphaDifference, ParameterValue, difference, merge};
+pub use assembly::{Assembly, ExchangeEntry, twice};
+pub use content::{ExchangeFile, InputContent, SortedInputs, sort};
 pub use error::ExchangeError;
 pub use estimates::read_estimates;
 pub use metadata::Metadata;

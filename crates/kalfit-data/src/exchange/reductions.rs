@@ -10,16 +10,16 @@ use nalgebra::{DMatrix, DVector};
 use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::reader::ChunkReader;
 
-use super::assembly::Entry;
-use super::content::{Contents, Source};
+use super::assembly::ExchangeEntry;
+use super::content::{ExchangeBytes, ExchangeFile};
 use super::error::ExchangeError;
-use super::keys::Phases;
+use super::keys::PhaseFinder;
 use super::metadata::Metadata;
 use super::schema::{GROUPS, REDUCTIONS, REDUCTIONS_KIND, TEST};
-use super::sheet::{Part, Plan, Row, Sheet, Wish};
+use super::sheet::{ExchangeSheet, RowGroupPart, SheetPlan, SheetRequest, SheetRow};
 use crate::error::DataError;
 use crate::kind::PARQUET;
-use crate::table::ahead::{Done, Goes, Make, Task, Tasks, each};
+use crate::table::ahead::{BlockTask, BlockTasks, Goes, MakeBlock, TableProgress, each};
 
 pub(super) const INFORMATION: &str = "information";
 pub(super) const SQUARE_ROOT: &str = "square-root";
@@ -31,30 +31,31 @@ pub(super) const SQUARE_ROOT: &str = "square-root";
 /// What is wrong with the file, with its place: of a model with levels also that it does not say the groups of its tests; whatever
 /// `take` returns.
 pub fn read_reductions(
-    source: &Source,
+    source: &ExchangeFile,
     model: &PhasedModel,
     labels: &mut Labels,
-    take: &mut dyn FnMut(Entry) -> Result<(), DataError>,
+    take: &mut dyn FnMut(ExchangeEntry) -> Result<(), DataError>,
 ) -> Result<Metadata, DataError> {
-    let mut labelled = |(mut entry, groups): (Entry, Vec<String>)| {
+    let mut labelled = |(mut entry, groups): (ExchangeEntry, Vec<String>)| {
         if let Evidence::Reduced(piece) = &mut entry.evidence {
             piece.groups = groups.iter().map(|name| labels.intern(name)).collect();
         }
         take(entry)
     };
     match &source.bytes {
-        Contents::Path(path) => read(source, model, || File::open(path), &mut labelled),
-        Contents::Memory(bytes) => read(source, model, || Ok(bytes.clone()), &mut labelled),
+        ExchangeBytes::Path(path) => read(source, model, || File::open(path), &mut labelled),
+        ExchangeBytes::Memory(bytes) => read(source, model, || Ok(bytes.clone()), &mut labelled),
     }
 }
 
 fn read<R: ChunkReader + 'static>(
-    source: &Source,
+    source: &ExchangeFile,
     model: &PhasedModel,
     again: impl Fn() -> io::Result<R> + Sync,
-    take: &mut dyn FnMut(Grouped) -> Result<(), DataError>,
+    take: &mut dyn FnMut(GroupedEntry) -> Result<(), DataError>,
 ) -> Result<Metadata, DataError> {
-    let reader = Reader { source, phases: Phases::new(model), known: known(model), levels: model.levels.len() };
+    let reader =
+        ReductionReader { source, phases: PhaseFinder::new(model), known: known(model), levels: model.levels.len() };
     let open = || again().map_err(|error| DataError::Io { file: source.name.clone(), source: error });
     let opened = super::sheet::open(&source.name, open()?)?;
     let about = opened.about.metadata();
@@ -63,9 +64,9 @@ fn read<R: ChunkReader + 'static>(
         key: super::metadata::SCHEMA,
         reason: "it is missing".to_owned(),
     })?;
-    let wish = Wish { kind: REDUCTIONS_KIND, columns: &REDUCTIONS, further: Vec::new() };
-    let plan = Plan::new(&source.name, &opened, &wish)?;
-    let make = |part: Part| -> Make<'_, Rows> {
+    let wish = SheetRequest { kind: REDUCTIONS_KIND, columns: &REDUCTIONS, further: Vec::new() };
+    let plan = SheetPlan::new(&source.name, &opened, &wish)?;
+    let make = |part: RowGroupPart| -> MakeBlock<'_, ReductionRows> {
         let (reader, open, plan) = (&reader, &open, plan.clone());
         Box::new(move || {
             let mut rows = Vec::new();
@@ -73,9 +74,9 @@ fn read<R: ChunkReader + 'static>(
             (rows, end)
         })
     };
-    let mut parts = Parts { groups: about.row_groups(), group: 0, within: 0, before: 0, make };
+    let mut parts = RowGroupParts { groups: about.row_groups(), group: 0, within: 0, before: 0, make };
     let mut rows = 0_usize;
-    each::<Rows, DataError>(&mut parts, &mut |(entries, end), _| {
+    each::<ReductionRows, DataError>(&mut parts, &mut |(entries, end), _| {
         rows += entries.len();
         entries.into_iter().try_for_each(&mut *take)?;
         end.map_or(Ok(Goes::On), Err)
@@ -84,10 +85,10 @@ fn read<R: ChunkReader + 'static>(
 }
 
 /// Rows, and what is wrong with the row after them.
-type Rows = (Vec<Grouped>, Option<DataError>);
+type ReductionRows = (Vec<GroupedEntry>, Option<DataError>);
 
 /// A row with the names of the groups of its test.
-type Grouped = (Entry, Vec<String>);
+type GroupedEntry = (ExchangeEntry, Vec<String>);
 
 /// Most rows that are read at a time, and about how many bytes they may have: rows may hold matrices.
 const PART_ROWS: usize = 1 << 16;
@@ -103,7 +104,7 @@ fn part_rows(group: &RowGroupMetaData) -> usize {
 }
 
 /// A file in parts of row groups.
-struct Parts<'a, F> {
+struct RowGroupParts<'a, F> {
     groups: &'a [RowGroupMetaData],
     /// The next row group, and its rows that are handed out.
     group: usize,
@@ -113,18 +114,18 @@ struct Parts<'a, F> {
     make: F,
 }
 
-impl<'a, F: Fn(Part) -> Make<'a, Rows>> Tasks<'a, Rows> for Parts<'a, F> {
-    fn next(&mut self) -> Result<Option<Task<'a, Rows>>, DataError> {
+impl<'a, F: Fn(RowGroupPart) -> MakeBlock<'a, ReductionRows>> BlockTasks<'a, ReductionRows> for RowGroupParts<'a, F> {
+    fn next(&mut self) -> Result<Option<BlockTask<'a, ReductionRows>>, DataError> {
         let rows = |group: &RowGroupMetaData| usize::try_from(group.num_rows()).unwrap_or(0);
         while self.groups.get(self.group).is_some_and(|group| rows(group) <= self.within) {
             (self.group, self.within) = (self.group + 1, 0);
         }
         let Some(group) = self.groups.get(self.group) else { return Ok(None) };
         let rows = part_rows(group).min(rows(group) - self.within);
-        let part = Part { group: self.group, skip: self.within, rows, before: self.before };
+        let part = RowGroupPart { group: self.group, skip: self.within, rows, before: self.before };
         self.within += rows;
         self.before += rows as u64;
-        Ok(Some(Task { make: (self.make)(part), done: Done::Share(0.0) }))
+        Ok(Some(BlockTask { make: (self.make)(part), done: TableProgress::Share(0.0) }))
     }
 
     fn alone(&self) -> usize {
@@ -133,16 +134,16 @@ impl<'a, F: Fn(Part) -> Make<'a, Rows>> Tasks<'a, Rows> for Parts<'a, F> {
 }
 
 /// What rows are compared with.
-struct Reader<'a> {
-    source: &'a Source,
-    phases: Phases<'a>,
-    known: Vec<Known<'a>>,
+struct ReductionReader<'a> {
+    source: &'a ExchangeFile,
+    phases: PhaseFinder<'a>,
+    known: Vec<ExpectedPhase<'a>>,
     /// Number of levels of groups.
     levels: usize,
 }
 
 /// What is known of a phase.
-struct Known<'a> {
+struct ExpectedPhase<'a> {
     phase: &'a Phase,
     /// Names of its entering states.
     entering: Vec<String>,
@@ -152,12 +153,12 @@ struct Known<'a> {
     before: Option<usize>,
 }
 
-fn known(model: &PhasedModel) -> Vec<Known<'_>> {
+fn known(model: &PhasedModel) -> Vec<ExpectedPhase<'_>> {
     let phases = &model.phases;
     let named = |phase: &Phase, states: &mut dyn Iterator<Item = usize>| -> Vec<String> {
         states.map(|state| phase.model.states[state].name.clone()).collect()
     };
-    let all = phases.iter().enumerate().map(|(index, phase)| Known {
+    let all = phases.iter().enumerate().map(|(index, phase)| ExpectedPhase {
         phase,
         entering: named(phase, &mut phase.entering().into_iter()),
         terminal: (index + 1 < phases.len()).then(|| named(phase, &mut (0..phase.model.states.len()))),
@@ -166,15 +167,20 @@ fn known(model: &PhasedModel) -> Vec<Known<'_>> {
     all.collect()
 }
 
-impl Reader<'_> {
-    fn rows(&self, mut sheet: Sheet<'_>, part: Part, rows: &mut Vec<Grouped>) -> Result<(), DataError> {
+impl ReductionReader<'_> {
+    fn rows(
+        &self,
+        mut sheet: ExchangeSheet<'_>,
+        part: RowGroupPart,
+        rows: &mut Vec<GroupedEntry>,
+    ) -> Result<(), DataError> {
         while let Some(batch) = sheet.next()? {
             for row in batch.rows() {
                 let test = row.text(TEST).ok_or_else(|| DataError::MissingTest { at: row.place(TEST) })?;
                 let phase = self.phases.of(row)?;
                 let at = kalfit::Source { file: self.source.number, row: row.number() };
                 let evidence = Evidence::Reduced(Box::new(piece(row, &self.known[phase], &test)?));
-                rows.push((Entry { test, phase, evidence, at }, self.groups(row)?));
+                rows.push((ExchangeEntry { test, phase, evidence, at }, self.groups(row)?));
             }
         }
         // to go on would take a declared row group of any length in vain
@@ -183,7 +189,7 @@ impl Reader<'_> {
     }
 
     /// Names of the groups of a test, where the model has levels.
-    fn groups(&self, row: Row<'_>) -> Result<Vec<String>, ExchangeError> {
+    fn groups(&self, row: SheetRow<'_>) -> Result<Vec<String>, ExchangeError> {
         if self.levels == 0 {
             return Ok(Vec::new());
         }
@@ -202,7 +208,7 @@ impl Reader<'_> {
 }
 
 /// One row. q entering coordinates, n states.
-fn piece(row: Row<'_>, known: &Known<'_>, test: &str) -> Result<PhaseReduction, ExchangeError> {
+fn piece(row: SheetRow<'_>, known: &ExpectedPhase<'_>, test: &str) -> Result<PhaseReduction, ExchangeError> {
     let own = known.phase;
     same_names(row, "states", &known.entering, &own.name)?;
     let q = known.entering.len();
@@ -227,7 +233,7 @@ fn piece(row: Row<'_>, known: &Known<'_>, test: &str) -> Result<PhaseReduction, 
     Ok(PhaseReduction { reduction, terminal, inherited, groups: Vec::new() })
 }
 
-fn reduction(row: Row<'_>, q: usize, covariates: usize, test: &str) -> Result<Reduction, ExchangeError> {
+fn reduction(row: SheetRow<'_>, q: usize, covariates: usize, test: &str) -> Result<Reduction, ExchangeError> {
     let data = row.exact("data", q, || format!("one for each of the {q} entering states"))?;
     let rule = || format!("the upper triangle of q × q with q = {q} entering states");
     let factor = row.exact("factor", q * (q + 1) / 2, rule)?;
@@ -255,7 +261,7 @@ fn reduction(row: Row<'_>, q: usize, covariates: usize, test: &str) -> Result<Re
     })
 }
 
-fn path(row: Row<'_>) -> Result<Path, ExchangeError> {
+fn path(row: SheetRow<'_>) -> Result<Path, ExchangeError> {
     let path = row.with_text("path", |text| match text {
         INFORMATION => Some(Path::Information),
         SQUARE_ROOT => Some(Path::SquareRoot),
@@ -267,7 +273,7 @@ fn path(row: Row<'_>) -> Result<Path, ExchangeError> {
     }
 }
 
-fn design(row: Row<'_>) -> Result<u128, ExchangeError> {
+fn design(row: SheetRow<'_>) -> Result<u128, ExchangeError> {
     let digest = |text: &str| {
         let sound = text.len() == 32 && text.bytes().all(|b| b.is_ascii_hexdigit());
         if sound { u128::from_str_radix(text, 16).ok() } else { None }
@@ -275,14 +281,14 @@ fn design(row: Row<'_>) -> Result<u128, ExchangeError> {
     row.with_text("design", digest).flatten().ok_or_else(|| unfit(row, "design", "32 hexadecimal digits"))
 }
 
-fn unfit(row: Row<'_>, column: &str, expected: &'static str) -> ExchangeError {
+fn unfit(row: SheetRow<'_>, column: &str, expected: &'static str) -> ExchangeError {
     match row.shown(column) {
         None => ExchangeError::Missing { at: row.place(column), expected },
         Some(found) => ExchangeError::Value { at: row.place(column), found: format!("`{found}`"), expected },
     }
 }
 
-fn terminal(row: Row<'_>, n: usize, q: usize) -> Result<Terminal, ExchangeError> {
+fn terminal(row: SheetRow<'_>, n: usize, q: usize) -> Result<Terminal, ExchangeError> {
     let mean = row.exact("terminal_mean", n, || format!("one for each of the {n} states"))?;
     let rule = || format!("n × q with n = {n} states and q = {q} entering states");
     let sensitivity = row.exact("terminal_sensitivity", n * q, rule)?;
@@ -294,7 +300,7 @@ fn terminal(row: Row<'_>, n: usize, q: usize) -> Result<Terminal, ExchangeError>
     })
 }
 
-fn same_names(row: Row<'_>, column: &str, expected: &[String], phase: &str) -> Result<(), ExchangeError> {
+fn same_names(row: SheetRow<'_>, column: &str, expected: &[String], phase: &str) -> Result<(), ExchangeError> {
     if row.has_words(column, expected) {
         return Ok(());
     }

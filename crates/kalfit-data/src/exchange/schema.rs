@@ -18,7 +18,7 @@ pub(super) const GROUPS: &str = "groups";
 
 /// What a column holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Shape {
+pub(super) enum ColumnShape {
     Text,
     /// A number; a count is one without a fraction.
     Number,
@@ -28,56 +28,56 @@ pub(super) enum Shape {
 
 /// A column that is looked for.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Column {
+pub(super) struct SchemaColumn {
     pub(super) name: &'static str,
-    pub(super) shape: Shape,
+    pub(super) shape: ColumnShape,
     pub(super) needed: bool,
 }
 
-impl Column {
-    pub(super) const fn needed(name: &'static str, shape: Shape) -> Column {
-        Column { name, shape, needed: true }
+impl SchemaColumn {
+    pub(super) const fn needed(name: &'static str, shape: ColumnShape) -> SchemaColumn {
+        SchemaColumn { name, shape, needed: true }
     }
 
-    pub(super) const fn optional(name: &'static str, shape: Shape) -> Column {
-        Column { name, shape, needed: false }
+    pub(super) const fn optional(name: &'static str, shape: ColumnShape) -> SchemaColumn {
+        SchemaColumn { name, shape, needed: false }
     }
 }
 
 /// The schema `kalfit-reductions/1`.
-pub(super) const REDUCTIONS: [Column; 18] = [
-    Column::needed(TEST, Shape::Text),
-    Column::needed(PHASE, Shape::Text),
-    Column::needed("states", Shape::Words),
-    Column::needed("constant", Shape::Number),
-    Column::needed("data", Shape::Numbers),
-    Column::needed("factor", Shape::Numbers),
-    Column::needed("covariates", Shape::Numbers),
-    Column::needed("path", Shape::Text),
-    Column::needed("design", Shape::Text),
-    Column::needed("steps", Shape::Number),
-    Column::needed("observations", Shape::Number),
-    Column::optional("terminal_states", Shape::Words),
-    Column::optional("terminal_mean", Shape::Numbers),
-    Column::optional("terminal_sensitivity", Shape::Numbers),
-    Column::optional("terminal_root", Shape::Numbers),
-    Column::optional("inherited_transition", Shape::Numbers),
-    Column::optional("inherited_input", Shape::Numbers),
-    Column::optional(GROUPS, Shape::Words),
+pub(super) const REDUCTIONS: [SchemaColumn; 18] = [
+    SchemaColumn::needed(TEST, ColumnShape::Text),
+    SchemaColumn::needed(PHASE, ColumnShape::Text),
+    SchemaColumn::needed("states", ColumnShape::Words),
+    SchemaColumn::needed("constant", ColumnShape::Number),
+    SchemaColumn::needed("data", ColumnShape::Numbers),
+    SchemaColumn::needed("factor", ColumnShape::Numbers),
+    SchemaColumn::needed("covariates", ColumnShape::Numbers),
+    SchemaColumn::needed("path", ColumnShape::Text),
+    SchemaColumn::needed("design", ColumnShape::Text),
+    SchemaColumn::needed("steps", ColumnShape::Number),
+    SchemaColumn::needed("observations", ColumnShape::Number),
+    SchemaColumn::optional("terminal_states", ColumnShape::Words),
+    SchemaColumn::optional("terminal_mean", ColumnShape::Numbers),
+    SchemaColumn::optional("terminal_sensitivity", ColumnShape::Numbers),
+    SchemaColumn::optional("terminal_root", ColumnShape::Numbers),
+    SchemaColumn::optional("inherited_transition", ColumnShape::Numbers),
+    SchemaColumn::optional("inherited_input", ColumnShape::Numbers),
+    SchemaColumn::optional(GROUPS, ColumnShape::Words),
 ];
 
 /// The schema `kalfit-estimates/1`.
-pub(super) const ESTIMATES: [Column; 12] = [
-    Column::optional(TEST, Shape::Text),
-    Column::optional(PHASE, Shape::Text),
-    Column::needed("states", Shape::Words),
-    Column::needed("estimates", Shape::Numbers),
-    Column::needed("offsets", Shape::Numbers),
-    Column::needed("sensitivities", Shape::Numbers),
-    Column::optional("covariance_root", Shape::Numbers),
-    Column::optional("covariance", Shape::Numbers),
-    Column::needed("transition", Shape::Numbers),
-    Column::optional("drift", Shape::Numbers),
-    Column::optional("steps", Shape::Number),
-    Column::optional("observations", Shape::Number),
+pub(super) const ESTIMATES: [SchemaColumn; 12] = [
+    SchemaColumn::optional(TEST, ColumnShape::Text),
+    SchemaColumn::optional(PHASE, ColumnShape::Text),
+    SchemaColumn::needed("states", ColumnShape::Words),
+    SchemaColumn::needed("estimates", ColumnShape::Numbers),
+    SchemaColumn::needed("offsets", ColumnShape::Numbers),
+    SchemaColumn::needed("sensitivities", ColumnShape::Numbers),
+    SchemaColumn::optional("covariance_root", ColumnShape::Numbers),
+    SchemaColumn::optional("covariance", ColumnShape::Numbers),
+    SchemaColumn::needed("transition", ColumnShape::Numbers),
+    SchemaColumn::optional("drift", ColumnShape::Numbers),
+    SchemaColumn::optional("steps", ColumnShape::Number),
+    SchemaColumn::optional("observations", ColumnShape::Number),
 ];

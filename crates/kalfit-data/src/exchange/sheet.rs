@@ -15,51 +15,51 @@ use parquet::file::metadata::ParquetMetaData;
 use parquet::file::reader::ChunkReader;
 
 use super::error::ExchangeError;
-use super::lists::{Lists, Words, is_numbers, is_words};
-use super::schema::{Column, Shape};
+use super::lists::{NumberLists, TextLists, is_numbers, is_words};
+use super::schema::{ColumnShape, SchemaColumn};
 use crate::cell::shown;
-use crate::columns::{Columns, nearest};
+use crate::columns::{FileColumns, nearest};
 use crate::error::DataError;
 use crate::kind::PARQUET;
-use crate::place::Place;
-use crate::table::arrays::{Numbers, Texts, is_numeric, misfit};
+use crate::place::CellPlace;
+use crate::table::arrays::{NumberArray, TextArray, is_numeric, misfit};
 use crate::table::guard::guarded;
-use crate::table::parquet::survey::{Survey, survey};
+use crate::table::parquet::survey::{RowGroupSurvey, survey};
 use crate::table::parquet::{ROWS_FREE, ROWS_PER_BYTE, refuse_codecs, refuse_oversized};
 
 /// Rows decoded at a time: they may hold matrices.
 const ROWS: usize = 256;
 
 /// What is read of a file.
-pub(super) struct Wish<'a> {
+pub(super) struct SheetRequest<'a> {
     /// What the file is, in words: "estimates".
     pub(super) kind: &'static str,
     /// The columns of its schema.
-    pub(super) columns: &'a [Column],
+    pub(super) columns: &'a [SchemaColumn],
     /// (name in the file, shape): further columns, which are there.
-    pub(super) further: Vec<(String, Shape)>,
+    pub(super) further: Vec<(String, ColumnShape)>,
 }
 
 /// Where the columns of a wish are in a file.
 #[derive(Clone)]
-pub(super) struct Plan<'a> {
+pub(super) struct SheetPlan<'a> {
     file: &'a str,
     mask: ProjectionMask,
     /// How all row groups are read.
-    survey: Survey,
+    survey: RowGroupSurvey,
     /// Shapes by name.
-    shapes: BTreeMap<String, Shape>,
+    shapes: BTreeMap<String, ColumnShape>,
 }
 
 /// The bytes of a file, and what it says of itself.
-pub(super) struct Opened<R> {
+pub(super) struct OpenParquet<R> {
     bytes: R,
     pub(super) about: ArrowReaderMetadata,
 }
 
 /// Rows of one row group: `rows` of them, after `skip` of the group and `before` of the file.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Part {
+pub(super) struct RowGroupPart {
     pub(super) group: usize,
     pub(super) skip: usize,
     pub(super) rows: usize,
@@ -67,45 +67,45 @@ pub(super) struct Part {
 }
 
 /// An open file.
-pub(super) struct Sheet<'a> {
-    plan: Plan<'a>,
+pub(super) struct ExchangeSheet<'a> {
+    plan: SheetPlan<'a>,
     reader: ParquetRecordBatchReader,
     /// Rows before the next batch.
     before: u64,
 }
 
 /// Some rows of a file.
-pub(super) struct Batch<'a> {
+pub(super) struct SheetBatch<'a> {
     file: &'a str,
     before: u64,
     rows: usize,
     /// By name; there are so few that looking through all is quickest.
-    cells: Vec<(String, Cells)>,
+    cells: Vec<(String, SheetColumn)>,
 }
 
-enum Cells {
-    Texts(Texts),
-    Numbers(Numbers),
-    Lists(Lists),
-    Words(Words),
+enum SheetColumn {
+    Texts(TextArray),
+    Numbers(NumberArray),
+    Lists(NumberLists),
+    Words(TextLists),
 }
 
 /// One row of a batch.
 #[derive(Clone, Copy)]
-pub(super) struct Row<'b> {
-    batch: &'b Batch<'b>,
+pub(super) struct SheetRow<'b> {
+    batch: &'b SheetBatch<'b>,
     index: usize,
 }
 
 /// Opens a file.
-pub(super) fn open<R: ChunkReader>(file: &str, bytes: R) -> Result<Opened<R>, DataError> {
+pub(super) fn open<R: ChunkReader>(file: &str, bytes: R) -> Result<OpenParquet<R>, DataError> {
     let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
     guarded(file, PARQUET, || {
         let length = bytes.len();
         let about = ArrowReaderMetadata::load(&bytes, ArrowReaderOptions::new()).map_err(failed)?;
         refuse_oversized(file, about.metadata(), length)?;
         refuse_long_lists(file, about.metadata(), length)?;
-        Ok(Opened { bytes, about })
+        Ok(OpenParquet { bytes, about })
     })
 }
 
@@ -123,18 +123,18 @@ fn refuse_long_lists(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Resu
     Ok(())
 }
 
-impl<'a> Sheet<'a> {
+impl<'a> ExchangeSheet<'a> {
     /// All rows of a file with the columns of a wish.
     pub(super) fn new<R: ChunkReader + 'static>(
         file: &'a str,
-        opened: Opened<R>,
-        wish: &Wish<'_>,
-    ) -> Result<Sheet<'a>, DataError> {
-        Plan::new(file, &opened, wish)?.sheet(opened.bytes, None)
+        opened: OpenParquet<R>,
+        wish: &SheetRequest<'_>,
+    ) -> Result<ExchangeSheet<'a>, DataError> {
+        SheetPlan::new(file, &opened, wish)?.sheet(opened.bytes, None)
     }
 
     /// The next rows; `None` at the end.
-    pub(super) fn next(&mut self) -> Result<Option<Batch<'a>>, DataError> {
+    pub(super) fn next(&mut self) -> Result<Option<SheetBatch<'a>>, DataError> {
         let file = self.plan.file;
         let failed = |source: ArrowError| DataError::Arrow { file: file.to_owned(), source: Box::new(source) };
         let (reader, shapes) = (&mut self.reader, &self.plan.shapes);
@@ -146,18 +146,18 @@ impl<'a> Sheet<'a> {
         Ok(batch.map(|(rows, cells)| {
             let before = self.before;
             self.before += rows as u64;
-            Batch { file, before, rows, cells }
+            SheetBatch { file, before, rows, cells }
         }))
     }
 }
 
-impl<'a> Plan<'a> {
+impl<'a> SheetPlan<'a> {
     /// Finds the columns of a wish in a file.
     pub(super) fn new<R: ChunkReader>(
         file: &'a str,
-        opened: &Opened<R>,
-        wish: &Wish<'_>,
-    ) -> Result<Plan<'a>, DataError> {
+        opened: &OpenParquet<R>,
+        wish: &SheetRequest<'_>,
+    ) -> Result<SheetPlan<'a>, DataError> {
         let about = &opened.about;
         let names: Vec<String> = about.schema().fields().iter().map(|field| field.name().clone()).collect();
         let (mut roots, mut shapes) = (Vec::new(), BTreeMap::new());
@@ -184,36 +184,43 @@ impl<'a> Plan<'a> {
         let mask = ProjectionMask::roots(about.parquet_schema(), roots);
         let groups = 0..about.metadata().num_row_groups();
         let survey = survey(file, &opened.bytes, about, &mask, (groups, ROWS))?;
-        Ok(Plan { file, mask, survey, shapes })
+        Ok(SheetPlan { file, mask, survey, shapes })
     }
 
     /// The rows of a part, or all.
-    pub(super) fn sheet<R: ChunkReader + 'static>(self, bytes: R, part: Option<Part>) -> Result<Sheet<'a>, DataError> {
+    pub(super) fn sheet<R: ChunkReader + 'static>(
+        self,
+        bytes: R,
+        part: Option<RowGroupPart>,
+    ) -> Result<ExchangeSheet<'a>, DataError> {
         let file = self.file;
         let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
         let reader = guarded(file, PARQUET, || {
             let all = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes, self.survey.metadata.clone());
             let builder = match part {
                 None => all,
-                Some(Part { group, skip, rows, .. }) => {
+                Some(RowGroupPart { group, skip, rows, .. }) => {
                     all.with_row_groups(vec![group]).with_offset(skip).with_limit(rows)
                 }
             };
             builder.with_projection(self.mask.clone()).with_batch_size(self.survey.rows).build().map_err(failed)
         })?;
-        Ok(Sheet { plan: self, reader, before: part.map_or(0, |part| part.before) })
+        Ok(ExchangeSheet { plan: self, reader, before: part.map_or(0, |part| part.before) })
     }
 }
 
-fn decode(batch: &RecordBatch, shapes: &BTreeMap<String, Shape>) -> Result<Vec<(String, Cells)>, ArrowError> {
+fn decode(
+    batch: &RecordBatch,
+    shapes: &BTreeMap<String, ColumnShape>,
+) -> Result<Vec<(String, SheetColumn)>, ArrowError> {
     let schema = batch.schema();
     let columns = schema.fields().iter().zip(batch.columns());
     let cells = columns.filter_map(|(field, array)| {
         let cells = match shapes.get(field.name())? {
-            Shape::Text => Texts::new(array).map(Cells::Texts),
-            Shape::Number => Numbers::new(array).map(Cells::Numbers),
-            Shape::Numbers => Lists::new(array).map(Cells::Lists),
-            Shape::Words => Words::new(array).map(Cells::Words),
+            ColumnShape::Text => TextArray::new(array).map(SheetColumn::Texts),
+            ColumnShape::Number => NumberArray::new(array).map(SheetColumn::Numbers),
+            ColumnShape::Numbers => NumberLists::new(array).map(SheetColumn::Lists),
+            ColumnShape::Words => TextLists::new(array).map(SheetColumn::Words),
         };
         Some(cells.map(|cells| (field.name().clone(), cells)))
     });
@@ -235,16 +242,21 @@ fn position(file: &str, names: &[String], name: &str) -> Result<Option<usize>, D
 }
 
 fn missing(file: &str, kind: &'static str, column: &'static str, names: Vec<String>) -> ExchangeError {
-    let columns = Box::new(Columns { near: nearest(column, &names), names });
+    let columns = Box::new(FileColumns { near: nearest(column, &names), names });
     ExchangeError::MissingColumn { file: file.to_owned(), kind, column, columns }
 }
 
-fn fits(file: &str, data_type: &DataType, (name, shape): (&str, Shape), kind: &'static str) -> Result<(), DataError> {
+fn fits(
+    file: &str,
+    data_type: &DataType,
+    (name, shape): (&str, ColumnShape),
+    kind: &'static str,
+) -> Result<(), DataError> {
     let expected = match shape {
-        Shape::Text => misfit(data_type, false, false, true),
-        Shape::Number => (!is_numeric(data_type)).then_some("numbers"),
-        Shape::Numbers => (!is_numbers(data_type)).then_some("lists of numbers"),
-        Shape::Words => (!is_words(data_type)).then_some("lists of texts"),
+        ColumnShape::Text => misfit(data_type, false, false, true),
+        ColumnShape::Number => (!is_numeric(data_type)).then_some("numbers"),
+        ColumnShape::Numbers => (!is_numbers(data_type)).then_some("lists of numbers"),
+        ColumnShape::Words => (!is_words(data_type)).then_some("lists of texts"),
     };
     let Some(expected) = expected else { return Ok(()) };
     Err(DataError::ColumnType {
@@ -256,21 +268,21 @@ fn fits(file: &str, data_type: &DataType, (name, shape): (&str, Shape), kind: &'
     })
 }
 
-impl<'a> Batch<'a> {
-    pub(super) fn rows(&self) -> impl Iterator<Item = Row<'_>> {
-        (0..self.rows).map(|index| Row { batch: self, index })
+impl<'a> SheetBatch<'a> {
+    pub(super) fn rows(&self) -> impl Iterator<Item = SheetRow<'_>> {
+        (0..self.rows).map(|index| SheetRow { batch: self, index })
     }
 }
 
-impl<'b> Row<'b> {
+impl<'b> SheetRow<'b> {
     /// Its number in the file, from 1.
     pub(super) fn number(self) -> u64 {
         self.batch.before + self.index as u64 + 1
     }
 
     /// One of its cells.
-    pub(super) fn place(self, column: &str) -> Box<Place> {
-        Box::new(Place { file: self.batch.file.to_owned(), row: self.number(), column: column.to_owned() })
+    pub(super) fn place(self, column: &str) -> Box<CellPlace> {
+        Box::new(CellPlace { file: self.batch.file.to_owned(), row: self.number(), column: column.to_owned() })
     }
 
     /// True when the file has this column.
@@ -278,13 +290,13 @@ impl<'b> Row<'b> {
         self.cells(column).is_some()
     }
 
-    fn cells(self, column: &str) -> Option<&'b Cells> {
+    fn cells(self, column: &str) -> Option<&'b SheetColumn> {
         self.batch.cells.iter().find(|(name, _)| name == column).map(|(_, cells)| cells)
     }
 
     /// What is made of a text; `None` when it is null or the file has no such column.
     pub(super) fn with_text<T>(self, column: &str, make: impl FnOnce(&str) -> T) -> Option<T> {
-        let Some(Cells::Texts(texts)) = self.cells(column) else { return None };
+        let Some(SheetColumn::Texts(texts)) = self.cells(column) else { return None };
         let mut scratch = String::new();
         texts.get(self.index, &mut scratch).map(make)
     }
@@ -297,7 +309,7 @@ impl<'b> Row<'b> {
     /// A number; NaN when it is null or the file has no such column.
     pub(super) fn number_or_nan(self, column: &str) -> f64 {
         match self.cells(column) {
-            Some(Cells::Numbers(Numbers::Values(values))) => values[self.index],
+            Some(SheetColumn::Numbers(NumberArray::Values(values))) => values[self.index],
             _ => f64::NAN,
         }
     }
@@ -331,7 +343,7 @@ impl<'b> Row<'b> {
 
     /// A list of finite numbers; `None` when it is null or the file has no such column.
     pub(super) fn list(self, column: &str) -> Result<Option<&'b [f64]>, ExchangeError> {
-        let Some(Cells::Lists(lists)) = self.cells(column) else { return Ok(None) };
+        let Some(SheetColumn::Lists(lists)) = self.cells(column) else { return Ok(None) };
         let Some(list) = lists.get(self.index) else { return Ok(None) };
         match list.iter().position(|value| !value.is_finite()) {
             None => Ok(Some(list)),
@@ -378,20 +390,20 @@ impl<'b> Row<'b> {
 
     /// True when a list has the precision of single floats.
     pub(super) fn is_single(self, column: &str) -> bool {
-        matches!(self.cells(column), Some(Cells::Lists(lists)) if lists.is_single())
+        matches!(self.cells(column), Some(SheetColumn::Lists(lists)) if lists.is_single())
     }
 
     /// A list of texts; `None` when it is null or the file has no such column.
     pub(super) fn words(self, column: &str) -> Option<Vec<&'b str>> {
         match self.cells(column) {
-            Some(Cells::Words(words)) => words.get(self.index),
+            Some(SheetColumn::Words(words)) => words.get(self.index),
             _ => None,
         }
     }
 
     /// True for a list of these texts.
     pub(super) fn has_words(self, column: &str, expected: &[String]) -> bool {
-        matches!(self.cells(column), Some(Cells::Words(words)) if words.are(self.index, expected))
+        matches!(self.cells(column), Some(SheetColumn::Words(words)) if words.are(self.index, expected))
     }
 
     /// A text for a message.

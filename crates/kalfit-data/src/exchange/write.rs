@@ -24,7 +24,7 @@ const GROUP_NUMBERS: usize = 1_000_000;
 const GROUP_ROWS: usize = 16_384;
 
 /// A cell to be written.
-enum Cell<'a> {
+enum ExchangeCell<'a> {
     Text(Option<&'a str>),
     Number(Option<f64>),
     Count(usize),
@@ -33,7 +33,7 @@ enum Cell<'a> {
 }
 
 /// What a column is built in.
-enum Column {
+enum ExchangeColumnBuilder {
     Text(StringBuilder),
     Number(Float64Builder),
     Count(Int64Builder),
@@ -42,39 +42,39 @@ enum Column {
 }
 
 /// A table of such columns.
-struct Table<W: Write + Send> {
+struct ExchangeTable<W: Write + Send> {
     writer: ArrowWriter<W>,
     schema: Arc<Schema>,
-    columns: Vec<Column>,
+    columns: Vec<ExchangeColumnBuilder>,
     rows: usize,
     numbers: usize,
 }
 
-impl Column {
-    fn of(kind: Kind) -> Column {
+impl ExchangeColumnBuilder {
+    fn of(kind: ExchangeColumnKind) -> ExchangeColumnBuilder {
         match kind {
-            Kind::Text => Column::Text(StringBuilder::new()),
-            Kind::Number => Column::Number(Float64Builder::new()),
-            Kind::Count => Column::Count(Int64Builder::new()),
-            Kind::Numbers => Column::Numbers(ListBuilder::new(Float64Builder::new())),
-            Kind::Words => Column::Words(ListBuilder::new(StringBuilder::new())),
+            ExchangeColumnKind::Text => ExchangeColumnBuilder::Text(StringBuilder::new()),
+            ExchangeColumnKind::Number => ExchangeColumnBuilder::Number(Float64Builder::new()),
+            ExchangeColumnKind::Count => ExchangeColumnBuilder::Count(Int64Builder::new()),
+            ExchangeColumnKind::Numbers => ExchangeColumnBuilder::Numbers(ListBuilder::new(Float64Builder::new())),
+            ExchangeColumnKind::Words => ExchangeColumnBuilder::Words(ListBuilder::new(StringBuilder::new())),
         }
     }
 
     /// Appends a cell; how many numbers it has.
-    fn push(&mut self, cell: Cell<'_>) -> usize {
+    fn push(&mut self, cell: ExchangeCell<'_>) -> usize {
         match (self, cell) {
-            (Column::Text(column), Cell::Text(text)) => column.append_option(text),
-            (Column::Number(column), Cell::Number(number)) => column.append_option(number),
-            (Column::Count(column), Cell::Count(count)) => {
+            (ExchangeColumnBuilder::Text(column), ExchangeCell::Text(text)) => column.append_option(text),
+            (ExchangeColumnBuilder::Number(column), ExchangeCell::Number(number)) => column.append_option(number),
+            (ExchangeColumnBuilder::Count(column), ExchangeCell::Count(count)) => {
                 column.append_value(i64::try_from(count).expect("no test has 2^63 rows"));
             }
-            (Column::Numbers(column), Cell::Numbers(numbers)) => {
+            (ExchangeColumnBuilder::Numbers(column), ExchangeCell::Numbers(numbers)) => {
                 let length = numbers.as_ref().map_or(0, Vec::len);
                 column.append_option(numbers.map(|numbers| numbers.into_iter().map(Some)));
                 return length;
             }
-            (Column::Words(column), Cell::Words(words)) => {
+            (ExchangeColumnBuilder::Words(column), ExchangeCell::Words(words)) => {
                 column.append_option(words.map(|words| words.iter().map(Some)));
             }
             _ => unreachable!("a row has the cells of its columns"),
@@ -84,17 +84,17 @@ impl Column {
 
     fn finish(&mut self) -> ArrayRef {
         match self {
-            Column::Text(column) => Arc::new(column.finish()),
-            Column::Number(column) => Arc::new(column.finish()),
-            Column::Count(column) => Arc::new(column.finish()),
-            Column::Numbers(column) => Arc::new(column.finish()),
-            Column::Words(column) => Arc::new(column.finish()),
+            ExchangeColumnBuilder::Text(column) => Arc::new(column.finish()),
+            ExchangeColumnBuilder::Number(column) => Arc::new(column.finish()),
+            ExchangeColumnBuilder::Count(column) => Arc::new(column.finish()),
+            ExchangeColumnBuilder::Numbers(column) => Arc::new(column.finish()),
+            ExchangeColumnBuilder::Words(column) => Arc::new(column.finish()),
         }
     }
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Kind {
+enum ExchangeColumnKind {
     Text,
     Number,
     Count,
@@ -102,21 +102,26 @@ enum Kind {
     Words,
 }
 
-impl Kind {
+impl ExchangeColumnKind {
     fn data_type(self) -> DataType {
         let list = |element: DataType| DataType::List(Arc::new(Field::new_list_field(element, true)));
         match self {
-            Kind::Text => DataType::Utf8,
-            Kind::Number => DataType::Float64,
-            Kind::Count => DataType::Int64,
-            Kind::Numbers => list(DataType::Float64),
-            Kind::Words => list(DataType::Utf8),
+            ExchangeColumnKind::Text => DataType::Utf8,
+            ExchangeColumnKind::Number => DataType::Float64,
+            ExchangeColumnKind::Count => DataType::Int64,
+            ExchangeColumnKind::Numbers => list(DataType::Float64),
+            ExchangeColumnKind::Words => list(DataType::Utf8),
         }
     }
 }
 
-impl<W: Write + Send> Table<W> {
-    fn new(columns: &[(String, Kind)], metadata: &Metadata, schema: &str, sink: W) -> Result<Table<W>, WriteError> {
+impl<W: Write + Send> ExchangeTable<W> {
+    fn new(
+        columns: &[(String, ExchangeColumnKind)],
+        metadata: &Metadata,
+        schema: &str,
+        sink: W,
+    ) -> Result<ExchangeTable<W>, WriteError> {
         let fields = columns.iter().map(|(name, kind)| Field::new(name, kind.data_type(), true));
         let properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
@@ -124,11 +129,11 @@ impl<W: Write + Send> Table<W> {
             .build();
         let schema = Arc::new(Schema::new(fields.collect::<Vec<_>>()));
         let writer = ArrowWriter::try_new(sink, schema.clone(), Some(properties))?;
-        let columns = columns.iter().map(|(_, kind)| Column::of(*kind)).collect();
-        Ok(Table { writer, schema, columns, rows: 0, numbers: 0 })
+        let columns = columns.iter().map(|(_, kind)| ExchangeColumnBuilder::of(*kind)).collect();
+        Ok(ExchangeTable { writer, schema, columns, rows: 0, numbers: 0 })
     }
 
-    fn push(&mut self, cells: Vec<Cell<'_>>) -> Result<(), WriteError> {
+    fn push(&mut self, cells: Vec<ExchangeCell<'_>>) -> Result<(), WriteError> {
         assert_eq!(cells.len(), self.columns.len(), "cells of a row");
         self.numbers += self.columns.iter_mut().zip(cells).map(|(column, cell)| column.push(cell)).sum::<usize>();
         self.rows += 1;
@@ -136,7 +141,7 @@ impl<W: Write + Send> Table<W> {
     }
 
     fn flush(&mut self) -> Result<(), WriteError> {
-        let arrays = self.columns.iter_mut().map(Column::finish).collect();
+        let arrays = self.columns.iter_mut().map(ExchangeColumnBuilder::finish).collect();
         self.writer.write(&RecordBatch::try_new(self.schema.clone(), arrays)?)?;
         self.writer.flush()?;
         (self.rows, self.numbers) = (0, 0);
@@ -157,21 +162,21 @@ fn rows_of(a: &DMatrix<f64>) -> Vec<f64> {
 
 /// Writes reductions, `kalfit-reductions/1`.
 pub struct ReductionWriter<W: Write + Send> {
-    table: Table<W>,
-    phases: Vec<Names>,
+    table: ExchangeTable<W>,
+    phases: Vec<PhaseStateNames>,
 }
 
 /// Names in a phase.
-struct Names {
+struct PhaseStateNames {
     phase: String,
     entering: Vec<String>,
     states: Vec<String>,
 }
 
-fn names(model: &PhasedModel) -> Vec<Names> {
+fn names(model: &PhasedModel) -> Vec<PhaseStateNames> {
     let of = |phase: &kalfit::model::Phase| {
         let name = |state: usize| phase.model.states[state].name.clone();
-        Names {
+        PhaseStateNames {
             phase: phase.name.clone(),
             entering: phase.entering().into_iter().map(name).collect(),
             states: (0..phase.model.states.len()).map(name).collect(),
@@ -186,7 +191,7 @@ impl<W: Write + Send> ReductionWriter<W> {
     /// # Errors
     /// A sink that cannot be written to.
     pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<ReductionWriter<W>, WriteError> {
-        use Kind::{Count, Number, Numbers, Text, Words};
+        use ExchangeColumnKind::{Count, Number, Numbers, Text, Words};
         let columns = [
             ("test", Text),
             ("phase", Text),
@@ -208,7 +213,10 @@ impl<W: Write + Send> ReductionWriter<W> {
             (GROUPS, Words),
         ];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind));
-        Ok(ReductionWriter { table: Table::new(&columns, metadata, REDUCTIONS_SCHEMA, sink)?, phases: names(model) })
+        Ok(ReductionWriter {
+            table: ExchangeTable::new(&columns, metadata, REDUCTIONS_SCHEMA, sink)?,
+            phases: names(model),
+        })
     }
 
     /// Appends one phase of a test. `groups` has the names of the groups that the test stands in, the outermost first.
@@ -227,27 +235,27 @@ impl<W: Write + Send> ReductionWriter<W> {
         let design = format!("{:032x}", reduction.design);
         let (terminal, inherited) = (piece.terminal.as_ref(), piece.inherited.as_ref());
         self.table.push(vec![
-            Cell::Text(Some(test)),
-            Cell::Text(Some(&names.phase)),
-            Cell::Words(Some(&names.entering)),
-            Cell::Number(Some(reduction.constant)),
-            Cell::Numbers(Some(reduction.data.clone())),
-            Cell::Numbers(Some(reduction.factor.clone())),
-            Cell::Numbers(Some(reduction.covariates.clone())),
-            Cell::Text(Some(match reduction.path {
+            ExchangeCell::Text(Some(test)),
+            ExchangeCell::Text(Some(&names.phase)),
+            ExchangeCell::Words(Some(&names.entering)),
+            ExchangeCell::Number(Some(reduction.constant)),
+            ExchangeCell::Numbers(Some(reduction.data.clone())),
+            ExchangeCell::Numbers(Some(reduction.factor.clone())),
+            ExchangeCell::Numbers(Some(reduction.covariates.clone())),
+            ExchangeCell::Text(Some(match reduction.path {
                 Path::Information => INFORMATION,
                 Path::SquareRoot => SQUARE_ROOT,
             })),
-            Cell::Text(Some(&design)),
-            Cell::Count(reduction.steps),
-            Cell::Count(reduction.observations),
-            Cell::Words(terminal.map(|_| names.states.as_slice())),
-            Cell::Numbers(terminal.map(|t| t.mean.as_slice().to_vec())),
-            Cell::Numbers(terminal.map(|t| rows_of(&t.sensitivity))),
-            Cell::Numbers(terminal.map(|t| rows_of(&t.root))),
-            Cell::Numbers(inherited.map(|i| rows_of(&i.transition))),
-            Cell::Numbers(inherited.map(|i| i.input.as_slice().to_vec())),
-            Cell::Words((!groups.is_empty()).then_some(groups)),
+            ExchangeCell::Text(Some(&design)),
+            ExchangeCell::Count(reduction.steps),
+            ExchangeCell::Count(reduction.observations),
+            ExchangeCell::Words(terminal.map(|_| names.states.as_slice())),
+            ExchangeCell::Numbers(terminal.map(|t| t.mean.as_slice().to_vec())),
+            ExchangeCell::Numbers(terminal.map(|t| rows_of(&t.sensitivity))),
+            ExchangeCell::Numbers(terminal.map(|t| rows_of(&t.root))),
+            ExchangeCell::Numbers(inherited.map(|i| rows_of(&i.transition))),
+            ExchangeCell::Numbers(inherited.map(|i| i.input.as_slice().to_vec())),
+            ExchangeCell::Words((!groups.is_empty()).then_some(groups)),
         ])
     }
 
@@ -262,8 +270,8 @@ impl<W: Write + Send> ReductionWriter<W> {
 
 /// Writes estimates, `kalfit-estimates/1`, with the constants of their tests.
 pub struct EstimatesWriter<W: Write + Send> {
-    table: Table<W>,
-    phases: Vec<Names>,
+    table: ExchangeTable<W>,
+    phases: Vec<PhaseStateNames>,
     /// Columns of the model that are written: numeric ones, then texts.
     numbers: Vec<usize>,
     texts: Vec<usize>,
@@ -275,7 +283,7 @@ impl<W: Write + Send> EstimatesWriter<W> {
     /// # Errors
     /// A model with levels of groups, a sink that cannot be written to.
     pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<EstimatesWriter<W>, WriteError> {
-        use Kind::{Count, Number, Numbers, Text, Words};
+        use ExchangeColumnKind::{Count, Number, Numbers, Text, Words};
         if !model.levels.is_empty() {
             return Err(WriteError::Levels);
         }
@@ -292,7 +300,7 @@ impl<W: Write + Send> EstimatesWriter<W> {
             ("steps", Count),
             ("observations", Count),
         ];
-        let mut columns: Vec<(String, Kind)> = columns.map(|(name, kind)| (name.to_owned(), kind)).into();
+        let mut columns: Vec<(String, ExchangeColumnKind)> = columns.map(|(name, kind)| (name.to_owned(), kind)).into();
         let (mut numbers, mut texts) = (Vec::new(), Vec::new());
         for (index, name) in textual(model) {
             texts.push(index);
@@ -306,7 +314,7 @@ impl<W: Write + Send> EstimatesWriter<W> {
                 columns.push((name, Number));
             }
         }
-        let table = Table::new(&columns, metadata, ESTIMATES_SCHEMA, sink)?;
+        let table = ExchangeTable::new(&columns, metadata, ESTIMATES_SCHEMA, sink)?;
         Ok(EstimatesWriter { table, phases: names(model), numbers, texts })
     }
 
@@ -323,27 +331,27 @@ impl<W: Write + Send> EstimatesWriter<W> {
     ) -> Result<(), WriteError> {
         let names = &self.phases[phase];
         let mut cells = vec![
-            Cell::Text(Some(test)),
-            Cell::Text(Some(&names.phase)),
-            Cell::Words(Some(&names.states)),
-            Cell::Numbers(Some(estimates.estimates.as_slice().to_vec())),
-            Cell::Numbers(Some(estimates.offsets.as_slice().to_vec())),
-            Cell::Numbers(Some(rows_of(&estimates.sensitivities))),
-            Cell::Numbers(Some(rows_of(&estimates.root))),
-            Cell::Numbers(Some(rows_of(&estimates.transition))),
-            Cell::Numbers(Some(estimates.drift.as_slice().to_vec())),
-            Cell::Count(estimates.steps),
-            Cell::Count(estimates.observations),
+            ExchangeCell::Text(Some(test)),
+            ExchangeCell::Text(Some(&names.phase)),
+            ExchangeCell::Words(Some(&names.states)),
+            ExchangeCell::Numbers(Some(estimates.estimates.as_slice().to_vec())),
+            ExchangeCell::Numbers(Some(estimates.offsets.as_slice().to_vec())),
+            ExchangeCell::Numbers(Some(rows_of(&estimates.sensitivities))),
+            ExchangeCell::Numbers(Some(rows_of(&estimates.root))),
+            ExchangeCell::Numbers(Some(rows_of(&estimates.transition))),
+            ExchangeCell::Numbers(Some(estimates.drift.as_slice().to_vec())),
+            ExchangeCell::Count(estimates.steps),
+            ExchangeCell::Count(estimates.observations),
         ];
         let constants = &estimates.constants;
         let known = constants.rows() > 0;
         cells.extend(self.texts.iter().map(|&index| {
             let label = if known { constants.texts(0)[index] } else { kalfit::Label::MISSING };
-            Cell::Text((!label.is_missing()).then(|| labels.text(label)))
+            ExchangeCell::Text((!label.is_missing()).then(|| labels.text(label)))
         }));
         cells.extend(self.numbers.iter().map(|&index| {
             let value = if known { constants.numbers(0)[index] } else { f64::NAN };
-            Cell::Number((!value.is_nan()).then_some(value))
+            ExchangeCell::Number((!value.is_nan()).then_some(value))
         }));
         self.table.push(cells)
     }

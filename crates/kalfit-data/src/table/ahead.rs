@@ -4,28 +4,28 @@ use crate::block::Block;
 use crate::error::DataError;
 
 /// Makes a block: what can be done apart from everything else.
-pub(crate) type Make<'a, T> = Box<dyn FnOnce() -> T + Send + 'a>;
+pub(crate) type MakeBlock<'a, T> = Box<dyn FnOnce() -> T + Send + 'a>;
 
 /// A block to be made.
-pub(crate) struct Task<'a, T = Block> {
+pub(crate) struct BlockTask<'a, T = Block> {
     /// Makes it.
-    pub(crate) make: Make<'a, T>,
+    pub(crate) make: MakeBlock<'a, T>,
     /// How far the table is with it.
-    pub(crate) done: Done,
+    pub(crate) done: TableProgress,
 }
 
 /// How much of a table is read.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Done {
+pub(crate) enum TableProgress {
     Bytes(u64),
     /// Of its rows; 0 when their number is not known.
     Share(f64),
 }
 
 /// What a table is cut into.
-pub(crate) trait Tasks<'a, T = Block> {
+pub(crate) trait BlockTasks<'a, T = Block> {
     /// The next block to be made; `None` at the end. An error stands after the blocks before it.
-    fn next(&mut self) -> Result<Option<Task<'a, T>>, DataError>;
+    fn next(&mut self) -> Result<Option<BlockTask<'a, T>>, DataError>;
 
     /// So many blocks are made one by one, so that the first tests are there soon and small tables take one thread.
     fn alone(&self) -> usize;
@@ -39,17 +39,17 @@ pub(crate) enum Goes {
 }
 
 /// Blocks that are made and not yet taken.
-type Made<T> = Vec<(T, Done)>;
+type MadeBlocks<T> = Vec<(T, TableProgress)>;
 
 /// Hands all blocks to `take`, in their order, as long as it wants them: the first error is the same for any number of threads.
 pub(crate) fn each<'a, T: Default + Send, E: From<DataError>>(
-    table: &mut dyn Tasks<'a, T>,
-    take: &mut dyn FnMut(T, Done) -> Result<Goes, E>,
+    table: &mut dyn BlockTasks<'a, T>,
+    take: &mut dyn FnMut(T, TableProgress) -> Result<Goes, E>,
 ) -> Result<Goes, E> {
     let mut alone = table.alone();
     let threads = rayon::current_num_threads();
     while alone > 0 || threads == 1 {
-        let Some(Task { make, done }) = table.next()? else { return Ok(Goes::On) };
+        let Some(BlockTask { make, done }) = table.next()? else { return Ok(Goes::On) };
         if take(make(), done)? == Goes::NoFurther {
             return Ok(Goes::NoFurther);
         }
@@ -60,22 +60,22 @@ pub(crate) fn each<'a, T: Default + Send, E: From<DataError>>(
 
 /// While the blocks of one round are made, those of the round before are taken and what the next round needs is read.
 fn together<'a, T: Default + Send, E: From<DataError>>(
-    table: &mut dyn Tasks<'a, T>,
+    table: &mut dyn BlockTasks<'a, T>,
     width: usize,
-    take: &mut dyn FnMut(T, Done) -> Result<Goes, E>,
+    take: &mut dyn FnMut(T, TableProgress) -> Result<Goes, E>,
 ) -> Result<Goes, E> {
-    let mut made = Made::<T>::new();
-    let mut round = Round::read(table, width);
+    let mut made = MadeBlocks::<T>::new();
+    let mut round = BlockRound::read(table, width);
     loop {
-        let Round { tasks, end } = round;
-        let mut places: Made<T> = tasks.iter().map(|task| (T::default(), task.done)).collect();
+        let BlockRound { tasks, end } = round;
+        let mut places: MadeBlocks<T> = tasks.iter().map(|task| (T::default(), task.done)).collect();
         let (goes, next) = rayon::in_place_scope(|scope| {
             for (task, place) in tasks.into_iter().zip(&mut places) {
                 scope.spawn(move |_| place.0 = (task.make)());
             }
             let goes = take_all(std::mem::take(&mut made), take);
             let wanted = end.is_none() && matches!(goes, Ok(Goes::On));
-            (goes, wanted.then(|| Round::read(table, width)))
+            (goes, wanted.then(|| BlockRound::read(table, width)))
         });
         if goes? == Goes::NoFurther {
             return Ok(Goes::NoFurther);
@@ -91,7 +91,7 @@ fn together<'a, T: Default + Send, E: From<DataError>>(
     }
 }
 
-fn take_all<T, E>(made: Made<T>, take: &mut dyn FnMut(T, Done) -> Result<Goes, E>) -> Result<Goes, E> {
+fn take_all<T, E>(made: MadeBlocks<T>, take: &mut dyn FnMut(T, TableProgress) -> Result<Goes, E>) -> Result<Goes, E> {
     for (block, done) in made {
         if take(block, done)? == Goes::NoFurther {
             return Ok(Goes::NoFurther);
@@ -101,22 +101,22 @@ fn take_all<T, E>(made: Made<T>, take: &mut dyn FnMut(T, Done) -> Result<Goes, E
 }
 
 /// Blocks to be made at the same time.
-struct Round<'a, T> {
-    tasks: Vec<Task<'a, T>>,
+struct BlockRound<'a, T> {
+    tasks: Vec<BlockTask<'a, T>>,
     /// What stands after them, when nothing more is to be made.
     end: Option<Result<(), DataError>>,
 }
 
-impl<'a, T> Round<'a, T> {
-    fn read(table: &mut dyn Tasks<'a, T>, width: usize) -> Round<'a, T> {
+impl<'a, T> BlockRound<'a, T> {
+    fn read(table: &mut dyn BlockTasks<'a, T>, width: usize) -> BlockRound<'a, T> {
         let mut tasks = Vec::with_capacity(width);
         while tasks.len() < width {
             match table.next() {
                 Ok(Some(task)) => tasks.push(task),
-                Ok(None) => return Round { tasks, end: Some(Ok(())) },
-                Err(error) => return Round { tasks, end: Some(Err(error)) },
+                Ok(None) => return BlockRound { tasks, end: Some(Ok(())) },
+                Err(error) => return BlockRound { tasks, end: Some(Err(error)) },
             }
         }
-        Round { tasks, end: None }
+        BlockRound { tasks, end: None }
     }
 }

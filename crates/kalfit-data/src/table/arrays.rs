@@ -30,7 +30,7 @@ fn is_temporal(data_type: &DataType) -> bool {
 }
 
 /// A numeric column of a batch.
-pub(crate) enum Numbers {
+pub(crate) enum NumberArray {
     /// Values; nulls are NaN.
     Values(Vec<f64>),
     /// Texts, to be read as in a CSV file.
@@ -38,15 +38,15 @@ pub(crate) enum Numbers {
 }
 
 /// The time column of a batch.
-pub(crate) enum Times {
+pub(crate) enum TimeArray {
     /// Numbers or texts.
-    Numbers(Numbers),
+    Numbers(NumberArray),
     /// Dates and timestamps; None where null.
     Moments(Vec<Option<Moment>>),
 }
 
 /// A text column of a batch.
-pub(crate) enum Texts {
+pub(crate) enum TextArray {
     Strings(Strings),
     Signed(Int64Array),
     Unsigned(UInt64Array),
@@ -60,70 +60,70 @@ pub(crate) enum Texts {
     Nothing,
 }
 
-impl Numbers {
+impl NumberArray {
     /// Shape: one value a row.
-    pub(crate) fn new(array: &dyn Array) -> Result<Numbers, ArrowError> {
+    pub(crate) fn new(array: &dyn Array) -> Result<NumberArray, ArrowError> {
         if let Some(strings) = Strings::new(array) {
-            return Ok(Numbers::Texts(strings));
+            return Ok(NumberArray::Texts(strings));
         }
         if *array.data_type() == DataType::Null {
-            return Ok(Numbers::Values(vec![f64::NAN; array.len()]));
+            return Ok(NumberArray::Values(vec![f64::NAN; array.len()]));
         }
         let array = cast(array, &DataType::Float64)?;
         let values = array.as_primitive::<Float64Type>();
-        Ok(Numbers::Values(match values.null_count() {
+        Ok(NumberArray::Values(match values.null_count() {
             0 => values.values().to_vec(),
             _ => values.iter().map(|value| value.unwrap_or(f64::NAN)).collect(),
         }))
     }
 }
 
-impl Times {
+impl TimeArray {
     /// Shape: one value a row.
-    pub(crate) fn new(array: &dyn Array) -> Result<Times, ArrowError> {
+    pub(crate) fn new(array: &dyn Array) -> Result<TimeArray, ArrowError> {
         Ok(match moments(array)? {
-            Some(moments) => Times::Moments(moments),
-            None => Times::Numbers(Numbers::new(array)?),
+            Some(moments) => TimeArray::Moments(moments),
+            None => TimeArray::Numbers(NumberArray::new(array)?),
         })
     }
 }
 
-impl Texts {
+impl TextArray {
     /// Shape: one text a row.
-    pub(crate) fn new(array: &dyn Array) -> Result<Texts, ArrowError> {
+    pub(crate) fn new(array: &dyn Array) -> Result<TextArray, ArrowError> {
         if let Some(strings) = Strings::new(array) {
-            return Ok(Texts::Strings(strings));
+            return Ok(TextArray::Strings(strings));
         }
         let converted = |to: DataType| cast(array, &to);
         Ok(match array.data_type() {
-            DataType::Dictionary(_, values) => return Texts::new(&converted((**values).clone())?),
-            DataType::Null => Texts::Nothing,
-            DataType::Boolean => Texts::Boolean(array.as_boolean().clone()),
+            DataType::Dictionary(_, values) => return TextArray::new(&converted((**values).clone())?),
+            DataType::Null => TextArray::Nothing,
+            DataType::Boolean => TextArray::Boolean(array.as_boolean().clone()),
             DataType::Float16 | DataType::Float32 => {
-                Texts::Single(converted(DataType::Float32)?.as_primitive::<Float32Type>().clone())
+                TextArray::Single(converted(DataType::Float32)?.as_primitive::<Float32Type>().clone())
             }
-            DataType::Float64 => Texts::Double(array.as_primitive::<Float64Type>().clone()),
+            DataType::Float64 => TextArray::Double(array.as_primitive::<Float64Type>().clone()),
             DataType::Date32 => {
-                Texts::Dates(array.as_primitive::<Date32Type>().iter().map(|day| day.map(i64::from)).collect())
+                TextArray::Dates(array.as_primitive::<Date32Type>().iter().map(|day| day.map(i64::from)).collect())
             }
             DataType::UInt8 | DataType::UInt16 | DataType::UInt32 | DataType::UInt64 => {
-                Texts::Unsigned(converted(DataType::UInt64)?.as_primitive::<UInt64Type>().clone())
+                TextArray::Unsigned(converted(DataType::UInt64)?.as_primitive::<UInt64Type>().clone())
             }
             other if other.is_integer() => {
-                Texts::Signed(converted(DataType::Int64)?.as_primitive::<Int64Type>().clone())
+                TextArray::Signed(converted(DataType::Int64)?.as_primitive::<Int64Type>().clone())
             }
-            other if is_temporal(other) => Texts::Moments(moments(array)?.unwrap_or_default()),
-            _ => Texts::Decimal(Strings::Utf8(converted(DataType::Utf8)?.as_string::<i32>().clone())),
+            other if is_temporal(other) => TextArray::Moments(moments(array)?.unwrap_or_default()),
+            _ => TextArray::Decimal(Strings::Utf8(converted(DataType::Utf8)?.as_string::<i32>().clone())),
         })
     }
 
     /// The first row of a range that may have another text than its first one; the end when there is none.
     pub(crate) fn change(&self, rows: Range<usize>) -> usize {
         match self {
-            Texts::Strings(strings) => strings.change(rows),
-            Texts::Signed(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
-            Texts::Unsigned(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
-            Texts::Nothing => rows.end,
+            TextArray::Strings(strings) => strings.change(rows),
+            TextArray::Signed(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
+            TextArray::Unsigned(array) => change(rows, |row| array.is_valid(row).then(|| array.value(row))),
+            TextArray::Nothing => rows.end,
             _ => rows.start + 1,
         }
     }
@@ -132,20 +132,20 @@ impl Texts {
     pub(crate) fn get<'a>(&'a self, row: usize, scratch: &'a mut String) -> Option<&'a str> {
         scratch.clear();
         let written = match self {
-            Texts::Strings(strings) => return strings.get(row),
-            Texts::Signed(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
-            Texts::Unsigned(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
+            TextArray::Strings(strings) => return strings.get(row),
+            TextArray::Signed(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
+            TextArray::Unsigned(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
             // Adding zero turns -0 into 0.
-            Texts::Single(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row) + 0.0)?),
-            Texts::Double(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row) + 0.0)?),
-            Texts::Boolean(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
-            Texts::Decimal(strings) => {
+            TextArray::Single(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row) + 0.0)?),
+            TextArray::Double(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row) + 0.0)?),
+            TextArray::Boolean(array) => write!(scratch, "{}", array.is_valid(row).then(|| array.value(row))?),
+            TextArray::Decimal(strings) => {
                 let text = strings.get(row)?;
                 return Some(if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text });
             }
-            Texts::Dates(days) => write!(scratch, "{}", date_text(days[row]?)),
-            Texts::Moments(moments) => write!(scratch, "{}", moments[row]?),
-            Texts::Nothing => return None,
+            TextArray::Dates(days) => write!(scratch, "{}", date_text(days[row]?)),
+            TextArray::Moments(moments) => write!(scratch, "{}", moments[row]?),
+            TextArray::Nothing => return None,
         };
         written.expect("writing to a String cannot fail");
         Some(scratch)

@@ -4,15 +4,15 @@ use arrow::array::{Array, RecordBatch};
 use arrow::datatypes::Schema;
 use arrow::error::ArrowError;
 
-use super::ahead::{Done, Task, Tasks};
-use super::arrays::{Numbers, Texts, Times, misfit};
+use super::ahead::{BlockTask, BlockTasks, TableProgress};
+use super::arrays::{NumberArray, TextArray, TimeArray, misfit};
 use super::guard::guarded;
-use crate::cell::Fault;
+use crate::cell::CellFault;
 use crate::error::DataError;
-use crate::fill::{Bad, Columns, Filler};
+use crate::fill::{BadRow, BlockFiller, ColumnwiseRows};
 use crate::moment::Moment;
 use crate::numbering::Numbering;
-use crate::wanted::{Wanted, WantedColumn};
+use crate::wanted::{WantedColumn, WantedColumns};
 
 /// Rows decoded at a time.
 pub(super) const ROWS: usize = 8192;
@@ -24,15 +24,15 @@ type NextBatch<'a> = Box<dyn FnMut() -> Result<Option<RecordBatch>, DataError> +
 
 /// What must be known of a table to read its batches.
 #[derive(Clone, Copy)]
-pub(super) struct Form<'a> {
+pub(super) struct BatchForm<'a> {
     pub(super) file: &'a str,
     pub(super) format: &'static str,
-    pub(super) wanted: &'a Wanted,
+    pub(super) wanted: &'a WantedColumns,
 }
 
 /// A table of record batches that come one after the other.
 pub(crate) struct BatchTable<'a> {
-    form: Form<'a>,
+    form: BatchForm<'a>,
     next_batch: NextBatch<'a>,
     /// Position of each wanted column in a batch.
     positions: Vec<usize>,
@@ -43,13 +43,13 @@ pub(crate) struct BatchTable<'a> {
 }
 
 /// A wanted column, as far as it is used.
-struct Decoded {
-    numbers: Option<Numbers>,
-    times: Option<Times>,
-    texts: Option<Texts>,
+struct DecodedColumn {
+    numbers: Option<NumberArray>,
+    times: Option<TimeArray>,
+    texts: Option<TextArray>,
 }
 
-impl<'a> Form<'a> {
+impl<'a> BatchForm<'a> {
     /// Positions of the wanted columns in a schema, which must have them in usable types.
     pub(super) fn positions(self, schema: &Schema) -> Result<Vec<usize>, DataError> {
         let names: Vec<&str> = schema.fields().iter().map(|field| field.name().as_str()).collect();
@@ -72,7 +72,7 @@ impl<'a> Form<'a> {
     /// Appends the rows of a batch, of which the first is the one after `before` rows.
     pub(super) fn fill(
         self,
-        filler: &mut Filler<'_>,
+        filler: &mut BlockFiller<'_>,
         positions: &[usize],
         (batch, before): (&RecordBatch, u64),
     ) -> Result<(), DataError> {
@@ -85,10 +85,10 @@ impl<'a> Form<'a> {
         Ok(())
     }
 
-    fn decoded(self, positions: &[usize], batch: &RecordBatch) -> Result<Vec<Decoded>, DataError> {
+    fn decoded(self, positions: &[usize], batch: &RecordBatch) -> Result<Vec<DecodedColumn>, DataError> {
         guarded(self.file, self.format, || {
             let columns = self.wanted.columns.iter().zip(positions);
-            let decoded = columns.map(|(column, &position)| Decoded::new(column, batch.column(position)));
+            let decoded = columns.map(|(column, &position)| DecodedColumn::new(column, batch.column(position)));
             decoded
                 .collect::<Result<_, _>>()
                 .map_err(|source| DataError::Arrow { file: self.file.to_owned(), source: Box::new(source) })
@@ -101,17 +101,17 @@ impl<'a> BatchTable<'a> {
     pub(super) fn new(
         file: &'a str,
         format: &'static str,
-        wanted: &'a Wanted,
+        wanted: &'a WantedColumns,
         schema: &Schema,
         next_batch: NextBatch<'a>,
     ) -> Result<BatchTable<'a>, DataError> {
-        let form = Form { file, format, wanted };
+        let form = BatchForm { file, format, wanted };
         Ok(BatchTable { form, next_batch, positions: form.positions(schema)?, rest: None, before: 0 })
     }
 }
 
-impl<'a> Tasks<'a> for BatchTable<'a> {
-    fn next(&mut self) -> Result<Option<Task<'a>>, DataError> {
+impl<'a> BlockTasks<'a> for BatchTable<'a> {
+    fn next(&mut self) -> Result<Option<BlockTask<'a>>, DataError> {
         let batch = match self.rest.take() {
             Some(rest) => rest,
             None => match (self.next_batch)()? {
@@ -127,11 +127,11 @@ impl<'a> Tasks<'a> for BatchTable<'a> {
         self.before += now as u64;
         let batch = batch.slice(0, now);
         let make = move || {
-            let mut filler = Filler::new(form.wanted, batch.num_rows());
+            let mut filler = BlockFiller::new(form.wanted, batch.num_rows());
             let filled = form.fill(&mut filler, &positions, (&batch, before));
             filler.finish(Numbering::from(before + 1), filled.err())
         };
-        Ok(Some(Task { make: Box::new(make), done: Done::Share(0.0) }))
+        Ok(Some(BlockTask { make: Box::new(make), done: TableProgress::Share(0.0) }))
     }
 
     fn alone(&self) -> usize {
@@ -139,21 +139,21 @@ impl<'a> Tasks<'a> for BatchTable<'a> {
     }
 }
 
-impl Decoded {
-    fn new(column: &WantedColumn, array: &dyn Array) -> Result<Decoded, ArrowError> {
-        Ok(Decoded {
-            numbers: column.is_number().then(|| Numbers::new(array)).transpose()?,
-            times: column.is_time.then(|| Times::new(array)).transpose()?,
-            texts: column.is_text().then(|| Texts::new(array)).transpose()?,
+impl DecodedColumn {
+    fn new(column: &WantedColumn, array: &dyn Array) -> Result<DecodedColumn, ArrowError> {
+        Ok(DecodedColumn {
+            numbers: column.is_number().then(|| NumberArray::new(array)).transpose()?,
+            times: column.is_time.then(|| TimeArray::new(array)).transpose()?,
+            texts: column.is_text().then(|| TextArray::new(array)).transpose()?,
         })
     }
 }
 
 /// Rows of a batch.
 struct DecodedRows<'a> {
-    form: Form<'a>,
+    form: BatchForm<'a>,
     /// The wanted ones.
-    columns: Vec<Decoded>,
+    columns: Vec<DecodedColumn>,
     rows: usize,
     /// Number of the first row in the file.
     first: u64,
@@ -164,27 +164,27 @@ impl DecodedRows<'_> {
         self.first + row as u64
     }
 
-    fn bad(&self, (column, row): (usize, usize), fault: Fault, found: &[u8]) -> Bad {
-        let Form { file, wanted, .. } = self.form;
+    fn bad(&self, (column, row): (usize, usize), fault: CellFault, found: &[u8]) -> BadRow {
+        let BatchForm { file, wanted, .. } = self.form;
         (row, wanted.columns[column].fault(fault, file, self.number(row), found))
     }
 }
 
-impl Columns for DecodedRows<'_> {
+impl ColumnwiseRows for DecodedRows<'_> {
     fn rows(&self) -> usize {
         self.rows
     }
 
-    fn numbers(&self, column: usize, mut put: impl FnMut(f64)) -> Result<(), Bad> {
+    fn numbers(&self, column: usize, mut put: impl FnMut(f64)) -> Result<(), BadRow> {
         let tokens = &self.form.wanted.tokens;
         match &self.columns[column].numbers {
-            Some(Numbers::Values(values)) => {
+            Some(NumberArray::Values(values)) => {
                 for (row, &value) in values.iter().enumerate() {
                     let bad = |fault| self.bad((column, row), fault, value.to_string().as_bytes());
                     put(tokens.finite(value).map_err(bad)?);
                 }
             }
-            Some(Numbers::Texts(strings)) => {
+            Some(NumberArray::Texts(strings)) => {
                 for row in 0..self.rows {
                     let text = strings.get(row).unwrap_or_default().as_bytes();
                     put(tokens.number(text).map_err(|fault| self.bad((column, row), fault, text))?);
@@ -195,16 +195,16 @@ impl Columns for DecodedRows<'_> {
         Ok(())
     }
 
-    fn times(&self, column: usize, mut put: impl FnMut(Moment)) -> Result<(), Bad> {
-        let Form { file, wanted: Wanted { columns, tokens, .. }, .. } = self.form;
+    fn times(&self, column: usize, mut put: impl FnMut(Moment)) -> Result<(), BadRow> {
+        let BatchForm { file, wanted: WantedColumns { columns, tokens, .. }, .. } = self.form;
         for row in 0..self.rows {
             let moment = match &self.columns[column].times {
-                Some(Times::Moments(moments)) => moments[row],
-                Some(Times::Numbers(Numbers::Values(values))) => {
+                Some(TimeArray::Moments(moments)) => moments[row],
+                Some(TimeArray::Numbers(NumberArray::Values(values))) => {
                     let bad = |fault| self.bad((column, row), fault, values[row].to_string().as_bytes());
                     Some(tokens.finite(values[row]).map_err(bad)?).filter(|time| !time.is_nan()).map(Moment::Number)
                 }
-                Some(Times::Numbers(Numbers::Texts(strings))) => {
+                Some(TimeArray::Numbers(NumberArray::Texts(strings))) => {
                     let text = strings.get(row).unwrap_or_default().as_bytes();
                     Some(
                         columns[column]
@@ -222,7 +222,7 @@ impl Columns for DecodedRows<'_> {
 
     fn text<'t>(&'t self, column: usize, row: usize, scratch: &'t mut String) -> Result<Option<&'t str>, DataError> {
         let text = self.columns[column].texts.as_ref().and_then(|texts| texts.get(row, scratch));
-        let Form { file, wanted, .. } = self.form;
+        let BatchForm { file, wanted, .. } = self.form;
         wanted.columns[column].measure(text.map_or(0, str::len), file, || self.number(row))?;
         Ok(text.filter(|text| !self.form.wanted.tokens.is_missing(text.as_bytes())))
     }
@@ -232,7 +232,7 @@ impl Columns for DecodedRows<'_> {
     }
 
     fn without_id(&self, column: usize, row: usize) -> DataError {
-        let Form { file, wanted, .. } = self.form;
+        let BatchForm { file, wanted, .. } = self.form;
         wanted.columns[column].without_id(file, self.number(row))
     }
 }

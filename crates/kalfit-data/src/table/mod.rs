@@ -14,23 +14,23 @@ use std::io::{self, Cursor, Read};
 
 use ::bytes::Bytes;
 
-use self::ahead::Tasks;
+use self::ahead::BlockTasks;
 use self::batches::BatchTable;
 use self::csv::CsvTable;
 use crate::error::DataError;
 use crate::input::Input;
-use crate::kind::{HEAD, Kind, detect};
+use crate::kind::{FileKind, HEAD, detect};
 use crate::memory::MemoryTable;
 use crate::spool::Spool;
-use crate::wanted::Wanted;
+use crate::wanted::WantedColumns;
 
 /// Opens an input and finds the wanted columns in it.
 pub(crate) fn open<'a>(
     input: &Input,
     file: &'a str,
-    wanted: &'a Wanted,
+    wanted: &'a WantedColumns,
     spool: &'a mut Spool<'_>,
-) -> Result<Box<dyn Tasks<'a> + 'a>, DataError> {
+) -> Result<Box<dyn BlockTasks<'a> + 'a>, DataError> {
     let failed = |source: io::Error| DataError::Io { file: file.to_owned(), source };
     if let Input::Table(table) = input {
         return Ok(Box::new(memory(table, file, wanted)?));
@@ -49,27 +49,27 @@ pub(crate) fn open<'a>(
     let mut bytes = Cursor::new(head).chain(bytes);
     // Formats with a footer are read here and there: from a path opened again, or else from memory.
     let mut all = Vec::new();
-    if matches!(kind, Kind::Parquet | Kind::ArrowFile) && input.path().is_none() {
+    if matches!(kind, FileKind::Parquet | FileKind::ArrowFile) && input.path().is_none() {
         bytes.read_to_end(&mut all).map_err(failed)?;
     }
     Ok(match (kind, input.path()) {
-        (Kind::Csv { tab }, _) => Box::new(CsvTable::open(file, bytes, tab, wanted)?),
-        (Kind::Parquet, Some(path)) => {
+        (FileKind::Csv { tab }, _) => Box::new(CsvTable::open(file, bytes, tab, wanted)?),
+        (FileKind::Parquet, Some(path)) => {
             let path = path.to_owned();
             parquet::open(file, move || File::open(&path), wanted)?
         }
-        (Kind::Parquet, None) => {
+        (FileKind::Parquet, None) => {
             let all = Bytes::from(all);
             parquet::open(file, move || Ok(all.clone()), wanted)?
         }
-        (Kind::ArrowFile, Some(path)) => Box::new(ipc::open_file(file, File::open(path).map_err(failed)?, wanted)?),
-        (Kind::ArrowFile, None) => Box::new(ipc::open_file(file, Cursor::new(all), wanted)?),
-        (Kind::ArrowStream, _) => Box::new(ipc::open_stream(file, Box::new(bytes), wanted)?),
+        (FileKind::ArrowFile, Some(path)) => Box::new(ipc::open_file(file, File::open(path).map_err(failed)?, wanted)?),
+        (FileKind::ArrowFile, None) => Box::new(ipc::open_file(file, Cursor::new(all), wanted)?),
+        (FileKind::ArrowStream, _) => Box::new(ipc::open_stream(file, Box::new(bytes), wanted)?),
     })
 }
 
 /// A table in memory: its batches one after the other.
-fn memory<'a>(table: &MemoryTable, file: &'a str, wanted: &'a Wanted) -> Result<BatchTable<'a>, DataError> {
+fn memory<'a>(table: &MemoryTable, file: &'a str, wanted: &'a WantedColumns) -> Result<BatchTable<'a>, DataError> {
     let (whole, mut next) = (table.clone(), 0);
     let next = move || {
         next += 1;

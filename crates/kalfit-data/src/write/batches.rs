@@ -11,7 +11,7 @@ use parquet::arrow::ArrowWriter;
 use parquet::basic::Compression;
 use parquet::file::properties::WriterProperties;
 
-use super::columns::{From, OutColumn, text};
+use super::columns::{OutCellSource, OutColumn, text};
 use super::error::WriteError;
 
 /// Rows of a batch.
@@ -26,24 +26,24 @@ enum BatchSink<W: Write + Send> {
 }
 
 /// Batches of one schema, written as they come.
-pub(super) struct Batches<W: Write + Send> {
+pub(super) struct BatchWriter<W: Write + Send> {
     sink: BatchSink<W>,
     schema: Arc<Schema>,
 }
 
-impl<W: Write + Send> Batches<W> {
-    pub(super) fn parquet(sink: W, schema: Arc<Schema>) -> Result<Batches<W>, WriteError> {
+impl<W: Write + Send> BatchWriter<W> {
+    pub(super) fn parquet(sink: W, schema: Arc<Schema>) -> Result<BatchWriter<W>, WriteError> {
         let properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
             .set_max_row_group_row_count(Some(GROUP_ROWS))
             .build();
         let writer = ArrowWriter::try_new(sink, schema.clone(), Some(properties))?;
-        Ok(Batches { sink: BatchSink::Parquet(Box::new(writer)), schema })
+        Ok(BatchWriter { sink: BatchSink::Parquet(Box::new(writer)), schema })
     }
 
-    pub(super) fn arrow(sink: W, schema: Arc<Schema>) -> Result<Batches<W>, WriteError> {
+    pub(super) fn arrow(sink: W, schema: Arc<Schema>) -> Result<BatchWriter<W>, WriteError> {
         let writer = FileWriter::try_new(sink, &schema)?;
-        Ok(Batches { sink: BatchSink::Arrow(Box::new(writer)), schema })
+        Ok(BatchWriter { sink: BatchSink::Arrow(Box::new(writer)), schema })
     }
 
     pub(super) fn write(&mut self, columns: Vec<ArrayRef>) -> Result<(), WriteError> {
@@ -68,43 +68,43 @@ impl<W: Write + Send> Batches<W> {
 }
 
 /// Writes columns of 64-bit floats and of texts; missing cells are null.
-pub(super) struct BatchTests<W: Write + Send> {
-    batches: Batches<W>,
-    cells: Vec<Cells>,
+pub(super) struct BatchTestWriter<W: Write + Send> {
+    batches: BatchWriter<W>,
+    cells: Vec<TestColumnBuilder>,
     rows: usize,
 }
 
-enum Cells {
+enum TestColumnBuilder {
     Numbers(Float64Builder),
     Texts(StringBuilder),
 }
 
-impl<W: Write + Send> BatchTests<W> {
-    pub(super) fn parquet(sink: W, columns: &[OutColumn]) -> Result<BatchTests<W>, WriteError> {
-        Ok(BatchTests::new(Batches::parquet(sink, schema(columns))?, columns))
+impl<W: Write + Send> BatchTestWriter<W> {
+    pub(super) fn parquet(sink: W, columns: &[OutColumn]) -> Result<BatchTestWriter<W>, WriteError> {
+        Ok(BatchTestWriter::new(BatchWriter::parquet(sink, schema(columns))?, columns))
     }
 
-    pub(super) fn arrow(sink: W, columns: &[OutColumn]) -> Result<BatchTests<W>, WriteError> {
-        Ok(BatchTests::new(Batches::arrow(sink, schema(columns))?, columns))
+    pub(super) fn arrow(sink: W, columns: &[OutColumn]) -> Result<BatchTestWriter<W>, WriteError> {
+        Ok(BatchTestWriter::new(BatchWriter::arrow(sink, schema(columns))?, columns))
     }
 
-    fn new(batches: Batches<W>, columns: &[OutColumn]) -> BatchTests<W> {
+    fn new(batches: BatchWriter<W>, columns: &[OutColumn]) -> BatchTestWriter<W> {
         let cells = |column: &OutColumn| match &column.from {
-            From::Number(_) => Cells::Numbers(Float64Builder::new()),
-            From::Id(_) | From::Text(_) => Cells::Texts(StringBuilder::new()),
+            OutCellSource::Number(_) => TestColumnBuilder::Numbers(Float64Builder::new()),
+            OutCellSource::Id(_) | OutCellSource::Text(_) => TestColumnBuilder::Texts(StringBuilder::new()),
         };
-        BatchTests { batches, cells: columns.iter().map(cells).collect(), rows: 0 }
+        BatchTestWriter { batches, cells: columns.iter().map(cells).collect(), rows: 0 }
     }
 
     pub(super) fn write(&mut self, columns: &[OutColumn], test: &Test, labels: &Labels) -> Result<(), WriteError> {
         for row in 0..test.rows() {
             for (column, cells) in columns.iter().zip(&mut self.cells) {
                 match (&column.from, cells) {
-                    (From::Number(index), Cells::Numbers(numbers)) => {
+                    (OutCellSource::Number(index), TestColumnBuilder::Numbers(numbers)) => {
                         numbers.append_option(Some(test.numbers(row)[*index]).filter(|value| !value.is_nan()));
                     }
-                    (from, Cells::Texts(texts)) => texts.append_option(text(from, test, row, labels)),
-                    (_, Cells::Numbers(_)) => unreachable!("numbers come from numeric cells"),
+                    (from, TestColumnBuilder::Texts(texts)) => texts.append_option(text(from, test, row, labels)),
+                    (_, TestColumnBuilder::Numbers(_)) => unreachable!("numbers come from numeric cells"),
                 }
             }
             self.rows += 1;
@@ -116,10 +116,10 @@ impl<W: Write + Send> BatchTests<W> {
     }
 
     fn flush(&mut self) -> Result<(), WriteError> {
-        let finished = |cells: &mut Cells| -> ArrayRef {
+        let finished = |cells: &mut TestColumnBuilder| -> ArrayRef {
             match cells {
-                Cells::Numbers(numbers) => Arc::new(numbers.finish()),
-                Cells::Texts(texts) => Arc::new(texts.finish()),
+                TestColumnBuilder::Numbers(numbers) => Arc::new(numbers.finish()),
+                TestColumnBuilder::Texts(texts) => Arc::new(texts.finish()),
             }
         };
         self.rows = 0;
@@ -137,8 +137,8 @@ impl<W: Write + Send> BatchTests<W> {
 fn schema(columns: &[OutColumn]) -> Arc<Schema> {
     let field = |column: &OutColumn| {
         let kind = match &column.from {
-            From::Number(_) => DataType::Float64,
-            From::Id(_) | From::Text(_) => DataType::Utf8,
+            OutCellSource::Number(_) => DataType::Float64,
+            OutCellSource::Id(_) | OutCellSource::Text(_) => DataType::Utf8,
         };
         Field::new(&column.name, kind, true)
     };

@@ -8,12 +8,12 @@ use super::error::WriteError;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct OutColumn {
     pub(super) name: String,
-    pub(super) from: From,
+    pub(super) from: OutCellSource,
 }
 
 /// Where cells come from.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum From {
+pub(super) enum OutCellSource {
     /// The id of the test, without the groups in these text cells, which have columns of their own.
     Id(Vec<usize>),
     /// A numeric cell.
@@ -31,7 +31,7 @@ pub(super) fn columns(model: &Model, layout: &Layout, many: bool) -> Vec<OutColu
             TestKey::Column(_) => columns.iter().filter_map(|column| column.from.text()).collect(),
             TestKey::Single | TestKey::File => Vec::new(),
         };
-        columns.push(OutColumn { name, from: From::Id(before) });
+        columns.push(OutColumn { name, from: OutCellSource::Id(before) });
     }
     let texts: Vec<&str> = model.text_columns.iter().map(|column| column.name.as_str()).collect();
     let mut numbers: Vec<usize> = (0..model.columns.len()).collect();
@@ -39,9 +39,9 @@ pub(super) fn columns(model: &Model, layout: &Layout, many: bool) -> Vec<OutColu
     let numbers = numbers.into_iter().map(|index| {
         let name = &model.columns[index].name;
         let text = texts.iter().position(|text| text == name);
-        (name, text.map_or(From::Number(index), From::Text))
+        (name, text.map_or(OutCellSource::Number(index), OutCellSource::Text))
     });
-    let texts = model.text_columns.iter().enumerate().map(|(index, column)| (&column.name, From::Text(index)));
+    let texts = model.text_columns.iter().enumerate().map(|(index, column)| (&column.name, OutCellSource::Text(index)));
     for (name, from) in numbers.chain(texts) {
         if columns.iter().all(|column| column.name != *name) {
             columns.push(OutColumn { name: name.clone(), from });
@@ -54,17 +54,17 @@ pub(super) fn columns(model: &Model, layout: &Layout, many: bool) -> Vec<OutColu
 fn groups(model: &Model, layout: &Layout) -> Vec<OutColumn> {
     let column = |name: &String| {
         let index = model.text_columns.iter().position(|column| column.name == *name)?;
-        Some(OutColumn { name: name.clone(), from: From::Text(index) })
+        Some(OutColumn { name: name.clone(), from: OutCellSource::Text(index) })
     };
     layout.levels.iter().filter_map(column).collect()
 }
 
-impl From {
+impl OutCellSource {
     /// The text cell that it is.
     fn text(&self) -> Option<usize> {
         match self {
-            From::Text(index) => Some(*index),
-            From::Id(_) | From::Number(_) => None,
+            OutCellSource::Text(index) => Some(*index),
+            OutCellSource::Id(_) | OutCellSource::Number(_) => None,
         }
     }
 }
@@ -93,12 +93,12 @@ pub(super) fn refuse_id_in_use(model: &Model, layout: &Layout) -> Result<(), Wri
 }
 
 /// The text of a cell; `None` when it is missing or a number.
-pub(super) fn text<'a>(from: &From, test: &'a Test, row: usize, labels: &'a Labels) -> Option<&'a str> {
+pub(super) fn text<'a>(from: &OutCellSource, test: &'a Test, row: usize, labels: &'a Labels) -> Option<&'a str> {
     let of = |index: usize| Some(test.texts(row)[index]).filter(|label| !label.is_missing()).map(|l| labels.text(l));
     match from {
-        From::Id(groups) => Some(own_id(&test.id, groups.iter().map(|&index| of(index)))),
-        From::Text(index) => of(*index),
-        From::Number(_) => None,
+        OutCellSource::Id(groups) => Some(own_id(&test.id, groups.iter().map(|&index| of(index)))),
+        OutCellSource::Text(index) => of(*index),
+        OutCellSource::Number(_) => None,
     }
 }
 

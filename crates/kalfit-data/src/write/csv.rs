@@ -4,25 +4,25 @@ use std::io::Write;
 
 use kalfit::{Labels, Test};
 
-use super::columns::{From, OutColumn, text};
+use super::columns::{OutCellSource, OutColumn, text};
 use super::error::WriteError;
 
 /// Writes CSV with a header. Numbers are in the shortest form that reads back the same; missing cells are empty.
-pub(super) struct CsvTests<W: Write> {
+pub(super) struct CsvTestWriter<W: Write> {
     writer: csv::Writer<W>,
 }
 
-impl<W: Write> CsvTests<W> {
-    pub(super) fn new(mut sink: W, delimiter: u8, columns: &[OutColumn]) -> Result<CsvTests<W>, WriteError> {
+impl<W: Write> CsvTestWriter<W> {
+    pub(super) fn new(mut sink: W, delimiter: u8, columns: &[OutColumn]) -> Result<CsvTestWriter<W>, WriteError> {
         header(&mut sink, delimiter, columns.iter().map(|column| column.name.as_str()))?;
-        Ok(CsvTests { writer: csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink) })
+        Ok(CsvTestWriter { writer: csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink) })
     }
 
     pub(super) fn write(&mut self, columns: &[OutColumn], test: &Test, labels: &Labels) -> Result<(), WriteError> {
         for row in 0..test.rows() {
             for column in columns {
                 let cell = match &column.from {
-                    From::Number(index) => self.writer.write_field(number(test.numbers(row)[*index])),
+                    OutCellSource::Number(index) => self.writer.write_field(number(test.numbers(row)[*index])),
                     from => self.writer.write_field(text(from, test, row, labels).unwrap_or_default()),
                 };
                 cell.map_err(failed)?;

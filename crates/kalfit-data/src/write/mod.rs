@@ -11,17 +11,17 @@ use std::io::Write;
 
 use kalfit::{Labels, Layout, Model, Test};
 
-use self::batches::BatchTests;
+use self::batches::BatchTestWriter;
 use self::columns::{OutColumn, columns, id_column, refuse_id_in_use};
-use self::csv::CsvTests;
+use self::csv::CsvTestWriter;
 pub use self::csv::StateWriter;
 pub use self::error::WriteError;
-pub use self::format::Format;
-pub use self::table::{Cell, CellKind, TableWriter};
+pub use self::format::TableFormat;
+pub use self::table::{CellKind, TableCell, TableWriter};
 
 /// Which tests will be written, where that decides what the table needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ids {
+pub enum WrittenIds {
     /// Those of the data that the tests were read from: one test if the layout has but one.
     Same,
     /// New ones.
@@ -32,20 +32,20 @@ pub enum Ids {
 /// sees: date-times become the time since the test's first row, in the model's time unit.
 pub struct TestWriter<W: Write + Send> {
     columns: Vec<OutColumn>,
-    table: Table<W>,
+    table: TestTable<W>,
 }
 
 /// Name of the column of ids that a [`TestWriter`] adds because the model's layout names none.
-pub fn added_id_column(model: &Model, layout: &Layout, ids: Ids) -> Option<String> {
+pub fn added_id_column(model: &Model, layout: &Layout, ids: WrittenIds) -> Option<String> {
     match layout.test {
         kalfit::TestKey::Column(_) => None,
-        _ => id_column(model, layout, ids == Ids::New),
+        _ => id_column(model, layout, ids == WrittenIds::New),
     }
 }
 
-enum Table<W: Write + Send> {
-    Csv(Box<CsvTests<W>>),
-    Batches(BatchTests<W>),
+enum TestTable<W: Write + Send> {
+    Csv(Box<CsvTestWriter<W>>),
+    Batches(BatchTestWriter<W>),
 }
 
 impl<W: Write + Send> TestWriter<W> {
@@ -53,16 +53,22 @@ impl<W: Write + Send> TestWriter<W> {
     ///
     /// # Errors
     /// New ids where the model reads the column of ids otherwise too; a sink that cannot be written to.
-    pub fn new(model: &Model, layout: &Layout, ids: Ids, format: Format, sink: W) -> Result<TestWriter<W>, WriteError> {
-        if ids == Ids::New {
+    pub fn new(
+        model: &Model,
+        layout: &Layout,
+        ids: WrittenIds,
+        format: TableFormat,
+        sink: W,
+    ) -> Result<TestWriter<W>, WriteError> {
+        if ids == WrittenIds::New {
             refuse_id_in_use(model, layout)?;
         }
-        let columns = columns(model, layout, ids == Ids::New);
+        let columns = columns(model, layout, ids == WrittenIds::New);
         let table = match format {
-            Format::Csv => Table::Csv(Box::new(CsvTests::new(sink, b',', &columns)?)),
-            Format::Tsv => Table::Csv(Box::new(CsvTests::new(sink, b'\t', &columns)?)),
-            Format::Parquet => Table::Batches(BatchTests::parquet(sink, &columns)?),
-            Format::Arrow => Table::Batches(BatchTests::arrow(sink, &columns)?),
+            TableFormat::Csv => TestTable::Csv(Box::new(CsvTestWriter::new(sink, b',', &columns)?)),
+            TableFormat::Tsv => TestTable::Csv(Box::new(CsvTestWriter::new(sink, b'\t', &columns)?)),
+            TableFormat::Parquet => TestTable::Batches(BatchTestWriter::parquet(sink, &columns)?),
+            TableFormat::Arrow => TestTable::Batches(BatchTestWriter::arrow(sink, &columns)?),
         };
         Ok(TestWriter { columns, table })
     }
@@ -74,8 +80,8 @@ impl<W: Write + Send> TestWriter<W> {
     pub fn write<'a>(&mut self, tests: impl IntoIterator<Item = &'a Test>, labels: &Labels) -> Result<(), WriteError> {
         for test in tests {
             match &mut self.table {
-                Table::Csv(table) => table.write(&self.columns, test, labels)?,
-                Table::Batches(table) => table.write(&self.columns, test, labels)?,
+                TestTable::Csv(table) => table.write(&self.columns, test, labels)?,
+                TestTable::Batches(table) => table.write(&self.columns, test, labels)?,
             }
         }
         Ok(())
@@ -87,8 +93,8 @@ impl<W: Write + Send> TestWriter<W> {
     /// A sink that cannot be written to.
     pub fn finish(self) -> Result<W, WriteError> {
         match self.table {
-            Table::Csv(table) => table.finish(),
-            Table::Batches(table) => table.finish(),
+            TestTable::Csv(table) => table.finish(),
+            TestTable::Batches(table) => table.finish(),
         }
     }
 }

@@ -6,10 +6,10 @@ use std::sync::Arc;
 use arrow::array::{ArrayRef, Float64Builder, Int64Builder, StringBuilder};
 use arrow::datatypes::{DataType, Field, Schema};
 
-use super::batches::{Batches, ROWS};
+use super::batches::{BatchWriter, ROWS};
 use super::csv::{failed, header, number};
 use super::error::WriteError;
-use super::format::Format;
+use super::format::TableFormat;
 
 /// What the cells of a column are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +24,7 @@ pub enum CellKind {
 
 /// A cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Cell<'a> {
+pub enum TableCell<'a> {
     /// Of a column of texts.
     Text(&'a str),
     /// Of a column of numbers; one that is not a number is missing.
@@ -37,45 +37,45 @@ pub enum Cell<'a> {
 
 /// Writes a table row by row.
 pub struct TableWriter<W: Write + Send> {
-    rows: Rows<W>,
+    rows: TableRows<W>,
 }
 
-enum Rows<W: Write + Send> {
+enum TableRows<W: Write + Send> {
     Text(Box<csv::Writer<W>>),
-    Batches { batches: Batches<W>, columns: Vec<Builder>, rows: usize },
+    Batches { batches: BatchWriter<W>, columns: Vec<TableColumnBuilder>, rows: usize },
 }
 
-enum Builder {
+enum TableColumnBuilder {
     Texts(StringBuilder),
     Numbers(Float64Builder),
     Counts(Int64Builder),
 }
 
-impl Builder {
-    fn of(kind: CellKind) -> Builder {
+impl TableColumnBuilder {
+    fn of(kind: CellKind) -> TableColumnBuilder {
         match kind {
-            CellKind::Text => Builder::Texts(StringBuilder::new()),
-            CellKind::Number => Builder::Numbers(Float64Builder::new()),
-            CellKind::Count => Builder::Counts(Int64Builder::new()),
+            CellKind::Text => TableColumnBuilder::Texts(StringBuilder::new()),
+            CellKind::Number => TableColumnBuilder::Numbers(Float64Builder::new()),
+            CellKind::Count => TableColumnBuilder::Counts(Int64Builder::new()),
         }
     }
 
-    fn push(&mut self, cell: Cell<'_>) {
+    fn push(&mut self, cell: TableCell<'_>) {
         match (self, cell) {
-            (Builder::Texts(texts), Cell::Text(text)) => texts.append_value(text),
-            (Builder::Texts(texts), _) => texts.append_null(),
-            (Builder::Numbers(numbers), Cell::Number(x)) if !x.is_nan() => numbers.append_value(x),
-            (Builder::Numbers(numbers), _) => numbers.append_null(),
-            (Builder::Counts(counts), Cell::Count(n)) => counts.append_option(i64::try_from(n).ok()),
-            (Builder::Counts(counts), _) => counts.append_null(),
+            (TableColumnBuilder::Texts(texts), TableCell::Text(text)) => texts.append_value(text),
+            (TableColumnBuilder::Texts(texts), _) => texts.append_null(),
+            (TableColumnBuilder::Numbers(numbers), TableCell::Number(x)) if !x.is_nan() => numbers.append_value(x),
+            (TableColumnBuilder::Numbers(numbers), _) => numbers.append_null(),
+            (TableColumnBuilder::Counts(counts), TableCell::Count(n)) => counts.append_option(i64::try_from(n).ok()),
+            (TableColumnBuilder::Counts(counts), _) => counts.append_null(),
         }
     }
 
     fn finish(&mut self) -> ArrayRef {
         match self {
-            Builder::Texts(texts) => Arc::new(texts.finish()),
-            Builder::Numbers(numbers) => Arc::new(numbers.finish()),
-            Builder::Counts(counts) => Arc::new(counts.finish()),
+            TableColumnBuilder::Texts(texts) => Arc::new(texts.finish()),
+            TableColumnBuilder::Numbers(numbers) => Arc::new(numbers.finish()),
+            TableColumnBuilder::Counts(counts) => Arc::new(counts.finish()),
         }
     }
 }
@@ -85,12 +85,12 @@ impl<W: Write + Send> TableWriter<W> {
     ///
     /// # Errors
     /// A sink that cannot be written to.
-    pub fn new(columns: &[(String, CellKind)], format: Format, sink: W) -> Result<TableWriter<W>, WriteError> {
+    pub fn new(columns: &[(String, CellKind)], format: TableFormat, sink: W) -> Result<TableWriter<W>, WriteError> {
         let rows = match format {
-            Format::Csv => text(columns, b',', sink)?,
-            Format::Tsv => text(columns, b'\t', sink)?,
-            Format::Parquet => batches(columns, Batches::parquet(sink, schema(columns))?),
-            Format::Arrow => batches(columns, Batches::arrow(sink, schema(columns))?),
+            TableFormat::Csv => text(columns, b',', sink)?,
+            TableFormat::Tsv => text(columns, b'\t', sink)?,
+            TableFormat::Parquet => batches(columns, BatchWriter::parquet(sink, schema(columns))?),
+            TableFormat::Arrow => batches(columns, BatchWriter::arrow(sink, schema(columns))?),
         };
         Ok(TableWriter { rows })
     }
@@ -99,28 +99,28 @@ impl<W: Write + Send> TableWriter<W> {
     ///
     /// # Errors
     /// A sink that cannot be written to.
-    pub fn write<'a>(&mut self, cells: impl IntoIterator<Item = Cell<'a>>) -> Result<(), WriteError> {
+    pub fn write<'a>(&mut self, cells: impl IntoIterator<Item = TableCell<'a>>) -> Result<(), WriteError> {
         match &mut self.rows {
-            Rows::Text(writer) => {
+            TableRows::Text(writer) => {
                 for cell in cells {
                     let field = match cell {
-                        Cell::Text(text) => writer.write_field(text),
-                        Cell::Number(x) => writer.write_field(number(x)),
-                        Cell::Count(n) => writer.write_field(n.to_string()),
-                        Cell::Missing => writer.write_field(""),
+                        TableCell::Text(text) => writer.write_field(text),
+                        TableCell::Number(x) => writer.write_field(number(x)),
+                        TableCell::Count(n) => writer.write_field(n.to_string()),
+                        TableCell::Missing => writer.write_field(""),
                     };
                     field.map_err(failed)?;
                 }
                 writer.write_record(None::<&[u8]>).map_err(failed)
             }
-            Rows::Batches { batches, columns, rows } => {
+            TableRows::Batches { batches, columns, rows } => {
                 columns.iter_mut().zip(cells).for_each(|(column, cell)| column.push(cell));
                 *rows += 1;
                 if *rows < ROWS {
                     return Ok(());
                 }
                 *rows = 0;
-                batches.write(columns.iter_mut().map(Builder::finish).collect())
+                batches.write(columns.iter_mut().map(TableColumnBuilder::finish).collect())
             }
         }
     }
@@ -131,10 +131,10 @@ impl<W: Write + Send> TableWriter<W> {
     /// A sink that cannot be written to.
     pub fn finish(self) -> Result<W, WriteError> {
         match self.rows {
-            Rows::Text(writer) => writer.into_inner().map_err(|error| WriteError::Io(error.into_error())),
-            Rows::Batches { mut batches, mut columns, rows } => {
+            TableRows::Text(writer) => writer.into_inner().map_err(|error| WriteError::Io(error.into_error())),
+            TableRows::Batches { mut batches, mut columns, rows } => {
                 if rows > 0 {
-                    batches.write(columns.iter_mut().map(Builder::finish).collect())?;
+                    batches.write(columns.iter_mut().map(TableColumnBuilder::finish).collect())?;
                 }
                 batches.finish()
             }
@@ -142,13 +142,21 @@ impl<W: Write + Send> TableWriter<W> {
     }
 }
 
-fn text<W: Write + Send>(columns: &[(String, CellKind)], delimiter: u8, mut sink: W) -> Result<Rows<W>, WriteError> {
+fn text<W: Write + Send>(
+    columns: &[(String, CellKind)],
+    delimiter: u8,
+    mut sink: W,
+) -> Result<TableRows<W>, WriteError> {
     header(&mut sink, delimiter, columns.iter().map(|(name, _)| name.as_str()))?;
-    Ok(Rows::Text(Box::new(csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink))))
+    Ok(TableRows::Text(Box::new(csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink))))
 }
 
-fn batches<W: Write + Send>(columns: &[(String, CellKind)], batches: Batches<W>) -> Rows<W> {
-    Rows::Batches { batches, columns: columns.iter().map(|(_, kind)| Builder::of(*kind)).collect(), rows: 0 }
+fn batches<W: Write + Send>(columns: &[(String, CellKind)], batches: BatchWriter<W>) -> TableRows<W> {
+    TableRows::Batches {
+        batches,
+        columns: columns.iter().map(|(_, kind)| TableColumnBuilder::of(*kind)).collect(),
+        rows: 0,
+    }
 }
 
 fn schema(columns: &[(String, CellKind)]) -> Arc<Schema> {
@@ -171,9 +179,9 @@ mod tests {
     fn a_table_of_text_has_a_header_and_empty_cells_where_nothing_is_known() {
         let columns = [("test", CellKind::Text), ("row", CellKind::Count), ("a, b", CellKind::Number)];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind));
-        let mut table = TableWriter::new(&columns, Format::Csv, Vec::new()).expect("a table");
-        table.write([Cell::Text("x,1"), Cell::Count(3), Cell::Number(0.1)]).expect("a row");
-        table.write([Cell::Text("y"), Cell::Missing, Cell::Number(f64::NAN)]).expect("a row");
+        let mut table = TableWriter::new(&columns, TableFormat::Csv, Vec::new()).expect("a table");
+        table.write([TableCell::Text("x,1"), TableCell::Count(3), TableCell::Number(0.1)]).expect("a row");
+        table.write([TableCell::Text("y"), TableCell::Missing, TableCell::Number(f64::NAN)]).expect("a row");
         let text = String::from_utf8(table.finish().expect("an end")).expect("text");
         assert_eq!(text, "test,row,\"a, b\"\n\"x,1\",3,0.1\ny,,\n");
     }

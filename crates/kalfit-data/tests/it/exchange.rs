@@ -17,8 +17,8 @@ use kalfit::model::{
 use kalfit::reduce::{Estimates, Inherited, Path as Arithmetic, PhaseReduction, Terminal};
 use kalfit::{Evidence, Labels, Layout, Model, PhasedModel, Reduction, Source as Row, Test};
 use kalfit_data::exchange::{
-    Assembly, Content, Entry, EstimatesWriter, Metadata, ParameterValue, ReductionWriter, Sorted, read_estimates,
-    read_reductions, sort,
+    Assembly, EstimatesWriter, ExchangeEntry, InputContent, Metadata, ParameterValue, ReductionWriter, SortedInputs,
+    read_estimates, read_reductions, sort,
 };
 use kalfit_data::{DataError, Input};
 use nalgebra::{DMatrix, DVector};
@@ -149,7 +149,7 @@ fn metadata() -> Metadata {
     }
 }
 
-fn sorted(bytes: &[u8]) -> Sorted<'_> {
+fn sorted(bytes: &[u8]) -> SortedInputs<'_> {
     sort(&[Input::Stdin], Box::new(bytes)).unwrap()
 }
 
@@ -158,7 +158,7 @@ fn entries_of(
     model: &PhasedModel,
     layout: &Layout,
     labels: &mut Labels,
-) -> Result<Vec<Entry>, DataError> {
+) -> Result<Vec<ExchangeEntry>, DataError> {
     let sorted = sort(&[Input::Stdin], Box::new(bytes))?;
     let mut entries = Vec::new();
     for source in &sorted.reductions {
@@ -214,7 +214,7 @@ fn reductions_come_back_to_the_last_bit() {
         tests.iter().map(|(id, pieces)| (id.as_str(), pieces[..1 + id.len() % 2].to_vec())).collect();
     let bytes = written_reductions(&given);
     let model = two_phases();
-    assert_eq!(sorted(&bytes).contents, [Content::Reductions]);
+    assert_eq!(sorted(&bytes).contents, [InputContent::Reductions]);
     assert_eq!(sorted(&bytes).reductions[0].metadata().unwrap(), Some(metadata()));
     let found = entries_of(&bytes, &model, &by("unit"), &mut Labels::default()).unwrap();
     let expected: Vec<(&str, usize, &PhaseReduction)> = given
@@ -287,7 +287,7 @@ fn files_by_other_programs_are_read() {
     {
         let inputs = [Input::Path(data(name))];
         let sorted = sort(&inputs, Box::new(std::io::empty())).unwrap();
-        assert_eq!(sorted.contents, [Content::Estimates], "{name}");
+        assert_eq!(sorted.contents, [InputContent::Estimates], "{name}");
         let mut labels = Labels::new(&model.shared().literals);
         let mut entries = Vec::new();
         let found = read_estimates(&sorted.estimates[0], (&model, &by("unit")), &mut labels, &mut |entry| {
@@ -535,9 +535,9 @@ fn digests_that_differ_are_both_shown() {
     assert!(metadata().check_digest("a.parquet", "sha256:2").is_ok());
 }
 
-fn entry(test: &str, phase: usize, row: u64) -> Entry {
+fn entry(test: &str, phase: usize, row: u64) -> ExchangeEntry {
     let piece = pieces(test, 0).swap_remove(phase);
-    Entry {
+    ExchangeEntry {
         test: test.into(),
         phase,
         evidence: Evidence::Reduced(Box::new(piece)),
@@ -571,7 +571,7 @@ fn a_table_of_rows_with_such_names_is_a_table_of_rows() {
     ]);
     let bytes = parquet(&columns, 10);
     let mut sorted = sorted(&bytes);
-    assert_eq!((sorted.contents, sorted.rows), (vec![Content::Rows], vec![Input::Stdin]));
+    assert_eq!((sorted.contents, sorted.rows), (vec![InputContent::Rows], vec![Input::Stdin]));
     let mut found = Vec::new();
     std::io::Read::read_to_end(&mut sorted.stdin, &mut found).unwrap();
     assert!(found == bytes, "standard input begins again: {} of {} bytes", found.len(), bytes.len());

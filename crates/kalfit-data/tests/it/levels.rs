@@ -7,7 +7,7 @@ use crate::support;
 use arrow::ipc::writer::IpcWriteOptions;
 use insta::assert_snapshot;
 use kalfit::{Labels, Layout, PhasedModel, Source, Test, TestKey};
-use kalfit_data::{Format, Ids, TestWriter};
+use kalfit_data::{TableFormat, TestWriter, WrittenIds};
 use support::*;
 
 /// Runs of serials of lots.
@@ -201,8 +201,8 @@ fn test(id: &str, groups: [Option<&str>; 2], labels: &mut Labels) -> Test {
     test
 }
 
-fn written(tests: &[Test], labels: &Labels, layout: &Layout, format: Format) -> Vec<u8> {
-    let mut writer = TestWriter::new(grouped().shared(), layout, Ids::Same, format, Vec::new()).unwrap();
+fn written(tests: &[Test], labels: &Labels, layout: &Layout, format: TableFormat) -> Vec<u8> {
+    let mut writer = TestWriter::new(grouped().shared(), layout, WrittenIds::Same, format, Vec::new()).unwrap();
     writer.write(tests, labels).unwrap();
     writer.finish().unwrap()
 }
@@ -212,7 +212,7 @@ fn what_is_written_of_groups_reads_back() {
     let mut labels = Labels::default();
     let groups = [("A/1/a", ["A", "1"]), ("A/1/b", ["A", "1"]), ("B/1/a", ["B", "1"]), ("A/b/c/d", ["A/b", "c"])];
     let tests = groups.map(|(id, groups)| test(id, groups.map(Some), &mut labels));
-    let text = String::from_utf8(written(&tests, &labels, &by_run(), Format::Csv)).unwrap();
+    let text = String::from_utf8(written(&tests, &labels, &by_run(), TableFormat::Csv)).unwrap();
     assert_snapshot!(text, @"
     lot,serial,run,y
     A,1,a,1
@@ -225,9 +225,12 @@ fn what_is_written_of_groups_reads_back() {
     A/b,c,d,2
     ");
     let folder = tempfile::tempdir().unwrap();
-    for (format, extension) in
-        [(Format::Csv, "csv"), (Format::Tsv, "tsv"), (Format::Parquet, "parquet"), (Format::Arrow, "arrow")]
-    {
+    for (format, extension) in [
+        (TableFormat::Csv, "csv"),
+        (TableFormat::Tsv, "tsv"),
+        (TableFormat::Parquet, "parquet"),
+        (TableFormat::Arrow, "arrow"),
+    ] {
         let file = write(folder.path(), &format!("t.{extension}"), &written(&tests, &labels, &by_run(), format));
         let (sink, reading) = collect(&grouped(), &by_run(), &[file], &mut std::io::empty()).unwrap();
         assert_eq!(shown(&sink.tests, &reading.labels), shown(&tests, &labels), "{extension}");
@@ -242,7 +245,7 @@ fn an_id_that_does_not_begin_with_its_groups_is_written_whole() {
         test("A/1/c", [Some("A"), None], &mut labels),
         test("A/12/c", [Some("A"), Some("1")], &mut labels),
     ];
-    let text = String::from_utf8(written(&tests, &labels, &by_run(), Format::Csv)).unwrap();
+    let text = String::from_utf8(written(&tests, &labels, &by_run(), TableFormat::Csv)).unwrap();
     assert_snapshot!(text, @"
     lot,serial,run,y
     A,1,run 7,1
@@ -253,7 +256,7 @@ fn an_id_that_does_not_begin_with_its_groups_is_written_whole() {
     A,1,A/12/c,2
     ");
     let tests = [test("A/1/c", [Some("A"), Some("1")], &mut labels)];
-    let text = String::from_utf8(written(&tests, &labels, &layout(TestKey::File), Format::Csv)).unwrap();
+    let text = String::from_utf8(written(&tests, &labels, &layout(TestKey::File), TableFormat::Csv)).unwrap();
     assert_snapshot!(text, @"
     lot,serial,test,y
     A,1,A/1/c,1

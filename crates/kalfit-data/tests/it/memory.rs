@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Field, Schema, SchemaRef};
 use kalfit::{Layout, TestKey};
-use kalfit_data::exchange::{Content, sort};
+use kalfit_data::exchange::{InputContent, sort};
 use kalfit_data::{DataError, Datum, Input, MemoryTable};
 
 use crate::support::{collect, collect_stdin, model, shown};
@@ -76,8 +76,8 @@ fn what_the_schema_says_tells_reductions_from_rows() {
         let table = MemoryTable::new("rows".to_owned(), schema, vec![batch]).unwrap();
         sort(&[Input::Table(table)], Box::new(std::io::empty())).map(|sorted| sorted.contents)
     };
-    assert_eq!(of(HashMap::new()).unwrap(), [Content::Rows]);
+    assert_eq!(of(HashMap::new()).unwrap(), [InputContent::Rows]);
     let says = |what: &str| HashMap::from([("kalfit.schema".to_owned(), what.to_owned())]);
-    assert_eq!(of(says("kalfit-reductions/1")).unwrap(), [Content::Reductions]);
+    assert_eq!(of(says("kalfit-reductions/1")).unwrap(), [InputContent::Reductions]);
     assert!(of(says("kalfit-reductions/9")).unwrap_err().to_string().contains("kalfit-reductions/9"));
 }

@@ -5,7 +5,7 @@ use crate::support;
 use std::io::Read;
 
 use kalfit::{Labels, Layout, Test};
-use kalfit_data::{Input, ReadError, Sink, read_from};
+use kalfit_data::{Input, ReadError, TestSink, read_from};
 use support::*;
 
 fn csv_of(rows: impl Iterator<Item = (usize, f64)>) -> Vec<u8> {
@@ -35,7 +35,7 @@ struct Watch<'a> {
     batches: Vec<(usize, usize)>,
 }
 
-impl Sink for Watch<'_> {
+impl TestSink for Watch<'_> {
     type Error = std::convert::Infallible;
 
     fn tests(&mut self, tests: Vec<Test>, _: &Labels) -> Result<(), Self::Error> {
@@ -114,7 +114,7 @@ fn a_test_may_be_scattered_over_files_and_standard_input() {
 /// Refuses the first test.
 struct Refuse;
 
-impl Sink for Refuse {
+impl TestSink for Refuse {
     type Error = kalfit::Source;
 
     fn tests(&mut self, tests: Vec<Test>, _: &Labels) -> Result<(), Self::Error> {

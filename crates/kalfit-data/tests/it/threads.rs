@@ -7,7 +7,7 @@ use crate::support;
 use std::fmt::Write as _;
 
 use kalfit::Test;
-use kalfit_data::{Input, Reading};
+use kalfit_data::{DataReading, Input};
 use support::*;
 
 /// Rows of tests of one to seven rows each, more than a few chunks of them; some texts are quoted and have line ends in them.
@@ -31,7 +31,7 @@ fn outcome(inputs: &[Input], threads: usize) -> Outcome {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let read = pool.install(|| collect(&model, &by("id"), inputs, &mut std::io::empty()));
     read.map_err(|error| error.to_string()).map(|(sink, reading)| {
-        let Reading { labels, rows, .. } = reading;
+        let DataReading { labels, rows, .. } = reading;
         let tests = sink.tests.into_iter().map(comparable).collect();
         (tests, sink.batches, labels.texts().to_vec(), rows)
     })

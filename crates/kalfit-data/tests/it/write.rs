@@ -3,12 +3,16 @@
 use crate::support;
 
 use kalfit::{Labels, Layout, PhasedModel, Source, Test, TestKey};
-use kalfit_data::{Format, Ids, Input, TestWriter, WriteError, added_id_column, read};
+use kalfit_data::{Input, TableFormat, TestWriter, WriteError, WrittenIds, added_id_column, read};
 use proptest::prelude::*;
 use support::{Collect, by, model};
 
-const FORMATS: [(Format, &str); 4] =
-    [(Format::Csv, "csv"), (Format::Tsv, "tsv"), (Format::Parquet, "parquet"), (Format::Arrow, "arrow")];
+const FORMATS: [(TableFormat, &str); 4] = [
+    (TableFormat::Csv, "csv"),
+    (TableFormat::Tsv, "tsv"),
+    (TableFormat::Parquet, "parquet"),
+    (TableFormat::Arrow, "arrow"),
+];
 
 /// One row: two numbers and two texts; `None` is missing.
 type Row = (f64, f64, Option<String>, Option<String>);
@@ -32,11 +36,11 @@ fn back(
     layout: &Layout,
     tests: &[Test],
     labels: &Labels,
-    format: (Format, &str),
+    format: (TableFormat, &str),
 ) -> (Vec<Test>, Labels) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join(format!("t.{}", format.1));
-    let mut writer = TestWriter::new(model.shared(), layout, Ids::Same, format.0, Vec::new()).expect("a table");
+    let mut writer = TestWriter::new(model.shared(), layout, WrittenIds::Same, format.0, Vec::new()).expect("a table");
     writer.write(tests, labels).expect("rows");
     std::fs::write(&path, writer.finish().expect("an end")).expect("a file");
     let mut sink = Collect::default();
@@ -121,8 +125,9 @@ fn a_column_with_several_uses_is_written_once() {
         let (found, found_labels) = back(&model, &by("unit"), &tests, &labels, format);
         assert_eq!(spelt(&found, &found_labels), spelt(&tests, &labels), "{}", format.1);
     }
-    let refusal =
-        TestWriter::new(model.shared(), &by("unit"), Ids::New, Format::Csv, Vec::new()).err().expect("refused");
+    let refusal = TestWriter::new(model.shared(), &by("unit"), WrittenIds::New, TableFormat::Csv, Vec::new())
+        .err()
+        .expect("refused");
     assert!(matches!(&refusal, WriteError::IdInUse { column, .. } if column == "unit"), "{refusal}");
 }
 
@@ -131,11 +136,12 @@ fn a_column_of_ids_is_added_where_the_layout_has_none() {
     let layout = |test: TestKey| Layout { test, levels: Vec::new(), missing: Vec::new(), comment: None };
     let plain = model(&["z"], &[], None);
     let taken = model(&["z", "test"], &["test_2"], None);
-    let name = |model: &PhasedModel, test: TestKey, ids: Ids| added_id_column(model.shared(), &layout(test), ids);
-    assert_eq!(name(&plain, TestKey::Single, Ids::Same), None);
-    assert_eq!(name(&plain, TestKey::Single, Ids::New).as_deref(), Some("test"));
-    assert_eq!(name(&taken, TestKey::File, Ids::Same).as_deref(), Some("test_3"));
-    assert_eq!(name(&plain, TestKey::Column("unit".into()), Ids::New), None);
+    let name =
+        |model: &PhasedModel, test: TestKey, ids: WrittenIds| added_id_column(model.shared(), &layout(test), ids);
+    assert_eq!(name(&plain, TestKey::Single, WrittenIds::Same), None);
+    assert_eq!(name(&plain, TestKey::Single, WrittenIds::New).as_deref(), Some("test"));
+    assert_eq!(name(&taken, TestKey::File, WrittenIds::Same).as_deref(), Some("test_3"));
+    assert_eq!(name(&plain, TestKey::Column("unit".into()), WrittenIds::New), None);
 }
 
 proptest! {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use kalfit::{Labels, Test};
-use kalfit_data::{Datum, Input, Sink};
+use kalfit_data::{Datum, Input, TestSink};
 use kalfit_job::{CheckJob, CompareJob, Document, ReportJob, Unwatched};
 use kalfit_spec::Spec;
 use rand::{RngExt, SeedableRng};
@@ -109,7 +109,7 @@ fn in_file(input: &Given, folder: &Path) -> Result<PathBuf, String> {
 /// Takes tests and forgets them.
 struct Nowhere;
 
-impl Sink for Nowhere {
+impl TestSink for Nowhere {
     type Error = std::convert::Infallible;
 
     fn tests(&mut self, _: Vec<Test>, _: &Labels) -> Result<(), Self::Error> {

@@ -2,7 +2,7 @@
 
 use kalfit::apply::{Applied, Laws, PhaseStates, Said, StateKind};
 use kalfit::{PhasedModel, PhasedTest};
-use kalfit_data::{Cell, CellKind, Reading, WriteError};
+use kalfit_data::{CellKind, DataReading, TableCell, WriteError};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
@@ -20,7 +20,7 @@ pub(super) struct Task<'a> {
     pub(super) spec: &'a Spec,
     pub(super) applied: &'a Applied<'a>,
     pub(super) tests: &'a [PhasedTest],
-    pub(super) reading: &'a Reading,
+    pub(super) reading: &'a DataReading,
 }
 
 impl Task<'_> {
@@ -71,24 +71,24 @@ impl Task<'_> {
         (number, phase): (usize, usize),
         (said, laws): (&Said, &Laws),
         names: &[String],
-    ) -> Vec<Cell<'a>> {
+    ) -> Vec<TableCell<'a>> {
         let (test, posterior) = (&self.tests[number], &said.posteriors[number]);
         let model = &self.model().phases[phase];
-        let number_or = |x: Option<f64>| x.map_or(Cell::Missing, Cell::Number);
+        let number_or = |x: Option<f64>| x.map_or(TableCell::Missing, TableCell::Number);
         let summary = said.innovations[number].as_ref().map(|own| &own.summary);
         let residual = said.residuals[number];
         let mut cells = vec![
-            Cell::Text(&test.id),
-            Cell::Text(&model.name),
-            Cell::Number(posterior.log_likelihood),
-            Cell::Number(posterior.distance.squared),
-            Cell::Count(posterior.distance.degrees_of_freedom),
+            TableCell::Text(&test.id),
+            TableCell::Text(&model.name),
+            TableCell::Number(posterior.log_likelihood),
+            TableCell::Number(posterior.distance.squared),
+            TableCell::Count(posterior.distance.degrees_of_freedom),
             number_or(laws.tests[number].and_then(|law| law.tails(posterior.distance.squared)).map(|tails| tails[1])),
-            summary.map_or(Cell::Missing, |own| Cell::Count(own.count)),
+            summary.map_or(TableCell::Missing, |own| TableCell::Count(own.count)),
             number_or(summary.map(|own| own.nis + 0.0)), // of nothing it is -0
             number_or(summary.and_then(|own| own.upper_tail)),
             number_or(residual.map(|own| own.0)),
-            residual.map_or(Cell::Missing, |own| Cell::Count(own.1)),
+            residual.map_or(TableCell::Missing, |own| TableCell::Count(own.1)),
         ];
         let (own, first) = (model.model.estimated_names(), self.model().ranges()[phase].start);
         let place = |name: &String| own.iter().position(|other| other == name);
@@ -138,19 +138,24 @@ impl Task<'_> {
     fn phase(&self, test: &str, states: &PhaseStates, writer: &mut Writer<'_>) -> Result<(), WriteError> {
         let phase = &self.model().phases[states.phase];
         let begin = |row: usize, time: Option<f64>| {
-            let time = time.map_or(Cell::Missing, Cell::Number);
+            let time = time.map_or(TableCell::Missing, TableCell::Number);
             // rows are counted from one
-            [Cell::Text(test), Cell::Text(&phase.name), Cell::Count(row + 1), time]
+            [TableCell::Text(test), TableCell::Text(&phase.name), TableCell::Count(row + 1), time]
         };
         for step in &states.steps {
             for ((state, mean), std_dev) in phase.model.states.iter().zip(&step.mean).zip(&step.std_dev) {
-                let own = [Cell::Text(&state.name), Cell::Number(*mean), Cell::Number(*std_dev), Cell::Text("state")];
+                let own = [
+                    TableCell::Text(&state.name),
+                    TableCell::Number(*mean),
+                    TableCell::Number(*std_dev),
+                    TableCell::Text("state"),
+                ];
                 writer.write(begin(step.rows.start, step.time).into_iter().chain(own))?;
             }
             for prediction in &step.measurements {
                 let name = &phase.model.measurements[prediction.measurement].name;
-                let (value, std_dev) = (Cell::Number(prediction.value), Cell::Number(prediction.std_dev));
-                let own = [Cell::Text(name), value, std_dev, Cell::Text("measurement")];
+                let (value, std_dev) = (TableCell::Number(prediction.value), TableCell::Number(prediction.std_dev));
+                let own = [TableCell::Text(name), value, std_dev, TableCell::Text("measurement")];
                 writer.write(begin(prediction.row, step.time).into_iter().chain(own))?;
             }
         }

@@ -7,7 +7,7 @@ mod units;
 use kalfit::PhasedTest;
 use kalfit::predict::{Bounds, MeanLimits, Output, Predictor};
 use kalfit::record::{PredictedRecord, PredictedSource};
-use kalfit_data::{Input, Reading};
+use kalfit_data::{DataReading, Input};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
 
 use self::profile::Profiles;
@@ -112,7 +112,7 @@ struct Task<'a> {
     outputs: &'a [Vec<Output>],
     predictor: &'a Predictor,
     units: &'a UnitsOf,
-    reading: &'a Reading,
+    reading: &'a DataReading,
     /// Limits of all means by profile likelihood, in their order.
     profiles: Option<Vec<Option<[f64; 2]>>>,
     record: PredictedRecord,

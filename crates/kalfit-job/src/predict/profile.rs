@@ -3,7 +3,7 @@
 use kalfit::model::{Level, Value};
 use kalfit::predict::{Bounds, Predictor};
 use kalfit::{Alpha, Ensemble, EnsembleError, FitRecord, PhasedTest};
-use kalfit_data::Reading;
+use kalfit_data::DataReading;
 use kalfit_spec::Spec;
 
 use super::units::UnitsOf;
@@ -71,7 +71,7 @@ impl Profiles {
     /// The limits of all means, in the order in which they are predicted.
     pub(super) fn limits(
         &self,
-        (predictor, designs, units, reading): (&Predictor, &[PhasedTest], &UnitsOf, &Reading),
+        (predictor, designs, units, reading): (&Predictor, &[PhasedTest], &UnitsOf, &DataReading),
         job: &PredictJob,
         work: &mut Work<'_>,
     ) -> Result<Vec<Option<[f64; 2]>>, Failure> {

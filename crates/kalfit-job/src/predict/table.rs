@@ -3,7 +3,7 @@
 use kalfit::PhasedModel;
 use kalfit::predict::{Bounds, Output, PhasePredictions, Predicted};
 use kalfit::record::name_of;
-use kalfit_data::{Cell, CellKind, WriteError};
+use kalfit_data::{CellKind, TableCell, WriteError};
 use rayon::prelude::*;
 
 use crate::table::Writer;
@@ -38,7 +38,7 @@ pub(super) fn write_phase(
 ) -> Result<(), WriteError> {
     let of = |value: &Predicted| -> Ends { (bounds.of_mean(value), bounds.of_tests(value)) };
     let ends: Vec<Vec<Ends>> = phase.steps.par_iter().map(|step| step.values.iter().map(of).collect()).collect();
-    let number_or = |x: Option<f64>| x.map_or(Cell::Missing, Cell::Number);
+    let number_or = |x: Option<f64>| x.map_or(TableCell::Missing, TableCell::Number);
     let both = |ends: Option<[f64; 2]>| [number_or(ends.map(|ends| ends[0])), number_or(ends.map(|ends| ends[1]))];
     for (step, ends) in phase.steps.iter().zip(ends) {
         for (value, (confidence, tolerance)) in step.values.iter().zip(ends) {
@@ -48,19 +48,19 @@ pub(super) fn write_phase(
             let [population, process] = [value.population, value.process].map(f64::sqrt);
             let estimation = value.estimation.map(|estimation| estimation.mean.sqrt());
             let mut cells = vec![
-                Cell::Text(test),
-                Cell::Text(&model.phases[phase.phase].name),
-                Cell::Count(value.row + 1), // rows are counted from one
+                TableCell::Text(test),
+                TableCell::Text(&model.phases[phase.phase].name),
+                TableCell::Count(value.row + 1), // rows are counted from one
                 number_or(step.time),
-                Cell::Text(name),
-                Cell::Number(value.mean),
-                Cell::Number(value.std_dev()),
-                Cell::Number(population),
-                Cell::Number(process),
+                TableCell::Text(name),
+                TableCell::Number(value.mean),
+                TableCell::Number(value.std_dev()),
+                TableCell::Number(population),
+                TableCell::Number(process),
                 number_or(estimation),
             ];
             cells.extend(both(confidence).into_iter().chain(both(tolerance)));
-            cells.push(Cell::Text(what));
+            cells.push(TableCell::Text(what));
             writer.write(cells)?;
         }
     }

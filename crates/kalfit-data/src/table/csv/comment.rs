@@ -12,14 +12,14 @@ pub(super) const MARK: &[u8] = b"\x0c";
 pub(super) struct Uncommented<R> {
     bytes: R,
     comment: Vec<u8>,
-    state: State,
+    state: CommentState,
     /// Read, and not handed out.
     ready: Vec<u8>,
     given: usize,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum CommentState {
     /// At the start of a row; so many bytes of the comment's text were seen.
     Start(usize),
     /// In a comment.
@@ -31,49 +31,49 @@ enum State {
 impl<R: Read> Uncommented<R> {
     pub(super) fn new(bytes: R, comment: &str) -> Uncommented<R> {
         let comment = comment.as_bytes().to_vec();
-        Uncommented { bytes, comment, state: State::Start(0), ready: Vec::new(), given: 0 }
+        Uncommented { bytes, comment, state: CommentState::Start(0), ready: Vec::new(), given: 0 }
     }
 
     fn take(&mut self, byte: u8) {
         match self.state {
-            State::Start(seen) if byte == self.comment[seen] => {
-                self.state = State::Start(seen + 1);
+            CommentState::Start(seen) if byte == self.comment[seen] => {
+                self.state = CommentState::Start(seen + 1);
                 if seen + 1 == self.comment.len() {
                     self.ready.extend_from_slice(MARK);
-                    self.state = State::Comment;
+                    self.state = CommentState::Comment;
                 }
             }
-            State::Start(seen) => {
-                self.state = State::Row { quoted: false, opens: true };
+            CommentState::Start(seen) => {
+                self.state = CommentState::Row { quoted: false, opens: true };
                 let begun = self.comment[..seen].to_vec();
                 begun.into_iter().chain([byte]).for_each(|byte| self.of_row(byte));
             }
-            State::Comment if byte == b'\n' => {
+            CommentState::Comment if byte == b'\n' => {
                 self.ready.push(byte);
-                self.state = State::Start(0);
+                self.state = CommentState::Start(0);
             }
-            State::Comment => {}
-            State::Row { .. } => self.of_row(byte),
+            CommentState::Comment => {}
+            CommentState::Row { .. } => self.of_row(byte),
         }
     }
 
     fn of_row(&mut self, byte: u8) {
-        let State::Row { quoted, opens } = self.state else { return };
+        let CommentState::Row { quoted, opens } = self.state else { return };
         self.ready.push(byte);
         self.state = match byte {
-            b'"' if quoted => State::Row { quoted: false, opens: true },
-            b'"' if opens => State::Row { quoted: true, opens: false },
-            b'\n' if !quoted => State::Start(0),
-            b',' | b';' | b'\t' => State::Row { quoted, opens: !quoted },
-            _ => State::Row { quoted, opens: false },
+            b'"' if quoted => CommentState::Row { quoted: false, opens: true },
+            b'"' if opens => CommentState::Row { quoted: true, opens: false },
+            b'\n' if !quoted => CommentState::Start(0),
+            b',' | b';' | b'\t' => CommentState::Row { quoted, opens: !quoted },
+            _ => CommentState::Row { quoted, opens: false },
         };
     }
 
     /// The file has ended.
     fn end(&mut self) {
-        if let State::Start(seen) = self.state {
+        if let CommentState::Start(seen) = self.state {
             self.ready.extend_from_slice(&self.comment[..seen]);
-            self.state = State::Comment;
+            self.state = CommentState::Comment;
         }
     }
 }

@@ -11,7 +11,7 @@ const ROW_LIMIT: usize = 64 << 20;
 
 /// Whole rows, of which the first begins at `line`.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Chunk {
+pub(super) struct CsvChunk {
     pub(super) bytes: Vec<u8>,
     pub(super) line: u64,
     /// The first of the blank lines right before it, if there are any.
@@ -24,7 +24,7 @@ pub(super) struct Chunk {
 
 /// Cuts bytes after line feeds that are not in quotes. A quote opens a quoted cell where the cell begins, and closes it where no
 /// other quote follows; elsewhere it is a character like others.
-pub(super) struct Cutter<'a> {
+pub(super) struct CsvCutter<'a> {
     file: &'a str,
     bytes: Box<dyn Read + 'a>,
     delimiter: u8,
@@ -44,9 +44,9 @@ pub(super) struct Cutter<'a> {
     given: u64,
 }
 
-impl<'a> Cutter<'a> {
-    pub(super) fn new(file: &'a str, bytes: Box<dyn Read + 'a>, delimiter: u8) -> Cutter<'a> {
-        Cutter {
+impl<'a> CsvCutter<'a> {
+    pub(super) fn new(file: &'a str, bytes: Box<dyn Read + 'a>, delimiter: u8) -> CsvCutter<'a> {
+        CsvCutter {
             file,
             bytes,
             delimiter,
@@ -64,12 +64,12 @@ impl<'a> Cutter<'a> {
 
     /// The same, of bytes that begin at a line; for tests.
     #[cfg(test)]
-    pub(super) fn starting(file: &'a str, bytes: Box<dyn Read + 'a>, delimiter: u8, line: u64) -> Cutter<'a> {
-        Cutter { line, ..Cutter::new(file, bytes, delimiter) }
+    pub(super) fn starting(file: &'a str, bytes: Box<dyn Read + 'a>, delimiter: u8, line: u64) -> CsvCutter<'a> {
+        CsvCutter { line, ..CsvCutter::new(file, bytes, delimiter) }
     }
 
     /// The next rows, of about `size` bytes; `None` at the end.
-    pub(super) fn next(&mut self, size: usize) -> Result<Option<Chunk>, DataError> {
+    pub(super) fn next(&mut self, size: usize) -> Result<Option<CsvChunk>, DataError> {
         let mut wanted = size.max(1);
         loop {
             self.fill(wanted)?;
@@ -141,7 +141,7 @@ impl<'a> Cutter<'a> {
     }
 
     /// Hands out what is whole.
-    fn cut(&mut self) -> Chunk {
+    fn cut(&mut self) -> CsvChunk {
         let rest = self.pending.split_off(self.whole);
         let bytes = std::mem::replace(&mut self.pending, rest);
         let quotes = self.quotes && memchr(b'"', &bytes).is_some();
@@ -155,7 +155,7 @@ impl<'a> Cutter<'a> {
             (lines, true) => blank.or((lines > 0).then_some(line)),
             (lines, false) => (lines > 0).then(|| self.line - lines),
         };
-        Chunk { bytes, line, blank, quotes, end: self.given }
+        CsvChunk { bytes, line, blank, quotes, end: self.given }
     }
 
     /// The row that is pending has a quote that nothing closes.
@@ -184,8 +184,8 @@ mod tests {
     const NASTY: &str =
         "a,\"b\nc\",d\r\n\n\r\n\"\"\"x\"\"\n\",y\"z,\"\"\n1,2\"\",3\"\n\"q\"r\"\n,s,\"\"\n\n\nlast,\"\r\n\"";
 
-    fn chunks(text: &str, size: usize) -> Result<Vec<Chunk>, DataError> {
-        let mut cutter = Cutter::new("f", Box::new(text.as_bytes()), b',');
+    fn chunks(text: &str, size: usize) -> Result<Vec<CsvChunk>, DataError> {
+        let mut cutter = CsvCutter::new("f", Box::new(text.as_bytes()), b',');
         std::iter::from_fn(|| cutter.next(size).transpose()).collect()
     }
 
@@ -230,7 +230,7 @@ mod tests {
     #[test]
     fn an_open_quote_is_an_error_after_the_rows_before_it() {
         for size in 1..20 {
-            let mut cutter = Cutter::new("f", Box::new("a,b\n1,2\n3,\"4\n5,6\n".as_bytes()), b',');
+            let mut cutter = CsvCutter::new("f", Box::new("a,b\n1,2\n3,\"4\n5,6\n".as_bytes()), b',');
             let mut rows = Vec::new();
             let error = loop {
                 match cutter.next(size) {

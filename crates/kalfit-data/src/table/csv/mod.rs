@@ -8,20 +8,20 @@ mod scan;
 use std::io::{self, Cursor, Read};
 
 use self::comment::Uncommented;
-use self::cut::{Chunk, Cutter};
-use self::rows::{Form, Record, Records};
-use super::ahead::{Done, Task, Tasks};
+use self::cut::{CsvChunk, CsvCutter};
+use self::rows::{CsvForm, CsvRecords, RecordPlace};
+use super::ahead::{BlockTask, BlockTasks, TableProgress};
 use crate::error::DataError;
-use crate::wanted::Wanted;
+use crate::wanted::WantedColumns;
 
 /// A CSV file, in chunks of rows.
 pub(crate) struct CsvTable<'a> {
-    form: Form<'a>,
-    cutter: Cutter<'a>,
+    form: CsvForm<'a>,
+    cutter: CsvCutter<'a>,
     /// Position of each wanted column.
     positions: Vec<usize>,
     /// The rows after the header.
-    first: Option<Chunk>,
+    first: Option<CsvChunk>,
     /// Bytes of the next chunk.
     size: usize,
 }
@@ -40,7 +40,7 @@ impl<'a> CsvTable<'a> {
         file: &'a str,
         bytes: impl Read + 'a,
         tab: bool,
-        wanted: &'a Wanted,
+        wanted: &'a WantedColumns,
     ) -> Result<CsvTable<'a>, DataError> {
         let failed = |source| DataError::Io { file: file.to_owned(), source };
         let mut bytes: Box<dyn Read + 'a> = match &wanted.comment {
@@ -53,8 +53,8 @@ impl<'a> CsvTable<'a> {
         }
         let start = start.strip_prefix(b"\xef\xbb\xbf").map(<[u8]>::to_vec).unwrap_or(start);
         let delimiter = if tab { b'\t' } else { sniff(&start) };
-        let cutter = Cutter::new(file, Box::new(Cursor::new(start).chain(bytes)), delimiter);
-        let form = Form { file, wanted, delimiter, width: 0, first: 0 };
+        let cutter = CsvCutter::new(file, Box::new(Cursor::new(start).chain(bytes)), delimiter);
+        let form = CsvForm { file, wanted, delimiter, width: 0, first: 0 };
         let mut table = CsvTable { form, cutter, positions: Vec::new(), first: None, size: FIRST_CHUNK };
         table.read_header()?;
         Ok(table)
@@ -63,8 +63,8 @@ impl<'a> CsvTable<'a> {
     fn read_header(&mut self) -> Result<(), DataError> {
         let file = self.form.file;
         while let Some(mut chunk) = self.cutter.next(self.size)? {
-            let mut records = Records::new(&chunk.bytes, self.form, chunk.line);
-            let Some(Record { row, .. }) = records.next(file)? else { continue };
+            let mut records = CsvRecords::new(&chunk.bytes, self.form, chunk.line);
+            let Some(RecordPlace { row, .. }) = records.next(file)? else { continue };
             let mut names = Vec::with_capacity(records.record.len());
             for (position, cell) in records.record.iter().enumerate() {
                 let is_last = position + 1 == records.record.len();
@@ -80,15 +80,15 @@ impl<'a> CsvTable<'a> {
             let (read, line) = (records.read(), records.next_line());
             self.form.first = line;
             chunk.bytes.drain(..read.min(chunk.bytes.len()));
-            self.first = Some(Chunk { line, blank: None, ..chunk });
+            self.first = Some(CsvChunk { line, blank: None, ..chunk });
             return Ok(());
         }
         Err(DataError::Empty { file: file.to_owned() })
     }
 }
 
-impl<'a> Tasks<'a> for CsvTable<'a> {
-    fn next(&mut self) -> Result<Option<Task<'a>>, DataError> {
+impl<'a> BlockTasks<'a> for CsvTable<'a> {
+    fn next(&mut self) -> Result<Option<BlockTask<'a>>, DataError> {
         let chunk = match self.first.take() {
             Some(first) => Some(first),
             None => {
@@ -97,8 +97,8 @@ impl<'a> Tasks<'a> for CsvTable<'a> {
             }
         };
         let (form, positions) = (self.form, self.positions.clone());
-        Ok(chunk.map(|chunk| Task {
-            done: Done::Bytes(chunk.end),
+        Ok(chunk.map(|chunk| BlockTask {
+            done: TableProgress::Bytes(chunk.end),
             make: Box::new(move || rows::block(form, &positions, &chunk)),
         }))
     }
@@ -190,7 +190,7 @@ mod tests {
         "\r",
     ];
 
-    fn wanted() -> Wanted {
+    fn wanted() -> WantedColumns {
         let columns = |names: &[&str]| -> Vec<kalfit::model::Column> {
             let named = |name: &&str| kalfit::model::Column { name: (*name).to_owned(), used_in: String::new() };
             names.iter().map(named).collect()
@@ -212,7 +212,7 @@ mod tests {
             covariance: kalfit::model::CovarianceStructure::full(),
         };
         let test = kalfit::TestKey::Column("id".to_owned());
-        Wanted::new(&model, &kalfit::Layout { test, levels: Vec::new(), missing: Vec::new(), comment: None })
+        WantedColumns::new(&model, &kalfit::Layout { test, levels: Vec::new(), missing: Vec::new(), comment: None })
     }
 
     /// What is read of a text in chunks of a size: every row with its place, and what is wrong with the next.
@@ -223,7 +223,7 @@ mod tests {
         let first = table.first.take().unwrap();
         let header = "id,y,lot\r\n".len();
         let rest = text.as_bytes()[header..].to_vec();
-        let mut cutter = Cutter::starting("f", Box::new(Cursor::new(rest)), b',', first.line);
+        let mut cutter = CsvCutter::starting("f", Box::new(Cursor::new(rest)), b',', first.line);
         let (mut rows, mut labels) = (Vec::new(), kalfit::Labels::default());
         loop {
             let chunk = match cutter.next(size) {

@@ -7,20 +7,20 @@ use csv::{ByteRecord, ReaderBuilder, Terminator};
 use memchr::memchr_iter;
 
 use super::comment::MARK;
-use super::cut::Chunk;
-use super::scan::{Cuts, cuts};
+use super::cut::CsvChunk;
+use super::scan::{CsvCells, cuts};
 use crate::block::Block;
 use crate::error::DataError;
-use crate::fill::{Bad, Columns, Filler, change};
+use crate::fill::{BadRow, BlockFiller, ColumnwiseRows, change};
 use crate::moment::Moment;
 use crate::numbering::Numbering;
-use crate::wanted::Wanted;
+use crate::wanted::WantedColumns;
 
 /// What must be known of a file to read its rows.
 #[derive(Clone, Copy)]
-pub(super) struct Form<'a> {
+pub(super) struct CsvForm<'a> {
     pub(super) file: &'a str,
-    pub(super) wanted: &'a Wanted,
+    pub(super) wanted: &'a WantedColumns,
     pub(super) delimiter: u8,
     /// Number of cells of the header.
     pub(super) width: usize,
@@ -29,11 +29,11 @@ pub(super) struct Form<'a> {
 }
 
 /// The rows of a chunk. `positions`: of each wanted column.
-pub(super) fn block(form: Form<'_>, positions: &[usize], chunk: &Chunk) -> Block {
+pub(super) fn block(form: CsvForm<'_>, positions: &[usize], chunk: &CsvChunk) -> Block {
     let (bytes, numbering) = (Cow::Borrowed(&[][..]), Numbering::default());
-    let mut grid = Grid { form, positions, bytes, starts: vec![0], rows: Vec::new(), numbering, blank: chunk.blank };
+    let mut grid = CsvGrid { form, positions, bytes, starts: vec![0], rows: Vec::new(), numbering, blank: chunk.blank };
     let mut end = if chunk.quotes { grid.quoted(chunk) } else { grid.plain(chunk) }.err();
-    let mut filler = Filler::new(form.wanted, grid.rows.len());
+    let mut filler = BlockFiller::new(form.wanted, grid.rows.len());
     if let Err((row, error)) = filler.fill(&grid) {
         end = Some(if row == 0 && chunk.line == form.first { grid.units(error) } else { error });
     }
@@ -41,8 +41,8 @@ pub(super) fn block(form: Form<'_>, positions: &[usize], chunk: &Chunk) -> Block
 }
 
 /// Cells of rows that have as many as the header.
-struct Grid<'a> {
-    form: Form<'a>,
+struct CsvGrid<'a> {
+    form: CsvForm<'a>,
     positions: &'a [usize],
     /// The cells, one byte between each and the next.
     bytes: Cow<'a, [u8]>,
@@ -56,10 +56,10 @@ struct Grid<'a> {
     blank: Option<u64>,
 }
 
-impl<'a> Grid<'a> {
+impl<'a> CsvGrid<'a> {
     /// Without quotes, every line is a row.
-    fn plain(&mut self, chunk: &'a Chunk) -> Result<(), DataError> {
-        let Cuts { starts, rows } = cuts(&chunk.bytes, self.form.delimiter);
+    fn plain(&mut self, chunk: &'a CsvChunk) -> Result<(), DataError> {
+        let CsvCells { starts, rows } = cuts(&chunk.bytes, self.form.delimiter);
         (self.bytes, self.starts) = (Cow::Borrowed(&chunk.bytes[..]), starts);
         self.rows.reserve(rows.len());
         let (mut first, comments) = (0, self.form.wanted.comment.is_some());
@@ -76,9 +76,9 @@ impl<'a> Grid<'a> {
     }
 
     /// With quotes the csv library finds the cells.
-    fn quoted(&mut self, chunk: &Chunk) -> Result<(), DataError> {
-        let mut records = Records::new(&chunk.bytes, self.form, chunk.line);
-        while let Some(Record { row, lines, blank }) = records.next(self.form.file)? {
+    fn quoted(&mut self, chunk: &CsvChunk) -> Result<(), DataError> {
+        let mut records = CsvRecords::new(&chunk.bytes, self.form, chunk.line);
+        while let Some(RecordPlace { row, lines, blank }) = records.next(self.form.file)? {
             let first = self.starts.len() as u32 - 1;
             for cell in &records.record {
                 let bytes = self.bytes.to_mut();
@@ -94,7 +94,7 @@ impl<'a> Grid<'a> {
 
     /// Takes a row that is not blank: its first cell, the number of its cells, its first line and the number of its lines.
     fn row(&mut self, first: u32, cells: usize, (line, lines): (u64, u64)) -> Result<(), DataError> {
-        let Form { file, width, .. } = self.form;
+        let CsvForm { file, width, .. } = self.form;
         if let Some(row) = self.blank.take().filter(|_| width == 1) {
             return Err(DataError::BlankRow { file: file.to_owned(), row });
         }
@@ -153,13 +153,13 @@ impl<'a> Grid<'a> {
     }
 }
 
-impl Columns for Grid<'_> {
+impl ColumnwiseRows for CsvGrid<'_> {
     fn rows(&self) -> usize {
         self.rows.len()
     }
 
-    fn numbers(&self, column: usize, mut put: impl FnMut(f64)) -> Result<(), Bad> {
-        let Form { file, wanted, .. } = self.form;
+    fn numbers(&self, column: usize, mut put: impl FnMut(f64)) -> Result<(), BadRow> {
+        let CsvForm { file, wanted, .. } = self.form;
         for (row, cell) in self.column(column).enumerate() {
             let bad = |fault| (row, wanted.columns[column].fault(fault, file, self.numbering.of(row), cell));
             put(wanted.tokens.number(cell).map_err(bad)?);
@@ -167,8 +167,8 @@ impl Columns for Grid<'_> {
         Ok(())
     }
 
-    fn times(&self, column: usize, mut put: impl FnMut(Moment)) -> Result<(), Bad> {
-        let Form { file, wanted, .. } = self.form;
+    fn times(&self, column: usize, mut put: impl FnMut(Moment)) -> Result<(), BadRow> {
+        let CsvForm { file, wanted, .. } = self.form;
         for (row, cell) in self.column(column).enumerate() {
             match wanted.tokens.number(cell) {
                 Ok(time) if !time.is_nan() => put(Moment::Number(time)),
@@ -182,7 +182,7 @@ impl Columns for Grid<'_> {
     }
 
     fn text<'t>(&'t self, column: usize, row: usize, _: &'t mut String) -> Result<Option<&'t str>, DataError> {
-        let Form { file, wanted, .. } = self.form;
+        let CsvForm { file, wanted, .. } = self.form;
         let cell = self.cell(row, self.positions[column]);
         wanted.columns[column].measure(cell.len(), file, || self.numbering.of(row))?;
         let not_utf8 = |_| wanted.columns[column].not_utf8(file, self.numbering.of(row));
@@ -196,17 +196,17 @@ impl Columns for Grid<'_> {
     }
 
     fn without_id(&self, column: usize, row: usize) -> DataError {
-        let Form { file, wanted, .. } = self.form;
+        let CsvForm { file, wanted, .. } = self.form;
         wanted.columns[column].without_id(file, self.numbering.of(row))
     }
 }
 
 /// Bytes with something before and after them.
-type Enclosed<'b> = Chain<Chain<&'static [u8], &'b [u8]>, &'static [u8]>;
+type EnclosedBytes<'b> = Chain<Chain<&'static [u8], &'b [u8]>, &'static [u8]>;
 
 /// Records of bytes, by the csv library.
-pub(super) struct Records<'b> {
-    reader: csv::Reader<Enclosed<'b>>,
+pub(super) struct CsvRecords<'b> {
+    reader: csv::Reader<EnclosedBytes<'b>>,
     pub(super) record: ByteRecord,
     /// Line of the first byte, and the library's number of it.
     line: u64,
@@ -216,7 +216,7 @@ pub(super) struct Records<'b> {
 }
 
 /// Where a record stands: the line where it begins, the number of its lines, and the first of blank lines before it.
-pub(super) struct Record {
+pub(super) struct RecordPlace {
     pub(super) row: u64,
     pub(super) lines: u64,
     pub(super) blank: Option<u64>,
@@ -227,9 +227,9 @@ const BEFORE: &[u8] = b"-\n";
 /// Every row has its line end; a blank line at the end is none.
 const AFTER: &[u8] = b"\n";
 
-impl<'b> Records<'b> {
+impl<'b> CsvRecords<'b> {
     /// `line`: number of the first line.
-    pub(super) fn new(bytes: &'b [u8], form: Form<'_>, line: u64) -> Records<'b> {
+    pub(super) fn new(bytes: &'b [u8], form: CsvForm<'_>, line: u64) -> CsvRecords<'b> {
         // Rows end at LF only, so that lines are counted exactly; the CR of a CRLF is taken off the last cell.
         let mut reader = ReaderBuilder::new()
             .has_headers(false)
@@ -242,7 +242,7 @@ impl<'b> Records<'b> {
         let before = reader.read_byte_record(&mut record);
         debug_assert!(before.is_ok_and(|found| found), "bytes in memory are read");
         let own = reader.position().line();
-        Records { reader, record, line, own, comments: form.wanted.comment.is_some() }
+        CsvRecords { reader, record, line, own, comments: form.wanted.comment.is_some() }
     }
 
     /// Bytes up to the end of the last record.
@@ -256,7 +256,7 @@ impl<'b> Records<'b> {
     }
 
     /// Reads the next record that is not a blank line.
-    pub(super) fn next(&mut self, file: &str) -> Result<Option<Record>, DataError> {
+    pub(super) fn next(&mut self, file: &str) -> Result<Option<RecordPlace>, DataError> {
         let mut blank = None;
         loop {
             let before = self.next_line();
@@ -278,7 +278,7 @@ impl<'b> Records<'b> {
             if self.comments && self.record.len() == 1 && &self.record[0] == MARK {
                 continue;
             }
-            return Ok(Some(Record { row, lines, blank }));
+            return Ok(Some(RecordPlace { row, lines, blank }));
         }
     }
 }

@@ -19,7 +19,7 @@ use super::super::guard::guarded;
 use super::message::{refuse_oversized, refused, unsound};
 use crate::error::DataError;
 use crate::kind::ARROW_IPC;
-use crate::wanted::Wanted;
+use crate::wanted::WantedColumns;
 
 /// Bytes of the footer's length and the mark after it.
 const TRAILER: u64 = 10;
@@ -28,9 +28,9 @@ const TRAILER: u64 = 10;
 pub(in super::super) fn open<'a, B: Read + Seek + 'a>(
     file: &'a str,
     bytes: B,
-    wanted: &'a Wanted,
+    wanted: &'a WantedColumns,
 ) -> Result<BatchTable<'a>, DataError> {
-    let mut source = Source { file, bytes };
+    let mut source = IpcFile { file, bytes };
     let (schema, decoder, blocks) = guarded(file, ARROW_IPC, || begin(&mut source, wanted))?;
     let mut blocks = blocks.into_iter();
     let mut next = move || -> Result<Option<RecordBatch>, DataError> {
@@ -47,8 +47,8 @@ pub(in super::super) fn open<'a, B: Read + Seek + 'a>(
 
 /// Reads footer and dictionaries: the schema of the wanted columns, what decodes the blocks, and the blocks.
 fn begin<B: Read + Seek>(
-    source: &mut Source<'_, B>,
-    wanted: &Wanted,
+    source: &mut IpcFile<'_, B>,
+    wanted: &WantedColumns,
 ) -> Result<(SchemaRef, FileDecoder, Vec<Block>), DataError> {
     let file = source.file;
     let bad = |error: ArrowError| refused(file, error);
@@ -93,12 +93,12 @@ fn extent(block: &Block) -> Option<(u64, u64)> {
     Some((u64::try_from(block.offset()).ok()?, length))
 }
 
-struct Source<'a, B> {
+struct IpcFile<'a, B> {
     file: &'a str,
     bytes: B,
 }
 
-impl<B: Read + Seek> Source<'_, B> {
+impl<B: Read + Seek> IpcFile<'_, B> {
     /// Where the footer starts, and the footer.
     fn footer(&mut self) -> Result<(u64, Vec<u8>), DataError> {
         let end = self.bytes.seek(SeekFrom::End(0)).map_err(|source| self.unread(source))?;

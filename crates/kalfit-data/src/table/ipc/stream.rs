@@ -14,7 +14,7 @@ use super::super::guard::guarded;
 use super::message::{refuse_oversized, refused, unsound};
 use crate::error::DataError;
 use crate::kind::ARROW_IPC;
-use crate::wanted::Wanted;
+use crate::wanted::WantedColumns;
 
 const CONTINUATION: [u8; 4] = [0xff; 4];
 
@@ -22,10 +22,10 @@ const CONTINUATION: [u8; 4] = [0xff; 4];
 pub(in super::super) fn open<'a>(
     file: &'a str,
     bytes: Box<dyn Read + 'a>,
-    wanted: &'a Wanted,
+    wanted: &'a WantedColumns,
 ) -> Result<BatchTable<'a>, DataError> {
     let pending = Buffer::from_vec(Vec::<u8>::new());
-    let mut messages = Messages { file, bytes, decoder: StreamDecoder::new(), pending, ended: false };
+    let mut messages = IpcStream { file, bytes, decoder: StreamDecoder::new(), pending, ended: false };
     let (schema, mut first) = guarded(file, ARROW_IPC, || messages.begin())?;
     let next = move || match first.take() {
         Some(batch) => Ok(Some(batch)),
@@ -34,7 +34,7 @@ pub(in super::super) fn open<'a>(
     BatchTable::new(file, ARROW_IPC, wanted, &schema, Box::new(next))
 }
 
-struct Messages<'a> {
+struct IpcStream<'a> {
     file: &'a str,
     bytes: Box<dyn Read + 'a>,
     decoder: StreamDecoder,
@@ -43,7 +43,7 @@ struct Messages<'a> {
     ended: bool,
 }
 
-impl Messages<'_> {
+impl IpcStream<'_> {
     /// The schema, and the first batch if there is one: only then the schema is sure to be known.
     fn begin(&mut self) -> Result<(SchemaRef, Option<RecordBatch>), DataError> {
         let first = self.next()?;

@@ -9,7 +9,7 @@ const DEPTH: usize = 16;
 
 /// What a header says of its page.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Header {
+pub(super) struct PageHeader {
     pub(super) is_dictionary: bool,
     /// Values, of which some may be null.
     pub(super) values: u64,
@@ -51,14 +51,14 @@ mod code {
     pub(super) const STRUCT: u8 = 12;
 }
 
-impl Header {
+impl PageHeader {
     /// Reads the header that begins here.
     ///
     /// # Errors
     /// The end of the file, or bytes that are no header.
-    pub(super) fn read(bytes: impl Read) -> io::Result<Header> {
-        let mut compact = Compact { bytes, read: 0 };
-        let mut header = Header::default();
+    pub(super) fn read(bytes: impl Read) -> io::Result<PageHeader> {
+        let mut compact = CompactReader { bytes, read: 0 };
+        let mut header = PageHeader::default();
         compact.fields(|compact, field, code| {
             match (field, code) {
                 (field::UNPACKED, code::I32) => header.unpacked = compact.count()?,
@@ -79,7 +79,7 @@ impl Header {
             }
             Ok(true)
         })?;
-        Ok(Header { length: compact.read, ..header })
+        Ok(PageHeader { length: compact.read, ..header })
     }
 }
 
@@ -98,7 +98,7 @@ fn known(code: u64) -> Option<Encoding> {
 }
 
 /// Bytes in the compact protocol.
-struct Compact<R> {
+struct CompactReader<R> {
     bytes: R,
     read: u64,
 }
@@ -107,7 +107,7 @@ fn broken(what: &'static str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }
 
-impl<R: Read> Compact<R> {
+impl<R: Read> CompactReader<R> {
     /// Goes through the fields of a structure: `take` reads the value of a field, of which it is told number and type, or says that it
     /// did not.
     fn fields(&mut self, mut take: impl FnMut(&mut Self, i16, u8) -> io::Result<bool>) -> io::Result<()> {

@@ -14,16 +14,16 @@ use parquet::errors::ParquetError;
 use parquet::file::metadata::ParquetMetaData;
 use parquet::file::reader::ChunkReader;
 
-use super::ahead::{Done, Task, Tasks};
-use super::batches::{Form, ROWS};
+use super::ahead::{BlockTask, BlockTasks, TableProgress};
+use super::batches::{BatchForm, ROWS};
 use super::guard::guarded;
 use crate::block::Block;
 use crate::error::DataError;
-use crate::fill::Filler;
+use crate::fill::BlockFiller;
 use crate::kind::PARQUET;
 use crate::numbering::Numbering;
-use crate::wanted::Wanted;
-use survey::Survey;
+use crate::wanted::WantedColumns;
+use survey::RowGroupSurvey;
 
 /// Rows a file is believed to hold beyond [`ROWS_PER_BYTE`]. Run-length codes can declare billions of equal rows in a
 /// few bytes; a table worth reading does not compress so well.
@@ -36,7 +36,7 @@ const BLOCK_ROWS: (usize, usize) = (ROWS, 1 << 17);
 
 /// A Parquet file in blocks of rows of one row group, each of which is read by itself.
 struct ParquetTable<'a, B> {
-    form: Form<'a>,
+    form: BatchForm<'a>,
     /// Opens the file once more: every reader moves its own place in it.
     open: B,
     metadata: ArrowReaderMetadata,
@@ -47,7 +47,7 @@ struct ParquetTable<'a, B> {
     block: usize,
     /// The next row group, how it is read, and its rows that are handed out.
     group: usize,
-    survey: Option<Survey>,
+    survey: Option<RowGroupSurvey>,
     within: usize,
     /// Rows handed out.
     before: u64,
@@ -57,8 +57,8 @@ struct ParquetTable<'a, B> {
 pub(super) fn open<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a>(
     file: &'a str,
     open: B,
-    wanted: &'a Wanted,
-) -> Result<Box<dyn Tasks<'a> + 'a>, DataError> {
+    wanted: &'a WantedColumns,
+) -> Result<Box<dyn BlockTasks<'a> + 'a>, DataError> {
     let failed = |source: ParquetError| DataError::Parquet { file: file.to_owned(), source: Box::new(source) };
     let bytes = open().map_err(|source| DataError::Io { file: file.to_owned(), source })?;
     guarded(file, PARQUET, || {
@@ -69,19 +69,21 @@ pub(super) fn open<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clon
         let mut roots = wanted.positions(file, &names)?;
         let columns: Vec<&str> = wanted.columns.iter().map(|column| column.name.as_str()).collect();
         refuse_codecs(file, metadata.metadata(), &roots, &columns)?;
-        let form = Form { file, format: PARQUET, wanted };
+        let form = BatchForm { file, format: PARQUET, wanted };
         roots.sort_unstable();
         let positions = form.positions(&metadata.schema().project(&roots).map_err(|error| failed(error.into()))?)?;
         let mask = ProjectionMask::roots(metadata.parquet_schema(), roots);
         let block = (BLOCK_CELLS / wanted.columns.len().max(1)).clamp(BLOCK_ROWS.0, BLOCK_ROWS.1);
         let table =
             ParquetTable { form, open, metadata, mask, positions, block, group: 0, survey: None, within: 0, before: 0 };
-        Ok(Box::new(table) as Box<dyn Tasks<'a> + 'a>)
+        Ok(Box::new(table) as Box<dyn BlockTasks<'a> + 'a>)
     })
 }
 
-impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a> Tasks<'a> for ParquetTable<'a, B> {
-    fn next(&mut self) -> Result<Option<Task<'a>>, DataError> {
+impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a> BlockTasks<'a>
+    for ParquetTable<'a, B>
+{
+    fn next(&mut self) -> Result<Option<BlockTask<'a>>, DataError> {
         let groups = self.metadata.metadata().row_groups();
         let rows = |group: usize| groups.get(group).map(|group| usize::try_from(group.num_rows()).unwrap_or(0));
         while rows(self.group).is_some_and(|rows| rows <= self.within) {
@@ -92,7 +94,7 @@ impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a>
             Some(survey) => survey,
             None => self.survey()?,
         };
-        let piece = Piece {
+        let piece = RowGroupRows {
             form: self.form,
             metadata: survey.metadata.clone(),
             mask: self.mask.clone(),
@@ -107,9 +109,9 @@ impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a>
         self.within += piece.rows;
         self.before += piece.rows as u64;
         let declared = self.metadata.metadata().file_metadata().num_rows().max(1);
-        let done = Done::Share((self.before as f64 / declared as f64).min(1.0));
+        let done = TableProgress::Share((self.before as f64 / declared as f64).min(1.0));
         let open = self.open.clone();
-        Ok(Some(Task { make: Box::new(move || piece.block(open())), done }))
+        Ok(Some(BlockTask { make: Box::new(move || piece.block(open())), done }))
     }
 
     fn alone(&self) -> usize {
@@ -119,7 +121,7 @@ impl<'a, R: ChunkReader + 'static, B: Fn() -> io::Result<R> + Clone + Send + 'a>
 
 impl<R: ChunkReader + 'static, B: Fn() -> io::Result<R>> ParquetTable<'_, B> {
     /// How the next row group is to be read.
-    fn survey(&self) -> Result<Survey, DataError> {
+    fn survey(&self) -> Result<RowGroupSurvey, DataError> {
         let file = self.form.file;
         let bytes = (self.open)().map_err(|source| DataError::Io { file: file.to_owned(), source })?;
         survey::survey(file, &bytes, &self.metadata, &self.mask, (self.group..self.group + 1, ROWS))
@@ -127,8 +129,8 @@ impl<R: ChunkReader + 'static, B: Fn() -> io::Result<R>> ParquetTable<'_, B> {
 }
 
 /// Rows of one row group.
-struct Piece<'a> {
-    form: Form<'a>,
+struct RowGroupRows<'a> {
+    form: BatchForm<'a>,
     metadata: ArrowReaderMetadata,
     mask: ProjectionMask,
     positions: Vec<usize>,
@@ -142,7 +144,7 @@ struct Piece<'a> {
     before: u64,
 }
 
-impl Piece<'_> {
+impl RowGroupRows<'_> {
     fn block<R: ChunkReader + 'static>(self, bytes: io::Result<R>) -> Block {
         let file = self.form.file.to_owned();
         match bytes {
@@ -152,8 +154,8 @@ impl Piece<'_> {
     }
 
     fn read<R: ChunkReader + 'static>(self, bytes: R) -> Block {
-        let Piece { form, metadata, mask, positions, group, skip, rows, batch, mut before } = self;
-        let (mut filler, numbering) = (Filler::new(form.wanted, rows), Numbering::from(before + 1));
+        let RowGroupRows { form, metadata, mask, positions, group, skip, rows, batch, mut before } = self;
+        let (mut filler, numbering) = (BlockFiller::new(form.wanted, rows), Numbering::from(before + 1));
         let last = before + rows as u64;
         let read = || -> Result<(), DataError> {
             let mut reader = guarded(form.file, PARQUET, || {

@@ -15,7 +15,7 @@ use parquet::file::metadata::ColumnChunkMetaData;
 use parquet::file::reader::{ChunkReader, Length};
 use parquet::file::serialized_reader::SerializedPageReader;
 
-use super::header::Header;
+use super::header::PageHeader;
 use crate::error::DataError;
 use crate::kind::PARQUET;
 use crate::table::guard::guarded;
@@ -31,7 +31,7 @@ const LIST_PER_BYTE: u64 = 8;
 
 /// How row groups are to be read.
 #[derive(Clone)]
-pub(crate) struct Survey {
+pub(crate) struct RowGroupSurvey {
     /// With texts as they are in the file: where all pages of a column point into a dictionary, as such.
     pub(crate) metadata: ArrowReaderMetadata,
     /// Rows of a batch.
@@ -40,7 +40,7 @@ pub(crate) struct Survey {
 
 /// A page of texts.
 #[derive(Debug, Clone, Copy)]
-struct OfTexts {
+struct TextPage {
     values: u64,
     /// What its texts unpack to: in all, and at most for each value.
     bytes: u64,
@@ -48,11 +48,11 @@ struct OfTexts {
 }
 
 /// A column of texts in a row group.
-struct Chunk<'a> {
+struct TextColumnChunk<'a> {
     /// Its column of the schema.
     root: usize,
     metadata: &'a ColumnChunkMetaData,
-    pages: Vec<Header>,
+    pages: Vec<PageHeader>,
 }
 
 /// Looks through the headers of all pages of the columns in these row groups, of which not more than `rows` are to be read at a time.
@@ -65,7 +65,7 @@ pub(crate) fn survey<R: ChunkReader>(
     metadata: &ArrowReaderMetadata,
     mask: &ProjectionMask,
     (groups, rows): (Range<usize>, usize),
-) -> Result<Survey, DataError> {
+) -> Result<RowGroupSurvey, DataError> {
     guarded(file, PARQUET, || {
         let schema = metadata.parquet_schema();
         let mut chunks = Vec::new();
@@ -76,7 +76,7 @@ pub(crate) fn survey<R: ChunkReader>(
                 }
                 let pages = pages(file, bytes, chunk)?;
                 if chunk.column_type() == Type::BYTE_ARRAY {
-                    chunks.push(Chunk { root: schema.get_column_root_idx(leaf), metadata: chunk, pages });
+                    chunks.push(TextColumnChunk { root: schema.get_column_root_idx(leaf), metadata: chunk, pages });
                 }
             }
         }
@@ -89,7 +89,7 @@ pub(crate) fn survey<R: ChunkReader>(
             most = most.min(chunk.rows((file, bytes.len()), &texts, rows)?);
         }
         let metadata = with_dictionaries(metadata, &coded).map_err(|source| failed(file, source))?;
-        Ok(Survey { metadata, rows: most })
+        Ok(RowGroupSurvey { metadata, rows: most })
     })
 }
 
@@ -98,13 +98,13 @@ fn failed(file: &str, source: ParquetError) -> DataError {
 }
 
 /// Headers of the pages of a column in one row group.
-fn pages<R: ChunkReader>(file: &str, bytes: &R, chunk: &ColumnChunkMetaData) -> Result<Vec<Header>, DataError> {
+fn pages<R: ChunkReader>(file: &str, bytes: &R, chunk: &ColumnChunkMetaData) -> Result<Vec<PageHeader>, DataError> {
     let (start, length) = chunk.byte_range();
     let end = start.saturating_add(length).min(bytes.len());
     let (mut at, mut pages) = (start, Vec::new());
     while at < end {
         let reader = bytes.get_read(at).map_err(|source| failed(file, source))?;
-        let header = Header::read(reader).map_err(|source| failed(file, source.into()))?;
+        let header = PageHeader::read(reader).map_err(|source| failed(file, source.into()))?;
         let limit = header.packed.saturating_mul(PAGE_PER_BYTE).saturating_add(PAGE_FREE);
         if header.unpacked > limit {
             return Err(oversized(file, "unpacked bytes of a page", header.unpacked, (header.packed, limit)));
@@ -118,7 +118,7 @@ fn pages<R: ChunkReader>(file: &str, bytes: &R, chunk: &ColumnChunkMetaData) -> 
 /// Bytes of the longest text in the dictionary of a column in one row group.
 fn longest<R: ChunkReader>(bytes: &R, chunk: &ColumnChunkMetaData) -> Result<u64, ParquetError> {
     let values = usize::try_from(chunk.num_values()).unwrap_or(0);
-    let first = SerializedPageReader::new(Arc::new(Lent(bytes)), chunk, values, None)?.get_next_page()?;
+    let first = SerializedPageReader::new(Arc::new(LentBytes(bytes)), chunk, values, None)?.get_next_page()?;
     let Some(Page::DictionaryPage { buf: texts, .. }) = first else { return Ok(0) };
     // each text after its length
     let (mut at, mut longest) = (0, 0);
@@ -130,15 +130,15 @@ fn longest<R: ChunkReader>(bytes: &R, chunk: &ColumnChunkMetaData) -> Result<u64
 }
 
 /// Bytes of a file that another one reads.
-struct Lent<'a, R>(&'a R);
+struct LentBytes<'a, R>(&'a R);
 
-impl<R: Length> Length for Lent<'_, R> {
+impl<R: Length> Length for LentBytes<'_, R> {
     fn len(&self) -> u64 {
         self.0.len()
     }
 }
 
-impl<R: ChunkReader> ChunkReader for Lent<'_, R> {
+impl<R: ChunkReader> ChunkReader for LentBytes<'_, R> {
     type T = R::T;
 
     fn get_read(&self, start: u64) -> Result<R::T, ParquetError> {
@@ -154,7 +154,7 @@ fn oversized(file: &str, what: &'static str, declared: u64, (bytes, limit): (u64
     DataError::Oversized { file: file.to_owned(), what, declared, bytes, limit }
 }
 
-impl Chunk<'_> {
+impl TextColumnChunk<'_> {
     /// One dictionary before all other pages, as the format has it, or none.
     fn has_one_dictionary(&self) -> bool {
         self.pages.iter().skip(1).all(|page| !page.is_dictionary)
@@ -166,25 +166,26 @@ impl Chunk<'_> {
     }
 
     /// Texts of the pages, when they are unfolded.
-    fn texts<R: ChunkReader>(&self, bytes: &R) -> Result<Vec<OfTexts>, ParquetError> {
-        let (dictionaries, data): (Vec<&Header>, Vec<&Header>) = self.pages.iter().partition(|page| page.is_dictionary);
+    fn texts<R: ChunkReader>(&self, bytes: &R) -> Result<Vec<TextPage>, ParquetError> {
+        let (dictionaries, data): (Vec<&PageHeader>, Vec<&PageHeader>) =
+            self.pages.iter().partition(|page| page.is_dictionary);
         let longest = match dictionaries.iter().map(|page| page.unpacked).max() {
             Some(_) if self.has_one_dictionary() => longest(bytes, self.metadata)?,
             largest => largest.unwrap_or(0),
         };
-        let page = |page: &&Header| {
+        let page = |page: &&PageHeader| {
             let each = match page.encoding {
                 _ if page.points() => Some(longest),
                 Some(Encoding::DELTA_BYTE_ARRAY) => Some(page.unpacked), // each begins as the one before it
                 _ => None,
             };
-            OfTexts { values: page.values, bytes: page.unpacked, each }
+            TextPage { values: page.values, bytes: page.unpacked, each }
         };
         Ok(data.iter().map(page).collect())
     }
 
     /// So many rows, at most, that their texts take about as much room as a batch may.
-    fn rows(&self, (file, bytes): (&str, u64), pages: &[OfTexts], rows: usize) -> Result<usize, DataError> {
+    fn rows(&self, (file, bytes): (&str, u64), pages: &[TextPage], rows: usize) -> Result<usize, DataError> {
         if self.metadata.column_descr().max_rep_level() == 0 {
             let mut halves = std::iter::successors(Some(rows), |rows| Some(rows / 2)).take_while(|&rows| rows > 1);
             return Ok(halves.find(|&rows| fits(pages, rows as u64)).unwrap_or(1));
@@ -198,14 +199,14 @@ impl Chunk<'_> {
     }
 }
 
-impl Header {
+impl PageHeader {
     /// Its values are places in a dictionary.
     fn points(&self) -> bool {
         matches!(self.encoding, Some(Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY))
     }
 }
 
-impl OfTexts {
+impl TextPage {
     /// Bytes that the texts of so many of its rows take at most.
     fn texts(&self, rows: u64) -> u64 {
         self.each.map_or(self.bytes, |each| each.saturating_mul(rows.min(self.values)))
@@ -213,7 +214,7 @@ impl OfTexts {
 }
 
 /// True when no `rows` rows that follow each other have more texts than a batch may.
-fn fits(pages: &[OfTexts], rows: u64) -> bool {
+fn fits(pages: &[TextPage], rows: u64) -> bool {
     // rows that touch both pages hold all rows of the pages between them
     let (mut first, mut between, mut texts) = (0, 0_u64, 0_u64);
     for (last, page) in pages.iter().enumerate() {
@@ -287,7 +288,7 @@ mod tests {
         Bytes::from(bytes)
     }
 
-    fn surveyed(bytes: &Bytes) -> Result<Survey, DataError> {
+    fn surveyed(bytes: &Bytes) -> Result<RowGroupSurvey, DataError> {
         let about = ArrowReaderMetadata::load(bytes, ArrowReaderOptions::new()).expect("metadata");
         survey("a file", bytes, &about, &ProjectionMask::all(), (0..about.metadata().num_row_groups(), 8192))
     }
@@ -297,7 +298,7 @@ mod tests {
     }
 
     /// Reads all texts as a survey says.
-    fn read(bytes: &Bytes, survey: &Survey) -> Vec<RecordBatch> {
+    fn read(bytes: &Bytes, survey: &RowGroupSurvey) -> Vec<RecordBatch> {
         let builder = ParquetRecordBatchReaderBuilder::new_with_metadata(bytes.clone(), survey.metadata.clone());
         let reader = builder.with_batch_size(survey.rows).build().expect("a reader");
         reader.map(|batch| batch.expect("a batch")).collect()
@@ -366,7 +367,7 @@ mod tests {
 
     #[test]
     fn rows_that_touch_both_pages_hold_all_rows_between_them() {
-        let page = |values, bytes| OfTexts { values, bytes, each: None };
+        let page = |values, bytes| TextPage { values, bytes, each: None };
         let half = BATCH_TEXTS / 2;
         let pages = [page(5, half), page(3, 0), page(1, half), page(1, 1)];
         let fits = |rows| fits(&pages, rows);

@@ -11,7 +11,7 @@ use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray}
 use arrow::ipc::writer::{FileWriter, IpcWriteOptions, StreamWriter};
 use kalfit::model::{Clock, Column, CovarianceStructure, MeanStructure};
 use kalfit::{Label, Labels, Layout, Model, PhasedModel, Source, Test, TestKey};
-use kalfit_data::{DataError, Input, ReadError, Reading, Sink, read_from};
+use kalfit_data::{DataError, DataReading, Input, ReadError, TestSink, read_from};
 use parquet::arrow::ArrowWriter;
 use parquet::file::properties::WriterProperties;
 
@@ -59,7 +59,7 @@ pub(crate) struct Collect {
     pub(crate) batches: Vec<usize>,
 }
 
-impl Sink for Collect {
+impl TestSink for Collect {
     type Error = std::convert::Infallible;
 
     fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Self::Error> {
@@ -96,7 +96,7 @@ pub(crate) fn collect(
     layout: &Layout,
     inputs: &[Input],
     stdin: &mut dyn Read,
-) -> Result<(Collect, Reading), DataError> {
+) -> Result<(Collect, DataReading), DataError> {
     let mut sink = Collect::default();
     let reading = read_from(model, layout, inputs, &mut sink, stdin).map_err(data_error)?;
     Ok((sink, reading))
@@ -107,7 +107,7 @@ pub(crate) fn collect_stdin(
     model: &PhasedModel,
     layout: &Layout,
     bytes: &[u8],
-) -> Result<(Collect, Reading), DataError> {
+) -> Result<(Collect, DataReading), DataError> {
     collect(model, layout, &[Input::Stdin], &mut Cursor::new(bytes))
 }
 
