@@ -3,7 +3,7 @@
 use toml::de::DeTable;
 
 use crate::build::{MAX_BYTES, not_toml};
-use crate::error::{Problem, Result, SpecError};
+use crate::error::{Result, SpecError, SpecProblem};
 use crate::merge::shifted_table;
 
 /// What is wrong with two files that are read together, and which of them the place is in.
@@ -38,7 +38,7 @@ pub(crate) fn read<T>(
 ) -> std::result::Result<T, BesideError> {
     let found = second.len() as u64;
     if found > MAX_BYTES {
-        return Err(BesideError::File(SpecError::new(Problem::TooLarge { found, limit: MAX_BYTES })));
+        return Err(BesideError::File(SpecError::new(SpecProblem::TooLarge { found, limit: MAX_BYTES })));
     }
     let (text, offset) = (format!("{model}\n{second}"), model.len() + 1);
     read(&text, offset).map_err(|error| located(error, offset))

@@ -5,13 +5,13 @@ use kalfit::predict::Output;
 use kalfit::{Layout, Model, PhasedModel};
 use toml::de::DeTable;
 
-use crate::error::{Problem, Result, SpecError};
-use crate::names::Context;
-use crate::phase::{Purpose, Read, Shared, phase};
-use crate::phases::Source;
-use crate::places::Places;
+use crate::error::{Result, SpecError, SpecProblem};
+use crate::names::NameContext;
+use crate::phase::{ReadPhase, ReadPurpose, SharedTables, phase};
+use crate::phases::PhaseSource;
+use crate::places::SpecPlaces;
 use crate::spec::Spec;
-use crate::table::Section;
+use crate::table::TomlTable;
 use crate::{data, digest, filter, levels, outputs, parameters, phases};
 
 /// Largest model file, in bytes.
@@ -34,10 +34,10 @@ const KEYS: [&str; 12] = [
 ];
 
 /// What the tables of a model file say.
-pub(crate) struct Built {
+pub(crate) struct BuiltSpec {
     pub(crate) model: PhasedModel,
     pub(crate) layout: Layout,
-    pub(crate) places: Places,
+    pub(crate) places: SpecPlaces,
     /// Those of each phase, where it was read for designs.
     pub(crate) outputs: Vec<Vec<Output>>,
 }
@@ -46,24 +46,24 @@ pub(crate) struct Built {
 pub(crate) fn spec(name: &str, text: &str) -> Result<Spec> {
     let found = text.len() as u64;
     if found > MAX_BYTES {
-        return Err(SpecError::new(Problem::TooLarge { found, limit: MAX_BYTES }));
+        return Err(SpecError::new(SpecProblem::TooLarge { found, limit: MAX_BYTES }));
     }
     let table = DeTable::parse(text).map_err(|error| not_toml(&error, text))?;
-    let root = Section::open("the model file", table.span(), table.get_ref()).only(&KEYS)?;
-    let Built { model, layout, places, .. } = model(text, root, Purpose::Tests)?;
+    let root = TomlTable::open("the model file", table.span(), table.get_ref()).only(&KEYS)?;
+    let BuiltSpec { model, layout, places, .. } = model(text, root, ReadPurpose::Tests)?;
     Ok(Spec { model, layout, digest: digest::of_text(text), name: name.to_owned(), text: text.to_owned(), places })
 }
 
 /// Reads what the tables of a model file say.
-pub(crate) fn model(text: &str, mut root: Section<'_>, purpose: Purpose<'_, '_>) -> Result<Built> {
+pub(crate) fn model(text: &str, mut root: TomlTable<'_>, purpose: ReadPurpose<'_, '_>) -> Result<BuiltSpec> {
     let title = root.take("title").map_or(Ok(""), |title| title.text())?.to_owned();
-    let mut context = Context::new(text);
+    let mut context = NameContext::new(text);
     context.reads = purpose.reads();
     let mut data = data::read(&mut context, root.take("data"))?;
     let declared = parameters::read(&mut context, root.take("parameters"))?;
     let sources = phases::open(&mut root)?;
     data.check_phases(&sources)?;
-    let mut read: Vec<Read<'_>> = Vec::with_capacity(sources.len());
+    let mut read: Vec<ReadPhase<'_>> = Vec::with_capacity(sources.len());
     for source in &sources {
         let one = phase(&mut context, &mut data, source, read.last_mut(), purpose)?;
         read.push(one);
@@ -75,12 +75,12 @@ pub(crate) fn model(text: &str, mut root: Section<'_>, purpose: Purpose<'_, '_>)
         true => levels::read(&mut context, data.levels.as_ref(), root.take("levels"), population)?,
         false => Vec::new(),
     };
-    if let Purpose::Designs { outputs: Some(outputs), .. } = purpose {
+    if let ReadPurpose::Designs { outputs: Some(outputs), .. } = purpose {
         outputs::check(outputs, &sources, &read.iter().map(|phase| &phase.named).collect::<Vec<_>>())?;
     }
     check_shared(&context, &declared, &sources)?;
     let as_given = declared.iter().map(|one| one.parameter.clone()).collect();
-    let shared = Shared { title, parameters: as_given, group: data.group };
+    let shared = SharedTables { title, parameters: as_given, group: data.group };
     let models: Vec<Model> = read.iter().map(|phase| phase.model(&context, &shared)).collect();
     let phases = read.iter().zip(models).map(|(phase, model)| phase.finish(model)).collect();
     let mut model = PhasedModel { phases, column: data.phase, levels };
@@ -90,33 +90,37 @@ pub(crate) fn model(text: &str, mut root: Section<'_>, purpose: Purpose<'_, '_>)
         data.check(model.phases.iter().map(|phase| &phase.model).zip(read.iter().map(|phase| &phase.start)))?;
         check_filters(&context, &read, &model)?;
     }
-    let places = Places::of(&context, read.iter().map(Read::places).collect(), data.levels.as_ref());
+    let places = SpecPlaces::of(&context, read.iter().map(ReadPhase::places).collect(), data.levels.as_ref());
     let outputs = read.into_iter().map(|phase| phase.outputs).collect();
-    Ok(Built { model, layout: data.layout, places, outputs })
+    Ok(BuiltSpec { model, layout: data.layout, places, outputs })
 }
 
 /// Columns, texts and levels stand in every phase's model: refuses files of which that makes too much.
-fn check_shared(context: &Context<'_>, declared: &[parameters::Declared], sources: &[Source<'_>]) -> Result<()> {
+fn check_shared(
+    context: &NameContext<'_>,
+    declared: &[parameters::DeclaredParameter],
+    sources: &[PhaseSource<'_>],
+) -> Result<()> {
     let levels: usize = declared.iter().map(|one| one.parameter.fixed_levels.len()).sum();
     let names = context.columns.len() + context.text_columns.len() + context.literals.texts.len() + levels;
     let found = names * sources.len();
     match &sources[0].span {
         Some(span) if sources.len() > 1 && found > MAX_SHARED => {
             let (what, expected) = ("columns and texts (each counted in every phase)", format!("at most {MAX_SHARED}"));
-            Err(SpecError::new(Problem::Count { what, found, expected }).at(span.clone()))
+            Err(SpecError::new(SpecProblem::Count { what, found, expected }).at(span.clone()))
         }
         _ => Ok(()),
     }
 }
 
 /// Filters can be checked when all uses of parameters are known; one table may serve several phases.
-fn check_filters(context: &Context<'_>, read: &[Read<'_>], model: &PhasedModel) -> Result<()> {
+fn check_filters(context: &NameContext<'_>, read: &[ReadPhase<'_>], model: &PhasedModel) -> Result<()> {
     let models = || model.phases.iter().map(|phase| &phase.model);
     let used: Vec<Vec<bool>> = models().map(filter::used).collect();
     for (phase, (model, own)) in read.iter().zip(models().zip(&used)) {
         let Some(filter) = &phase.filter else { continue };
         let mut served = vec![false; model.parameters.len()];
-        let same = |other: &Read<'_>| other.filter.as_ref().is_some_and(|other| other.span == filter.span);
+        let same = |other: &ReadPhase<'_>| other.filter.as_ref().is_some_and(|other| other.span == filter.span);
         for (_, used) in read.iter().zip(&used).filter(|(other, _)| same(other)) {
             served.iter_mut().zip(used).for_each(|(served, used)| *served |= used);
         }
@@ -127,7 +131,7 @@ fn check_filters(context: &Context<'_>, read: &[Read<'_>], model: &PhasedModel) 
 
 pub(crate) fn not_toml(error: &toml::de::Error, text: &str) -> SpecError {
     let what = error.message().lines().next().unwrap_or_default().trim_end_matches('.').to_owned();
-    let wrong = SpecError::new(Problem::Toml { what });
+    let wrong = SpecError::new(SpecProblem::Toml { what });
     match error.span() {
         Some(span) => wrong.at(span.start.min(text.len())..span.end.min(text.len())),
         None => wrong,

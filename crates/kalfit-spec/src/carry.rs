@@ -4,37 +4,37 @@ use std::collections::BTreeMap;
 
 use kalfit::model::{Carry, Expression, Initial, Linear, State};
 
-use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
-use crate::expression::{self, Scope, ZERO};
-use crate::names::{Context, Index};
+use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
+use crate::expression::{self, ExpressionScope, ZERO};
+use crate::names::{NameContext, NameIndex};
 use crate::states::rate_of;
 use crate::suggest::{nearest, suggest};
-use crate::table::Field;
+use crate::table::TomlField;
 use crate::token::is_name;
 
 /// The phase before, as far as its states are concerned.
-pub(crate) struct Before<'b> {
+pub(crate) struct PhaseBefore<'b> {
     pub(crate) name: &'b str,
-    pub(crate) index: &'b mut Index,
+    pub(crate) index: &'b mut NameIndex,
     pub(crate) states: &'b [State],
 }
 
 /// What is inherited, in ascending order of state, and where that is said.
 #[derive(Default)]
-pub(crate) struct Inherited {
+pub(crate) struct InheritedStates {
     pub(crate) carry: Vec<Carry>,
     pub(crate) spans: BTreeMap<String, Span>,
 }
 
 /// Reads `carry`. The hidden rate of a second-order process goes where its owner goes, and adds nothing of its own.
 pub(crate) fn read(
-    context: &mut Context<'_>,
-    field: &Field<'_>,
+    context: &mut NameContext<'_>,
+    field: &TomlField<'_>,
     states: &mut [State],
-    mut before: Before<'_>,
-) -> Result<Inherited> {
+    mut before: PhaseBefore<'_>,
+) -> Result<InheritedStates> {
     let place = context.phase.table("carry");
-    let mut inherited = Inherited::default();
+    let mut inherited = InheritedStates::default();
     for field in field.section(place.as_str())?.fields() {
         let state = visible(context, &field, &place)?;
         if states[state].initial == Initial::Stationary {
@@ -54,7 +54,7 @@ pub(crate) fn read(
 }
 
 /// The state of a key; hidden ones cannot be named.
-fn visible(context: &Context<'_>, field: &Field<'_>, place: &str) -> Result<usize> {
+fn visible(context: &NameContext<'_>, field: &TomlField<'_>, place: &str) -> Result<usize> {
     context.states.get(field.key).filter(|_| is_name(field.key)).ok_or_else(|| {
         let hidden = context.states.get(field.key).is_some();
         let hint = if hidden {
@@ -62,12 +62,12 @@ fn visible(context: &Context<'_>, field: &Field<'_>, place: &str) -> Result<usiz
         } else {
             suggest(field.key, context.states.names().filter(|name| is_name(name)))
         };
-        let problem = Problem::UnknownName { what: "state", name: field.key.to_owned(), place: place.to_owned() };
+        let problem = SpecProblem::UnknownName { what: "state", name: field.key.to_owned(), place: place.to_owned() };
         SpecError::new(problem).at(field.key_span.clone()).maybe_hint(hint)
     })
 }
 
-fn stationary(context: &Context<'_>, field: &Field<'_>) -> SpecError {
+fn stationary(context: &NameContext<'_>, field: &TomlField<'_>) -> SpecError {
     let phase = context.phase.name.as_deref().unwrap_or_default();
     SpecError::new(StructureProblem::StationaryInherits { name: field.key.to_owned() }).at(field.key_span.clone()).hint(
         format!(
@@ -77,10 +77,10 @@ fn stationary(context: &Context<'_>, field: &Field<'_>) -> SpecError {
 }
 
 /// The linear form of one key, in the states of the phase before.
-fn form(context: &mut Context<'_>, field: &Field<'_>, before: &mut Before<'_>) -> Result<Linear> {
+fn form(context: &mut NameContext<'_>, field: &TomlField<'_>, before: &mut PhaseBefore<'_>) -> Result<Linear> {
     let place = field.what();
     std::mem::swap(&mut context.states, before.index);
-    let from = expression::linear(context, field, Scope::carry(&place));
+    let from = expression::linear(context, field, ExpressionScope::carry(&place));
     std::mem::swap(&mut context.states, before.index);
     let from = from?;
     refuse_own(context, field, &from, before.name)?;
@@ -91,7 +91,7 @@ fn form(context: &mut Context<'_>, field: &Field<'_>, before: &mut Before<'_>) -
 }
 
 /// Refuses a bare name that is a state of this phase only: it would be read as a column.
-fn refuse_own(context: &Context<'_>, field: &Field<'_>, from: &Linear, before: &str) -> Result<()> {
+fn refuse_own(context: &NameContext<'_>, field: &TomlField<'_>, from: &Linear, before: &str) -> Result<()> {
     let text = field.as_text().unwrap_or_default();
     let own = |name: &&str| context.states.get(name).is_some() && !text.contains(&format!("`{name}`"));
     let Some(name) = columns(context, from).into_iter().find(own) else { return Ok(()) };
@@ -100,7 +100,7 @@ fn refuse_own(context: &Context<'_>, field: &Field<'_>, from: &Linear, before: &
     Err(error.at(field.span.clone()).hint(format!("a column of this name is written `` `{name}` ``")))
 }
 
-fn no_state(context: &Context<'_>, field: &Field<'_>, from: &Linear, before: &Before<'_>) -> SpecError {
+fn no_state(context: &NameContext<'_>, field: &TomlField<'_>, from: &Linear, before: &PhaseBefore<'_>) -> SpecError {
     let meant = columns(context, from).into_iter().find_map(|name| nearest(name, before.index.names()));
     let hint = match meant {
         Some(state) => format!("did you mean `{state}`?"),
@@ -111,7 +111,7 @@ fn no_state(context: &Context<'_>, field: &Field<'_>, from: &Linear, before: &Be
 }
 
 /// Numeric columns of a form.
-fn columns<'c>(context: &'c Context<'_>, from: &Linear) -> Vec<&'c str> {
+fn columns<'c>(context: &'c NameContext<'_>, from: &Linear) -> Vec<&'c str> {
     let mut found = Vec::new();
     for part in from.terms.iter().map(|(_, coefficient)| coefficient).chain([&from.constant]) {
         part.any(&mut |part| {
@@ -125,7 +125,7 @@ fn columns<'c>(context: &'c Context<'_>, from: &Linear) -> Vec<&'c str> {
 }
 
 /// What the hidden rate inherits: the same form in the rates, since coefficients are constant within a test.
-fn rates(field: &Field<'_>, from: &Linear, before: &[State]) -> Result<Linear> {
+fn rates(field: &TomlField<'_>, from: &Linear, before: &[State]) -> Result<Linear> {
     let mut terms = Vec::with_capacity(from.terms.len());
     for (state, coefficient) in &from.terms {
         let Some(rate) = rate_of(before, *state) else {

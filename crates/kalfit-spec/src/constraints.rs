@@ -2,19 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use crate::elements::{Elements, pair, pair_of, to_problem};
+use crate::elements::{NamedElements, pair, pair_of, to_problem};
 use crate::error::{Result, Span, SpecError, StructureProblem};
 use crate::semidefinite::defect;
-use crate::table::Field;
+use crate::table::TomlField;
 
 /// An open structure, its elements and what is needed to read their names.
-pub(crate) struct Structure<'s> {
+pub(crate) struct OpenStructure<'s> {
     pub(crate) word: &'static str,
     pub(crate) block_of: Vec<usize>,
-    pub(crate) elements: &'s Elements,
+    pub(crate) elements: &'s NamedElements,
 }
 
-impl Structure<'_> {
+impl OpenStructure<'_> {
     /// True for elements that the structure makes zero.
     pub(crate) fn is_zero(&self, i: usize, j: usize) -> bool {
         match self.word {
@@ -34,15 +34,15 @@ impl Structure<'_> {
 
 /// Fixed elements with the places where they were fixed; zeros that follow from others are left out.
 #[derive(Debug, Default)]
-pub(crate) struct Fixed {
+pub(crate) struct FixedElements {
     pub(crate) values: BTreeMap<(usize, usize), (f64, Option<Span>)>,
 }
 
-impl Fixed {
+impl FixedElements {
     /// The variances of states that do not vary.
-    pub(crate) fn of_still(elements: &Elements) -> Fixed {
+    pub(crate) fn of_still(elements: &NamedElements) -> FixedElements {
         let still = (0..elements.len()).filter(|&i| !elements.varies[i]);
-        Fixed { values: still.map(|i| ((i, i), (0.0, None))).collect() }
+        FixedElements { values: still.map(|i| ((i, i), (0.0, None))).collect() }
     }
 
     /// The value of an element that is fixed, or zero because a variance is.
@@ -59,9 +59,9 @@ impl Fixed {
 }
 
 /// Reads `fixed` and adds the zero variances of states that do not vary.
-pub(crate) fn fixed_elements(structure: &Structure<'_>, field: Option<&Field<'_>>) -> Result<Fixed> {
+pub(crate) fn fixed_elements(structure: &OpenStructure<'_>, field: Option<&TomlField<'_>>) -> Result<FixedElements> {
     let elements = structure.elements;
-    let mut fixed = Fixed::of_still(elements);
+    let mut fixed = FixedElements::of_still(elements);
     let Some(field) = field else { return Ok(fixed) };
     let place = field.what();
     for field in field.section(place.as_str())?.fields() {
@@ -99,7 +99,7 @@ pub(crate) fn fixed_elements(structure: &Structure<'_>, field: Option<&Field<'_>
 }
 
 /// Refuses fixed elements that no covariance has together.
-fn check_fixed(structure: &Structure<'_>, fixed: &Fixed, whole: &Field<'_>) -> Result<()> {
+fn check_fixed(structure: &OpenStructure<'_>, fixed: &FixedElements, whole: &TomlField<'_>) -> Result<()> {
     let p = structure.elements.len();
     let mut known = vec![vec![None; p]; p];
     for i in 0..p {
@@ -118,9 +118,9 @@ fn check_fixed(structure: &Structure<'_>, fixed: &Fixed, whole: &Field<'_>) -> R
 
 /// Reads `equal`: groups of elements that are free otherwise, no element twice.
 pub(crate) fn equal_groups(
-    structure: &Structure<'_>,
-    field: Option<&Field<'_>>,
-    fixed: &Fixed,
+    structure: &OpenStructure<'_>,
+    field: Option<&TomlField<'_>>,
+    fixed: &FixedElements,
 ) -> Result<Vec<Vec<(usize, usize)>>> {
     let Some(field) = field else { return Ok(Vec::new()) };
     let (elements, place) = (structure.elements, field.what());

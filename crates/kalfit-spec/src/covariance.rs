@@ -3,14 +3,14 @@
 use kalfit::model::{CovarianceKind, CovarianceStructure, FixedElement, State};
 use nalgebra::DMatrix;
 
-use crate::constraints::{Fixed, Structure, equal_groups, fixed_elements};
-use crate::elements::Elements;
-use crate::error::{Problem, Result, SpecError, StructureProblem};
-use crate::matrix::Matrix;
-use crate::names::Context;
+use crate::constraints::{FixedElements, OpenStructure, equal_groups, fixed_elements};
+use crate::elements::NamedElements;
+use crate::error::{Result, SpecError, SpecProblem, StructureProblem};
+use crate::matrix::ExpressionMatrix;
+use crate::names::NameContext;
 use crate::states;
 use crate::suggest::either;
-use crate::table::{Field, Section};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 8] = ["structure", "order", "blocks", "matrix", "fixed", "equal", "known", "start"];
 /// The same where tests stand in groups: what varies from test to test can be less than what varies at all.
@@ -25,10 +25,10 @@ const WITH_MATRIX: [&str; 3] = ["proportional", "correlation", "fixed"];
 
 /// Opens `[covariance]` and reads the order of the estimated states.
 pub(crate) fn open<'d>(
-    context: &Context<'_>,
-    field: Option<&Field<'d>>,
+    context: &NameContext<'_>,
+    field: Option<&TomlField<'d>>,
     states: &[State],
-) -> Result<(Option<Section<'d>>, Vec<usize>)> {
+) -> Result<(Option<TomlTable<'d>>, Vec<usize>)> {
     let mut estimated = states::estimated(states);
     let Some(field) = field else { return Ok((None, estimated)) };
     let section = field.section(context.phase.table("covariance"))?;
@@ -38,7 +38,7 @@ pub(crate) fn open<'d>(
     }
     let mut section = section.only(if context.grouped { &KEYS_IN_GROUPS } else { &KEYS })?;
     if let Some(order) = section.take("order") {
-        let elements = Elements::new(states, &estimated);
+        let elements = NamedElements::new(states, &estimated);
         let place = &order.what();
         let mut listed = vec![false; estimated.len()];
         let mut ordered = Vec::with_capacity(estimated.len());
@@ -60,14 +60,14 @@ pub(crate) fn open<'d>(
 }
 
 /// Opens the covariance of a level of groups.
-pub(crate) fn open_level<'d>(field: &Field<'d>, place: String) -> Result<Section<'d>> {
+pub(crate) fn open_level<'d>(field: &TomlField<'d>, place: String) -> Result<TomlTable<'d>> {
     let section = field.section(place)?;
     for (key, hint) in [
         ("order", "at every level the states have the order of `[covariance]`"),
         ("known", "known covariance is that of tests: it stands in `[covariance]`"),
     ] {
         if let Some(field) = section.peek(key) {
-            let problem = Problem::UnknownKey { key: key.to_owned(), place: section.place.clone() };
+            let problem = SpecProblem::UnknownKey { key: key.to_owned(), place: section.place.clone() };
             return Err(SpecError::new(problem).at(field.key_span).hint(hint));
         }
     }
@@ -76,13 +76,13 @@ pub(crate) fn open_level<'d>(field: &Field<'d>, place: String) -> Result<Section
 
 /// Reads the rest of `[covariance]`, or the covariance of a level of groups.
 pub(crate) fn read(
-    context: &mut Context<'_>,
-    section: Option<Section<'_>>,
-    elements: &Elements,
+    context: &mut NameContext<'_>,
+    section: Option<TomlTable<'_>>,
+    elements: &NamedElements,
 ) -> Result<CovarianceStructure> {
     let mut covariance = CovarianceStructure::full();
     let Some(mut section) = section else {
-        covariance.fixed = Fixed::of_still(elements).into_elements();
+        covariance.fixed = FixedElements::of_still(elements).into_elements();
         return Ok(covariance);
     };
     let listed = section.take("states").map(|list| elements.varying(&list)).transpose()?;
@@ -93,18 +93,18 @@ pub(crate) fn read(
     refuse_idle(&section, word)?;
     let blocks = blocks(&mut section, elements, word)?;
     let matrix = matrix(context, &mut section, elements, word)?;
-    let structure = Structure { word, block_of: block_of(&blocks, elements.len()), elements };
+    let structure = OpenStructure { word, block_of: block_of(&blocks, elements.len()), elements };
     let mut fixed = fixed_elements(&structure, section.take("fixed").as_ref())?;
     covariance.equal = equal_groups(&structure, section.take("equal").as_ref(), &fixed)?;
     if let Some(start) = section.take("start") {
         covariance.start = Some(start_matrix(&structure, &start, &fixed, &covariance.equal)?);
     }
     if WITH_MATRIX.contains(&word) {
-        fixed = Fixed::of_still(elements);
+        fixed = FixedElements::of_still(elements);
     }
     covariance.fixed = fixed.into_elements();
     if let Some(known) = section.take("known") {
-        covariance.known = Some(Matrix::read(context, &known, elements)?.entries);
+        covariance.known = Some(ExpressionMatrix::read(context, &known, elements)?.entries);
     }
     covariance.kind = match (word, matrix) {
         ("diagonal", _) => CovarianceKind::Diagonal,
@@ -119,7 +119,7 @@ pub(crate) fn read(
 }
 
 /// Keys that the structure has no place for.
-fn refuse_idle(section: &Section<'_>, word: &str) -> Result<()> {
+fn refuse_idle(section: &TomlTable<'_>, word: &str) -> Result<()> {
     let why = format!("with structure `{word}`");
     for (key, allowed) in
         [("blocks", &["blocks"][..]), ("matrix", &WITH_MATRIX), ("fixed", &OPEN), ("equal", &OPEN), ("start", &OPEN)]
@@ -133,9 +133,9 @@ fn refuse_idle(section: &Section<'_>, word: &str) -> Result<()> {
     Ok(())
 }
 
-type Blocks = Option<Vec<Vec<usize>>>;
+type StateBlocks = Option<Vec<Vec<usize>>>;
 
-fn blocks(section: &mut Section<'_>, elements: &Elements, word: &str) -> Result<Blocks> {
+fn blocks(section: &mut TomlTable<'_>, elements: &NamedElements, word: &str) -> Result<StateBlocks> {
     if word != "blocks" {
         return Ok(None);
     }
@@ -163,7 +163,7 @@ fn blocks(section: &mut Section<'_>, elements: &Elements, word: &str) -> Result<
     Ok(Some(blocks))
 }
 
-fn block_of(blocks: &Blocks, p: usize) -> Vec<usize> {
+fn block_of(blocks: &StateBlocks, p: usize) -> Vec<usize> {
     let mut block_of = vec![0; p];
     for (block, members) in blocks.iter().flatten().enumerate() {
         for &i in members {
@@ -174,20 +174,20 @@ fn block_of(blocks: &Blocks, p: usize) -> Vec<usize> {
 }
 
 fn matrix(
-    context: &mut Context<'_>,
-    section: &mut Section<'_>,
-    elements: &Elements,
+    context: &mut NameContext<'_>,
+    section: &mut TomlTable<'_>,
+    elements: &NamedElements,
     word: &str,
 ) -> Result<Option<Vec<Vec<kalfit::Expression>>>> {
     if !WITH_MATRIX.contains(&word) {
         return Ok(None);
     }
     let Some(field) = section.take("matrix") else {
-        let problem = Problem::MissingKey { key: "matrix".to_owned(), place: section.place.clone() };
+        let problem = SpecProblem::MissingKey { key: "matrix".to_owned(), place: section.place.clone() };
         let hint = format!("structure `{word}` needs `matrix`, with a row for every estimated state");
         return Err(SpecError::new(problem).at(section.span.clone()).hint(hint));
     };
-    let matrix = Matrix::read(context, &field, elements)?;
+    let matrix = ExpressionMatrix::read(context, &field, elements)?;
     match word {
         "correlation" => matrix.check_unit_diagonal(elements)?,
         "proportional" => matrix.check_not_zero()?,
@@ -199,13 +199,13 @@ fn matrix(
 
 /// A start value: numbers that meet the other constraints.
 fn start_matrix(
-    structure: &Structure<'_>,
-    field: &Field<'_>,
-    fixed: &Fixed,
+    structure: &OpenStructure<'_>,
+    field: &TomlField<'_>,
+    fixed: &FixedElements,
     equal: &[Vec<(usize, usize)>],
 ) -> Result<DMatrix<f64>> {
     let (elements, p) = (structure.elements, structure.elements.len());
-    let matrix = Matrix::read_numbers(field, elements)?;
+    let matrix = ExpressionMatrix::read_numbers(field, elements)?;
     let value = |i: usize, j: usize| matrix.entries[i][j].as_number().expect("only numbers were read");
     let wrong = |i: usize, j: usize, why: String| {
         let element = elements.pair_name(i, j);
@@ -231,7 +231,7 @@ fn start_matrix(
     Ok(DMatrix::from_fn(p, p, value))
 }
 
-impl Fixed {
+impl FixedElements {
     fn into_elements(self) -> Vec<FixedElement> {
         self.values.into_iter().map(|((i, j), (value, _))| FixedElement { i, j, value }).collect()
     }

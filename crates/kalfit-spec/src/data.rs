@@ -3,12 +3,12 @@
 use kalfit::model::{Clock, Expression, Model, Motion};
 use kalfit::{Layout, TestKey};
 
-use crate::error::{Problem, Result, Span, SpecError};
+use crate::error::{Result, Span, SpecError, SpecProblem};
 use crate::levels::{self, GroupColumns};
-use crate::names::Context;
-use crate::phases::Source;
+use crate::names::NameContext;
+use crate::phases::PhaseSource;
 use crate::suggest::suggest;
-use crate::table::{Field, Section};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 11] = [
     "test",
@@ -27,7 +27,7 @@ const PLACE: &str = "`[data]`";
 
 /// What `[data]` says.
 #[derive(Debug, Default)]
-pub(crate) struct Data {
+pub(crate) struct DataSpec {
     pub(crate) layout: Layout,
     pub(crate) clock: Clock,
     pub(crate) group: Option<usize>,
@@ -36,14 +36,14 @@ pub(crate) struct Data {
     /// The text column that tells the phase of a row.
     pub(crate) phase: Option<usize>,
     phase_key: Option<Span>,
-    start: Start,
+    start: FirstStep,
     previous_inputs: Option<Span>,
     span: Span,
 }
 
 /// What was said of the first step.
 #[derive(Debug, Default)]
-pub(crate) struct Start {
+pub(crate) struct FirstStep {
     initial_time: Option<Span>,
     step_first: Option<Span>,
     /// Any of it, as it was written.
@@ -51,10 +51,10 @@ pub(crate) struct Start {
 }
 
 /// Reads `[data]`; without it all rows are one test.
-pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Result<Data> {
-    let Some(field) = field else { return Ok(Data::default()) };
+pub(crate) fn read(context: &mut NameContext<'_>, field: Option<TomlField<'_>>) -> Result<DataSpec> {
+    let Some(field) = field else { return Ok(DataSpec::default()) };
     let mut section = field.section(PLACE)?.only(&KEYS)?;
-    let mut data = Data { span: section.span.clone(), ..Data::default() };
+    let mut data = DataSpec { span: section.span.clone(), ..DataSpec::default() };
     if let Some(test) = section.take("test") {
         data.layout.test = test_key(context, &test)?;
     }
@@ -81,13 +81,13 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Resul
     Ok(data)
 }
 
-fn test_key(context: &mut Context<'_>, field: &Field<'_>) -> Result<TestKey> {
+fn test_key(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<TestKey> {
     let text = field.text()?;
     if text == "@file" {
         return Ok(TestKey::File);
     }
     if text.starts_with('@') {
-        let problem = Problem::UnknownWord {
+        let problem = SpecProblem::UnknownWord {
             what: "test".to_owned(),
             place: PLACE.to_owned(),
             found: text.to_owned(),
@@ -100,12 +100,12 @@ fn test_key(context: &mut Context<'_>, field: &Field<'_>) -> Result<TestKey> {
 }
 
 /// What lines of comments begin with.
-fn comment_mark(field: &Field<'_>) -> Result<String> {
+fn comment_mark(field: &TomlField<'_>) -> Result<String> {
     const LONGEST: usize = 20;
     let text = field.text()?;
     let begins_a_row = |c: char| c.is_control() || c.is_whitespace() || c.is_alphanumeric() || "\",;+-.".contains(c);
     if text.len() > LONGEST || text.chars().next().is_none_or(begins_a_row) || text.contains(char::is_control) {
-        let problem = Problem::UnknownWord {
+        let problem = SpecProblem::UnknownWord {
             what: "comment".to_owned(),
             place: PLACE.to_owned(),
             found: text.to_owned(),
@@ -116,7 +116,7 @@ fn comment_mark(field: &Field<'_>) -> Result<String> {
     Ok(text.to_owned())
 }
 
-fn read_clock(context: &mut Context<'_>, section: &mut Section<'_>, data: &mut Data) -> Result<()> {
+fn read_clock(context: &mut NameContext<'_>, section: &mut TomlTable<'_>, data: &mut DataSpec) -> Result<()> {
     let clock = &mut data.clock;
     if let Some(time) = section.take("time") {
         clock.time = Some(context.column(time.text()?, time.span.clone(), "`time` in `[data]`"));
@@ -138,11 +138,11 @@ fn read_clock(context: &mut Context<'_>, section: &mut Section<'_>, data: &mut D
 
 /// Reads where x_0 is.
 fn start<'d>(
-    context: &mut Context<'_>,
-    take: &mut dyn FnMut(&str) -> Option<Field<'d>>,
+    context: &mut NameContext<'_>,
+    take: &mut dyn FnMut(&str) -> Option<TomlField<'d>>,
     clock: &mut Clock,
-) -> Result<Start> {
-    let mut start = Start::default();
+) -> Result<FirstStep> {
+    let mut start = FirstStep::default();
     if let Some(initial) = take("initial_time") {
         if clock.time.is_none() {
             return Err(without_time(&initial));
@@ -164,11 +164,11 @@ fn start<'d>(
     Ok(start)
 }
 
-fn without_time(field: &Field<'_>) -> SpecError {
+fn without_time(field: &TomlField<'_>) -> SpecError {
     field.no_effect("without `time`").hint("`time` names the column with the time of each row")
 }
 
-fn initial_time(context: &mut Context<'_>, field: &Field<'_>) -> Result<Expression> {
+fn initial_time(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<Expression> {
     let expected = "a number or the name of a column";
     let Some(text) = field.as_text() else { return Ok(Expression::Number(field.number_or(expected)?)) };
     if text.trim().parse::<f64>().is_ok() {
@@ -179,9 +179,13 @@ fn initial_time(context: &mut Context<'_>, field: &Field<'_>) -> Result<Expressi
     Ok(Expression::Column(column))
 }
 
-impl Data {
+impl DataSpec {
     /// The clock of a phase: a phase of the file says itself where its x_0 is.
-    pub(crate) fn clock(&mut self, context: &mut Context<'_>, source: &Source<'_>) -> Result<(Clock, Start)> {
+    pub(crate) fn clock(
+        &mut self,
+        context: &mut NameContext<'_>,
+        source: &PhaseSource<'_>,
+    ) -> Result<(Clock, FirstStep)> {
         if source.span.is_none() {
             return Ok((self.clock.clone(), std::mem::take(&mut self.start)));
         }
@@ -192,11 +196,11 @@ impl Data {
 
     /// Refuses a column of phases without phases, several phases without one, a first step that belongs to phases, and what does
     /// not go with groups of tests.
-    pub(crate) fn check_phases(&self, phases: &[Source<'_>]) -> Result<()> {
+    pub(crate) fn check_phases(&self, phases: &[PhaseSource<'_>]) -> Result<()> {
         self.levels.as_ref().map_or(Ok(()), |levels| levels.refuse_beside(phases))?;
         let second = phases.get(1).and_then(|phase| phase.span.clone());
         if let (None, Some(second)) = (self.phase, second) {
-            let problem = Problem::MissingKey { key: "phase".to_owned(), place: PLACE.to_owned() };
+            let problem = SpecProblem::MissingKey { key: "phase".to_owned(), place: PLACE.to_owned() };
             let span = if self.span.is_empty() { second } else { self.span.clone() };
             return Err(SpecError::new(problem)
                 .at(span)
@@ -213,7 +217,7 @@ impl Data {
     }
 
     /// Refuses what has no effect on these phases, and steps of unknown length.
-    pub(crate) fn check<'m>(&self, phases: impl Iterator<Item = (&'m Model, &'m Start)> + Clone) -> Result<()> {
+    pub(crate) fn check<'m>(&self, phases: impl Iterator<Item = (&'m Model, &'m FirstStep)> + Clone) -> Result<()> {
         for (model, start) in phases.clone() {
             start.check(model)?;
         }
@@ -226,7 +230,7 @@ impl Data {
     }
 }
 
-impl Start {
+impl FirstStep {
     fn check(&self, model: &Model) -> Result<()> {
         let moves = model.states.iter().any(|state| state.motion != Motion::Constant);
         let uses_step = uses(model, &mut |part| matches!(part, Expression::Step));
@@ -237,7 +241,7 @@ impl Start {
             let needs_length = model.states.iter().find(|state| needs_length(&state.motion));
             if let Some(state) = needs_length {
                 let what = format!("the motion of state `{}`", state.name);
-                return Err(SpecError::new(Problem::FirstStepWithoutLength { what })
+                return Err(SpecError::new(SpecProblem::FirstStepWithoutLength { what })
                     .at(span.clone())
                     .hint("`initial_time` says when the first step begins"));
             }
@@ -261,7 +265,7 @@ fn moves_with_rows(model: &Model) -> bool {
 }
 
 fn idle(key: &str, why: &str, span: &Span) -> SpecError {
-    SpecError::new(Problem::NoEffect { key: key.to_owned(), why: why.to_owned() }).at(span.clone())
+    SpecError::new(SpecProblem::NoEffect { key: key.to_owned(), why: why.to_owned() }).at(span.clone())
 }
 
 fn needs_length(motion: &Motion) -> bool {

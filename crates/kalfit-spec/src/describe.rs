@@ -6,14 +6,14 @@ use kalfit::model::{Filter, Model, Phase};
 use crate::figure::figure;
 use crate::show;
 use crate::spec::Spec;
-use crate::words::Words;
+use crate::words::ModelWords;
 
 impl Spec {
     /// The model in plain words, one fact a line: tests and steps, states with their motion and start, measurements,
     /// parameters, the order of μ and Σ, the constraints on them, the levels of groups, and the filter. Of a model in phases, what belongs to a phase
     /// follows a line that names it.
     pub fn describe(&self) -> Vec<String> {
-        let words = Words { model: self.model.shared() };
+        let words = ModelWords { model: self.model.shared() };
         let parameters = words.model.parameters.iter().map(|parameter| words.parameter(parameter));
         let mut lines = vec![self.tests()];
         if self.phase_span(&self.model.phases[0].name).is_some() {
@@ -39,7 +39,7 @@ impl Spec {
 
     /// What varies from group to group, level by level.
     fn levels(&self) -> Vec<String> {
-        let words = Words { model: self.model.shared() };
+        let words = ModelWords { model: self.model.shared() };
         let mut lines = Vec::new();
         for (depth, level) in self.model.levels.iter().enumerate() {
             let groups = format!("one group for each value of {}", columns(&self.layout.levels[..=depth]));
@@ -85,7 +85,7 @@ fn columns(names: &[String]) -> String {
 
 /// One phase: where it starts, its states, what they inherit, its measurements, its part of μ and Σ, and its filter.
 fn block(phase: &Phase, before: Option<&Phase>) -> Vec<String> {
-    let words = Words { model: &phase.model };
+    let words = ModelWords { model: &phase.model };
     let mut lines = vec![format!("phase `{}`: {}", phase.name, words.start("its first row"))];
     lines.extend(motion(&phase.model));
     lines.extend(before.iter().flat_map(|before| carried(phase, before)));
@@ -96,19 +96,19 @@ fn block(phase: &Phase, before: Option<&Phase>) -> Vec<String> {
 }
 
 fn motion(model: &Model) -> Vec<String> {
-    let words = Words { model };
+    let words = ModelWords { model };
     let states = model.states.iter().map(|state| words.state(state));
     states.chain(words.process_noise_covariance()).collect()
 }
 
 fn measured(model: &Model) -> Vec<String> {
-    let words = Words { model };
+    let words = ModelWords { model };
     let measurements = model.measurements.iter().map(|measurement| words.measurement(measurement));
     measurements.chain(words.noise_covariance()).collect()
 }
 
 fn population(model: &Model, place: &str) -> Vec<String> {
-    let words = Words { model };
+    let words = ModelWords { model };
     [vec![words.order()], words.mean(), words.covariance(place)].concat()
 }
 

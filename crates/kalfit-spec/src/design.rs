@@ -10,9 +10,9 @@ use crate::beside::{self, BesideError};
 use crate::build;
 use crate::error::Result;
 use crate::outputs::listed;
-use crate::phase::Purpose;
+use crate::phase::ReadPurpose;
 use crate::spec::Spec;
-use crate::table::Section;
+use crate::table::TomlTable;
 
 /// The file of outputs in messages.
 const PLACE: &str = "the file of outputs";
@@ -40,7 +40,7 @@ impl Spec {
 
     fn designed(&self, text: &str, offset: usize, (named, levels): (bool, bool)) -> Result<DesignSpec> {
         let [base, own] = beside::tables(text, offset)?;
-        let mut table = Section::open(PLACE, offset..text.len(), &own).only(&["outputs"])?;
+        let mut table = TomlTable::open(PLACE, offset..text.len(), &own).only(&["outputs"])?;
         let outputs = match table.take("outputs") {
             Some(field) => Some(listed(&field)?),
             None if named => {
@@ -48,9 +48,9 @@ impl Spec {
             }
             None => None,
         };
-        let root = Section::open("the model file", 0..text.len(), &base);
-        let purpose = Purpose::Designs { outputs: outputs.as_ref(), levels };
-        let build::Built { model, layout, mut places, outputs } = build::model(text, root, purpose)?;
+        let root = TomlTable::open("the model file", 0..text.len(), &base);
+        let purpose = ReadPurpose::Designs { outputs: outputs.as_ref(), levels };
+        let build::BuiltSpec { model, layout, mut places, outputs } = build::model(text, root, purpose)?;
         places.columns.retain(|_, span| span.start < offset); // places are those of the model file
         let spec = Spec { model, layout, places, ..self.clone() };
         Ok(DesignSpec { spec, outputs })

@@ -44,18 +44,18 @@ fn canonical(model: &PhasedModel) -> String {
     let mut text = format!("{VERSION}\n");
     let mut before = None;
     for phase in &model.phases {
-        Writer { model: &phase.model, text: &mut text }.phase(phase, before);
+        DigestWriter { model: &phase.model, text: &mut text }.phase(phase, before);
         before = Some(&phase.model);
     }
     text
 }
 
-struct Writer<'w> {
+struct DigestWriter<'w> {
     model: &'w Model,
     text: &'w mut String,
 }
 
-impl Writer<'_> {
+impl DigestWriter<'_> {
     fn phase(&mut self, phase: &Phase, before: Option<&Model>) {
         self.word(&format!("phase {}", quote(&phase.name)));
         self.clock();

@@ -4,16 +4,16 @@ use std::collections::HashMap;
 
 use kalfit::model::{Initial, State};
 
-use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
-use crate::names::Index;
+use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
+use crate::names::NameIndex;
 use crate::semidefinite::Defect;
 use crate::states::start_words;
 use crate::suggest::suggest;
-use crate::table::Field;
+use crate::table::TomlField;
 
 /// What the rows of a matrix are.
 #[derive(Clone, Copy)]
-enum Kind {
+enum ElementSet {
     Estimated,
     All,
 }
@@ -23,12 +23,12 @@ const LISTED: usize = 12;
 
 /// The estimated states in the order of μ and Σ, or all states in file order.
 #[derive(Clone)]
-pub(crate) struct Elements {
-    index: Index,
+pub(crate) struct NamedElements {
+    index: NameIndex,
     /// The other states, and how they start.
     others: HashMap<String, &'static str>,
     /// Which states these are, for messages about shapes.
-    kind: Kind,
+    kind: ElementSet,
     /// Whether the state is random at all.
     random: Vec<bool>,
     /// Whether the state varies here; its variance is zero when not.
@@ -37,31 +37,38 @@ pub(crate) struct Elements {
     list: Option<String>,
 }
 
-impl Elements {
+impl NamedElements {
     /// Of the states with these indices.
-    pub(crate) fn new(states: &[State], estimated: &[usize]) -> Elements {
-        let mut index = Index::default();
+    pub(crate) fn new(states: &[State], estimated: &[usize]) -> NamedElements {
+        let mut index = NameIndex::default();
         for &state in estimated {
             index.add(&states[state].name, 0..0);
         }
         let others = states.iter().filter(|state| state.initial != Initial::Estimated);
         let others = others.map(|state| (state.name.clone(), start_words(&state.initial))).collect();
         let random: Vec<bool> = estimated.iter().map(|&state| states[state].random).collect();
-        Elements { index, others, kind: Kind::Estimated, varies: random.clone(), random, list: None }
+        NamedElements { index, others, kind: ElementSet::Estimated, varies: random.clone(), random, list: None }
     }
 
     /// All states, hidden ones too.
-    pub(crate) fn whole(states: &[State]) -> Elements {
-        let mut index = Index::default();
+    pub(crate) fn whole(states: &[State]) -> NamedElements {
+        let mut index = NameIndex::default();
         for state in states {
             index.add(&state.name, 0..0);
         }
         let random = vec![true; states.len()];
-        Elements { index, others: HashMap::new(), kind: Kind::All, varies: random.clone(), random, list: None }
+        NamedElements {
+            index,
+            others: HashMap::new(),
+            kind: ElementSet::All,
+            varies: random.clone(),
+            random,
+            list: None,
+        }
     }
 
     /// The same of which only those in a list vary, each random and named once.
-    pub(crate) fn varying(&self, list: &Field<'_>) -> Result<Elements> {
+    pub(crate) fn varying(&self, list: &TomlField<'_>) -> Result<NamedElements> {
         let place = list.what();
         let mut varies = vec![false; self.len()];
         for (name, span) in list.texts()? {
@@ -74,7 +81,7 @@ impl Elements {
                 return Err(SpecError::new(StructureProblem::ListedTwice { name, place }).at(span));
             }
         }
-        Ok(Elements { varies, list: Some(place), ..self.clone() })
+        Ok(NamedElements { varies, list: Some(place), ..self.clone() })
     }
 
     /// The problem that a state which does not vary has a variance or covariance: `what`.
@@ -89,11 +96,11 @@ impl Elements {
     /// What the rows and columns of a matrix are.
     pub(crate) fn order(&self) -> String {
         match self.kind {
-            Kind::Estimated => "a row and a column for every estimated state, in the order of Σ".to_owned(),
-            Kind::All if self.len() > LISTED => {
+            ElementSet::Estimated => "a row and a column for every estimated state, in the order of Σ".to_owned(),
+            ElementSet::All if self.len() > LISTED => {
                 format!("a row and a column for each of all {} states, in file order", self.len())
             }
-            Kind::All => {
+            ElementSet::All => {
                 let names: Vec<&str> = self.index.names().collect();
                 format!("a row and a column for every state, in the order {}", names.join(", "))
             }
@@ -121,10 +128,10 @@ impl Elements {
         }
         let (name, place) = (name.to_owned(), place.to_owned());
         let error = match self.others.get(&name) {
-            Some(start) => SpecError::new(Problem::NotEstimated { name, place, start }),
+            Some(start) => SpecError::new(SpecProblem::NotEstimated { name, place, start }),
             None => {
                 let hint = suggest(&name, self.index.names());
-                SpecError::new(Problem::UnknownName { what: "state", name, place }).maybe_hint(hint)
+                SpecError::new(SpecProblem::UnknownName { what: "state", name, place }).maybe_hint(hint)
             }
         };
         Err(error.at(span.clone()))
@@ -132,7 +139,7 @@ impl Elements {
 }
 
 /// The two names of an element, "a, b", spaces aside.
-pub(crate) fn pair<'d>(field: &Field<'d>, place: &str) -> Result<(&'d str, &'d str)> {
+pub(crate) fn pair<'d>(field: &TomlField<'d>, place: &str) -> Result<(&'d str, &'d str)> {
     pair_of(field.key, &field.key_span, place)
 }
 

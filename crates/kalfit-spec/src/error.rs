@@ -22,7 +22,7 @@ pub struct SpecError {
     /// The problem in one line.
     pub message: String,
     /// The problem in types.
-    pub problem: Box<Problem>,
+    pub problem: Box<SpecProblem>,
     /// Bytes of the model file that it is about.
     pub span: Option<Range<usize>>,
     /// A few words to stand under the span.
@@ -32,7 +32,7 @@ pub struct SpecError {
 }
 
 impl SpecError {
-    pub(crate) fn new(problem: impl Into<Problem>) -> SpecError {
+    pub(crate) fn new(problem: impl Into<SpecProblem>) -> SpecError {
         let problem = problem.into();
         let mut message = problem.to_string();
         if let Some((end, _)) = message.char_indices().nth(MAX_MESSAGE) {
@@ -66,7 +66,7 @@ impl SpecError {
 /// The kinds of problem. `place` is in words: "`[data]`", "state `drift`", "equation of measurement `gyro`".
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say what the fields are")]
-pub enum Problem {
+pub enum SpecProblem {
     /// The file cannot be read.
     #[error("cannot read `{path}`: {reason}")]
     Unreadable { path: String, reason: String },

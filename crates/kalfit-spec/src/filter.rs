@@ -4,28 +4,28 @@ use kalfit::model::{Expression, Filter, Model, Parameter, State, Value};
 use nalgebra::DMatrix;
 
 use crate::data::uses;
-use crate::elements::Elements;
-use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
-use crate::matrix::Matrix;
-use crate::names::Context;
+use crate::elements::NamedElements;
+use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
+use crate::matrix::ExpressionMatrix;
+use crate::names::NameContext;
 use crate::states::rate_of;
 use crate::suggest::suggest;
-use crate::table::{Field, Section};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 5] = ["kind", "consider", "mean", "covariance", "parameters"];
 
 /// A filter with the places of its numbers, for checks that need all of the model.
-pub(crate) struct Declared {
+pub(crate) struct DeclaredFilter {
     pub(crate) filter: Filter,
     /// Its key in the file.
     pub(crate) span: Span,
     /// The table in words.
     place: String,
-    beliefs: Vec<Belief>,
+    beliefs: Vec<FilterBelief>,
 }
 
 /// What the filter believes of a parameter.
-struct Belief {
+struct FilterBelief {
     parameter: usize,
     value: f64,
     /// Of the number.
@@ -33,11 +33,11 @@ struct Belief {
 }
 
 /// Reads a filter of a phase with these states.
-pub(crate) fn read(context: &Context<'_>, field: &Field<'_>, states: &[State]) -> Result<Declared> {
+pub(crate) fn read(context: &NameContext<'_>, field: &TomlField<'_>, states: &[State]) -> Result<DeclaredFilter> {
     let place = context.phase.table("filter");
     let mut section = field.section(place.as_str())?.only(&KEYS)?;
     section.need("kind")?.word(&["kalman-schmidt"])?;
-    let elements = Elements::whole(states);
+    let elements = NamedElements::whole(states);
     let consider = section.take("consider").map_or(Ok(Vec::new()), |field| consider(&field, &elements, states))?;
     let mean = section.take("mean").map_or(Ok(vec![0.0; states.len()]), |field| mean(&field, &elements))?;
     let covariance = covariance(&mut section, &elements)?;
@@ -45,11 +45,11 @@ pub(crate) fn read(context: &Context<'_>, field: &Field<'_>, states: &[State]) -
     section.finish("here", None)?;
     let parameters = beliefs.iter().map(|belief| (belief.parameter, belief.value)).collect();
     let filter = Filter { consider, mean, covariance, parameters };
-    Ok(Declared { filter, span: field.key_span.clone(), place, beliefs })
+    Ok(DeclaredFilter { filter, span: field.key_span.clone(), place, beliefs })
 }
 
 /// The states that are considered; the hidden rate of one goes with it.
-fn consider(field: &Field<'_>, elements: &Elements, states: &[State]) -> Result<Vec<usize>> {
+fn consider(field: &TomlField<'_>, elements: &NamedElements, states: &[State]) -> Result<Vec<usize>> {
     let place = field.what();
     let mut found = vec![false; states.len()];
     for (name, span) in field.texts()? {
@@ -66,7 +66,7 @@ fn consider(field: &Field<'_>, elements: &Elements, states: &[State]) -> Result<
     Ok((0..states.len()).filter(|&state| found[state]).collect())
 }
 
-fn mean(field: &Field<'_>, elements: &Elements) -> Result<Vec<f64>> {
+fn mean(field: &TomlField<'_>, elements: &NamedElements) -> Result<Vec<f64>> {
     let place = field.what();
     let mut mean = vec![0.0; elements.len()];
     for field in field.section(place.as_str())?.fields() {
@@ -75,26 +75,26 @@ fn mean(field: &Field<'_>, elements: &Elements) -> Result<Vec<f64>> {
     Ok(mean)
 }
 
-fn covariance(section: &mut Section<'_>, elements: &Elements) -> Result<DMatrix<f64>> {
+fn covariance(section: &mut TomlTable<'_>, elements: &NamedElements) -> Result<DMatrix<f64>> {
     let Some(field) = section.take("covariance") else {
         return Err(section.missing("covariance").hint(format!("the filter's own prior: {}", elements.order())));
     };
-    let entries = Matrix::read_numbers(&field, elements)?.entries;
+    let entries = ExpressionMatrix::read_numbers(&field, elements)?.entries;
     let n = elements.len();
     Ok(DMatrix::from_fn(n, n, |i, j| entries[i][j].as_number().expect("only numbers were read")))
 }
 
 /// What the filter believes of parameters, and where it says so.
-fn beliefs(context: &Context<'_>, field: &Field<'_>) -> Result<Vec<Belief>> {
+fn beliefs(context: &NameContext<'_>, field: &TomlField<'_>) -> Result<Vec<FilterBelief>> {
     let place = field.what();
     let mut all = Vec::new();
     for field in field.section(place.as_str())?.fields() {
         let Some(parameter) = context.parameters.get(field.key) else {
-            let problem = Problem::UnknownName { what: "parameter", name: field.key.to_owned(), place };
+            let problem = SpecProblem::UnknownName { what: "parameter", name: field.key.to_owned(), place };
             let hint = suggest(field.key, context.parameters.names());
             return Err(SpecError::new(problem).at(field.key_span).maybe_hint(hint));
         };
-        all.push(Belief { parameter, value: field.number()?, span: field.span });
+        all.push(FilterBelief { parameter, value: field.number()?, span: field.span });
     }
     all.sort_by_key(|belief| belief.parameter);
     Ok(all)
@@ -112,20 +112,20 @@ pub(crate) fn used(model: &Model) -> Vec<bool> {
     used
 }
 
-impl Declared {
+impl DeclaredFilter {
     /// Checks the filter now that all parameters and their uses are known: `used` by this phase, `served` by any phase that has
     /// this table.
-    pub(crate) fn check(&self, context: &Context<'_>, model: &Model, used: &[bool], served: &[bool]) -> Result<()> {
-        for Belief { parameter, value, span } in &self.beliefs {
+    pub(crate) fn check(&self, context: &NameContext<'_>, model: &Model, used: &[bool], served: &[bool]) -> Result<()> {
+        for FilterBelief { parameter, value, span } in &self.beliefs {
             let name = &model.parameters[*parameter].name;
             if !served[*parameter] {
                 let why = format!("in {}: the filter does not use it", self.place);
-                return Err(SpecError::new(Problem::NoEffect { key: name.clone(), why }).at(span.clone()));
+                return Err(SpecError::new(SpecProblem::NoEffect { key: name.clone(), why }).at(span.clone()));
             }
             let role = context.roles[*parameter].expect("a parameter without a use was refused before");
             if let Some(expected) = role.expected(*value) {
                 let what = format!("{} `{name}` in {}", role.words(), self.place);
-                let problem = Problem::OutOfRange { what, found: *value, expected: expected.to_owned() };
+                let problem = SpecProblem::OutOfRange { what, found: *value, expected: expected.to_owned() };
                 return Err(SpecError::new(problem).at(span.clone()));
             }
         }
@@ -137,7 +137,7 @@ impl Declared {
                     "the estimates are data, so what the filter believed is known: write `parameters = {{ {name} = … }}` \
                      there, or fix the parameter"
                 );
-                Err(SpecError::new(Problem::FilterWithFree { name, place }).at(self.span.clone()).hint(hint))
+                Err(SpecError::new(SpecProblem::FilterWithFree { name, place }).at(self.span.clone()).hint(hint))
             }
         }
     }

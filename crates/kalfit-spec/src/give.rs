@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use kalfit::model::Value;
 
-use crate::error::{Problem, SpecError};
+use crate::error::{SpecError, SpecProblem};
 use crate::parameters::check_value;
 use crate::spec::Spec;
 use crate::suggest::suggest;
@@ -22,14 +22,16 @@ impl Spec {
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
             let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
             let (what, place) = ("parameter", "the values to take".to_owned());
-            return Err(SpecError::new(Problem::UnknownName { what, name: name.to_owned(), place }).maybe_hint(hint));
+            return Err(
+                SpecError::new(SpecProblem::UnknownName { what, name: name.to_owned(), place }).maybe_hint(hint)
+            );
         };
         let parameter = &mut parameters[index];
         for (level, value) in values {
             check_value(parameter, self.places.roles[index], *value).map_err(SpecError::new)?;
             if let Some(level) = level.filter(|_| parameter.per.is_none()) {
                 let why = format!("on parameter `{name}`, which has no `per`");
-                return Err(SpecError::new(Problem::NoEffect { key: format!("{name}[{level}]"), why }));
+                return Err(SpecError::new(SpecProblem::NoEffect { key: format!("{name}[{level}]"), why }));
             }
         }
         let literals = &mut model.literals;

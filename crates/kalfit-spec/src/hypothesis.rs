@@ -10,15 +10,15 @@ use toml::de::DeTable;
 use crate::beside::{self, BesideError};
 use crate::build;
 use crate::digest;
-use crate::error::{Problem, Span, SpecError};
+use crate::error::{Span, SpecError, SpecProblem};
 use crate::levels;
 use crate::merge::{OF_PHASE, PLACE, has_own, merge, reorder, reorder_levels, table_in};
 use crate::names::{phase_key, table_key};
-use crate::phase::Purpose;
+use crate::phase::ReadPurpose;
 use crate::phases;
-use crate::places::Places;
+use crate::places::SpecPlaces;
 use crate::spec::Spec;
-use crate::table::{Field, Section};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 6] = ["title", "mean", "covariance", "levels", "parameters", "phases"];
 
@@ -55,8 +55,8 @@ impl Spec {
         let title = self.check(&own, offset..text.len())?;
         self.reorder(&base, &mut own);
         merge(&mut base, own)?;
-        let root = Section::open("the model file", 0..text.len(), &base);
-        let build::Built { model: read, places, .. } = build::model(text, root, Purpose::Tests)?;
+        let root = TomlTable::open("the model file", 0..text.len(), &base);
+        let build::BuiltSpec { model: read, places, .. } = build::model(text, root, ReadPurpose::Tests)?;
         let mut model = self.adopt(read, &places)?;
         self.keep_set(&mut model);
         Ok((title, model))
@@ -82,7 +82,7 @@ impl Spec {
     }
 
     /// What the hypothesis speaks of, with columns and texts numbered as in the model.
-    fn adopt(&self, read: PhasedModel, places: &Places) -> Result<PhasedModel, SpecError> {
+    fn adopt(&self, read: PhasedModel, places: &SpecPlaces) -> Result<PhasedModel, SpecError> {
         let mut model = self.model.clone();
         for (phase, read) in model.phases.iter_mut().zip(&read.phases) {
             phase.model = self.adopt_phase(phase.model.clone(), &read.model, places)?;
@@ -93,7 +93,7 @@ impl Spec {
         Ok(model)
     }
 
-    fn adopt_phase(&self, model: Model, read: &Model, places: &Places) -> Result<Model, SpecError> {
+    fn adopt_phase(&self, model: Model, read: &Model, places: &SpecPlaces) -> Result<Model, SpecError> {
         let mut model = Model {
             mean: read.mean.clone(),
             covariance: read.covariance.clone(),
@@ -105,7 +105,7 @@ impl Spec {
             let found = self.model.shared().columns.iter().position(|known| known.name == *name);
             *column = found.ok_or_else(|| {
                 let place = format!("{PLACE}: the model has no regression on it");
-                let problem = Problem::UnknownName { what: "regression column", name: name.clone(), place };
+                let problem = SpecProblem::UnknownName { what: "regression column", name: name.clone(), place };
                 SpecError { span: places.columns.get(name).cloned(), ..SpecError::new(problem) }
             })?;
         }
@@ -139,10 +139,10 @@ impl Spec {
 
     /// Known keys only, and at least one that says something.
     fn check(&self, own: &DeTable<'_>, span: Span) -> Result<Option<String>, SpecError> {
-        let mut root = Section::open(PLACE, span.clone(), own).only(&KEYS)?;
+        let mut root = TomlTable::open(PLACE, span.clone(), own).only(&KEYS)?;
         let title = root.take("title").map(|title| title.text().map(str::to_owned)).transpose()?;
         if KEYS[1..].iter().all(|key| root.peek(key).is_none()) {
-            let problem = Problem::MissingKey { key: "mean".to_owned(), place: PLACE.to_owned() };
+            let problem = SpecProblem::MissingKey { key: "mean".to_owned(), place: PLACE.to_owned() };
             return Err(SpecError::new(problem).at(span).hint("say what to test, in `[mean]` or `[covariance]`"));
         }
         check_tables(&root, "")?;
@@ -167,7 +167,7 @@ impl Spec {
 
 impl Spec {
     /// Levels of the model only, each with a covariance.
-    fn check_levels(&self, field: &Field<'_>) -> Result<(), SpecError> {
+    fn check_levels(&self, field: &TomlField<'_>) -> Result<(), SpecError> {
         if self.model.levels.is_empty() {
             return Err(field.no_effect("in a hypothesis about a model without levels"));
         }
@@ -187,7 +187,7 @@ impl Spec {
 }
 
 /// Tables where tables must be, without keys that are no constraints.
-fn check_tables(section: &Section<'_>, prefix: &str) -> Result<(), SpecError> {
+fn check_tables(section: &TomlTable<'_>, prefix: &str) -> Result<(), SpecError> {
     for field in ["mean", "covariance", "parameters"].iter().filter_map(|key| section.peek(key)) {
         let section = field.section(format!("`[{prefix}{}]` of {PLACE}", field.key))?;
         if field.key == "covariance"

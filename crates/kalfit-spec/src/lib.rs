@@ -110,7 +110,7 @@ mod words;
 
 pub use beside::BesideError;
 pub use design::DesignSpec;
-pub use error::{ExpressionProblem, Problem, SpecError, StructureProblem};
+pub use error::{ExpressionProblem, SpecError, SpecProblem, StructureProblem};
 pub use hypothesis::Hypothesis;
 pub use set::Assignment;
 pub use show::PhaseWords;

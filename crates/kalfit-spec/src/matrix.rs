@@ -2,42 +2,48 @@
 
 use kalfit::model::Expression;
 
-use crate::elements::{Elements, to_problem};
+use crate::elements::{NamedElements, to_problem};
 use crate::error::{Result, Span, SpecError, StructureProblem};
-use crate::expression::{self, Scope, is_zero};
-use crate::names::Context;
+use crate::expression::{self, ExpressionScope, is_zero};
+use crate::names::NameContext;
 use crate::semidefinite::defect;
-use crate::table::Field;
+use crate::table::TomlField;
 
 /// A symmetric matrix whose entries are expressions in parameters, and where they stand.
-pub(crate) struct Matrix {
+pub(crate) struct ExpressionMatrix {
     pub(crate) entries: Vec<Vec<Expression>>,
     spans: Vec<Vec<Span>>,
     place: String,
     span: Span,
 }
 
-impl Matrix {
+impl ExpressionMatrix {
     /// Reads a p × p array of arrays; it must be symmetric, and positive semidefinite as far as its numbers are known.
-    pub(crate) fn read(context: &mut Context<'_>, field: &Field<'_>, elements: &Elements) -> Result<Matrix> {
+    pub(crate) fn read(
+        context: &mut NameContext<'_>,
+        field: &TomlField<'_>,
+        elements: &NamedElements,
+    ) -> Result<ExpressionMatrix> {
         let place = format!("`{}` of {}", field.key, field.place);
-        Matrix::read_with(field, elements, |cell| expression::scalar(context, cell, Scope::common(&place)))
+        ExpressionMatrix::read_with(field, elements, |cell| {
+            expression::scalar(context, cell, ExpressionScope::common(&place))
+        })
     }
 
     /// As [`Matrix::read`], with nothing but numbers.
-    pub(crate) fn read_numbers(field: &Field<'_>, elements: &Elements) -> Result<Matrix> {
-        Matrix::read_with(field, elements, |cell| cell.number().map(Expression::Number))
+    pub(crate) fn read_numbers(field: &TomlField<'_>, elements: &NamedElements) -> Result<ExpressionMatrix> {
+        ExpressionMatrix::read_with(field, elements, |cell| cell.number().map(Expression::Number))
     }
 
     fn read_with(
-        field: &Field<'_>,
-        elements: &Elements,
-        mut entry: impl FnMut(&Field<'_>) -> Result<Expression>,
-    ) -> Result<Matrix> {
+        field: &TomlField<'_>,
+        elements: &NamedElements,
+        mut entry: impl FnMut(&TomlField<'_>) -> Result<Expression>,
+    ) -> Result<ExpressionMatrix> {
         let place = format!("`{}` of {}", field.key, field.place);
         let rows = field.items("an array of rows")?;
         check_shape(elements, rows.len(), ["row", "rows"], "", field)?;
-        let mut matrix = Matrix { entries: Vec::new(), spans: Vec::new(), place, span: field.span.clone() };
+        let mut matrix = ExpressionMatrix { entries: Vec::new(), spans: Vec::new(), place, span: field.span.clone() };
         for row in rows {
             let cells = row.items("an array of rows")?;
             let row_words = format!(" in row {}", matrix.entries.len() + 1);
@@ -53,7 +59,7 @@ impl Matrix {
         Ok(matrix)
     }
 
-    fn check(&self, elements: &Elements) -> Result<()> {
+    fn check(&self, elements: &NamedElements) -> Result<()> {
         for i in 0..self.entries.len() {
             for j in 0..i {
                 if self.entries[i][j] != self.entries[j][i] {
@@ -80,7 +86,7 @@ impl Matrix {
     }
 
     /// States that do not vary must have no covariance, and no variance unless `unit` says that the diagonal is one.
-    pub(crate) fn check_still(&self, elements: &Elements, unit: bool) -> Result<()> {
+    pub(crate) fn check_still(&self, elements: &NamedElements, unit: bool) -> Result<()> {
         for i in (0..elements.len()).filter(|&i| !elements.varies[i]) {
             for j in (0..elements.len()).filter(|&j| j != i || !unit) {
                 if !is_zero(&self.entries[i][j]) {
@@ -93,7 +99,7 @@ impl Matrix {
     }
 
     /// A correlation matrix has a unit diagonal.
-    pub(crate) fn check_unit_diagonal(&self, elements: &Elements) -> Result<()> {
+    pub(crate) fn check_unit_diagonal(&self, elements: &NamedElements) -> Result<()> {
         match (0..elements.len()).find(|&i| self.entries[i][i].as_number() != Some(1.0)) {
             None => Ok(()),
             Some(i) => Err(self.at(i, i, StructureProblem::NotUnitDiagonal { name: elements.name(i) })),
@@ -109,7 +115,13 @@ impl Matrix {
     }
 }
 
-fn check_shape(elements: &Elements, found: usize, [one, many]: [&str; 2], row: &str, field: &Field<'_>) -> Result<()> {
+fn check_shape(
+    elements: &NamedElements,
+    found: usize,
+    [one, many]: [&str; 2],
+    row: &str,
+    field: &TomlField<'_>,
+) -> Result<()> {
     let expected = elements.len();
     if found == expected {
         return Ok(());

@@ -4,39 +4,39 @@ use std::collections::BTreeSet;
 
 use kalfit::model::{MeanElement, MeanStructure, Regression};
 
-use crate::elements::Elements;
-use crate::error::{Problem, Result, SpecError, StructureProblem};
-use crate::expression::{self, Scope};
-use crate::names::Context;
-use crate::table::{Field, Section};
+use crate::elements::NamedElements;
+use crate::error::{Result, SpecError, SpecProblem, StructureProblem};
+use crate::expression::{self, ExpressionScope};
+use crate::names::NameContext;
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 5] = ["fixed", "start", "tied", "proportional_to", "regression"];
 
 /// Regression coefficients of one model; what is found of them grows with its square.
 const MAX_REGRESSION: usize = 1_000;
 
-struct Reader<'r, 't> {
-    context: &'r mut Context<'t>,
+struct MeanReader<'r, 't> {
+    context: &'r mut NameContext<'t>,
     /// The table in words.
     place: String,
     /// Indices of the estimated states.
     estimated: &'r [usize],
-    elements: &'r Elements,
+    elements: &'r NamedElements,
     mean: MeanStructure,
 }
 
 /// Reads `[mean]`; without it all elements are free.
 pub(crate) fn read(
-    context: &mut Context<'_>,
-    field: Option<&Field<'_>>,
+    context: &mut NameContext<'_>,
+    field: Option<&TomlField<'_>>,
     estimated: &[usize],
-    elements: &Elements,
+    elements: &NamedElements,
 ) -> Result<MeanStructure> {
     let mean = MeanStructure::free(elements.len());
     let Some(field) = field else { return Ok(mean) };
     let place = context.phase.table("mean");
     let mut section = field.section(place.as_str())?.only(&KEYS)?;
-    let mut reader = Reader { context, place, estimated, elements, mean };
+    let mut reader = MeanReader { context, place, estimated, elements, mean };
     if let Some(field) = section.take("fixed") {
         reader.fixed(&field)?;
     }
@@ -66,17 +66,17 @@ fn said(element: &MeanElement) -> Option<&'static str> {
     }
 }
 
-impl Reader<'_, '_> {
-    fn find(&self, field: &Field<'_>) -> Result<usize> {
+impl MeanReader<'_, '_> {
+    fn find(&self, field: &TomlField<'_>) -> Result<usize> {
         self.elements.find(field.key, &field.place, &field.key_span)
     }
 
-    fn table<'d>(&self, field: &Field<'d>) -> Result<Section<'d>> {
+    fn table<'d>(&self, field: &TomlField<'d>) -> Result<TomlTable<'d>> {
         field.section(format!("`{}` of {}", field.key, self.place))
     }
 
     /// Says something of an element that nothing was said of.
-    fn say(&mut self, i: usize, element: MeanElement, field: &Field<'_>) -> Result<()> {
+    fn say(&mut self, i: usize, element: MeanElement, field: &TomlField<'_>) -> Result<()> {
         if let (Some(first), Some(second)) = (said(&self.mean.elements[i]), said(&element)) {
             let problem = StructureProblem::MeanTwice { name: self.elements.name(i), first, second };
             return Err(SpecError::new(problem).at(field.key_span.clone()));
@@ -85,7 +85,7 @@ impl Reader<'_, '_> {
         Ok(())
     }
 
-    fn fixed(&mut self, field: &Field<'_>) -> Result<()> {
+    fn fixed(&mut self, field: &TomlField<'_>) -> Result<()> {
         for field in self.table(field)?.fields() {
             let i = self.find(&field)?;
             self.say(i, MeanElement::Fixed(field.number()?), &field)?;
@@ -93,7 +93,7 @@ impl Reader<'_, '_> {
         Ok(())
     }
 
-    fn proportional(&mut self, field: &Field<'_>) -> Result<()> {
+    fn proportional(&mut self, field: &TomlField<'_>) -> Result<()> {
         let mut all_zero = true;
         for field in self.table(field)?.fields() {
             let i = self.find(&field)?;
@@ -108,7 +108,7 @@ impl Reader<'_, '_> {
         Ok(())
     }
 
-    fn tied(&mut self, field: &Field<'_>) -> Result<()> {
+    fn tied(&mut self, field: &TomlField<'_>) -> Result<()> {
         let section = self.table(field)?;
         let mut ties = Vec::with_capacity(section.len());
         for field in section.fields() {
@@ -132,9 +132,9 @@ impl Reader<'_, '_> {
     }
 
     /// constant + Σ weight × other mean.
-    fn tie(&mut self, i: usize, field: &Field<'_>) -> Result<(f64, Vec<(usize, f64)>)> {
+    fn tie(&mut self, i: usize, field: &TomlField<'_>) -> Result<(f64, Vec<(usize, f64)>)> {
         let place = field.what();
-        let linear = expression::linear(self.context, field, Scope::means(&place))?;
+        let linear = expression::linear(self.context, field, ExpressionScope::means(&place))?;
         let wrong = |problem: StructureProblem| SpecError::new(problem).at(field.span.clone());
         let number =
             |part: &kalfit::Expression| part.as_number().expect("without columns and parameters all is number");
@@ -159,7 +159,7 @@ impl Reader<'_, '_> {
         Ok((number(&linear.constant), terms))
     }
 
-    fn start(&mut self, field: &Field<'_>) -> Result<()> {
+    fn start(&mut self, field: &TomlField<'_>) -> Result<()> {
         for field in self.table(field)?.fields() {
             let i = self.find(&field)?;
             if let Some(said) = said(&self.mean.elements[i]) {
@@ -170,7 +170,7 @@ impl Reader<'_, '_> {
         Ok(())
     }
 
-    fn regression(&mut self, field: &Field<'_>) -> Result<()> {
+    fn regression(&mut self, field: &TomlField<'_>) -> Result<()> {
         for field in self.table(field)?.fields() {
             let element = self.find(&field)?;
             let names = field.texts()?;
@@ -190,7 +190,7 @@ impl Reader<'_, '_> {
                 let found = self.mean.regression.len();
                 if found > MAX_REGRESSION {
                     let expected = format!("at most {MAX_REGRESSION}");
-                    let problem = Problem::Count { what: "regression coefficients", found, expected };
+                    let problem = SpecProblem::Count { what: "regression coefficients", found, expected };
                     return Err(SpecError::new(problem).at(span));
                 }
             }

@@ -2,29 +2,32 @@
 
 use kalfit::model::{Expression, Measurement};
 
-use crate::error::{Problem, Result, SpecError, StructureProblem};
-use crate::expression::{self, Scope};
+use crate::error::{Result, SpecError, SpecProblem, StructureProblem};
+use crate::expression::{self, ExpressionScope};
 use crate::motion::{deviation, squared};
-use crate::names::{Context, Index, Role, check_label};
-use crate::table::{Field, Section};
+use crate::names::{NameContext, NameIndex, ParameterRole, check_label};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 5] = ["column", "where", "equation", "noise", "variance"];
 /// Measurements of one model; the covariance of a step's noises grows with its square.
 const MAX_MEASUREMENTS: usize = 500;
 
 /// Reads all measurements, and their names.
-pub(crate) fn read(context: &mut Context<'_>, field: Option<&Field<'_>>) -> Result<(Vec<Measurement>, Index)> {
+pub(crate) fn read(
+    context: &mut NameContext<'_>,
+    field: Option<&TomlField<'_>>,
+) -> Result<(Vec<Measurement>, NameIndex)> {
     let table = context.phase.table("measurements");
     let section = field.map(|field| field.section(table.as_str())).transpose()?;
-    let found = section.as_ref().map_or(0, Section::len);
+    let found = section.as_ref().map_or(0, TomlTable::len);
     if found == 0 || found > MAX_MEASUREMENTS {
-        let problem = Problem::Count { what: "measurements", found, expected: format!("1 to {MAX_MEASUREMENTS}") };
+        let problem = SpecProblem::Count { what: "measurements", found, expected: format!("1 to {MAX_MEASUREMENTS}") };
         let error = SpecError::new(problem).hint("a measurement is a table, as in `[measurements.gyro]`");
         return Err(field.map_or(error.clone(), |field| error.at(field.key_span.clone())));
     }
-    let mut names = Index::default();
+    let mut names = NameIndex::default();
     let mut all: Vec<Measurement> = Vec::with_capacity(found);
-    for field in section.iter().flat_map(Section::fields) {
+    for field in section.iter().flat_map(TomlTable::fields) {
         check_label("measurement", field.key, &field.key_span)?;
         names.add(field.key, field.key_span.clone());
         let one = one(context, &field, &all)?;
@@ -33,7 +36,7 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<&Field<'_>>) -> Resu
     Ok((all, names))
 }
 
-fn one(context: &mut Context<'_>, field: &Field<'_>, before: &[Measurement]) -> Result<Measurement> {
+fn one(context: &mut NameContext<'_>, field: &TomlField<'_>, before: &[Measurement]) -> Result<Measurement> {
     let place = context.phase.entry("measurements", "measurement", field.key);
     let mut section = field.section(place)?.only(&KEYS)?;
     let source = section.need("column")?;
@@ -51,15 +54,15 @@ fn one(context: &mut Context<'_>, field: &Field<'_>, before: &[Measurement]) -> 
     }
     let equation = section.need("equation")?;
     let place = equation.what();
-    let equation = expression::linear(context, &equation, Scope::equation(&place))?;
+    let equation = expression::linear(context, &equation, ExpressionScope::equation(&place))?;
     let noise_variance = noise(context, &mut section)?;
     section.finish("here", None)?;
     Ok(Measurement { name: field.key.to_owned(), column, filter, equation, noise_variance })
 }
 
-fn filter(context: &mut Context<'_>, field: &Field<'_>) -> Result<Expression> {
+fn filter(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<Expression> {
     let place = field.what();
-    let filter = expression::condition(context, field, Scope::rows(&place))?;
+    let filter = expression::condition(context, field, ExpressionScope::rows(&place))?;
     match filter.as_number() {
         None => Ok(filter),
         Some(x) => {
@@ -71,21 +74,23 @@ fn filter(context: &mut Context<'_>, field: &Field<'_>) -> Result<Expression> {
 }
 
 /// Exactly one of `noise` and `variance`.
-fn noise(context: &mut Context<'_>, section: &mut Section<'_>) -> Result<Expression> {
+fn noise(context: &mut NameContext<'_>, section: &mut TomlTable<'_>) -> Result<Expression> {
     let (first, second) = ("noise".to_owned(), "variance".to_owned());
     let place = section.place.clone();
     match (section.take("noise"), section.take("variance")) {
         (Some(noise), None) => {
             let place = noise.what();
-            let deviation = deviation(context, &noise, Scope::row(&place), Role::StandardDeviation)?;
+            let deviation = deviation(context, &noise, ExpressionScope::row(&place), ParameterRole::StandardDeviation)?;
             squared(context, deviation, &noise.span)
         }
         (None, Some(variance)) => {
             let place = variance.what();
-            deviation(context, &variance, Scope::row(&place), Role::Variance)
+            deviation(context, &variance, ExpressionScope::row(&place), ParameterRole::Variance)
         }
-        (Some(_), Some(variance)) => Err(SpecError::new(Problem::Both { place, first, second }).at(variance.key_span)),
-        (None, None) => Err(SpecError::new(Problem::Neither { place, first, second })
+        (Some(_), Some(variance)) => {
+            Err(SpecError::new(SpecProblem::Both { place, first, second }).at(variance.key_span))
+        }
+        (None, None) => Err(SpecError::new(SpecProblem::Neither { place, first, second })
             .at(section.span.clone())
             .hint("`noise` is a standard deviation, `variance` its square; 0 is legal")),
     }

@@ -3,7 +3,7 @@
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use crate::error::{Problem, SpecError};
+use crate::error::{SpecError, SpecProblem};
 use crate::suggest::suggest;
 
 /// The hypothesis in messages.
@@ -17,8 +17,8 @@ const MATRICES: [&str; 2] = ["matrix", "start"];
 /// Tables of a phase that a hypothesis may have.
 pub(crate) const OF_PHASE: [&str; 2] = ["mean", "covariance"];
 
-type Key<'i> = Spanned<DeString<'i>>;
-type Item<'i> = Spanned<DeValue<'i>>;
+type TomlKey<'i> = Spanned<DeString<'i>>;
+type TomlItem<'i> = Spanned<DeValue<'i>>;
 
 /// Puts the keys of a hypothesis, which were checked, into the model's.
 pub(crate) fn merge<'i>(base: &mut DeTable<'i>, own: DeTable<'i>) -> Result<(), SpecError> {
@@ -49,18 +49,19 @@ pub(crate) fn merge<'i>(base: &mut DeTable<'i>, own: DeTable<'i>) -> Result<(), 
 
 /// Refuses tables of the top level that no phase of the model takes.
 fn refuse_idle(base: &DeTable<'_>, own: &DeTable<'_>) -> Result<(), SpecError> {
-    let idle = |key: &&Key<'_>| OF_PHASE.contains(&key.get_ref().as_ref()) && idle(base, key.get_ref());
+    let idle = |key: &&TomlKey<'_>| OF_PHASE.contains(&key.get_ref().as_ref()) && idle(base, key.get_ref());
     let Some(key) = own.keys().find(idle) else { return Ok(()) };
     let (name, why) = (key.get_ref().to_string(), "when every phase of the model has its own".to_owned());
     let hint = format!("write `[phases.NAME.{name}]`");
-    Err(SpecError::new(Problem::NoEffect { key: name, why }).at(key.span()).hint(hint))
+    Err(SpecError::new(SpecProblem::NoEffect { key: name, why }).at(key.span()).hint(hint))
 }
 
 /// Every phase has this table itself.
 fn idle(base: &DeTable<'_>, key: &str) -> bool {
     let phases = base.iter().find(|(k, _)| k.get_ref() == "phases").and_then(|(_, phases)| phases.get_ref().as_table());
-    let has =
-        |phase: &Item<'_>| phase.get_ref().as_table().is_some_and(|tables| tables.keys().any(|k| k.get_ref() == key));
+    let has = |phase: &TomlItem<'_>| {
+        phase.get_ref().as_table().is_some_and(|tables| tables.keys().any(|k| k.get_ref() == key))
+    };
     phases.is_some_and(|phases| phases.values().all(has))
 }
 
@@ -97,7 +98,7 @@ fn permute_matrices(covariance: &mut DeTable<'_>, places: &[usize]) {
     for (key, value) in covariance.iter_mut() {
         let DeValue::Array(rows) = value.get_mut() else { continue };
         let square = |rows: &toml::de::DeArray<'_>| {
-            let fits = |row: &Item<'_>| row.get_ref().as_array().is_some_and(|row| row.len() == places.len());
+            let fits = |row: &TomlItem<'_>| row.get_ref().as_array().is_some_and(|row| row.len() == places.len());
             rows.len() == places.len() && rows.iter().all(fits)
         };
         if !MATRICES.contains(&key.get_ref().as_ref()) || !square(rows) {
@@ -113,7 +114,7 @@ fn permute_matrices(covariance: &mut DeTable<'_>, places: &[usize]) {
 }
 
 fn permute(array: &mut toml::de::DeArray<'_>, places: &[usize]) {
-    let moved: Vec<Item<'_>> = places.iter().map(|&place| array[place].clone()).collect();
+    let moved: Vec<TomlItem<'_>> = places.iter().map(|&place| array[place].clone()).collect();
     array.iter_mut().zip(moved).for_each(|(to, from)| *to = from);
 }
 
@@ -129,7 +130,7 @@ pub(crate) fn has_own(base: &DeTable<'_>, phase: &str, key: &str) -> bool {
 }
 
 /// Keys replace those of what a phase has: its own table, or else a copy of the top level's.
-fn in_phase<'i>(base: &mut DeTable<'i>, phase: &str, key: Key<'i>, value: Item<'i>) {
+fn in_phase<'i>(base: &mut DeTable<'i>, phase: &str, key: TomlKey<'i>, value: TomlItem<'i>) {
     let top = base.get(&key).cloned();
     let Some(phase) = table_in(base, "phases").and_then(|phases| table_in(phases, phase)) else { return };
     if let (None, Some(top)) = (phase.get(&key), top) {
@@ -146,7 +147,7 @@ pub(crate) fn table_in<'t, 'i>(table: &'t mut DeTable<'i>, key: &str) -> Option<
     }
 }
 
-fn into_table(value: Item<'_>) -> DeTable<'_> {
+fn into_table(value: TomlItem<'_>) -> DeTable<'_> {
     match value.into_inner() {
         DeValue::Table(table) => table,
         _ => DeTable::new(),
@@ -154,7 +155,7 @@ fn into_table(value: Item<'_>) -> DeTable<'_> {
 }
 
 /// Keys of the covariance of a level replace those of the level.
-fn levels<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) {
+fn levels<'i>(base: &mut DeTable<'i>, key: TomlKey<'i>, value: TomlItem<'i>) {
     let Some(levels) = table_in(base, "levels") else {
         base.insert(key, value);
         return;
@@ -170,7 +171,7 @@ fn levels<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) {
 
 /// What `[covariance]` of a hypothesis leaves of the model's.
 #[derive(Clone, Copy, PartialEq)]
-enum Anew {
+enum CovarianceChange {
     /// All but start values.
     Nothing,
     /// Another structure of the states that vary.
@@ -179,41 +180,41 @@ enum Anew {
     Still,
 }
 
-impl Anew {
-    fn of(own: &DeTable<'_>) -> Anew {
+impl CovarianceChange {
+    fn of(own: &DeTable<'_>) -> CovarianceChange {
         let value = |key: &str| own.iter().find(|(k, _)| k.get_ref() == key).map(|(_, value)| value.get_ref());
         let empty = value(VARYING).and_then(DeValue::as_array).is_some_and(|states| states.is_empty());
         match value("structure") {
-            Some(_) => Anew::Structure,
-            None if empty => Anew::Still,
-            None => Anew::Nothing,
+            Some(_) => CovarianceChange::Structure,
+            None if empty => CovarianceChange::Still,
+            None => CovarianceChange::Nothing,
         }
     }
 
     fn drops(self, key: &str) -> bool {
         match self {
             _ if key == "start" => true,
-            Anew::Nothing => false,
-            Anew::Structure => !KEPT.contains(&key) && key != VARYING,
-            Anew::Still => !KEPT.contains(&key),
+            CovarianceChange::Nothing => false,
+            CovarianceChange::Structure => !KEPT.contains(&key) && key != VARYING,
+            CovarianceChange::Still => !KEPT.contains(&key),
         }
     }
 }
 
 fn remove(table: &mut DeTable<'_>, drops: impl Fn(&str) -> bool) {
-    let gone: Vec<Key<'_>> = table.keys().filter(|key| drops(key.get_ref())).cloned().collect();
+    let gone: Vec<TomlKey<'_>> = table.keys().filter(|key| drops(key.get_ref())).cloned().collect();
     gone.iter().for_each(|key| {
         table.remove(key);
     });
 }
 
 /// Keys replace keys.
-fn replace<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) {
+fn replace<'i>(base: &mut DeTable<'i>, key: TomlKey<'i>, value: TomlItem<'i>) {
     let DeValue::Table(own) = value.get_ref() else {
         base.insert(key, value); // reading the model says what is wrong
         return;
     };
-    let anew = Anew::of(own);
+    let anew = CovarianceChange::of(own);
     let Some(DeValue::Table(table)) = base.get_mut(&key).map(Spanned::get_mut) else {
         base.insert(key, value);
         return;
@@ -226,7 +227,7 @@ fn replace<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) {
 }
 
 /// Parameters of the model only.
-fn parameters<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) -> Result<(), SpecError> {
+fn parameters<'i>(base: &mut DeTable<'i>, key: TomlKey<'i>, value: TomlItem<'i>) -> Result<(), SpecError> {
     let DeValue::Table(own) = value.get_ref() else { return Ok(()) };
     let known: Vec<String> = match base.get(&key).map(Spanned::get_ref) {
         Some(DeValue::Table(table)) => table.keys().map(|k| k.get_ref().to_string()).collect(),
@@ -235,7 +236,7 @@ fn parameters<'i>(base: &mut DeTable<'i>, key: Key<'i>, value: Item<'i>) -> Resu
     if let Some(strange) = own.keys().find(|k| !known.iter().any(|name| name == k.get_ref())) {
         let name = strange.get_ref().to_string();
         let hint = suggest(&name, known.iter().map(String::as_str));
-        let problem = Problem::UnknownName { what: "parameter", name, place: PLACE.to_owned() };
+        let problem = SpecProblem::UnknownName { what: "parameter", name, place: PLACE.to_owned() };
         return Err(SpecError::new(problem).at(strange.span()).maybe_hint(hint));
     }
     let (Some(DeValue::Table(table)), DeValue::Table(own)) =

@@ -2,14 +2,14 @@
 
 use kalfit::model::{Expression, Linear, Motion, Operator};
 
-use crate::error::{Problem, Result, Span, SpecError};
-use crate::expression::{self, ONE, Scope, ZERO, binary, negate, square};
-use crate::names::{Context, Role};
-use crate::table::{Field, Section};
+use crate::error::{Result, Span, SpecError, SpecProblem};
+use crate::expression::{self, ExpressionScope, ONE, ZERO, binary, negate, square};
+use crate::names::{NameContext, ParameterRole};
+use crate::table::{TomlField, TomlTable};
 
 /// The ways in which a state can move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Process {
+pub(crate) enum MotionProcess {
     Constant,
     RandomWalk,
     GaussMarkov,
@@ -20,52 +20,52 @@ pub(crate) enum Process {
 }
 
 /// A motion, and what comes with it.
-pub(crate) struct Moved {
+pub(crate) struct DeclaredMotion {
     pub(crate) motion: Motion,
     /// It starts in its stationary distribution when nothing else is said.
     pub(crate) stationary: bool,
-    pub(crate) hidden: Option<Rate>,
+    pub(crate) hidden: Option<HiddenRate>,
 }
 
 /// The hidden rate of a second-order process: its motion and its stationary variance.
-pub(crate) struct Rate {
+pub(crate) struct HiddenRate {
     pub(crate) motion: Motion,
     pub(crate) variance: Expression,
 }
 
-const PROCESSES: [(&str, Process); 5] = [
-    ("constant", Process::Constant),
-    ("random-walk", Process::RandomWalk),
-    ("gauss-markov", Process::GaussMarkov),
-    ("gauss-markov-2", Process::GaussMarkov2),
-    ("integral", Process::Integral),
+const PROCESSES: [(&str, MotionProcess); 5] = [
+    ("constant", MotionProcess::Constant),
+    ("random-walk", MotionProcess::RandomWalk),
+    ("gauss-markov", MotionProcess::GaussMarkov),
+    ("gauss-markov-2", MotionProcess::GaussMarkov2),
+    ("integral", MotionProcess::Integral),
 ];
 
-impl Process {
+impl MotionProcess {
     /// Which process the keys of a state ask for.
-    pub(crate) fn of(section: &mut Section<'_>) -> Result<Process> {
-        let mut asked: Vec<(Field<'_>, Process)> = Vec::new();
+    pub(crate) fn of(section: &mut TomlTable<'_>) -> Result<MotionProcess> {
+        let mut asked: Vec<(TomlField<'_>, MotionProcess)> = Vec::new();
         if let Some(field) = section.take("process") {
             let words = PROCESSES.map(|(word, _)| word);
             let process = PROCESSES[field.word(&words)?].1;
             asked.push((field, process));
         }
-        for (key, process) in [("derivative", Process::Derivative), ("next", Process::Next)] {
+        for (key, process) in [("derivative", MotionProcess::Derivative), ("next", MotionProcess::Next)] {
             asked.extend(section.peek(key).map(|field| (field, process)));
         }
         match asked.as_slice() {
-            [] => Process::none(section),
+            [] => MotionProcess::none(section),
             [(_, process)] => Ok(*process),
             [(first, _), (second, _), ..] => {
                 let (first, key) = (first.key.to_owned(), second.key.to_owned());
-                let problem = Problem::Both { place: section.place.clone(), first, second: key };
+                let problem = SpecProblem::Both { place: section.place.clone(), first, second: key };
                 Err(SpecError::new(problem).at(second.key_span.clone()))
             }
         }
     }
 
     /// No process and no equation: a constant, unless keys say that something else was meant.
-    fn none(section: &Section<'_>) -> Result<Process> {
+    fn none(section: &TomlTable<'_>) -> Result<MotionProcess> {
         let meant = [
             ("time_constant", "process = \"gauss-markov\""),
             ("sigma", "process = \"gauss-markov\""),
@@ -75,56 +75,60 @@ impl Process {
         ];
         for (key, hint) in meant {
             if let Some(field) = section.peek(key) {
-                return Err(field.no_effect(Process::Constant.words().0).hint(format!("write `{hint}`")));
+                return Err(field.no_effect(MotionProcess::Constant.words().0).hint(format!("write `{hint}`")));
             }
         }
-        Ok(Process::Constant)
+        Ok(MotionProcess::Constant)
     }
 
     /// "on a …", and the keys it takes.
     pub(crate) fn words(self) -> (&'static str, &'static str) {
         match self {
-            Process::Constant => ("on a constant", "a constant takes no keys of motion"),
-            Process::RandomWalk => ("on a random walk", "it takes `noise_density` or `step_noise`"),
-            Process::GaussMarkov => ("on a Gauss-Markov process", "it takes `time_constant` and `sigma`"),
-            Process::GaussMarkov2 => ("on a second-order Gauss-Markov process", "it takes `time_constant` and `sigma`"),
-            Process::Integral => (
+            MotionProcess::Constant => ("on a constant", "a constant takes no keys of motion"),
+            MotionProcess::RandomWalk => ("on a random walk", "it takes `noise_density` or `step_noise`"),
+            MotionProcess::GaussMarkov => ("on a Gauss-Markov process", "it takes `time_constant` and `sigma`"),
+            MotionProcess::GaussMarkov2 => {
+                ("on a second-order Gauss-Markov process", "it takes `time_constant` and `sigma`")
+            }
+            MotionProcess::Integral => (
                 "on an integral",
                 "it takes `of`; an integral with noise is written `derivative = …` with `noise_density`",
             ),
-            Process::Derivative => ("beside `derivative`", "white noise that drives a derivative is `noise_density`"),
-            Process::Next => ("beside `next`", "the noise of a step is `step_noise`"),
+            MotionProcess::Derivative => {
+                ("beside `derivative`", "white noise that drives a derivative is `noise_density`")
+            }
+            MotionProcess::Next => ("beside `next`", "the noise of a step is `step_noise`"),
         }
     }
 }
 
 /// Reads the motion of state `index`.
 pub(crate) fn moved(
-    context: &mut Context<'_>,
-    section: &mut Section<'_>,
-    process: Process,
+    context: &mut NameContext<'_>,
+    section: &mut TomlTable<'_>,
+    process: MotionProcess,
     index: usize,
-) -> Result<Moved> {
-    let plain = |motion| Moved { motion, stationary: false, hidden: None };
+) -> Result<DeclaredMotion> {
+    let plain = |motion| DeclaredMotion { motion, stationary: false, hidden: None };
     match process {
-        Process::Constant => Ok(plain(Motion::Constant)),
-        Process::RandomWalk => random_walk(context, section, index).map(plain),
-        Process::GaussMarkov => gauss_markov(context, section, index),
-        Process::GaussMarkov2 => gauss_markov_2(context, section, index),
-        Process::Integral => {
+        MotionProcess::Constant => Ok(plain(Motion::Constant)),
+        MotionProcess::RandomWalk => random_walk(context, section, index).map(plain),
+        MotionProcess::GaussMarkov => gauss_markov(context, section, index),
+        MotionProcess::GaussMarkov2 => gauss_markov_2(context, section, index),
+        MotionProcess::Integral => {
             let of = section.need("of")?;
             continuous(context, section, &of)?;
             let derivative = equation(context, &of)?;
             Ok(plain(Motion::Continuous { derivative, noise_variance: ZERO }))
         }
-        Process::Derivative => {
+        MotionProcess::Derivative => {
             let field = section.need("derivative")?;
             continuous(context, section, &field)?;
             let derivative = equation(context, &field)?;
             let noise_variance = driving_noise(context, section, "noise_density")?;
             Ok(plain(Motion::Continuous { derivative, noise_variance }))
         }
-        Process::Next => {
+        MotionProcess::Next => {
             let field = section.need("next")?;
             let next = equation(context, &field)?;
             let noise_variance = driving_noise(context, section, "step_noise")?;
@@ -133,11 +137,11 @@ pub(crate) fn moved(
     }
 }
 
-fn random_walk(context: &mut Context<'_>, section: &mut Section<'_>, index: usize) -> Result<Motion> {
+fn random_walk(context: &mut NameContext<'_>, section: &mut TomlTable<'_>, index: usize) -> Result<Motion> {
     let (density, step) = (section.peek("noise_density"), section.peek("step_noise"));
     let problem = |both: bool| {
         let (place, first, second) = (section.place.clone(), "noise_density".to_owned(), "step_noise".to_owned());
-        if both { Problem::Both { place, first, second } } else { Problem::Neither { place, first, second } }
+        if both { SpecProblem::Both { place, first, second } } else { SpecProblem::Neither { place, first, second } }
     };
     match (density, step) {
         (Some(_), Some(step)) => Err(SpecError::new(problem(true)).at(step.key_span)),
@@ -157,22 +161,22 @@ fn random_walk(context: &mut Context<'_>, section: &mut Section<'_>, index: usiz
 }
 
 /// dx = -x/τ + w, w of variance 2σ²/τ per unit of time.
-fn gauss_markov(context: &mut Context<'_>, section: &mut Section<'_>, index: usize) -> Result<Moved> {
+fn gauss_markov(context: &mut NameContext<'_>, section: &mut TomlTable<'_>, index: usize) -> Result<DeclaredMotion> {
     let (tau, sigma, span) = time_constant_and_sigma(context, section)?;
-    let mut algebra = Algebra { context, span };
+    let mut algebra = ExpressionAlgebra { context, span };
     let rate = algebra.divide(ONE, tau.clone())?;
     let variance = algebra.square(sigma)?;
     let twice = algebra.multiply(Expression::Number(2.0), variance)?;
     let noise_variance = algebra.divide(twice, tau)?;
     let derivative = Linear { terms: vec![(index, negate(rate))], constant: ZERO };
-    Ok(Moved { motion: Motion::Continuous { derivative, noise_variance }, stationary: true, hidden: None })
+    Ok(DeclaredMotion { motion: Motion::Continuous { derivative, noise_variance }, stationary: true, hidden: None })
 }
 
 /// dx = v, dv = -β²x - 2βv + w with β = 1/τ and w of variance 4β³σ² per unit of time: critically damped, variance of x
 /// σ², of v β²σ², autocovariance σ² exp(-βδ)(1 + βδ).
-fn gauss_markov_2(context: &mut Context<'_>, section: &mut Section<'_>, index: usize) -> Result<Moved> {
+fn gauss_markov_2(context: &mut NameContext<'_>, section: &mut TomlTable<'_>, index: usize) -> Result<DeclaredMotion> {
     let (tau, sigma, span) = time_constant_and_sigma(context, section)?;
-    let mut algebra = Algebra { context, span };
+    let mut algebra = ExpressionAlgebra { context, span };
     let beta = algebra.divide(ONE, tau.clone())?;
     let stiffness = algebra.square(beta)?;
     let damping = algebra.divide(Expression::Number(2.0), tau.clone())?;
@@ -183,65 +187,65 @@ fn gauss_markov_2(context: &mut Context<'_>, section: &mut Section<'_>, index: u
     let terms = vec![(index, negate(stiffness)), (index + 1, negate(damping))];
     let rate = Motion::Continuous { derivative: Linear { terms, constant: ZERO }, noise_variance };
     let derivative = Linear { terms: vec![(index + 1, ONE)], constant: ZERO };
-    Ok(Moved {
+    Ok(DeclaredMotion {
         motion: Motion::Continuous { derivative, noise_variance: ZERO },
         stationary: true,
-        hidden: Some(Rate { motion: rate, variance: rate_variance }),
+        hidden: Some(HiddenRate { motion: rate, variance: rate_variance }),
     })
 }
 
 fn time_constant_and_sigma(
-    context: &mut Context<'_>,
-    section: &mut Section<'_>,
+    context: &mut NameContext<'_>,
+    section: &mut TomlTable<'_>,
 ) -> Result<(Expression, Expression, Span)> {
     let tau = section.need("time_constant")?;
     continuous(context, section, &tau)?;
     let place = tau.what();
-    let time_constant = deviation(context, &tau, Scope::row(&place), Role::TimeConstant)?;
+    let time_constant = deviation(context, &tau, ExpressionScope::row(&place), ParameterRole::TimeConstant)?;
     let sigma = section.need("sigma")?;
     let place = sigma.what();
-    let sigma = deviation(context, &sigma, Scope::row(&place), Role::StandardDeviation)?;
+    let sigma = deviation(context, &sigma, ExpressionScope::row(&place), ParameterRole::StandardDeviation)?;
     Ok((time_constant, sigma, tau.span))
 }
 
 /// Refuses motion in continuous time without time.
-fn continuous(context: &Context<'_>, section: &Section<'_>, field: &Field<'_>) -> Result<()> {
+fn continuous(context: &NameContext<'_>, section: &TomlTable<'_>, field: &TomlField<'_>) -> Result<()> {
     if context.time {
         return Ok(());
     }
     let span = section.peek("process").map_or(field.key_span.clone(), |process| process.span);
-    Err(SpecError::new(Problem::NoTime { what: section.place.clone() })
+    Err(SpecError::new(SpecProblem::NoTime { what: section.place.clone() })
         .at(span)
         .hint("`time` names the column with the time of each row; `next` and `step_noise` need no time"))
 }
 
-fn equation(context: &mut Context<'_>, field: &Field<'_>) -> Result<Linear> {
+fn equation(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<Linear> {
     let place = field.what();
-    expression::linear(context, field, Scope::equation(&place))
+    expression::linear(context, field, ExpressionScope::equation(&place))
 }
 
 /// The variance of the noise whose standard deviation stands under `key`; zero when nothing does.
-fn driving_noise(context: &mut Context<'_>, section: &mut Section<'_>, key: &str) -> Result<Expression> {
+fn driving_noise(context: &mut NameContext<'_>, section: &mut TomlTable<'_>, key: &str) -> Result<Expression> {
     let Some(field) = section.take(key) else { return Ok(ZERO) };
     let place = field.what();
-    let deviation = deviation(context, &field, Scope::row(&place), Role::StandardDeviation)?;
+    let deviation = deviation(context, &field, ExpressionScope::row(&place), ParameterRole::StandardDeviation)?;
     squared(context, deviation, &field.span)
 }
 
 /// A number that cannot be negative: a standard deviation, a variance or a time constant. A parameter that is the whole of it has
 /// that role whatever else it does; those that are parts of it get their role when the model is whole.
 pub(crate) fn deviation(
-    context: &mut Context<'_>,
-    field: &Field<'_>,
-    scope: Scope<'_>,
-    role: Role,
+    context: &mut NameContext<'_>,
+    field: &TomlField<'_>,
+    scope: ExpressionScope<'_>,
+    role: ParameterRole,
 ) -> Result<Expression> {
     let value = expression::scalar(context, field, scope)?;
     match value {
         Expression::Parameter(index) => context.use_parameter(index, role),
         Expression::Number(found) => {
             if let Some(expected) = role.expected(found) {
-                let problem = Problem::OutOfRange { what: field.what(), found, expected: expected.to_owned() };
+                let problem = SpecProblem::OutOfRange { what: field.what(), found, expected: expected.to_owned() };
                 return Err(SpecError::new(problem).at(field.span.clone()));
             }
         }
@@ -251,17 +255,17 @@ pub(crate) fn deviation(
 }
 
 /// The variance of a standard deviation.
-pub(crate) fn squared(context: &mut Context<'_>, deviation: Expression, span: &Span) -> Result<Expression> {
-    Algebra { context, span: span.clone() }.square(deviation)
+pub(crate) fn squared(context: &mut NameContext<'_>, deviation: Expression, span: &Span) -> Result<Expression> {
+    ExpressionAlgebra { context, span: span.clone() }.square(deviation)
 }
 
 /// Arithmetic on expressions whose faults are put at one place.
-struct Algebra<'c, 't> {
-    context: &'c mut Context<'t>,
+struct ExpressionAlgebra<'c, 't> {
+    context: &'c mut NameContext<'t>,
     span: Span,
 }
 
-impl Algebra<'_, '_> {
+impl ExpressionAlgebra<'_, '_> {
     fn square(&mut self, a: Expression) -> Result<Expression> {
         self.spend(&a)?;
         square(a).map_err(|problem| SpecError::new(problem).at(self.span.clone()))

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use kalfit::model::Column;
 
-use crate::error::{ExpressionProblem, Problem, Result, Span, SpecError};
+use crate::error::{ExpressionProblem, Result, Span, SpecError, SpecProblem};
 use crate::token::is_name;
 use crate::vocabulary::is_reserved;
 
@@ -15,13 +15,13 @@ const MAX_PARTS: usize = 1_000_000;
 
 /// Names with their indices.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Index {
+pub(crate) struct NameIndex {
     names: Vec<String>,
     by_name: HashMap<String, usize>,
     spans: Vec<Span>,
 }
 
-impl Index {
+impl NameIndex {
     /// Adds a name; a name added before keeps its index.
     pub(crate) fn add(&mut self, name: &str, span: Span) -> usize {
         if let Some(&index) = self.by_name.get(name) {
@@ -57,14 +57,14 @@ impl Index {
 
 /// A phase as messages name it, and which tables it has of its own.
 #[derive(Debug, Default)]
-pub(crate) struct Within {
+pub(crate) struct PhaseInWords {
     /// Its name; `None` in a file without phases.
     pub(crate) name: Option<String>,
     /// Tables that stand in `[phases.NAME]`; the others are those of the top level.
     pub(crate) own: Vec<&'static str>,
 }
 
-impl Within {
+impl PhaseInWords {
     /// The name of the phase, where it has the table itself.
     fn owner(&self, table: &str) -> Option<&str> {
         self.name.as_deref().filter(|_| self.own.contains(&table))
@@ -100,7 +100,7 @@ pub(crate) fn table_key(table: &str, name: &str) -> String {
 
 /// What a parameter does, as far as its sign is concerned; the strictest use counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Role {
+pub(crate) enum ParameterRole {
     /// Any number.
     Coefficient,
     /// A noise variance: not negative.
@@ -111,33 +111,33 @@ pub(crate) enum Role {
     TimeConstant,
 }
 
-impl From<kalfit::model::Role> for Role {
-    fn from(role: kalfit::model::Role) -> Role {
+impl From<kalfit::model::Role> for ParameterRole {
+    fn from(role: kalfit::model::Role) -> ParameterRole {
         use kalfit::model::Role as Served;
         match role {
-            Served::Scale { power: 2 } => Role::StandardDeviation,
-            Served::Scale { .. } => Role::Variance,
-            Served::TimeConstant => Role::TimeConstant,
-            Served::Other => Role::Coefficient,
+            Served::Scale { power: 2 } => ParameterRole::StandardDeviation,
+            Served::Scale { .. } => ParameterRole::Variance,
+            Served::TimeConstant => ParameterRole::TimeConstant,
+            Served::Other => ParameterRole::Coefficient,
         }
     }
 }
 
-impl Role {
+impl ParameterRole {
     pub(crate) fn words(self) -> &'static str {
         match self {
-            Role::Coefficient => "parameter",
-            Role::Variance => "noise variance",
-            Role::StandardDeviation => "standard deviation",
-            Role::TimeConstant => "time constant",
+            ParameterRole::Coefficient => "parameter",
+            ParameterRole::Variance => "noise variance",
+            ParameterRole::StandardDeviation => "standard deviation",
+            ParameterRole::TimeConstant => "time constant",
         }
     }
 
     /// What values may be, when not all.
     pub(crate) fn expected(self, value: f64) -> Option<&'static str> {
         match self {
-            Role::TimeConstant if value <= 0.0 => Some("more than 0"),
-            Role::Variance | Role::StandardDeviation if value < 0.0 => Some("0 or more"),
+            ParameterRole::TimeConstant if value <= 0.0 => Some("more than 0"),
+            ParameterRole::Variance | ParameterRole::StandardDeviation if value < 0.0 => Some("0 or more"),
             _ => None,
         }
     }
@@ -145,7 +145,7 @@ impl Role {
 
 /// What is read of a model file beside its motion and its population.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Reads {
+pub(crate) struct OptionalTables {
     /// Measurements, their filters, and the groups of reports.
     pub(crate) measurements: bool,
     /// Levels of groups.
@@ -154,20 +154,20 @@ pub(crate) struct Reads {
 
 /// The names of a model and what its expressions used of them.
 #[derive(Debug)]
-pub(crate) struct Context<'t> {
+pub(crate) struct NameContext<'t> {
     /// The model file.
     pub(crate) source: &'t str,
     /// What is read of it.
-    pub(crate) reads: Reads,
+    pub(crate) reads: OptionalTables,
     /// The phase that is being read.
-    pub(crate) phase: Within,
+    pub(crate) phase: PhaseInWords,
     /// States of the phase that is being read.
-    pub(crate) states: Index,
-    pub(crate) parameters: Index,
+    pub(crate) states: NameIndex,
+    pub(crate) parameters: NameIndex,
     /// Column that each parameter has a value per level of.
     pub(crate) levels: Vec<Option<usize>>,
     /// How each parameter is used; `None` when it is not.
-    pub(crate) roles: Vec<Option<Role>>,
+    pub(crate) roles: Vec<Option<ParameterRole>>,
     /// The data have time.
     pub(crate) time: bool,
     /// Tests stand in groups.
@@ -201,14 +201,14 @@ impl Literals {
     }
 }
 
-impl<'t> Context<'t> {
-    pub(crate) fn new(source: &'t str) -> Context<'t> {
-        Context {
+impl<'t> NameContext<'t> {
+    pub(crate) fn new(source: &'t str) -> NameContext<'t> {
+        NameContext {
             source,
-            reads: Reads { measurements: true, levels: true },
-            phase: Within::default(),
-            states: Index::default(),
-            parameters: Index::default(),
+            reads: OptionalTables { measurements: true, levels: true },
+            phase: PhaseInWords::default(),
+            states: NameIndex::default(),
+            parameters: NameIndex::default(),
             levels: Vec::new(),
             roles: Vec::new(),
             time: false,
@@ -241,7 +241,7 @@ impl<'t> Context<'t> {
     }
 
     /// Notes what a parameter is used as.
-    pub(crate) fn use_parameter(&mut self, index: usize, role: Role) {
+    pub(crate) fn use_parameter(&mut self, index: usize, role: ParameterRole) {
         let known = &mut self.roles[index];
         *known = (*known).max(Some(role));
     }
@@ -273,7 +273,7 @@ pub(crate) fn check_name(what: &'static str, name: &str, span: &Span) -> Result<
     } else {
         return Ok(());
     };
-    Err(SpecError::new(Problem::BadName { what, name: shortened(name), why }).at(span.clone()))
+    Err(SpecError::new(SpecProblem::BadName { what, name: shortened(name), why }).at(span.clone()))
 }
 
 /// Refuses names of measurements that element names could not hold.
@@ -287,7 +287,7 @@ pub(crate) fn check_label(what: &'static str, name: &str, span: &Span) -> Result
     } else {
         return Ok(());
     };
-    Err(SpecError::new(Problem::BadName { what, name: shortened(name), why }).at(span.clone()))
+    Err(SpecError::new(SpecProblem::BadName { what, name: shortened(name), why }).at(span.clone()))
 }
 
 /// The start of a long name.

@@ -5,28 +5,28 @@ use std::collections::BTreeMap;
 use kalfit::model::{Expression, Measurement, State};
 
 use crate::elements::{pair, to_problem};
-use crate::error::{Problem, Result, Span, SpecError, StructureProblem};
-use crate::expression::{self, Scope, is_zero};
-use crate::names::{Context, Index};
+use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
+use crate::expression::{self, ExpressionScope, is_zero};
+use crate::names::{NameContext, NameIndex};
 use crate::semidefinite::defect;
 use crate::states::{noise, rate_of};
 use crate::suggest::suggest;
-use crate::table::Field;
+use crate::table::TomlField;
 
 /// (row, column, covariance), row > column, in file order.
-pub(crate) type Covariances = Vec<(usize, usize, Expression)>;
+pub(crate) type CovarianceEntries = Vec<(usize, usize, Expression)>;
 
-type Spans = BTreeMap<(usize, usize), Span>;
+type CovarianceSpans = BTreeMap<(usize, usize), Span>;
 
 /// Reads `[process_noise_covariance]`.
 pub(crate) fn between_states(
-    context: &mut Context<'_>,
-    field: Option<Field<'_>>,
+    context: &mut NameContext<'_>,
+    field: Option<TomlField<'_>>,
     states: &[State],
-) -> Result<Covariances> {
+) -> Result<CovarianceEntries> {
     let Some(field) = field else { return Ok(Vec::new()) };
     let place = &context.phase.table("process_noise_covariance");
-    let find = |context: &Context<'_>, name: &str| {
+    let find = |context: &NameContext<'_>, name: &str| {
         context.states.get(name).ok_or_else(|| unknown("state", name, place, suggest(name, context.states.names())))
     };
     let (covariances, spans) = read(context, &field, place, "state", &find)?;
@@ -57,14 +57,14 @@ pub(crate) fn between_states(
 
 /// Reads `[noise_covariance]`.
 pub(crate) fn between_measurements(
-    context: &mut Context<'_>,
-    field: Option<Field<'_>>,
+    context: &mut NameContext<'_>,
+    field: Option<TomlField<'_>>,
     measurements: &[Measurement],
-    names: &Index,
-) -> Result<Covariances> {
+    names: &NameIndex,
+) -> Result<CovarianceEntries> {
     let Some(field) = field else { return Ok(Vec::new()) };
     let place = &context.phase.table("noise_covariance");
-    let find = |_: &Context<'_>, name: &str| {
+    let find = |_: &NameContext<'_>, name: &str| {
         names.get(name).ok_or_else(|| unknown("measurement", name, place, suggest(name, names.names())))
     };
     let (covariances, spans) = read(context, &field, place, "measurement", &find)?;
@@ -73,19 +73,19 @@ pub(crate) fn between_measurements(
     Ok(covariances)
 }
 
-type Find<'f> = dyn Fn(&Context<'_>, &str) -> Result<usize> + 'f;
+type NameLookup<'f> = dyn Fn(&NameContext<'_>, &str) -> Result<usize> + 'f;
 
 fn read(
-    context: &mut Context<'_>,
-    field: &Field<'_>,
+    context: &mut NameContext<'_>,
+    field: &TomlField<'_>,
     place: &str,
     what: &'static str,
-    find: &Find<'_>,
-) -> Result<(Covariances, Spans)> {
+    find: &NameLookup<'_>,
+) -> Result<(CovarianceEntries, CovarianceSpans)> {
     let section = field.section(place)?;
     let mut seen: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-    let mut spans = Spans::new();
-    let mut all = Covariances::new();
+    let mut spans = CovarianceSpans::new();
+    let mut all = CovarianceEntries::new();
     for field in section.fields() {
         let (first, second) = pair(&field, place)?;
         let (i, j) = (
@@ -98,7 +98,7 @@ fn read(
             return Err(SpecError::new(problem).at(field.key_span).hint(hint));
         }
         let words = field.what();
-        let value = expression::scalar(context, &field, Scope::row(&words))?;
+        let value = expression::scalar(context, &field, ExpressionScope::row(&words))?;
         let key = (i.max(j), i.min(j));
         match seen.get(&key) {
             None => {
@@ -127,8 +127,8 @@ fn shown(value: &Expression) -> String {
 
 /// Refuses covariances that no noise can have, as far as numbers are known; `of` tells the name and variance of one.
 fn check(
-    covariances: &Covariances,
-    spans: &Spans,
+    covariances: &CovarianceEntries,
+    spans: &CovarianceSpans,
     place: &str,
     of: &dyn Fn(usize) -> (String, Option<f64>),
     whole: &Span,
@@ -170,6 +170,6 @@ fn no_noise(states: &[State], state: usize, other: usize, place: &str) -> SpecEr
 }
 
 fn unknown(what: &'static str, name: &str, place: &str, hint: Option<String>) -> SpecError {
-    let problem = Problem::UnknownName { what, name: name.to_owned(), place: place.to_owned() };
+    let problem = SpecProblem::UnknownName { what, name: name.to_owned(), place: place.to_owned() };
     SpecError::new(problem).maybe_hint(hint)
 }

@@ -2,29 +2,33 @@
 
 use kalfit::predict::Output;
 
-use crate::error::{Problem, Result, SpecError};
-use crate::expression::{self, Scope};
-use crate::names::{Context, Index, check_label};
-use crate::phases::{self, Source};
-use crate::table::{Field, Section};
+use crate::error::{Result, SpecError, SpecProblem};
+use crate::expression::{self, ExpressionScope};
+use crate::names::{NameContext, NameIndex, check_label};
+use crate::phases::{self, PhaseSource};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 3] = ["equation", "unit", "phase"];
 /// Outputs of one file.
 const MAX_OUTPUTS: usize = 500;
 
 /// The outputs of a file, in a table by name.
-pub(crate) fn listed<'d>(field: &Field<'d>) -> Result<Section<'d>> {
+pub(crate) fn listed<'d>(field: &TomlField<'d>) -> Result<TomlTable<'d>> {
     let section = field.section("`[outputs]`")?;
     let found = section.len();
     if found == 0 || found > MAX_OUTPUTS {
-        let problem = Problem::Count { what: "outputs", found, expected: format!("1 to {MAX_OUTPUTS}") };
+        let problem = SpecProblem::Count { what: "outputs", found, expected: format!("1 to {MAX_OUTPUTS}") };
         return Err(SpecError::new(problem).at(field.key_span.clone()));
     }
     Ok(section)
 }
 
 /// The outputs of a phase: those that name it, and those that name none.
-pub(crate) fn outputs(context: &mut Context<'_>, section: &Section<'_>, source: &Source<'_>) -> Result<Vec<Output>> {
+pub(crate) fn outputs(
+    context: &mut NameContext<'_>,
+    section: &TomlTable<'_>,
+    source: &PhaseSource<'_>,
+) -> Result<Vec<Output>> {
     let mut all = Vec::new();
     for field in section.fields() {
         check_label("output", field.key, &field.key_span)?;
@@ -35,7 +39,7 @@ pub(crate) fn outputs(context: &mut Context<'_>, section: &Section<'_>, source: 
     Ok(all)
 }
 
-fn one(context: &mut Context<'_>, field: &Field<'_>, source: &Source<'_>) -> Result<Option<Output>> {
+fn one(context: &mut NameContext<'_>, field: &TomlField<'_>, source: &PhaseSource<'_>) -> Result<Option<Output>> {
     let mut section = field.section(format!("output `{}`", field.key))?.only(&KEYS)?;
     let equation = section.need("equation")?;
     let unit = section.take("unit").map(|unit| unit.text().map(str::to_owned)).transpose()?;
@@ -45,16 +49,16 @@ fn one(context: &mut Context<'_>, field: &Field<'_>, source: &Source<'_>) -> Res
         return Ok(None);
     }
     let place = equation.what();
-    let equation = expression::linear(context, &equation, Scope::equation(&place))?;
+    let equation = expression::linear(context, &equation, ExpressionScope::equation(&place))?;
     section.finish("here", None)?;
     Ok(Some(Output { name: field.key.to_owned(), unit, equation }))
 }
 
 /// Refuses outputs of phases that there are not, and names that are states' at the same time.
-pub(crate) fn check(section: &Section<'_>, sources: &[Source<'_>], states: &[&Index]) -> Result<()> {
+pub(crate) fn check(section: &TomlTable<'_>, sources: &[PhaseSource<'_>], states: &[&NameIndex]) -> Result<()> {
     for field in section.fields() {
         if states.iter().any(|states| states.get(field.key).is_some()) {
-            let problem = Problem::BadName { what: "output", name: field.key.to_owned(), why: "a state has it" };
+            let problem = SpecProblem::BadName { what: "output", name: field.key.to_owned(), why: "a state has it" };
             return Err(SpecError::new(problem).at(field.key_span.clone()).hint("states are told anyway"));
         }
         let own = field.section(format!("output `{}`", field.key))?;

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use kalfit::model::{Parameter, Value};
 
-use crate::error::{Problem, Result, Span, SpecError};
+use crate::error::{Result, Span, SpecError, SpecProblem};
 use crate::figure::figure;
-use crate::names::{Context, Role, check_name};
+use crate::names::{NameContext, ParameterRole, check_name};
 use crate::suggest::nearest;
-use crate::table::{Field, Section};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 7] = ["value", "start", "unit", "lower", "upper", "per", "fixed"];
 
@@ -17,13 +17,13 @@ const MAX_PARAMETERS: usize = 1_000;
 
 /// A parameter with the places of its numbers, for checks that need all of the model.
 #[derive(Debug)]
-pub(crate) struct Declared {
+pub(crate) struct DeclaredParameter {
     pub(crate) parameter: Parameter,
-    spans: Spans,
+    spans: ParameterSpans,
 }
 
 #[derive(Debug, Default)]
-struct Spans {
+struct ParameterSpans {
     value: Span,
     start: Span,
     lower: Span,
@@ -32,12 +32,12 @@ struct Spans {
 }
 
 /// Reads all parameters, in file order, and makes their names known.
-pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Result<Vec<Declared>> {
+pub(crate) fn read(context: &mut NameContext<'_>, field: Option<TomlField<'_>>) -> Result<Vec<DeclaredParameter>> {
     let Some(field) = field else { return Ok(Vec::new()) };
     let section = field.section("`[parameters]`")?;
     let found = section.len();
     if found > MAX_PARAMETERS {
-        let problem = Problem::Count { what: "parameters", found, expected: format!("at most {MAX_PARAMETERS}") };
+        let problem = SpecProblem::Count { what: "parameters", found, expected: format!("at most {MAX_PARAMETERS}") };
         return Err(SpecError::new(problem).at(field.key_span));
     }
     let mut all = Vec::with_capacity(found);
@@ -52,7 +52,7 @@ pub(crate) fn read(context: &mut Context<'_>, field: Option<Field<'_>>) -> Resul
     Ok(all)
 }
 
-fn one(context: &mut Context<'_>, field: &Field<'_>) -> Result<Declared> {
+fn one(context: &mut NameContext<'_>, field: &TomlField<'_>) -> Result<DeclaredParameter> {
     let mut parameter = Parameter {
         name: field.key.to_owned(),
         unit: None,
@@ -63,11 +63,11 @@ fn one(context: &mut Context<'_>, field: &Field<'_>) -> Result<Declared> {
         upper: None,
         positive: false,
     };
-    let mut spans = Spans::default();
+    let mut spans = ParameterSpans::default();
     if !field.is_table() {
         parameter.value = Value::Fixed(field.number_or("a number or a table such as `{ start = 1 }`")?);
         spans.value = field.span.clone();
-        return Ok(Declared { parameter, spans });
+        return Ok(DeclaredParameter { parameter, spans });
     }
     let mut section = field.section(format!("parameter `{}`", field.key))?.only(&KEYS)?;
     parameter.unit = section.take("unit").map(|unit| unit.text().map(str::to_owned)).transpose()?;
@@ -80,27 +80,27 @@ fn one(context: &mut Context<'_>, field: &Field<'_>) -> Result<Declared> {
         (None, start) => Value::Free { start },
         (Some(_), Some(_)) => {
             let (first, second) = ("value".to_owned(), "start".to_owned());
-            let problem = Problem::Both { place: section.place.clone(), first, second };
+            let problem = SpecProblem::Both { place: section.place.clone(), first, second };
             let hint = "`value` fixes a parameter, `start` leaves it free";
             return Err(SpecError::new(problem).at(spans.start).hint(hint));
         }
     };
     read_levels(context, &mut section, &mut parameter, &mut spans)?;
     section.finish("here", None)?;
-    Ok(Declared { parameter, spans })
+    Ok(DeclaredParameter { parameter, spans })
 }
 
-fn bound(section: &mut Section<'_>, key: &str, span: &mut Span) -> Result<Option<f64>> {
+fn bound(section: &mut TomlTable<'_>, key: &str, span: &mut Span) -> Result<Option<f64>> {
     let Some(field) = section.take(key) else { return Ok(None) };
     *span = field.span.clone();
     field.number().map(Some)
 }
 
 fn read_levels(
-    context: &mut Context<'_>,
-    section: &mut Section<'_>,
+    context: &mut NameContext<'_>,
+    section: &mut TomlTable<'_>,
     parameter: &mut Parameter,
-    spans: &mut Spans,
+    spans: &mut ParameterSpans,
 ) -> Result<()> {
     let fixed = section.take("fixed");
     let Some(per) = section.take("per") else {
@@ -128,29 +128,33 @@ fn read_levels(
 
 /// Checks values and bounds now that all uses are known, and marks what is positive; `serve`: what each does in the whole model.
 pub(crate) fn finish(
-    context: &mut Context<'_>,
-    declared: Vec<Declared>,
+    context: &mut NameContext<'_>,
+    declared: Vec<DeclaredParameter>,
     serve: &[kalfit::model::Role],
 ) -> Result<Vec<Parameter>> {
     for (used, served) in context.roles.iter_mut().zip(serve) {
         if let Some(used) = used {
-            *used = (*used).max(Role::from(*served));
+            *used = (*used).max(ParameterRole::from(*served));
         }
     }
     declared.into_iter().enumerate().map(|(index, one)| checked(context, index, one)).collect()
 }
 
-fn checked(context: &Context<'_>, index: usize, Declared { mut parameter, spans }: Declared) -> Result<Parameter> {
+fn checked(
+    context: &NameContext<'_>,
+    index: usize,
+    DeclaredParameter { mut parameter, spans }: DeclaredParameter,
+) -> Result<Parameter> {
     let role = match context.roles[index] {
         Some(role) => role,
-        None if !context.reads.measurements => Role::Coefficient, // of what is not read
+        None if !context.reads.measurements => ParameterRole::Coefficient, // of what is not read
         None => return Err(unused(context, index, parameter.name)),
     };
     let at = |span: &Span| {
         let span = span.clone();
-        move |problem: Problem| SpecError::new(problem).at(span)
+        move |problem: SpecProblem| SpecError::new(problem).at(span)
     };
-    parameter.positive = role != Role::Coefficient;
+    parameter.positive = role != ParameterRole::Coefficient;
     check_bounds(&parameter, role, &spans)?;
     match parameter.value {
         Value::Fixed(value) => check_value(&parameter, role, value).map_err(at(&spans.value))?,
@@ -158,7 +162,7 @@ fn checked(context: &Context<'_>, index: usize, Declared { mut parameter, spans 
             check_value(&parameter, role, start).map_err(at(&spans.start))?;
             if parameter.positive && start <= 0.0 {
                 let what = format!("start of {} `{}`", role.words(), parameter.name);
-                let problem = Problem::OutOfRange { what, found: start, expected: "more than 0".to_owned() };
+                let problem = SpecProblem::OutOfRange { what, found: start, expected: "more than 0".to_owned() };
                 return Err(at(&spans.start)(problem).hint("to fix it at 0, write `value = 0`"));
             }
         }
@@ -171,19 +175,19 @@ fn checked(context: &Context<'_>, index: usize, Declared { mut parameter, spans 
 }
 
 /// A name that is misspelt where it is used has become a column.
-fn unused(context: &Context<'_>, index: usize, name: String) -> SpecError {
+fn unused(context: &NameContext<'_>, index: usize, name: String) -> SpecError {
     let columns = context.columns.iter().map(|column| column.name.as_str());
     let hint = nearest(&name, columns)
         .and_then(|near| context.columns.iter().find(|column| column.name == near))
         .map(|column| format!("{} names `{}`, which is then a column of the data", column.used_in, column.name));
-    SpecError::new(Problem::Unused { name }).at(context.parameters.span(index)).maybe_hint(hint)
+    SpecError::new(SpecProblem::Unused { name }).at(context.parameters.span(index)).maybe_hint(hint)
 }
 
-fn check_bounds(parameter: &Parameter, role: Role, spans: &Spans) -> Result<()> {
+fn check_bounds(parameter: &Parameter, role: ParameterRole, spans: &ParameterSpans) -> Result<()> {
     let name = &parameter.name;
     let wrong = |key: &str, found: f64, expected: String, span: &Span| {
         let what = format!("`{key}` of {} `{name}`", role.words());
-        Err(SpecError::new(Problem::OutOfRange { what, found, expected }).at(span.clone()))
+        Err(SpecError::new(SpecProblem::OutOfRange { what, found, expected }).at(span.clone()))
     };
     if let Some(lower) = parameter.lower
         && parameter.positive
@@ -205,7 +209,11 @@ fn check_bounds(parameter: &Parameter, role: Role, spans: &Spans) -> Result<()> 
 }
 
 /// Whether a parameter can have a value.
-pub(crate) fn check_value(parameter: &Parameter, role: Role, value: f64) -> std::result::Result<(), Problem> {
+pub(crate) fn check_value(
+    parameter: &Parameter,
+    role: ParameterRole,
+    value: f64,
+) -> std::result::Result<(), SpecProblem> {
     let expected = if let Some(expected) = role.expected(value) {
         expected.to_owned()
     } else if let Some(lower) = parameter.lower.filter(|lower| value < *lower) {
@@ -215,5 +223,5 @@ pub(crate) fn check_value(parameter: &Parameter, role: Role, value: f64) -> std:
     } else {
         return Ok(());
     };
-    Err(Problem::OutOfRange { what: format!("{} `{}`", role.words(), parameter.name), found: value, expected })
+    Err(SpecProblem::OutOfRange { what: format!("{} `{}`", role.words(), parameter.name), found: value, expected })
 }

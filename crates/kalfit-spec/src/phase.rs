@@ -4,66 +4,66 @@ use kalfit::Model;
 use kalfit::model::{Clock, CovarianceStructure, MeanStructure, Measurement, Parameter, Phase, State};
 use kalfit::predict::Output;
 
-use crate::carry::{Before, Inherited};
-use crate::data::{Data, Start};
-use crate::elements::Elements;
+use crate::carry::{InheritedStates, PhaseBefore};
+use crate::data::{DataSpec, FirstStep};
+use crate::elements::NamedElements;
 use crate::error::{Result, SpecError};
-use crate::names::{Context, Index, Reads};
-use crate::noise::Covariances;
-use crate::phases::Source;
+use crate::names::{NameContext, NameIndex, OptionalTables};
+use crate::noise::CovarianceEntries;
+use crate::phases::PhaseSource;
 use crate::places::PhasePlaces;
-use crate::table::{Field, Section};
+use crate::table::{TomlField, TomlTable};
 use crate::{carry, covariance, filter, mean, measurements, noise, outputs, states};
 
 /// What a model is read for.
 #[derive(Clone, Copy)]
-pub(crate) enum Purpose<'a, 'd> {
+pub(crate) enum ReadPurpose<'a, 'd> {
     /// Tests that were made.
     Tests,
     /// Designs of tests: measurements, filters and groups of reports are passed over.
     Designs {
         /// The outputs, in a table by name.
-        outputs: Option<&'a Section<'d>>,
+        outputs: Option<&'a TomlTable<'d>>,
         /// Levels of groups are read too.
         levels: bool,
     },
 }
 
-impl Purpose<'_, '_> {
-    pub(crate) fn reads(self) -> Reads {
+impl ReadPurpose<'_, '_> {
+    pub(crate) fn reads(self) -> OptionalTables {
         match self {
-            Purpose::Tests => Reads { measurements: true, levels: true },
-            Purpose::Designs { levels, .. } => Reads { measurements: false, levels },
+            ReadPurpose::Tests => OptionalTables { measurements: true, levels: true },
+            ReadPurpose::Designs { levels, .. } => OptionalTables { measurements: false, levels },
         }
     }
 }
 
 /// One phase as it was read.
-pub(crate) struct Read<'s> {
-    pub(crate) source: &'s Source<'s>,
+pub(crate) struct ReadPhase<'s> {
+    pub(crate) source: &'s PhaseSource<'s>,
     label: Option<usize>,
     /// Names and places of the states.
-    pub(crate) named: Index,
+    pub(crate) named: NameIndex,
     pub(crate) states: Vec<State>,
-    process_noise_covariance: Covariances,
+    process_noise_covariance: CovarianceEntries,
     pub(crate) measurements: Vec<Measurement>,
     /// Names and places of the measurements.
-    pub(crate) measured: Index,
-    noise_covariance: Covariances,
+    pub(crate) measured: NameIndex,
+    noise_covariance: CovarianceEntries,
     clock: Clock,
-    pub(crate) start: Start,
-    pub(crate) inherited: Inherited,
+    pub(crate) start: FirstStep,
+    pub(crate) inherited: InheritedStates,
     /// The estimated states in the order of μ and Σ.
     pub(crate) estimated: Vec<usize>,
     mean: MeanStructure,
     covariance: CovarianceStructure,
-    pub(crate) filter: Option<filter::Declared>,
+    pub(crate) filter: Option<filter::DeclaredFilter>,
     /// What stands for the measurements in designs.
     pub(crate) outputs: Vec<Output>,
 }
 
 /// What all phases have in common, beside what their expressions named.
-pub(crate) struct Shared {
+pub(crate) struct SharedTables {
     pub(crate) title: String,
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) group: Option<usize>,
@@ -71,14 +71,14 @@ pub(crate) struct Shared {
 
 /// Reads the tables of one phase.
 pub(crate) fn phase<'s>(
-    context: &mut Context<'_>,
-    data: &mut Data,
-    source: &'s Source<'s>,
-    before: Option<&mut Read<'_>>,
-    purpose: Purpose<'_, '_>,
-) -> Result<Read<'s>> {
+    context: &mut NameContext<'_>,
+    data: &mut DataSpec,
+    source: &'s PhaseSource<'s>,
+    before: Option<&mut ReadPhase<'_>>,
+    purpose: ReadPurpose<'_, '_>,
+) -> Result<ReadPhase<'s>> {
     context.phase = source.within();
-    context.states = Index::default();
+    context.states = NameIndex::default();
     let label = data.phase.map(|_| context.literals.add(source.name));
     let (clock, start) = data.clock(context, source)?;
     let mut states = source.read("states", |field| {
@@ -88,16 +88,16 @@ pub(crate) fn phase<'s>(
     let inherited = inherited(context, source, &mut states, before)?;
     let process_noise_covariance =
         source.read("process_noise_covariance", |field| noise::between_states(context, field, &states))?;
-    let Observed { measurements, measured, noise_covariance, filter, outputs } = match purpose {
-        Purpose::Tests => observed(context, source, &states)?,
-        Purpose::Designs { outputs, .. } => {
+    let ObservedStates { measurements, measured, noise_covariance, filter, outputs } = match purpose {
+        ReadPurpose::Tests => observed(context, source, &states)?,
+        ReadPurpose::Designs { outputs, .. } => {
             let outputs = outputs.map(|outputs| outputs::outputs(context, outputs, source)).transpose()?;
-            Observed { outputs: outputs.unwrap_or_default(), ..Observed::default() }
+            ObservedStates { outputs: outputs.unwrap_or_default(), ..ObservedStates::default() }
         }
     };
     let (estimated, mean, covariance) = population(context, source, &states)?;
     let named = std::mem::take(&mut context.states);
-    Ok(Read {
+    Ok(ReadPhase {
         source,
         label,
         named,
@@ -119,55 +119,59 @@ pub(crate) fn phase<'s>(
 
 /// What is observed of the states of a phase.
 #[derive(Default)]
-struct Observed {
+struct ObservedStates {
     measurements: Vec<Measurement>,
-    measured: Index,
-    noise_covariance: Covariances,
-    filter: Option<filter::Declared>,
+    measured: NameIndex,
+    noise_covariance: CovarianceEntries,
+    filter: Option<filter::DeclaredFilter>,
     outputs: Vec<Output>,
 }
 
-fn observed(context: &mut Context<'_>, source: &Source<'_>, states: &[State]) -> Result<Observed> {
+fn observed(context: &mut NameContext<'_>, source: &PhaseSource<'_>, states: &[State]) -> Result<ObservedStates> {
     let (measurements, measured) = source.read("measurements", |field| measurements::read(context, field.as_ref()))?;
     let noise_covariance = source
         .read("noise_covariance", |field| noise::between_measurements(context, field, &measurements, &measured))?;
     let filter = source.read("filter", |field| field.map(|field| filter::read(context, &field, states)).transpose())?;
-    Ok(Observed { measurements, measured, noise_covariance, filter, outputs: Vec::new() })
+    Ok(ObservedStates { measurements, measured, noise_covariance, filter, outputs: Vec::new() })
 }
 
 fn inherited(
-    context: &mut Context<'_>,
-    source: &Source<'_>,
+    context: &mut NameContext<'_>,
+    source: &PhaseSource<'_>,
     states: &mut [State],
-    before: Option<&mut Read<'_>>,
-) -> Result<Inherited> {
-    let (Some(field), Some(before)) = (source.own("carry"), before) else { return Ok(Inherited::default()) };
-    let before = Before { name: before.source.name, index: &mut before.named, states: &before.states };
+    before: Option<&mut ReadPhase<'_>>,
+) -> Result<InheritedStates> {
+    let (Some(field), Some(before)) = (source.own("carry"), before) else { return Ok(InheritedStates::default()) };
+    let before = PhaseBefore { name: before.source.name, index: &mut before.named, states: &before.states };
     carry::read(context, &field, states, before)
 }
 
-type Population = (Vec<usize>, MeanStructure, CovarianceStructure);
+type PopulationStructure = (Vec<usize>, MeanStructure, CovarianceStructure);
 
 /// The order of the estimated states, and the structures of their mean and covariance.
-fn population(context: &mut Context<'_>, source: &Source<'_>, states: &[State]) -> Result<Population> {
+fn population(
+    context: &mut NameContext<'_>,
+    source: &PhaseSource<'_>,
+    states: &[State],
+) -> Result<PopulationStructure> {
     let field = source.table("covariance");
     let (section, estimated) = source.read("covariance", |_| covariance::open(context, field.as_ref(), states))?;
-    let elements = Elements::new(states, &estimated);
+    let elements = NamedElements::new(states, &estimated);
     let mean = source.read("mean", |field| mean::read(context, field.as_ref(), &estimated, &elements))?;
     let covariance = source.read("covariance", |_| covariance::read(context, section, &elements))?;
     Ok((estimated, mean, covariance))
 }
 
-impl Source<'_> {
+impl PhaseSource<'_> {
     /// Reads one of its tables.
-    fn read<T>(&self, key: &str, read: impl FnOnce(Option<Field<'_>>) -> Result<T>) -> Result<T> {
+    fn read<T>(&self, key: &str, read: impl FnOnce(Option<TomlField<'_>>) -> Result<T>) -> Result<T> {
         read(self.table(key)).map_err(|error: SpecError| self.explain(key, error))
     }
 }
 
-impl Read<'_> {
+impl ReadPhase<'_> {
     /// Its model, with all that phases have in common.
-    pub(crate) fn model(&self, context: &Context<'_>, shared: &Shared) -> Model {
+    pub(crate) fn model(&self, context: &NameContext<'_>, shared: &SharedTables) -> Model {
         Model {
             title: shared.title.clone(),
             columns: context.columns.clone(),

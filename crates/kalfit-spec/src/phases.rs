@@ -2,10 +2,10 @@
 
 use kalfit::model::MAIN;
 
-use crate::error::{Problem, Result, Span, SpecError};
-use crate::names::{Within, check_label, phase_key};
+use crate::error::{Result, Span, SpecError, SpecProblem};
+use crate::names::{PhaseInWords, check_label, phase_key};
 use crate::suggest::suggest;
-use crate::table::{Field, Section};
+use crate::table::{TomlField, TomlTable};
 
 /// Tables that a phase has itself or takes from the top level.
 pub(crate) const TABLES: [&str; 7] =
@@ -18,25 +18,25 @@ const MAX_PHASES: usize = 100;
 const MAX_TOGETHER: usize = 2_000;
 
 /// Where the tables of a phase stand.
-pub(crate) struct Source<'d> {
+pub(crate) struct PhaseSource<'d> {
     /// Its name.
     pub(crate) name: &'d str,
     /// Its key in `[phases]`; `None` for the only phase of a file without phases.
     pub(crate) span: Option<Span>,
-    own: Option<Section<'d>>,
-    top: Vec<Field<'d>>,
+    own: Option<TomlTable<'d>>,
+    top: Vec<TomlField<'d>>,
 }
 
 /// The phases in order of appearance; without `[phases]` there is one, made of the top level.
-pub(crate) fn open<'d>(root: &mut Section<'d>) -> Result<Vec<Source<'d>>> {
-    let top: Vec<Field<'d>> = TABLES.iter().filter_map(|key| root.take(key)).collect();
+pub(crate) fn open<'d>(root: &mut TomlTable<'d>) -> Result<Vec<PhaseSource<'d>>> {
+    let top: Vec<TomlField<'d>> = TABLES.iter().filter_map(|key| root.take(key)).collect();
     let Some(field) = root.take("phases") else {
-        return Ok(vec![Source { name: MAIN, span: None, own: None, top }]);
+        return Ok(vec![PhaseSource { name: MAIN, span: None, own: None, top }]);
     };
     let section = field.section("`[phases]`")?;
     let found = section.len();
     if found == 0 || found > MAX_PHASES {
-        let problem = Problem::Count { what: "phases", found, expected: format!("1 to {MAX_PHASES}") };
+        let problem = SpecProblem::Count { what: "phases", found, expected: format!("1 to {MAX_PHASES}") };
         return Err(SpecError::new(problem)
             .at(field.key_span)
             .hint("a phase has tables, as in `[phases.coast.states]`"));
@@ -45,15 +45,15 @@ pub(crate) fn open<'d>(root: &mut Section<'d>) -> Result<Vec<Source<'d>>> {
     for field in section.fields() {
         check_label("phase", field.key, &field.key_span)?;
         let own = known(field.section(format!("`[{}]`", phase_key(field.key)))?)?;
-        phases.push(Source { name: field.key, span: Some(field.key_span), own: Some(own), top: top.clone() });
+        phases.push(PhaseSource { name: field.key, span: Some(field.key_span), own: Some(own), top: top.clone() });
     }
     refuse_idle(&phases, &top)?;
     Ok(phases)
 }
 
-fn known(section: Section<'_>) -> Result<Section<'_>> {
+fn known(section: TomlTable<'_>) -> Result<TomlTable<'_>> {
     if let Some(field) = section.peek("parameters") {
-        let problem = Problem::UnknownKey { key: field.key.to_owned(), place: section.place.clone() };
+        let problem = SpecProblem::UnknownKey { key: field.key.to_owned(), place: section.place.clone() };
         let hint = "phases share parameters by name: they stand in `[parameters]`";
         return Err(SpecError::new(problem).at(field.key_span).hint(hint));
     }
@@ -61,7 +61,7 @@ fn known(section: Section<'_>) -> Result<Section<'_>> {
 }
 
 /// Refuses tables of the top level that no phase takes, and what the first phase cannot have.
-fn refuse_idle(phases: &[Source<'_>], top: &[Field<'_>]) -> Result<()> {
+fn refuse_idle(phases: &[PhaseSource<'_>], top: &[TomlField<'_>]) -> Result<()> {
     if let Some(carry) = phases[0].own("carry") {
         let hint = "phases happen in the order in which the file names them first";
         return Err(carry.no_effect("in the first phase, which inherits nothing").hint(hint));
@@ -72,21 +72,21 @@ fn refuse_idle(phases: &[Source<'_>], top: &[Field<'_>]) -> Result<()> {
     }
 }
 
-impl<'d> Source<'d> {
+impl<'d> PhaseSource<'d> {
     /// A key of the phase itself.
-    pub(crate) fn own(&self, key: &str) -> Option<Field<'d>> {
+    pub(crate) fn own(&self, key: &str) -> Option<TomlField<'d>> {
         self.own.as_ref().and_then(|own| own.peek(key))
     }
 
     /// A table of the phase, its own or that of the top level.
-    pub(crate) fn table(&self, key: &str) -> Option<Field<'d>> {
+    pub(crate) fn table(&self, key: &str) -> Option<TomlField<'d>> {
         self.own(key).or_else(|| self.top.iter().find(|field| field.key == key).cloned())
     }
 
     /// The phase in messages.
-    pub(crate) fn within(&self) -> Within {
+    pub(crate) fn within(&self) -> PhaseInWords {
         let own = TABLES.iter().chain(&OWN).copied().filter(|key| self.own(key).is_some()).collect();
-        Within { name: self.span.as_ref().map(|_| self.name.to_owned()), own }
+        PhaseInWords { name: self.span.as_ref().map(|_| self.name.to_owned()), own }
     }
 
     /// An error that arose while this phase was read: one in a table of the top level says which phase takes it.
@@ -106,7 +106,7 @@ impl<'d> Source<'d> {
         if found <= MAX_TOGETHER {
             return Ok(());
         }
-        let problem = Problem::Count { what, found, expected: format!("at most {MAX_TOGETHER}") };
+        let problem = SpecProblem::Count { what, found, expected: format!("at most {MAX_TOGETHER}") };
         let error = SpecError::new(problem);
         Err(self.span.clone().map_or(error.clone(), |span| error.at(span)))
     }
@@ -122,6 +122,6 @@ pub(crate) fn find<'n>(
     if known.clone().any(|phase| phase == name) {
         return Ok(());
     }
-    let problem = Problem::UnknownName { what: "phase", name: name.to_owned(), place: place.to_owned() };
+    let problem = SpecProblem::UnknownName { what: "phase", name: name.to_owned(), place: place.to_owned() };
     Err(SpecError::new(problem).at(span.clone()).maybe_hint(suggest(name, known)))
 }

@@ -4,17 +4,17 @@ use std::collections::BTreeMap;
 
 use crate::error::Span;
 use crate::levels::GroupColumns;
-use crate::names::{Context, Role};
+use crate::names::{NameContext, ParameterRole};
 
 /// Where things stand in the file, and what parameters are used as.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Places {
+pub(crate) struct SpecPlaces {
     pub(crate) columns: BTreeMap<String, Span>,
     pub(crate) parameters: BTreeMap<String, Span>,
     /// Columns of groups, where `[data]` names them.
     pub(crate) levels: BTreeMap<String, Span>,
     pub(crate) phases: Vec<PhasePlaces>,
-    pub(crate) roles: Vec<Role>,
+    pub(crate) roles: Vec<ParameterRole>,
 }
 
 #[derive(Debug, Clone)]
@@ -27,14 +27,14 @@ pub(crate) struct PhasePlaces {
     pub(crate) filter: Option<Span>,
 }
 
-impl Places {
-    pub(crate) fn of(context: &Context<'_>, phases: Vec<PhasePlaces>, levels: Option<&GroupColumns>) -> Places {
-        Places {
+impl SpecPlaces {
+    pub(crate) fn of(context: &NameContext<'_>, phases: Vec<PhasePlaces>, levels: Option<&GroupColumns>) -> SpecPlaces {
+        SpecPlaces {
             columns: context.column_spans.clone(),
             parameters: context.parameters.spans(),
             levels: levels.map_or_else(BTreeMap::new, GroupColumns::spans),
             phases,
-            roles: context.roles.iter().map(|role| role.unwrap_or(Role::Coefficient)).collect(),
+            roles: context.roles.iter().map(|role| role.unwrap_or(ParameterRole::Coefficient)).collect(),
         }
     }
 

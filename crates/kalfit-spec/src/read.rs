@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::Path;
 
 use crate::build;
-use crate::error::{Problem, SpecError};
+use crate::error::{SpecError, SpecProblem};
 use crate::spec::Spec;
 
 impl Spec {
@@ -30,7 +30,7 @@ impl Spec {
     /// The file cannot be read, has more than 4 MiB, or is not UTF-8 text.
     pub fn read_text(path: &Path) -> Result<String, SpecError> {
         let unreadable = |error: std::io::Error| {
-            SpecError::new(Problem::Unreadable { path: path.display().to_string(), reason: error.to_string() })
+            SpecError::new(SpecProblem::Unreadable { path: path.display().to_string(), reason: error.to_string() })
         };
         let file = std::fs::File::open(path).map_err(unreadable)?;
         let size = file.metadata().map_err(unreadable)?.len();
@@ -39,10 +39,10 @@ impl Spec {
         file.take(build::MAX_BYTES + 1).read_to_end(&mut bytes).map_err(unreadable)?;
         let found = size.max(bytes.len() as u64);
         if found > build::MAX_BYTES {
-            return Err(SpecError::new(Problem::TooLarge { found, limit: build::MAX_BYTES }));
+            return Err(SpecError::new(SpecProblem::TooLarge { found, limit: build::MAX_BYTES }));
         }
         String::from_utf8(bytes).map_err(|error| {
-            SpecError::new(Problem::NotText { offset: error.utf8_error().valid_up_to() })
+            SpecError::new(SpecProblem::NotText { offset: error.utf8_error().valid_up_to() })
                 .hint("save the file as UTF-8 text")
         })
     }

@@ -3,7 +3,7 @@
 use kalfit::Model;
 use kalfit::model::Value;
 
-use crate::error::{Problem, Result, SpecError};
+use crate::error::{Result, SpecError, SpecProblem};
 use crate::parameters::check_value;
 use crate::spec::Spec;
 use crate::suggest::suggest;
@@ -31,7 +31,7 @@ impl Spec {
         let parameters = &mut model.parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
             let hint = suggest(name, parameters.iter().map(|parameter| parameter.name.as_str()));
-            let problem = Problem::UnknownName {
+            let problem = SpecProblem::UnknownName {
                 what: "parameter",
                 name: name.to_owned(),
                 place: format!("the assignment `{assignment}`"),
@@ -47,7 +47,7 @@ impl Spec {
             }
             Some(_) if parameter.per.is_none() => {
                 let why = format!("on parameter `{name}`, which has no `per`");
-                let error = SpecError::new(Problem::NoEffect { key: assignment.to_owned(), why });
+                let error = SpecError::new(SpecProblem::NoEffect { key: assignment.to_owned(), why });
                 return Err(error.hint(format!("write `{name}={value}`")));
             }
             Some(level) => {
@@ -80,13 +80,13 @@ impl Assignment<'_> {
     /// # Errors
     /// Something that is not an assignment of a finite number.
     pub fn new(text: &str) -> Result<Assignment<'_>> {
-        let wrong = || SpecError::new(Problem::NotAnAssignment { found: text.to_owned() });
+        let wrong = || SpecError::new(SpecProblem::NotAnAssignment { found: text.to_owned() });
         let (target, value) = text.rsplit_once('=').ok_or_else(wrong)?;
         let (target, number) = (target.trim(), value.trim());
         let value: f64 = number.parse().map_err(|_| wrong())?;
         if !value.is_finite() {
             let what = format!("the value of `{text}`");
-            return Err(SpecError::new(Problem::NotFinite { what, found: number.to_owned() }));
+            return Err(SpecError::new(SpecProblem::NotFinite { what, found: number.to_owned() }));
         }
         let (name, level) = match target.split_once('[') {
             None => (target, None),

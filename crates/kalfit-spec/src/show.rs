@@ -12,7 +12,7 @@ use crate::vocabulary::{self, symbol};
 
 /// How tightly a written expression holds together; larger is tighter.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
-enum Grip {
+enum Precedence {
     Or,
     And,
     Not,
@@ -64,7 +64,7 @@ pub(crate) fn linear(model: &Model, form: &Linear) -> String {
     let mut parts: Vec<String> =
         form.terms.iter().map(|(state, coefficient)| term(model, *state, coefficient)).collect();
     if !is_zero(&form.constant) || form.terms.is_empty() {
-        parts.push(enclosed(write(model, &form.constant), Grip::Sum));
+        parts.push(enclosed(write(model, &form.constant), Precedence::Sum));
     }
     sum(&parts)
 }
@@ -88,30 +88,30 @@ fn term(model: &Model, state: usize, coefficient: &Expression) -> String {
         a if *a == ONE => name.clone(),
         Expression::Number(-1.0) => format!("-{name}"),
         Expression::Negate(inside) => {
-            format!("-{} * {name}", enclosed(write(model, inside), Grip::Product))
+            format!("-{} * {name}", enclosed(write(model, inside), Precedence::Product))
         }
-        a => format!("{} * {name}", enclosed(write(model, a), Grip::Product)),
+        a => format!("{} * {name}", enclosed(write(model, a), Precedence::Product)),
     }
 }
 
-fn enclosed((text, grip): (String, Grip), least: Grip) -> String {
+fn enclosed((text, grip): (String, Precedence), least: Precedence) -> String {
     if grip < least { format!("({text})") } else { text }
 }
 
-fn write(model: &Model, a: &Expression) -> (String, Grip) {
-    let atom = |text: String| (text, Grip::Atom);
+fn write(model: &Model, a: &Expression) -> (String, Precedence) {
+    let atom = |text: String| (text, Precedence::Atom);
     match a {
-        Expression::Number(x) if *x < 0.0 => (figure(*x), Grip::Minus),
+        Expression::Number(x) if *x < 0.0 => (figure(*x), Precedence::Minus),
         Expression::Number(x) => atom(figure(*x)),
         Expression::Column(column) => atom(quoted(model, &model.columns[*column].name)),
         Expression::Step => atom("dt".to_owned()),
         Expression::Parameter(index) => atom(model.parameters[*index].name.clone()),
         Expression::TextEquals { column, literal } => {
             let text = model.literals[*literal].replace('\'', "''");
-            (format!("{} == '{text}'", quoted(model, &model.text_columns[*column].name)), Grip::Comparison)
+            (format!("{} == '{text}'", quoted(model, &model.text_columns[*column].name)), Precedence::Comparison)
         }
-        Expression::Negate(a) => (format!("-{}", enclosed(write(model, a), Grip::Minus)), Grip::Minus),
-        Expression::Not(a) => (format!("not {}", enclosed(write(model, a), Grip::Not)), Grip::Not),
+        Expression::Negate(a) => (format!("-{}", enclosed(write(model, a), Precedence::Minus)), Precedence::Minus),
+        Expression::Not(a) => (format!("not {}", enclosed(write(model, a), Precedence::Not)), Precedence::Not),
         Expression::Binary(operator, a, b) => binary(model, *operator, a, b),
         Expression::Call(function, arguments) => {
             atom(format!("{}({})", vocabulary::function(*function), list(model, arguments)))
@@ -123,25 +123,25 @@ fn write(model: &Model, a: &Expression) -> (String, Grip) {
     }
 }
 
-fn binary(model: &Model, operator: Operator, a: &Expression, b: &Expression) -> (String, Grip) {
+fn binary(model: &Model, operator: Operator, a: &Expression, b: &Expression) -> (String, Precedence) {
     let grip = match operator {
-        Operator::Or => Grip::Or,
-        Operator::And => Grip::And,
-        Operator::Add | Operator::Subtract => Grip::Sum,
-        Operator::Multiply | Operator::Divide => Grip::Product,
-        Operator::Power => Grip::Power,
-        _ => Grip::Comparison,
+        Operator::Or => Precedence::Or,
+        Operator::And => Precedence::And,
+        Operator::Add | Operator::Subtract => Precedence::Sum,
+        Operator::Multiply | Operator::Divide => Precedence::Product,
+        Operator::Power => Precedence::Power,
+        _ => Precedence::Comparison,
     };
     if operator == Operator::Multiply && a == b {
-        return (format!("{}^2", enclosed(write(model, a), Grip::Atom)), Grip::Power);
+        return (format!("{}^2", enclosed(write(model, a), Precedence::Atom)), Precedence::Power);
     }
     let (left_least, right_least) = match operator {
-        Operator::Power => (Grip::Atom, Grip::Minus),
+        Operator::Power => (Precedence::Atom, Precedence::Minus),
         Operator::Add | Operator::And | Operator::Or => (grip, grip),
-        Operator::Multiply => (grip, Grip::Minus),
-        Operator::Subtract => (grip, Grip::Product),
-        Operator::Divide => (grip, Grip::Minus),
-        _ => (Grip::Sum, Grip::Sum),
+        Operator::Multiply => (grip, Precedence::Minus),
+        Operator::Subtract => (grip, Precedence::Product),
+        Operator::Divide => (grip, Precedence::Minus),
+        _ => (Precedence::Sum, Precedence::Sum),
     };
     let (left, right) = (enclosed(write(model, a), left_least), enclosed(write(model, b), right_least));
     let symbol = symbol(operator);

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use kalfit::{Layout, PhasedModel};
 
-use crate::places::Places;
+use crate::places::SpecPlaces;
 
 /// A model file that was read.
 #[derive(Debug, Clone)]
@@ -19,7 +19,7 @@ pub struct Spec {
     pub name: String,
     /// The model file as it was read.
     pub text: String,
-    pub(crate) places: Places,
+    pub(crate) places: SpecPlaces,
 }
 
 impl Spec {

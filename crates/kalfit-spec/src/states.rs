@@ -2,11 +2,11 @@
 
 use kalfit::model::{Expression, Initial, Motion, State};
 
-use crate::error::{Problem, Result, Span, SpecError};
-use crate::expression::{self, Scope, ZERO};
-use crate::motion::{Process, deviation, moved, squared};
-use crate::names::{Context, Role, check_name};
-use crate::table::{Field, Section};
+use crate::error::{Result, Span, SpecError, SpecProblem};
+use crate::expression::{self, ExpressionScope, ZERO};
+use crate::motion::{MotionProcess, deviation, moved, squared};
+use crate::names::{NameContext, ParameterRole, check_name};
+use crate::table::{TomlField, TomlTable};
 
 const KEYS: [&str; 12] = [
     "unit",
@@ -26,45 +26,48 @@ const KEYS: [&str; 12] = [
 const MAX_STATES: usize = 500;
 
 /// A state whose name is known and whose equations are not read yet.
-pub(crate) struct Declared<'d> {
+pub(crate) struct DeclaredState<'d> {
     name: &'d str,
     index: usize,
-    section: Section<'d>,
-    process: Process,
-    start: Option<Field<'d>>,
+    section: TomlTable<'d>,
+    process: MotionProcess,
+    start: Option<TomlField<'d>>,
 }
 
 /// Reads the names of all states and makes them known, hidden ones after their owners.
-pub(crate) fn declare<'d>(context: &mut Context<'_>, field: Option<&Field<'d>>) -> Result<Vec<Declared<'d>>> {
+pub(crate) fn declare<'d>(
+    context: &mut NameContext<'_>,
+    field: Option<&TomlField<'d>>,
+) -> Result<Vec<DeclaredState<'d>>> {
     let table = context.phase.table("states");
     let section = field.map(|field| field.section(table.as_str())).transpose()?;
-    let found = section.as_ref().map_or(0, Section::len);
+    let found = section.as_ref().map_or(0, TomlTable::len);
     if found == 0 || found > MAX_STATES {
-        let problem = Problem::Count { what: "states", found, expected: format!("1 to {MAX_STATES}") };
+        let problem = SpecProblem::Count { what: "states", found, expected: format!("1 to {MAX_STATES}") };
         let error = SpecError::new(problem).hint("a state is a table in `[states]`, as in `intercept = {}`");
         return Err(field.map_or(error.clone(), |field| error.at(field.key_span.clone())));
     }
     let mut all = Vec::with_capacity(found);
-    for field in section.iter().flat_map(Section::fields) {
+    for field in section.iter().flat_map(TomlTable::fields) {
         check_name("state", field.key, &field.key_span)?;
         if context.parameters.get(field.key).is_some() {
-            let problem = Problem::TakenName { name: field.key.to_owned() };
+            let problem = SpecProblem::TakenName { name: field.key.to_owned() };
             return Err(SpecError::new(problem).at(field.key_span));
         }
         let place = context.phase.entry("states", "state", field.key);
         let mut section = field.section(place)?.only(&KEYS)?;
-        let process = Process::of(&mut section)?;
+        let process = MotionProcess::of(&mut section)?;
         let index = context.states.add(field.key, field.key_span.clone());
-        if process == Process::GaussMarkov2 {
+        if process == MotionProcess::GaussMarkov2 {
             context.states.add(&rate_name(field.key), field.key_span.clone());
         }
-        all.push(Declared { name: field.key, index, section, process, start: None });
+        all.push(DeclaredState { name: field.key, index, section, process, start: None });
     }
     Ok(all)
 }
 
 /// Reads the equations of all states.
-pub(crate) fn lower(context: &mut Context<'_>, mut declared: Vec<Declared<'_>>) -> Result<Vec<State>> {
+pub(crate) fn lower(context: &mut NameContext<'_>, mut declared: Vec<DeclaredState<'_>>) -> Result<Vec<State>> {
     let mut states = Vec::with_capacity(declared.len());
     for one in &mut declared {
         lower_one(context, one, &mut states)?;
@@ -79,7 +82,7 @@ pub(crate) fn lower(context: &mut Context<'_>, mut declared: Vec<Declared<'_>>) 
     Ok(states)
 }
 
-fn lower_one(context: &mut Context<'_>, one: &mut Declared<'_>, states: &mut Vec<State>) -> Result<()> {
+fn lower_one(context: &mut NameContext<'_>, one: &mut DeclaredState<'_>, states: &mut Vec<State>) -> Result<()> {
     let section = &mut one.section;
     let unit = section.take("unit").map(|unit| unit.text().map(str::to_owned)).transpose()?;
     let moved = moved(context, section, one.process, one.index)?;
@@ -99,7 +102,7 @@ fn lower_one(context: &mut Context<'_>, one: &mut Declared<'_>, states: &mut Vec
         return Err(field.no_effect(&why));
     }
     let place = format!("offset of {}", section.place);
-    let offset = offset.map(|field| expression::scalar(context, &field, Scope::start(&place))).transpose()?;
+    let offset = offset.map(|field| expression::scalar(context, &field, ExpressionScope::start(&place))).transpose()?;
     let random = random.map_or(Ok(true), |field| field.truth())?;
     let hidden = moved.hidden.map(|rate| State {
         name: context.states.name(one.index + 1).to_owned(),
@@ -117,7 +120,7 @@ fn lower_one(context: &mut Context<'_>, one: &mut Declared<'_>, states: &mut Vec
     Ok(())
 }
 
-fn initial(context: &mut Context<'_>, field: &Field<'_>, place: &str) -> Result<Initial> {
+fn initial(context: &mut NameContext<'_>, field: &TomlField<'_>, place: &str) -> Result<Initial> {
     if !field.is_table() {
         if field.as_text().is_none() {
             return Err(field.wrong_type("`\"estimated\"`, `\"stationary\"` or `{ mean = …, sigma = … }`"));
@@ -138,9 +141,9 @@ fn initial(context: &mut Context<'_>, field: &Field<'_>, place: &str) -> Result<
         }
     };
     let mean_place = mean.what();
-    let mean = expression::scalar(context, &mean, Scope::start(&mean_place))?;
+    let mean = expression::scalar(context, &mean, ExpressionScope::start(&mean_place))?;
     let sigma_place = sigma.what();
-    let deviation = deviation(context, &sigma, Scope::start(&sigma_place), Role::StandardDeviation)?;
+    let deviation = deviation(context, &sigma, ExpressionScope::start(&sigma_place), ParameterRole::StandardDeviation)?;
     Ok(Initial::Known { mean, variance: squared(context, deviation, &sigma.span)? })
 }
 
@@ -154,19 +157,19 @@ pub(crate) fn start_words(initial: &Initial) -> &'static str {
 }
 
 /// A stationary distribution must exist, and belong to the stationary states alone.
-fn check_stationary(context: &Context<'_>, one: &Declared<'_>, states: &[State]) -> Result<()> {
+fn check_stationary(context: &NameContext<'_>, one: &DeclaredState<'_>, states: &[State]) -> Result<()> {
     let state = &states[one.index];
     if state.initial != Initial::Stationary {
         return Ok(());
     }
     let wrong = |why: String| {
         let span: Span = one.start.as_ref().map_or(context.states.span(one.index), |field| field.span.clone());
-        Err(SpecError::new(Problem::NoStationaryLaw { name: one.name.to_owned(), why }).at(span))
+        Err(SpecError::new(SpecProblem::NoStationaryLaw { name: one.name.to_owned(), why }).at(span))
     };
     match one.process {
-        Process::Constant => return wrong("a constant keeps the value it starts with".to_owned()),
-        Process::RandomWalk => return wrong("the variance of a random walk grows without bound".to_owned()),
-        Process::Integral => return wrong("an integral keeps all that it started with".to_owned()),
+        MotionProcess::Constant => return wrong("a constant keeps the value it starts with".to_owned()),
+        MotionProcess::RandomWalk => return wrong("the variance of a random walk grows without bound".to_owned()),
+        MotionProcess::Integral => return wrong("an integral keeps all that it started with".to_owned()),
         _ => {}
     }
     let (Motion::Continuous { derivative: linear, .. } | Motion::Discrete { next: linear, .. }) = &state.motion else {

@@ -3,11 +3,11 @@
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::error::{Problem, Result, Span, SpecError};
+use crate::error::{Result, Span, SpecError, SpecProblem};
 use crate::suggest::{either, suggest};
 
 /// A table of the file with the keys that were read of it.
-pub(crate) struct Section<'d> {
+pub(crate) struct TomlTable<'d> {
     /// The table in words.
     pub(crate) place: String,
     /// Its header, or the whole table when it is written inline.
@@ -18,7 +18,7 @@ pub(crate) struct Section<'d> {
 
 /// A key and its value.
 #[derive(Clone)]
-pub(crate) struct Field<'d> {
+pub(crate) struct TomlField<'d> {
     pub(crate) key: &'d str,
     pub(crate) key_span: Span,
     pub(crate) span: Span,
@@ -26,17 +26,17 @@ pub(crate) struct Field<'d> {
     value: &'d DeValue<'d>,
 }
 
-impl<'d> Section<'d> {
+impl<'d> TomlTable<'d> {
     /// A table whose keys are names that the user gives.
-    pub(crate) fn open(place: impl Into<String>, span: Span, table: &'d DeTable<'d>) -> Section<'d> {
-        Section { place: place.into(), span, table, read: Vec::new() }
+    pub(crate) fn open(place: impl Into<String>, span: Span, table: &'d DeTable<'d>) -> TomlTable<'d> {
+        TomlTable { place: place.into(), span, table, read: Vec::new() }
     }
 
     /// Refuses keys that are not among `known`.
-    pub(crate) fn only(self, known: &[&str]) -> Result<Section<'d>> {
+    pub(crate) fn only(self, known: &[&str]) -> Result<TomlTable<'d>> {
         for field in self.fields() {
             if !known.contains(&field.key) {
-                let problem = Problem::UnknownKey { key: field.key.to_owned(), place: self.place.clone() };
+                let problem = SpecProblem::UnknownKey { key: field.key.to_owned(), place: self.place.clone() };
                 let hint = suggest(field.key, known.iter().copied());
                 return Err(SpecError::new(problem)
                     .at(field.key_span)
@@ -47,7 +47,7 @@ impl<'d> Section<'d> {
     }
 
     /// All keys in file order.
-    pub(crate) fn fields(&self) -> impl Iterator<Item = Field<'d>> + use<'_, 'd> {
+    pub(crate) fn fields(&self) -> impl Iterator<Item = TomlField<'d>> + use<'_, 'd> {
         self.table.iter().map(|(key, value)| self.field(key, value))
     }
 
@@ -57,26 +57,26 @@ impl<'d> Section<'d> {
     }
 
     /// The value of a key, which counts as used from now on.
-    pub(crate) fn take(&mut self, key: &str) -> Option<Field<'d>> {
+    pub(crate) fn take(&mut self, key: &str) -> Option<TomlField<'d>> {
         let field = self.peek(key)?;
         self.read.push(field.key);
         Some(field)
     }
 
     /// The value of a key, which does not count as used.
-    pub(crate) fn peek(&self, key: &str) -> Option<Field<'d>> {
+    pub(crate) fn peek(&self, key: &str) -> Option<TomlField<'d>> {
         let (key, value) = self.table.iter().find(|(k, _)| k.get_ref() == key)?;
         Some(self.field(key, value))
     }
 
     /// The value of a key that must be there.
-    pub(crate) fn need(&mut self, key: &str) -> Result<Field<'d>> {
+    pub(crate) fn need(&mut self, key: &str) -> Result<TomlField<'d>> {
         self.take(key).ok_or_else(|| self.missing(key))
     }
 
     /// The error that a key is not there.
     pub(crate) fn missing(&self, key: &str) -> SpecError {
-        SpecError::new(Problem::MissingKey { key: key.to_owned(), place: self.place.clone() }).at(self.span.clone())
+        SpecError::new(SpecProblem::MissingKey { key: key.to_owned(), place: self.place.clone() }).at(self.span.clone())
     }
 
     /// Refuses the first key that nobody used: it has no effect for the reason `why`.
@@ -87,8 +87,8 @@ impl<'d> Section<'d> {
         }
     }
 
-    fn field(&self, key: &'d Spanned<toml::de::DeString<'d>>, value: &'d Spanned<DeValue<'d>>) -> Field<'d> {
-        Field {
+    fn field(&self, key: &'d Spanned<toml::de::DeString<'d>>, value: &'d Spanned<DeValue<'d>>) -> TomlField<'d> {
+        TomlField {
             key: key.get_ref(),
             key_span: key.span(),
             span: value.span(),
@@ -98,7 +98,7 @@ impl<'d> Section<'d> {
     }
 }
 
-impl<'d> Field<'d> {
+impl<'d> TomlField<'d> {
     /// "`key` of place".
     pub(crate) fn what(&self) -> String {
         format!("`{}` of {}", self.key, self.place)
@@ -130,7 +130,7 @@ impl<'d> Field<'d> {
             _ => return Err(self.wrong_type(expected)),
         };
         value.filter(|x: &f64| x.is_finite()).ok_or_else(|| {
-            SpecError::new(Problem::NotFinite { what: self.what(), found: text.to_owned() }).at(self.span.clone())
+            SpecError::new(SpecProblem::NotFinite { what: self.what(), found: text.to_owned() }).at(self.span.clone())
         })
     }
 
@@ -139,9 +139,9 @@ impl<'d> Field<'d> {
     }
 
     /// The table that stands here, under a name of its own.
-    pub(crate) fn section(&self, place: impl Into<String>) -> Result<Section<'d>> {
+    pub(crate) fn section(&self, place: impl Into<String>) -> Result<TomlTable<'d>> {
         match self.value {
-            DeValue::Table(table) => Ok(Section::open(place, self.span.clone(), table)),
+            DeValue::Table(table) => Ok(TomlTable::open(place, self.span.clone(), table)),
             _ => Err(self.wrong_type("a table")),
         }
     }
@@ -151,11 +151,16 @@ impl<'d> Field<'d> {
     }
 
     /// The items of an array, each a field under this key.
-    pub(crate) fn items(&self, expected: &'static str) -> Result<Vec<Field<'d>>> {
+    pub(crate) fn items(&self, expected: &'static str) -> Result<Vec<TomlField<'d>>> {
         let DeValue::Array(array) = self.value else { return Err(self.wrong_type(expected)) };
         Ok(array
             .iter()
-            .map(|item| Field { span: item.span(), value: item.get_ref(), place: self.place.clone(), ..self.clone() })
+            .map(|item| TomlField {
+                span: item.span(),
+                value: item.get_ref(),
+                place: self.place.clone(),
+                ..self.clone()
+            })
             .collect())
     }
 
@@ -177,20 +182,21 @@ impl<'d> Field<'d> {
             DeValue::Array(_) => "an array",
             DeValue::Table(_) => "a table",
         };
-        SpecError::new(Problem::WrongType { key: self.key.to_owned(), place: self.place.clone(), found, expected })
+        SpecError::new(SpecProblem::WrongType { key: self.key.to_owned(), place: self.place.clone(), found, expected })
             .at(self.span.clone())
             .label(format!("expected {expected}"))
     }
 
     pub(crate) fn no_effect(&self, why: &str) -> SpecError {
-        SpecError::new(Problem::NoEffect { key: self.key.to_owned(), why: why.to_owned() }).at(self.key_span.clone())
+        SpecError::new(SpecProblem::NoEffect { key: self.key.to_owned(), why: why.to_owned() })
+            .at(self.key_span.clone())
     }
 
     /// The word that stands here, which must be one of `words`; its index.
     pub(crate) fn word(&self, words: &[&str]) -> Result<usize> {
         let found = self.text()?;
         words.iter().position(|word| *word == found).ok_or_else(|| {
-            SpecError::new(Problem::UnknownWord {
+            SpecError::new(SpecProblem::UnknownWord {
                 what: self.key.to_owned(),
                 place: self.place.clone(),
                 found: found.to_owned(),

@@ -11,7 +11,7 @@ use winnow::token::{none_of, one_of, take_while};
 
 use crate::error::ExpressionProblem;
 
-type Input<'s> = LocatingSlice<&'s str>;
+type TokenInput<'s> = LocatingSlice<&'s str>;
 
 /// One word.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,13 +26,13 @@ pub(crate) enum Token<'s> {
 }
 
 /// A word and its bytes in the text.
-pub(crate) type Word<'s> = (Token<'s>, Range<usize>);
+pub(crate) type SpannedToken<'s> = (Token<'s>, Range<usize>);
 
 /// Longest first, so that `<=` is not read as `<` and `=`.
 const SYMBOLS: [&str; 14] = ["<=", ">=", "==", "!=", "<", ">", "+", "-", "*", "/", "^", "(", ")", ","];
 
 /// Cuts a text into words.
-pub(crate) fn tokenize(text: &str) -> Result<Vec<Word<'_>>, (ExpressionProblem, Range<usize>)> {
+pub(crate) fn tokenize(text: &str) -> Result<Vec<SpannedToken<'_>>, (ExpressionProblem, Range<usize>)> {
     let mut input = LocatingSlice::new(text);
     let mut words = Vec::new();
     loop {
@@ -54,35 +54,35 @@ pub(crate) fn is_name(text: &str) -> bool {
     matches!(tokenize(text).as_deref(), Ok([(Token::Name(name), _)]) if *name == text)
 }
 
-fn skip_space(input: &mut Input<'_>) {
+fn skip_space(input: &mut TokenInput<'_>) {
     let space: Lexed<&str> = take_while(0.., char::is_whitespace).parse_next(input);
     debug_assert!(space.is_ok(), "no space is space too");
 }
 
-fn number<'s>(input: &mut Input<'s>) -> Lexed<Token<'s>> {
+fn number<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
     let exponent = (one_of(['e', 'E']), opt(one_of(['+', '-'])), digit1).void();
     let mantissa = alt(((digit1, opt(('.', digit0))).void(), ('.', digit1).void()));
     (mantissa, opt(exponent)).take().try_map(str::parse::<f64>).map(Token::Number).parse_next(input)
 }
 
-fn name<'s>(input: &mut Input<'s>) -> Lexed<Token<'s>> {
+fn name<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
     let first = one_of(|c: char| c.is_alphabetic() || c == '_');
     let rest = take_while(0.., |c: char| c.is_alphanumeric() || c == '_');
     (first, rest).take().map(Token::Name).parse_next(input)
 }
 
-fn column<'s>(input: &mut Input<'s>) -> Lexed<Token<'s>> {
+fn column<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
     ('`', take_while(1.., |c| c != '`'), '`').map(|(_, name, _)| Token::Column(name)).parse_next(input)
 }
 
 /// A quote inside a text is written twice.
-fn literal<'s>(input: &mut Input<'s>) -> Lexed<Token<'s>> {
+fn literal<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
     let inside = repeat::<_, _, (), _, _>(0.., alt(("''".void(), none_of('\'').void())));
     let quoted: &str = ('\'', inside, '\'').take().parse_next(input)?;
     Ok(Token::Text(quoted[1..quoted.len() - 1].replace("''", "'")))
 }
 
-fn symbol<'s>(input: &mut Input<'s>) -> Lexed<Token<'s>> {
+fn symbol<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
     for symbol in SYMBOLS {
         let found: Lexed<&str> = winnow::token::literal(symbol).parse_next(input);
         if found.is_ok() {

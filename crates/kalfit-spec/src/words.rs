@@ -11,11 +11,11 @@ use crate::figure::figure;
 use crate::show;
 
 /// Says what a model is, one fact a line.
-pub(crate) struct Words<'m> {
+pub(crate) struct ModelWords<'m> {
     pub(crate) model: &'m Model,
 }
 
-impl Words<'_> {
+impl ModelWords<'_> {
     /// What a step is, and where x_0 is unless phases say so; `row` is the row at which it is when nothing else is said.
     pub(crate) fn steps(&self, row: Option<&str>) -> String {
         let clock = &self.model.clock;

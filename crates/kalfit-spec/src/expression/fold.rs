@@ -5,7 +5,7 @@ use kalfit::model::{Expression, Function, Operator};
 
 use crate::error::ExpressionProblem;
 
-type Folded = Result<Expression, ExpressionProblem>;
+type FoldedExpression = Result<Expression, ExpressionProblem>;
 
 pub(crate) const ZERO: Expression = Expression::Number(0.0);
 pub(crate) const ONE: Expression = Expression::Number(1.0);
@@ -19,7 +19,7 @@ fn is(a: &Expression, value: f64) -> bool {
     a.as_number().is_some_and(|x| x == value)
 }
 
-fn finite(x: f64) -> Folded {
+fn finite(x: f64) -> FoldedExpression {
     if x.is_finite() { Ok(Expression::Number(x)) } else { Err(ExpressionProblem::NotFinite) }
 }
 
@@ -45,7 +45,7 @@ pub(crate) fn not(a: Expression) -> Expression {
 }
 
 /// a ∘ b.
-pub(crate) fn binary(operator: Operator, a: Expression, b: Expression) -> Folded {
+pub(crate) fn binary(operator: Operator, a: Expression, b: Expression) -> FoldedExpression {
     if operator == Operator::Divide && is_zero(&b) {
         return Err(ExpressionProblem::DivisionByZero);
     }
@@ -66,7 +66,7 @@ pub(crate) fn binary(operator: Operator, a: Expression, b: Expression) -> Folded
     })
 }
 
-fn constant(operator: Operator, x: f64, y: f64) -> Folded {
+fn constant(operator: Operator, x: f64, y: f64) -> FoldedExpression {
     Ok(match operator {
         Operator::Add => return finite(x + y),
         Operator::Subtract => return finite(x - y),
@@ -85,7 +85,7 @@ fn constant(operator: Operator, x: f64, y: f64) -> Folded {
 }
 
 /// f(a, …). The number of arguments is right.
-pub(crate) fn call(function: Function, arguments: Vec<Expression>) -> Folded {
+pub(crate) fn call(function: Function, arguments: Vec<Expression>) -> FoldedExpression {
     let numbers: Option<Vec<f64>> = arguments.iter().map(Expression::as_number).collect();
     let Some(numbers) = numbers else { return Ok(Expression::Call(function, arguments)) };
     let (first, rest) = numbers.split_first().expect("a function has an argument");
@@ -112,7 +112,7 @@ pub(crate) fn choose(condition: &Expression, b: Expression, c: Expression) -> Ex
 }
 
 /// a².
-pub(crate) fn square(a: Expression) -> Folded {
+pub(crate) fn square(a: Expression) -> FoldedExpression {
     binary(Operator::Multiply, a.clone(), a)
 }
 

@@ -7,38 +7,38 @@ use crate::expression::fold::{self, ONE, ZERO};
 
 /// Σ coefficient × state + constant; states ascend, and no coefficient is the constant zero.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Form {
+pub(crate) struct LinearForm {
     pub(crate) terms: Vec<(usize, Expression)>,
     pub(crate) constant: Expression,
 }
 
-type Made = Result<Form, ExpressionProblem>;
+type LinearFormResult = Result<LinearForm, ExpressionProblem>;
 
-impl Form {
-    pub(crate) fn state(state: usize) -> Form {
-        Form { terms: vec![(state, ONE)], constant: ZERO }
+impl LinearForm {
+    pub(crate) fn state(state: usize) -> LinearForm {
+        LinearForm { terms: vec![(state, ONE)], constant: ZERO }
     }
 
     pub(crate) fn first_state(&self) -> Option<usize> {
         self.terms.first().map(|(state, _)| *state)
     }
 
-    pub(crate) fn negate(self) -> Form {
+    pub(crate) fn negate(self) -> LinearForm {
         let terms = self.terms.into_iter().map(|(state, a)| (state, fold::negate(a))).collect();
-        Form { terms, constant: fold::negate(self.constant) }
+        LinearForm { terms, constant: fold::negate(self.constant) }
     }
 
     /// a + b or a - b, as the operator says.
-    pub(crate) fn join(self, operator: Operator, other: Form) -> Made {
+    pub(crate) fn join(self, operator: Operator, other: LinearForm) -> LinearFormResult {
         let constant = fold::binary(operator, self.constant, other.constant)?;
         let mut terms =
             merge(self.terms, other.terms, |a, b| fold::binary(operator, a.unwrap_or(ZERO), b.unwrap_or(ZERO)))?;
         terms.retain(|(_, coefficient)| !fold::is_zero(coefficient));
-        Ok(Form { terms, constant })
+        Ok(LinearForm { terms, constant })
     }
 
     /// All of it times or over a factor; `before` when the factor stood on the left.
-    pub(crate) fn scale(self, operator: Operator, factor: &Expression, before: bool) -> Made {
+    pub(crate) fn scale(self, operator: Operator, factor: &Expression, before: bool) -> LinearFormResult {
         let times = |a: Expression| match before {
             true => fold::binary(operator, factor.clone(), a),
             false => fold::binary(operator, a, factor.clone()),
@@ -53,11 +53,11 @@ impl Form {
         }
         // Zero stays zero where it only says that a form has no constant.
         let constant = if !stateless && fold::is_zero(&self.constant) { ZERO } else { times(self.constant)? };
-        Ok(Form { terms, constant })
+        Ok(LinearForm { terms, constant })
     }
 
     /// `yes` where the condition holds, else `no`.
-    pub(crate) fn choose(condition: &Expression, yes: Form, no: Form) -> Form {
+    pub(crate) fn choose(condition: &Expression, yes: LinearForm, no: LinearForm) -> LinearForm {
         let constant = if yes.constant == no.constant && yes.constant.as_number().is_some() {
             yes.constant
         } else {
@@ -67,7 +67,7 @@ impl Form {
             merge(yes.terms, no.terms, |a, b| Ok(fold::choose(condition, a.unwrap_or(ZERO), b.unwrap_or(ZERO))));
         let mut terms = picked.expect("choosing has no error");
         terms.retain(|(_, coefficient)| !fold::is_zero(coefficient));
-        Form { terms, constant }
+        LinearForm { terms, constant }
     }
 
     pub(crate) fn into_linear(self) -> Linear {
@@ -75,14 +75,14 @@ impl Form {
     }
 }
 
-type Terms = Vec<(usize, Expression)>;
+type LinearTerms = Vec<(usize, Expression)>;
 
 /// Merges two ascending lists of terms.
 fn merge(
-    left: Terms,
-    right: Terms,
+    left: LinearTerms,
+    right: LinearTerms,
     join: impl Fn(Option<Expression>, Option<Expression>) -> Result<Expression, ExpressionProblem>,
-) -> Result<Terms, ExpressionProblem> {
+) -> Result<LinearTerms, ExpressionProblem> {
     let mut merged = Vec::with_capacity(left.len() + right.len());
     let (mut left, mut right) = (left.into_iter().peekable(), right.into_iter().peekable());
     loop {

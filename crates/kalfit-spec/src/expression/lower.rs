@@ -6,24 +6,24 @@ use kalfit::model::{Expression, Function, Linear, Operator};
 
 use crate::error::{ExpressionProblem as Wrong, Result, Span, SpecError};
 use crate::expression::fold::{self, ONE, ZERO};
-use crate::expression::form::Form;
-use crate::expression::scope::Scope;
+use crate::expression::form::LinearForm;
+use crate::expression::scope::ExpressionScope;
 use crate::expression::snippet::Snippet;
-use crate::expression::syntax::{Kind, Node};
-use crate::names::{Context, Role};
+use crate::expression::syntax::{SyntaxKind, SyntaxNode};
+use crate::names::{NameContext, ParameterRole};
 use crate::suggest::suggest;
 use crate::vocabulary::{function_called, functions, is_reserved, symbol};
 
 /// Turns one tree into its meaning.
 pub(crate) struct Lowering<'c, 't> {
-    pub(crate) context: &'c mut Context<'t>,
-    pub(crate) scope: Scope<'c>,
+    pub(crate) context: &'c mut NameContext<'t>,
+    pub(crate) scope: ExpressionScope<'c>,
     pub(crate) snippet: &'c Snippet,
 }
 
 /// A number, linear in states, or a truth value without states.
 enum Meaning {
-    Number(Form),
+    Number(LinearForm),
     Truth(Expression),
 }
 
@@ -32,7 +32,7 @@ const TRUTH: &str = "a condition";
 
 impl Lowering<'_, '_> {
     /// The meaning of a tree that must be a number.
-    pub(crate) fn form(&mut self, node: &Node) -> Result<Form> {
+    pub(crate) fn form(&mut self, node: &SyntaxNode) -> Result<LinearForm> {
         match self.any(node)? {
             Meaning::Number(form) => Ok(form),
             Meaning::Truth(_) => Err(self
@@ -42,7 +42,7 @@ impl Lowering<'_, '_> {
     }
 
     /// The meaning of a tree that must be a condition.
-    pub(crate) fn truth(&mut self, node: &Node) -> Result<Expression> {
+    pub(crate) fn truth(&mut self, node: &SyntaxNode) -> Result<Expression> {
         match self.any(node)? {
             Meaning::Truth(expression) => Ok(expression),
             Meaning::Number(_) => {
@@ -53,24 +53,24 @@ impl Lowering<'_, '_> {
     }
 
     /// A number without states.
-    pub(crate) fn scalar(&mut self, node: &Node) -> Result<Expression> {
+    pub(crate) fn scalar(&mut self, node: &SyntaxNode) -> Result<Expression> {
         let form = self.form(node)?;
         debug_assert!(self.scope.states || form.terms.is_empty(), "no state has got past its scope");
         Ok(form.constant)
     }
 
-    fn any(&mut self, node: &Node) -> Result<Meaning> {
+    fn any(&mut self, node: &SyntaxNode) -> Result<Meaning> {
         self.context.spend(1).map_err(|problem| self.wrong(problem, &node.span))?;
         match &node.kind {
-            Kind::Number(x) => Ok(number(Expression::Number(*x))),
-            Kind::Name(name) => self.name(name, &node.span),
-            Kind::Column(name) => self.column(name, &node.span),
-            Kind::Text(_) => Err(self
+            SyntaxKind::Number(x) => Ok(number(Expression::Number(*x))),
+            SyntaxKind::Name(name) => self.name(name, &node.span),
+            SyntaxKind::Column(name) => self.column(name, &node.span),
+            SyntaxKind::Text(_) => Err(self
                 .wrong(Wrong::Type { found: "a text", expected: "a number or a condition" }, &node.span)
                 .hint("texts are compared with columns, as in `sensor == 'A'`")),
-            Kind::Negate(a) => Ok(Meaning::Number(self.form(a)?.negate())),
-            Kind::Not(a) => Ok(Meaning::Truth(fold::not(self.truth(a)?))),
-            Kind::Binary(operator, a, b) => match operator {
+            SyntaxKind::Negate(a) => Ok(Meaning::Number(self.form(a)?.negate())),
+            SyntaxKind::Not(a) => Ok(Meaning::Truth(fold::not(self.truth(a)?))),
+            SyntaxKind::Binary(operator, a, b) => match operator {
                 Operator::And | Operator::Or => self.connective_chain(node),
                 Operator::Power => self.power(a, b, &node.span),
                 Operator::Add | Operator::Subtract | Operator::Multiply | Operator::Divide => {
@@ -78,14 +78,14 @@ impl Lowering<'_, '_> {
                 }
                 _ => self.comparison(*operator, a, b, &node.span),
             },
-            Kind::Call(name, arguments) => self.call(name, arguments, &node.span),
+            SyntaxKind::Call(name, arguments) => self.call(name, arguments, &node.span),
         }
     }
 
     fn name(&mut self, name: &str, span: &Range<usize>) -> Result<Meaning> {
         if let Some(state) = self.context.states.get(name) {
             self.allow(self.scope.states, || format!("state `{name}`"), span)?;
-            return Ok(Meaning::Number(Form::state(state)));
+            return Ok(Meaning::Number(LinearForm::state(state)));
         }
         if let Some(index) = self.context.parameters.get(name) {
             return self.parameter(name, index, span);
@@ -116,7 +116,7 @@ impl Lowering<'_, '_> {
             let place = self.scope.place.to_owned();
             return Err(self.wrong(Wrong::LevelInCommon { name: name.to_owned(), per, place }, span));
         }
-        self.context.use_parameter(index, Role::Coefficient);
+        self.context.use_parameter(index, ParameterRole::Coefficient);
         Ok(number(Expression::Parameter(index)))
     }
 
@@ -133,10 +133,10 @@ impl Lowering<'_, '_> {
     }
 
     /// Walks a left spine of + - * / without recursion.
-    fn arithmetic_chain(&mut self, node: &Node) -> Result<Meaning> {
+    fn arithmetic_chain(&mut self, node: &SyntaxNode) -> Result<Meaning> {
         let mut chain = Vec::new();
         let mut first = node;
-        while let Kind::Binary(operator, left, right) = &first.kind
+        while let SyntaxKind::Binary(operator, left, right) = &first.kind
             && matches!(operator, Operator::Add | Operator::Subtract | Operator::Multiply | Operator::Divide)
         {
             chain.push((*operator, right, &first.span));
@@ -150,7 +150,7 @@ impl Lowering<'_, '_> {
         Ok(Meaning::Number(total))
     }
 
-    fn combine(&mut self, operator: Operator, a: Form, b: Form, span: &Range<usize>) -> Result<Form> {
+    fn combine(&mut self, operator: Operator, a: LinearForm, b: LinearForm, span: &Range<usize>) -> Result<LinearForm> {
         let folded = match operator {
             Operator::Add | Operator::Subtract => a.join(operator, b),
             _ => match (a.first_state(), b.first_state()) {
@@ -181,12 +181,12 @@ impl Lowering<'_, '_> {
     }
 
     /// Accounts for copies of a factor that goes to every term.
-    fn spend(&mut self, form: &Form, factor: &Expression, span: &Range<usize>) -> Result<()> {
+    fn spend(&mut self, form: &LinearForm, factor: &Expression, span: &Range<usize>) -> Result<()> {
         let copies = form.terms.len().saturating_mul(fold::size(factor));
         self.context.spend(copies).map_err(|problem| self.wrong(problem, span))
     }
 
-    fn power(&mut self, base: &Node, exponent: &Node, span: &Range<usize>) -> Result<Meaning> {
+    fn power(&mut self, base: &SyntaxNode, exponent: &SyntaxNode, span: &Range<usize>) -> Result<Meaning> {
         let (base, exponent) = (self.form(base)?, self.form(exponent)?);
         if let Some(state) = exponent.first_state() {
             return Err(self.wrong(Wrong::StateInExponent { name: self.state_name(state) }, span));
@@ -202,10 +202,10 @@ impl Lowering<'_, '_> {
     }
 
     /// Walks a left spine of `and` and `or` without recursion.
-    fn connective_chain(&mut self, node: &Node) -> Result<Meaning> {
+    fn connective_chain(&mut self, node: &SyntaxNode) -> Result<Meaning> {
         let mut chain = Vec::new();
         let mut first = node;
-        while let Kind::Binary(operator @ (Operator::And | Operator::Or), left, right) = &first.kind {
+        while let SyntaxKind::Binary(operator @ (Operator::And | Operator::Or), left, right) = &first.kind {
             chain.push((*operator, right, &first.span));
             first = left;
         }
@@ -217,10 +217,16 @@ impl Lowering<'_, '_> {
         Ok(Meaning::Truth(total))
     }
 
-    fn comparison(&mut self, operator: Operator, a: &Node, b: &Node, span: &Range<usize>) -> Result<Meaning> {
+    fn comparison(
+        &mut self,
+        operator: Operator,
+        a: &SyntaxNode,
+        b: &SyntaxNode,
+        span: &Range<usize>,
+    ) -> Result<Meaning> {
         match (&a.kind, &b.kind) {
-            (Kind::Text(text), _) => return self.text_comparison(operator, b, text, span),
-            (_, Kind::Text(text)) => return self.text_comparison(operator, a, text, span),
+            (SyntaxKind::Text(text), _) => return self.text_comparison(operator, b, text, span),
+            (_, SyntaxKind::Text(text)) => return self.text_comparison(operator, a, text, span),
             _ => {}
         }
         let (a, b) = (self.form(a)?, self.form(b)?);
@@ -234,7 +240,7 @@ impl Lowering<'_, '_> {
     fn text_comparison(
         &mut self,
         operator: Operator,
-        other: &Node,
+        other: &SyntaxNode,
         text: &str,
         span: &Range<usize>,
     ) -> Result<Meaning> {
@@ -244,8 +250,8 @@ impl Lowering<'_, '_> {
             _ => return Err(self.wrong(Wrong::TextOrder { found: symbol(operator) }, span)),
         };
         let (column, quoted) = match &other.kind {
-            Kind::Column(name) => (name, true),
-            Kind::Name(name) => (name, false),
+            SyntaxKind::Column(name) => (name, true),
+            SyntaxKind::Name(name) => (name, false),
             _ => {
                 let found = format!("`{}`", self.snippet.text_at(&other.span));
                 return Err(self.wrong(Wrong::TextComparedWith { found }, &other.span));
@@ -275,7 +281,7 @@ impl Lowering<'_, '_> {
         }
     }
 
-    fn call(&mut self, name: &str, arguments: &[Node], span: &Range<usize>) -> Result<Meaning> {
+    fn call(&mut self, name: &str, arguments: &[SyntaxNode], span: &Range<usize>) -> Result<Meaning> {
         if name == "if" {
             return self.choice(arguments, span);
         }
@@ -297,7 +303,7 @@ impl Lowering<'_, '_> {
         fold::call(function, scalars).map(number).map_err(|problem| self.wrong(problem, span))
     }
 
-    fn choice(&mut self, arguments: &[Node], span: &Range<usize>) -> Result<Meaning> {
+    fn choice(&mut self, arguments: &[SyntaxNode], span: &Range<usize>) -> Result<Meaning> {
         let [condition, yes, no] = arguments else {
             let wrong = Wrong::Arguments { name: "if".to_owned(), found: arguments.len(), expected: "3" };
             return Err(self.wrong(wrong, span).hint("write `if(condition, value, other_value)`"));
@@ -306,7 +312,7 @@ impl Lowering<'_, '_> {
         let (yes, no) = (self.form(yes)?, self.form(no)?);
         let copies = (yes.terms.len() + no.terms.len()).saturating_mul(fold::size(&condition));
         self.context.spend(copies).map_err(|problem| self.wrong(problem, span))?;
-        Ok(Meaning::Number(Form::choose(&condition, yes, no)))
+        Ok(Meaning::Number(LinearForm::choose(&condition, yes, no)))
     }
 
     fn unknown_function(&self, name: &str, span: &Range<usize>) -> SpecError {
@@ -341,7 +347,7 @@ impl Lowering<'_, '_> {
 }
 
 fn number(constant: Expression) -> Meaning {
-    Meaning::Number(Form { terms: Vec::new(), constant })
+    Meaning::Number(LinearForm { terms: Vec::new(), constant })
 }
 
 /// The form of a plain number.

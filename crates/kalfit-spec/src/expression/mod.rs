@@ -10,16 +10,16 @@ mod syntax;
 use kalfit::model::{Expression, Linear};
 
 use crate::error::{Result, SpecError};
-use crate::names::Context;
-use crate::table::Field;
+use crate::names::NameContext;
+use crate::table::TomlField;
 use lower::Lowering;
 use snippet::Snippet;
-use syntax::Node;
+use syntax::SyntaxNode;
 
 pub(crate) use fold::{ONE, ZERO, binary, is_zero, negate, size, square};
-pub(crate) use scope::Scope;
+pub(crate) use scope::ExpressionScope;
 
-fn read(context: &Context<'_>, field: &Field<'_>) -> Result<(Snippet, Node)> {
+fn read(context: &NameContext<'_>, field: &TomlField<'_>) -> Result<(Snippet, SyntaxNode)> {
     let text = field.as_text().ok_or_else(|| field.wrong_type("a number or an expression"))?;
     let snippet = Snippet::new(context.source, text, field.span.clone());
     match syntax::parse(text) {
@@ -32,7 +32,11 @@ fn read(context: &Context<'_>, field: &Field<'_>) -> Result<(Snippet, Node)> {
 }
 
 /// A linear form in the states: a number or an expression.
-pub(crate) fn linear(context: &mut Context<'_>, field: &Field<'_>, scope: Scope<'_>) -> Result<Linear> {
+pub(crate) fn linear(
+    context: &mut NameContext<'_>,
+    field: &TomlField<'_>,
+    scope: ExpressionScope<'_>,
+) -> Result<Linear> {
     if field.is_number() {
         return Ok(lower::constant(field.number()?));
     }
@@ -41,7 +45,11 @@ pub(crate) fn linear(context: &mut Context<'_>, field: &Field<'_>, scope: Scope<
 }
 
 /// A number without states: a number or an expression.
-pub(crate) fn scalar(context: &mut Context<'_>, field: &Field<'_>, scope: Scope<'_>) -> Result<Expression> {
+pub(crate) fn scalar(
+    context: &mut NameContext<'_>,
+    field: &TomlField<'_>,
+    scope: ExpressionScope<'_>,
+) -> Result<Expression> {
     if field.is_number() {
         return Ok(lower::constant(field.number()?).constant);
     }
@@ -50,7 +58,11 @@ pub(crate) fn scalar(context: &mut Context<'_>, field: &Field<'_>, scope: Scope<
 }
 
 /// A condition.
-pub(crate) fn condition(context: &mut Context<'_>, field: &Field<'_>, scope: Scope<'_>) -> Result<Expression> {
+pub(crate) fn condition(
+    context: &mut NameContext<'_>,
+    field: &TomlField<'_>,
+    scope: ExpressionScope<'_>,
+) -> Result<Expression> {
     field.text()?;
     let (snippet, node) = read(context, field)?;
     Lowering { context, scope, snippet: &snippet }.truth(&node)

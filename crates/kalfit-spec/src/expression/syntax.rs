@@ -5,7 +5,7 @@ use std::ops::Range;
 use kalfit::model::Operator;
 
 use crate::error::ExpressionProblem;
-use crate::token::{Token, Word, tokenize};
+use crate::token::{SpannedToken, Token, tokenize};
 use crate::vocabulary::operator_written;
 
 /// Longest expression that is read, in bytes.
@@ -17,44 +17,44 @@ const MAX_DEPTH: usize = 64;
 
 /// A part of an expression and its bytes in the text.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Node {
-    pub(crate) kind: Kind,
+pub(crate) struct SyntaxNode {
+    pub(crate) kind: SyntaxKind,
     pub(crate) span: Range<usize>,
 }
 
 /// The kinds of part.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Kind {
+pub(crate) enum SyntaxKind {
     Number(f64),
     Name(String),
     Column(String),
     Text(String),
-    Negate(Box<Node>),
-    Not(Box<Node>),
-    Binary(Operator, Box<Node>, Box<Node>),
-    Call(String, Vec<Node>),
+    Negate(Box<SyntaxNode>),
+    Not(Box<SyntaxNode>),
+    Binary(Operator, Box<SyntaxNode>, Box<SyntaxNode>),
+    Call(String, Vec<SyntaxNode>),
 }
 
 /// A fault of syntax: what, where, and what may help.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Fault {
+pub(crate) struct SyntaxFault {
     pub(crate) problem: ExpressionProblem,
     pub(crate) span: Range<usize>,
     pub(crate) hint: Option<String>,
 }
 
-type Parsed<T> = Result<T, Box<Fault>>;
+type Parsed<T> = Result<T, Box<SyntaxFault>>;
 
 /// Reads a whole text as one expression.
-pub(crate) fn parse(text: &str) -> Parsed<Node> {
+pub(crate) fn parse(text: &str) -> Parsed<SyntaxNode> {
     if text.len() > MAX_LENGTH {
         return fault(ExpressionProblem::TooLong { found: text.len(), limit: MAX_LENGTH }, 0..text.len(), None);
     }
     let words = tokenize(text).map_err(|(problem, span)| {
         let hint = character_hint(&problem);
-        Box::new(Fault { problem, span, hint })
+        Box::new(SyntaxFault { problem, span, hint })
     })?;
-    let mut parser = Parser { words: &words, next: 0, end: text.len(), parts: 0 };
+    let mut parser = ExpressionParser { words: &words, next: 0, end: text.len(), parts: 0 };
     let node = parser.expression(0, 0)?;
     match parser.peek() {
         None => Ok(node),
@@ -62,8 +62,8 @@ pub(crate) fn parse(text: &str) -> Parsed<Node> {
     }
 }
 
-struct Parser<'w, 's> {
-    words: &'w [Word<'s>],
+struct ExpressionParser<'w, 's> {
+    words: &'w [SpannedToken<'s>],
     next: usize,
     end: usize,
     parts: usize,
@@ -89,9 +89,9 @@ const COMPARISON: u8 = 7;
 const MINUS: u8 = 13;
 const OPERAND: &str = "a number, a name or `(`";
 
-impl<'w> Parser<'w, '_> {
+impl<'w> ExpressionParser<'w, '_> {
     /// Precedence climbing: all operators that bind at least as tightly as `least`.
-    fn expression(&mut self, least: u8, depth: usize) -> Parsed<Node> {
+    fn expression(&mut self, least: u8, depth: usize) -> Parsed<SyntaxNode> {
         if depth >= MAX_DEPTH {
             return fault(ExpressionProblem::TooDeep { limit: MAX_DEPTH }, self.here(), None);
         }
@@ -110,24 +110,24 @@ impl<'w> Parser<'w, '_> {
             self.next += 1;
             let right = self.expression(right_power, depth + 1)?;
             let span = left.span.start..right.span.end;
-            left = self.node(Kind::Binary(operator, Box::new(left), Box::new(right)), span)?;
+            left = self.node(SyntaxKind::Binary(operator, Box::new(left), Box::new(right)), span)?;
         }
         Ok(left)
     }
 
-    fn operand(&mut self, depth: usize) -> Parsed<Node> {
+    fn operand(&mut self, depth: usize) -> Parsed<SyntaxNode> {
         let Some((token, span)) = self.words.get(self.next) else { return self.unexpected(OPERAND) };
         let span = span.clone();
         self.next += 1;
         match token {
-            Token::Number(x) => self.node(Kind::Number(*x), span),
-            Token::Column(name) => self.node(Kind::Column((*name).to_owned()), span),
-            Token::Text(text) => self.node(Kind::Text(text.clone()), span),
-            Token::Name("not") => self.prefix(NOT, Kind::Not, span, depth),
-            Token::Symbol("-") => self.prefix(MINUS, Kind::Negate, span, depth),
+            Token::Number(x) => self.node(SyntaxKind::Number(*x), span),
+            Token::Column(name) => self.node(SyntaxKind::Column((*name).to_owned()), span),
+            Token::Text(text) => self.node(SyntaxKind::Text(text.clone()), span),
+            Token::Name("not") => self.prefix(NOT, SyntaxKind::Not, span, depth),
+            Token::Symbol("-") => self.prefix(MINUS, SyntaxKind::Negate, span, depth),
             Token::Name(name) if !matches!(*name, "and" | "or") => match self.peek() {
                 Some(Token::Symbol("(")) => self.call(name, span, depth),
-                _ => self.node(Kind::Name((*name).to_owned()), span),
+                _ => self.node(SyntaxKind::Name((*name).to_owned()), span),
             },
             Token::Symbol("(") => {
                 let mut inside = self.expression(0, depth + 1)?;
@@ -142,13 +142,19 @@ impl<'w> Parser<'w, '_> {
         }
     }
 
-    fn prefix(&mut self, least: u8, kind: fn(Box<Node>) -> Kind, span: Range<usize>, depth: usize) -> Parsed<Node> {
+    fn prefix(
+        &mut self,
+        least: u8,
+        kind: fn(Box<SyntaxNode>) -> SyntaxKind,
+        span: Range<usize>,
+        depth: usize,
+    ) -> Parsed<SyntaxNode> {
         let operand = self.expression(least, depth + 1)?;
         let span = span.start..operand.span.end;
         self.node(kind(Box::new(operand)), span)
     }
 
-    fn call(&mut self, name: &str, span: Range<usize>, depth: usize) -> Parsed<Node> {
+    fn call(&mut self, name: &str, span: Range<usize>, depth: usize) -> Parsed<SyntaxNode> {
         let open = self.here();
         self.next += 1;
         let mut arguments = Vec::new();
@@ -162,7 +168,7 @@ impl<'w> Parser<'w, '_> {
             }
         }
         let close = self.close(&open)?;
-        self.node(Kind::Call(name.to_owned(), arguments), span.start..close)
+        self.node(SyntaxKind::Call(name.to_owned(), arguments), span.start..close)
     }
 
     /// The end of the parenthesis that was opened at `open`.
@@ -177,12 +183,12 @@ impl<'w> Parser<'w, '_> {
         }
     }
 
-    fn node(&mut self, kind: Kind, span: Range<usize>) -> Parsed<Node> {
+    fn node(&mut self, kind: SyntaxKind, span: Range<usize>) -> Parsed<SyntaxNode> {
         self.parts += 1;
         if self.parts > MAX_PARTS {
             return fault(ExpressionProblem::TooManyParts { limit: MAX_PARTS }, 0..self.end, None);
         }
-        Ok(Node { kind, span })
+        Ok(SyntaxNode { kind, span })
     }
 
     fn peek(&self) -> Option<&'w Token<'_>> {
@@ -208,7 +214,7 @@ impl<'w> Parser<'w, '_> {
 }
 
 fn fault<T>(problem: ExpressionProblem, span: Range<usize>, hint: Option<String>) -> Parsed<T> {
-    Err(Box::new(Fault { problem, span, hint }))
+    Err(Box::new(SyntaxFault { problem, span, hint }))
 }
 
 fn character_hint(problem: &ExpressionProblem) -> Option<String> {
@@ -232,16 +238,16 @@ mod tests {
 
     /// The tree with every parenthesis written.
     fn grouped(text: &str) -> String {
-        fn show(node: &Node) -> String {
+        fn show(node: &SyntaxNode) -> String {
             match &node.kind {
-                Kind::Number(x) => format!("{x}"),
-                Kind::Name(name) => name.clone(),
-                Kind::Column(name) => format!("`{name}`"),
-                Kind::Text(text) => format!("'{text}'"),
-                Kind::Negate(a) => format!("(-{})", show(a)),
-                Kind::Not(a) => format!("(not {})", show(a)),
-                Kind::Binary(operator, a, b) => format!("({} {operator:?} {})", show(a), show(b)),
-                Kind::Call(name, arguments) => {
+                SyntaxKind::Number(x) => format!("{x}"),
+                SyntaxKind::Name(name) => name.clone(),
+                SyntaxKind::Column(name) => format!("`{name}`"),
+                SyntaxKind::Text(text) => format!("'{text}'"),
+                SyntaxKind::Negate(a) => format!("(-{})", show(a)),
+                SyntaxKind::Not(a) => format!("(not {})", show(a)),
+                SyntaxKind::Binary(operator, a, b) => format!("({} {operator:?} {})", show(a), show(b)),
+                SyntaxKind::Call(name, arguments) => {
                     format!("{name}({})", arguments.iter().map(show).collect::<Vec<_>>().join(", "))
                 }
             }

@@ -2,7 +2,7 @@
 
 use crate::Only as _;
 use kalfit::model::{CovarianceKind, MeanElement, Value};
-use kalfit_spec::{BesideError, Hypothesis, Problem, Spec};
+use kalfit_spec::{BesideError, Hypothesis, Spec, SpecProblem};
 use proptest::prelude::*;
 
 const MODEL: &str = r#"
@@ -335,7 +335,7 @@ fn a_key_of_the_model_that_does_not_go_with_the_hypothesis_is_shown_in_the_model
 fn a_hypothesis_that_is_too_large_is_refused() {
     let error = model().under(&format!("# {}", "x".repeat(4 * 1024 * 1024))).unwrap_err();
     let BesideError::File(error) = error else { panic!("{error:?}") };
-    assert!(matches!(*error.problem, Problem::TooLarge { .. }), "{error:?}");
+    assert!(matches!(*error.problem, SpecProblem::TooLarge { .. }), "{error:?}");
     assert_eq!(error.message, "the file has 4194306 bytes, expected at most 4194304");
     let largest = format!("[mean]\nfixed = {{ scale = 0 }}\n#{}", "x".repeat(4 * 1024 * 1024 - 30));
     assert_eq!(largest.len(), 4 * 1024 * 1024);

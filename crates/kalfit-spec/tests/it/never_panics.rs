@@ -1,7 +1,7 @@
 //! Whatever a model file holds, reading it ends with a model or with an error whose place is in the file.
 
 use kalfit::model::{Filter, Initial};
-use kalfit_spec::{ExpressionProblem, Problem, Spec, SpecError};
+use kalfit_spec::{ExpressionProblem, Spec, SpecError, SpecProblem};
 use proptest::prelude::*;
 
 fn read(text: &str) -> Result<Spec, SpecError> {
@@ -211,7 +211,7 @@ fn many_phases_of_one_large_table_are_refused() {
         [format!("{start}{}{phases}", many(&measurement, 500)), format!("{start}{}{regressions}", measurement(0))]
     {
         let problem = *read(&text).unwrap_err().problem;
-        assert!(matches!(problem, Problem::Count { .. }), "{problem:?}");
+        assert!(matches!(problem, SpecProblem::Count { .. }), "{problem:?}");
     }
 }
 
@@ -239,7 +239,7 @@ fn deep_tables_and_arrays_are_refused() {
         format!("[{}a]", "a.".repeat(100_000)),
         format!("{}a = 1", "a.".repeat(100_000)),
     ] {
-        assert!(matches!(*read(&text).unwrap_err().problem, Problem::Toml { .. }));
+        assert!(matches!(*read(&text).unwrap_err().problem, SpecProblem::Toml { .. }));
     }
 }
 
@@ -257,7 +257,7 @@ fn equations_whose_expansion_explodes_are_refused() {
         text.push_str(&format!("[measurements.m{i}]\ncolumn = 'y{i}'\nnoise = 1\nequation = '({factor}) * ({sum})'\n"));
     }
     let problem = *read(&text).unwrap_err().problem;
-    assert!(matches!(problem, Problem::Expression(ExpressionProblem::ModelTooLarge { .. })), "{problem:?}");
+    assert!(matches!(problem, SpecProblem::Expression(ExpressionProblem::ModelTooLarge { .. })), "{problem:?}");
 }
 
 #[test]
@@ -270,7 +270,7 @@ fn lists_without_end_and_names_without_end_are_refused() {
         format!("{states}[parameters]\n{}", many(|i| format!("p{i} = {{}}\n"))),
         format!("{states}[mean.regression]\na = [{}]\n", many(|i| format!("'c{i}', "))),
     ] {
-        assert!(matches!(*read(&text).unwrap_err().problem, Problem::Count { .. }));
+        assert!(matches!(*read(&text).unwrap_err().problem, SpecProblem::Count { .. }));
     }
     let error = read(&format!("{} = 1", "k".repeat(1_000_000))).unwrap_err();
     assert!(error.message.len() < 2_000, "the message has {} bytes", error.message.len());
@@ -279,15 +279,15 @@ fn lists_without_end_and_names_without_end_are_refused() {
 #[test]
 fn files_that_are_too_large_or_no_text_are_refused() {
     let text = format!("# {}", "x".repeat(4 * 1024 * 1024));
-    assert!(matches!(*read(&text).unwrap_err().problem, Problem::TooLarge { .. }));
+    assert!(matches!(*read(&text).unwrap_err().problem, SpecProblem::TooLarge { .. }));
     let folder = std::env::temp_dir().join(format!("kalfit-spec-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let path = folder.join("model.toml");
     std::fs::write(&path, [b'[', 0xff, b']']).unwrap();
-    assert_eq!(*Spec::load(&path).unwrap_err().problem, Problem::NotText { offset: 1 });
+    assert_eq!(*Spec::load(&path).unwrap_err().problem, SpecProblem::NotText { offset: 1 });
     std::fs::write(&path, &text).unwrap();
-    assert!(matches!(*Spec::load(&path).unwrap_err().problem, Problem::TooLarge { .. }));
-    assert!(matches!(*Spec::load(&folder.join("none.toml")).unwrap_err().problem, Problem::Unreadable { .. }));
+    assert!(matches!(*Spec::load(&path).unwrap_err().problem, SpecProblem::TooLarge { .. }));
+    assert!(matches!(*Spec::load(&folder.join("none.toml")).unwrap_err().problem, SpecProblem::Unreadable { .. }));
     std::fs::write(&path, with_equation("'a + b'")).unwrap();
     assert_eq!(Spec::load(&path).unwrap().model.shared().estimated.len(), 2);
     std::fs::remove_dir_all(&folder).unwrap();
