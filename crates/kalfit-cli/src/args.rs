@@ -10,7 +10,7 @@ use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
 use kalfit_job::words::{self, Word};
 use kalfit_job::{Form, MethodChoice, Units};
-use kalfit_report::{WIDTHS, What};
+use kalfit_report::{PlotKind, WIDTHS};
 
 use crate::examples;
 use crate::templates::Template;
@@ -626,7 +626,7 @@ pub(crate) struct PlotArgs {
 
     /// What the figure shows
     #[arg(long, value_parser = one_of(words::FIGURES), default_value = words::FIGURES[0].word)]
-    pub(crate) what: What,
+    pub(crate) what: PlotKind,
 
     /// With `--what records`: the model file
     #[arg(long, value_name = "MODEL")]

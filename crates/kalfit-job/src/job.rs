@@ -10,7 +10,7 @@ use kalfit::infer::{Bootstrap, Choices};
 use kalfit::predict::Limits;
 use kalfit::record::{AppliedRecord, PredictedRecord};
 use kalfit_data::{Datum, Input};
-use kalfit_report::What;
+use kalfit_report::PlotKind;
 use serde::Serialize;
 
 use crate::document::Document;
@@ -355,7 +355,7 @@ pub struct PlotJob {
     /// Results of a fit.
     pub fit: Document,
     /// What the figure shows.
-    pub what: What,
+    pub what: PlotKind,
     /// The model, for figures of records.
     pub model: Option<ModelJob>,
     /// The data, for figures of records.

@@ -5,7 +5,7 @@ use std::path::Path;
 use kalfit::FitRecord;
 use kalfit::along::along;
 use kalfit::record::AlongRecord;
-use kalfit_report::{Format, What};
+use kalfit_report::{PlotFormat, PlotKind};
 
 use crate::evidence::Given;
 use crate::failure::Failure;
@@ -26,7 +26,7 @@ pub fn plot(job: &PlotJob, watch: &mut dyn Watch) -> Result<Done<()>, Failure> {
         kalfit_report::plot(record, job.what, chosen, (format, job.width)).map_err(Failure::Plot)
     };
     let (figure, notes) = match (job.what, &job.model) {
-        (What::Records, Some(model)) => {
+        (PlotKind::Records, Some(model)) => {
             let (mut spec, truth) = truth::load(model, &job.fit)?;
             let given = Given::open(&mut spec, &job.data)?;
             prepared(job, &files(&[&model.document, &job.fit], &given.inputs))?;
@@ -39,7 +39,7 @@ pub fn plot(job: &PlotJob, watch: &mut dyn Watch) -> Result<Done<()>, Failure> {
             work.go_on()?;
             (shown(&record, known.as_ref())?, [truth.warnings, given.notes].concat())
         }
-        (What::Records, None) => return Err(Failure::RecordsWithoutData),
+        (PlotKind::Records, None) => return Err(Failure::RecordsWithoutData),
         _ if job.model.is_some() || !job.data.is_empty() || job.test.is_some() => return Err(Failure::IdlePlotData),
         _ => (shown(&read(&job.fit, FIT).map_err(|error| Failure::Report(Box::new(error)))?, None)?, Vec::new()),
     };
@@ -48,11 +48,11 @@ pub fn plot(job: &PlotJob, watch: &mut dyn Watch) -> Result<Done<()>, Failure> {
 }
 
 /// The file, and its format, which its ending says.
-fn prepared(job: &PlotJob, inputs: &[&Path]) -> Result<(Output, Format), Failure> {
+fn prepared(job: &PlotJob, inputs: &[&Path]) -> Result<(Output, PlotFormat), Failure> {
     let ending = job.out.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     let format = match ending.as_deref() {
-        Some("svg") => Format::Svg,
-        Some("png") => Format::Png,
+        Some("svg") => PlotFormat::Svg,
+        Some("png") => PlotFormat::Png,
         _ => {
             let (path, option) = (job.out.clone(), "--out");
             return Err(OutputError::Ending { path, contents: Contents::Figure, option }.into());

@@ -4,7 +4,7 @@ use kalfit::apply::StateKind;
 use kalfit::dynamic::Method;
 use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
-use kalfit_report::What;
+use kalfit_report::PlotKind;
 
 use crate::export::form::Form;
 use crate::job::{MethodChoice, Units};
@@ -101,11 +101,11 @@ pub const KINDS: &[Word<StateKind>] = &[
 ];
 
 /// What a figure shows.
-pub const FIGURES: &[Word<What>] = &[
-    word("forest", What::Forest, "Means, standard deviations and free parameters with their 95 % intervals"),
-    word("ellipses", What::Ellipses, "Each pair of states: the population, and the tests in it"),
-    word("influence", What::Influence, "How far the estimates move when a test is left out"),
-    word("records", What::Records, "A test over time: measured and predicted values, innovations"),
+pub const FIGURES: &[Word<PlotKind>] = &[
+    word("forest", PlotKind::Forest, "Means, standard deviations and free parameters with their 95 % intervals"),
+    word("ellipses", PlotKind::Ellipses, "Each pair of states: the population, and the tests in it"),
+    word("influence", PlotKind::Influence, "How far the estimates move when a test is left out"),
+    word("records", PlotKind::Records, "A test over time: measured and predicted values, innovations"),
 ];
 
 /// Whose tests are predicted.

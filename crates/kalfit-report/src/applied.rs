@@ -4,8 +4,8 @@ use kalfit::record::{AppliedRecord, Basis, FarGroupRecord, FarRecord, JointRecor
 
 use crate::Style;
 use crate::number::{p_value, plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, list};
 
 /// Tests that stand out are listed up to this many.
@@ -15,7 +15,7 @@ const DOUBTFUL: f64 = 0.01;
 
 /// What a fitted model says of tests, in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -134,23 +134,23 @@ fn sum(joint: &JointRecord) -> String {
     format!("add up to {squared}, {expected} ({law}): {p}.")
 }
 
-fn far(record: &AppliedRecord, page: &Page<'_>) -> String {
+fn far(record: &AppliedRecord, page: &PageLayout<'_>) -> String {
     let outlying = record.outlying.iter().map(|one| (one, "initial state"));
     let all: Vec<(&FarRecord, &str)> = outlying.chain(record.unlikely.iter().map(|one| (one, "residuals"))).collect();
     if all.is_empty() {
         return String::new();
     }
     let shown = &all[..all.len().min(MOST)];
-    let column = |heading: &str, side: Side, cell: &dyn Fn(&(&FarRecord, &str)) -> String| {
-        Column::new(heading, side, shown.iter().map(cell).collect())
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(&(&FarRecord, &str)) -> String| {
+        TextColumn::new(heading, side, shown.iter().map(cell).collect())
     };
     let table = page.table(&[
-        column("test", Side::Left, &|(one, _)| clean(&one.test)),
-        column("in its", Side::Left, &|(_, what)| (*what).to_owned()),
-        column("squared", Side::Right, &|(one, _)| plain(one.squared, 3)),
-        column("expected", Side::Right, &|(one, _)| one.degrees_of_freedom.to_string()),
-        column("p", Side::Right, &|(one, _)| probability(one.p_value)),
-        column("p corrected", Side::Right, &|(one, _)| probability(one.p_corrected)),
+        column("test", ColumnSide::Left, &|(one, _)| clean(&one.test)),
+        column("in its", ColumnSide::Left, &|(_, what)| (*what).to_owned()),
+        column("squared", ColumnSide::Right, &|(one, _)| plain(one.squared, 3)),
+        column("expected", ColumnSide::Right, &|(one, _)| one.degrees_of_freedom.to_string()),
+        column("p", ColumnSide::Right, &|(one, _)| probability(one.p_value)),
+        column("p corrected", ColumnSide::Right, &|(one, _)| probability(one.p_corrected)),
     ]);
     match all.len() - shown.len() {
         0 => table,
@@ -158,20 +158,20 @@ fn far(record: &AppliedRecord, page: &Page<'_>) -> String {
     }
 }
 
-fn far_groups(record: &AppliedRecord, page: &Page<'_>) -> String {
+fn far_groups(record: &AppliedRecord, page: &PageLayout<'_>) -> String {
     let all = &record.outlying_groups;
     let shown = &all[..all.len().min(MOST)];
-    let column = |heading: &str, side: Side, cell: &dyn Fn(&FarGroupRecord) -> String| {
-        Column::new(heading, side, shown.iter().map(cell).collect())
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(&FarGroupRecord) -> String| {
+        TextColumn::new(heading, side, shown.iter().map(cell).collect())
     };
     let table = page.table(&[
-        column("level", Side::Left, &|one| clean(&one.level)),
-        column("group", Side::Left, &|one| clean(&one.id.join("/"))),
-        column("tests", Side::Right, &|one| one.tests.to_string()),
-        column("squared", Side::Right, &|one| plain(one.squared, 3)),
-        column("expected", Side::Right, &|one| one.degrees_of_freedom.to_string()),
-        column("p", Side::Right, &|one| probability(one.p_value)),
-        column("p corrected", Side::Right, &|one| probability(one.p_corrected)),
+        column("level", ColumnSide::Left, &|one| clean(&one.level)),
+        column("group", ColumnSide::Left, &|one| clean(&one.id.join("/"))),
+        column("tests", ColumnSide::Right, &|one| one.tests.to_string()),
+        column("squared", ColumnSide::Right, &|one| plain(one.squared, 3)),
+        column("expected", ColumnSide::Right, &|one| one.degrees_of_freedom.to_string()),
+        column("p", ColumnSide::Right, &|one| probability(one.p_value)),
+        column("p corrected", ColumnSide::Right, &|one| probability(one.p_corrected)),
     ]);
     match all.len() - shown.len() {
         _ if all.is_empty() => String::new(),

@@ -6,10 +6,10 @@ use serde::Serialize;
 
 use crate::Style;
 use crate::number::plain;
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::doubts;
 use crate::summary::{headline, observability, phases};
-use crate::table::{Column, Side, table};
+use crate::table::{ColumnSide, TextColumn, table};
 use crate::words::{clean, count, list, sentence};
 
 /// No more names than this in a sentence.
@@ -136,7 +136,7 @@ pub struct CheckedPhase {
 
 /// The check in words. Every line fits `style.width` and ends with a line feed.
 pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -154,7 +154,7 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
 }
 
 /// Data, observability, identifiability.
-fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]), page: &Page<'_>) -> Vec<String> {
+fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]), page: &PageLayout<'_>) -> Vec<String> {
     let Checked::Reduced { levels, notes, at_start_of, .. } = &record.checked else { return Vec::new() };
     let facts = format!("{} {}", headline::data(data).trim_start_matches("Data: "), headline::designs(data));
     let counts: Vec<PhaseCounts> = phases.iter().map(|phase| phase.counts.clone()).collect();
@@ -206,23 +206,23 @@ fn grouped(levels: &[CheckedLevel]) -> Vec<String> {
 }
 
 /// Rows and tests by phase, where there are several.
-fn counted(phases: &[PhaseCounts], tests: usize, page: &Page<'_>) -> String {
+fn counted(phases: &[PhaseCounts], tests: usize, page: &PageLayout<'_>) -> String {
     if phases.len() < 2 {
         return String::new();
     }
     let column = |of: &dyn Fn(&PhaseCounts) -> String| phases.iter().map(of).collect();
     let mut columns = vec![
-        Column::new("phase", Side::Left, column(&|p| p.name.clone())),
-        Column::new("tests", Side::Right, column(&|p| observability::of_all(p.tests, tests))),
-        Column::new("rows", Side::Right, column(&|p| p.rows.to_string())),
+        TextColumn::new("phase", ColumnSide::Left, column(&|p| p.name.clone())),
+        TextColumn::new("tests", ColumnSide::Right, column(&|p| observability::of_all(p.tests, tests))),
+        TextColumn::new("rows", ColumnSide::Right, column(&|p| p.rows.to_string())),
     ];
     if phases.iter().any(|phase| phase.without_rows > 0) {
-        columns.push(Column::new("tests without rows", Side::Right, column(&|p| p.without_rows.to_string())));
+        columns.push(TextColumn::new("tests without rows", ColumnSide::Right, column(&|p| p.without_rows.to_string())));
     }
     format!("\n{}", table(&columns, page.width()))
 }
 
-fn seen(phase: &CheckedPhase, page: &Page<'_>) -> String {
+fn seen(phase: &CheckedPhase, page: &PageLayout<'_>) -> String {
     observability::overview(&phase.observability, phase.counts.tests, page)
 }
 
@@ -235,7 +235,7 @@ fn examined(phase: &CheckedPhase, levels: &[CheckedLevel]) -> Vec<String> {
 }
 
 /// Free parameters, with how many tests each value of them has to be learnt from.
-fn parameters(record: &CheckRecord, tests: usize, page: &Page<'_>) -> String {
+fn parameters(record: &CheckRecord, tests: usize, page: &PageLayout<'_>) -> String {
     let rows = &record.parameters[..record.parameters.len().min(MOST_PARAMETERS)];
     if rows.is_empty() {
         return String::new();
@@ -251,11 +251,11 @@ fn parameters(record: &CheckRecord, tests: usize, page: &Page<'_>) -> String {
         (_, None) => worked_out(&row.found),
     };
     let columns = [
-        Column::new("parameter", Side::Left, column(&|row| row.name.clone())),
-        Column::new("free values", Side::Left, column(&free)),
-        Column::new("one for each", Side::Left, column(&|row| row.per.clone().unwrap_or_default())),
-        Column::new("tests each", Side::Left, column(&|row| tests_each(row, tests))),
-        Column::new("start", Side::Left, column(&start)),
+        TextColumn::new("parameter", ColumnSide::Left, column(&|row| row.name.clone())),
+        TextColumn::new("free values", ColumnSide::Left, column(&free)),
+        TextColumn::new("one for each", ColumnSide::Left, column(&|row| row.per.clone().unwrap_or_default())),
+        TextColumn::new("tests each", ColumnSide::Left, column(&|row| tests_each(row, tests))),
+        TextColumn::new("start", ColumnSide::Left, column(&start)),
     ];
     let mut remarks: Vec<String> = Vec::new();
     for row in rows.iter().filter(|row| !row.levels.is_empty()) {

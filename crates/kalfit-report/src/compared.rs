@@ -4,8 +4,8 @@ use kalfit::compare::{ComparedFit, ComparedRecord, ComparedValidation, NestedRec
 
 use crate::Style;
 use crate::number::{hundredths, plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{capital, clean, count, sentence};
 
 /// Rows of the table of what differs.
@@ -13,7 +13,7 @@ const MOST: usize = 30;
 
 /// The comparison in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn compared_summary(record: &ComparedRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let names: Vec<String> = record.fits.iter().map(|fit| clean(&fit.name)).collect();
     let (what, number) = match record.fits.len() {
         0 => ("validation", record.validated.len()),
@@ -55,16 +55,16 @@ fn verdict(record: &ComparedRecord) -> String {
     }
 }
 
-fn column(record: &ComparedRecord, heading: &str, cell: &dyn Fn(&ComparedFit) -> String) -> Column {
-    Column::new(heading, Side::Right, record.fits.iter().map(cell).collect())
+fn column(record: &ComparedRecord, heading: &str, cell: &dyn Fn(&ComparedFit) -> String) -> TextColumn {
+    TextColumn::new(heading, ColumnSide::Right, record.fits.iter().map(cell).collect())
 }
 
-fn likelihoods(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+fn likelihoods(record: &ComparedRecord, names: &[String], page: &PageLayout<'_>) -> String {
     if record.fits.is_empty() {
         return String::new();
     }
     let or = |x: Option<f64>, show: &dyn Fn(f64) -> String| x.map_or("-".to_owned(), show);
-    let fit = Column::new("fit", Side::Left, names.to_vec());
+    let fit = TextColumn::new("fit", ColumnSide::Left, names.to_vec());
     let mut columns = vec![
         column(record, "log-likelihood", &|fit| plain(fit.log_likelihood, 8)),
         column(record, "free", &|fit| fit.free_parameters.to_string()),
@@ -85,7 +85,7 @@ fn likelihoods(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> St
     format!("{}\n{}", page.wide_table(&fit, &columns), page.wide_table(&fit, &criteria))
 }
 
-fn predictive(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+fn predictive(record: &ComparedRecord, names: &[String], page: &PageLayout<'_>) -> String {
     if record.fits.iter().all(|fit| fit.log_predictive_density.is_none()) {
         return String::new();
     }
@@ -93,7 +93,7 @@ fn predictive(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> Str
     let difference = |fit: &ComparedFit| fit.predictive_difference.map(|own| own.difference);
     let error = |fit: &ComparedFit| fit.predictive_difference.and_then(|own| own.std_error);
     page.table(&[
-        Column::new("fit", Side::Left, names.to_vec()),
+        TextColumn::new("fit", ColumnSide::Left, names.to_vec()),
         column(record, "log density", &|fit| or(fit.log_predictive_density, 7)),
         column(record, "below the best", &|fit| or(difference(fit), 4)),
         column(record, "std. error", &|fit| or(error(fit), 2)),
@@ -101,31 +101,31 @@ fn predictive(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> Str
 }
 
 /// What `kalfit validate` found.
-fn validated(all: &[ComparedValidation], page: &Page<'_>) -> String {
+fn validated(all: &[ComparedValidation], page: &PageLayout<'_>) -> String {
     if all.is_empty() {
         return String::new();
     }
-    let column = |heading: &str, side: Side, cell: &dyn Fn(&ComparedValidation) -> String| {
-        Column::new(heading, side, all.iter().map(cell).collect())
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(&ComparedValidation) -> String| {
+        TextColumn::new(heading, side, all.iter().map(cell).collect())
     };
     let or = |x: Option<f64>, digits: usize| x.map_or("-".to_owned(), |x| plain(x, digits));
     let difference = |own: &ComparedValidation| own.difference.map(|own| own.difference);
     let error = |own: &ComparedValidation| own.difference.and_then(|own| own.std_error);
-    let name = column("validation", Side::Left, &|own| clean(&own.name));
+    let name = column("validation", ColumnSide::Left, &|own| clean(&own.name));
     page.wide_table(
         &name,
         &[
-            column("folds", Side::Right, &|own| own.folds.to_string()),
-            column("log density", Side::Right, &|own| plain(own.log_density, 7)),
-            column("std. error", Side::Right, &|own| or(own.std_error, 2)),
-            column("below the best", Side::Right, &|own| or(difference(own), 4)),
-            column("std. error of that", Side::Right, &|own| or(error(own), 2)),
-            column("converged", Side::Right, &|own| if own.converged { "yes" } else { "no" }.to_owned()),
+            column("folds", ColumnSide::Right, &|own| own.folds.to_string()),
+            column("log density", ColumnSide::Right, &|own| plain(own.log_density, 7)),
+            column("std. error", ColumnSide::Right, &|own| or(own.std_error, 2)),
+            column("below the best", ColumnSide::Right, &|own| or(difference(own), 4)),
+            column("std. error of that", ColumnSide::Right, &|own| or(error(own), 2)),
+            column("converged", ColumnSide::Right, &|own| if own.converged { "yes" } else { "no" }.to_owned()),
         ],
     )
 }
 
-fn nested(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+fn nested(record: &ComparedRecord, names: &[String], page: &PageLayout<'_>) -> String {
     if record.nested.is_empty() {
         return String::new();
     }
@@ -138,11 +138,11 @@ fn nested(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String 
         (None, _) => "-".to_owned(),
     };
     let table = page.table(&[
-        Column::new("hypothesis", Side::Left, cells(&|test| names[test.null].clone())),
-        Column::new("within", Side::Left, cells(&|test| names[test.alternative].clone())),
-        Column::new("-2 log λ", Side::Right, cells(&|test| plain(test.lr, 5))),
-        Column::new("df", Side::Right, cells(&|test| test.df.to_string())),
-        Column::new("p-value", Side::Right, cells(&p_value)),
+        TextColumn::new("hypothesis", ColumnSide::Left, cells(&|test| names[test.null].clone())),
+        TextColumn::new("within", ColumnSide::Left, cells(&|test| names[test.alternative].clone())),
+        TextColumn::new("-2 log λ", ColumnSide::Right, cells(&|test| plain(test.lr, 5))),
+        TextColumn::new("df", ColumnSide::Right, cells(&|test| test.df.to_string())),
+        TextColumn::new("p-value", ColumnSide::Right, cells(&p_value)),
     ]);
     let mut reasons: Vec<String> = Vec::new();
     for test in &record.nested {
@@ -154,7 +154,7 @@ fn nested(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String 
     table + &page.items(&reasons)
 }
 
-fn differences(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> String {
+fn differences(record: &ComparedRecord, names: &[String], page: &PageLayout<'_>) -> String {
     if record.differences.is_empty() {
         return String::new();
     }
@@ -164,11 +164,13 @@ fn differences(record: &ComparedRecord, names: &[String], page: &Page<'_>) -> St
         Some(StandingRecord { fixed: true, value }) => format!("{} fixed", plain(*value, 5)),
         Some(StandingRecord { fixed: false, value }) => plain(*value, 5),
     };
-    let first = Column::new("", Side::Left, rows.iter().map(|row| clean(&row.element)).collect());
-    let others: Vec<Column> = names
+    let first = TextColumn::new("", ColumnSide::Left, rows.iter().map(|row| clean(&row.element)).collect());
+    let others: Vec<TextColumn> = names
         .iter()
         .enumerate()
-        .map(|(k, name)| Column::new(name, Side::Right, rows.iter().map(|row| cell(&row.standing[k])).collect()))
+        .map(|(k, name)| {
+            TextColumn::new(name, ColumnSide::Right, rows.iter().map(|row| cell(&row.standing[k])).collect())
+        })
         .collect();
     let more = match record.differences.len() - rows.len() {
         0 => Vec::new(),

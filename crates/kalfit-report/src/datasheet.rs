@@ -4,15 +4,15 @@ use kalfit::record::{CurveRecord, DatasheetRecord, EntryRecord, Interval};
 
 use crate::Style;
 use crate::number::plain;
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, sentence};
 
 const DIGITS: usize = 4;
 
 /// The numbers of a datasheet in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn datasheet_summary(record: &DatasheetRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -45,21 +45,21 @@ pub fn datasheet_summary(record: &DatasheetRecord, style: &Style) -> String {
     sections.join("\n")
 }
 
-fn entries(entries: &[EntryRecord], of: &dyn Fn(&EntryRecord) -> String) -> Vec<Column> {
-    let column = |heading: &str, side: Side, cell: &dyn Fn(&EntryRecord) -> String| {
-        Column::new(heading, side, entries.iter().map(cell).collect())
+fn entries(entries: &[EntryRecord], of: &dyn Fn(&EntryRecord) -> String) -> Vec<TextColumn> {
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(&EntryRecord) -> String| {
+        TextColumn::new(heading, side, entries.iter().map(cell).collect())
     };
     vec![
-        column("quantity", Side::Left, &|entry| entry.name.clone()),
-        column("of", Side::Left, of),
-        column("value", Side::Right, &|entry| match entry.value {
+        column("quantity", ColumnSide::Left, &|entry| entry.name.clone()),
+        column("of", ColumnSide::Left, of),
+        column("value", ColumnSide::Right, &|entry| match entry.value {
             Some(value) => plain(value, DIGITS),
             None if entry.varies_with == ["step"] => "needs a step".to_owned(),
             None if entry.varies_with.is_empty() => "unknown".to_owned(),
             None => format!("varies with {}", entry.varies_with.join(", ")),
         }),
-        column("95 % interval", Side::Left, &|entry| interval(entry.interval95)),
-        column("unit", Side::Left, &|entry| entry.unit.clone().unwrap_or_default()),
+        column("95 % interval", ColumnSide::Left, &|entry| interval(entry.interval95)),
+        column("unit", ColumnSide::Left, &|entry| entry.unit.clone().unwrap_or_default()),
     ]
 }
 
@@ -68,18 +68,18 @@ fn interval(interval: Interval) -> String {
     interval.map_or(String::new(), |[low, high]| format!("{} to {}", end(low), end(high)))
 }
 
-fn points(curve: &CurveRecord, time: Option<&str>) -> Vec<Column> {
-    let of = |heading: &str, side: Side, cell: &dyn Fn(&kalfit::record::AllanPoint) -> String| {
-        Column::new(heading, side, curve.points.iter().map(cell).collect())
+fn points(curve: &CurveRecord, time: Option<&str>) -> Vec<TextColumn> {
+    let of = |heading: &str, side: ColumnSide, cell: &dyn Fn(&kalfit::record::AllanPoint) -> String| {
+        TextColumn::new(heading, side, curve.points.iter().map(cell).collect())
     };
     let figure = |x: Option<f64>| x.map_or(String::new(), |x| plain(x, DIGITS));
     let heading = time.map_or("time".to_owned(), |time| format!("time, {}", clean(time)));
     vec![
-        of(&heading, Side::Right, &|point| plain(point.time, DIGITS)),
-        of("values", Side::Right, &|point| point.values.to_string()),
-        of("model", Side::Right, &|point| figure(point.model)),
-        of("records", Side::Right, &|point| figure(point.data)),
-        of("95 % interval", Side::Left, &|point| interval(point.interval95)),
+        of(&heading, ColumnSide::Right, &|point| plain(point.time, DIGITS)),
+        of("values", ColumnSide::Right, &|point| point.values.to_string()),
+        of("model", ColumnSide::Right, &|point| figure(point.model)),
+        of("records", ColumnSide::Right, &|point| figure(point.data)),
+        of("95 % interval", ColumnSide::Left, &|point| interval(point.interval95)),
     ]
 }
 

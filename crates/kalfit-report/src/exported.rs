@@ -4,13 +4,13 @@ use kalfit::record::ExportRecord;
 
 use crate::Style;
 use crate::number::plain;
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, sentence};
 
 /// A filter in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn exported_summary(record: &ExportRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -51,39 +51,39 @@ fn facts(record: &ExportRecord) -> String {
     )
 }
 
-fn states(record: &ExportRecord) -> Vec<Column> {
+fn states(record: &ExportRecord) -> Vec<TextColumn> {
     let n = record.states.len();
-    let column = |heading: &str, side: Side, cell: &dyn Fn(usize) -> String| {
-        Column::new(heading, side, (0..n).map(cell).collect())
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(usize) -> String| {
+        TextColumn::new(heading, side, (0..n).map(cell).collect())
     };
-    let mut columns = vec![column("state", Side::Left, &|i| clean(&record.states[i]))];
+    let mut columns = vec![column("state", ColumnSide::Left, &|i| clean(&record.states[i]))];
     if record.units.iter().any(Option::is_some) {
-        columns.push(column("unit", Side::Left, &|i| clean(record.units[i].as_deref().unwrap_or(""))));
+        columns.push(column("unit", ColumnSide::Left, &|i| clean(record.units[i].as_deref().unwrap_or(""))));
     }
     if let (Some(x0), Some(p0)) = (&record.x0, &record.p0) {
-        columns.push(column("x0", Side::Right, &|i| plain(x0[i], 5)));
-        columns.push(column("std. dev.", Side::Right, &|i| plain(p0[i][i].max(0.0).sqrt(), 5)));
+        columns.push(column("x0", ColumnSide::Right, &|i| plain(x0[i], 5)));
+        columns.push(column("std. dev.", ColumnSide::Right, &|i| plain(p0[i][i].max(0.0).sqrt(), 5)));
     }
-    columns.push(column("of a step", Side::Right, &|i| plain(record.q[i][i].max(0.0).sqrt(), 5)));
+    columns.push(column("of a step", ColumnSide::Right, &|i| plain(record.q[i][i].max(0.0).sqrt(), 5)));
     columns
 }
 
-fn measurements(record: &ExportRecord) -> Vec<Column> {
-    let column = |heading: &str, side: Side, cell: &dyn Fn(usize) -> String| {
-        Column::new(heading, side, (0..record.measurements.len()).map(cell).collect())
+fn measurements(record: &ExportRecord) -> Vec<TextColumn> {
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(usize) -> String| {
+        TextColumn::new(heading, side, (0..record.measurements.len()).map(cell).collect())
     };
     let mut columns = vec![
-        column("measurement", Side::Left, &|i| clean(&record.measurements[i])),
-        column("column", Side::Left, &|i| clean(&record.columns[i])),
-        column("noise", Side::Right, &|i| plain(record.r[i][i].max(0.0).sqrt(), 5)),
+        column("measurement", ColumnSide::Left, &|i| clean(&record.measurements[i])),
+        column("column", ColumnSide::Left, &|i| clean(&record.columns[i])),
+        column("noise", ColumnSide::Right, &|i| plain(record.r[i][i].max(0.0).sqrt(), 5)),
     ];
     if record.rows.iter().any(Option::is_some) {
-        columns.push(column("rows where", Side::Left, &|i| clean(record.rows[i].as_deref().unwrap_or("all"))));
+        columns.push(column("rows where", ColumnSide::Left, &|i| clean(record.rows[i].as_deref().unwrap_or("all"))));
     }
     columns
 }
 
-fn inputs(record: &ExportRecord) -> Vec<Column> {
+fn inputs(record: &ExportRecord) -> Vec<TextColumn> {
     let reached = |matrix: &[Vec<f64>], names: &[String], input: usize| {
         let own = matrix.iter().zip(names).filter(|(row, _)| row[input] != 0.0);
         own.map(|(_, name)| clean(name)).collect::<Vec<_>>()
@@ -92,8 +92,8 @@ fn inputs(record: &ExportRecord) -> Vec<Column> {
         [reached(&record.b, &record.states, input), reached(&record.d, &record.measurements, input)].concat().join(", ")
     };
     vec![
-        Column::new("input", Side::Left, record.inputs.iter().map(|input| clean(input)).collect()),
-        Column::new("goes to", Side::Left, (0..record.inputs.len()).map(of).collect()),
+        TextColumn::new("input", ColumnSide::Left, record.inputs.iter().map(|input| clean(input)).collect()),
+        TextColumn::new("goes to", ColumnSide::Left, (0..record.inputs.len()).map(of).collect()),
     ]
 }
 

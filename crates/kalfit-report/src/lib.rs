@@ -27,7 +27,7 @@ pub use datasheet::datasheet_summary;
 pub use exported::exported_summary;
 pub use html::{html, html_along, html_with_test};
 pub use plan::plan_summary;
-pub use plot::{Format, PlotError, WIDTHS, What, plot};
+pub use plot::{PlotError, PlotFormat, PlotKind, WIDTHS, plot};
 pub use predicted::predicted_summary;
 pub use ratio::ratio_summary;
 pub use summary::summary;

@@ -4,9 +4,9 @@ use kalfit::record::{ArrangementRecord, PlanRecord, PlannedRecord};
 
 use crate::Style;
 use crate::number::{Precision, plain};
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::headline;
-use crate::table::{Column, Side, wide_table};
+use crate::table::{ColumnSide, TextColumn, wide_table};
 use crate::words::{clean, count, list};
 
 /// No more names than this in a sentence.
@@ -14,7 +14,7 @@ const MOST_NAMES: usize = 12;
 
 /// A plan in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn plan_summary(record: &PlanRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -60,9 +60,13 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
     };
     let names = rows.iter().map(|q| name(q)).collect();
     let mut columns = vec![
-        Column::new("per unit of", Side::Left, rows.iter().map(|q| q.column.clone().unwrap_or_default()).collect()),
-        Column::new("unit", Side::Left, rows.iter().map(|q| q.unit.clone().unwrap_or_default()).collect()),
-        Column::new("value", Side::Right, rows.iter().map(|q| value(q)).collect()),
+        TextColumn::new(
+            "per unit of",
+            ColumnSide::Left,
+            rows.iter().map(|q| q.column.clone().unwrap_or_default()).collect(),
+        ),
+        TextColumn::new("unit", ColumnSide::Left, rows.iter().map(|q| q.unit.clone().unwrap_or_default()).collect()),
+        TextColumn::new("value", ColumnSide::Right, rows.iter().map(|q| value(q)).collect()),
     ];
     for (k, &tests) in record.tests.iter().enumerate() {
         let cell = |q: &&PlannedRecord| match (q.std_error.get(k).copied().flatten(), k) {
@@ -74,9 +78,9 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
             Some(one) => arranged(one),
             None => count(tests, "test"),
         };
-        columns.push(Column::new(&heading, Side::Right, rows.iter().map(cell).collect()));
+        columns.push(TextColumn::new(&heading, ColumnSide::Right, rows.iter().map(cell).collect()));
     }
-    wide_table(&Column::new("state", Side::Left, names), &columns, width)
+    wide_table(&TextColumn::new("state", ColumnSide::Left, names), &columns, width)
 }
 
 /// `10 × 4`: groups of each level, the outermost first, and tests.

@@ -4,8 +4,8 @@ use kalfit::record::{PairRecord, PredictedRecord, PredictedValueRecord};
 
 use crate::Style;
 use crate::number::plain;
-use crate::page::Page;
-use crate::table::{Column, Side, wide_table};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn, wide_table};
 use crate::words::{clean, count, list};
 
 /// Parameters with other values are named up to this many.
@@ -15,7 +15,7 @@ const DIGITS: usize = 4;
 
 /// Predictions in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn predicted_summary(record: &PredictedRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -52,7 +52,7 @@ pub fn predicted_summary(record: &PredictedRecord, style: &Style) -> String {
 
 fn table(values: &[PredictedValueRecord], width: usize) -> String {
     let column = |heading: &str, cell: &dyn Fn(&PredictedValueRecord) -> String| {
-        Column::new(heading, Side::Right, values.iter().map(cell).collect())
+        TextColumn::new(heading, ColumnSide::Right, values.iter().map(cell).collect())
     };
     let limits = |ends: Option<[f64; 2]>| match ends {
         Some([lower, upper]) => format!("{} to {}", plain(lower, DIGITS), plain(upper, DIGITS)),
@@ -62,7 +62,7 @@ fn table(values: &[PredictedValueRecord], width: usize) -> String {
         Some(unit) => format!("{} [{unit}]", value.name),
         None => value.name.clone(),
     });
-    let name = Column::new("", Side::Left, names.collect());
+    let name = TextColumn::new("", ColumnSide::Left, names.collect());
     let others = [
         column("mean", &|value| plain(value.mean, DIGITS)),
         column("std. dev.", &|value| plain(value.std_dev, DIGITS)),

@@ -4,8 +4,8 @@ use kalfit::record::{BootstrapRecord, ParameterRecord, RatioRecord, SideRecord};
 
 use crate::Style;
 use crate::number::{hundredths, p_value, plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, sentence};
 
 /// Rows of the table of parameters.
@@ -13,7 +13,7 @@ const MOST_PARAMETERS: usize = 30;
 
 /// The test in words and tables: what is tested, what was found, how far it can be trusted. Every line fits `style.width`.
 pub fn ratio_summary(record: &RatioRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = vec![headline(record, &page), fits(record, &page), laws(record, &page)];
     sections.push(parameters(record, &page));
     sections.push(parts(record, &page));
@@ -24,7 +24,7 @@ pub fn ratio_summary(record: &RatioRecord, style: &Style) -> String {
 }
 
 /// The same as parts of a larger page.
-pub(crate) fn sections(record: &RatioRecord, page: &Page<'_>) -> String {
+pub(crate) fn sections(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     let notes: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
     let verdict =
         page.paragraph(&format!("Hypothesis: {}", clean(&record.hypothesis))) + &page.paragraph(&verdict(record));
@@ -32,7 +32,7 @@ pub(crate) fn sections(record: &RatioRecord, page: &Page<'_>) -> String {
     verdict + &parts.concat() + &page.section("Notes on the test", &page.items(&notes))
 }
 
-fn headline(record: &RatioRecord, page: &Page<'_>) -> String {
+fn headline(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     let title = if record.title.is_empty() { "Test of a hypothesis" } else { record.title.as_str() };
     let mut text = page.heading(&clean(title)) + "\n\n";
     text += &page.paragraph(&format!("Hypothesis: {}", clean(&record.hypothesis)));
@@ -66,24 +66,24 @@ fn capital(text: &str) -> String {
     text[..1].to_uppercase() + &text[1..]
 }
 
-fn fits(record: &RatioRecord, page: &Page<'_>) -> String {
+fn fits(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     let sides: [(&str, &SideRecord); 2] = [("hypothesis", &record.null), ("model", &record.alternative)];
     let column = |of: &dyn Fn(&SideRecord) -> String| sides.iter().map(|(_, side)| of(side)).collect();
     let columns = [
-        Column::new("", Side::Left, sides.iter().map(|(name, _)| (*name).to_owned()).collect()),
-        Column::new("log-likelihood", Side::Right, column(&|s| plain(s.log_likelihood, 8))),
-        Column::new("free", Side::Right, column(&|s| s.free_parameters.to_string())),
-        Column::new(
+        TextColumn::new("", ColumnSide::Left, sides.iter().map(|(name, _)| (*name).to_owned()).collect()),
+        TextColumn::new("log-likelihood", ColumnSide::Right, column(&|s| plain(s.log_likelihood, 8))),
+        TextColumn::new("free", ColumnSide::Right, column(&|s| s.free_parameters.to_string())),
+        TextColumn::new(
             "AIC",
-            Side::Right,
+            ColumnSide::Right,
             column(&|s| hundredths(2.0 * s.free_parameters as f64 - 2.0 * s.log_likelihood)),
         ),
-        Column::new("converged", Side::Right, column(&|s| if s.converged { "yes" } else { "no" }.to_owned())),
+        TextColumn::new("converged", ColumnSide::Right, column(&|s| if s.converged { "yes" } else { "no" }.to_owned())),
     ];
     page.section(&format!("Fits to {}", count(record.data.tests, "test")), &page.table(&columns))
 }
 
-fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
+fn laws(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     let mut rows: Vec<(String, f64)> = Vec::new();
     let law = record.law.iter().map(|c| match record.law.len() {
         1 => format!("χ²({})", c.df),
@@ -104,8 +104,8 @@ fn laws(record: &RatioRecord, page: &Page<'_>) -> String {
         rows.push((drawn(bootstrap), bootstrap.p_value.unwrap_or(f64::NAN)));
     }
     let columns = [
-        Column::new("reference distribution", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
-        Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.1)).collect()),
+        TextColumn::new("reference distribution", ColumnSide::Left, rows.iter().map(|r| r.0.clone()).collect()),
+        TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|r| probability(r.1)).collect()),
     ];
     let heading = format!("-2 log λ = {}", plain(record.lr, 6));
     let mut body = page.table(&columns);
@@ -145,7 +145,7 @@ fn name(p: &ParameterRecord) -> [Option<&str>; 3] {
 }
 
 /// Dynamic parameters on both sides, where some are free.
-fn parameters(record: &RatioRecord, page: &Page<'_>) -> String {
+fn parameters(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     let rows = &record.alternative.parameters[..record.alternative.parameters.len().min(MOST_PARAMETERS)];
     let words = |p: &ParameterRecord| name(p).into_iter().flatten().collect::<Vec<_>>().join(" ");
     let value = |p: &ParameterRecord| {
@@ -162,16 +162,16 @@ fn parameters(record: &RatioRecord, page: &Page<'_>) -> String {
         return String::new();
     }
     let columns = [
-        Column::new("parameter", Side::Left, rows.iter().map(words).collect()),
-        Column::new("hypothesis", Side::Right, rows.iter().map(null).collect()),
-        Column::new("model", Side::Right, rows.iter().map(value).collect()),
+        TextColumn::new("parameter", ColumnSide::Left, rows.iter().map(words).collect()),
+        TextColumn::new("hypothesis", ColumnSide::Right, rows.iter().map(null).collect()),
+        TextColumn::new("model", ColumnSide::Right, rows.iter().map(value).collect()),
     ];
     let more = record.alternative.parameters.len() - rows.len();
     let more = if more > 0 { vec![format!("… and {more} more.")] } else { Vec::new() };
     page.section("Dynamic parameters", &(page.table(&columns) + &page.items(&more)))
 }
 
-fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
+fn parts(record: &RatioRecord, page: &PageLayout<'_>) -> String {
     if record.parts.is_empty() {
         return String::new();
     }
@@ -190,10 +190,10 @@ fn parts(record: &RatioRecord, page: &Page<'_>) -> String {
     };
     rows.push((all.to_owned(), record.lr, record.df, record.p_value));
     let columns = [
-        Column::new("hypothesis on", Side::Left, rows.iter().map(|r| r.0.clone()).collect()),
-        Column::new("-2 log λ", Side::Right, rows.iter().map(|r| plain(r.1, 5)).collect()),
-        Column::new("df", Side::Right, rows.iter().map(|r| r.2.to_string()).collect()),
-        Column::new("p-value", Side::Right, rows.iter().map(|r| probability(r.3)).collect()),
+        TextColumn::new("hypothesis on", ColumnSide::Left, rows.iter().map(|r| r.0.clone()).collect()),
+        TextColumn::new("-2 log λ", ColumnSide::Right, rows.iter().map(|r| plain(r.1, 5)).collect()),
+        TextColumn::new("df", ColumnSide::Right, rows.iter().map(|r| r.2.to_string()).collect()),
+        TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|r| probability(r.3)).collect()),
     ];
     page.section(heading, &page.table(&columns))
 }

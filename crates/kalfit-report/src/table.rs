@@ -15,22 +15,22 @@ const WIDEST_NAME: u16 = 36;
 
 /// Side a column leans to: names left, figures right.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Side {
+pub(crate) enum ColumnSide {
     Left,
     Right,
 }
 
 /// One column: its heading, its side, its cells.
 #[derive(Debug, Clone)]
-pub(crate) struct Column {
+pub(crate) struct TextColumn {
     heading: String,
-    side: Side,
+    side: ColumnSide,
     cells: Vec<String>,
 }
 
-impl Column {
-    pub(crate) fn new(heading: &str, side: Side, cells: Vec<String>) -> Column {
-        Column { heading: clean(heading), side, cells: cells.iter().map(|c| clean(c)).collect() }
+impl TextColumn {
+    pub(crate) fn new(heading: &str, side: ColumnSide, cells: Vec<String>) -> TextColumn {
+        TextColumn { heading: clean(heading), side, cells: cells.iter().map(|c| clean(c)).collect() }
     }
 
     fn width(&self) -> usize {
@@ -49,8 +49,8 @@ impl Column {
 }
 
 /// The columns side by side, each line ended. Columns without any cell filled are left out.
-pub(crate) fn table(columns: &[Column], width: usize) -> String {
-    let columns: Vec<&Column> = columns.iter().filter(|c| !c.is_empty()).collect();
+pub(crate) fn table(columns: &[TextColumn], width: usize) -> String {
+    let columns: Vec<&TextColumn> = columns.iter().filter(|c| !c.is_empty()).collect();
     let rows = columns.iter().map(|c| c.cells.len()).max().unwrap_or(0);
     let mut table = Table::new();
     table.load_style(NOTHING).set_content_arrangement(ContentArrangement::Dynamic);
@@ -63,8 +63,8 @@ pub(crate) fn table(columns: &[Column], width: usize) -> String {
         let belongs = columns.get(i + 1).is_some_and(|next| next.heading.is_empty());
         shape.set_padding((0, if belongs { 1 } else { GAP }));
         shape.set_cell_alignment(match column.side {
-            Side::Left => CellAlignment::Left,
-            Side::Right => CellAlignment::Right,
+            ColumnSide::Left => CellAlignment::Left,
+            ColumnSide::Right => CellAlignment::Right,
         });
         shape.set_constraint(ColumnConstraint::UpperBoundary(Width::Fixed(WIDEST_NAME + GAP)));
     }
@@ -73,9 +73,9 @@ pub(crate) fn table(columns: &[Column], width: usize) -> String {
 
 /// A table too wide for the page as several, one below the other: `first` leads each, with as many of the others as fit. Rows
 /// for which no column of a part has a cell filled are left out of that part.
-pub(crate) fn wide_table(first: &Column, others: &[Column], width: usize) -> String {
+pub(crate) fn wide_table(first: &TextColumn, others: &[TextColumn], width: usize) -> String {
     let room = width.saturating_sub(INDENT + first.width());
-    let mut parts: Vec<Vec<&Column>> = Vec::new();
+    let mut parts: Vec<Vec<&TextColumn>> = Vec::new();
     let mut used = usize::MAX;
     for column in others.iter().filter(|c| !c.is_empty()) {
         if used.saturating_add(column.width()) > room {
@@ -85,28 +85,28 @@ pub(crate) fn wide_table(first: &Column, others: &[Column], width: usize) -> Str
         used += column.width();
         parts.last_mut().expect("a part was just opened").push(column);
     }
-    let part = |columns: &Vec<&Column>| {
+    let part = |columns: &Vec<&TextColumn>| {
         let rows: Vec<usize> = (0..first.cells.len())
             .filter(|&row| columns.iter().any(|c| c.cells.get(row).is_some_and(|cell| !cell.is_empty())))
             .collect();
-        let pick = |c: &Column| Column {
+        let pick = |c: &TextColumn| TextColumn {
             cells: rows.iter().map(|&row| c.cells.get(row).cloned().unwrap_or_default()).collect(),
             ..c.clone()
         };
-        let picked: Vec<Column> = std::iter::once(first).chain(columns.iter().copied()).map(pick).collect();
+        let picked: Vec<TextColumn> = std::iter::once(first).chain(columns.iter().copied()).map(pick).collect();
         table(&picked, width)
     };
     parts.iter().map(part).collect::<Vec<_>>().join("\n")
 }
 
 /// The columns as an HTML table that can be sorted by each: one heading for a column and those without a heading after it.
-pub(crate) fn html(columns: &[Column], sorted: bool) -> String {
-    let columns: Vec<&Column> =
+pub(crate) fn html(columns: &[TextColumn], sorted: bool) -> String {
+    let columns: Vec<&TextColumn> =
         columns.iter().enumerate().filter(|(i, c)| *i == 0 || !c.is_empty()).map(|(_, c)| c).collect();
     let rows = columns.iter().map(|c| c.cells.len()).max().unwrap_or(0);
-    let groups: Vec<&[&Column]> = columns.chunk_by(|_, next| next.heading.is_empty()).collect();
-    let side = |column: &Column| if column.side == Side::Right { "figure" } else { "word" };
-    let class = |column: &Column, cell: &str| {
+    let groups: Vec<&[&TextColumn]> = columns.chunk_by(|_, next| next.heading.is_empty()).collect();
+    let side = |column: &TextColumn| if column.side == ColumnSide::Right { "figure" } else { "word" };
+    let class = |column: &TextColumn, cell: &str| {
         let long = if cell.chars().count() > LONG { " long" } else { "" };
         let beside = if column.heading.is_empty() { " beside" } else { "" };
         format!("{}{long}{beside}", side(column))
@@ -143,15 +143,15 @@ const LEAST_SORTED: usize = 3;
 mod tests {
     use super::*;
 
-    fn column(heading: &str, side: Side, cells: &[&str]) -> Column {
-        Column::new(heading, side, cells.iter().map(|&c| c.to_owned()).collect())
+    fn column(heading: &str, side: ColumnSide, cells: &[&str]) -> TextColumn {
+        TextColumn::new(heading, side, cells.iter().map(|&c| c.to_owned()).collect())
     }
 
     #[test]
     fn names_lean_left_and_figures_right() {
-        let names = column("state", Side::Left, &["a", "slope"]);
-        let empty = column("unit", Side::Left, &["", ""]);
-        let figures = column("mean", Side::Right, &["1.25", "251.4"]);
+        let names = column("state", ColumnSide::Left, &["a", "slope"]);
+        let empty = column("unit", ColumnSide::Left, &["", ""]);
+        let figures = column("mean", ColumnSide::Right, &["1.25", "251.4"]);
         insta::assert_snapshot!(table(&[names, empty, figures], 80), @r"
           state   mean
           a       1.25
@@ -162,9 +162,9 @@ mod tests {
     #[test]
     fn every_line_fits_however_narrow_the_page() {
         let long = "a_name_that_goes_on_and_on_and_on_without_an_end";
-        let names = column("state", Side::Left, &[long, "b"]);
-        let figures: Vec<Column> =
-            (0..12).map(|i| column(&format!("c{i}"), Side::Right, &["1.25 ± 0.1", "2"])).collect();
+        let names = column("state", ColumnSide::Left, &[long, "b"]);
+        let figures: Vec<TextColumn> =
+            (0..12).map(|i| column(&format!("c{i}"), ColumnSide::Right, &["1.25 ± 0.1", "2"])).collect();
         for width in 60..120 {
             for line in wide_table(&names, &figures, width).lines() {
                 assert!(line.chars().count() <= width, "{} > {width}: {line}", line.chars().count());

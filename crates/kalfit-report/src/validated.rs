@@ -4,8 +4,8 @@ use kalfit::validate::{AgainstRecord, PieceRecord, ValidatedRecord};
 
 use crate::Style;
 use crate::number::{p_value, plain};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, list};
 
 /// Tests are listed up to this many, folds up to this many.
@@ -16,7 +16,7 @@ const LEVEL: f64 = 0.05;
 
 /// How well a model predicts, in words and tables. Every line fits `style.width` and ends with a line feed.
 pub fn validated_summary(record: &ValidatedRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
         sections.push(page.heading(&clean(&record.title)) + "\n");
@@ -138,37 +138,39 @@ fn against(record: &ValidatedRecord, other: &AgainstRecord) -> Vec<String> {
     ]
 }
 
-fn folds(record: &ValidatedRecord, page: &Page<'_>) -> String {
+fn folds(record: &ValidatedRecord, page: &PageLayout<'_>) -> String {
     if record.folds.len() > MOST_FOLDS {
         return String::new();
     }
-    let column = |heading: &str, side: Side, cell: &dyn Fn(&kalfit::validate::FoldRecord) -> String| {
-        Column::new(heading, side, record.folds.iter().map(cell).collect())
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(&kalfit::validate::FoldRecord) -> String| {
+        TextColumn::new(heading, side, record.folds.iter().map(cell).collect())
     };
     page.table(&[
-        column("fold", Side::Left, &|fold| fold.name.clone()),
-        column("tests", Side::Right, &|fold| fold.tests.to_string()),
-        column("log density", Side::Right, &|fold| plain(fold.log_density, 6)),
-        column("", Side::Left, &|fold| if fold.converged { String::new() } else { "not converged".to_owned() }),
+        column("fold", ColumnSide::Left, &|fold| fold.name.clone()),
+        column("tests", ColumnSide::Right, &|fold| fold.tests.to_string()),
+        column("log density", ColumnSide::Right, &|fold| plain(fold.log_density, 6)),
+        column("", ColumnSide::Left, &|fold| {
+            if fold.converged { String::new() } else { "not converged".to_owned() }
+        }),
     ])
 }
 
 /// Those with the lowest density for each measured value.
-fn worst(record: &ValidatedRecord, page: &Page<'_>) -> String {
+fn worst(record: &ValidatedRecord, page: &PageLayout<'_>) -> String {
     let each = |piece: &&PieceRecord| piece.log_density / piece.observations.max(1) as f64;
     let mut pieces: Vec<&PieceRecord> = record.pieces.iter().filter(|piece| piece.observations > 0).collect();
     pieces.sort_by(|a, b| each(a).total_cmp(&each(b)).then_with(|| a.name.cmp(&b.name)));
     pieces.truncate(MOST.min(record.pieces.len() / 2).max(1));
-    let column = |heading: &str, side: Side, cell: &dyn Fn(&&PieceRecord) -> String| {
-        Column::new(heading, side, pieces.iter().map(cell).collect())
+    let column = |heading: &str, side: ColumnSide, cell: &dyn Fn(&&PieceRecord) -> String| {
+        TextColumn::new(heading, side, pieces.iter().map(cell).collect())
     };
     page.table(&[
-        column("name", Side::Left, &|piece| clean(&piece.name)),
-        column("fold", Side::Left, &|piece| clean(&piece.fold)),
-        column("measured", Side::Right, &|piece| piece.observations.to_string()),
-        column("log density", Side::Right, &|piece| plain(piece.log_density, 6)),
-        column("for each", Side::Right, &|piece| plain(each(piece), 4)),
-        column("other model", Side::Right, &|piece| piece.against.map_or(String::new(), |other| plain(other, 6))),
+        column("name", ColumnSide::Left, &|piece| clean(&piece.name)),
+        column("fold", ColumnSide::Left, &|piece| clean(&piece.fold)),
+        column("measured", ColumnSide::Right, &|piece| piece.observations.to_string()),
+        column("log density", ColumnSide::Right, &|piece| plain(piece.log_density, 6)),
+        column("for each", ColumnSide::Right, &|piece| plain(each(piece), 4)),
+        column("other model", ColumnSide::Right, &|piece| piece.against.map_or(String::new(), |other| plain(other, 6))),
     ])
 }
 

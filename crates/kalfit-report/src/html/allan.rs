@@ -4,7 +4,7 @@ use kalfit::record::{AllanPoint, AlongRecord, CurveRecord};
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
-use crate::html::chart::{Chart, Charts, figure};
+use crate::html::chart::{PageChart, PageCharts, figure};
 use crate::words::{clean, count, list, sentence};
 
 /// Measurements that can be chosen.
@@ -12,7 +12,7 @@ const MOST_CURVES: usize = 60;
 /// Measurements that are named at a note.
 const MOST_NAMES: usize = 12;
 
-pub(super) fn part(along: &AlongRecord, charts: &mut Charts) -> Option<Markup> {
+pub(super) fn part(along: &AlongRecord, charts: &mut PageCharts) -> Option<Markup> {
     if along.allan.is_empty() {
         return None;
     }
@@ -45,7 +45,7 @@ fn name(along: &AlongRecord, curve: &CurveRecord) -> String {
     }
 }
 
-fn chart(along: &AlongRecord, curves: &[&CurveRecord], charts: &mut Charts) -> Option<Markup> {
+fn chart(along: &AlongRecord, curves: &[&CurveRecord], charts: &mut PageCharts) -> Option<Markup> {
     let first = curves.first()?;
     let data = json!({
         "timeUnit": along.time_unit.as_deref().map_or_else(String::new, clean),
@@ -61,7 +61,7 @@ fn chart(along: &AlongRecord, curves: &[&CurveRecord], charts: &mut Charts) -> O
     let caption = "How much neighbouring averages differ, against the averaging time. Points with bars: the records of all tests with \
                    95 % limits. Line: the fitted model. Where the line misses the bars, the model lacks noise or a process at that time \
                    scale: a slope of −½ is white noise, a flat floor slow drift, +½ a random walk, +1 a ramp.";
-    Some(charts.figure(Chart { kind: "allan", title: "Allan deviation", caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart { kind: "allan", title: "Allan deviation", caption, alternative: &alternative, data }))
 }
 
 fn curve_data(along: &AlongRecord, curve: &CurveRecord) -> Value {

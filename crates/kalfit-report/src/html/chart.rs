@@ -8,12 +8,12 @@ const MOST_LETTERS: usize = 600;
 
 /// The charts of a page, in order.
 #[derive(Default)]
-pub(super) struct Charts {
+pub(super) struct PageCharts {
     all: Vec<Value>,
 }
 
 /// One chart.
-pub(super) struct Chart<'a> {
+pub(super) struct PageChart<'a> {
     /// Which function of the script draws it.
     pub(super) kind: &'static str,
     /// What it shows.
@@ -26,11 +26,11 @@ pub(super) struct Chart<'a> {
     pub(super) data: Value,
 }
 
-impl Charts {
+impl PageCharts {
     /// A figure; its chart is drawn when the page is opened.
-    pub(super) fn figure(&mut self, chart: Chart<'_>) -> Markup {
+    pub(super) fn figure(&mut self, chart: PageChart<'_>) -> Markup {
         let number = self.all.len();
-        let Chart { kind, title, caption, alternative, data } = chart;
+        let PageChart { kind, title, caption, alternative, data } = chart;
         self.all.push(json!({ "kind": kind, "title": title, "data": data }));
         html! {
             figure data-chart=(number) {
@@ -74,9 +74,9 @@ mod tests {
 
     #[test]
     fn data_cannot_end_their_element_and_numbers_are_json() {
-        let mut charts = Charts::default();
+        let mut charts = PageCharts::default();
         let data = json!({ "name": "</script><script>alert(1)</script><!--", "x": figure(f64::NAN) });
-        charts.figure(Chart { kind: "k", title: "t", caption: "c", alternative: "a", data: data.clone() });
+        charts.figure(PageChart { kind: "k", title: "t", caption: "c", alternative: "a", data: data.clone() });
         let text = charts.json();
         assert!(!text.contains(['<', '>']), "{text}");
         let back: Value = serde_json::from_str(&text).unwrap();

@@ -5,10 +5,10 @@ use kalfit::record::ConstraintRecord;
 use maud::{Markup, PreEscaped, html};
 use serde_json::json;
 
-use crate::html::chart::{Chart, Charts, figures};
-use crate::html::section::Section;
+use crate::html::chart::{PageChart, PageCharts, figures};
+use crate::html::section::PageSection;
 use crate::number::plain;
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::constraints;
 use crate::words::{clean, count};
 
@@ -17,15 +17,15 @@ const MOST_BARS: usize = 60;
 /// 95 % point of χ² with one degree of freedom.
 const LIMIT: f64 = 3.841_458_820_694_124;
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
     let body = html! {
-        (PreEscaped(constraints::section(record, &Page::html())))
+        (PreEscaped(constraints::section(record, &PageLayout::html())))
         (chart(record, charts).unwrap_or_default())
     };
-    Section::new("constraints", "Constraints", body)
+    PageSection::new("constraints", "Constraints", body)
 }
 
-fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
+fn chart(record: &FitRecord, charts: &mut PageCharts) -> Option<Markup> {
     let mut tested: Vec<(&ConstraintRecord, f64)> =
         record.constraints.iter().filter_map(|c| Some((c, c.score_statistic.filter(|s| s.is_finite())?))).collect();
     tested.sort_by(|a, b| b.1.total_cmp(&a.1).then_with(|| a.0.element.cmp(&b.0.element)));
@@ -46,7 +46,7 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     );
     let caption = "What each constraint costs: about twice the log-likelihood that freeing it alone would gain. Bars beyond the \
                    dashed line contradict the constraint; of twenty true constraints one does so by chance.";
-    Some(charts.figure(Chart {
+    Some(charts.figure(PageChart {
         kind: "bars",
         title: "Score tests of the constraints",
         caption,

@@ -7,13 +7,13 @@ use kalfit::record::TestRecord;
 use maud::{PreEscaped, html};
 use serde_json::json;
 
-use crate::html::chart::{Chart, Charts};
+use crate::html::chart::{PageChart, PageCharts};
 use crate::html::outlying::MOST_TESTS;
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::number::plain;
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::{headline, observability};
-use crate::table::{Column, Side};
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, list};
 
 /// Design classes in the table, the largest first.
@@ -27,8 +27,8 @@ const GAP: f64 = 5.0;
 /// Gaps that are named.
 const MOST_GAPS: usize = 5;
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
-    let page = Page::html();
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
+    let page = PageLayout::html();
     let body = html! {
         p { (headline::data(&record.data)) " " (headline::designs(&record.data)) }
         (chart(record, charts).unwrap_or_default())
@@ -36,10 +36,10 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         (PreEscaped(classes(record, &page)))
         (PreEscaped(page.section("Gaps in time", &page.items(&gaps(record)))))
     };
-    Section::new("data", "Data", body)
+    PageSection::new("data", "Data", body)
 }
 
-fn chart(record: &FitRecord, charts: &mut Charts) -> Option<maud::Markup> {
+fn chart(record: &FitRecord, charts: &mut PageCharts) -> Option<maud::Markup> {
     let tests = &record.tests;
     let (least, most) = (tests.iter().map(|t| t.observations).min()?, tests.iter().map(|t| t.observations).max()?);
     let alternative = format!("{}, from {least} to {most} observations each.", count(tests.len(), "test"));
@@ -53,7 +53,7 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<maud::Markup> {
     };
     let counted = if axis == "test" { "observations" } else { "tests" };
     let data = json!({ "names": names, "values": values, "axis": axis, "unit": counted });
-    Some(charts.figure(Chart { kind: "bars", title: "Observations", caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart { kind: "bars", title: "Observations", caption, alternative: &alternative, data }))
 }
 
 fn histogram(tests: &[TestRecord], least: usize, most: usize) -> (Vec<String>, Vec<usize>) {
@@ -69,21 +69,25 @@ fn histogram(tests: &[TestRecord], least: usize, most: usize) -> (Vec<String>, V
 }
 
 /// How many tests have each phase.
-fn phases(record: &FitRecord, page: &Page<'_>) -> String {
+fn phases(record: &FitRecord, page: &PageLayout<'_>) -> String {
     if record.phases.len() < 2 {
         return String::new();
     }
     let of_all = |n: Option<usize>| n.map_or_else(String::new, |n| observability::of_all(n, record.data.tests));
     let columns = [
-        Column::new("phase", Side::Left, record.phases.iter().map(|p| p.name.clone()).collect()),
-        Column::new("tests", Side::Right, record.phases.iter().map(|p| of_all(p.tests)).collect()),
-        Column::new("estimated states", Side::Left, record.phases.iter().map(|p| p.states.join(", ")).collect()),
+        TextColumn::new("phase", ColumnSide::Left, record.phases.iter().map(|p| p.name.clone()).collect()),
+        TextColumn::new("tests", ColumnSide::Right, record.phases.iter().map(|p| of_all(p.tests)).collect()),
+        TextColumn::new(
+            "estimated states",
+            ColumnSide::Left,
+            record.phases.iter().map(|p| p.states.join(", ")).collect(),
+        ),
     ];
     page.section("Phases", &page.table(&columns))
 }
 
 /// Tests that share all that the filter's gains depend on.
-fn classes(record: &FitRecord, page: &Page<'_>) -> String {
+fn classes(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let mut classes: BTreeMap<usize, Vec<&TestRecord>> = BTreeMap::new();
     for test in &record.tests {
         if let Some(class) = test.design_class {
@@ -100,11 +104,15 @@ fn classes(record: &FitRecord, page: &Page<'_>) -> String {
     let column = |of: &dyn Fn(&[&TestRecord]) -> String| classes.iter().map(|(_, tests)| of(tests)).collect();
     let names = |tests: &[&TestRecord]| list(&tests.iter().map(|t| clean(&t.id)).collect::<Vec<_>>(), MOST_NAMES);
     let columns = [
-        Column::new("class", Side::Right, classes.iter().map(|(class, _)| class.to_string()).collect()),
-        Column::new("tests", Side::Right, column(&|tests| tests.len().to_string())),
-        Column::new("steps each", Side::Right, column(&|t| t[0].steps.map_or_else(String::new, |n| n.to_string()))),
-        Column::new("observations each", Side::Right, column(&|tests| tests[0].observations.to_string())),
-        Column::new("which", Side::Left, column(&names)),
+        TextColumn::new("class", ColumnSide::Right, classes.iter().map(|(class, _)| class.to_string()).collect()),
+        TextColumn::new("tests", ColumnSide::Right, column(&|tests| tests.len().to_string())),
+        TextColumn::new(
+            "steps each",
+            ColumnSide::Right,
+            column(&|t| t[0].steps.map_or_else(String::new, |n| n.to_string())),
+        ),
+        TextColumn::new("observations each", ColumnSide::Right, column(&|tests| tests[0].observations.to_string())),
+        TextColumn::new("which", ColumnSide::Left, column(&names)),
     ];
     let mut body = page.table(&columns);
     let mut said =

@@ -5,14 +5,14 @@ use kalfit::record::PhaseRecord;
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
-use crate::html::chart::{Chart, Charts, figure};
-use crate::html::forest::{self, Group};
+use crate::html::chart::{PageChart, PageCharts, figure};
+use crate::html::forest::{self, ForestGroup};
 use crate::html::math::{self, equation, hat, op, row};
 use crate::html::phase::forest_row;
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::html::{across, phase, posteriors};
 use crate::number::plain;
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::{correlations, intervals, phases, places, states};
 use crate::words::clean;
 
@@ -23,18 +23,18 @@ const MOST_IN_MAP: usize = 40;
 /// Digits of an element of a matrix.
 pub(super) const DIGITS: usize = 5;
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
-    let page = Page::html();
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
+    let page = PageLayout::html();
     let mut parts: Vec<Markup> = Vec::new();
     for one in &record.phases {
         parts.push(phase_part(record, one, charts, &page));
     }
     parts.extend(across::section(record, charts));
     parts.push(html! { (PreEscaped(phases::filters(record, &page))) });
-    Section::new("estimates", "Initial state", html! { @for part in &parts { (part) } })
+    PageSection::new("estimates", "Initial state", html! { @for part in &parts { (part) } })
 }
 
-fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut Charts, page: &Page<'_>) -> Markup {
+fn phase_part(record: &FitRecord, one: &PhaseRecord, charts: &mut PageCharts, page: &PageLayout<'_>) -> Markup {
     let several = record.phases.len() > 1;
     let name = if several { format!("Phase {}: ", clean(&one.name)) } else { String::new() };
     let title = |what: &str| match several {
@@ -84,9 +84,9 @@ fn matrices(one: &PhaseRecord) -> Markup {
 }
 
 /// Means and standard deviations, those of one unit together.
-pub(crate) fn groups(one: &PhaseRecord) -> Vec<Group> {
-    let mut groups: Vec<Group> = Vec::new();
-    for kind in [phase::Kind::Mean, phase::Kind::StdDev] {
+pub(crate) fn groups(one: &PhaseRecord) -> Vec<ForestGroup> {
+    let mut groups: Vec<ForestGroup> = Vec::new();
+    for kind in [phase::StateFigure::Mean, phase::StateFigure::StdDev] {
         let mut units: Vec<String> = Vec::new();
         for i in 0..one.states.len() {
             let unit = one.units.get(i).cloned().flatten().unwrap_or_default();
@@ -99,13 +99,13 @@ pub(crate) fn groups(one: &PhaseRecord) -> Vec<Group> {
             let rows = (0..one.states.len()).filter(of_unit).filter_map(|i| forest_row(one, kind, i)).collect();
             let label =
                 if unit.is_empty() { kind.name().to_owned() } else { format!("{} [{}]", kind.name(), clean(&unit)) };
-            groups.push(Group { label, rows });
+            groups.push(ForestGroup { label, rows });
         }
     }
     groups
 }
 
-fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut PageCharts) -> Option<Markup> {
     let title = format!("{name}Estimates with 95 % intervals");
     let caption = format!(
         "Top: the mean over all tests. Below: how much tests{} differ (standard deviation). If the interval of a mean contains zero, \
@@ -116,7 +116,7 @@ fn forest_plot(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut C
     forest::forest(&title, &caption, groups(one), charts)
 }
 
-fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut PageCharts) -> Option<Markup> {
     let p = one.states.len().min(MOST_IN_MAP);
     let of = |i: usize, k: usize| one.correlation.estimate.get(i).and_then(|row| row.get(k)).copied().flatten();
     let random: Vec<usize> = (0..p).filter(|&i| of(i, i).is_some()).collect();
@@ -145,5 +145,5 @@ fn heat_map(record: &FitRecord, one: &PhaseRecord, name: &str, charts: &mut Char
     );
     let data = json!({ "names": names, "cells": cells });
     let title = format!("{name}Correlations{}", places::within(record));
-    Some(charts.figure(Chart { kind: "heat", title: &title, caption: &caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart { kind: "heat", title: &title, caption: &caption, alternative: &alternative, data }))
 }

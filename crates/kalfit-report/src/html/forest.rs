@@ -4,7 +4,7 @@ use kalfit::record::Interval;
 use maud::Markup;
 use serde_json::{Value, json};
 
-use crate::html::chart::{Chart, Charts, figure};
+use crate::html::chart::{PageChart, PageCharts, figure};
 use crate::number::plain;
 
 /// Rows of one chart.
@@ -15,7 +15,7 @@ const MOST_PANELS: usize = 12;
 const SPREAD: f64 = 40.0;
 
 /// One estimate.
-pub(crate) struct Row {
+pub(crate) struct ForestRow {
     pub(crate) name: String,
     pub(crate) estimate: f64,
     pub(crate) ends: Interval,
@@ -26,23 +26,23 @@ pub(crate) struct Row {
 }
 
 /// Estimates of one kind and unit.
-pub(crate) struct Group {
+pub(crate) struct ForestGroup {
     /// `mean [deg/h]`.
     pub(crate) label: String,
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Vec<ForestRow>,
 }
 
 /// Estimates on one axis.
-pub(crate) struct Panel {
+pub(crate) struct ForestPanel {
     pub(crate) label: String,
-    pub(crate) rows: Vec<Row>,
+    pub(crate) rows: Vec<ForestRow>,
     low: f64,
     high: f64,
     shortest: f64,
 }
 
 /// The chart; nothing without rows.
-pub(super) fn forest(title: &str, caption: &str, groups: Vec<Group>, charts: &mut Charts) -> Option<Markup> {
+pub(super) fn forest(title: &str, caption: &str, groups: Vec<ForestGroup>, charts: &mut PageCharts) -> Option<Markup> {
     let all: usize = groups.iter().map(|group| group.rows.len()).sum();
     let panels = panels(groups);
     if panels.is_empty() {
@@ -57,13 +57,13 @@ pub(super) fn forest(title: &str, caption: &str, groups: Vec<Group>, charts: &mu
         0 => caption.to_owned(),
         n => format!("{caption} The first {shown} are drawn; {n} more are in the table or in fit.json."),
     };
-    let data = json!({ "panels": panels.iter().map(Panel::data).collect::<Vec<Value>>() });
-    Some(charts.figure(Chart { kind: "forest", title, caption: &caption, alternative: &words.join("; "), data }))
+    let data = json!({ "panels": panels.iter().map(ForestPanel::data).collect::<Vec<Value>>() });
+    Some(charts.figure(PageChart { kind: "forest", title, caption: &caption, alternative: &words.join("; "), data }))
 }
 
-impl Panel {
+impl ForestPanel {
     fn data(&self) -> Value {
-        let row = |row: &Row| {
+        let row = |row: &ForestRow| {
             let end = |i: usize| row.ends.and_then(|ends| ends[i]).map_or(Value::Null, figure);
             json!({
                 "name": row.name, "estimate": figure(row.estimate), "low": end(0), "high": end(1), "words": row.words,
@@ -75,8 +75,8 @@ impl Panel {
 }
 
 /// Axes for all groups: several for one whose estimates would not all be seen on one.
-pub(crate) fn panels(groups: Vec<Group>) -> Vec<Panel> {
-    let mut panels: Vec<Panel> = Vec::new();
+pub(crate) fn panels(groups: Vec<ForestGroup>) -> Vec<ForestPanel> {
+    let mut panels: Vec<ForestPanel> = Vec::new();
     let mut room = MOST_ROWS;
     for group in groups {
         let first = panels.len();
@@ -88,7 +88,7 @@ pub(crate) fn panels(groups: Vec<Group>) -> Vec<Panel> {
             match fits {
                 Some(place) => panels[first + place].add(row, low, high),
                 None if full => room += 1, // no axis is left for this kind
-                None => panels.push(Panel {
+                None => panels.push(ForestPanel {
                     label: group.label.clone(),
                     rows: vec![row],
                     low,
@@ -101,14 +101,14 @@ pub(crate) fn panels(groups: Vec<Group>) -> Vec<Panel> {
     panels
 }
 
-impl Panel {
+impl ForestPanel {
     fn takes(&self, low: f64, high: f64) -> bool {
         let shortest = if high > low { self.shortest.min(high - low) } else { self.shortest };
         let range = self.high.max(high) - self.low.min(low);
         range <= SPREAD * shortest || !shortest.is_finite()
     }
 
-    fn add(&mut self, row: Row, low: f64, high: f64) {
+    fn add(&mut self, row: ForestRow, low: f64, high: f64) {
         (self.low, self.high) = (self.low.min(low), self.high.max(high));
         if high > low {
             self.shortest = self.shortest.min(high - low);
@@ -118,7 +118,7 @@ impl Panel {
 }
 
 /// From the lower to the upper end, as far as they are known.
-fn extent(row: &Row) -> (f64, f64) {
+fn extent(row: &ForestRow) -> (f64, f64) {
     let ends = row.ends.unwrap_or([None, None]);
     let end = |i: usize| ends[i].filter(|x: &f64| x.is_finite()).unwrap_or(row.estimate);
     (end(0).min(row.estimate), end(1).max(row.estimate))
@@ -139,13 +139,13 @@ pub(super) fn bare(estimate: f64) -> String {
 mod tests {
     use super::*;
 
-    fn row(estimate: f64, half: f64) -> Row {
+    fn row(estimate: f64, half: f64) -> ForestRow {
         let ends = Some([Some(estimate - half), Some(estimate + half)]);
-        Row { name: "r".into(), estimate, ends, words: String::new(), reference: None }
+        ForestRow { name: "r".into(), estimate, ends, words: String::new(), reference: None }
     }
 
-    fn sizes(rows: Vec<Row>) -> Vec<usize> {
-        panels(vec![Group { label: "g".into(), rows }]).iter().map(|panel| panel.rows.len()).collect()
+    fn sizes(rows: Vec<ForestRow>) -> Vec<usize> {
+        panels(vec![ForestGroup { label: "g".into(), rows }]).iter().map(|panel| panel.rows.len()).collect()
     }
 
     #[test]
@@ -158,8 +158,10 @@ mod tests {
     #[test]
     fn charts_stay_bounded() {
         let many = |n: usize| (0..n).map(|k| row(10f64.powi((k % 300) as i32), 0.1)).collect();
-        let panels =
-            panels(vec![Group { label: "a".into(), rows: many(5000) }, Group { label: "b".into(), rows: many(50) }]);
+        let panels = panels(vec![
+            ForestGroup { label: "a".into(), rows: many(5000) },
+            ForestGroup { label: "b".into(), rows: many(50) },
+        ]);
         assert!(panels.len() <= MOST_PANELS, "{}", panels.len());
         assert!(panels.iter().map(|panel| panel.rows.len()).sum::<usize>() <= MOST_ROWS);
     }

@@ -12,7 +12,7 @@ use crate::words::clean;
 const MOST_GROUPS: usize = 6;
 
 /// The groups of the tests, those with a colour of their own first.
-pub(super) struct Grouping {
+pub(super) struct ColoredGroups {
     column: String,
     /// Names as they are in the record, by place.
     places: BTreeMap<String, usize>,
@@ -20,9 +20,9 @@ pub(super) struct Grouping {
     names: Vec<String>,
 }
 
-impl Grouping {
+impl ColoredGroups {
     /// `None` where tests are not grouped, or stand in one group.
-    pub(super) fn of(record: &FitRecord) -> Option<Grouping> {
+    pub(super) fn of(record: &FitRecord) -> Option<ColoredGroups> {
         let column = record.group_column.as_ref()?;
         let mut sizes: BTreeMap<&str, usize> = BTreeMap::new();
         record
@@ -45,7 +45,7 @@ impl Grouping {
             names.push(format!("{} others", all - own.len()));
         }
         let places = own.iter().enumerate().map(|(place, group)| ((*group).to_owned(), place)).collect();
-        Some(Grouping { column: clean(column), places, names })
+        Some(ColoredGroups { column: clean(column), places, names })
     }
 
     /// What the script wants of a test.
@@ -55,19 +55,19 @@ impl Grouping {
     }
 
     /// Adds to the data of a chart the names of the groups.
-    pub(super) fn tell(grouping: Option<&Grouping>, data: &mut Value) {
+    pub(super) fn tell(grouping: Option<&ColoredGroups>, data: &mut Value) {
         if let Some(own) = grouping {
             data["groups"] = json!({ "column": own.column, "names": own.names });
         }
     }
 
     /// For the caption.
-    pub(super) fn caption(grouping: Option<&Grouping>) -> String {
+    pub(super) fn caption(grouping: Option<&ColoredGroups>) -> String {
         grouping.map_or_else(String::new, |own| format!(" Colours and shapes: tests by {}.", own.column))
     }
 }
 
 /// Where a test stands, for the script; null where tests are not grouped.
-pub(super) fn place(grouping: Option<&Grouping>, test: &TestRecord) -> Value {
+pub(super) fn place(grouping: Option<&ColoredGroups>, test: &TestRecord) -> Value {
     grouping.map_or(Value::Null, |own| own.place(test))
 }

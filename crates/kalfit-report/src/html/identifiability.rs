@@ -3,13 +3,13 @@
 use kalfit::FitRecord;
 use maud::{PreEscaped, html};
 
-use crate::html::section::Section;
-use crate::page::Page;
+use crate::html::section::PageSection;
+use crate::page::PageLayout;
 use crate::summary::{doubts, observability, phases, places};
 use crate::words::clean;
 
-pub(super) fn section(record: &FitRecord) -> Option<Section> {
-    let page = Page::html();
+pub(super) fn section(record: &FitRecord) -> Option<PageSection> {
+    let page = PageLayout::html();
     let several = record.phases.len() > 1;
     let observed: Vec<_> = record.phases.iter().map(|p| (p.name.as_str(), p.information.as_ref())).collect();
     let mut parts: Vec<String> = Vec::new();
@@ -33,5 +33,5 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         parts.push(page.section(&title("Which tests determine which states"), &seen));
     }
     parts.push(phases::information(&observed, true, &page));
-    Section::new("identifiability", "Identifiability", html! { (PreEscaped(parts.concat())) })
+    PageSection::new("identifiability", "Identifiability", html! { (PreEscaped(parts.concat())) })
 }

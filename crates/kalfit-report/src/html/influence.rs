@@ -5,10 +5,10 @@ use kalfit::record::{DeletionRecord, TestRecord, displacement_limit};
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
-use crate::html::chart::{Chart, Charts, figure};
-use crate::html::section::Section;
+use crate::html::chart::{PageChart, PageCharts, figure};
+use crate::html::section::PageSection;
 use crate::number::plain;
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::influence;
 use crate::words::{clean, count};
 
@@ -17,7 +17,7 @@ const MOST_BARS: usize = 60;
 /// Means whose shifts can be chosen.
 const MOST_STATES: usize = 20;
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
     let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
         record.tests.iter().filter_map(|test| Some((test, test.deletion.as_ref()?))).collect();
     deleted.retain(|(_, d)| d.displacement.is_finite());
@@ -26,16 +26,16 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         html! { p { "The fit was not repeated without each test: this was not asked for, or would have taken long. Ask for it with \
         " code { "--deletion all" } "." } }
     } else {
-        html! { (PreEscaped(influence::section(record, &Page::html()))) (chart(record, &deleted, charts)) }
+        html! { (PreEscaped(influence::section(record, &PageLayout::html()))) (chart(record, &deleted, charts)) }
     };
-    if record.tests.len() < 2 { None } else { Section::new("influence", "Influence", body) }
+    if record.tests.len() < 2 { None } else { PageSection::new("influence", "Influence", body) }
 }
 
-fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts: &mut Charts) -> Markup {
+fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts: &mut PageCharts) -> Markup {
     let shown = &deleted[..deleted.len().min(MOST_BARS)];
     let means = means(record);
     let test = |(test, deletion): &(&TestRecord, &DeletionRecord)| {
-        let shift = |m: &Mean<'_>| m.shift(deletion).map_or(Value::Null, figure);
+        let shift = |m: &FreeMean<'_>| m.shift(deletion).map_or(Value::Null, figure);
         json!({
             "id": clean(&test.id), "displacement": figure(deletion.displacement),
             "shifts": means.iter().map(shift).collect::<Vec<Value>>(),
@@ -61,7 +61,7 @@ fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts:
         plain(shown[0].1.displacement, 3),
         clean(&shown[0].0.id)
     );
-    charts.figure(Chart {
+    charts.figure(PageChart {
         kind: "influence",
         title: "Without each test",
         caption: &caption,
@@ -71,7 +71,7 @@ fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts:
 }
 
 /// A free mean.
-struct Mean<'a> {
+struct FreeMean<'a> {
     name: String,
     phase: &'a str,
     element: usize,
@@ -79,7 +79,7 @@ struct Mean<'a> {
     std_error: f64,
 }
 
-impl Mean<'_> {
+impl FreeMean<'_> {
     /// From the fit to the fit without the test, in standard errors.
     fn shift(&self, deletion: &DeletionRecord) -> Option<f64> {
         let phase = deletion.phases.iter().find(|phase| phase.name == self.phase)?;
@@ -87,7 +87,7 @@ impl Mean<'_> {
     }
 }
 
-fn means(record: &FitRecord) -> Vec<Mean<'_>> {
+fn means(record: &FitRecord) -> Vec<FreeMean<'_>> {
     let several = record.phases.len() > 1;
     let places = record.phases.iter().flat_map(|phase| (0..phase.states.len()).map(move |i| (phase, i)));
     let mean = |(phase, element): (&'_ kalfit::record::PhaseRecord, usize)| {
@@ -98,7 +98,7 @@ fn means(record: &FitRecord) -> Vec<Mean<'_>> {
     };
     let known = places.filter_map(|(phase, i)| {
         let (name, element, estimate, std_error) = mean((phase, i))?;
-        Some(Mean { name, phase: &phase.name, element, estimate, std_error })
+        Some(FreeMean { name, phase: &phase.name, element, estimate, std_error })
     });
     known.take(MOST_STATES).collect()
 }

@@ -6,14 +6,14 @@ use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
-use crate::html::chart::{Chart, Charts, figure, figures};
-use crate::html::grouping::{Grouping, place};
+use crate::html::chart::{PageChart, PageCharts, figure, figures};
+use crate::html::grouping::{ColoredGroups, place};
 use crate::html::outlying::MOST_TESTS;
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::number::{plain, probability};
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::innovations;
-use crate::table::{Column, Side};
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
 
 /// Both tails together.
@@ -21,14 +21,15 @@ const LEVEL: f64 = 0.05;
 /// 1.96: the normal law's.
 const NORMAL: f64 = 1.959_963_984_540_054;
 
-type Found<'a> = (&'a TestRecord, &'a InnovationRecord);
+type TestInnovations<'a> = (&'a TestRecord, &'a InnovationRecord);
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
     if record.tests.is_empty() {
         return None;
     }
-    let page = Page::html();
-    let mut found: Vec<Found<'_>> = record.tests.iter().filter_map(|t| Some((t, t.innovations.as_ref()?))).collect();
+    let page = PageLayout::html();
+    let mut found: Vec<TestInnovations<'_>> =
+        record.tests.iter().filter_map(|t| Some((t, t.innovations.as_ref()?))).collect();
     let all = found.len();
     found.sort_by(|a, b| least(a.1).total_cmp(&least(b.1)).then_with(|| a.0.id.cmp(&b.0.id)));
     found.truncate(MOST_TESTS);
@@ -46,7 +47,7 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
             (table(&found, &said, &page))
         }
     };
-    Section::new("innovations", "Innovations", body)
+    PageSection::new("innovations", "Innovations", body)
 }
 
 /// The smaller of the p-values of a test.
@@ -72,14 +73,14 @@ fn ratio(nis: f64, n: usize) -> Value {
     json!({ "n": n, "ratio": figure(nis / n.max(1) as f64), "low": figure(bounds[0]), "high": figure(bounds[1]) })
 }
 
-fn sizes((record, found): (&FitRecord, &[Found<'_>]), said: &str, charts: &mut Charts) -> Option<Markup> {
-    let groups = Grouping::of(record);
-    let sized: Vec<(&Found<'_>, f64)> =
+fn sizes((record, found): (&FitRecord, &[TestInnovations<'_>]), said: &str, charts: &mut PageCharts) -> Option<Markup> {
+    let groups = ColoredGroups::of(record);
+    let sized: Vec<(&TestInnovations<'_>, f64)> =
         found.iter().filter_map(|f| Some((f, f.1.nis.filter(|x| x.is_finite())?))).collect();
     if sized.len() < 2 {
         return None;
     }
-    let test = |((test, innovations), nis): &(&Found<'_>, f64)| {
+    let test = |((test, innovations), nis): &(&TestInnovations<'_>, f64)| {
         let mut value = ratio(*nis, innovations.count);
         value["id"] = json!(clean(&test.id));
         value["group"] = place(groups.as_ref(), test);
@@ -87,7 +88,7 @@ fn sizes((record, found): (&FitRecord, &[Found<'_>]), said: &str, charts: &mut C
         value
     };
     let tests: Vec<Value> = sized.iter().map(test).collect();
-    let outside = |((_, i), nis): &&(&Found<'_>, f64)| {
+    let outside = |((_, i), nis): &&(&TestInnovations<'_>, f64)| {
         bounds(i.count).is_some_and(|[low, high]| !(low..=high).contains(&(nis / i.count as f64)))
     };
     let alternative =
@@ -96,16 +97,16 @@ fn sizes((record, found): (&FitRecord, &[Found<'_>]), said: &str, charts: &mut C
         "The mean square of each test's standardised innovations (NIS over its degrees of freedom), which should be 1; the bars are \
          95 % bounds of χ². If all points are above, the model has too little noise or lacks a process. If all are below, it has too \
          much noise. If one point is outside, look at that test.{said}{}",
-        Grouping::caption(groups.as_ref())
+        ColoredGroups::caption(groups.as_ref())
     );
     let mut data = json!({ "tests": tests });
-    Grouping::tell(groups.as_ref(), &mut data);
+    ColoredGroups::tell(groups.as_ref(), &mut data);
     let title = "Size of the innovations, test by test";
-    Some(charts.figure(Chart { kind: "sizes", title, caption: &caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart { kind: "sizes", title, caption: &caption, alternative: &alternative, data }))
 }
 
-fn one_test(record: &FitRecord, found: &[Found<'_>], charts: &mut Charts) -> Option<Markup> {
-    let mut kept: Vec<(&Found<'_>, &SeriesRecord)> =
+fn one_test(record: &FitRecord, found: &[TestInnovations<'_>], charts: &mut PageCharts) -> Option<Markup> {
+    let mut kept: Vec<(&TestInnovations<'_>, &SeriesRecord)> =
         found.iter().filter_map(|f| Some((f, f.1.series.as_deref()?))).filter(|(_, series)| sound(series)).collect();
     kept.sort_by(|a, b| least(a.0.1).total_cmp(&least(b.0.1)).then_with(|| a.0.0.id.cmp(&b.0.0.id)));
     let first = kept.first()?.0.0.id.clone();
@@ -121,7 +122,7 @@ fn one_test(record: &FitRecord, found: &[Found<'_>], charts: &mut Charts) -> Opt
     let alternative = format!("For {}; test {} is shown first.", count(tests.len(), "test"), clean(&first));
     let data = json!({ "tests": tests });
     let title = "Innovations of one test";
-    Some(charts.figure(Chart { kind: "innovations", title, caption: &caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart { kind: "innovations", title, caption: &caption, alternative: &alternative, data }))
 }
 
 /// Lists that go together do.
@@ -164,7 +165,7 @@ fn series_data(test: &TestRecord, figures_: &InnovationRecord, series: &SeriesRe
     })
 }
 
-fn table(found: &[Found<'_>], said: &str, page: &Page<'_>) -> Markup {
+fn table(found: &[TestInnovations<'_>], said: &str, page: &PageLayout<'_>) -> Markup {
     let column = |of: &dyn Fn(&InnovationRecord) -> Option<String>| -> Vec<String> {
         found.iter().map(|(_, innovations)| of(innovations).unwrap_or_else(|| "-".to_owned())).collect()
     };
@@ -172,21 +173,25 @@ fn table(found: &[Found<'_>], said: &str, page: &Page<'_>) -> Markup {
     let within =
         |i: &InnovationRecord| bounds(i.count).map(|[low, high]| format!("{} to {}", plain(low, 3), plain(high, 3)));
     let columns = [
-        Column::new("test", Side::Left, found.iter().map(|(test, _)| test.id.clone()).collect()),
-        Column::new("innovations", Side::Right, column(&|i| Some(i.count.to_string()))),
-        Column::new("mean square", Side::Right, column(&per)),
-        Column::new("95 % bounds", Side::Left, column(&within)),
-        Column::new("p-value", Side::Right, column(&|i| i.nis_p_value.map(probability))),
-        Column::new("mean", Side::Right, column(&|i| i.mean.map(|m| plain(m, 2)))),
-        Column::new("whiteness", Side::Right, column(&|i| i.whiteness.as_ref().map(|w| plain(w.statistic, 3)))),
-        Column::new(
+        TextColumn::new("test", ColumnSide::Left, found.iter().map(|(test, _)| test.id.clone()).collect()),
+        TextColumn::new("innovations", ColumnSide::Right, column(&|i| Some(i.count.to_string()))),
+        TextColumn::new("mean square", ColumnSide::Right, column(&per)),
+        TextColumn::new("95 % bounds", ColumnSide::Left, column(&within)),
+        TextColumn::new("p-value", ColumnSide::Right, column(&|i| i.nis_p_value.map(probability))),
+        TextColumn::new("mean", ColumnSide::Right, column(&|i| i.mean.map(|m| plain(m, 2)))),
+        TextColumn::new(
+            "whiteness",
+            ColumnSide::Right,
+            column(&|i| i.whiteness.as_ref().map(|w| plain(w.statistic, 3))),
+        ),
+        TextColumn::new(
             "expected",
-            Side::Right,
+            ColumnSide::Right,
             column(&|i| i.whiteness.as_ref().map(|w| w.degrees_of_freedom.to_string())),
         ),
-        Column::new(
+        TextColumn::new(
             "p-value of whiteness",
-            Side::Right,
+            ColumnSide::Right,
             column(&|i| i.whiteness.as_ref().map(|w| probability(w.p_value))),
         ),
     ];

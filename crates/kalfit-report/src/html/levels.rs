@@ -4,13 +4,13 @@ use kalfit::FitRecord;
 use kalfit::record::{LevelRecord, SquareRecord, TestRecord, UnitRecord};
 use maud::{Markup, PreEscaped, html};
 
-use crate::html::chart::Charts;
+use crate::html::chart::PageCharts;
 use crate::html::estimates::{DIGITS, MOST_IN_MATRIX};
-use crate::html::forest::{self, Group, Row};
+use crate::html::forest::{self, ForestGroup, ForestRow};
 use crate::html::math::{self, equation, hat, op};
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::number::plain;
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::{levels, places};
 use crate::words::clean;
 
@@ -19,15 +19,15 @@ const SIDES: f64 = 1.96;
 /// States of which there is a forest.
 const MOST_STATES: usize = 4;
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
     if record.levels.is_empty() {
         return None;
     }
-    let table = levels::section(record, &Page::html());
+    let table = levels::section(record, &PageLayout::html());
     let covariances = places::outer(record).into_iter().filter_map(|(level, place)| covariance(level, &place));
     let forests: Vec<Markup> =
         (0..record.levels[0].states.len().min(MOST_STATES)).filter_map(|i| units(record, i, charts)).collect();
-    Section::new(
+    PageSection::new(
         "levels",
         "Levels",
         html! { (PreEscaped(table)) @for one in covariances { (one) } @for one in &forests { (one) } },
@@ -46,7 +46,7 @@ fn covariance(level: &LevelRecord, place: &str) -> Option<Markup> {
 }
 
 /// Each group of the outermost level, then its inner groups and its tests.
-fn units(record: &FitRecord, i: usize, charts: &mut Charts) -> Option<Markup> {
+fn units(record: &FitRecord, i: usize, charts: &mut PageCharts) -> Option<Markup> {
     let state = clean(&record.levels[0].states[i]);
     let unit = record.phases.first().and_then(|phase| phase.units.get(i).cloned().flatten());
     let label = unit.map_or_else(|| state.clone(), |unit| format!("{state} [{}]", clean(&unit)));
@@ -65,10 +65,10 @@ fn units(record: &FitRecord, i: usize, charts: &mut Charts) -> Option<Markup> {
         "Each group with the mean of its tests, and below it the tests: posterior means with 95 % intervals, given all data. \
          The spread of the groups is the variation between groups, that of the tests of one {unit} the variation within it."
     );
-    forest::forest(&format!("{state}: groups and their tests"), &caption, vec![Group { label, rows }], charts)
+    forest::forest(&format!("{state}: groups and their tests"), &caption, vec![ForestGroup { label, rows }], charts)
 }
 
-fn test_row(test: &TestRecord, indent: &str, i: usize) -> Option<Row> {
+fn test_row(test: &TestRecord, indent: &str, i: usize) -> Option<ForestRow> {
     let part = test.phases.first()?;
     let within = test.groups.iter().fold(test.id.as_str(), |id, group| {
         id.strip_prefix(group.as_str()).and_then(|id| id.strip_prefix('/')).unwrap_or(id)
@@ -76,10 +76,10 @@ fn test_row(test: &TestRecord, indent: &str, i: usize) -> Option<Row> {
     row(format!("{indent}{}", clean(within)), (&part.mean, &part.covariance), i)
 }
 
-fn row(name: String, (mean, covariance): (&[f64], &SquareRecord), i: usize) -> Option<Row> {
+fn row(name: String, (mean, covariance): (&[f64], &SquareRecord), i: usize) -> Option<ForestRow> {
     let estimate = *mean.get(i)?;
     let half = SIDES * covariance.rows().nth(i)?.get(i)?.max(0.0).sqrt();
     let ends = [Some(estimate - half), Some(estimate + half)];
     let words = format!("{} ± {}", plain(estimate, 4), plain(half, 2));
-    Some(Row { name, estimate, ends: Some(ends), words, reference: None })
+    Some(ForestRow { name, estimate, ends: Some(ends), words, reference: None })
 }

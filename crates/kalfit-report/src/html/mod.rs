@@ -35,8 +35,8 @@ mod tests;
 use kalfit::FitRecord;
 use kalfit::record::{AlongRecord, RatioRecord};
 
-use crate::html::chart::Charts;
-use crate::html::section::Section;
+use crate::html::chart::PageCharts;
+use crate::html::section::PageSection;
 
 /// The report of a fit, a whole HTML document. It depends on the record alone and copes with any record.
 pub fn html(record: &FitRecord) -> String {
@@ -54,7 +54,7 @@ pub fn html_with_test(record: &FitRecord, test: &RatioRecord) -> String {
 }
 
 fn page(record: &FitRecord, test: Option<&RatioRecord>, along: Option<&AlongRecord>) -> String {
-    let mut charts = Charts::default();
+    let mut charts = PageCharts::default();
     let sections = [
         overview::section(record),
         model::section(record),
@@ -73,6 +73,6 @@ fn page(record: &FitRecord, test: Option<&RatioRecord>, along: Option<&AlongReco
         solver::section(record, &mut charts),
         provenance::section(record),
     ];
-    let sections: Vec<Section> = sections.into_iter().flatten().collect();
+    let sections: Vec<PageSection> = sections.into_iter().flatten().collect();
     shell::document(record, &sections, &charts)
 }

@@ -5,14 +5,14 @@ use maud::{Markup, html};
 
 use crate::html::math::equation;
 use crate::html::math::{self, Math};
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::summary::places;
 use crate::words::{clean, sentence};
 
 /// No more facts than this; the model file has them all.
 const MOST_FACTS: usize = 400;
 
-pub(super) fn section(record: &FitRecord) -> Option<Section> {
+pub(super) fn section(record: &FitRecord) -> Option<PageSection> {
     let facts = &record.model[..record.model.len().min(MOST_FACTS)];
     let left = record.model.len() - facts.len();
     let body = html! {
@@ -24,7 +24,7 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
             @if left > 0 { p { "… and " (left) " more facts." } }
         }
     };
-    Section::new("model", "Model", body)
+    PageSection::new("model", "Model", body)
 }
 
 /// What every model is.

@@ -4,14 +4,14 @@ use kalfit::FitRecord;
 use kalfit::record::{ModelCheckRecord, PhaseRecord};
 use maud::{Markup, PreEscaped, html};
 
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::number::hundredths;
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::{self, headline, parameters, phases, places, states};
 use crate::words::clean;
 
-pub(super) fn section(record: &FitRecord) -> Option<Section> {
-    let page = Page::html();
+pub(super) fn section(record: &FitRecord) -> Option<PageSection> {
+    let page = PageLayout::html();
     let mut cards = vec![
         ("tests", record.data.tests.to_string()),
         ("steps", record.data.steps.to_string()),
@@ -33,7 +33,7 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         @if record.log_likelihood_kind == "estimates" { p { (headline::OF_ESTIMATES) } }
         (PreEscaped(summary::notes(record, &page)))
     };
-    Section::new("overview", "Overview", body)
+    PageSection::new("overview", "Overview", body)
 }
 
 /// Convergence and model check, in a box.
@@ -53,7 +53,7 @@ fn verdict(record: &FitRecord, checked: &ModelCheckRecord) -> Markup {
 }
 
 /// Means, spreads and free parameters with their errors; intervals and charts have sections of their own.
-fn estimates(record: &FitRecord, page: &Page<'_>) -> String {
+fn estimates(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let several = record.phases.len() > 1;
     let table = |phase: &PhaseRecord| {
         let title =

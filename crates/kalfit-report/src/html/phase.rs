@@ -3,11 +3,11 @@
 use kalfit::record::{Interval, PhaseRecord};
 use maud::{Markup, PreEscaped, html};
 
-use crate::html::forest::{self, Row};
-use crate::page::Page;
+use crate::html::forest::{self, ForestRow};
+use crate::page::PageLayout;
 use crate::summary::parameters::ends_in_words;
-use crate::summary::states::{self, Cells, cells};
-use crate::table::{Column, Side};
+use crate::summary::states::{self, FigureCells, cells};
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
 
 /// Elements of Σ in the table.
@@ -15,52 +15,52 @@ const MOST_ELEMENTS: usize = 210;
 
 /// What is known of a state over the tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum StateFigure {
     Mean,
     StdDev,
 }
 
-impl Kind {
+impl StateFigure {
     pub(super) fn name(self) -> &'static str {
         match self {
-            Kind::Mean => "mean",
-            Kind::StdDev => "standard deviation",
+            StateFigure::Mean => "mean",
+            StateFigure::StdDev => "standard deviation",
         }
     }
 
     pub(super) fn estimate(self, phase: &PhaseRecord, i: usize) -> Option<f64> {
         match self {
-            Kind::Mean => phase.mean.estimate.get(i).copied(),
-            Kind::StdDev => phase.std_dev.estimate.get(i).copied(),
+            StateFigure::Mean => phase.mean.estimate.get(i).copied(),
+            StateFigure::StdDev => phase.std_dev.estimate.get(i).copied(),
         }
     }
 
     pub(super) fn std_error(self, phase: &PhaseRecord, i: usize) -> Option<f64> {
         match self {
-            Kind::Mean => phase.mean.std_error.get(i).copied().flatten(),
-            Kind::StdDev => phase.std_dev.std_error.get(i).copied().flatten(),
+            StateFigure::Mean => phase.mean.std_error.get(i).copied().flatten(),
+            StateFigure::StdDev => phase.std_dev.std_error.get(i).copied().flatten(),
         }
     }
 
     pub(super) fn ends(self, phase: &PhaseRecord, i: usize) -> Interval {
         match self {
-            Kind::Mean => phase.mean.interval95.get(i).copied().flatten(),
-            Kind::StdDev => phase.std_dev.interval95.get(i).copied().flatten(),
+            StateFigure::Mean => phase.mean.interval95.get(i).copied().flatten(),
+            StateFigure::StdDev => phase.std_dev.interval95.get(i).copied().flatten(),
         }
     }
 
     pub(super) fn fixed(self, phase: &PhaseRecord, i: usize) -> bool {
         match self {
-            Kind::Mean => phase.mean.fixed.get(i).copied().unwrap_or(false),
-            Kind::StdDev => phase.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false),
+            StateFigure::Mean => phase.mean.fixed.get(i).copied().unwrap_or(false),
+            StateFigure::StdDev => phase.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false),
         }
     }
 
     /// The estimate and what is said beside it.
-    pub(super) fn cells(self, phase: &PhaseRecord, i: usize) -> Cells {
+    pub(super) fn cells(self, phase: &PhaseRecord, i: usize) -> FigureCells {
         match self {
-            Kind::Mean => states::mean(phase, i),
-            Kind::StdDev => states::std_dev(phase, i),
+            StateFigure::Mean => states::mean(phase, i),
+            StateFigure::StdDev => states::std_dev(phase, i),
         }
     }
 
@@ -74,23 +74,25 @@ impl Kind {
 }
 
 /// State by state: mean and standard deviation with intervals.
-pub(super) fn columns(phase: &PhaseRecord) -> Vec<Column> {
+pub(super) fn columns(phase: &PhaseRecord) -> Vec<TextColumn> {
     let p = phase.states.len();
     let units = (0..p).map(|i| phase.units.get(i).cloned().flatten().unwrap_or_default()).collect();
-    let mut columns =
-        vec![Column::new("state", Side::Left, phase.states.clone()), Column::new("unit", Side::Left, units)];
-    for (kind, name) in [(Kind::Mean, "mean"), (Kind::StdDev, "std dev")] {
+    let mut columns = vec![
+        TextColumn::new("state", ColumnSide::Left, phase.states.clone()),
+        TextColumn::new("unit", ColumnSide::Left, units),
+    ];
+    for (kind, name) in [(StateFigure::Mean, "mean"), (StateFigure::StdDev, "std dev")] {
         let (values, beside): (Vec<_>, Vec<_>) = (0..p).map(|i| kind.cells(phase, i)).unzip();
-        columns.push(Column::new(name, Side::Right, values));
-        columns.push(Column::new("", Side::Left, beside));
+        columns.push(TextColumn::new(name, ColumnSide::Right, values));
+        columns.push(TextColumn::new("", ColumnSide::Left, beside));
         let intervals = (0..p).map(|i| kind.interval(phase, i)).collect();
-        columns.push(Column::new(&format!("95 % interval of the {name}"), Side::Left, intervals));
+        columns.push(TextColumn::new(&format!("95 % interval of the {name}"), ColumnSide::Left, intervals));
     }
     columns
 }
 
 /// The elements of Σ, folded away.
-pub(super) fn elements(phase: &PhaseRecord, page: &Page<'_>) -> Markup {
+pub(super) fn elements(phase: &PhaseRecord, page: &PageLayout<'_>) -> Markup {
     let covariance = &phase.covariance;
     let p = phase.states.len().min(covariance.estimate.len());
     let (mut names, mut rows, mut intervals) = (Vec::new(), Vec::new(), Vec::new());
@@ -108,10 +110,10 @@ pub(super) fn elements(phase: &PhaseRecord, page: &Page<'_>) -> Markup {
     }
     let (values, beside): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
     let columns = [
-        Column::new("element", Side::Left, names),
-        Column::new("estimate", Side::Right, values),
-        Column::new("", Side::Left, beside),
-        Column::new("95 % interval", Side::Left, intervals),
+        TextColumn::new("element", ColumnSide::Left, names),
+        TextColumn::new("estimate", ColumnSide::Right, values),
+        TextColumn::new("", ColumnSide::Left, beside),
+        TextColumn::new("95 % interval", ColumnSide::Left, intervals),
     ];
     let all = p * (p + 1) / 2;
     html! { details { summary { "Elements of the covariance" } (PreEscaped(page.table(&columns)))
@@ -119,11 +121,11 @@ pub(super) fn elements(phase: &PhaseRecord, page: &Page<'_>) -> Markup {
 }
 
 /// An estimate in a forest plot; nothing where there is none.
-pub(super) fn forest_row(one: &PhaseRecord, kind: Kind, i: usize) -> Option<Row> {
+pub(super) fn forest_row(one: &PhaseRecord, kind: StateFigure, i: usize) -> Option<ForestRow> {
     let estimate = kind.estimate(one, i)?;
     let (shown, beside) = kind.cells(one, i);
     let interval = kind.interval(one, i);
-    Some(Row {
+    Some(ForestRow {
         name: clean(&one.states[i]),
         estimate,
         ends: if kind.fixed(one, i) { None } else { kind.ends(one, i) },

@@ -5,8 +5,8 @@ use kalfit::record::{PhaseRecord, PosteriorRecord, TestRecord};
 use maud::Markup;
 use serde_json::{Value, json};
 
-use crate::html::chart::{Chart, Charts, figure, figures};
-use crate::html::grouping::{Grouping, place};
+use crate::html::chart::{PageChart, PageCharts, figure, figures};
+use crate::html::grouping::{ColoredGroups, place};
 use crate::html::outlying::{MOST_TESTS, outlying, stands_out};
 use crate::number::plain;
 use crate::words::{clean, count};
@@ -47,7 +47,7 @@ fn population(record: &FitRecord, phase: &PhaseRecord) -> Vec<Vec<f64>> {
     sum
 }
 
-pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, charts: &mut PageCharts) -> Option<Markup> {
     let covariance = population(record, phase);
     let p = phase.states.len().min(phase.mean.estimate.len()).min(covariance.len());
     let varies = |i: &usize| covariance[*i].get(*i).is_some_and(|v| *v > 0.0 && v.is_finite());
@@ -57,7 +57,7 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
         return None;
     }
     let (tests, said) = chosen(record, phase);
-    let (all, groups) = (record.data.tests, Grouping::of(record));
+    let (all, groups) = (record.data.tests, ColoredGroups::of(record));
     let test = |test: &&TestRecord| {
         let part = part(test, phase).expect("tests were chosen for having it");
         let own = part.own.as_ref().filter(|own| {
@@ -81,19 +81,25 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
         "covariance": states.iter().map(|&i| figures(states.iter().map(|&k| covariance[i][k]))).collect::<Vec<_>>(),
         "tests": tests.iter().map(test).collect::<Vec<Value>>(),
     });
-    Grouping::tell(groups.as_ref(), &mut data);
+    ColoredGroups::tell(groups.as_ref(), &mut data);
     let shifted =
         if phase.mean.regression.is_empty() { "" } else { " The ellipses are for regression columns at zero." };
     let caption = format!(
         "The ellipses contain 50 % and 95 % of the tests of the fitted population. Open marks: estimate from the test alone. Filled \
          marks: estimate shrunk towards the population; the less informative the test, the longer the line between the two. Point at \
          a test to see its own error ellipse. About one test in twenty should lie outside.{said}{shifted}{}",
-        Grouping::caption(groups.as_ref())
+        ColoredGroups::caption(groups.as_ref())
     );
     let alternative =
         format!("{} against {}, for {}.", "Any two estimated states", "each other", count(tests.len(), "test"));
     let title = format!("{name}Population and tests");
-    Some(charts.figure(Chart { kind: "ellipses", title: &title, caption: &caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart {
+        kind: "ellipses",
+        title: &title,
+        caption: &caption,
+        alternative: &alternative,
+        data,
+    }))
 }
 
 fn units(phase: &PhaseRecord, states: &[usize]) -> Vec<String> {
@@ -104,7 +110,12 @@ fn units(phase: &PhaseRecord, states: &[usize]) -> Vec<String> {
 }
 
 /// What each test says of each state, given the population.
-pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, charts: &mut Charts) -> Option<Markup> {
+pub(super) fn posteriors(
+    record: &FitRecord,
+    phase: &PhaseRecord,
+    name: &str,
+    charts: &mut PageCharts,
+) -> Option<Markup> {
     let covariance = population(record, phase);
     let p = phase.states.len().min(phase.mean.estimate.len()).min(covariance.len());
     let states: Vec<usize> = (0..p).take(MOST_STATES).collect();
@@ -112,7 +123,7 @@ pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, ch
     if states.is_empty() || tests.is_empty() {
         return None;
     }
-    let (all, groups) = (record.data.tests, Grouping::of(record));
+    let (all, groups) = (record.data.tests, ColoredGroups::of(record));
     let test = |test: &&TestRecord| {
         let part = part(test, phase).expect("tests were chosen for having it");
         json!({
@@ -128,11 +139,11 @@ pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, ch
         "sd": figures(states.iter().map(|&i| covariance[i].get(i).map_or(f64::NAN, |v| v.max(0.0).sqrt()))),
         "tests": tests.iter().map(test).collect::<Vec<Value>>(),
     });
-    Grouping::tell(groups.as_ref(), &mut data);
+    ColoredGroups::tell(groups.as_ref(), &mut data);
     let caption = format!(
         "The estimate of each test given the population, with its 95 % interval, in order of size. The band is the mean ± 1.96 \
          standard deviations of the population. Filled diamonds are outliers.{said}{}",
-        Grouping::caption(groups.as_ref())
+        ColoredGroups::caption(groups.as_ref())
     );
     let first = phase.states.first().map_or_else(String::new, |s| clean(s));
     let alternative = format!(
@@ -141,5 +152,11 @@ pub(super) fn posteriors(record: &FitRecord, phase: &PhaseRecord, name: &str, ch
         phase.mean.estimate.first().map_or_else(String::new, |x| plain(*x, 4))
     );
     let title = format!("{name}Estimates of single tests");
-    Some(charts.figure(Chart { kind: "posteriors", title: &title, caption: &caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart {
+        kind: "posteriors",
+        title: &title,
+        caption: &caption,
+        alternative: &alternative,
+        data,
+    }))
 }

@@ -3,14 +3,14 @@
 use kalfit::FitRecord;
 use maud::html;
 
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::number::seconds;
 use crate::words::{clean, list};
 
 /// Files that are named.
 const MOST_FILES: usize = 50;
 
-pub(super) fn section(record: &FitRecord) -> Option<Section> {
+pub(super) fn section(record: &FitRecord) -> Option<PageSection> {
     let solver = &record.solver;
     let files: Vec<String> = record.data.files.iter().map(|file| clean(file)).collect();
     let digest = record.model_digest.as_ref().map_or_else(|| "not known".to_owned(), |digest| clean(digest));
@@ -25,5 +25,5 @@ pub(super) fn section(record: &FitRecord) -> Option<Section> {
         ("time", seconds(solver.seconds)),
     ];
     let body = html! { dl.facts { @for (name, value) in &rows { div { dt { (name) } dd { (value) } } } } };
-    Section::new("provenance", "Provenance", body)
+    PageSection::new("provenance", "Provenance", body)
 }

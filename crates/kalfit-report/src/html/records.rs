@@ -5,8 +5,8 @@ use maud::{Markup, html};
 use serde_json::{Value, json};
 
 use crate::html::allan;
-use crate::html::chart::{Chart, Charts};
-use crate::html::section::Section;
+use crate::html::chart::{PageChart, PageCharts};
+use crate::html::section::PageSection;
 use crate::words::{clean, count, sentence};
 
 /// Series of one phase that can be chosen.
@@ -14,18 +14,18 @@ const MOST_SERIES: usize = 40;
 /// Parts of its range that a series is drawn in.
 const PARTS: f64 = 20_000.0;
 
-pub(super) fn section(along: &AlongRecord, charts: &mut Charts) -> Option<Section> {
+pub(super) fn section(along: &AlongRecord, charts: &mut PageCharts) -> Option<PageSection> {
     let notes: Vec<String> = along.notes.iter().map(|note| sentence(&clean(note))).collect();
     let body = html! {
         (allan::part(along, charts).unwrap_or_default())
         @for figure in &one_test(along, charts) { (figure) }
         @for note in &notes { p { (note) } }
     };
-    Section::new("records", "Records", body)
+    PageSection::new("records", "Records", body)
 }
 
 /// A chart for each phase.
-fn one_test(along: &AlongRecord, charts: &mut Charts) -> Vec<Markup> {
+fn one_test(along: &AlongRecord, charts: &mut PageCharts) -> Vec<Markup> {
     let mut phases: Vec<&str> = Vec::new();
     for phase in along.tests.iter().flat_map(|test| &test.phases) {
         if !phases.contains(&phase.name.as_str()) {
@@ -42,7 +42,7 @@ fn one_test(along: &AlongRecord, charts: &mut Charts) -> Vec<Markup> {
     heading.into_iter().chain(drawn).collect()
 }
 
-fn chart(along: &AlongRecord, phase: &str, title: &str, charts: &mut Charts) -> Option<Markup> {
+fn chart(along: &AlongRecord, phase: &str, title: &str, charts: &mut PageCharts) -> Option<Markup> {
     let own = |test: &'_ TestAlong| test.phases.iter().position(|own| own.name == phase);
     let tests: Vec<(&TestAlong, &PhaseAlong)> =
         along.tests.iter().filter_map(|test| Some((test, &test.phases[own(test)?]))).collect();
@@ -67,7 +67,7 @@ fn chart(along: &AlongRecord, phase: &str, title: &str, charts: &mut Charts) -> 
          line are as expected; ends that bend away are outliers, and a steeper slope means that the model has too little noise.{left}"
     );
     let alternative = format!("For {}; test {} is shown first.", count(tests.len(), "test"), clean(&first.0.id));
-    Some(charts.figure(Chart { kind: "record", title, caption: &caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart { kind: "record", title, caption: &caption, alternative: &alternative, data }))
 }
 
 fn test_data(test: &TestAlong, phase: &PhaseAlong) -> Value {

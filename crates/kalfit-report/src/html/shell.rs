@@ -6,8 +6,8 @@ use kalfit::FitRecord;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use sha2::{Digest, Sha256};
 
-use crate::html::chart::{Charts, cut};
-use crate::html::section::Section;
+use crate::html::chart::{PageCharts, cut};
+use crate::html::section::PageSection;
 use crate::words::clean;
 
 /// Apache ECharts, the parts that are used; see assets/README.md.
@@ -29,7 +29,7 @@ const SCRIPTS: &[&str] = &[
     include_str!("page/start.js"),
 ];
 
-pub(super) fn document(record: &FitRecord, sections: &[Section], charts: &Charts) -> String {
+pub(super) fn document(record: &FitRecord, sections: &[PageSection], charts: &PageCharts) -> String {
     let title = title(record);
     let own = format!("\"use strict\";(() => {{\n{}}})();", SCRIPTS.concat());
     html! {
@@ -79,7 +79,7 @@ fn title(record: &FitRecord) -> String {
     if title.trim().is_empty() { "Untitled model".to_owned() } else { title }
 }
 
-fn contents(sections: &[Section]) -> Markup {
+fn contents(sections: &[PageSection]) -> Markup {
     html! { ol { @for section in sections { li { a href=(format!("#{}", section.id)) { (section.title) } } } } }
 }
 

@@ -4,12 +4,12 @@ use kalfit::FitRecord;
 use maud::{Markup, PreEscaped, html};
 use serde_json::json;
 
-use crate::html::chart::{Chart, Charts, figures};
-use crate::html::section::Section;
+use crate::html::chart::{PageChart, PageCharts, figures};
+use crate::html::section::PageSection;
 use crate::number::{hundredths, plain};
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary;
-use crate::table::{Column, Side};
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, sentence};
 
 /// Steps that are drawn.
@@ -17,8 +17,8 @@ const MOST_STEPS: usize = 1000;
 /// Other starts in the table.
 const MOST_STARTS: usize = 50;
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
-    let page = Page::html();
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
+    let page = PageLayout::html();
     let body = html! {
         p { (sentence(&clean(&record.reason))) }
         (PreEscaped(certificate(record, &page)))
@@ -26,10 +26,10 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         (PreEscaped(starts(record, &page)))
         (PreEscaped(summary::work(record, &page)))
     };
-    Section::new("solver", "Solver and optimality", body)
+    PageSection::new("solver", "Solver and optimality", body)
 }
 
-fn certificate(record: &FitRecord, page: &Page<'_>) -> String {
+fn certificate(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let c = &record.certificate;
     let rows = [
         ("mean", "largest score of the mean", c.mean),
@@ -39,14 +39,14 @@ fn certificate(record: &FitRecord, page: &Page<'_>) -> String {
         ("rounding", "largest effect of rounding errors on mean and covariance", c.rounding),
     ];
     let columns = [
-        Column::new("condition", Side::Left, rows.iter().map(|r| r.0.to_owned()).collect()),
-        Column::new("what must be zero", Side::Left, rows.iter().map(|r| r.1.to_owned()).collect()),
-        Column::new("found, in standard errors", Side::Right, rows.iter().map(|r| plain(r.2, 2)).collect()),
+        TextColumn::new("condition", ColumnSide::Left, rows.iter().map(|r| r.0.to_owned()).collect()),
+        TextColumn::new("what must be zero", ColumnSide::Left, rows.iter().map(|r| r.1.to_owned()).collect()),
+        TextColumn::new("found, in standard errors", ColumnSide::Right, rows.iter().map(|r| plain(r.2, 2)).collect()),
     ];
     page.section("Optimality conditions", &page.table(&columns))
 }
 
-fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
+fn chart(record: &FitRecord, charts: &mut PageCharts) -> Option<Markup> {
     let trace = &record.solver.trace;
     let best = trace.iter().copied().filter(|x| x.is_finite()).fold(f64::NEG_INFINITY, f64::max);
     if trace.len() < 2 || !best.is_finite() {
@@ -65,25 +65,35 @@ fn chart(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
         hundredths(trace[0]),
         hundredths(trace[trace.len() - 1])
     );
-    Some(charts.figure(Chart { kind: "trace", title: "Path of the solver", caption, alternative: &alternative, data }))
+    Some(charts.figure(PageChart {
+        kind: "trace",
+        title: "Path of the solver",
+        caption,
+        alternative: &alternative,
+        data,
+    }))
 }
 
-fn starts(record: &FitRecord, page: &Page<'_>) -> String {
+fn starts(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let starts = &record.starts[..record.starts.len().min(MOST_STARTS)];
     if starts.is_empty() {
         return String::new();
     }
     let best = record.log_likelihood;
     let columns = [
-        Column::new("log-likelihood", Side::Right, starts.iter().map(|s| hundredths(s.log_likelihood)).collect()),
-        Column::new(
+        TextColumn::new(
+            "log-likelihood",
+            ColumnSide::Right,
+            starts.iter().map(|s| hundredths(s.log_likelihood)).collect(),
+        ),
+        TextColumn::new(
             "below the result",
-            Side::Right,
+            ColumnSide::Right,
             starts.iter().map(|s| plain(best - s.log_likelihood, 3)).collect(),
         ),
-        Column::new(
+        TextColumn::new(
             "converged",
-            Side::Left,
+            ColumnSide::Left,
             starts.iter().map(|s| if s.converged { "yes" } else { "no" }.into()).collect(),
         ),
     ];

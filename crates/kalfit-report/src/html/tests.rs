@@ -5,15 +5,15 @@ use kalfit::record::TestRecord;
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
-use crate::html::chart::{Chart, Charts, figure};
-use crate::html::grouping::{Grouping, place};
+use crate::html::chart::{PageChart, PageCharts, figure};
+use crate::html::grouping::{ColoredGroups, place};
 use crate::html::outlying::{LEVEL, MOST_TESTS, outlying, stands_out};
 use crate::html::posteriors;
-use crate::html::section::Section;
+use crate::html::section::PageSection;
 use crate::number::{Precision, hundredths, plain, probability};
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::summary::{outliers, places};
-use crate::table::{Column, Side};
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
 
 /// States whose posteriors are in the table.
@@ -21,11 +21,11 @@ const MOST_STATES: usize = 8;
 /// Points of the chart of p-values.
 const MOST_POINTS: usize = 600;
 
-pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section> {
+pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
     if record.tests.is_empty() {
         return None;
     }
-    let page = Page::html();
+    let page = PageLayout::html();
     let several = record.phases.len() > 1;
     let mut drawn: Vec<Markup> = Vec::new();
     for phase in &record.phases {
@@ -38,14 +38,14 @@ pub(super) fn section(record: &FitRecord, charts: &mut Charts) -> Option<Section
         (p_values(record, charts).unwrap_or_default())
         (table(record, &page))
     };
-    Section::new("tests", "Tests", body)
+    PageSection::new("tests", "Tests", body)
 }
 
 /// p-values against what they should be: evenly spread.
-fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
+fn p_values(record: &FitRecord, charts: &mut PageCharts) -> Option<Markup> {
     let tested: Vec<(&TestRecord, f64)> =
         outlying(record).into_iter().filter_map(|test| Some((test, test.p_value.filter(|p| p.is_finite())?))).collect();
-    let (n, groups) = (tested.len(), Grouping::of(record));
+    let (n, groups) = (tested.len(), ColoredGroups::of(record));
     if n < 3 {
         return None;
     }
@@ -59,7 +59,7 @@ fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
         })
         .collect();
     let mut data = json!({ "points": points, "limit": figure(-(LEVEL / n as f64).log10()) });
-    Grouping::tell(groups.as_ref(), &mut data);
+    ColoredGroups::tell(groups.as_ref(), &mut data);
     let out = tested.iter().filter(|(test, _)| stands_out(test, n)).count();
     let alternative =
         format!("{} above the line, of {n}; the smallest p-value is {}.", count(out, "test"), probability(tested[0].1));
@@ -69,9 +69,9 @@ fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
         "How far each test is from the population, as minus the logarithm of its p-value, against the value expected by chance. Points \
          near the diagonal: the population describes the tests. Points above the dashed line are outliers at the 5 % level, after \
          Bonferroni correction.{together}{}",
-        Grouping::caption(groups.as_ref())
+        ColoredGroups::caption(groups.as_ref())
     );
-    Some(charts.figure(Chart {
+    Some(charts.figure(PageChart {
         kind: "quantiles",
         title: "Distances from the population",
         caption: &caption,
@@ -80,7 +80,7 @@ fn p_values(record: &FitRecord, charts: &mut Charts) -> Option<Markup> {
     }))
 }
 
-fn table(record: &FitRecord, page: &Page<'_>) -> Markup {
+fn table(record: &FitRecord, page: &PageLayout<'_>) -> Markup {
     let all = record.tests.len();
     let mut tests: Vec<&TestRecord> = outlying(record).into_iter().take(MOST_TESTS).collect();
     if all <= MOST_TESTS {
@@ -89,13 +89,17 @@ fn table(record: &FitRecord, page: &Page<'_>) -> Markup {
     let column = |of: &dyn Fn(&TestRecord) -> String| -> Vec<String> { tests.iter().map(|test| of(test)).collect() };
     let or_dash = |x: Option<String>| x.unwrap_or_else(|| "-".to_owned());
     let mut columns = vec![
-        Column::new("test", Side::Left, column(&|t| t.id.clone())),
-        Column::new("observations", Side::Right, column(&|t| t.observations.to_string())),
-        Column::new("log-likelihood", Side::Right, column(&|t| hundredths(t.log_likelihood))),
-        Column::new("distance²", Side::Right, column(&|t| or_dash(t.distance.map(|d| plain(d, 3))))),
-        Column::new("expected", Side::Right, column(&|t| t.degrees_of_freedom.to_string())),
-        Column::new("p-value", Side::Right, column(&|t| or_dash(t.p_value.map(probability)))),
-        Column::new("", Side::Left, column(&|t| if stands_out(t, all) { "outlier".into() } else { String::new() })),
+        TextColumn::new("test", ColumnSide::Left, column(&|t| t.id.clone())),
+        TextColumn::new("observations", ColumnSide::Right, column(&|t| t.observations.to_string())),
+        TextColumn::new("log-likelihood", ColumnSide::Right, column(&|t| hundredths(t.log_likelihood))),
+        TextColumn::new("distance²", ColumnSide::Right, column(&|t| or_dash(t.distance.map(|d| plain(d, 3))))),
+        TextColumn::new("expected", ColumnSide::Right, column(&|t| t.degrees_of_freedom.to_string())),
+        TextColumn::new("p-value", ColumnSide::Right, column(&|t| or_dash(t.p_value.map(probability)))),
+        TextColumn::new(
+            "",
+            ColumnSide::Left,
+            column(&|t| if stands_out(t, all) { "outlier".into() } else { String::new() }),
+        ),
     ];
     columns.extend(states(record, &tests));
     let rows = page.table(&columns);
@@ -108,7 +112,7 @@ fn table(record: &FitRecord, page: &Page<'_>) -> Markup {
 }
 
 /// What each test says of each state, given the population.
-fn states(record: &FitRecord, tests: &[&TestRecord]) -> Vec<Column> {
+fn states(record: &FitRecord, tests: &[&TestRecord]) -> Vec<TextColumn> {
     let several = record.phases.len() > 1;
     let places = record.phases.iter().flat_map(|phase| (0..phase.states.len()).map(move |i| (phase, i)));
     let column = |(phase, i): (&kalfit::record::PhaseRecord, usize)| {
@@ -121,7 +125,7 @@ fn states(record: &FitRecord, tests: &[&TestRecord]) -> Vec<Column> {
             Some(format!("{}{sd}", precision.show(mean)))
         };
         let name = if several { format!("{}: {}", phase.name, phase.states[i]) } else { phase.states[i].clone() };
-        Column::new(&name, Side::Right, tests.iter().map(|test| cell(test).unwrap_or_default()).collect())
+        TextColumn::new(&name, ColumnSide::Right, tests.iter().map(|test| cell(test).unwrap_or_default()).collect())
     };
     places.take(MOST_STATES).map(column).collect()
 }

@@ -1,7 +1,7 @@
 //! From values to points.
 
 use crate::number::plain;
-use crate::plot::canvas::{Canvas, FAINT, GRID, SMALL, Side, width_of};
+use crate::plot::canvas::{Canvas, FAINT, GRID, SMALL, TextAnchor, width_of};
 
 /// Digits of the number at a tick.
 const DIGITS: usize = 6;
@@ -69,7 +69,7 @@ impl Axis {
         for (tick, words) in self.ticks(|words| (width_of(words, SMALL) + 14.0).max(55.0)) {
             let x = self.at(tick);
             on.line(&[[x, top], [x, bottom]], GRID, 0.7);
-            on.text([x, bottom + 9.0], &words, SMALL, Side::Middle, FAINT);
+            on.text([x, bottom + 9.0], &words, SMALL, TextAnchor::Middle, FAINT);
         }
         on.line(&[[self.from, bottom], [self.to, bottom]], FAINT, 0.8);
     }
@@ -80,7 +80,7 @@ impl Axis {
         for (tick, words) in self.ticks(|_| least) {
             let y = self.at(tick);
             on.line(&[[left, y], [right, y]], GRID, 0.7);
-            on.text([left - 5.0, y], &words, SMALL, Side::Right, FAINT);
+            on.text([left - 5.0, y], &words, SMALL, TextAnchor::Right, FAINT);
         }
         on.line(&[[left, self.from], [left, self.to]], FAINT, 0.8);
     }

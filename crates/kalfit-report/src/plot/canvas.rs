@@ -26,7 +26,7 @@ pub(super) const SMALL: f64 = 11.0;
 
 /// Which end of some words a place says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Side {
+pub(super) enum TextAnchor {
     /// Their first letter begins there.
     Left,
     Middle,
@@ -36,7 +36,7 @@ pub(super) enum Side {
 
 /// What is drawn, in order.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Shape {
+pub(super) enum SceneShape {
     Line {
         points: Vec<[f64; 2]>,
         color: Color,
@@ -63,7 +63,7 @@ pub(super) enum Shape {
         at: [f64; 2],
         words: String,
         size: f64,
-        side: Side,
+        side: TextAnchor,
         color: Color,
     },
 }
@@ -73,7 +73,7 @@ pub(super) enum Shape {
 pub(super) struct Scene {
     pub(super) width: f64,
     pub(super) height: f64,
-    pub(super) shapes: Vec<Shape>,
+    pub(super) shapes: Vec<SceneShape>,
 }
 
 /// A part of a scene, from some height on.
@@ -105,40 +105,40 @@ impl Canvas<'_> {
 
     pub(super) fn line(&mut self, points: &[[f64; 2]], color: Color, width: f64) {
         let points = self.places(points);
-        self.scene.shapes.push(Shape::Line { points, color, width, dashed: false });
+        self.scene.shapes.push(SceneShape::Line { points, color, width, dashed: false });
     }
 
     pub(super) fn dashed(&mut self, from: [f64; 2], to: [f64; 2], color: Color) {
         let points = self.places(&[from, to]);
-        self.scene.shapes.push(Shape::Line { points, color, width: 1.0, dashed: true });
+        self.scene.shapes.push(SceneShape::Line { points, color, width: 1.0, dashed: true });
     }
 
     /// A closed area of a faint colour.
     pub(super) fn area(&mut self, points: &[[f64; 2]], color: Color) {
         let points = self.places(points);
-        self.scene.shapes.push(Shape::Area { points, color });
+        self.scene.shapes.push(SceneShape::Area { points, color });
     }
 
     pub(super) fn bar(&mut self, from: [f64; 2], to: [f64; 2], color: Color) {
         let (from, to) = (self.place(from), self.place(to));
-        self.scene.shapes.push(Shape::Bar { from, to, color });
+        self.scene.shapes.push(SceneShape::Bar { from, to, color });
     }
 
     pub(super) fn dot(&mut self, at: [f64; 2], radius: f64, color: Color, filled: bool) {
         let at = self.place(at);
-        self.scene.shapes.push(Shape::Dot { at, radius, color, filled });
+        self.scene.shapes.push(SceneShape::Dot { at, radius, color, filled });
     }
 
-    pub(super) fn text(&mut self, at: [f64; 2], words: &str, size: f64, side: Side, color: Color) {
+    pub(super) fn text(&mut self, at: [f64; 2], words: &str, size: f64, side: TextAnchor, color: Color) {
         let at = self.place(at);
-        self.scene.shapes.push(Shape::Text { at, words: words.to_owned(), size, side, color });
+        self.scene.shapes.push(SceneShape::Text { at, words: words.to_owned(), size, side, color });
     }
 
     /// The lines over a figure.
     pub(super) fn heading(&mut self, title: &str, caption: &[String]) {
-        self.text([12.0, 18.0], &cut(title, self.width - 24.0, TITLE), TITLE, Side::Left, INK);
+        self.text([12.0, 18.0], &cut(title, self.width - 24.0, TITLE), TITLE, TextAnchor::Left, INK);
         for (k, line) in caption.iter().enumerate() {
-            self.text([12.0, 38.0 + LINE * k as f64], line, WORDS, Side::Left, FAINT);
+            self.text([12.0, 38.0 + LINE * k as f64], line, WORDS, TextAnchor::Left, FAINT);
         }
     }
 }

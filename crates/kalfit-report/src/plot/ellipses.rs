@@ -5,9 +5,9 @@ use kalfit::record::PhaseRecord;
 
 use crate::html::outlying::stands_out;
 use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, Side, WORDS, cut};
+use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, TextAnchor, WORDS, cut};
 use crate::plot::error::PlotError;
-use crate::plot::picture::Picture;
+use crate::plot::picture::PlotDrawing;
 use crate::words::clean;
 
 /// Pairs that are drawn: those of the first four states.
@@ -23,28 +23,28 @@ const LEFT: f64 = 58.0;
 const BELOW: f64 = 40.0;
 
 /// Two states.
-struct Pair {
+struct StatePair {
     names: [String; 2],
     mean: [f64; 2],
     covariance: [f64; 3],
-    tests: Vec<Point>,
+    tests: Vec<TestPoint>,
 }
 
 /// A test.
-struct Point {
+struct TestPoint {
     id: String,
     at: [f64; 2],
     outlier: bool,
 }
 
-pub(super) struct Ellipses {
-    pairs: Vec<Pair>,
+pub(super) struct EllipsePlot {
+    pairs: Vec<StatePair>,
     /// The means depend on columns of the data.
     regression: bool,
 }
 
-impl Ellipses {
-    pub(super) fn of(record: &FitRecord) -> Result<Ellipses, PlotError> {
+impl EllipsePlot {
+    pub(super) fn of(record: &FitRecord) -> Result<EllipsePlot, PlotError> {
         let several = record.phases.len() > 1;
         let mut pairs = Vec::new();
         for phase in &record.phases {
@@ -59,7 +59,7 @@ impl Ellipses {
             return Err(PlotError::Nothing("it takes two estimated states that vary from test to test".to_owned()));
         }
         let regression = record.phases.iter().any(|phase| !phase.mean.regression.is_empty());
-        Ok(Ellipses { pairs, regression })
+        Ok(EllipsePlot { pairs, regression })
     }
 
     /// Pairs beside each other.
@@ -77,7 +77,7 @@ impl Ellipses {
     }
 }
 
-fn pair(record: &FitRecord, phase: &PhaseRecord, (k, i): (usize, usize), several: bool) -> Option<Pair> {
+fn pair(record: &FitRecord, phase: &PhaseRecord, (k, i): (usize, usize), several: bool) -> Option<StatePair> {
     let name = |i: usize| {
         let unit = phase.units.get(i).cloned().flatten().filter(|unit| !unit.is_empty());
         let unit = unit.map_or_else(String::new, |unit| format!(" [{}]", clean(&unit)));
@@ -88,9 +88,9 @@ fn pair(record: &FitRecord, phase: &PhaseRecord, (k, i): (usize, usize), several
     let of = |test: &kalfit::record::TestRecord| {
         let part = test.phases.iter().find(|part| part.name == phase.name)?;
         let at = [*part.mean.get(k)?, *part.mean.get(i)?];
-        Some(Point { id: clean(&test.id), at, outlier: stands_out(test, record.tests.len()) })
+        Some(TestPoint { id: clean(&test.id), at, outlier: stands_out(test, record.tests.len()) })
     };
-    Some(Pair {
+    Some(StatePair {
         names: [name(k), name(i)],
         mean: [*phase.mean.estimate.get(k)?, *phase.mean.estimate.get(i)?],
         covariance: [element(k, k)?, element(i, k)?, element(i, i)?],
@@ -99,7 +99,7 @@ fn pair(record: &FitRecord, phase: &PhaseRecord, (k, i): (usize, usize), several
 }
 
 /// The edge of the ellipse that holds a part of the population: mean + r L (cos t, sin t) with Σ = LLᵀ, r² the quantile of χ²₂.
-fn edge(pair: &Pair, part: f64) -> Vec<[f64; 2]> {
+fn edge(pair: &StatePair, part: f64) -> Vec<[f64; 2]> {
     let [xx, xy, yy] = pair.covariance;
     let l = [xx.sqrt(), xy / xx.sqrt(), (yy - xy * xy / xx).max(0.0).sqrt()];
     let radius = (-2.0 * (1.0 - part).ln()).sqrt();
@@ -110,7 +110,7 @@ fn edge(pair: &Pair, part: f64) -> Vec<[f64; 2]> {
     (0..=POINTS).map(point).collect()
 }
 
-impl Picture for Ellipses {
+impl PlotDrawing for EllipsePlot {
     fn caption(&self) -> String {
         let at = if self.regression { ", regression columns at zero" } else { "" };
         format!("Population (50 % and 95 %{at}) and estimates of the tests given it")
@@ -130,7 +130,7 @@ impl Picture for Ellipses {
     }
 }
 
-fn put(pair: &Pair, on: &mut Canvas<'_>, left: f64, side: f64) {
+fn put(pair: &StatePair, on: &mut Canvas<'_>, left: f64, side: f64) {
     let edges = HELD.map(|part| edge(pair, part));
     let all = || edges[1].iter().copied().chain(pair.tests.iter().map(|test| test.at));
     let (from, to) = (left + LEFT, left + side - 14.0);
@@ -140,8 +140,8 @@ fn put(pair: &Pair, on: &mut Canvas<'_>, left: f64, side: f64) {
     let at = |value: [f64; 2]| [x.at(value[0]), y.at(value[1])];
     x.below(on, top, bottom);
     y.beside(on, from, to);
-    on.text([left + 4.0, 10.0], &cut(&pair.names[1], side - 20.0, WORDS), WORDS, Side::Left, INK);
-    on.text([to, bottom + 25.0], &cut(&pair.names[0], side - 20.0, WORDS), WORDS, Side::Right, INK);
+    on.text([left + 4.0, 10.0], &cut(&pair.names[1], side - 20.0, WORDS), WORDS, TextAnchor::Left, INK);
+    on.text([to, bottom + 25.0], &cut(&pair.names[0], side - 20.0, WORDS), WORDS, TextAnchor::Right, INK);
     for edge in &edges {
         on.line(&edge.iter().map(|point| at(*point)).collect::<Vec<_>>(), FAINT, 1.2);
     }
@@ -151,7 +151,7 @@ fn put(pair: &Pair, on: &mut Canvas<'_>, left: f64, side: f64) {
     for test in pair.tests.iter().filter(|test| test.outlier).take(MOST_NAMES) {
         let [x, y] = at(test.at);
         // inwards from the right edge
-        let (side, shift) = if x > 0.7 * to + 0.3 * from { (Side::Right, -6.0) } else { (Side::Left, 6.0) };
+        let (side, shift) = if x > 0.7 * to + 0.3 * from { (TextAnchor::Right, -6.0) } else { (TextAnchor::Left, 6.0) };
         on.text([x + shift, y - 6.0], &cut(&test.id, 100.0, SMALL), SMALL, side, INK);
     }
 }
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn an_edge_is_at_its_distance_from_the_mean() {
         let pair =
-            Pair { names: Default::default(), mean: [1.0, -2.0], covariance: [4.0, -1.2, 0.9], tests: Vec::new() };
+            StatePair { names: Default::default(), mean: [1.0, -2.0], covariance: [4.0, -1.2, 0.9], tests: Vec::new() };
         let det = 4.0 * 0.9 - 1.2 * 1.2;
         for (part, chi2) in [(0.5, 1.386_294_361), (0.95, 5.991_464_547)] {
             for [x, y] in edge(&pair, part) {

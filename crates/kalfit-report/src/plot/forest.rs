@@ -2,12 +2,12 @@
 
 use kalfit::FitRecord;
 
-use crate::html::forest::{Panel, panels};
+use crate::html::forest::{ForestPanel, panels};
 use crate::html::{estimates, parameters};
 use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, SMALL, Side, WORDS, cut, widest};
+use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, SMALL, TextAnchor, WORDS, cut, widest};
 use crate::plot::error::PlotError;
-use crate::plot::picture::Picture;
+use crate::plot::picture::PlotDrawing;
 use crate::words::clean;
 
 /// Heights, in points.
@@ -17,12 +17,12 @@ const TICKS: f64 = 26.0;
 /// A narrower figure has no room for figures beside the marks.
 const WIDE: f64 = 560.0;
 
-pub(super) struct Forest {
-    panels: Vec<Panel>,
+pub(super) struct ForestPlot {
+    panels: Vec<ForestPanel>,
 }
 
-impl Forest {
-    pub(super) fn of(record: &FitRecord) -> Result<Forest, PlotError> {
+impl ForestPlot {
+    pub(super) fn of(record: &FitRecord) -> Result<ForestPlot, PlotError> {
         let several = record.phases.len() > 1;
         let mut groups = Vec::new();
         for phase in &record.phases {
@@ -38,11 +38,11 @@ impl Forest {
         if panels.is_empty() {
             return Err(PlotError::Nothing("no mean, spread or parameter is estimated".to_owned()));
         }
-        Ok(Forest { panels })
+        Ok(ForestPlot { panels })
     }
 }
 
-impl Picture for Forest {
+impl PlotDrawing for ForestPlot {
     fn caption(&self) -> String {
         "Estimates with 95 % intervals; open marks have none".to_owned()
     }
@@ -73,19 +73,19 @@ fn short(words: &str) -> &str {
     words.split(" (95 %").next().unwrap_or(words)
 }
 
-fn put(panel: &Panel, on: &mut Canvas<'_>, left: f64, right: f64) {
+fn put(panel: &ForestPanel, on: &mut Canvas<'_>, left: f64, right: f64) {
     let known = |end: Option<f64>| end.filter(|x| x.is_finite());
     let ends = panel.rows.iter().flat_map(|row| row.ends.unwrap_or([None, None]).map(known)).flatten();
     let axis = Axis::over(ends.chain(panel.rows.iter().map(|row| row.estimate)), left, right);
     let bottom = LABEL + ROW * panel.rows.len() as f64;
-    on.text([12.0, 14.0], &cut(&panel.label, on.width - 24.0, WORDS), WORDS, Side::Left, INK);
+    on.text([12.0, 14.0], &cut(&panel.label, on.width - 24.0, WORDS), WORDS, TextAnchor::Left, INK);
     axis.below(on, LABEL, bottom);
     if axis.holds(0.0) {
         on.line(&[[axis.at(0.0), LABEL], [axis.at(0.0), bottom]], FAINT, 1.0);
     }
     for (k, row) in panel.rows.iter().enumerate() {
         let y = LABEL + ROW * (k as f64 + 0.5);
-        on.text([left - 8.0, y], &cut(&row.name, left - 18.0, WORDS), WORDS, Side::Right, INK);
+        on.text([left - 8.0, y], &cut(&row.name, left - 18.0, WORDS), WORDS, TextAnchor::Right, INK);
         if let Some([low, high]) = row.ends {
             // an open end reaches the edge
             let from = known(low).map_or(left, |x| axis.at(x));
@@ -94,7 +94,13 @@ fn put(panel: &Panel, on: &mut Canvas<'_>, left: f64, right: f64) {
         }
         on.dot([axis.at(row.estimate), y], 4.0, BLUE, row.ends.is_some());
         if on.width >= WIDE {
-            on.text([right + 10.0, y], &cut(short(&row.words), on.width - right - 12.0, SMALL), SMALL, Side::Left, INK);
+            on.text(
+                [right + 10.0, y],
+                &cut(short(&row.words), on.width - right - 12.0, SMALL),
+                SMALL,
+                TextAnchor::Left,
+                INK,
+            );
         }
     }
 }

@@ -4,9 +4,9 @@ use kalfit::FitRecord;
 use kalfit::record::displacement_limit;
 
 use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, Side, WORDS, cut, widest};
+use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, TextAnchor, WORDS, cut, widest};
 use crate::plot::error::PlotError;
-use crate::plot::picture::Picture;
+use crate::plot::picture::PlotDrawing;
 use crate::summary::influence::deleted;
 use crate::words::{clean, count};
 
@@ -17,7 +17,7 @@ const ROW: f64 = 18.0;
 const TOP: f64 = 18.0;
 const BOTTOM: f64 = 30.0;
 
-pub(super) struct Influence {
+pub(super) struct InfluencePlot {
     /// Test and displacement.
     tests: Vec<(String, f64)>,
     /// Of all tests.
@@ -25,8 +25,8 @@ pub(super) struct Influence {
     limit: f64,
 }
 
-impl Influence {
-    pub(super) fn of(record: &FitRecord) -> Result<Influence, PlotError> {
+impl InfluencePlot {
+    pub(super) fn of(record: &FitRecord) -> Result<InfluencePlot, PlotError> {
         let all: Vec<(String, f64)> =
             deleted(record).into_iter().map(|(test, deletion)| (clean(&test.id), deletion.displacement)).collect();
         if all.is_empty() {
@@ -35,11 +35,11 @@ impl Influence {
         }
         let of = all.len();
         let tests = all.into_iter().take(MOST).collect();
-        Ok(Influence { tests, of, limit: displacement_limit(record.free_parameters) })
+        Ok(InfluencePlot { tests, of, limit: displacement_limit(record.free_parameters) })
     }
 }
 
-impl Picture for Influence {
+impl PlotDrawing for InfluencePlot {
     fn caption(&self) -> String {
         let which = if self.of > MOST {
             format!("the {MOST} most influential of {}", count(self.of, "test"))
@@ -62,13 +62,13 @@ impl Picture for Influence {
         for (k, (id, displacement)) in self.tests.iter().enumerate() {
             let y = TOP + ROW * (k as f64 + 0.5);
             let color = if *displacement > self.limit { ORANGE } else { BLUE };
-            on.text([left - 8.0, y], &cut(id, left - 18.0, WORDS), WORDS, Side::Right, INK);
+            on.text([left - 8.0, y], &cut(id, left - 18.0, WORDS), WORDS, TextAnchor::Right, INK);
             on.bar([axis.at(0.0), y - 5.0], [axis.at(*displacement), y + 5.0], color);
         }
         let x = axis.at(self.limit);
         on.dashed([x, TOP - 4.0], [x, bottom], FAINT);
         // on the side that has room
-        let (side, shift) = if x > 0.5 * (left + right) { (Side::Right, -6.0) } else { (Side::Left, 6.0) };
+        let (side, shift) = if x > 0.5 * (left + right) { (TextAnchor::Right, -6.0) } else { (TextAnchor::Left, 6.0) };
         on.text([x + shift, TOP - 8.0], "edge of the 50 % confidence region", SMALL, side, FAINT);
     }
 }

@@ -18,20 +18,20 @@ use kalfit::FitRecord;
 use kalfit::record::AlongRecord;
 
 pub use crate::plot::error::PlotError;
-pub use crate::plot::picture::Format;
+pub use crate::plot::picture::PlotFormat;
 
-use crate::plot::ellipses::Ellipses;
-use crate::plot::forest::Forest;
-use crate::plot::influence::Influence;
-use crate::plot::picture::Picture;
-use crate::plot::records::Records;
+use crate::plot::ellipses::EllipsePlot;
+use crate::plot::forest::ForestPlot;
+use crate::plot::influence::InfluencePlot;
+use crate::plot::picture::PlotDrawing;
+use crate::plot::records::RecordPlot;
 
 /// Widths of a figure, in points of a screen.
 pub const WIDTHS: std::ops::RangeInclusive<u32> = 300..=3000;
 
 /// What a figure shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum What {
+pub enum PlotKind {
     /// Means, standard deviations and free parameters with their 95 % intervals.
     Forest,
     /// Each pair of states: the population, and the tests in it.
@@ -49,15 +49,15 @@ pub enum What {
 /// [`PlotError`].
 pub fn plot(
     record: &FitRecord,
-    what: What,
+    what: PlotKind,
     (along, test): (Option<&AlongRecord>, Option<&str>),
-    (format, width): (Format, u32),
+    (format, width): (PlotFormat, u32),
 ) -> Result<Vec<u8>, PlotError> {
     let width = width.clamp(*WIDTHS.start(), *WIDTHS.end());
     match what {
-        What::Forest => Forest::of(record)?.put(record, format, width),
-        What::Ellipses => Ellipses::of(record)?.put(record, format, width),
-        What::Influence => Influence::of(record)?.put(record, format, width),
-        What::Records => Records::of(along, test)?.put(record, format, width),
+        PlotKind::Forest => ForestPlot::of(record)?.put(record, format, width),
+        PlotKind::Ellipses => EllipsePlot::of(record)?.put(record, format, width),
+        PlotKind::Influence => InfluencePlot::of(record)?.put(record, format, width),
+        PlotKind::Records => RecordPlot::of(along, test)?.put(record, format, width),
     }
 }

@@ -12,7 +12,7 @@ const HEADING: f64 = 36.0;
 
 /// How a figure is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
+pub enum PlotFormat {
     /// Scalable.
     Svg,
     /// Points.
@@ -20,7 +20,7 @@ pub enum Format {
 }
 
 /// A figure that knows how to draw itself, in points, below its heading.
-pub(super) trait Picture {
+pub(super) trait PlotDrawing {
     /// What it shows, for the lines below its title.
     fn caption(&self) -> String;
 
@@ -30,7 +30,7 @@ pub(super) trait Picture {
     fn draw(&self, on: &mut Canvas<'_>);
 
     /// The file.
-    fn put(&self, record: &FitRecord, format: Format, width: u32) -> Result<Vec<u8>, PlotError> {
+    fn put(&self, record: &FitRecord, format: PlotFormat, width: u32) -> Result<Vec<u8>, PlotError> {
         let width = f64::from(width);
         let caption = lines(&self.caption(), width - 24.0, WORDS);
         let heading = HEADING + LINE * caption.len() as f64;
@@ -39,8 +39,8 @@ pub(super) trait Picture {
         canvas.heading(&clean(&record.title), &caption);
         self.draw(&mut canvas.below(heading));
         match format {
-            Format::Svg => Ok(svg::svg(&scene).into_bytes()),
-            Format::Png => png::png(&scene),
+            PlotFormat::Svg => Ok(svg::svg(&scene).into_bytes()),
+            PlotFormat::Png => png::png(&scene),
         }
     }
 }

@@ -3,7 +3,7 @@
 use tiny_skia::{FillRule, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform};
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-use crate::plot::canvas::{AREA, Color, DASH, Scene, Shape, Side};
+use crate::plot::canvas::{AREA, Color, DASH, Scene, SceneShape, TextAnchor};
 use crate::plot::error::PlotError;
 use crate::plot::svg::MIDDLE;
 
@@ -30,24 +30,24 @@ struct Paper {
 }
 
 impl Paper {
-    fn put(&mut self, shape: &Shape) {
+    fn put(&mut self, shape: &SceneShape) {
         match shape {
-            Shape::Line { points, color, width, dashed } => {
+            SceneShape::Line { points, color, width, dashed } => {
                 let dash = if *dashed { StrokeDash::new(vec![DASH, DASH], 0.0) } else { None };
                 self.stroke(through(points, false), *color, Stroke { width: *width as f32, dash, ..Stroke::default() });
             }
-            Shape::Area { points, color } => self.fill(through(points, true), *color, AREA),
-            Shape::Bar { from, to, color } => {
+            SceneShape::Area { points, color } => self.fill(through(points, true), *color, AREA),
+            SceneShape::Bar { from, to, color } => {
                 let [[x, y], [right, bottom]] = [single(*from), single(*to)];
                 self.fill(Rect::from_ltrb(x, y, right, bottom).map(PathBuilder::from_rect), *color, 1.0);
             }
-            Shape::Dot { at, radius, color, filled } => {
+            SceneShape::Dot { at, radius, color, filled } => {
                 let [x, y] = single(*at);
                 let circle = || PathBuilder::from_circle(x, y, *radius as f32);
                 self.fill(circle(), if *filled { *color } else { [255; 3] }, 1.0);
                 self.stroke(circle(), *color, Stroke::default());
             }
-            Shape::Text { at, words, size, side, color } => {
+            SceneShape::Text { at, words, size, side, color } => {
                 let letters = self.letters(words, single(*at), *size as f32, *side);
                 self.fill(letters, *color, 1.0);
             }
@@ -68,15 +68,15 @@ impl Paper {
     }
 
     /// The outlines of words.
-    fn letters(&self, words: &str, [x, y]: [f32; 2], size: f32, side: Side) -> Option<Path> {
+    fn letters(&self, words: &str, [x, y]: [f32; 2], size: f32, side: TextAnchor) -> Option<Path> {
         let scale = size / f32::from(self.font.units_per_em());
         let glyphs: Vec<GlyphId> = words.chars().map(|c| self.font.glyph_index(c).unwrap_or(GlyphId(0))).collect();
         let advance = |glyph: &GlyphId| scale * f32::from(self.font.glyph_hor_advance(*glyph).unwrap_or(0));
         let width: f32 = glyphs.iter().map(advance).sum();
         let before = match side {
-            Side::Left => 0.0,
-            Side::Middle => 0.5 * width,
-            Side::Right => width,
+            TextAnchor::Left => 0.0,
+            TextAnchor::Middle => 0.5 * width,
+            TextAnchor::Right => width,
         };
         let mut pen = Pen { path: PathBuilder::new(), x: x - before, line: y + MIDDLE as f32 * size, scale };
         for glyph in &glyphs {

@@ -3,9 +3,9 @@
 use kalfit::record::{AlongRecord, MeasurementAlong, TestAlong};
 
 use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, Side, WORDS, cut};
+use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, TextAnchor, WORDS, cut};
 use crate::plot::error::PlotError;
-use crate::plot::picture::Picture;
+use crate::plot::picture::PlotDrawing;
 use crate::words::{clean, list};
 
 /// Measurements that are drawn.
@@ -20,15 +20,15 @@ const AROUND: f64 = 50.0;
 const LIMIT: f64 = 1.96;
 const LEFT: f64 = 66.0;
 
-pub(super) struct Records<'a> {
+pub(super) struct RecordPlot<'a> {
     test: &'a TestAlong,
     unit: Option<String>,
     of: usize,
 }
 
-impl<'a> Records<'a> {
+impl<'a> RecordPlot<'a> {
     /// Of this test, by default the least probable.
-    pub(super) fn of(along: Option<&'a AlongRecord>, test: Option<&str>) -> Result<Records<'a>, PlotError> {
+    pub(super) fn of(along: Option<&'a AlongRecord>, test: Option<&str>) -> Result<RecordPlot<'a>, PlotError> {
         let Some(along) = along else {
             return Err(PlotError::Nothing("records over time need a model with `time`, and the data".to_owned()));
         };
@@ -37,7 +37,7 @@ impl<'a> Records<'a> {
             Some(id) => along.tests.iter().find(|one| one.id == id),
         };
         match (found, test) {
-            (Some(test), _) => Ok(Records { test, unit: along.time_unit.as_deref().map(clean), of: along.of }),
+            (Some(test), _) => Ok(RecordPlot { test, unit: along.time_unit.as_deref().map(clean), of: along.of }),
             (None, Some(id)) if !along.tests.is_empty() => Err(PlotError::NoTest {
                 test: clean(id),
                 known: list(&along.tests.iter().map(|one| clean(&one.id)).collect::<Vec<_>>(), MOST_NAMES),
@@ -60,7 +60,7 @@ impl<'a> Records<'a> {
     }
 }
 
-impl Picture for Records<'_> {
+impl PlotDrawing for RecordPlot<'_> {
     fn caption(&self) -> String {
         format!(
             "Test {} of {}: measured values, predictions ± 2 standard deviations, innovations",
@@ -96,7 +96,7 @@ fn values(own: &MeasurementAlong, name: &str, on: &mut Canvas<'_>) {
     let y = Axis::over(own.measured.iter().copied(), bottom, top);
     let band = |sign: f64| (0..rows).map(move |i| (i, own.predicted[i] + sign * 2.0 * own.std_dev[i]));
     let point = |(i, value): (usize, f64)| [x.at(own.at[i]), y.at(value)];
-    on.text([12.0, 10.0], &cut(name, on.width - 24.0, WORDS), WORDS, Side::Left, INK);
+    on.text([12.0, 10.0], &cut(name, on.width - 24.0, WORDS), WORDS, TextAnchor::Left, INK);
     x.below(on, top, bottom);
     y.beside(on, LEFT, right);
     if rows > 1 {
@@ -113,7 +113,7 @@ fn innovations(own: &MeasurementAlong, time: &str, on: &mut Canvas<'_>) {
     let (x, right) = (times(own, on), on.width - 18.0);
     let (top, bottom) = (24.0, 24.0 + INNOVATIONS);
     let y = Axis::over(own.standardised.iter().copied().chain([-LIMIT, LIMIT]), bottom, top);
-    on.text([12.0, 10.0], "innovations / standard deviation", WORDS, Side::Left, INK);
+    on.text([12.0, 10.0], "innovations / standard deviation", WORDS, TextAnchor::Left, INK);
     x.below(on, top, bottom);
     y.beside(on, LEFT, right);
     for limit in [-LIMIT, LIMIT] {
@@ -122,5 +122,5 @@ fn innovations(own: &MeasurementAlong, time: &str, on: &mut Canvas<'_>) {
     for (at, value) in own.innovations_at.iter().zip(&own.standardised) {
         on.dot([x.at(*at), y.at(*value)], 1.8, if value.abs() > 3.0 { ORANGE } else { BLUE }, true);
     }
-    on.text([right, bottom + 23.0], time, SMALL, Side::Right, FAINT);
+    on.text([right, bottom + 23.0], time, SMALL, TextAnchor::Right, FAINT);
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use maud::{PreEscaped, html};
 
-use crate::plot::canvas::{AREA, Color, DASH, Scene, Shape, Side};
+use crate::plot::canvas::{AREA, Color, DASH, Scene, SceneShape, TextAnchor};
 
 /// How far the middle of a small letter is above the line it stands on, as a part of its size.
 pub(super) const MIDDLE: f64 = 0.36;
@@ -19,34 +19,34 @@ pub(super) fn svg(scene: &Scene) -> String {
     format!("{head}{}</svg>\n", shapes.into_string())
 }
 
-fn element(shape: &Shape) -> String {
+fn element(shape: &SceneShape) -> String {
     match shape {
-        Shape::Line { points, color, width, dashed } => {
+        SceneShape::Line { points, color, width, dashed } => {
             let dashes = if *dashed { format!(" stroke-dasharray=\"{DASH}\"") } else { String::new() };
             let (points, color) = (list(points), hex(*color));
             format!("<polyline points=\"{points}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"{width}\"{dashes}/>")
         }
-        Shape::Area { points, color } => {
+        SceneShape::Area { points, color } => {
             format!("<polygon points=\"{}\" fill=\"{}\" fill-opacity=\"{AREA}\"/>", list(points), hex(*color))
         }
-        Shape::Bar { from: [x, y], to: [right, bottom], color } => format!(
+        SceneShape::Bar { from: [x, y], to: [right, bottom], color } => format!(
             "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"{}\"/>",
             (right - x).max(0.0),
             (bottom - y).max(0.0),
             hex(*color)
         ),
-        Shape::Dot { at: [x, y], radius, color, filled } => {
+        SceneShape::Dot { at: [x, y], radius, color, filled } => {
             let fill = if *filled { hex(*color) } else { "#ffffff".to_owned() };
             let color = hex(*color);
             format!(
                 "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{radius}\" fill=\"{fill}\" stroke=\"{color}\" stroke-width=\"1\"/>"
             )
         }
-        Shape::Text { at: [x, y], words, size, side, color } => {
+        SceneShape::Text { at: [x, y], words, size, side, color } => {
             let anchor = match side {
-                Side::Left => "start",
-                Side::Middle => "middle",
-                Side::Right => "end",
+                TextAnchor::Left => "start",
+                TextAnchor::Middle => "middle",
+                TextAnchor::Right => "end",
             };
             let (line, color, words) = (y + MIDDLE * size, hex(*color), html! { (words) }.into_string());
             format!(

@@ -6,15 +6,15 @@ use kalfit::FitRecord;
 use kalfit::record::{FindingRecord, ModelCheckRecord};
 
 use super::headline::{is_blind, is_singular};
-use super::innovations::{self, Kinds};
+use super::innovations::{self, ImprobableKinds};
 use super::{influence, outliers};
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::words::{clean, list};
 
 /// Tests that are named.
 const MOST_TESTS: usize = 3;
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     page.section("What to do next", &page.items(&all(record)))
 }
 
@@ -70,9 +70,9 @@ fn against(record: &FitRecord, finding: &FindingRecord) -> Vec<String> {
             _ => vec![OTHER_NOISE.to_owned()],
         },
         "innovations" => match innovations::kinds(record) {
-            Kinds { size: true, whiteness: false } => vec![NOISE_EACH.to_owned()],
-            Kinds { size: false, .. } => vec![PROCESS.to_owned()],
-            Kinds { size: true, whiteness: true } => vec![NOISE_EACH.to_owned(), PROCESS.to_owned()],
+            ImprobableKinds { size: true, whiteness: false } => vec![NOISE_EACH.to_owned()],
+            ImprobableKinds { size: false, .. } => vec![PROCESS.to_owned()],
+            ImprobableKinds { size: true, whiteness: true } => vec![NOISE_EACH.to_owned(), PROCESS.to_owned()],
         },
         _ => Vec::new(),
     }

@@ -4,8 +4,8 @@ use kalfit::FitRecord;
 use kalfit::record::ConstraintRecord;
 
 use crate::number::{DIGITS, plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, list};
 
 /// A diagonal Σ of many states has very many; the others are in fit.json.
@@ -13,7 +13,7 @@ const MOST_ROWS: usize = 20;
 /// Level at which the data are said to speak against a constraint.
 const LEVEL: f64 = 0.05;
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     if record.constraints.is_empty() {
         return String::new();
     }
@@ -27,11 +27,11 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     };
     let p_values = rows.iter().map(|r| r.p_value.map_or_else(|| "-".to_owned(), probability)).collect();
     let columns = [
-        Column::new("element", Side::Left, rows.iter().map(|r| name(record, r)).collect()),
-        Column::new("held at", Side::Right, figures(|r| Some(r.value), DIGITS)),
-        Column::new("dℓ/dvalue", Side::Right, figures(|r| r.sensitivity, 3)),
-        Column::new("p-value", Side::Right, p_values),
-        Column::new("if freed", Side::Right, figures(|r| r.expected_change.map(|c| r.value + c), 3)),
+        TextColumn::new("element", ColumnSide::Left, rows.iter().map(|r| name(record, r)).collect()),
+        TextColumn::new("held at", ColumnSide::Right, figures(|r| Some(r.value), DIGITS)),
+        TextColumn::new("dℓ/dvalue", ColumnSide::Right, figures(|r| r.sensitivity, 3)),
+        TextColumn::new("p-value", ColumnSide::Right, p_values),
+        TextColumn::new("if freed", ColumnSide::Right, figures(|r| r.expected_change.map(|c| r.value + c), 3)),
     ];
     let body = page.table(&columns) + &page.items(&remarks(record, rows.len()));
     page.section("Constraints (score test of each one separately)", &body)

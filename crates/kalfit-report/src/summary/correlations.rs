@@ -1,15 +1,20 @@
 //! Correlations between the states, the lower triangle.
 
-use super::spread::Spread;
+use super::spread::StateSpread;
 use crate::number::Precision;
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 
 /// What is shown for a correlation with a state that does not vary.
 const UNDEFINED: &str = "-";
 
 /// `place` says in words where the states vary so, with a space in front, when there is more than one such place.
-pub(crate) fn section(spread: Spread<'_>, place: &str, title: &dyn Fn(&str) -> String, page: &Page<'_>) -> String {
+pub(crate) fn section(
+    spread: StateSpread<'_>,
+    place: &str,
+    title: &dyn Fn(&str) -> String,
+    page: &PageLayout<'_>,
+) -> String {
     let random: Vec<usize> = (0..spread.states.len()).filter(|&i| !held_at_zero(spread, i)).collect();
     if random.len() < 2 {
         return String::new();
@@ -20,12 +25,12 @@ pub(crate) fn section(spread: Spread<'_>, place: &str, title: &dyn Fn(&str) -> S
         return page.section(&title(&format!("Correlations{place}")), &page.items(&[sentence]));
     }
     let rows = &random[1..];
-    let names = Column::new("", Side::Left, rows.iter().map(|&i| spread.states[i].clone()).collect());
-    let columns: Vec<Column> = random[..random.len() - 1]
+    let names = TextColumn::new("", ColumnSide::Left, rows.iter().map(|&i| spread.states[i].clone()).collect());
+    let columns: Vec<TextColumn> = random[..random.len() - 1]
         .iter()
         .map(|&k| {
             let cells = rows.iter().map(|&i| if i > k { cell(spread, i, k) } else { String::new() });
-            Column::new(&spread.states[k], Side::Right, cells.collect())
+            TextColumn::new(&spread.states[k], ColumnSide::Right, cells.collect())
         })
         .collect();
     let mut body = page.wide_table(&names, &columns);
@@ -35,7 +40,7 @@ pub(crate) fn section(spread: Spread<'_>, place: &str, title: &dyn Fn(&str) -> S
     page.section(&title(&format!("Correlations{place} (± standard error)")), &body)
 }
 
-fn cell(spread: Spread<'_>, i: usize, k: usize) -> String {
+fn cell(spread: StateSpread<'_>, i: usize, k: usize) -> String {
     let of = |m: &[Vec<Option<f64>>]| m.get(i).and_then(|row| row.get(k)).copied().flatten().filter(|x| x.is_finite());
     if is_fixed_zero(spread, i, k) {
         return "0 fixed".to_owned();
@@ -53,18 +58,18 @@ fn cell(spread: Spread<'_>, i: usize, k: usize) -> String {
     }
 }
 
-fn element(spread: Spread<'_>, i: usize, k: usize) -> (f64, bool) {
+fn element(spread: StateSpread<'_>, i: usize, k: usize) -> (f64, bool) {
     let covariance = &spread.covariance;
     let value = covariance.estimate.get(i).and_then(|row| row.get(k)).copied().unwrap_or(f64::NAN);
     (value, covariance.fixed.get(i).and_then(|row| row.get(k)).copied().unwrap_or(false))
 }
 
 /// A state whose variance is fixed at zero has no correlations to speak of.
-fn held_at_zero(spread: Spread<'_>, i: usize) -> bool {
+fn held_at_zero(spread: StateSpread<'_>, i: usize) -> bool {
     is_fixed_zero(spread, i, i)
 }
 
-fn is_fixed_zero(spread: Spread<'_>, i: usize, k: usize) -> bool {
+fn is_fixed_zero(spread: StateSpread<'_>, i: usize, k: usize) -> bool {
     let (value, fixed) = element(spread, i, k);
     fixed && value == 0.0
 }

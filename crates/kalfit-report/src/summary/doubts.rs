@@ -5,7 +5,7 @@ use kalfit::record::{BoundaryRecord, PhaseRecord, UnidentifiedRecord};
 
 use super::combination::{combination, covariance_of, weighted};
 use super::{observability, pairs, places};
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::words::{clean, list, sentence};
 
 /// No more directions than this in a sentence; all are in fit.json.
@@ -17,7 +17,7 @@ pub(crate) fn section(
     record: &FitRecord,
     phase: &PhaseRecord,
     title: &dyn Fn(&str) -> String,
-    page: &Page<'_>,
+    page: &PageLayout<'_>,
 ) -> String {
     let (tests, place) = (phase.tests.unwrap_or(record.data.tests), places::within(record));
     let own = |b: &BoundaryRecord| at_level(&place, &singular(b, phase.states.len(), "test to test"));

@@ -4,13 +4,13 @@ use kalfit::FitRecord;
 use kalfit::record::{GroupRecord, GroupTestRecord};
 
 use crate::number::{Precision, plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
 
 const MOST_ROWS: usize = 20;
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let column = record.group_column.as_deref().map(clean).unwrap_or_default();
     let differ: Vec<String> = record.group_test.iter().map(differ).collect();
     if record.by_group.is_empty() {
@@ -25,25 +25,29 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     page.section(&format!("Groups by {column}"), &(page.table(&columns(rows, &column)) + &page.items(&sentences)))
 }
 
-fn columns(rows: &[GroupRecord], column: &str) -> Vec<Column> {
+fn columns(rows: &[GroupRecord], column: &str) -> Vec<TextColumn> {
     let each = |of: &dyn Fn(&GroupRecord) -> Option<String>| -> Vec<String> {
         rows.iter().map(|group| of(group).unwrap_or_else(|| "-".to_owned())).collect()
     };
     let mut columns = vec![
-        Column::new(column, Side::Left, each(&|g| Some(g.group.as_deref().map_or_else(|| "(none)".to_owned(), clean)))),
-        Column::new("tests", Side::Right, each(&|g| Some(g.tests.to_string()))),
+        TextColumn::new(
+            column,
+            ColumnSide::Left,
+            each(&|g| Some(g.group.as_deref().map_or_else(|| "(none)".to_owned(), clean))),
+        ),
+        TextColumn::new("tests", ColumnSide::Right, each(&|g| Some(g.tests.to_string()))),
     ];
     if rows.iter().any(|group| group.innovations > 0) {
         let square = |g: &GroupRecord| {
             let (square, spread) = (g.innovations_mean_square?, (2.0 / g.innovations.max(1) as f64).sqrt());
             Some(Precision::of(square, Some(spread)).show(square))
         };
-        columns.push(Column::new("mean square", Side::Right, each(&square)));
-        columns.push(Column::new("p-value", Side::Right, each(&|g| g.innovations_p_value.map(probability))));
+        columns.push(TextColumn::new("mean square", ColumnSide::Right, each(&square)));
+        columns.push(TextColumn::new("p-value", ColumnSide::Right, each(&|g| g.innovations_p_value.map(probability))));
     }
-    columns.push(Column::new("distance²", Side::Right, each(&|g| g.distance.map(|d| plain(d, 3)))));
-    columns.push(Column::new("expected", Side::Right, each(&|g| Some(g.degrees_of_freedom.to_string()))));
-    columns.push(Column::new("p-value", Side::Right, each(&|g| g.p_value.map(probability))));
+    columns.push(TextColumn::new("distance²", ColumnSide::Right, each(&|g| g.distance.map(|d| plain(d, 3)))));
+    columns.push(TextColumn::new("expected", ColumnSide::Right, each(&|g| Some(g.degrees_of_freedom.to_string()))));
+    columns.push(TextColumn::new("p-value", ColumnSide::Right, each(&|g| g.p_value.map(probability))));
     columns
 }
 

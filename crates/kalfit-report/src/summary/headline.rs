@@ -5,7 +5,7 @@ use kalfit::record::{DataRecord, ModelCheckRecord, TestRecord};
 
 use super::{phases, places};
 use crate::number::{hundredths, plain};
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::words::{capital, clean, count, list, sentence};
 
 /// What such a log-likelihood is good for.
@@ -16,7 +16,7 @@ pub(crate) const OF_ESTIMATES: &str = "This log-likelihood is that of the filter
 const NOTABLE: f64 = 1e-6;
 
 /// What was fitted to what; before all else that a fit failed.
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let mut text = String::new();
     if !record.title.trim().is_empty() {
         text.push_str(&format!("{}\n\n", page.heading(&clean(&record.title))));
@@ -31,7 +31,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
 }
 
 /// Whether the estimates above can be trusted.
-pub(crate) fn trust(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn trust(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let mut text = if record.converged { verdicts(record, page) } else { String::new() };
     text.push_str(&page.paragraph(&likelihood(record)));
     if record.log_likelihood_kind == "estimates" {
@@ -41,7 +41,7 @@ pub(crate) fn trust(record: &FitRecord, page: &Page<'_>) -> String {
 }
 
 /// Convergence and model check, in colour.
-fn verdicts(record: &FitRecord, page: &Page<'_>) -> String {
+fn verdicts(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let checked = ModelCheckRecord::of(record);
     let paint = |line: &str| match (record.converged, checked.is_doubtful()) {
         (true, false) => page.style.good(line),

@@ -4,13 +4,13 @@ use kalfit::FitRecord;
 use kalfit::record::{DeletionRecord, TestRecord, displacement_limit};
 
 use crate::number::{plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
 
 const MOST_ROWS: usize = 5;
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let deleted = deleted(record);
     let Some(&(first, most)) = deleted.first() else { return String::new() };
     let heading = "Influence of single tests";
@@ -28,9 +28,13 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     }
     let rows = &influential[..influential.len().min(page.rows(MOST_ROWS))];
     let columns = [
-        Column::new("test", Side::Left, rows.iter().map(|(t, _)| t.id.clone()).collect()),
-        Column::new("displacement", Side::Right, rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect()),
-        Column::new("p-value without it", Side::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
+        TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(t, _)| t.id.clone()).collect()),
+        TextColumn::new(
+            "displacement",
+            ColumnSide::Right,
+            rows.iter().map(|(_, d)| plain(d.displacement, 3)).collect(),
+        ),
+        TextColumn::new("p-value without it", ColumnSide::Right, rows.iter().map(|(_, d)| p_value(d)).collect()),
     ];
     let which = match (rows.len(), influential.len() - rows.len()) {
         (1, _) => "this test".to_owned(),

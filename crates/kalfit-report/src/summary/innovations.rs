@@ -6,22 +6,22 @@ use kalfit::FitRecord;
 use kalfit::record::{InnovationRecord, SEARCH_LEVEL, holm, overall_size};
 
 use crate::number::{Precision, plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
 
 const MOST_ROWS: usize = 5;
 
 /// One figure of one test that has a probability.
-struct Finding<'a> {
+struct ImprobableFigure<'a> {
     test: &'a str,
-    of: Of<'a>,
+    of: InnovationFigure<'a>,
     p_value: f64,
     /// Holm's (1979) adjusted p-value.
     adjusted: f64,
 }
 
-enum Of<'a> {
+enum InnovationFigure<'a> {
     /// The normalised innovation squared.
     Size(&'a InnovationRecord),
     /// Ljung and Box's statistic.
@@ -30,17 +30,17 @@ enum Of<'a> {
 
 /// Which figures of single tests are improbable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Kinds {
+pub(super) struct ImprobableKinds {
     pub(super) size: bool,
     pub(super) whiteness: bool,
 }
 
-pub(super) fn kinds(record: &FitRecord) -> Kinds {
+pub(super) fn kinds(record: &FitRecord) -> ImprobableKinds {
     let findings = findings(&of_tests(record));
     let improbable = || findings.iter().take_while(|finding| finding.adjusted < SEARCH_LEVEL);
-    Kinds {
-        size: improbable().any(|finding| matches!(finding.of, Of::Size(_))),
-        whiteness: improbable().any(|finding| matches!(finding.of, Of::Whiteness(_))),
+    ImprobableKinds {
+        size: improbable().any(|finding| matches!(finding.of, InnovationFigure::Size(_))),
+        whiteness: improbable().any(|finding| matches!(finding.of, InnovationFigure::Whiteness(_))),
     }
 }
 
@@ -54,7 +54,7 @@ fn of_tests(record: &FitRecord) -> Vec<(&str, &InnovationRecord)> {
     record.tests.iter().filter_map(|t| Some((t.id.as_str(), t.innovations.as_ref()?))).collect()
 }
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let all = of_tests(record);
     let findings = findings(&all);
     let Some(least) = findings.first() else { return String::new() };
@@ -72,16 +72,16 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
 }
 
 /// The figures of all tests, the least probable first.
-fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<Finding<'a>> {
-    let mut findings: Vec<Finding<'a>> = Vec::new();
+fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<ImprobableFigure<'a>> {
+    let mut findings: Vec<ImprobableFigure<'a>> = Vec::new();
     for &(test, found) in all {
         let mut add = |of, p: Option<f64>| {
             if let Some(p_value) = p.filter(|p| p.is_finite()) {
-                findings.push(Finding { test, of, p_value, adjusted: 1.0 });
+                findings.push(ImprobableFigure { test, of, p_value, adjusted: 1.0 });
             }
         };
-        add(Of::Size(found), found.nis_p_value);
-        add(Of::Whiteness(found), found.whiteness.as_ref().map(|w| w.p_value));
+        add(InnovationFigure::Size(found), found.nis_p_value);
+        add(InnovationFigure::Whiteness(found), found.whiteness.as_ref().map(|w| w.p_value));
     }
     findings.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.test.cmp(b.test)));
     let adjusted = holm(&findings.iter().map(|finding| finding.p_value).collect::<Vec<_>>());
@@ -130,10 +130,10 @@ fn by_phase(all: &[(&str, &InnovationRecord)], phases: &[&str]) -> String {
     if phases.len() > 1 && !each.is_empty() { format!(" By phase: {}.", each.join(", ")) } else { String::new() }
 }
 
-fn probable(least: &Finding<'_>, all: usize) -> String {
+fn probable(least: &ImprobableFigure<'_>, all: usize) -> String {
     let what = match least.of {
-        Of::Size(_) => "size",
-        Of::Whiteness(_) => "time correlation",
+        InnovationFigure::Size(_) => "size",
+        InnovationFigure::Whiteness(_) => "time correlation",
     };
     let holm = match all {
         1 => String::new(),
@@ -146,54 +146,58 @@ fn probable(least: &Finding<'_>, all: usize) -> String {
     )
 }
 
-fn shown(improbable: &[Finding<'_>], phased: bool, page: &Page<'_>) -> String {
+fn shown(improbable: &[ImprobableFigure<'_>], phased: bool, page: &PageLayout<'_>) -> String {
     let rows = &improbable[..improbable.len().min(page.rows(MOST_ROWS))];
-    let figures = |of: fn(&Of<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
+    let figures = |of: fn(&InnovationFigure<'_>) -> String| -> Vec<String> { rows.iter().map(|f| of(&f.of)).collect() };
     let mut columns = vec![
-        Column::new("test", Side::Left, rows.iter().map(|f| f.test.to_owned()).collect()),
-        Column::new("what", Side::Left, figures(|of| of.words().to_owned())),
-        Column::new("found", Side::Right, figures(|of| of.found())),
-        Column::new("expected", Side::Right, figures(|of| of.expected())),
-        Column::new("p-value", Side::Right, rows.iter().map(|f| probability(f.p_value)).collect()),
-        Column::new("Holm", Side::Right, rows.iter().map(|f| probability(f.adjusted)).collect()),
+        TextColumn::new("test", ColumnSide::Left, rows.iter().map(|f| f.test.to_owned()).collect()),
+        TextColumn::new("what", ColumnSide::Left, figures(|of| of.words().to_owned())),
+        TextColumn::new("found", ColumnSide::Right, figures(|of| of.found())),
+        TextColumn::new("expected", ColumnSide::Right, figures(|of| of.expected())),
+        TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|f| probability(f.p_value)).collect()),
+        TextColumn::new("Holm", ColumnSide::Right, rows.iter().map(|f| probability(f.adjusted)).collect()),
     ];
     if phased {
-        columns.insert(1, Column::new("most in", Side::Left, figures(|of| clean(of.phase().unwrap_or("-")))));
+        columns.insert(1, TextColumn::new("most in", ColumnSide::Left, figures(|of| clean(of.phase().unwrap_or("-")))));
     }
     page.table(&columns)
 }
 
-impl Of<'_> {
+impl InnovationFigure<'_> {
     /// The phase in which it is least probable.
     fn phase(&self) -> Option<&str> {
         let p = |found: &InnovationRecord| match self {
-            Of::Size(_) => found.nis_p_value,
-            Of::Whiteness(_) => found.whiteness.as_ref().map(|w| w.p_value),
+            InnovationFigure::Size(_) => found.nis_p_value,
+            InnovationFigure::Whiteness(_) => found.whiteness.as_ref().map(|w| w.p_value),
         };
-        let (Of::Size(found) | Of::Whiteness(found)) = self;
+        let (InnovationFigure::Size(found) | InnovationFigure::Whiteness(found)) = self;
         let known = found.parts.iter().filter_map(|part| Some((p(&part.innovations)?, part.phase.as_str())));
         known.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, phase)| phase)
     }
 
     fn words(&self) -> &'static str {
         match self {
-            Of::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => "smaller than modelled",
-            Of::Size(_) => "larger than modelled",
-            Of::Whiteness(_) => "correlated in time",
+            InnovationFigure::Size(found) if found.nis.is_some_and(|nis| nis < found.count as f64) => {
+                "smaller than modelled"
+            }
+            InnovationFigure::Size(_) => "larger than modelled",
+            InnovationFigure::Whiteness(_) => "correlated in time",
         }
     }
 
     fn found(&self) -> String {
         match self {
-            Of::Size(found) => found.nis.map_or_else(|| "-".to_owned(), |x| plain(x, 3)),
-            Of::Whiteness(found) => found.whiteness.as_ref().map_or_else(|| "-".to_owned(), |w| plain(w.statistic, 3)),
+            InnovationFigure::Size(found) => found.nis.map_or_else(|| "-".to_owned(), |x| plain(x, 3)),
+            InnovationFigure::Whiteness(found) => {
+                found.whiteness.as_ref().map_or_else(|| "-".to_owned(), |w| plain(w.statistic, 3))
+            }
         }
     }
 
     fn expected(&self) -> String {
         match self {
-            Of::Size(found) => found.count.to_string(),
-            Of::Whiteness(found) => {
+            InnovationFigure::Size(found) => found.count.to_string(),
+            InnovationFigure::Whiteness(found) => {
                 found.whiteness.as_ref().map_or_else(|| "-".to_owned(), |w| w.degrees_of_freedom.to_string())
             }
         }
@@ -201,18 +205,18 @@ impl Of<'_> {
 }
 
 /// What to make of it.
-fn meaning(improbable: &[Finding<'_>], all: usize, page: &Page<'_>) -> String {
+fn meaning(improbable: &[ImprobableFigure<'_>], all: usize, page: &PageLayout<'_>) -> String {
     let more = match improbable.len().saturating_sub(page.rows(MOST_ROWS)) {
         0 => String::new(),
         n => format!(" (and {n} more)"),
     };
     let these = if improbable.len() == 1 { "This is" } else { "These are" };
-    let any = |of: fn(&Of<'_>) -> bool| improbable.iter().any(|f| of(&f.of));
+    let any = |of: fn(&InnovationFigure<'_>) -> bool| improbable.iter().any(|f| of(&f.of));
     let mut because = Vec::new();
-    if any(|of| matches!(of, Of::Size(_))) {
+    if any(|of| matches!(of, InnovationFigure::Size(_))) {
         because.push("a size that differs from the model suggests other noise levels, or faults in the test");
     }
-    if any(|of| matches!(of, Of::Whiteness(_))) {
+    if any(|of| matches!(of, InnovationFigure::Whiteness(_))) {
         because.push("correlation in time suggests a missing process, such as a drift");
     }
     let because = because.join("; ");

@@ -3,15 +3,15 @@
 use kalfit::record::{FitRecord, Interval, PhaseRecord, RegressionRecord};
 
 use super::places;
-use super::spread::Spread;
+use super::spread::StateSpread;
 use crate::number::Precision;
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 
 /// What stands for an end that the data do not set.
 const OPEN: &str = "-";
 
-struct Row {
+struct IntervalRow {
     quantity: String,
     /// Where it varies, when there is more than one such place.
     place: String,
@@ -23,7 +23,7 @@ pub(crate) fn section(
     record: &FitRecord,
     phase: &PhaseRecord,
     title: &dyn Fn(&str) -> String,
-    page: &Page<'_>,
+    page: &PageLayout<'_>,
 ) -> String {
     if record.intervals != "profile" {
         return String::new();
@@ -36,13 +36,13 @@ pub(crate) fn section(
     if rows.is_empty() {
         return String::new();
     }
-    let column = |of: &dyn Fn(&Row) -> &String| rows.iter().map(|row| of(row).clone()).collect();
+    let column = |of: &dyn Fn(&IntervalRow) -> &String| rows.iter().map(|row| of(row).clone()).collect();
     let columns = [
-        Column::new("", Side::Left, column(&|r| &r.quantity)),
-        Column::new("spread", Side::Left, column(&|r| &r.place)),
-        Column::new("estimate", Side::Right, column(&|r| &r.estimate)),
-        Column::new("from", Side::Right, column(&|r| &r.ends[0])),
-        Column::new("to", Side::Right, column(&|r| &r.ends[1])),
+        TextColumn::new("", ColumnSide::Left, column(&|r| &r.quantity)),
+        TextColumn::new("spread", ColumnSide::Left, column(&|r| &r.place)),
+        TextColumn::new("estimate", ColumnSide::Right, column(&|r| &r.estimate)),
+        TextColumn::new("from", ColumnSide::Right, column(&|r| &r.ends[0])),
+        TextColumn::new("to", ColumnSide::Right, column(&|r| &r.ends[1])),
     ];
     let mut body = page.table(&columns);
     if rows.iter().any(|row| row.ends.iter().any(|end| end == OPEN)) {
@@ -51,7 +51,7 @@ pub(crate) fn section(
     page.section(&title("95 % intervals by profile likelihood"), &body)
 }
 
-fn of_mean(phase: &PhaseRecord) -> Vec<Row> {
+fn of_mean(phase: &PhaseRecord) -> Vec<IntervalRow> {
     let of_state = |(i, name): (usize, &String)| {
         let interval = phase.mean.interval95.get(i).copied().flatten();
         row(format!("mean of {name}"), phase.mean.estimate.get(i).copied(), interval)
@@ -63,7 +63,7 @@ fn of_mean(phase: &PhaseRecord) -> Vec<Row> {
 }
 
 /// `place` says in words where they vary so, when there is more than one such place.
-fn of_spread(spread: Spread<'_>, place: &str) -> Vec<Row> {
+fn of_spread(spread: StateSpread<'_>, place: &str) -> Vec<IntervalRow> {
     let names = spread.states;
     let std_dev = |i: usize| {
         let interval = spread.std_dev.interval95.get(i).copied().flatten();
@@ -76,14 +76,14 @@ fn of_spread(spread: Spread<'_>, place: &str) -> Vec<Row> {
     };
     let pairs = (0..names.len()).flat_map(|i| (0..i).map(move |k| (i, k)));
     let rows = (0..names.len()).filter_map(std_dev).chain(pairs.filter_map(correlation));
-    rows.map(|row| Row { place: place.to_owned(), ..row }).collect()
+    rows.map(|row| IntervalRow { place: place.to_owned(), ..row }).collect()
 }
 
 /// Digits as for a standard error of a quarter of the interval; nothing without an interval.
-fn row(quantity: String, estimate: Option<f64>, interval: Interval) -> Option<Row> {
+fn row(quantity: String, estimate: Option<f64>, interval: Interval) -> Option<IntervalRow> {
     let (estimate, ends) = (estimate?, interval?);
     let width = ends.iter().flatten().map(|end| (end - estimate).abs()).fold(0.0, f64::max);
     let precision = Precision::of(estimate, Some(0.5 * width).filter(|w| *w > 0.0));
     let end = |end: Option<f64>| end.map_or_else(|| OPEN.to_owned(), |x| precision.show(x));
-    Some(Row { quantity, place: String::new(), estimate: precision.show(estimate), ends: ends.map(end) })
+    Some(IntervalRow { quantity, place: String::new(), estimate: precision.show(estimate), ends: ends.map(end) })
 }

@@ -5,13 +5,13 @@ use kalfit::record::LevelRecord;
 
 use super::combination::NEGLIGIBLE;
 use super::places::{TABLE, outer, places};
-use super::states::{Cells, spread};
+use super::states::{FigureCells, spread};
 use super::{correlations, doubts, outlying_groups};
 use crate::number::{Precision, plain};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     if record.levels.is_empty() {
         return String::new();
     }
@@ -39,7 +39,7 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
 }
 
 /// One row for each state and level.
-fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
+fn columns(record: &FitRecord, names: &[String]) -> Vec<TextColumn> {
     let states = record.levels[0].states.len();
     let variance = |level: &LevelRecord, i: usize| {
         level.covariance.estimate.get(i).and_then(|row| row.get(i)).copied().filter(|x| x.is_finite()).unwrap_or(0.0)
@@ -50,7 +50,7 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
     for i in (0..states).filter(varying) {
         let all: f64 = record.levels.iter().map(|one| variance(one, i)).sum();
         for (k, (one, name)) in record.levels.iter().zip(names).enumerate() {
-            let (value, error): Cells = std_dev(one, i);
+            let (value, error): FigureCells = std_dev(one, i);
             state.push(if k == 0 { one.states[i].clone() } else { String::new() });
             level.push(name.clone());
             groups.push(one.groups.to_string());
@@ -63,13 +63,13 @@ fn columns(record: &FitRecord, names: &[String]) -> Vec<Column> {
         }
     }
     vec![
-        Column::new("state", Side::Left, state),
-        Column::new("spread", Side::Left, level),
-        Column::new("number", Side::Right, groups),
-        Column::new("std dev", Side::Right, figure),
-        Column::new("", Side::Left, beside),
-        Column::new("95 % interval", Side::Left, ends),
-        Column::new("share", Side::Right, share),
+        TextColumn::new("state", ColumnSide::Left, state),
+        TextColumn::new("spread", ColumnSide::Left, level),
+        TextColumn::new("number", ColumnSide::Right, groups),
+        TextColumn::new("std dev", ColumnSide::Right, figure),
+        TextColumn::new("", ColumnSide::Left, beside),
+        TextColumn::new("95 % interval", ColumnSide::Left, ends),
+        TextColumn::new("share", ColumnSide::Right, share),
     ]
 }
 
@@ -98,7 +98,7 @@ fn interval(level: &LevelRecord, i: usize) -> String {
     format!("{} to {}", end(low, "0"), end(high, "∞"))
 }
 
-fn std_dev(level: &LevelRecord, i: usize) -> Cells {
+fn std_dev(level: &LevelRecord, i: usize) -> FigureCells {
     let Some(&estimate) = level.std_dev.estimate.get(i) else { return Default::default() };
     if is_held_at_zero(level, i) {
         return ("0".to_owned(), "does not vary".to_owned());

@@ -25,14 +25,14 @@ pub(crate) mod states;
 use kalfit::FitRecord;
 use kalfit::record::PhaseRecord;
 
-use crate::page::Page;
+use crate::page::PageLayout;
 use crate::words::{clean, count, sentence};
 use crate::{Style, number};
 
 /// The fit in words and tables. Every line fits `style.width` and ends with a line feed. Works from the record alone and copes
 /// with any record, also with one whose lists do not match in length; figures that are not finite are said to be unknown.
 pub fn summary(record: &FitRecord, style: &Style) -> String {
-    let page = Page::new(style);
+    let page = PageLayout::new(style);
     let mut sections = vec![headline::section(record, &page)];
     for phase in &record.phases {
         sections.extend(phase_sections(record, phase, &page));
@@ -56,7 +56,7 @@ pub fn summary(record: &FitRecord, style: &Style) -> String {
     sections.join("\n")
 }
 
-fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> Vec<String> {
+fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &PageLayout<'_>) -> Vec<String> {
     let title = |what: &str| match record.phases.len() {
         1 => what.to_owned(),
         _ => format!("Phase {}: {}{}", clean(&phase.name), what[..1].to_lowercase(), &what[1..]),
@@ -69,13 +69,13 @@ fn phase_sections(record: &FitRecord, phase: &PhaseRecord, page: &Page<'_>) -> V
     ]
 }
 
-pub(crate) fn notes(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn notes(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let lines: Vec<String> = record.notes.iter().map(|note| sentence(&clean(note))).collect();
     page.section("Notes", &page.items(&lines))
 }
 
 /// What was computed, and how.
-pub(crate) fn work(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn work(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let solver = &record.solver;
     let (method, backward) = match solver.score_passes {
         0 => (String::new(), String::new()),

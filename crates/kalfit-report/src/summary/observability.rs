@@ -4,8 +4,8 @@ use kalfit::record::{ObservabilityRecord, WeakRecord};
 
 use super::combination::{combination_of, weighted};
 use crate::number::plain;
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, list};
 
 /// One test with more than this share of what is known of a mean is named.
@@ -18,7 +18,7 @@ const EQUAL: f64 = 1.0 + 1e-6;
 const MOST_ROWS: usize = 40;
 
 /// A table for `kalfit check`, with what its columns mean.
-pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'_>) -> String {
+pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &PageLayout<'_>) -> String {
     if seen.is_empty() {
         return String::new();
     }
@@ -32,10 +32,10 @@ pub(crate) fn overview(seen: &[ObservabilityRecord], tests: usize, page: &Page<'
         _ => "-".to_owned(),
     };
     let columns = [
-        Column::new("state", Side::Left, rows.iter().map(|row| row.state.clone()).collect()),
-        Column::new("seen by", Side::Right, counted(|row| row.informed_by)),
-        Column::new("determined by", Side::Right, counted(|row| row.observed_by)),
-        Column::new("largest share", Side::Left, rows.iter().map(largest).collect()),
+        TextColumn::new("state", ColumnSide::Left, rows.iter().map(|row| row.state.clone()).collect()),
+        TextColumn::new("seen by", ColumnSide::Right, counted(|row| row.informed_by)),
+        TextColumn::new("determined by", ColumnSide::Right, counted(|row| row.observed_by)),
+        TextColumn::new("largest share", ColumnSide::Left, rows.iter().map(largest).collect()),
     ];
     let mut body = page.table(&columns);
     if seen.len() > rows.len() {

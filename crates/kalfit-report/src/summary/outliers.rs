@@ -4,15 +4,15 @@ use kalfit::FitRecord;
 use kalfit::record::{SEARCH_LEVEL, TestRecord};
 
 use crate::number::{plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
 
 const MOST_ROWS: usize = 5;
 /// p-values that differ by less, as a part of themselves, are one.
 const ROUNDING: f64 = 1e-9;
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let tested = tested(record);
     let Some(&(least, _)) = tested.first() else { return String::new() };
     // of those that rounding alone tells apart the first by name
@@ -33,13 +33,17 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     }
     let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
     let columns = [
-        Column::new("test", Side::Left, rows.iter().map(|(_, t)| t.id.clone()).collect()),
-        Column::new("distance²", Side::Right, rows.iter().map(|(_, t)| distance(t)).collect()),
-        Column::new("expected", Side::Right, rows.iter().map(|(_, t)| t.degrees_of_freedom.to_string()).collect()),
-        Column::new("p-value", Side::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
-        Column::new(
+        TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(_, t)| t.id.clone()).collect()),
+        TextColumn::new("distance²", ColumnSide::Right, rows.iter().map(|(_, t)| distance(t)).collect()),
+        TextColumn::new(
+            "expected",
+            ColumnSide::Right,
+            rows.iter().map(|(_, t)| t.degrees_of_freedom.to_string()).collect(),
+        ),
+        TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
+        TextColumn::new(
             &format!("times {all}"),
-            Side::Right,
+            ColumnSide::Right,
             rows.iter().map(|&(p, _)| probability(corrected(p))).collect(),
         ),
     ];

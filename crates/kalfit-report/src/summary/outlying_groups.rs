@@ -4,14 +4,14 @@ use kalfit::FitRecord;
 use kalfit::record::{SEARCH_LEVEL, UnitRecord};
 
 use crate::number::{plain, probability};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
 
 /// Groups of the table.
 const MOST_ROWS: usize = 5;
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let mut tested: Vec<(f64, &UnitRecord)> =
         record.groups.iter().filter_map(|g| g.p_value.filter(|p| p.is_finite()).map(|p| (p, g))).collect();
     tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
@@ -34,15 +34,19 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
     let each = |of: &dyn Fn(&UnitRecord) -> String| rows.iter().map(|(_, group)| of(group)).collect();
     let columns = [
-        Column::new("level", Side::Left, each(&|g| clean(&g.level))),
-        Column::new("group", Side::Left, each(&|g| clean(&g.id.join("/")))),
-        Column::new("tests", Side::Right, each(&|g| g.tests.to_string())),
-        Column::new("distance²", Side::Right, each(&|g| g.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3)))),
-        Column::new("expected", Side::Right, each(&|g| g.degrees_of_freedom.to_string())),
-        Column::new("p-value", Side::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
-        Column::new(
+        TextColumn::new("level", ColumnSide::Left, each(&|g| clean(&g.level))),
+        TextColumn::new("group", ColumnSide::Left, each(&|g| clean(&g.id.join("/")))),
+        TextColumn::new("tests", ColumnSide::Right, each(&|g| g.tests.to_string())),
+        TextColumn::new(
+            "distance²",
+            ColumnSide::Right,
+            each(&|g| g.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3))),
+        ),
+        TextColumn::new("expected", ColumnSide::Right, each(&|g| g.degrees_of_freedom.to_string())),
+        TextColumn::new("p-value", ColumnSide::Right, rows.iter().map(|&(p, _)| probability(p)).collect()),
+        TextColumn::new(
             &format!("times {all}"),
-            Side::Right,
+            ColumnSide::Right,
             rows.iter().map(|&(p, _)| probability(corrected(p))).collect(),
         ),
     ];

@@ -3,10 +3,10 @@
 use kalfit::FitRecord;
 use kalfit::record::ParameterRecord;
 
-use super::states::{Cells, cells, std_error};
+use super::states::{FigureCells, cells, std_error};
 use crate::number::{DIGITS, Precision, plain};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
 
 /// Rows of the table; a model can have very many parameters.
@@ -17,7 +17,7 @@ const FIRST_LEVELS: usize = 6;
 /// Digits of the end of an interval that no standard error stands behind.
 const END_DIGITS: usize = 3;
 
-pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     if record.parameters.is_empty() {
         return String::new();
     }
@@ -38,12 +38,12 @@ pub(crate) fn section(record: &FitRecord, page: &Page<'_>) -> String {
     }
     let (values, errors): (Vec<_>, Vec<_>) = rows.iter().map(|row| value(row)).unzip();
     let columns = [
-        Column::new("parameter", Side::Left, rows.iter().map(|r| r.name.clone()).collect()),
-        Column::new("for", Side::Left, rows.iter().map(|r| level(r)).collect()),
-        Column::new("unit", Side::Left, rows.iter().map(|r| r.unit.clone().unwrap_or_default()).collect()),
-        Column::new("value", Side::Right, values),
-        Column::new("", Side::Left, errors),
-        Column::new("95 % interval", Side::Left, rows.iter().map(|r| interval(r)).collect()),
+        TextColumn::new("parameter", ColumnSide::Left, rows.iter().map(|r| r.name.clone()).collect()),
+        TextColumn::new("for", ColumnSide::Left, rows.iter().map(|r| level(r)).collect()),
+        TextColumn::new("unit", ColumnSide::Left, rows.iter().map(|r| r.unit.clone().unwrap_or_default()).collect()),
+        TextColumn::new("value", ColumnSide::Right, values),
+        TextColumn::new("", ColumnSide::Left, errors),
+        TextColumn::new("95 % interval", ColumnSide::Left, rows.iter().map(|r| interval(r)).collect()),
     ];
     let body = page.table(&columns) + &page.items(&remarks);
     page.section(&format!("Dynamic parameters (± {})", std_error(&record.std_errors)), &body)
@@ -77,7 +77,7 @@ fn others(levels: &[ParameterRecord], shown: usize) -> String {
     )
 }
 
-fn value(row: &ParameterRecord) -> Cells {
+fn value(row: &ParameterRecord) -> FigureCells {
     let why = match row.standing.as_deref() {
         Some("lower") if row.estimate == 0.0 => "at zero",
         Some("lower") if row.note.as_deref().is_some_and(|note| note.starts_with("practically zero")) => {
@@ -129,28 +129,29 @@ pub(crate) fn ends_in_words(estimate: f64, std_error: Option<f64>, ends: [Option
 }
 
 /// Several methods side by side.
-pub(crate) fn methods(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn methods(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let methods = &record.methods;
     if methods.is_empty() {
         return String::new();
     }
     let column = |of: &dyn Fn(&kalfit::record::MethodRecord) -> String| methods.iter().map(of).collect();
     let work = [
-        Column::new("method", Side::Left, column(&|m| m.method.clone())),
-        Column::new("log-lik.", Side::Right, column(&|m| Precision::Decimals(6).show(m.log_likelihood))),
-        Column::new("converged", Side::Left, column(&|m| if m.converged { "yes" } else { "no" }.to_owned())),
-        Column::new("iter.", Side::Right, column(&|m| m.iterations.to_string())),
-        Column::new("filter runs", Side::Right, column(&|m| m.filter_passes.to_string())),
-        Column::new("backward", Side::Right, column(&|m| m.score_passes.to_string())),
-        Column::new("time", Side::Right, column(&|m| crate::number::seconds(m.seconds))),
+        TextColumn::new("method", ColumnSide::Left, column(&|m| m.method.clone())),
+        TextColumn::new("log-lik.", ColumnSide::Right, column(&|m| Precision::Decimals(6).show(m.log_likelihood))),
+        TextColumn::new("converged", ColumnSide::Left, column(&|m| if m.converged { "yes" } else { "no" }.to_owned())),
+        TextColumn::new("iter.", ColumnSide::Right, column(&|m| m.iterations.to_string())),
+        TextColumn::new("filter runs", ColumnSide::Right, column(&|m| m.filter_passes.to_string())),
+        TextColumn::new("backward", ColumnSide::Right, column(&|m| m.score_passes.to_string())),
+        TextColumn::new("time", ColumnSide::Right, column(&|m| crate::number::seconds(m.seconds))),
     ];
     let free: Vec<&ParameterRecord> = record.parameters.iter().filter(|p| !p.fixed).collect();
     let shown = free.len().min(MOST_LEVELS);
     let name = |p: &ParameterRecord| format!("{} {}", p.name, level(p)).trim_end().to_owned();
-    let mut columns = vec![Column::new("parameter", Side::Left, free[..shown].iter().map(|p| name(p)).collect())];
+    let mut columns =
+        vec![TextColumn::new("parameter", ColumnSide::Left, free[..shown].iter().map(|p| name(p)).collect())];
     for method in methods {
         let cell = |i: usize| method.values.get(i).map_or(String::new(), |x| plain(*x, 7));
-        columns.push(Column::new(&method.method, Side::Right, (0..shown).map(cell).collect()));
+        columns.push(TextColumn::new(&method.method, ColumnSide::Right, (0..shown).map(cell).collect()));
     }
     let mut body = page.table(&work) + "\n" + &page.table(&columns);
     let mut remarks: Vec<String> = methods

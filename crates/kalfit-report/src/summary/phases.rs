@@ -5,8 +5,8 @@ use kalfit::record::{EnteredRecord, FilterRecord, InformationLostRecord, Informa
 
 use super::combination::{combination_of, weighted};
 use crate::number::{hundredths, plain};
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, list};
 
 /// No more names than this in a sentence.
@@ -54,7 +54,11 @@ fn marginal(record: &FitRecord) -> String {
 }
 
 /// What each phase adds to what is observable, of several phases; `always`: also where everything is observable in each phase.
-pub(crate) fn information(phases: &[(&str, Option<&InformationRecord>)], always: bool, page: &Page<'_>) -> String {
+pub(crate) fn information(
+    phases: &[(&str, Option<&InformationRecord>)],
+    always: bool,
+    page: &PageLayout<'_>,
+) -> String {
     let known: Vec<(&str, &InformationRecord)> = phases.iter().filter_map(|(name, i)| Some((*name, (*i)?))).collect();
     let full = |i: &InformationRecord| i.own_rank >= i.entering && i.rank_so_far >= i.of;
     if known.len() < 2 || (!always && known.iter().all(|(_, i)| full(i))) {
@@ -62,9 +66,13 @@ pub(crate) fn information(phases: &[(&str, Option<&InformationRecord>)], always:
     }
     let column = |of: &dyn Fn(&InformationRecord) -> String| known.iter().map(|(_, i)| of(i)).collect();
     let columns = [
-        Column::new("phase", Side::Left, known.iter().map(|(name, _)| clean(name)).collect()),
-        Column::new("observed by itself", Side::Left, column(&|i| format!("{} of {}", i.own_rank, i.entering))),
-        Column::new("observed so far", Side::Left, column(&|i| format!("{} of {}", i.rank_so_far, i.of))),
+        TextColumn::new("phase", ColumnSide::Left, known.iter().map(|(name, _)| clean(name)).collect()),
+        TextColumn::new(
+            "observed by itself",
+            ColumnSide::Left,
+            column(&|i| format!("{} of {}", i.own_rank, i.entering)),
+        ),
+        TextColumn::new("observed so far", ColumnSide::Left, column(&|i| format!("{} of {}", i.rank_so_far, i.of))),
     ];
     let mut remarks = vec![LEGEND.to_owned()];
     remarks.extend(known.iter().filter_map(|(name, i)| entered(name, i)));
@@ -82,7 +90,7 @@ fn entered(phase: &str, information: &InformationRecord) -> Option<String> {
 }
 
 /// Phases of which a filter's estimates were taken, and what that cost.
-pub(crate) fn filters(record: &FitRecord, page: &Page<'_>) -> String {
+pub(crate) fn filters(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let several = record.phases.len() > 1;
     let of = |phase: &PhaseRecord| {
         let filter = phase.filter.as_ref()?;

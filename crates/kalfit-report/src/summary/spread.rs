@@ -4,23 +4,23 @@ use kalfit::record::{CovarianceRecord, LevelRecord, MatrixRecord, PhaseRecord, V
 
 /// Standard deviations and correlations of some states.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Spread<'a> {
+pub(crate) struct StateSpread<'a> {
     pub(crate) states: &'a [String],
     pub(crate) covariance: &'a CovarianceRecord,
     pub(crate) std_dev: &'a VectorRecord,
     pub(crate) correlation: &'a MatrixRecord,
 }
 
-impl<'a> From<&'a PhaseRecord> for Spread<'a> {
-    fn from(phase: &'a PhaseRecord) -> Spread<'a> {
+impl<'a> From<&'a PhaseRecord> for StateSpread<'a> {
+    fn from(phase: &'a PhaseRecord) -> StateSpread<'a> {
         let PhaseRecord { states, covariance, std_dev, correlation, .. } = phase;
-        Spread { states, covariance, std_dev, correlation }
+        StateSpread { states, covariance, std_dev, correlation }
     }
 }
 
-impl<'a> From<&'a LevelRecord> for Spread<'a> {
-    fn from(level: &'a LevelRecord) -> Spread<'a> {
+impl<'a> From<&'a LevelRecord> for StateSpread<'a> {
+    fn from(level: &'a LevelRecord) -> StateSpread<'a> {
         let LevelRecord { states, covariance, std_dev, correlation, .. } = level;
-        Spread { states, covariance, std_dev, correlation }
+        StateSpread { states, covariance, std_dev, correlation }
     }
 }

@@ -6,12 +6,12 @@ use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord,
 use super::combination::{NEGLIGIBLE, covariance_of};
 use super::places;
 use crate::number::Precision;
-use crate::page::Page;
-use crate::table::{Column, Side};
+use crate::page::PageLayout;
+use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
 
 /// A figure and what is known of its error, in two cells.
-pub(crate) type Cells = (String, String);
+pub(crate) type FigureCells = (String, String);
 
 /// The standard error by its name, where it is not the usual one.
 pub(crate) fn std_error(kind: &str) -> String {
@@ -25,7 +25,7 @@ pub(crate) fn section(
     record: &FitRecord,
     phase: &PhaseRecord,
     title: &dyn Fn(&str) -> String,
-    page: &Page<'_>,
+    page: &PageLayout<'_>,
 ) -> String {
     if phase.states.is_empty() {
         return page.paragraph(&title("Initial state: nothing of it is estimated."));
@@ -35,12 +35,12 @@ pub(crate) fn section(
     let (std_dev, std_dev_error): (Vec<_>, Vec<_>) = (0..p).map(|i| std_dev(phase, i)).unzip();
     let units = (0..p).map(|i| phase.units.get(i).cloned().flatten().unwrap_or_default()).collect();
     let columns = [
-        Column::new("state", Side::Left, phase.states.clone()),
-        Column::new("unit", Side::Left, units),
-        Column::new("mean", Side::Right, mean),
-        Column::new("", Side::Left, mean_error),
-        Column::new("std dev", Side::Right, std_dev),
-        Column::new("", Side::Left, std_dev_error),
+        TextColumn::new("state", ColumnSide::Left, phase.states.clone()),
+        TextColumn::new("unit", ColumnSide::Left, units),
+        TextColumn::new("mean", ColumnSide::Right, mean),
+        TextColumn::new("", ColumnSide::Left, mean_error),
+        TextColumn::new("std dev", ColumnSide::Right, std_dev),
+        TextColumn::new("", ColumnSide::Left, std_dev_error),
     ];
     let what = match places::innermost(record) {
         Some(unit) => format!("Initial state: mean, and spread within one {unit}"),
@@ -52,7 +52,7 @@ pub(crate) fn section(
     page.section(&heading, &body) + &scales(phase, page) + &regression(phase, page)
 }
 
-pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> Cells {
+pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> FigureCells {
     let Some(&estimate) = phase.mean.estimate.get(i) else { return Default::default() };
     let fixed = phase.mean.fixed.get(i).copied().unwrap_or(false);
     let error = phase.mean.std_error.get(i).copied().flatten();
@@ -61,7 +61,7 @@ pub(crate) fn mean(phase: &PhaseRecord, i: usize) -> Cells {
     })
 }
 
-pub(crate) fn std_dev(phase: &PhaseRecord, i: usize) -> Cells {
+pub(crate) fn std_dev(phase: &PhaseRecord, i: usize) -> FigureCells {
     let Some(&estimate) = phase.std_dev.estimate.get(i) else { return Default::default() };
     let fixed = phase.covariance.fixed.get(i).and_then(|row| row.get(i)).copied().unwrap_or(false);
     let error = phase.std_dev.std_error.get(i).copied().flatten();
@@ -74,7 +74,7 @@ pub(crate) fn spread(
     (estimate, error, fixed): (f64, Option<f64>, bool),
     boundary: &[BoundaryRecord],
     unidentified: &[UnidentifiedRecord],
-) -> Cells {
+) -> FigureCells {
     let among = |names: &[String]| names.iter().any(|other| other == name);
     if boundary.iter().any(|b| among(&b.zero_variances)) {
         return ("0".to_owned(), "at zero (boundary)".to_owned());
@@ -92,7 +92,12 @@ pub(crate) fn spread(
 }
 
 /// The figure with `± error`, or with the reason why there is none.
-pub(crate) fn cells(estimate: f64, error: Option<f64>, fixed: bool, why: &dyn Fn() -> Option<&'static str>) -> Cells {
+pub(crate) fn cells(
+    estimate: f64,
+    error: Option<f64>,
+    fixed: bool,
+    why: &dyn Fn() -> Option<&'static str>,
+) -> FigureCells {
     let precision = Precision::of(estimate, error.filter(|_| !fixed));
     let beside = match error.filter(|e| e.is_finite()) {
         _ if fixed => "fixed".to_owned(),
@@ -111,7 +116,7 @@ fn touches(directions: &[UnidentifiedRecord], what: &str, names: &[String], want
     })
 }
 
-pub(crate) fn scales(phase: &PhaseRecord, page: &Page<'_>) -> String {
+pub(crate) fn scales(phase: &PhaseRecord, page: &PageLayout<'_>) -> String {
     let line = |scale: &Option<ScaleRecord>, what: &str| {
         scale.as_ref().map_or(String::new(), |s| {
             let (value, error) = cells(s.estimate, s.std_error, false, &|| None);
@@ -128,7 +133,7 @@ fn coefficient(phase: &PhaseRecord, row: &RegressionRecord) -> Option<&'static s
     touches(&phase.unidentified, "mean", &[], &|element| element == own).then_some("not identified")
 }
 
-pub(crate) fn regression(phase: &PhaseRecord, page: &Page<'_>) -> String {
+pub(crate) fn regression(phase: &PhaseRecord, page: &PageLayout<'_>) -> String {
     let rows = &phase.mean.regression;
     let (values, errors): (Vec<_>, Vec<_>) =
         rows.iter().map(|r| cells(r.estimate, r.std_error, false, &|| coefficient(phase, r))).unzip();
@@ -136,10 +141,10 @@ pub(crate) fn regression(phase: &PhaseRecord, page: &Page<'_>) -> String {
         return String::new();
     }
     let columns = [
-        Column::new("mean of", Side::Left, rows.iter().map(|r| r.state.clone()).collect()),
-        Column::new("per unit of", Side::Left, rows.iter().map(|r| clean(&r.column)).collect()),
-        Column::new("coefficient", Side::Right, values),
-        Column::new("", Side::Left, errors),
+        TextColumn::new("mean of", ColumnSide::Left, rows.iter().map(|r| r.state.clone()).collect()),
+        TextColumn::new("per unit of", ColumnSide::Left, rows.iter().map(|r| clean(&r.column)).collect()),
+        TextColumn::new("coefficient", ColumnSide::Right, values),
+        TextColumn::new("", ColumnSide::Left, errors),
     ];
     format!("\n{}", page.table(&columns))
 }

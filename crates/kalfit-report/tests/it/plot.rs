@@ -3,10 +3,10 @@
 use crate::common;
 
 use kalfit::FitRecord;
-use kalfit_report::{Format, PlotError, WIDTHS, What, plot};
+use kalfit_report::{PlotError, PlotFormat, PlotKind, WIDTHS, plot};
 
-fn svg(record: &FitRecord, what: What, width: u32) -> Result<String, PlotError> {
-    let bytes = plot(record, what, (None, None), (Format::Svg, width))?;
+fn svg(record: &FitRecord, what: PlotKind, width: u32) -> Result<String, PlotError> {
+    let bytes = plot(record, what, (None, None), (PlotFormat::Svg, width))?;
     Ok(String::from_utf8(bytes).expect("SVG is text"))
 }
 
@@ -22,7 +22,7 @@ fn places_are_in_proportion_to_values() {
     let mean = &mut record.phases[0].mean;
     (mean.estimate, mean.interval95) = (vec![1.0, 2.0], vec![Some([Some(0.0), Some(4.0)]), None]);
     record.phases[0].units = vec![None, None];
-    let figure = svg(&record, What::Forest, 800).expect("a figure");
+    let figure = svg(&record, PlotKind::Forest, 800).expect("a figure");
     let at = numbers(&figure, "circle", "cx");
     let tick = |words: &str| {
         let text = figure.split("<text ").find(|text| text.contains(&format!(">{words}<"))).expect("a tick");
@@ -38,7 +38,7 @@ fn places_are_in_proportion_to_values() {
 #[test]
 fn nothing_is_drawn_outside_at_any_width() {
     for width in [*WIDTHS.start(), 500, *WIDTHS.end()] {
-        for what in [What::Forest, What::Ellipses] {
+        for what in [PlotKind::Forest, PlotKind::Ellipses] {
             let figure = svg(&common::sleepstudy(), what, width).expect("a figure");
             let all = numbers(&figure, "circle", "cx").into_iter().chain(numbers(&figure, "text", "x"));
             let beyond: Vec<f64> = all.filter(|x| !(0.0..=f64::from(width)).contains(x)).collect();
@@ -51,7 +51,7 @@ fn nothing_is_drawn_outside_at_any_width() {
 fn what_a_record_lacks_is_said() {
     let mut bare = common::record("Known start", vec![common::phase("main", &[])]);
     bare.tests.clear();
-    for what in [What::Forest, What::Ellipses, What::Influence, What::Records] {
+    for what in [PlotKind::Forest, PlotKind::Ellipses, PlotKind::Influence, PlotKind::Records] {
         let error = svg(&bare, what, 800).expect_err("there is nothing to draw");
         assert!(matches!(error, PlotError::Nothing(_)), "{what:?}: {error}");
     }
@@ -64,11 +64,11 @@ fn figures_that_are_no_numbers_do_no_harm() {
     record.phases[0].std_dev.estimate[1] = f64::INFINITY;
     record.phases[0].mean.interval95 = vec![Some([Some(f64::NEG_INFINITY), Some(1e308)]); 3];
     record.phases[0].covariance.estimate[0][0] = 1e300;
-    for format in [Format::Svg, Format::Png] {
-        for what in [What::Forest, What::Ellipses] {
+    for format in [PlotFormat::Svg, PlotFormat::Png] {
+        for what in [PlotKind::Forest, PlotKind::Ellipses] {
             let made = plot(&record, what, (None, None), (format, 400)).unwrap_or_default();
             let text = String::from_utf8_lossy(&made);
-            assert!(format == Format::Png || !(text.contains("NaN") || text.contains("inf")), "{text}");
+            assert!(format == PlotFormat::Png || !(text.contains("NaN") || text.contains("inf")), "{text}");
         }
     }
 }
