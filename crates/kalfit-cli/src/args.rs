@@ -8,8 +8,8 @@ use clap_complete::Shell;
 use kalfit::apply::StateKind;
 use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
-use kalfit_job::words::{self, Word};
-use kalfit_job::{Form, MethodChoice, Units};
+use kalfit_job::words::{self, OptionWord};
+use kalfit_job::{ExportFormat, MethodChoice, PredictedUnits};
 use kalfit_report::{PlotKind, WIDTHS};
 
 use crate::examples;
@@ -512,7 +512,7 @@ pub(crate) struct PredictArgs {
 
     /// Whether the tests are of new or of known units, for models with levels
     #[arg(long, value_parser = one_of(words::UNITS), default_value = words::UNITS[0].word)]
-    pub(crate) units: Units,
+    pub(crate) units: PredictedUnits,
 
     /// Data of the fit: limits of the mean by profile likelihood in place of standard errors; may be given many times
     #[arg(long, value_name = "DATA")]
@@ -553,7 +553,7 @@ pub(crate) struct ExportArgs {
 
     /// What to write [default: as the ending of the file says: `.json`, `.npz`, `.mat`, `.h` or `.py`]
     #[arg(long = "as", value_parser = one_of(words::FORMS), value_name = "FORM")]
-    pub(crate) form: Option<Form>,
+    pub(crate) form: Option<ExportFormat>,
 
     /// File for the filter
     #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
@@ -647,7 +647,7 @@ pub(crate) struct PlotArgs {
 }
 
 /// One of the words of an option, each with its help.
-fn one_of<T: Copy + Send + Sync + 'static>(words: &'static [Word<T>]) -> impl TypedValueParser<Value = T> {
+fn one_of<T: Copy + Send + Sync + 'static>(words: &'static [OptionWord<T>]) -> impl TypedValueParser<Value = T> {
     let known = words.iter().map(|own| PossibleValue::new(own.word).help(own.help));
     PossibleValuesParser::new(known).try_map(move |text| {
         let own = words.iter().find(|own| own.word == text);

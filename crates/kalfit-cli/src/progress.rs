@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use kalfit_job::{Share, Watch};
+use kalfit_job::{JobWatch, Share};
 
 use crate::interrupt;
 
@@ -70,7 +70,7 @@ impl Line {
     }
 }
 
-impl Watch for Line {
+impl JobWatch for Line {
     fn say(&mut self, what: &dyn Fn() -> String) {
         if self.shown.is_some() {
             self.show(&what());

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use clap_complete::Shell;
-use kalfit_job::sums::{JoinJob, Round, SumsJob};
+use kalfit_job::sums::{JoinJob, JoinedRound, SumsJob};
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, PlanJob,
-    PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob, Watch,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, JobDone,
+    JobWatch, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 use kalfit_report::{
     Style, applied_summary, check_summary, compared_summary, datasheet_summary, exported_summary, plan_summary,
@@ -94,7 +94,7 @@ pub(crate) fn check(job: &CheckJob, how: Telling) -> Result<Outcome, Ended> {
 
 /// Exit status 0 says that the report was made; what it says of the fit is in it.
 pub(crate) fn report(job: &ReportJob, how: Telling) -> Result<Outcome, Ended> {
-    let Done { written, .. } = kalfit_job::report(job)?;
+    let JobDone { written, .. } = kalfit_job::report(job)?;
     if !how.quiet {
         written.iter().for_each(|name| terminal::complain(&format!("Wrote {name}\n")));
     }
@@ -134,10 +134,10 @@ pub(crate) fn man(folder: Option<&Path>, how: Telling) -> Result<Outcome, Ended>
 }
 
 /// A job that writes an exchange file.
-type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
+type Exchange = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure>;
 
 pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, how: Telling) -> Result<Outcome, Ended> {
-    let Done { record, notes, written, .. } = watched(how.quiet, |line| run(job, line))?;
+    let JobDone { record, notes, written, .. } = watched(how.quiet, |line| run(job, line))?;
     if let (false, Some(name)) = (how.quiet, written.first()) {
         terminal::warn(&notes);
         let (rows, tests) = (plural(record.rows as u64, record.row), plural(record.tests as u64, "test"));
@@ -147,7 +147,7 @@ pub(crate) fn exchange(job: &ExchangeJob, run: Exchange, how: Telling) -> Result
 }
 
 pub(crate) fn sums(job: &SumsJob, how: Telling) -> Result<Outcome, Ended> {
-    let Done { record, notes, written, .. } = watched(how.quiet, |line| kalfit_job::sums::sums(job, line))?;
+    let JobDone { record, notes, written, .. } = watched(how.quiet, |line| kalfit_job::sums::sums(job, line))?;
     if let (false, Some(name)) = (how.quiet, written.first()) {
         terminal::warn(&notes);
         let tests = plural(record.tests as u64, "test");
@@ -159,7 +159,7 @@ pub(crate) fn sums(job: &SumsJob, how: Telling) -> Result<Outcome, Ended> {
 /// The next round, or the fit.
 pub(crate) fn join(job: &JoinJob, how: Telling) -> Result<Outcome, Ended> {
     let done = watched(how.quiet, |line| kalfit_job::sums::join(job, line))?;
-    let Round { places, tests, rounds, record } = &done.record;
+    let JoinedRound { places, tests, rounds, record } = &done.record;
     if let Some(record) = record {
         let outcome = Outcome::of(record.converged);
         return tell(how, &done, |_| summary(record, &terminal::style()), outcome);
@@ -172,7 +172,7 @@ pub(crate) fn join(job: &JoinJob, how: Telling) -> Result<Outcome, Ended> {
 }
 
 pub(crate) fn simulate(job: &SimulateJob, how: Telling) -> Result<Outcome, Ended> {
-    let Done { record, notes, written, .. } = watched(how.quiet, |line| kalfit_job::simulate(job, line))?;
+    let JobDone { record, notes, written, .. } = watched(how.quiet, |line| kalfit_job::simulate(job, line))?;
     if let (false, Some(name)) = (how.quiet, written.first()) {
         terminal::warn(&notes);
         let (tests, rows, seed) = (plural(record.tests, "test"), plural(record.rows, "row"), job.seed);
@@ -196,7 +196,12 @@ fn watched<R>(quiet: bool, job: impl FnOnce(&mut Line) -> Result<R, Failure>) ->
 }
 
 /// Warnings, the text, and the files that were written. What could not be written or said does not undo what was written.
-fn tell<R>(how: Telling, done: &Done<R>, text: impl FnOnce(&R) -> String, outcome: Outcome) -> Result<Outcome, Ended> {
+fn tell<R>(
+    how: Telling,
+    done: &JobDone<R>,
+    text: impl FnOnce(&R) -> String,
+    outcome: Outcome,
+) -> Result<Outcome, Ended> {
     let mut lost = done.unwritten.clone();
     if !how.quiet {
         terminal::warn(&done.notes);

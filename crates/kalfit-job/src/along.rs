@@ -4,10 +4,10 @@ use kalfit::along::along;
 use kalfit::record::AlongRecord;
 use kalfit::{Alpha, FitRecord, PhasedModel, PhasedTest};
 
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// What a fit leaves of its data.
-pub(crate) enum Held {
+pub(crate) enum HeldTests {
     /// All tests, and α of the fit.
     Tests(Vec<PhasedTest>, Alpha),
     /// They were too large to be kept.
@@ -16,19 +16,19 @@ pub(crate) enum Held {
     Nothing,
 }
 
-impl Held {
+impl HeldTests {
     /// Tests that were kept, if they were.
-    pub(crate) fn kept(tests: Option<Vec<PhasedTest>>, alpha: Alpha) -> Held {
-        tests.map_or(Held::TooLarge, |tests| Held::Tests(tests, alpha))
+    pub(crate) fn kept(tests: Option<Vec<PhasedTest>>, alpha: Alpha) -> HeldTests {
+        tests.map_or(HeldTests::TooLarge, |tests| HeldTests::Tests(tests, alpha))
     }
 
     /// What is known along the records; `None` where there are none over time.
-    pub(crate) fn along(self, model: &PhasedModel, fit: &FitRecord, work: &mut Work<'_>) -> Option<AlongRecord> {
+    pub(crate) fn along(self, model: &PhasedModel, fit: &FitRecord, work: &mut JobWork<'_>) -> Option<AlongRecord> {
         model.shared().clock.time?;
         let (tests, alpha) = match self {
-            Held::Tests(tests, alpha) => (tests, alpha),
-            Held::TooLarge => return Some(said("the data are larger than what is kept in memory; `kalfit apply --states` writes the states along them to a file, and `kalfit datasheet` shows their Allan deviations".to_owned(), fit)),
-            Held::Nothing => return None,
+            HeldTests::Tests(tests, alpha) => (tests, alpha),
+            HeldTests::TooLarge => return Some(said("the data are larger than what is kept in memory; `kalfit apply --states` writes the states along them to a file, and `kalfit datasheet` shows their Allan deviations".to_owned(), fit)),
+            HeldTests::Nothing => return None,
         };
         if work.is_stopped() {
             return Some(said("the fit was interrupted".to_owned(), fit));

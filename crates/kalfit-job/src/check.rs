@@ -14,26 +14,26 @@ use kalfit_data::DataReading;
 use kalfit_report::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{CheckJob, Done, files};
-use crate::output::Output;
-use crate::work::{Watch, Work};
+use crate::job::{CheckJob, JobDone, files};
+use crate::output::OutputFile;
+use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, memory, model, reductions, tests};
 
 /// Reads all and fits nothing.
 ///
 /// # Errors
 /// Bad input.
-pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>, Failure> {
-    let mut work = Work::new(watch);
+pub fn check(job: &CheckJob, watch: &mut dyn JobWatch) -> Result<JobDone<CheckRecord>, Failure> {
+    let mut work = JobWork::new(watch);
     let mut spec = model::load(&job.model, &job.data)?;
     if !job.data.is_empty() {
         memory::suffices(&spec)?;
     }
-    let given = if job.data.is_empty() { None } else { Some(Given::open(&mut spec, &job.data)?) };
+    let given = if job.data.is_empty() { None } else { Some(CommandInputs::open(&mut spec, &job.data)?) };
     let inputs = given.as_ref().map_or(&[][..], |given| &given.inputs);
-    let output = Output::results(job.out.as_deref(), &files(&[&job.model.document], inputs))?;
+    let output = OutputFile::results(job.out.as_deref(), &files(&[&job.model.document], inputs))?;
     let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (&given, free) {
         (None, _) => (Vec::new(), Checked::Model),
@@ -43,11 +43,11 @@ pub fn check(job: &CheckJob, watch: &mut dyn Watch) -> Result<Done<CheckRecord>,
     let record = CheckRecord::new(spec.model.shared().title.clone(), spec.describe(), parameters, checked);
     let mut notes = spec.questions();
     notes.extend(given.into_iter().flat_map(|given| given.notes));
-    Done::in_json(record, notes, output.as_ref())
+    JobDone::in_json(record, notes, output.as_ref())
 }
 
 /// Reads the data and runs the filters: all parameters are known.
-fn known(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<Checked, Failure> {
+fn known(spec: &Spec, given: &CommandInputs, work: &mut JobWork<'_>) -> Result<Checked, Failure> {
     let alpha = model::alpha(spec);
     let mut counts = no_counts(&spec.model);
     let reductions = reductions::reduce(spec, &alpha, given, work, &mut |test| match test {
@@ -74,7 +74,11 @@ fn add(counts: &mut [PhaseCounts], test: &PhasedTest) {
 }
 
 /// Reads the data, counts the free values that they have use for, and runs the filters where a fit would begin.
-fn started(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
+fn started(
+    spec: &Spec,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
     let model = spec.model.shared();
     let (tests, reading) = tests::read(spec, given, work)?;
     let mut phases = no_counts(&spec.model);
@@ -105,7 +109,7 @@ fn starts(
     (model, slots): (&PhasedModel, &Slots),
     tests: &[PhasedTest],
     reading: &DataReading,
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) -> Result<Vec<f64>, Failure> {
     let given = |slot: &kalfit::model::Slot| match model.shared().parameters[slot.parameter].value {
         Value::Free { start } => start,

@@ -1,6 +1,6 @@
 //! A failure as it is shown: what is wrong, where, and what to do about it. ASCII but for what the user wrote.
 
-use crate::failure::{Failure, Place};
+use crate::failure::{Failure, SourcePlace};
 
 /// Characters of a source line that are shown, around the place.
 const WIDEST: usize = 100;
@@ -39,7 +39,7 @@ fn paint(color: bool, code: &str, text: &str) -> String {
 }
 
 /// One line of a file with a part of it underlined.
-struct Excerpt {
+struct SourceExcerpt {
     /// `file:line:column`
     at: String,
     line: String,
@@ -48,7 +48,7 @@ struct Excerpt {
     underline: String,
 }
 
-fn excerpt(place: &Place) -> Excerpt {
+fn excerpt(place: &SourcePlace) -> SourceExcerpt {
     let text = &place.source.text;
     let inside = |at: usize| (0..=at.min(text.len())).rev().find(|&i| text.is_char_boundary(i)).unwrap_or(0);
     let start = inside(place.span.start);
@@ -61,7 +61,7 @@ fn excerpt(place: &Place) -> Excerpt {
     let at = format!("{}:{}:{}", clean(&place.source.name), 1 + text[..line_start].matches('\n').count(), before + 1);
     let (line, before, marked) = window(line, before, marked);
     let label = place.label.as_ref().map_or(String::new(), |label| format!(" {}", clean(label)));
-    Excerpt {
+    SourceExcerpt {
         indent: "  --> ".len() + at.chars().count() + 1,
         at,
         line,
@@ -89,11 +89,11 @@ fn clean(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::failure::Source;
+    use crate::failure::SourceText;
 
     fn shown(text: &str, span: std::ops::Range<usize>) -> String {
-        let source = Source { name: "m.toml".into(), text: text.into() };
-        let e = excerpt(&Place { source, span, label: Some("here".into()) });
+        let source = SourceText { name: "m.toml".into(), text: text.into() };
+        let e = excerpt(&SourcePlace { source, span, label: Some("here".into()) });
         format!("{} | {}\n{}| {}", e.at, e.line, " ".repeat(e.indent - 6), e.underline)
     }
 

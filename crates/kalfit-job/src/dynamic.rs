@@ -10,21 +10,26 @@ use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest};
 use kalfit_data::DataReading;
 use kalfit_spec::Spec;
 
-use crate::along::Held;
-use crate::evidence::Given;
+use crate::along::HeldTests;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::idle::refuse_idle;
-use crate::inferred::{Sorted, patience, record};
+use crate::inferred::{TestSorting, patience, record};
 use crate::innovations;
 use crate::job::{FitJob, MethodChoice};
-use crate::work::Work;
+use crate::work::JobWork;
 use crate::{groups, lost, reductions, tests};
 
 /// Every method, the one that the results are of first.
 const ALL: [Method; 3] = [Method::Hybrid, Method::Innovations, Method::Em];
 
 /// The method in one place: read, fit, infer, record.
-pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(FitRecord, Held), Failure> {
+pub(crate) fn fit(
+    job: &FitJob,
+    spec: &Spec,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+) -> Result<(FitRecord, HeldTests), Failure> {
     let (model, shared) = (&spec.model, spec.model.shared());
     let (tests, reading) = tests::read(spec, given, work)?;
     let slots = Slots::in_phases(model, &reading.labels, &tests);
@@ -33,10 +38,10 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
         let alpha = slots.alpha(shared, &[]);
         let mut record = known(job, spec, given, (&alpha, &tests, &reading), work)?;
         record.notes.extend(notes);
-        return Ok((record, Held::Tests(tests, alpha)));
+        return Ok((record, HeldTests::Tests(tests, alpha)));
     }
     let groups = groups::of(model, &tests, &reading.labels)?;
-    let data = Data { model, tests: &tests, reading: &reading };
+    let data = SearchData { model, tests: &tests, reading: &reading };
     let methods = match job.method {
         MethodChoice::By(method) => vec![method],
         MethodChoice::All => ALL.to_vec(),
@@ -74,21 +79,22 @@ pub(crate) fn fit(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>)
         innovations::add_of(&mut record, at, &tests, work);
         record.solver.seconds = work.seconds();
     }
-    Ok((record, Held::Tests(tests, fit.alpha)))
+    Ok((record, HeldTests::Tests(tests, fit.alpha)))
 }
 
 /// With known parameters, of tests that are kept.
 pub(crate) fn known(
     job: &FitJob,
     spec: &Spec,
-    given: &Given,
+    given: &CommandInputs,
     (alpha, tests, reading): (&Alpha, &[PhasedTest], &DataReading),
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
     let groups = groups::of(&spec.model, tests, &reading.labels)?;
     let grouping = grouping(&spec.model, tests).map_err(|error| failure(error.into(), reading))?.map(Arc::new);
-    let sorted = Sorted { by: groups.as_ref(), levels: grouping.as_ref().map(|grouping| (grouping, &reading.labels)) };
+    let sorted =
+        TestSorting { by: groups.as_ref(), levels: grouping.as_ref().map(|grouping| (grouping, &reading.labels)) };
     let reductions = reductions::of_all(&spec.model, alpha, (tests, reading), work)?;
     let (mut record, population) = record(job, spec, given, (alpha, &reductions, sorted), work)?;
     lost::add(&mut record, (&spec.model, alpha, &population), &reductions, (tests, reading));
@@ -100,18 +106,18 @@ pub(crate) fn known(
 }
 
 /// What a search for α is made in.
-pub(crate) struct Data<'a> {
+pub(crate) struct SearchData<'a> {
     pub(crate) model: &'a PhasedModel,
     pub(crate) tests: &'a [PhasedTest],
     pub(crate) reading: &'a DataReading,
 }
 
-impl Data<'_> {
+impl SearchData<'_> {
     pub(crate) fn labels(&self) -> &Labels {
         &self.reading.labels
     }
 
-    pub(crate) fn fit(&self, settings: &Settings, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+    pub(crate) fn fit(&self, settings: &Settings, work: &mut JobWork<'_>) -> Result<DynamicFit, Failure> {
         dynamic::fit(self.model, self.labels(), self.tests, settings, work)
             .map_err(|error| failure(error, self.reading))
     }

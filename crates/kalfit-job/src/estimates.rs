@@ -5,24 +5,24 @@ use kalfit::{Evidence, Labels, PhasedModel, Test};
 use kalfit_data::WriteError;
 use kalfit_data::exchange::{EstimatesWriter, ExchangeEntry};
 
-use crate::exchange::{self, Maker, Refused, Setting, Sunk};
+use crate::exchange::{self, ExchangeMaker, ExchangeRefusal, ExchangeSetting, ExchangeSink};
 use crate::failure::Failure;
-use crate::job::{Done, ExchangeJob, Exchanged};
-use crate::work::Watch;
+use crate::job::{ExchangeJob, Exchanged, JobDone};
+use crate::work::JobWatch;
 
 /// Runs the `[filter]` of each phase and writes its estimates with the errors they make.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn estimates(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
-    exchange::run::<Filters>(job, watch)
+pub fn estimates(job: &ExchangeJob, watch: &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure> {
+    exchange::run::<EstimateMaker>(job, watch)
 }
 
 /// Makes estimates: the runner of each phase that has a filter.
-pub(crate) struct Filters(Vec<Result<FilterRunner, String>>);
+pub(crate) struct EstimateMaker(Vec<Result<FilterRunner, String>>);
 
-impl Maker for Filters {
-    type Writer = EstimatesWriter<Sunk>;
+impl ExchangeMaker for EstimateMaker {
+    type Writer = EstimatesWriter<ExchangeSink>;
     const ROW: &'static str = "estimate";
     const OF_ESTIMATES: bool = true;
 
@@ -30,42 +30,47 @@ impl Maker for Filters {
         if model.levels.is_empty() { Ok(()) } else { Err(WriteError::Levels) }
     }
 
-    fn new(setting: &Setting) -> Result<Filters, Failure> {
+    fn new(setting: &ExchangeSetting) -> Result<EstimateMaker, Failure> {
         let runner = |phase: &kalfit::model::Phase| match &phase.filter {
             None => Ok(Err(phase.name.clone())),
             Some(_) => FilterRunner::new(phase, &setting.alpha).map(Ok),
         };
         let runners: Result<_, _> = setting.spec.model.phases.iter().map(runner).collect();
-        Ok(Filters(runners.map_err(|error| Failure::Reduce { error, reading: None })?))
+        Ok(EstimateMaker(runners.map_err(|error| Failure::Reduce { error, reading: None })?))
     }
 
-    fn open(setting: &Setting, sink: Sunk) -> Result<Self::Writer, WriteError> {
+    fn open(setting: &ExchangeSetting, sink: ExchangeSink) -> Result<Self::Writer, WriteError> {
         EstimatesWriter::new(&setting.spec.model, setting.metadata(), sink)
     }
 
-    fn make(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused> {
+    fn make(
+        &mut self,
+        entries: Vec<ExchangeEntry>,
+        labels: &Labels,
+        writer: &mut Self::Writer,
+    ) -> Result<(), ExchangeRefusal> {
         let mut rows: Vec<Vec<Test>> = self.0.iter().map(|_| Vec::new()).collect();
         for ExchangeEntry { test, phase, evidence, at } in entries {
             match (evidence, &self.0[phase]) {
                 (Evidence::Rows(test), Ok(_)) => rows[phase].push(test),
-                (Evidence::Rows(_), Err(name)) => return Err(Refused::NoFilter { phase: name.clone(), at }),
+                (Evidence::Rows(_), Err(name)) => return Err(ExchangeRefusal::NoFilter { phase: name.clone(), at }),
                 (Evidence::Estimates(known), _) => {
-                    writer.write(&test, phase, &known, labels).map_err(Refused::Write)?;
+                    writer.write(&test, phase, &known, labels).map_err(ExchangeRefusal::Write)?;
                 }
-                (Evidence::Reduced(_), _) => return Err(Refused::Reduced { at }),
+                (Evidence::Reduced(_), _) => return Err(ExchangeRefusal::Reduced { at }),
             }
         }
         for (phase, (tests, runner)) in rows.iter().zip(&self.0).enumerate() {
             let Ok(runner) = runner else { continue };
-            let made: Vec<Estimates> = runner.run_all(tests).map_err(Refused::Reduce)?;
+            let made: Vec<Estimates> = runner.run_all(tests).map_err(ExchangeRefusal::Reduce)?;
             for (test, estimates) in tests.iter().zip(&made) {
-                writer.write(&test.id, phase, estimates, labels).map_err(Refused::Write)?;
+                writer.write(&test.id, phase, estimates, labels).map_err(ExchangeRefusal::Write)?;
             }
         }
         Ok(())
     }
 
-    fn close(writer: Self::Writer) -> Result<Sunk, WriteError> {
+    fn close(writer: Self::Writer) -> Result<ExchangeSink, WriteError> {
         writer.finish()
     }
 }

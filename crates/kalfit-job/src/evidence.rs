@@ -17,12 +17,12 @@ use kalfit_spec::Spec;
 use rayon::prelude::*;
 
 use crate::failure::Failure;
-use crate::refused::{self, Refused};
+use crate::refused::{self, SinkRefusal};
 use crate::truth::error::TruthError;
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// The inputs of a command, told apart.
-pub(crate) struct Given {
+pub(crate) struct CommandInputs {
     /// All of them, as they were given.
     pub(crate) inputs: Vec<Input>,
     rows: Vec<Input>,
@@ -37,28 +37,28 @@ pub(crate) struct Given {
     pub(crate) notes: Vec<String>,
 }
 
-impl Given {
+impl CommandInputs {
     /// Looks into the inputs. Where some were made by filters at known parameters, free parameters of the model are held there.
     ///
     /// # Errors
     /// Inputs that cannot be opened, reductions of another model, other values of parameters than the model's.
-    pub(crate) fn open(spec: &mut Spec, data: &[Datum]) -> Result<Given, Failure> {
+    pub(crate) fn open(spec: &mut Spec, data: &[Datum]) -> Result<CommandInputs, Failure> {
         let inputs = Input::expand(data).map_err(|error| Failure::data(error, spec))?;
         let sorted = sort(&inputs, stdin(&inputs)).map_err(|error| Failure::data(error, spec))?;
         let SortedInputs { rows, reductions, estimates, files, stdin, .. } = sorted;
         let stdin = RefCell::new(Some(stdin));
         let mut given =
-            Given { inputs, rows, reductions, estimates, files, stdin, of_estimates: false, notes: Vec::new() };
+            CommandInputs { inputs, rows, reductions, estimates, files, stdin, of_estimates: false, notes: Vec::new() };
         given.hold(spec)?;
         Ok(given)
     }
 
     /// Inputs that are read as rows, whatever they hold.
-    pub(crate) fn rows_of(inputs: Vec<Input>) -> Given {
+    pub(crate) fn rows_of(inputs: Vec<Input>) -> CommandInputs {
         let (rows, files) = (inputs.clone(), inputs.iter().map(Input::name).collect());
         let stdin = stdin(&inputs);
         let (reductions, estimates, notes) = (Vec::new(), Vec::new(), Vec::new());
-        Given {
+        CommandInputs {
             inputs,
             rows,
             reductions,
@@ -89,8 +89,8 @@ impl Given {
     ///
     /// # Errors
     /// Files that are wrong, a test given twice, or nobody who waits.
-    pub(crate) fn reduced(&self, spec: &Spec, work: &mut Work<'_>) -> Result<Reductions, Failure> {
-        let mut tests = Reduced { reductions: Reductions::new(), places: Vec::new() };
+    pub(crate) fn reduced(&self, spec: &Spec, work: &mut JobWork<'_>) -> Result<Reductions, Failure> {
+        let mut tests = PlacedReductions { reductions: Reductions::new(), places: Vec::new() };
         let mut stopped = false;
         for source in &self.reductions {
             let read = read_reductions(source, &spec.model, &mut Labels::default(), &mut |entry| {
@@ -179,7 +179,7 @@ impl Given {
         &self,
         spec: &Spec,
         model: &PhasedModel,
-        work: &mut Work<'_>,
+        work: &mut JobWork<'_>,
     ) -> Result<(Vec<ExchangeEntry>, DataReading), Failure> {
         let (assembly, reading) = self.assembly(spec, model, work)?;
         Ok((assembly.into_entries(), reading))
@@ -190,7 +190,7 @@ impl Given {
         &self,
         spec: &Spec,
         model: &PhasedModel,
-        work: &mut Work<'_>,
+        work: &mut JobWork<'_>,
     ) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
         let (assembly, mut reading) = self.assembly(spec, model, work)?;
         let tests = assembly.finish().map_err(|error| Failure::data(error, spec))?;
@@ -202,7 +202,7 @@ impl Given {
         &'a self,
         spec: &Spec,
         model: &'a PhasedModel,
-        work: &mut Work<'_>,
+        work: &mut JobWork<'_>,
     ) -> Result<(Assembly<'a>, DataReading), Failure> {
         let refused = |error: DataError| Failure::data(error, spec);
         let (rows, mut reading) = self.rows(spec, model, work)?;
@@ -228,13 +228,13 @@ impl Given {
         &self,
         spec: &Spec,
         model: &PhasedModel,
-        work: &mut Work<'_>,
+        work: &mut JobWork<'_>,
     ) -> Result<(Vec<ExchangeEntry>, DataReading), Failure> {
         if self.rows.is_empty() {
             let labels = Labels::new(&model.shared().literals);
             return Ok((Vec::new(), DataReading { labels, ..DataReading::default() }));
         }
-        let mut sink = Rows { model, entries: Vec::new(), work };
+        let mut sink = EntrySink { model, entries: Vec::new(), work };
         let reading = kalfit_data::read_from(model, &spec.layout, &self.rows, &mut sink, &mut self.stdin());
         let reading = reading.map_err(|error| refused::failure(error, spec))?;
         Ok((sink.entries, reading))
@@ -245,12 +245,12 @@ impl Given {
 const ASK: usize = 1 << 14;
 
 /// Reductions of tests in one phase, and where each stands.
-struct Reduced {
+struct PlacedReductions {
     reductions: Reductions,
     places: Vec<kalfit::Source>,
 }
 
-impl Reduced {
+impl PlacedReductions {
     fn take(&mut self, entry: ExchangeEntry) {
         if let Evidence::Reduced(piece) = entry.evidence {
             self.reductions.push(piece.reduction);
@@ -307,25 +307,25 @@ pub(crate) fn entries(
     Ok(entries)
 }
 
-struct Rows<'a, 'w> {
+struct EntrySink<'a, 'w> {
     model: &'a PhasedModel,
     entries: Vec<ExchangeEntry>,
-    work: &'a mut Work<'w>,
+    work: &'a mut JobWork<'w>,
 }
 
-impl TestSink for Rows<'_, '_> {
-    type Error = Refused;
+impl TestSink for EntrySink<'_, '_> {
+    type Error = SinkRefusal;
 
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
-        Refused::unless_stopped(self.work)?;
-        self.entries.extend(entries(self.model, tests, labels).map_err(Refused::Split)?);
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SinkRefusal> {
+        SinkRefusal::unless_stopped(self.work)?;
+        self.entries.extend(entries(self.model, tests, labels).map_err(SinkRefusal::Split)?);
         let done = self.entries.len();
         self.work.say(|| format!("reading: {done} phases of tests"));
         Ok(())
     }
 
-    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
-        Refused::unless_stopped_at(self.work, done, of)
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), SinkRefusal> {
+        SinkRefusal::unless_stopped_at(self.work, done, of)
     }
 
     fn restart(&mut self) {

@@ -15,19 +15,19 @@ use kalfit_data::{DataReading, ReadError, TestSink, WriteError};
 use kalfit_spec::Spec;
 
 use crate::document::Document;
-use crate::evidence::{Given, entries};
+use crate::evidence::{CommandInputs, entries};
 use crate::failure::Failure;
-use crate::job::{Done, ExchangeJob, Exchanged, files};
-use crate::output::{Pending, Target};
+use crate::job::{ExchangeJob, Exchanged, JobDone, files};
+use crate::output::{OutputTarget, PendingFile};
 use crate::truth::error::TruthError;
-use crate::work::{Watch, Work};
+use crate::work::{JobWatch, JobWork};
 use crate::{model, truth};
 
 /// Phases of tests handled at a time.
 const BATCH: usize = 1024;
 
 /// Makes the rows of an exchange file.
-pub(crate) trait Maker: Sized {
+pub(crate) trait ExchangeMaker: Sized {
     /// What writes them.
     type Writer;
     /// What one row is, in words.
@@ -40,34 +40,39 @@ pub(crate) trait Maker: Sized {
         Ok(())
     }
 
-    fn new(setting: &Setting) -> Result<Self, Failure>;
+    fn new(setting: &ExchangeSetting) -> Result<Self, Failure>;
 
-    fn open(setting: &Setting, sink: Sunk) -> Result<Self::Writer, WriteError>;
+    fn open(setting: &ExchangeSetting, sink: ExchangeSink) -> Result<Self::Writer, WriteError>;
 
     /// Makes rows of entries and writes them.
-    fn make(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels, writer: &mut Self::Writer) -> Result<(), Refused>;
+    fn make(
+        &mut self,
+        entries: Vec<ExchangeEntry>,
+        labels: &Labels,
+        writer: &mut Self::Writer,
+    ) -> Result<(), ExchangeRefusal>;
 
-    fn close(writer: Self::Writer) -> Result<Sunk, WriteError>;
+    fn close(writer: Self::Writer) -> Result<ExchangeSink, WriteError>;
 }
 
 /// Where a file goes.
-pub(crate) type Sunk = BufWriter<File>;
+pub(crate) type ExchangeSink = BufWriter<File>;
 
 /// What rows are made at.
-pub(crate) struct Setting {
+pub(crate) struct ExchangeSetting {
     pub(crate) spec: Spec,
     pub(crate) alpha: Alpha,
     metadata: Metadata,
 }
 
-impl Setting {
+impl ExchangeSetting {
     pub(crate) fn metadata(&self) -> &Metadata {
         &self.metadata
     }
 }
 
 /// Why no row was made.
-pub(crate) enum Refused {
+pub(crate) enum ExchangeRefusal {
     Split(SplitError),
     Reduce(ReduceError),
     Grouping(GroupingError),
@@ -86,13 +91,16 @@ pub(crate) enum Refused {
 }
 
 /// Makes an exchange file.
-pub(crate) fn run<M: Maker>(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<Done<Exchanged>, Failure> {
+pub(crate) fn run<M: ExchangeMaker>(
+    job: &ExchangeJob,
+    watch: &mut dyn JobWatch,
+) -> Result<JobDone<Exchanged>, Failure> {
     let mut spec = model::read(&job.model.document)?;
     let path = job.out.as_ref().map_or_else(|| M::ROW.to_owned() + "s", |path| path.display().to_string());
     M::refuse(&spec.model).map_err(|error| Failure::Write { error: Box::new(error), path })?;
     let mut notes = job.at.as_ref().map_or(Ok(Vec::new()), |at| truth::parameters(&mut spec, at))?;
     model::set(&mut spec, &job.model.set)?;
-    let given = Given::open(&mut spec, &job.data)?;
+    let given = CommandInputs::open(&mut spec, &job.data)?;
     notes.extend(given.notes.iter().cloned());
     let is_parquet = |path: &PathBuf| {
         let known = |extension: &OsStr| ["parquet", "pq"].iter().any(|known| extension.eq_ignore_ascii_case(known));
@@ -102,15 +110,15 @@ pub(crate) fn run<M: Maker>(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<
         return Err(Failure::NotParquet { path: path.display().to_string() });
     }
     let read: Vec<&Document> = std::iter::once(&job.model.document).chain(&job.at).collect();
-    let output = Target::prepare(job.out.as_deref(), &files(&read, &given.inputs))?;
+    let output = OutputTarget::prepare(job.out.as_deref(), &files(&read, &given.inputs))?;
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     let metadata = metadata(&spec, &alpha, &given, M::OF_ESTIMATES);
-    let setting = Setting { spec, alpha, metadata };
-    let mut work = Work::new(watch);
+    let setting = ExchangeSetting { spec, alpha, metadata };
+    let mut work = JobWork::new(watch);
     let maker = M::new(&setting)?;
     let pending = output.begin()?;
-    let mut filing = Filing {
+    let mut filing = ExchangeFiller {
         setting: &setting,
         maker,
         writer: None,
@@ -124,10 +132,10 @@ pub(crate) fn run<M: Maker>(job: &ExchangeJob, watch: &mut dyn Watch) -> Result<
     let (tests, rows) = (filing.tests.len(), filing.rows);
     filing.close()?;
     let record = Exchanged { rows, row: M::ROW, tests, table: pending.finish()? };
-    Ok(Done::new(record, notes, output.name().into_iter().collect()))
+    Ok(JobDone::new(record, notes, output.name().into_iter().collect()))
 }
 
-fn metadata(spec: &Spec, alpha: &Alpha, given: &Given, of_estimates: bool) -> Metadata {
+fn metadata(spec: &Spec, alpha: &Alpha, given: &CommandInputs, of_estimates: bool) -> Metadata {
     let model = spec.model.shared();
     Metadata {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -141,22 +149,22 @@ fn metadata(spec: &Spec, alpha: &Alpha, given: &Given, of_estimates: bool) -> Me
 }
 
 /// A file that is being filled.
-struct Filing<'a, 'w, M: Maker> {
-    setting: &'a Setting,
+struct ExchangeFiller<'a, 'w, M: ExchangeMaker> {
+    setting: &'a ExchangeSetting,
     maker: M,
     /// Nothing is written yet when none.
     writer: Option<M::Writer>,
-    pending: &'a Pending<'a>,
+    pending: &'a PendingFile<'a>,
     tests: BTreeSet<String>,
     rows: usize,
-    work: &'a mut Work<'w>,
+    work: &'a mut JobWork<'w>,
 }
 
-impl<M: Maker> Filing<'_, '_, M> {
+impl<M: ExchangeMaker> ExchangeFiller<'_, '_, M> {
     /// Rows as they are read; where there is more than rows, all at once.
-    fn fill(&mut self, given: &Given) -> Result<(), Failure> {
+    fn fill(&mut self, given: &CommandInputs) -> Result<(), Failure> {
         let (spec, path) = (&self.setting.spec, self.pending.name());
-        let failed = |refused: Refused, reading: &DataReading| failure(refused, reading, &path);
+        let failed = |refused: ExchangeRefusal, reading: &DataReading| failure(refused, reading, &path);
         if given.is_rows() {
             let (inputs, layout) = (&given.inputs, &spec.layout);
             let read = kalfit_data::read_from(&spec.model, layout, inputs, self, &mut given.stdin());
@@ -174,13 +182,13 @@ impl<M: Maker> Filing<'_, '_, M> {
         Ok(())
     }
 
-    fn take(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels) -> Result<(), Refused> {
+    fn take(&mut self, entries: Vec<ExchangeEntry>, labels: &Labels) -> Result<(), ExchangeRefusal> {
         if self.work.is_stopped() {
-            return Err(Refused::Interrupted);
+            return Err(ExchangeRefusal::Interrupted);
         }
         if self.writer.is_none() {
-            let begun = self.begin().map_err(|error| Refused::Write(error.into()))?;
-            self.writer = Some(M::open(self.setting, begun).map_err(Refused::Write)?);
+            let begun = self.begin().map_err(|error| ExchangeRefusal::Write(error.into()))?;
+            self.writer = Some(M::open(self.setting, begun).map_err(ExchangeRefusal::Write)?);
         }
         for entry in &entries {
             if !self.tests.contains(&entry.test) {
@@ -196,7 +204,7 @@ impl<M: Maker> Filing<'_, '_, M> {
     }
 
     /// The file, empty.
-    fn begin(&self) -> std::io::Result<Sunk> {
+    fn begin(&self) -> std::io::Result<ExchangeSink> {
         let mut file = self.pending.file().try_clone()?;
         file.set_len(0)?;
         file.rewind()?;
@@ -211,17 +219,17 @@ impl<M: Maker> Filing<'_, '_, M> {
     }
 }
 
-impl<M: Maker> TestSink for Filing<'_, '_, M> {
-    type Error = Refused;
+impl<M: ExchangeMaker> TestSink for ExchangeFiller<'_, '_, M> {
+    type Error = ExchangeRefusal;
 
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
-        let entries = entries(&self.setting.spec.model, tests, labels).map_err(Refused::Split)?;
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), ExchangeRefusal> {
+        let entries = entries(&self.setting.spec.model, tests, labels).map_err(ExchangeRefusal::Split)?;
         self.take(entries, labels)
     }
 
-    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), ExchangeRefusal> {
         of.into_iter().for_each(|of| self.work.share("filtering", done, of));
-        if self.work.is_stopped() { Err(Refused::Interrupted) } else { Ok(()) }
+        if self.work.is_stopped() { Err(ExchangeRefusal::Interrupted) } else { Ok(()) }
     }
 
     fn restart(&mut self) {
@@ -230,14 +238,14 @@ impl<M: Maker> TestSink for Filing<'_, '_, M> {
     }
 }
 
-fn failure(refused: Refused, reading: &DataReading, path: &str) -> Failure {
+fn failure(refused: ExchangeRefusal, reading: &DataReading, path: &str) -> Failure {
     match refused {
-        Refused::Split(error) => Failure::Split { error, reading: Box::new(reading.clone()) },
-        Refused::Reduce(error) => Failure::Reduce { error, reading: Some(Box::new(reading.clone())) },
-        Refused::Grouping(error) => Failure::Dynamic(Box::new(DynamicError::from(error))),
-        Refused::Write(error) => Failure::Write { error: Box::new(error), path: path.to_owned() },
-        Refused::Interrupted => Failure::Interrupted,
-        Refused::NoFilter { phase, at } => Failure::NoFilter { phase, at: reading.place(at) },
-        Refused::Reduced { at } => Failure::NotEstimates { at: reading.place(at) },
+        ExchangeRefusal::Split(error) => Failure::Split { error, reading: Box::new(reading.clone()) },
+        ExchangeRefusal::Reduce(error) => Failure::Reduce { error, reading: Some(Box::new(reading.clone())) },
+        ExchangeRefusal::Grouping(error) => Failure::Dynamic(Box::new(DynamicError::from(error))),
+        ExchangeRefusal::Write(error) => Failure::Write { error: Box::new(error), path: path.to_owned() },
+        ExchangeRefusal::Interrupted => Failure::Interrupted,
+        ExchangeRefusal::NoFilter { phase, at } => Failure::NoFilter { phase, at: reading.place(at) },
+        ExchangeRefusal::Reduced { at } => Failure::NotEstimates { at: reading.place(at) },
     }
 }

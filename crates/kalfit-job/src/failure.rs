@@ -50,7 +50,7 @@ pub enum Failure {
         /// What is wrong.
         error: Box<SpecError>,
         /// The file and its text, when it could be read.
-        file: Option<Source>,
+        file: Option<SourceText>,
     },
     /// An assignment of `--set`.
     #[error("{error}")]
@@ -64,7 +64,7 @@ pub enum Failure {
         /// What is wrong.
         error: Box<DataError>,
         /// Where the model uses what the data lack.
-        place: Option<Box<Place>>,
+        place: Option<Box<SourcePlace>>,
     },
     /// Rows that are not of the model's phases.
     #[error("{}", split_message(error, reading))]
@@ -336,7 +336,7 @@ pub enum Failure {
 
 /// A text file, for showing places in it.
 #[derive(Debug, Clone)]
-pub struct Source {
+pub struct SourceText {
     /// What messages call it.
     pub name: String,
     /// All of it.
@@ -345,20 +345,20 @@ pub struct Source {
 
 /// Bytes of a text file.
 #[derive(Debug, Clone)]
-pub struct Place {
+pub struct SourcePlace {
     /// The file.
-    pub source: Source,
+    pub source: SourceText,
     /// The bytes.
     pub span: Range<usize>,
     /// What is said of them.
     pub label: Option<String>,
 }
 
-impl Place {
+impl SourcePlace {
     /// A place in a model file.
-    fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Box<Place>> {
-        let source = Source { name: spec.name.clone(), text: spec.text.clone() };
-        Some(Box::new(Place { source, span: span?, label: Some(label.to_owned()) }))
+    fn in_model(spec: &Spec, span: Option<Range<usize>>, label: &str) -> Option<Box<SourcePlace>> {
+        let source = SourceText { name: spec.name.clone(), text: spec.text.clone() };
+        Some(Box::new(SourcePlace { source, span: span?, label: Some(label.to_owned()) }))
     }
 }
 
@@ -367,7 +367,7 @@ impl Failure {
     pub(crate) fn data(error: DataError, spec: &Spec) -> Failure {
         let place = match &error {
             DataError::MissingColumn { column, .. } => {
-                Place::in_model(spec, spec.column_span(column), "this column is not in the data")
+                SourcePlace::in_model(spec, spec.column_span(column), "this column is not in the data")
             }
             _ => None,
         };
@@ -376,15 +376,15 @@ impl Failure {
 
     /// A model that cannot be read from this path.
     pub(crate) fn model(error: SpecError, name: &str, text: Option<String>) -> Failure {
-        let file = text.map(|text| Source { name: name.to_owned(), text });
+        let file = text.map(|text| SourceText { name: name.to_owned(), text });
         Failure::Model { error: Box::new(error), file }
     }
 
     /// Where to look.
-    pub fn place(&self) -> Option<Place> {
+    pub fn place(&self) -> Option<SourcePlace> {
         match self {
             Failure::Model { error, file } => {
-                Some(Place { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
+                Some(SourcePlace { source: file.clone()?, span: error.span.clone()?, label: error.label.clone() })
             }
             Failure::Data { place, .. } => place.as_deref().cloned(),
             _ => None,

@@ -6,15 +6,15 @@ use kalfit::record::TestGroups;
 use kalfit::{Alpha, FitRecord};
 use kalfit_spec::Spec;
 
-use crate::along::Held;
-use crate::evidence::Given;
+use crate::along::HeldTests;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::fitted::{Files, Written};
+use crate::fitted::{FitFiles, WrittenFiles};
 use crate::idle::{refuse_idle, refuse_one_phase};
-use crate::inferred::{Sorted, beside, record};
-use crate::innovations::{self, Kept};
-use crate::job::{Done, FitJob, files};
-use crate::work::{Watch, Work};
+use crate::inferred::{TestSorting, beside, record};
+use crate::innovations::{self, KeptData};
+use crate::job::{FitJob, JobDone, files};
+use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, groups, lost, memory, model, reductions, tests};
 
 /// Said of a search that had converged when nobody waited any longer.
@@ -29,22 +29,22 @@ const NO_TESTS: &str = "what each test says was not asked for";
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`] before the search began.
-pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failure> {
+pub fn fit(job: &FitJob, watch: &mut dyn JobWatch) -> Result<JobDone<FitRecord>, Failure> {
     if job.settings.criterion == Criterion::Reml && job.choices.std_errors != StdErrors::Observed {
         return Err(Failure::RestrictedErrors); // log|ΣB'WB| is no sum over tests
     }
     let mut spec = model::load(&job.model, &job.data)?;
     memory::suffices(&spec)?;
     refuse_one_phase(job, &spec)?;
-    let given = Given::open(&mut spec, &job.data)?;
+    let given = CommandInputs::open(&mut spec, &job.data)?;
     groups::refuse(job, &spec.model, &given)?;
     let free = model::has_free(spec.model.shared());
     if !free {
         refuse_idle(job)?;
     }
     let read = files(&[&job.model.document], &given.inputs);
-    let files = Files::prepare(job, &read)?;
-    let mut work = Work::new(watch);
+    let files = FitFiles::prepare(job, &read)?;
+    let mut work = JobWork::new(watch);
     let (mut record, held) =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
     record.add_by_group();
@@ -56,31 +56,36 @@ pub fn fit(job: &FitJob, watch: &mut dyn Watch) -> Result<Done<FitRecord>, Failu
     if work.is_stopped() && record.converged {
         record.notes.push(CUT_SHORT.to_owned());
     }
-    let Written { names, failed } = files.write(&mut record, held, &spec.model, &mut work)?;
+    let WrittenFiles { names, failed } = files.write(&mut record, held, &spec.model, &mut work)?;
     let unwritten = failed.iter().map(Failure::to_string).collect();
-    Ok(Done { unwritten, ..Done::new(record, Vec::new(), names) })
+    Ok(JobDone { unwritten, ..JobDone::new(record, Vec::new(), names) })
 }
 
 /// The method in one place, with known parameters: reduce, estimate, infer, record.
-fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(FitRecord, Held), Failure> {
+fn known(
+    job: &FitJob,
+    spec: &Spec,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+) -> Result<(FitRecord, HeldTests), Failure> {
     let alpha = model::alpha(spec);
     if given.is_reductions() && spec.model.is_single() && spec.model.levels.is_empty() {
-        return Ok((reduced(job, spec, given, &alpha, work)?, Held::Nothing));
+        return Ok((reduced(job, spec, given, &alpha, work)?, HeldTests::Nothing));
     }
     if !given.is_rows() || lost::filters_rows(&spec.model) || !spec.model.levels.is_empty() {
         let (tests, reading) = tests::read(spec, given, work)?;
         let record = dynamic::known(job, spec, given, (&alpha, &tests, &reading), work)?;
-        return Ok((record, Held::Tests(tests, alpha)));
+        return Ok((record, HeldTests::Tests(tests, alpha)));
     }
     let looks_again = job.innovations || job.report.is_some();
-    let mut kept = if looks_again { Kept::of(&given.inputs) } else { Kept::nothing() };
+    let mut kept = if looks_again { KeptData::of(&given.inputs) } else { KeptData::nothing() };
     kept.groups = TestGroups::new(spec.model.shared());
     let reductions = reductions::reduce_keeping(spec, &alpha, given, work, &mut kept)?;
     let (mut record, population) = record(
         job,
         spec,
         given,
-        (&alpha, &reductions, Sorted { by: kept.groups.as_ref(), ..Sorted::default() }),
+        (&alpha, &reductions, TestSorting { by: kept.groups.as_ref(), ..TestSorting::default() }),
         work,
     )?;
     beside(reductions); // what comes next can have their memory
@@ -88,14 +93,20 @@ fn known(job: &FitJob, spec: &Spec, given: &Given, work: &mut Work<'_>) -> Resul
         innovations::add(&mut record, &mut kept, (spec, &alpha, &given.inputs), &population, work);
         record.solver.seconds = work.seconds();
     }
-    Ok((record, Held::kept(kept.tests.all(), alpha)))
+    Ok((record, HeldTests::kept(kept.tests.all(), alpha)))
 }
 
 /// The filters have run: estimate, infer, record.
-fn reduced(job: &FitJob, spec: &Spec, given: &Given, alpha: &Alpha, work: &mut Work<'_>) -> Result<FitRecord, Failure> {
+fn reduced(
+    job: &FitJob,
+    spec: &Spec,
+    given: &CommandInputs,
+    alpha: &Alpha,
+    work: &mut JobWork<'_>,
+) -> Result<FitRecord, Failure> {
     refuse_idle(job)?;
     let reductions = given.reduced(spec, work)?;
-    let (mut record, population) = record(job, spec, given, (alpha, &reductions, Sorted::default()), work)?;
+    let (mut record, population) = record(job, spec, given, (alpha, &reductions, TestSorting::default()), work)?;
     if job.innovations {
         innovations::add_none(&mut record, (&spec.model, alpha, &population), reductions.len(), work);
         record.solver.seconds = work.seconds();

@@ -4,38 +4,38 @@ use std::path::{Path, PathBuf};
 
 use kalfit::FitRecord;
 
-use crate::along::Held;
+use crate::along::HeldTests;
 use crate::failure::Failure;
 use crate::job::FitJob;
-use crate::output::{Contents, Output, Pending, Target};
-use crate::table::Table;
-use crate::work::Work;
+use crate::output::{FileContents, OutputFile, OutputTarget, PendingFile};
+use crate::table::OutputTable;
+use crate::work::JobWork;
 use crate::{report, tables, write};
 
 /// The files that were asked for, found sound before the work began.
-pub(crate) struct Files {
-    out: Option<Output>,
-    page: Option<Output>,
-    tests: Option<Table>,
-    parameters: Option<Table>,
-    constraints: Option<Table>,
+pub(crate) struct FitFiles {
+    out: Option<OutputFile>,
+    page: Option<OutputFile>,
+    tests: Option<OutputTable>,
+    parameters: Option<OutputTable>,
+    constraints: Option<OutputTable>,
     /// Also of a search that was stopped.
     keeps_stopped: bool,
 }
 
-impl Files {
+impl FitFiles {
     /// Checks that all can be written, each to a place of its own, and that none is read.
-    pub(crate) fn prepare(job: &FitJob, read: &[&Path]) -> Result<Files, Failure> {
-        let table = |path: &Option<PathBuf>| Table::prepare(&path.clone().into(), read);
-        let files = Files {
-            out: Output::results(job.out.as_deref(), read)?,
-            page: Output::prepare_for(("--report", Contents::Page), job.report.as_deref(), read)?,
+    pub(crate) fn prepare(job: &FitJob, read: &[&Path]) -> Result<FitFiles, Failure> {
+        let table = |path: &Option<PathBuf>| OutputTable::prepare(&path.clone().into(), read);
+        let files = FitFiles {
+            out: OutputFile::results(job.out.as_deref(), read)?,
+            page: OutputFile::prepare_for(("--report", FileContents::Page), job.report.as_deref(), read)?,
             tests: table(&job.tables.tests)?,
             parameters: table(&job.tables.parameters)?,
             constraints: table(&job.tables.constraints)?,
             keeps_stopped: job.keeps_stopped,
         };
-        let named: Vec<&Output> = files.named().collect();
+        let named: Vec<&OutputFile> = files.named().collect();
         for (k, one) in named.iter().enumerate() {
             named[..k].iter().try_for_each(|other| one.refuse_same(Some(other)))?;
         }
@@ -43,10 +43,10 @@ impl Files {
     }
 
     /// Their places, in the order in which they are told.
-    fn named(&self) -> impl Iterator<Item = &Output> {
-        fn own(table: &Option<Table>) -> Option<&Output> {
+    fn named(&self) -> impl Iterator<Item = &OutputFile> {
+        fn own(table: &Option<OutputTable>) -> Option<&OutputFile> {
             match table {
-                Some(Table { target: Target::Named(output), .. }) => Some(output),
+                Some(OutputTable { target: OutputTarget::Named(output), .. }) => Some(output),
                 _ => None,
             }
         }
@@ -61,13 +61,13 @@ impl Files {
     pub(crate) fn write(
         &self,
         record: &mut FitRecord,
-        held: Held,
+        held: HeldTests,
         model: &kalfit::PhasedModel,
-        work: &mut Work<'_>,
-    ) -> Result<Written, Failure> {
+        work: &mut JobWork<'_>,
+    ) -> Result<WrittenFiles, Failure> {
         // asked for each file: whoever does not want what was stopped does not wait for files either
-        let wanted = |work: &Work<'_>| self.keeps_stopped || !work.is_stopped();
-        let mut written = Written::default();
+        let wanted = |work: &JobWork<'_>| self.keeps_stopped || !work.is_stopped();
+        let mut written = WrittenFiles::default();
         if let Some(output) = self.out.as_ref().filter(|_| wanted(work)) {
             written.note(vec![output.name()], write::record(output, record).map_err(Failure::from));
         }
@@ -79,7 +79,7 @@ impl Files {
         if wanted(work) {
             match self.tables(record) {
                 Ok(tables) => {
-                    let names = tables.iter().map(Pending::name).collect();
+                    let names = tables.iter().map(PendingFile::name).collect();
                     written.note(names, tables.into_iter().try_for_each(|one| Ok(one.finish().map(drop)?)));
                 }
                 Err(failure) => written.failed.push(failure),
@@ -89,8 +89,8 @@ impl Files {
     }
 
     /// The tables, whole; none is in place yet.
-    fn tables(&self, record: &FitRecord) -> Result<Vec<Pending<'_>>, Failure> {
-        let mut pending: Vec<Pending<'_>> = Vec::new();
+    fn tables(&self, record: &FitRecord) -> Result<Vec<PendingFile<'_>>, Failure> {
+        let mut pending: Vec<PendingFile<'_>> = Vec::new();
         if let Some(table) = &self.tests {
             pending.push(tables::tests(table, record)?);
         }
@@ -106,14 +106,14 @@ impl Files {
 
 /// What became of the files.
 #[derive(Debug, Default)]
-pub(crate) struct Written {
+pub(crate) struct WrittenFiles {
     /// Those that are written, as the user named them.
     pub(crate) names: Vec<String>,
     /// Why others are not.
     pub(crate) failed: Vec<Failure>,
 }
 
-impl Written {
+impl WrittenFiles {
     fn note(&mut self, names: Vec<String>, written: Result<(), Failure>) {
         match written {
             Ok(()) => self.names.extend(names),
@@ -122,7 +122,7 @@ impl Written {
     }
 
     /// The first failure, where there is nothing else.
-    fn or_failed(mut self) -> Result<Written, Failure> {
+    fn or_failed(mut self) -> Result<WrittenFiles, Failure> {
         if self.names.is_empty() && !self.failed.is_empty() { Err(self.failed.swap_remove(0)) } else { Ok(self) }
     }
 }

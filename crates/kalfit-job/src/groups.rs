@@ -7,16 +7,16 @@ use kalfit::record::{GroupTestRecord, TestGroups};
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Reductions};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::job::FitJob;
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// A correlation matrix with a smaller eigenvalue is singular.
 const SINGULAR: f64 = 1e-8;
 
 /// Refuses a test of groups where there can be none.
-pub(crate) fn refuse(job: &FitJob, model: &PhasedModel, given: &Given) -> Result<(), Failure> {
+pub(crate) fn refuse(job: &FitJob, model: &PhasedModel, given: &CommandInputs) -> Result<(), Failure> {
     if !job.group_test {
         return Ok(());
     }
@@ -55,7 +55,7 @@ pub(crate) fn add(
     record: &mut FitRecord,
     groups: &TestGroups,
     (model, alpha, estimate, reductions): (&PhasedModel, &Alpha, &Estimate, &Reductions),
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) -> Result<(), Failure> {
     record.add_groups(groups);
     if !job.group_test || work.is_stopped() {

@@ -9,15 +9,15 @@ use kalfit::record::TestGroups;
 use kalfit::{Alpha, FitRecord, Grouping, Labels, Reductions, estimate, infer};
 use kalfit_spec::Spec;
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::groups;
 use crate::job::FitJob;
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// How tests are sorted.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Sorted<'a> {
+pub(crate) struct TestSorting<'a> {
     /// By a column, for reports.
     pub(crate) by: Option<&'a TestGroups>,
     /// Into the groups of the model's levels, whose names are among the labels.
@@ -28,9 +28,9 @@ pub(crate) struct Sorted<'a> {
 pub(crate) fn record(
     job: &FitJob,
     spec: &Spec,
-    given: &Given,
-    (alpha, reductions, sorted): (&Alpha, &Reductions, Sorted<'_>),
-    work: &mut Work<'_>,
+    given: &CommandInputs,
+    (alpha, reductions, sorted): (&Alpha, &Reductions, TestSorting<'_>),
+    work: &mut JobWork<'_>,
 ) -> Result<(FitRecord, Population), Failure> {
     let structure = Structure::of(&spec.model, alpha, sorted.levels.map(|(grouping, _)| grouping));
     let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
@@ -50,7 +50,7 @@ pub(crate) fn record(
 }
 
 /// What is asked of the inference: the least of it once nobody waits.
-pub(crate) fn patience(choices: Choices, work: &Work<'_>) -> Choices {
+pub(crate) fn patience(choices: Choices, work: &JobWork<'_>) -> Choices {
     if work.is_stopped() {
         return Choices { intervals: IntervalKind::Wald, deletion: DeletionChoice::None, ..choices };
     }

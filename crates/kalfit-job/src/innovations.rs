@@ -13,7 +13,7 @@ use kalfit_spec::Spec;
 use rayon::prelude::*;
 use tempfile::SpooledTempFile;
 
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// Bytes of tests that are kept, and of standard input that is kept in memory.
 const MOST_BYTES: usize = 64 << 20;
@@ -22,7 +22,7 @@ const AGREEMENT: f64 = 1e-6;
 
 /// Why there are no innovations, or not of all tests. The fit itself does not depend on them.
 #[derive(Debug, thiserror::Error)]
-enum Unavailable {
+enum InnovationsUnavailable {
     #[error("the data are too large to be kept, and `{name}` cannot be read a second time")]
     OnlyOnce { name: String },
     #[error("standard input is too large to be kept, and no temporary file could be written")]
@@ -38,9 +38,9 @@ enum Unavailable {
 }
 
 /// What a reading leaves for a second look at the data.
-pub(crate) struct Kept {
+pub(crate) struct KeptData {
     pub(crate) tests: KeptTests,
-    pub(crate) copy: Copy,
+    pub(crate) copy: StdinCopy,
     /// Of which group each test is, where the model has groups.
     pub(crate) groups: Option<TestGroups>,
 }
@@ -56,26 +56,26 @@ pub(crate) struct KeptTests {
 }
 
 /// A copy of standard input.
-pub(crate) enum Copy {
+pub(crate) enum StdinCopy {
     None,
     Whole(Box<SpooledTempFile>),
     Failed,
 }
 
-impl Kept {
+impl KeptData {
     /// Keeps what a second look at these inputs takes.
-    pub(crate) fn of(inputs: &[Input]) -> Kept {
+    pub(crate) fn of(inputs: &[Input]) -> KeptData {
         let copy = if inputs.contains(&Input::Stdin) {
-            Copy::Whole(Box::new(SpooledTempFile::new(MOST_BYTES)))
+            StdinCopy::Whole(Box::new(SpooledTempFile::new(MOST_BYTES)))
         } else {
-            Copy::None
+            StdinCopy::None
         };
-        Kept { copy, tests: KeptTests { wanted: true, ..KeptTests::default() }, groups: None }
+        KeptData { copy, tests: KeptTests { wanted: true, ..KeptTests::default() }, groups: None }
     }
 
     /// Keeps nothing.
-    pub(crate) fn nothing() -> Kept {
-        Kept { copy: Copy::None, tests: KeptTests::default(), groups: None }
+    pub(crate) fn nothing() -> KeptData {
+        KeptData { copy: StdinCopy::None, tests: KeptTests::default(), groups: None }
     }
 }
 
@@ -103,10 +103,10 @@ impl KeptTests {
     }
 }
 
-impl Copy {
+impl StdinCopy {
     /// `source`, with a copy of what passes where one is needed.
     pub(crate) fn copying<'a>(&'a mut self, source: &'a mut dyn Read) -> impl Read + use<'a> {
-        Copying { source, copy: self }
+        CopyingReader { source, copy: self }
     }
 }
 
@@ -123,18 +123,18 @@ fn bytes(test: &PhasedTest) -> usize {
     test.phases.iter().map(|evidence| 128 + test.id.len() + of(evidence)).sum()
 }
 
-struct Copying<'a> {
+struct CopyingReader<'a> {
     source: &'a mut dyn Read,
-    copy: &'a mut Copy,
+    copy: &'a mut StdinCopy,
 }
 
-impl Read for Copying<'_> {
+impl Read for CopyingReader<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
         let fresh = self.source.read(buffer)?;
-        if let Copy::Whole(file) = self.copy
+        if let StdinCopy::Whole(file) = self.copy
             && file.write_all(&buffer[..fresh]).is_err()
         {
-            *self.copy = Copy::Failed;
+            *self.copy = StdinCopy::Failed;
         }
         Ok(fresh)
     }
@@ -143,13 +143,13 @@ impl Read for Copying<'_> {
 /// Adds innovations to the record, or a note that says why there are none.
 pub(crate) fn add(
     record: &mut FitRecord,
-    kept: &mut Kept,
+    kept: &mut KeptData,
     (spec, alpha, inputs): (&Spec, &Alpha, &[Input]),
     initial: &Population,
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) {
-    let found = Looking::new(&spec.model, alpha, initial, work)
-        .map_err(Unavailable::Filter)
+    let found = InnovationSink::new(&spec.model, alpha, initial, work)
+        .map_err(InnovationsUnavailable::Filter)
         .and_then(|looking| all(looking, kept, spec, inputs));
     match found {
         Ok(found) => finish(record, found),
@@ -162,9 +162,9 @@ pub(crate) fn add_of(
     record: &mut FitRecord,
     (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) {
-    match Looking::new(model, alpha, initial, work) {
+    match InnovationSink::new(model, alpha, initial, work) {
         Ok(mut looking) => match looking.look_at(tests) {
             Ok(()) => finish(record, looking.seen),
             Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
@@ -178,18 +178,18 @@ pub(crate) fn add_none(
     record: &mut FitRecord,
     (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
     tests: usize,
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) {
-    match Looking::new(model, alpha, initial, work) {
+    match InnovationSink::new(model, alpha, initial, work) {
         Ok(looking) if looking.work.is_stopped() => {
-            record.notes.push(format!("innovations were not computed: {}", Unavailable::Interrupted));
+            record.notes.push(format!("innovations were not computed: {}", InnovationsUnavailable::Interrupted));
         }
-        Ok(looking) => finish(record, Seen { silent: tests, ..looking.seen }),
+        Ok(looking) => finish(record, InnovationSummary { silent: tests, ..looking.seen }),
         Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
     }
 }
 
-fn finish(record: &mut FitRecord, seen: Seen) {
+fn finish(record: &mut FitRecord, seen: InnovationSummary) {
     if let Some(error) = seen.failed {
         record.notes.push(format!("the innovations of some tests could not be computed: {error}"));
     }
@@ -205,8 +205,8 @@ fn finish(record: &mut FitRecord, seen: Seen) {
 
 /// What the filter saw of all tests.
 #[derive(Default)]
-struct Seen {
-    found: Vec<Found>,
+struct InnovationSummary {
+    found: Vec<InnovationsOfTest>,
     /// For charts.
     series: SeriesKeeper,
     /// Tests that cannot have any.
@@ -215,14 +215,14 @@ struct Seen {
 }
 
 /// One test's innovations in figures.
-struct Found {
+struct InnovationsOfTest {
     test: String,
     log_likelihood: f64,
     record: InnovationRecord,
 }
 
 /// Two ways to one likelihood must agree; where they do not, the data changed between two readings, or digits were lost.
-fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
+fn attach(record: &mut FitRecord, mut found: Vec<InnovationsOfTest>) {
     if found.is_empty() {
         return;
     }
@@ -246,29 +246,34 @@ fn attach(record: &mut FitRecord, mut found: Vec<Found>) {
 }
 
 /// Takes tests in and keeps figures only.
-struct Looking<'a, 'w> {
+struct InnovationSink<'a, 'w> {
     filter: InnovationFilter,
     model: &'a PhasedModel,
-    seen: Seen,
-    work: &'a mut Work<'w>,
+    seen: InnovationSummary,
+    work: &'a mut JobWork<'w>,
 }
 
-impl<'a, 'w> Looking<'a, 'w> {
+impl<'a, 'w> InnovationSink<'a, 'w> {
     fn new(
         model: &'a PhasedModel,
         alpha: &Alpha,
         initial: &Population,
-        work: &'a mut Work<'w>,
-    ) -> Result<Looking<'a, 'w>, ReduceError> {
-        Ok(Looking { filter: InnovationFilter::new(model, alpha, initial)?, model, seen: Seen::default(), work })
+        work: &'a mut JobWork<'w>,
+    ) -> Result<InnovationSink<'a, 'w>, ReduceError> {
+        Ok(InnovationSink {
+            filter: InnovationFilter::new(model, alpha, initial)?,
+            model,
+            seen: InnovationSummary::default(),
+            work,
+        })
     }
 
     /// At all of them, as long as somebody waits.
-    fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), Unavailable> {
+    fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), InnovationsUnavailable> {
         self.seen.found.reserve_exact(tests.len());
         for (i, batch) in tests.chunks(BATCH).enumerate() {
             if self.work.is_stopped() {
-                return Err(Unavailable::Interrupted);
+                return Err(InnovationsUnavailable::Interrupted);
             }
             self.work.share("innovations", (i * BATCH) as u64, tests.len() as u64);
             self.look(batch);
@@ -284,7 +289,7 @@ impl<'a, 'w> Looking<'a, 'w> {
             match result {
                 Ok(Some((record, one))) => {
                     seen.series.offer(&one, &record, self.model);
-                    seen.found.push(Found { log_likelihood: one.log_likelihood, record, test: one.test });
+                    seen.found.push(InnovationsOfTest { log_likelihood: one.log_likelihood, record, test: one.test });
                 }
                 Ok(None) => seen.silent += 1,
                 Err(error) => seen.failed = seen.failed.take().or(Some(error)),
@@ -295,33 +300,38 @@ impl<'a, 'w> Looking<'a, 'w> {
     }
 }
 
-impl TestSink for Looking<'_, '_> {
-    type Error = Unavailable;
+impl TestSink for InnovationSink<'_, '_> {
+    type Error = InnovationsUnavailable;
 
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Unavailable> {
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), InnovationsUnavailable> {
         if self.work.is_stopped() {
-            return Err(Unavailable::Interrupted);
+            return Err(InnovationsUnavailable::Interrupted);
         }
         let split = tests.into_iter().map(|test| self.model.split(test, labels));
-        let tests: Vec<PhasedTest> = split.collect::<Result<_, _>>().map_err(Unavailable::Split)?;
+        let tests: Vec<PhasedTest> = split.collect::<Result<_, _>>().map_err(InnovationsUnavailable::Split)?;
         self.look(&tests);
         Ok(())
     }
 
-    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Unavailable> {
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), InnovationsUnavailable> {
         of.into_iter().for_each(|of| self.work.share("innovations", done, of));
-        if self.work.is_stopped() { Err(Unavailable::Interrupted) } else { Ok(()) }
+        if self.work.is_stopped() { Err(InnovationsUnavailable::Interrupted) } else { Ok(()) }
     }
 
     fn restart(&mut self) {
-        self.seen = Seen::default();
+        self.seen = InnovationSummary::default();
     }
 }
 
 /// Tests looked at together: their series of innovations are in memory at the same time.
 const BATCH: usize = 1024;
 
-fn all(mut looking: Looking<'_, '_>, kept: &mut Kept, spec: &Spec, inputs: &[Input]) -> Result<Seen, Unavailable> {
+fn all(
+    mut looking: InnovationSink<'_, '_>,
+    kept: &mut KeptData,
+    spec: &Spec,
+    inputs: &[Input],
+) -> Result<InnovationSummary, InnovationsUnavailable> {
     if kept.tests.overflowed {
         again(&mut looking, kept, spec, inputs)?;
     } else {
@@ -331,25 +341,30 @@ fn all(mut looking: Looking<'_, '_>, kept: &mut Kept, spec: &Spec, inputs: &[Inp
 }
 
 /// Reads the data a second time.
-fn again(looking: &mut Looking<'_, '_>, kept: &mut Kept, spec: &Spec, inputs: &[Input]) -> Result<(), Unavailable> {
+fn again(
+    looking: &mut InnovationSink<'_, '_>,
+    kept: &mut KeptData,
+    spec: &Spec,
+    inputs: &[Input],
+) -> Result<(), InnovationsUnavailable> {
     let once = inputs.iter().find(|input| match input {
         Input::Path(path) => !std::fs::metadata(path).is_ok_and(|found| found.is_file()),
         Input::Stdin | Input::Table(_) => false,
     });
     if let Some(input) = once {
-        return Err(Unavailable::OnlyOnce { name: input.name() });
+        return Err(InnovationsUnavailable::OnlyOnce { name: input.name() });
     }
-    let mut copy: Box<dyn Read> = match std::mem::replace(&mut kept.copy, Copy::None) {
-        Copy::None => Box::new(std::io::empty()),
-        Copy::Whole(mut file) => {
-            file.seek(SeekFrom::Start(0)).map_err(|_| Unavailable::NoCopy)?;
+    let mut copy: Box<dyn Read> = match std::mem::replace(&mut kept.copy, StdinCopy::None) {
+        StdinCopy::None => Box::new(std::io::empty()),
+        StdinCopy::Whole(mut file) => {
+            file.seek(SeekFrom::Start(0)).map_err(|_| InnovationsUnavailable::NoCopy)?;
             Box::new(std::io::BufReader::new(file))
         }
-        Copy::Failed => return Err(Unavailable::NoCopy),
+        StdinCopy::Failed => return Err(InnovationsUnavailable::NoCopy),
     };
     match kalfit_data::read_from(&spec.model, &spec.layout, inputs, looking, &mut copy) {
         Ok(_) => Ok(()),
-        Err(ReadError::Data(error)) => Err(Unavailable::Unreadable(error)),
+        Err(ReadError::Data(error)) => Err(InnovationsUnavailable::Unreadable(error)),
         Err(ReadError::Sink { error, .. }) => Err(error),
     }
 }
@@ -369,7 +384,7 @@ mod tests {
 
     #[test]
     fn tests_are_kept_up_to_a_limit_and_from_a_restart_on() {
-        let mut kept = Kept::of(&[]).tests;
+        let mut kept = KeptData::of(&[]).tests;
         kept.take(vec![test(10), test(20)]);
         assert_eq!((kept.tests.len(), kept.overflowed), (2, false));
         let large = 1 + MOST_BYTES / (8 * 32);
@@ -378,18 +393,18 @@ mod tests {
         kept.restart();
         kept.take(vec![test(10)]);
         assert_eq!((kept.tests.len(), kept.overflowed), (1, false));
-        let mut nothing = Kept::nothing().tests;
+        let mut nothing = KeptData::nothing().tests;
         nothing.take(vec![test(10)]);
         assert_eq!(nothing.tests.len(), 0);
     }
 
     #[test]
     fn standard_input_can_be_read_again_from_its_copy() {
-        let mut kept = Kept::of(&[Input::Stdin]);
+        let mut kept = KeptData::of(&[Input::Stdin]);
         let mut source: &[u8] = b"some text";
         let mut first = String::new();
         kept.copy.copying(&mut source).read_to_string(&mut first).unwrap();
-        let Copy::Whole(mut file) = kept.copy else { panic!("there is no copy") };
+        let StdinCopy::Whole(mut file) = kept.copy else { panic!("there is no copy") };
         let mut second = String::new();
         file.seek(SeekFrom::Start(0)).unwrap();
         file.read_to_string(&mut second).unwrap();
@@ -408,20 +423,20 @@ noise = 1
     /// `b` comes back after `a`, so that the second reading starts again too.
     const DATA: &str = "id,y\nb,1\na,2\na,3\nb,-1\nb,4\n";
 
-    fn figures(mut kept: Kept, inputs: &[Input]) -> Result<Vec<(String, f64)>, Unavailable> {
+    fn figures(mut kept: KeptData, inputs: &[Input]) -> Result<Vec<(String, f64)>, InnovationsUnavailable> {
         let spec = Spec::parse("m.toml", MODEL).unwrap();
         let mut initial = Population { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
         initial.covariance.resize_mut(1, 1, 1.0);
         let mut watch = Unwatched;
-        let mut work = Work::new(&mut watch);
-        let looking = Looking::new(&spec.model, &Alpha::default(), &initial, &mut work).unwrap();
+        let mut work = JobWork::new(&mut watch);
+        let looking = InnovationSink::new(&spec.model, &Alpha::default(), &initial, &mut work).unwrap();
         let seen = all(looking, &mut kept, &spec, inputs)?;
         assert_eq!((seen.failed, seen.silent), (None, 0));
         Ok(seen.found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())
     }
 
-    fn overflowed(copy: Copy) -> Kept {
-        Kept { tests: KeptTests { wanted: true, overflowed: true, ..KeptTests::default() }, copy, groups: None }
+    fn overflowed(copy: StdinCopy) -> KeptData {
+        KeptData { tests: KeptTests { wanted: true, overflowed: true, ..KeptTests::default() }, copy, groups: None }
     }
 
     #[test]
@@ -429,7 +444,7 @@ noise = 1
         let mut file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
         file.write_all(DATA.as_bytes()).unwrap();
         let inputs = [Input::Path(file.path().to_owned())];
-        let from_file = figures(overflowed(Copy::None), &inputs).unwrap();
+        let from_file = figures(overflowed(StdinCopy::None), &inputs).unwrap();
         // by hand: y of test b is N((1, 1, 1), I + 11'), with inverse I - 11'/4 and determinant 4
         let (z, tau) = ([0.0, -2.0, 3.0], std::f64::consts::TAU);
         let square: f64 = z.iter().map(|z| z * z).sum::<f64>() - z.iter().sum::<f64>().powi(2) / 4.0;
@@ -438,9 +453,9 @@ noise = 1
         assert!((from_file[0].1 - expected).abs() < 1e-12, "{} {expected}", from_file[0].1);
         let mut copy = Box::new(SpooledTempFile::new(8)); // rolls over to a file
         copy.write_all(DATA.as_bytes()).unwrap();
-        assert_eq!(figures(overflowed(Copy::Whole(copy)), &[Input::Stdin]).unwrap(), from_file);
-        assert!(matches!(figures(overflowed(Copy::Failed), &[Input::Stdin]), Err(Unavailable::NoCopy)));
+        assert_eq!(figures(overflowed(StdinCopy::Whole(copy)), &[Input::Stdin]).unwrap(), from_file);
+        assert!(matches!(figures(overflowed(StdinCopy::Failed), &[Input::Stdin]), Err(InnovationsUnavailable::NoCopy)));
         let gone = [Input::Path("no/such/pipe".into())];
-        assert!(matches!(figures(overflowed(Copy::None), &gone), Err(Unavailable::OnlyOnce { .. })));
+        assert!(matches!(figures(overflowed(StdinCopy::None), &gone), Err(InnovationsUnavailable::OnlyOnce { .. })));
     }
 }

@@ -14,9 +14,9 @@ use kalfit_report::PlotKind;
 use serde::Serialize;
 
 use crate::document::Document;
-use crate::export::form::Form;
+use crate::export::form::ExportFormat;
 use crate::failure::Failure;
-use crate::output::Output;
+use crate::output::OutputFile;
 
 /// Which model.
 #[derive(Debug, Clone)]
@@ -229,7 +229,7 @@ pub struct PredictJob {
     /// How sure limits are, and what they are of.
     pub limits: Limits,
     /// Whose tests they are.
-    pub units: Units,
+    pub units: PredictedUnits,
     /// The data of the fit, where limits of means are to be by profile likelihood.
     pub profile: Vec<Datum>,
     /// Where the table goes.
@@ -247,7 +247,7 @@ pub enum MethodChoice {
 
 /// Whose tests are predicted, of a model with levels of groups.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Units {
+pub enum PredictedUnits {
     /// Of groups that nobody has seen.
     #[default]
     New,
@@ -307,7 +307,7 @@ pub struct ExportJob {
     /// Columns with the value that they have on all rows, each as `column=value`.
     pub at: Vec<String>,
     /// What kind of file; as the ending of `out` says when none.
-    pub form: Option<Form>,
+    pub form: Option<ExportFormat>,
     /// The file.
     pub out: Option<PathBuf>,
 }
@@ -370,7 +370,7 @@ pub struct PlotJob {
 
 /// What a job ends with that had good input.
 #[derive(Debug)]
-pub struct Done<R> {
+pub struct JobDone<R> {
     /// Its results.
     pub record: R,
     /// What the user should know, and the results do not say.
@@ -381,18 +381,18 @@ pub struct Done<R> {
     pub unwritten: Vec<String>,
 }
 
-impl<R> Done<R> {
+impl<R> JobDone<R> {
     /// All that was asked for is written.
-    pub(crate) fn new(record: R, notes: Vec<String>, written: Vec<String>) -> Done<R> {
-        Done { record, notes, written, unwritten: Vec::new() }
+    pub(crate) fn new(record: R, notes: Vec<String>, written: Vec<String>) -> JobDone<R> {
+        JobDone { record, notes, written, unwritten: Vec::new() }
     }
 }
 
-impl<R: Serialize> Done<R> {
+impl<R: Serialize> JobDone<R> {
     /// Results that are written as they are, where a file is named.
-    pub(crate) fn in_json(record: R, notes: Vec<String>, output: Option<&Output>) -> Result<Done<R>, Failure> {
+    pub(crate) fn in_json(record: R, notes: Vec<String>, output: Option<&OutputFile>) -> Result<JobDone<R>, Failure> {
         output.map_or(Ok(()), |output| output.write(&record))?;
-        Ok(Done::new(record, notes, output.map(Output::name).into_iter().collect()))
+        Ok(JobDone::new(record, notes, output.map(OutputFile::name).into_iter().collect()))
     }
 }
 

@@ -27,12 +27,12 @@ pub fn to_string(record: &impl Serialize) -> serde_json::Result<String> {
 
 /// Writes a record in words.
 pub(crate) fn to_writer(writer: impl Write, record: &impl Serialize) -> serde_json::Result<()> {
-    record.serialize(&mut Serializer::with_formatter(writer, Lines::default()))
+    record.serialize(&mut Serializer::with_formatter(writer, JsonLines::default()))
 }
 
 /// Writes a structure on one line, as it stands in a list of tests.
 pub(crate) fn line(writer: impl Write, record: &impl Serialize) -> serde_json::Result<()> {
-    record.serialize(&mut Serializer::with_formatter(writer, Lines { inline: 1, ..Lines::default() }))
+    record.serialize(&mut Serializer::with_formatter(writer, JsonLines { inline: 1, ..JsonLines::default() }))
 }
 
 /// A list of this name in a record has each element on one line: there may be a million of them.
@@ -43,7 +43,7 @@ const SPACES: &[u8] = b"                                ";
 
 /// Where lines end.
 #[derive(Debug, Default)]
-struct Lines {
+struct JsonLines {
     /// For each list or object that is open, whether it has begun a line of its own.
     open: Vec<bool>,
     /// An element of a list is to come: whether it is the first.
@@ -58,7 +58,7 @@ struct Lines {
 /// Elements of a list of tests are in it and in the record.
 const ROW_DEPTH: usize = 2;
 
-impl Lines {
+impl JsonLines {
     fn line<W: ?Sized + Write>(writer: &mut W, depth: usize) -> io::Result<()> {
         writer.write_all(b"\n")?;
         let mut left = 2 * depth;
@@ -90,7 +90,7 @@ impl Lines {
         if let Some(begun) = self.open.last_mut() {
             *begun = true;
         }
-        Lines::line(writer, self.open.len())
+        JsonLines::line(writer, self.open.len())
     }
 
     fn begin<W: ?Sized + Write>(&mut self, writer: &mut W, bracket: &[u8]) -> io::Result<()> {
@@ -104,7 +104,7 @@ impl Lines {
 
     fn end<W: ?Sized + Write>(&mut self, writer: &mut W, bracket: &[u8]) -> io::Result<()> {
         if self.open.pop() == Some(true) {
-            Lines::line(writer, self.open.len())?;
+            JsonLines::line(writer, self.open.len())?;
         }
         self.inline = self.inline.saturating_sub(1);
         writer.write_all(bracket)
@@ -121,7 +121,7 @@ macro_rules! beside {
     };
 }
 
-impl Formatter for Lines {
+impl Formatter for JsonLines {
     beside!(write_bool: bool, write_i8: i8, write_i16: i16, write_i32: i32, write_i64: i64, write_i128: i128);
     beside!(write_u8: u8, write_u16: u16, write_u32: u32, write_u64: u64, write_u128: u128);
     beside!(write_f32: f32, write_f64: f64, write_number_str: &str);

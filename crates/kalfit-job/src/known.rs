@@ -11,7 +11,7 @@ use kalfit_spec::{Hypothesis, Spec};
 use crate::failure::Failure;
 use crate::hypothesis::{with_covariance, with_mean};
 use crate::job::TestJob;
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// The method in one place: fit both, compare.
 pub(crate) fn test(
@@ -19,9 +19,9 @@ pub(crate) fn test(
     (spec, hypothesis): (&Spec, &Hypothesis),
     (alpha, reductions, grouping): (&Alpha, &Reductions, Option<&Arc<Grouping>>),
     provenance: RatioProvenance,
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) -> Result<RatioRecord, Failure> {
-    let bench = Bench { job, model: &spec.model, null: &hypothesis.model, alpha, reductions, grouping };
+    let bench = KnownCovarianceTest { job, model: &spec.model, null: &hypothesis.model, alpha, reductions, grouping };
     let wide = estimate::fit(reductions, &Structure::of(&spec.model, alpha, grouping), &job.settings, work)
         .map_err(Failure::Fit)?;
     let null = bench.fit(&hypothesis.model, work)?;
@@ -43,7 +43,7 @@ pub(crate) fn test(
 }
 
 /// Says how many ensembles are done; true if somebody waits for more.
-pub(crate) fn drawing(work: &mut Work<'_>, done: usize, asked: Bootstrap) -> bool {
+pub(crate) fn drawing(work: &mut JobWork<'_>, done: usize, asked: Bootstrap) -> bool {
     let all = asked.replicates;
     work.share("drawing ensembles", done as u64, all as u64);
     work.say(|| format!("drawing ensembles from the hypothesis: {done} of {all}"));
@@ -51,7 +51,7 @@ pub(crate) fn drawing(work: &mut Work<'_>, done: usize, asked: Bootstrap) -> boo
 }
 
 /// What all fits of a test share.
-struct Bench<'a> {
+struct KnownCovarianceTest<'a> {
     job: &'a TestJob,
     model: &'a PhasedModel,
     null: &'a PhasedModel,
@@ -60,7 +60,7 @@ struct Bench<'a> {
     grouping: Option<&'a Arc<Grouping>>,
 }
 
-impl Bench<'_> {
+impl KnownCovarianceTest<'_> {
     fn fit(&self, model: &PhasedModel, progress: &mut dyn Progress) -> Result<Estimate, Failure> {
         let of = |model| Structure::of(model, self.alpha, self.grouping);
         let (within, structure) = (of(self.model), of(model));

@@ -70,18 +70,18 @@ pub use datasheet::datasheet;
 pub use diagnostic::{render, render_hinted, render_message};
 pub use document::Document;
 pub use estimates::estimates;
-pub use export::{Form, export};
-pub use failure::{Failure, Place, Source, UnknownUnit};
+pub use export::{ExportFormat, export};
+pub use failure::{Failure, SourcePlace, SourceText, UnknownUnit};
 pub use fit::fit;
 pub use instructions::{INSTRUCTIONS, fix_instructions};
 pub use job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, FitJob,
-    FitTables, FoldsOf, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob, PredictedModel, ReportJob, SimulateJob,
-    Simulated, TableTo, TestJob, Units, ValidateJob,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, Exchanged, ExportJob, FitJob, FitTables,
+    FoldsOf, JobDone, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob, PredictedModel, PredictedUnits, ReportJob,
+    SimulateJob, Simulated, TableTo, TestJob, ValidateJob,
 };
 pub use memory::is_there as memory_is_there;
 pub use model::read as read_model;
-pub use output::{Contents, OutputError, abandon};
+pub use output::{FileContents, OutputError, abandon};
 pub use plan::plan;
 pub use plot::plot;
 pub use predict::predict;
@@ -94,5 +94,5 @@ pub use test::test;
 pub use truth::error::TruthError;
 pub use truth::fit_record;
 pub use validate::validate;
-pub use work::{Share, Unwatched, Watch};
+pub use work::{JobWatch, Share, Unwatched};
 pub use write::{save, save_text};

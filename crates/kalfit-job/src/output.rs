@@ -31,7 +31,7 @@ pub enum OutputError {
         /// The file.
         path: PathBuf,
         /// What would be written.
-        contents: Contents,
+        contents: FileContents,
         /// The option that names it.
         option: &'static str,
     },
@@ -79,8 +79,10 @@ impl OutputError {
             OutputError::Ending { option: "--report", .. } => {
                 Some("name it `.html`: `--report` takes a file for the page, `--out` one for the results, as JSON")
             }
-            OutputError::Ending { contents: Contents::Figure, .. } => Some("name it `.svg` or `.png`"),
-            OutputError::Ending { contents: Contents::Page, .. } => Some("name it `.html`: it is a page for a browser"),
+            OutputError::Ending { contents: FileContents::Figure, .. } => Some("name it `.svg` or `.png`"),
+            OutputError::Ending { contents: FileContents::Page, .. } => {
+                Some("name it `.html`: it is a page for a browser")
+            }
             OutputError::Ending { option: "--as", .. } => Some(
                 "the endings are `.json`, `.npz`, `.mat`, `.h` and `.py`: give the file that of its format, or leave `--as` out",
             ),
@@ -99,7 +101,7 @@ impl OutputError {
 
 /// What a file will hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Contents {
+pub enum FileContents {
     /// Results.
     Json,
     /// A report.
@@ -116,21 +118,21 @@ pub enum Contents {
     Figure,
 }
 
-impl std::fmt::Display for Contents {
+impl std::fmt::Display for FileContents {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
-            Contents::Json => "JSON",
-            Contents::Page => "a page of HTML",
-            Contents::Npz => "arrays of numpy",
-            Contents::Mat => "variables of Matlab",
-            Contents::Header => "a header for C",
-            Contents::Module => "a module of Python",
-            Contents::Figure => "a figure",
+            FileContents::Json => "JSON",
+            FileContents::Page => "a page of HTML",
+            FileContents::Npz => "arrays of numpy",
+            FileContents::Mat => "variables of Matlab",
+            FileContents::Header => "a header for C",
+            FileContents::Module => "a module of Python",
+            FileContents::Figure => "a figure",
         })
     }
 }
 
-impl Contents {
+impl FileContents {
     /// A name may have any ending but that of another kind of file which the program reads or writes.
     fn suits(self, path: &Path) -> bool {
         const KINDS: [&str; 17] = [
@@ -138,13 +140,13 @@ impl Contents {
             "py", "svg", "png",
         ];
         let own: &[&str] = match self {
-            Contents::Json => &["json"],
-            Contents::Page => &["html", "htm"],
-            Contents::Npz => &["npz"],
-            Contents::Mat => &["mat"],
-            Contents::Header => &["h", "hh", "hpp"],
-            Contents::Module => &["py"],
-            Contents::Figure => &["svg", "png"],
+            FileContents::Json => &["json"],
+            FileContents::Page => &["html", "htm"],
+            FileContents::Npz => &["npz"],
+            FileContents::Mat => &["mat"],
+            FileContents::Header => &["h", "hh", "hpp"],
+            FileContents::Module => &["py"],
+            FileContents::Figure => &["svg", "png"],
         };
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
         ending.is_none_or(|ending| own.contains(&ending.as_str()) || !KINDS.contains(&ending.as_str()))
@@ -153,7 +155,7 @@ impl Contents {
 
 /// A place to write to that was found sound before the work began.
 #[derive(Debug)]
-pub(crate) struct Output {
+pub(crate) struct OutputFile {
     /// As the user named it.
     named: PathBuf,
     /// With links followed, so that a link stays a link.
@@ -161,9 +163,9 @@ pub(crate) struct Output {
     folder: PathBuf,
 }
 
-impl Output {
+impl OutputFile {
     /// Checks that a file of this name can be written and is not among the inputs.
-    pub(crate) fn prepare(path: &Path, inputs: &[&Path]) -> Result<Output, OutputError> {
+    pub(crate) fn prepare(path: &Path, inputs: &[&Path]) -> Result<OutputFile, OutputError> {
         let not_a_file = |found| OutputError::NotAFile { path: path.to_owned(), found };
         if path.as_os_str().is_empty() || path == Path::new("-") || path.file_name().is_none() {
             return Err(not_a_file("not a file name"));
@@ -188,24 +190,24 @@ impl Output {
             let found = if folder.exists() { "is not a folder" } else { "does not exist" };
             return Err(OutputError::NoFolder { folder, found });
         }
-        let output = Output { named: path.to_owned(), target, folder };
+        let output = OutputFile { named: path.to_owned(), target, folder };
         output.temporary()?; // gone again at once: better to fail before hours of work than after
         Ok(output)
     }
 
     /// A file for results, where one is named.
-    pub(crate) fn results(path: Option<&Path>, inputs: &[&Path]) -> Result<Option<Output>, OutputError> {
-        Output::prepare_for(("--out", Contents::Json), path, inputs)
+    pub(crate) fn results(path: Option<&Path>, inputs: &[&Path]) -> Result<Option<OutputFile>, OutputError> {
+        OutputFile::prepare_for(("--out", FileContents::Json), path, inputs)
     }
 
     /// As [`Output::prepare`], for these contents under this option: a name that says otherwise is refused.
     pub(crate) fn prepare_for(
-        (option, contents): (&'static str, Contents),
+        (option, contents): (&'static str, FileContents),
         path: Option<&Path>,
         inputs: &[&Path],
-    ) -> Result<Option<Output>, OutputError> {
+    ) -> Result<Option<OutputFile>, OutputError> {
         let Some(path) = path else { return Ok(None) };
-        let output = Output::prepare(path, inputs)?;
+        let output = OutputFile::prepare(path, inputs)?;
         if contents.suits(path) {
             Ok(Some(output))
         } else {
@@ -214,7 +216,7 @@ impl Output {
     }
 
     /// Refuses two outputs in one place.
-    pub(crate) fn refuse_same(&self, other: Option<&Output>) -> Result<(), OutputError> {
+    pub(crate) fn refuse_same(&self, other: Option<&OutputFile>) -> Result<(), OutputError> {
         match other {
             Some(other) if self.is_same(other) => Err(OutputError::Twice { path: other.named.clone() }),
             _ => Ok(()),
@@ -259,17 +261,18 @@ impl Output {
     }
 
     /// A file beside the target, to be moved into place when it is whole.
-    pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
-        Ok(Pending(Place::Beside(self, self.temporary()?)))
+    pub(crate) fn begin(&self) -> Result<PendingFile<'_>, OutputError> {
+        Ok(PendingFile(PendingPlace::Beside(self, self.temporary()?)))
     }
 
     /// True when both would be one file.
-    fn is_same(&self, other: &Output) -> bool {
-        let place = |output: &Output| Some((output.folder.canonicalize().ok()?, output.target.file_name()?.to_owned()));
+    fn is_same(&self, other: &OutputFile) -> bool {
+        let place =
+            |output: &OutputFile| Some((output.folder.canonicalize().ok()?, output.target.file_name()?.to_owned()));
         place(self) == place(other)
     }
 
-    fn temporary(&self) -> Result<Temporary, OutputError> {
+    fn temporary(&self) -> Result<TemporaryFile, OutputError> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(".kalfit-").suffix(".tmp");
         #[cfg(unix)]
@@ -281,7 +284,7 @@ impl Output {
         let mut known = TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner); // before there is a file
         let file = builder.tempfile_in(&self.folder).map_err(|source| self.io(source))?;
         known.insert(file.path().to_owned());
-        Ok(Temporary { path: file.path().to_owned(), file: Some(file) })
+        Ok(TemporaryFile { path: file.path().to_owned(), file: Some(file) })
     }
 
     fn io(&self, source: std::io::Error) -> OutputError {
@@ -332,13 +335,13 @@ pub fn abandon() {
 
 /// A temporary file that is known until it is gone or in its place.
 #[derive(Debug)]
-struct Temporary {
+struct TemporaryFile {
     path: PathBuf,
     /// None once it is in its place.
     file: Option<tempfile::NamedTempFile>,
 }
 
-impl Temporary {
+impl TemporaryFile {
     fn file(&self) -> &std::fs::File {
         self.file.as_ref().expect("it is not in its place yet").as_file()
     }
@@ -349,7 +352,7 @@ impl Temporary {
     }
 }
 
-impl Drop for Temporary {
+impl Drop for TemporaryFile {
     fn drop(&mut self) {
         self.file = None;
         TEMPORARY.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.path);
@@ -358,42 +361,42 @@ impl Drop for Temporary {
 
 /// Where a table goes.
 #[derive(Debug)]
-pub(crate) enum Target {
+pub(crate) enum OutputTarget {
     /// Into a file with a name.
-    Named(Output),
+    Named(OutputFile),
     /// Into a file without one, to be handed back.
     Nameless,
 }
 
-impl Target {
+impl OutputTarget {
     /// As [`Output::prepare`], where there is a name.
-    pub(crate) fn prepare(path: Option<&Path>, inputs: &[&Path]) -> Result<Target, OutputError> {
-        path.map_or(Ok(Target::Nameless), |path| Ok(Target::Named(Output::prepare(path, inputs)?)))
+    pub(crate) fn prepare(path: Option<&Path>, inputs: &[&Path]) -> Result<OutputTarget, OutputError> {
+        path.map_or(Ok(OutputTarget::Nameless), |path| Ok(OutputTarget::Named(OutputFile::prepare(path, inputs)?)))
     }
 
     /// Refuses two outputs in one place.
-    pub(crate) fn refuse_same(&self, other: Option<&Output>) -> Result<(), OutputError> {
+    pub(crate) fn refuse_same(&self, other: Option<&OutputFile>) -> Result<(), OutputError> {
         match self {
-            Target::Named(output) => output.refuse_same(other),
-            Target::Nameless => Ok(()),
+            OutputTarget::Named(output) => output.refuse_same(other),
+            OutputTarget::Nameless => Ok(()),
         }
     }
 
     /// Its name as the user gave it.
     pub(crate) fn name(&self) -> Option<String> {
         match self {
-            Target::Named(output) => Some(output.name()),
-            Target::Nameless => None,
+            OutputTarget::Named(output) => Some(output.name()),
+            OutputTarget::Nameless => None,
         }
     }
 
     /// A file to write to.
-    pub(crate) fn begin(&self) -> Result<Pending<'_>, OutputError> {
+    pub(crate) fn begin(&self) -> Result<PendingFile<'_>, OutputError> {
         match self {
-            Target::Named(output) => output.begin(),
-            Target::Nameless => {
+            OutputTarget::Named(output) => output.begin(),
+            OutputTarget::Nameless => {
                 let file = tempfile::tempfile().map_err(|source| OutputError::Temporary { source })?;
-                Ok(Pending(Place::Nameless(file)))
+                Ok(PendingFile(PendingPlace::Nameless(file)))
             }
         }
     }
@@ -401,36 +404,36 @@ impl Target {
 
 /// A file that is being written; it is gone again unless it is finished.
 #[derive(Debug)]
-pub(crate) struct Pending<'a>(Place<'a>);
+pub(crate) struct PendingFile<'a>(PendingPlace<'a>);
 
 #[derive(Debug)]
-enum Place<'a> {
-    Beside(&'a Output, Temporary),
+enum PendingPlace<'a> {
+    Beside(&'a OutputFile, TemporaryFile),
     Nameless(std::fs::File),
 }
 
-impl Pending<'_> {
+impl PendingFile<'_> {
     /// What the user named.
     pub(crate) fn name(&self) -> String {
         match &self.0 {
-            Place::Beside(output, _) => output.name(),
-            Place::Nameless(_) => "a temporary file".to_owned(),
+            PendingPlace::Beside(output, _) => output.name(),
+            PendingPlace::Nameless(_) => "a temporary file".to_owned(),
         }
     }
 
     /// Where to write.
     pub(crate) fn file(&self) -> &std::fs::File {
         match &self.0 {
-            Place::Beside(_, temporary) => temporary.file(),
-            Place::Nameless(file) => file,
+            PendingPlace::Beside(_, temporary) => temporary.file(),
+            PendingPlace::Nameless(file) => file,
         }
     }
 
     /// Moves it into place; the file itself when it has none.
     pub(crate) fn finish(self) -> Result<Option<std::fs::File>, OutputError> {
         let (output, file) = match self.0 {
-            Place::Beside(output, file) => (output, file),
-            Place::Nameless(file) => return Ok(Some(file)),
+            PendingPlace::Beside(output, file) => (output, file),
+            PendingPlace::Nameless(file) => return Ok(Some(file)),
         };
         file.file().sync_all().map_err(|source| output.io(source))?;
         if let Ok(old) = std::fs::metadata(&output.target) {

@@ -12,24 +12,24 @@ use kalfit_spec::Spec;
 
 use crate::evidence::stdin;
 use crate::failure::Failure;
-use crate::job::{Done, PlanJob, files};
-use crate::output::Output;
-use crate::refused::{self, Refused};
-use crate::work::{Watch, Work};
+use crate::job::{JobDone, PlanJob, files};
+use crate::output::OutputFile;
+use crate::refused::{self, SinkRefusal};
+use crate::work::{JobWatch, JobWork};
 use crate::{memory, truth};
 
 /// Expects standard errors against the number of tests.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Failure> {
+pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecord>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     memory::suffices(&spec)?;
     let arrangements = arrangements(&spec.model, job)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let used = files(&[&job.model.document, &job.from], &inputs);
-    let output = Output::results(job.out.as_deref(), &used)?;
-    let mut work = Work::new(watch);
+    let output = OutputFile::results(job.out.as_deref(), &used)?;
+    let mut work = JobWork::new(watch);
     let reductions = designs(&spec, &truth.alpha, &inputs, &mut work)?;
     let structure = Structure::of(&spec.model, &truth.alpha, None);
     let states = spec.model.estimated_names();
@@ -47,7 +47,7 @@ pub fn plan(job: &PlanJob, watch: &mut dyn Watch) -> Result<Done<PlanRecord>, Fa
     };
     let record = PlanRecord::new(&spec.model, &found, provenance);
     work.go_on()?;
-    Done::in_json(record, truth.warnings, output.as_ref())
+    JobDone::in_json(record, truth.warnings, output.as_ref())
 }
 
 /// Every number of groups of each level with every number of tests; none for a model without levels.
@@ -81,21 +81,21 @@ fn arrangements(model: &PhasedModel, job: &PlanJob) -> Result<Vec<Arrangement>, 
 }
 
 /// Reads the design and runs the covariance filters over it: what was measured is not looked at.
-fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut Work<'_>) -> Result<Reductions, Failure> {
-    struct Designing<'a, 'w> {
+fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut JobWork<'_>) -> Result<Reductions, Failure> {
+    struct DesignReducer<'a, 'w> {
         model: &'a PhasedModel,
         reducer: PhasedReducer,
         reductions: Reductions,
-        work: &'a mut Work<'w>,
+        work: &'a mut JobWork<'w>,
     }
-    impl TestSink for Designing<'_, '_> {
-        type Error = Refused;
+    impl TestSink for DesignReducer<'_, '_> {
+        type Error = SinkRefusal;
 
-        fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
-            Refused::unless_stopped(self.work)?;
-            let split = |test| self.model.split(test, labels).map_err(Refused::Split);
+        fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SinkRefusal> {
+            SinkRefusal::unless_stopped(self.work)?;
+            let split = |test| self.model.split(test, labels).map_err(SinkRefusal::Split);
             let tests = tests.into_iter().map(split).collect::<Result<Vec<_>, _>>()?;
-            self.reductions.append(self.reducer.reduce_designs(&tests).map_err(Refused::Reduce)?);
+            self.reductions.append(self.reducer.reduce_designs(&tests).map_err(SinkRefusal::Reduce)?);
             let done = self.reductions.len();
             self.work.say(|| format!("reading: {done} tests"));
             Ok(())
@@ -106,7 +106,7 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut Work<'_>) ->
         }
     }
     let reducer = PhasedReducer::new(&spec.model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
-    let mut sink = Designing { model: &spec.model, reducer, reductions: Reductions::new(), work };
+    let mut sink = DesignReducer { model: &spec.model, reducer, reductions: Reductions::new(), work };
     kalfit_data::read_from(&spec.model, &spec.layout, inputs, &mut sink, &mut stdin(inputs))
         .map_err(|error| refused::failure(error, spec))?;
     Ok(sink.reductions)

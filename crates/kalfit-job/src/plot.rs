@@ -7,19 +7,19 @@ use kalfit::along::along;
 use kalfit::record::AlongRecord;
 use kalfit_report::{PlotFormat, PlotKind};
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{Done, PlotJob, files};
-use crate::output::{Contents, Output, OutputError};
+use crate::job::{JobDone, PlotJob, files};
+use crate::output::{FileContents, OutputError, OutputFile};
 use crate::results::{FIT, read};
-use crate::work::{Watch, Work};
+use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
 
 /// Draws a figure of a fit from its results; along records with the model and the data, too.
 ///
 /// # Errors
 /// Bad input, or nothing to draw.
-pub fn plot(job: &PlotJob, watch: &mut dyn Watch) -> Result<Done<()>, Failure> {
+pub fn plot(job: &PlotJob, watch: &mut dyn JobWatch) -> Result<JobDone<()>, Failure> {
     let (output, format) = prepared(job, &files(&[&job.fit], &[]))?;
     let shown = |record: &FitRecord, along: Option<&AlongRecord>| {
         let chosen = (along, job.test.as_deref());
@@ -28,10 +28,10 @@ pub fn plot(job: &PlotJob, watch: &mut dyn Watch) -> Result<Done<()>, Failure> {
     let (figure, notes) = match (job.what, &job.model) {
         (PlotKind::Records, Some(model)) => {
             let (mut spec, truth) = truth::load(model, &job.fit)?;
-            let given = Given::open(&mut spec, &job.data)?;
+            let given = CommandInputs::open(&mut spec, &job.data)?;
             prepared(job, &files(&[&model.document, &job.fit], &given.inputs))?;
             let record = truth.record.ok_or(Failure::PlotOfModel)?;
-            let mut work = Work::new(watch);
+            let mut work = JobWork::new(watch);
             let (read, _) = tests::read(&spec, &given, &mut work)?;
             let known = spec.model.shared().clock.time.is_some().then(|| {
                 along((&spec.model, &truth.alpha, &truth.population), &read, &record, &mut |_| !work.is_stopped())
@@ -44,19 +44,19 @@ pub fn plot(job: &PlotJob, watch: &mut dyn Watch) -> Result<Done<()>, Failure> {
         _ => (shown(&read(&job.fit, FIT).map_err(|error| Failure::Report(Box::new(error)))?, None)?, Vec::new()),
     };
     output.write_bytes(&figure)?;
-    Ok(Done::new((), notes, vec![output.name()]))
+    Ok(JobDone::new((), notes, vec![output.name()]))
 }
 
 /// The file, and its format, which its ending says.
-fn prepared(job: &PlotJob, inputs: &[&Path]) -> Result<(Output, PlotFormat), Failure> {
+fn prepared(job: &PlotJob, inputs: &[&Path]) -> Result<(OutputFile, PlotFormat), Failure> {
     let ending = job.out.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     let format = match ending.as_deref() {
         Some("svg") => PlotFormat::Svg,
         Some("png") => PlotFormat::Png,
         _ => {
             let (path, option) = (job.out.clone(), "--out");
-            return Err(OutputError::Ending { path, contents: Contents::Figure, option }.into());
+            return Err(OutputError::Ending { path, contents: FileContents::Figure, option }.into());
         }
     };
-    Ok((Output::prepare(&job.out, inputs)?, format))
+    Ok((OutputFile::prepare(&job.out, inputs)?, format))
 }

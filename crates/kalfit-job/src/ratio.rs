@@ -14,12 +14,12 @@ use kalfit::{Labels, Model, PhasedModel, PhasedTest};
 use kalfit_data::DataReading;
 use kalfit_spec::{Hypothesis, Spec};
 
-use crate::dynamic::{Data, failure};
-use crate::evidence::Given;
+use crate::dynamic::{SearchData, failure};
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
 use crate::hypothesis::{each, with_covariance, with_mean, with_parameters};
 use crate::job::TestJob;
-use crate::work::Work;
+use crate::work::JobWork;
 use crate::{known, reductions, tests};
 
 /// A search that ended below the hypothesis is made again with so many random starts.
@@ -29,9 +29,9 @@ const STARTS: usize = 8;
 pub(crate) fn test(
     job: &TestJob,
     (spec, hypothesis): (&Spec, &Hypothesis),
-    given: &Given,
+    given: &CommandInputs,
     provenance: RatioProvenance,
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) -> Result<RatioRecord, Failure> {
     let null = &hypothesis.model;
     // labels are numbered by the texts that both name
@@ -52,7 +52,7 @@ pub(crate) fn test(
         return known::test(job, (spec, hypothesis), (&alpha, &reductions, grouping.as_ref()), provenance, work);
     }
     let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
-    let bench = Bench { wide: &wide, null, tests: &tests, reading: &reading, settings };
+    let bench = RatioTest { wide: &wide, null, tests: &tests, reading: &reading, settings };
     let narrow = bench.fit(null, work)?;
     let full = bench.at_least(bench.fit(&wide, work)?, &narrow, work)?;
     let ratio = bench.ratio((null, &narrow), &full)?;
@@ -91,7 +91,7 @@ fn parts_of<'a>(
 }
 
 /// What all fits of a test share.
-struct Bench<'a> {
+struct RatioTest<'a> {
     wide: &'a PhasedModel,
     null: &'a PhasedModel,
     tests: &'a [PhasedTest],
@@ -99,13 +99,18 @@ struct Bench<'a> {
     settings: Settings,
 }
 
-impl Bench<'_> {
-    fn fit_with(&self, model: &PhasedModel, settings: &Settings, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+impl RatioTest<'_> {
+    fn fit_with(
+        &self,
+        model: &PhasedModel,
+        settings: &Settings,
+        work: &mut JobWork<'_>,
+    ) -> Result<DynamicFit, Failure> {
         work.go_on()?;
-        Data { model, tests: self.tests, reading: self.reading }.fit(settings, work)
+        SearchData { model, tests: self.tests, reading: self.reading }.fit(settings, work)
     }
 
-    fn fit(&self, model: &PhasedModel, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+    fn fit(&self, model: &PhasedModel, work: &mut JobWork<'_>) -> Result<DynamicFit, Failure> {
         self.fit_with(model, &self.settings, work)
     }
 
@@ -115,7 +120,7 @@ impl Bench<'_> {
     }
 
     /// The model fitted again, from the hypothesis and from elsewhere, when the hypothesis has the higher likelihood.
-    fn at_least(&self, full: DynamicFit, narrow: &DynamicFit, work: &mut Work<'_>) -> Result<DynamicFit, Failure> {
+    fn at_least(&self, full: DynamicFit, narrow: &DynamicFit, work: &mut JobWork<'_>) -> Result<DynamicFit, Failure> {
         let (found, least) = (full.estimate.log_likelihood, narrow.estimate.log_likelihood);
         if found >= least - 1e-9 * least.abs().max(1.0) {
             return Ok(full);
@@ -130,7 +135,7 @@ impl Bench<'_> {
     }
 
     /// A hypothesis on more than one of μ, Σ and α, each by itself.
-    fn parts(&self, full: &DynamicFit, work: &mut Work<'_>) -> Result<Vec<PartRecord>, Failure> {
+    fn parts(&self, full: &DynamicFit, work: &mut JobWork<'_>) -> Result<Vec<PartRecord>, Failure> {
         let (wide, null) = (self.wide, self.null);
         let parts = [
             ("mean", with_mean(wide, null)),

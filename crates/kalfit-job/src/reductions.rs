@@ -6,39 +6,39 @@ use kalfit::{Alpha, Labels, PhasedModel, PhasedTest, Reductions, Test};
 use kalfit_data::{DataReading, TestSink};
 use kalfit_spec::Spec;
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::innovations::{Kept, KeptTests};
-use crate::refused::{self, Refused};
-use crate::work::Work;
+use crate::innovations::{KeptData, KeptTests};
+use crate::refused::{self, SinkRefusal};
+use crate::work::JobWork;
 
 /// Sees every test, and nothing when all are to be forgotten.
-type Counted<'a> = &'a mut dyn FnMut(Option<&PhasedTest>);
+type TestObserver<'a> = &'a mut dyn FnMut(Option<&PhasedTest>);
 
-struct Reducing<'a, 'w> {
+struct ReducingSink<'a, 'w> {
     model: &'a PhasedModel,
     reducer: PhasedReducer,
     reductions: Reductions,
     kept: &'a mut KeptTests,
     groups: Option<&'a mut TestGroups>,
-    counted: Counted<'a>,
-    work: &'a mut Work<'w>,
+    counted: TestObserver<'a>,
+    work: &'a mut JobWork<'w>,
 }
 
-impl TestSink for Reducing<'_, '_> {
-    type Error = Refused;
+impl TestSink for ReducingSink<'_, '_> {
+    type Error = SinkRefusal;
 
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
-        Refused::unless_stopped(self.work)?;
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SinkRefusal> {
+        SinkRefusal::unless_stopped(self.work)?;
         let tests: Vec<PhasedTest> = tests
             .into_iter()
             .map(|test| self.model.split(test, labels))
             .collect::<Result<_, _>>()
-            .map_err(Refused::Split)?;
-        self.reductions.append(self.reducer.reduce(&tests).map_err(Refused::Reduce)?);
+            .map_err(SinkRefusal::Split)?;
+        self.reductions.append(self.reducer.reduce(&tests).map_err(SinkRefusal::Reduce)?);
         tests.iter().for_each(|test| (self.counted)(Some(test)));
         if let Some(groups) = &mut self.groups {
-            groups.take(&tests, labels).map_err(Refused::Group)?;
+            groups.take(&tests, labels).map_err(SinkRefusal::Group)?;
         }
         self.kept.take(tests);
         let done = self.reductions.len();
@@ -46,8 +46,8 @@ impl TestSink for Reducing<'_, '_> {
         Ok(())
     }
 
-    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
-        Refused::unless_stopped_at(self.work, done, of)
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), SinkRefusal> {
+        SinkRefusal::unless_stopped_at(self.work, done, of)
     }
 
     fn restart(&mut self) {
@@ -65,20 +65,20 @@ impl TestSink for Reducing<'_, '_> {
 pub(crate) fn reduce(
     spec: &Spec,
     alpha: &Alpha,
-    given: &Given,
-    work: &mut Work<'_>,
-    counted: Counted<'_>,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+    counted: TestObserver<'_>,
 ) -> Result<Reductions, Failure> {
-    read(spec, alpha, given, (work, counted), &mut Kept::nothing())
+    read(spec, alpha, given, (work, counted), &mut KeptData::nothing())
 }
 
 /// [`reduce`], keeping what a second look at the data takes.
 pub(crate) fn reduce_keeping(
     spec: &Spec,
     alpha: &Alpha,
-    given: &Given,
-    work: &mut Work<'_>,
-    kept: &mut Kept,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+    kept: &mut KeptData,
 ) -> Result<Reductions, Failure> {
     read(spec, alpha, given, (work, &mut |_| ()), kept)
 }
@@ -86,9 +86,9 @@ pub(crate) fn reduce_keeping(
 fn read(
     spec: &Spec,
     alpha: &Alpha,
-    given: &Given,
-    (work, counted): (&mut Work<'_>, Counted<'_>),
-    kept: &mut Kept,
+    given: &CommandInputs,
+    (work, counted): (&mut JobWork<'_>, TestObserver<'_>),
+    kept: &mut KeptData,
 ) -> Result<Reductions, Failure> {
     let model = &spec.model;
     if !given.is_rows() {
@@ -98,9 +98,16 @@ fn read(
     }
     let reducer = PhasedReducer::new(model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
     let mut stdin = given.stdin();
-    let Kept { tests, copy, groups } = kept;
-    let mut sink =
-        Reducing { model, reducer, reductions: Reductions::new(), kept: tests, groups: groups.as_mut(), counted, work };
+    let KeptData { tests, copy, groups } = kept;
+    let mut sink = ReducingSink {
+        model,
+        reducer,
+        reductions: Reductions::new(),
+        kept: tests,
+        groups: groups.as_mut(),
+        counted,
+        work,
+    };
     let mut stdin = copy.copying(&mut stdin);
     kalfit_data::read_from(model, &spec.layout, &given.inputs, &mut sink, &mut stdin)
         .map_err(|error| refused::failure(error, spec))?;
@@ -115,7 +122,7 @@ pub(crate) fn of_all(
     model: &PhasedModel,
     alpha: &Alpha,
     (tests, reading): (&[PhasedTest], &DataReading),
-    work: &mut Work<'_>,
+    work: &mut JobWork<'_>,
 ) -> Result<Reductions, Failure> {
     let failed = |error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) };
     let mut reducer = PhasedReducer::new(model, alpha).map_err(failed)?;

@@ -8,10 +8,10 @@ use kalfit_data::{DataReading, ReadError};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// Why what takes tests in refused them.
-pub(crate) enum Refused {
+pub(crate) enum SinkRefusal {
     Split(SplitError),
     Reduce(ReduceError),
     Group(MixedGroup),
@@ -19,27 +19,29 @@ pub(crate) enum Refused {
     Interrupted,
 }
 
-impl Refused {
+impl SinkRefusal {
     /// Goes on reading, if somebody still waits.
-    pub(crate) fn unless_stopped(work: &Work<'_>) -> Result<(), Refused> {
-        if work.is_stopped() { Err(Refused::Interrupted) } else { Ok(()) }
+    pub(crate) fn unless_stopped(work: &JobWork<'_>) -> Result<(), SinkRefusal> {
+        if work.is_stopped() { Err(SinkRefusal::Interrupted) } else { Ok(()) }
     }
 
     /// As [`Refused::unless_stopped`], saying how far the reading is.
-    pub(crate) fn unless_stopped_at(work: &mut Work<'_>, done: u64, of: Option<u64>) -> Result<(), Refused> {
+    pub(crate) fn unless_stopped_at(work: &mut JobWork<'_>, done: u64, of: Option<u64>) -> Result<(), SinkRefusal> {
         of.into_iter().for_each(|of| work.share("reading", done, of));
-        Refused::unless_stopped(work)
+        SinkRefusal::unless_stopped(work)
     }
 }
 
 /// A reading that ended early.
-pub(crate) fn failure(error: ReadError<Refused>, spec: &Spec) -> Failure {
+pub(crate) fn failure(error: ReadError<SinkRefusal>, spec: &Spec) -> Failure {
     match error {
         ReadError::Data(error) => Failure::data(error, spec),
-        ReadError::Sink { error: Refused::Split(error), reading } => Failure::Split { error, reading },
-        ReadError::Sink { error: Refused::Reduce(error), reading } => Failure::Reduce { error, reading: Some(reading) },
-        ReadError::Sink { error: Refused::Group(error), .. } => Failure::MixedGroup(error),
-        ReadError::Sink { error: Refused::Interrupted, .. } => Failure::Interrupted,
+        ReadError::Sink { error: SinkRefusal::Split(error), reading } => Failure::Split { error, reading },
+        ReadError::Sink { error: SinkRefusal::Reduce(error), reading } => {
+            Failure::Reduce { error, reading: Some(reading) }
+        }
+        ReadError::Sink { error: SinkRefusal::Group(error), .. } => Failure::MixedGroup(error),
+        ReadError::Sink { error: SinkRefusal::Interrupted, .. } => Failure::Interrupted,
     }
 }
 

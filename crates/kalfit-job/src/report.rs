@@ -7,17 +7,17 @@ use kalfit::record::RatioRecord;
 
 use crate::document::Document;
 use crate::failure::Failure;
-use crate::job::{Done, ReportJob};
-use crate::output::{Contents, Output, OutputError};
+use crate::job::{JobDone, ReportJob};
+use crate::output::{FileContents, OutputError, OutputFile};
 use crate::results::{FIT, ResultError, TEST, read};
 
 /// Makes the page of a fit from its results: the same as that of the fit itself. It is handed back when no file is named.
 ///
 /// # Errors
 /// Files that cannot be read, or have no such results in them, or cannot be written.
-pub fn report(job: &ReportJob) -> Result<Done<String>, Failure> {
+pub fn report(job: &ReportJob) -> Result<JobDone<String>, Failure> {
     let named: Vec<&Path> = std::iter::once(&job.fit).chain(&job.test).filter_map(Document::path).collect();
-    let output = Output::prepare_for(("--out", Contents::Page), job.out.as_deref(), &named)?;
+    let output = OutputFile::prepare_for(("--out", FileContents::Page), job.out.as_deref(), &named)?;
     let record: FitRecord = read(&job.fit, FIT).map_err(failure)?;
     let page = match &job.test {
         None => kalfit_report::html(&record),
@@ -29,11 +29,11 @@ pub fn report(job: &ReportJob) -> Result<Done<String>, Failure> {
     if let Some(output) = &output {
         write(output, &page)?;
     }
-    Ok(Done::new(page, Vec::new(), output.iter().map(Output::name).collect()))
+    Ok(JobDone::new(page, Vec::new(), output.iter().map(OutputFile::name).collect()))
 }
 
 /// Writes a page, whole or not at all.
-pub(crate) fn write(output: &Output, page: &str) -> Result<(), OutputError> {
+pub(crate) fn write(output: &OutputFile, page: &str) -> Result<(), OutputError> {
     output.write_bytes(page.as_bytes())
 }
 

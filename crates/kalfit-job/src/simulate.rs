@@ -9,11 +9,11 @@ use kalfit::simulate::{Designs, Drawn, Simulator};
 use kalfit_data::{DataReading, Input, StateWriter, TableFormat, TestWriter, WriteError, WrittenIds, added_id_column};
 use kalfit_spec::Spec;
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{Done, SimulateJob, Simulated, files};
-use crate::output::{Output, Pending, Target};
-use crate::work::{Watch, Work};
+use crate::job::{JobDone, SimulateJob, Simulated, files};
+use crate::output::{OutputFile, OutputTarget, PendingFile};
+use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
 
 /// Tests are drawn this many at a time, or fewer if they have many rows.
@@ -24,7 +24,7 @@ const BATCH_ROWS: u64 = 200_000;
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulated>, Failure> {
+pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<Simulated>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let format = match &job.out {
@@ -32,41 +32,41 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn Watch) -> Result<Done<Simulat
         None => TableFormat::Arrow,
     };
     let used = files(&[&job.model.document, &job.from], &inputs);
-    let output = Target::prepare(job.out.as_deref(), &used)?;
-    let states = job.states.as_deref().map(|path| Output::prepare(path, &used)).transpose()?;
+    let output = OutputTarget::prepare(job.out.as_deref(), &used)?;
+    let states = job.states.as_deref().map(|path| OutputFile::prepare(path, &used)).transpose()?;
     output.refuse_same(states.as_ref())?;
-    let mut work = Work::new(watch);
+    let mut work = JobWork::new(watch);
     let refused = |error, reading| Failure::Simulate { error: Box::new(error), reading };
     let simulator = Simulator::new(&spec.model, &truth.alpha, truth.population.clone(), job.seed)
         .map_err(|error| refused(error, None))?;
-    let (tests, reading) = tests::read(&spec, &Given::rows_of(inputs), &mut work)?;
+    let (tests, reading) = tests::read(&spec, &CommandInputs::rows_of(inputs), &mut work)?;
     let designs = Designs::of(&spec.model, tests).map_err(|error| refused(error, None))?;
     let count = job.tests.unwrap_or(designs.tests().len() as u64);
     if count > designs.tests().len() as u64 && !spec.model.levels.is_empty() {
         return Err(Failure::MoreThanDesign { found: count, expected: designs.tests().len() as u64 });
     }
     let ids = if count > designs.tests().len() as u64 { WrittenIds::New } else { WrittenIds::Same };
-    let task = Task { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
-    let Written { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;
+    let task = SimulationTask { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
+    let WrittenEnsemble { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;
     let added = added_id_column(spec.model.shared(), &spec.layout, ids);
     let states = states.map(|states| states.name());
     let state_names = spec.model.estimated_names();
     let record = Simulated { tests: count, rows, states, added, table, initial, state_names };
-    Ok(Done::new(record, truth.warnings, output.name().into_iter().collect()))
+    Ok(JobDone::new(record, truth.warnings, output.name().into_iter().collect()))
 }
 
 /// Ids of tests and their true initial states.
-type Initial = Vec<(String, Vec<f64>)>;
+type TrueStates = Vec<(String, Vec<f64>)>;
 
 /// What was written.
-struct Written {
+struct WrittenEnsemble {
     rows: u64,
     table: Option<File>,
-    initial: Initial,
+    initial: TrueStates,
 }
 
 /// All that a drawn file depends on.
-struct Task<'a> {
+struct SimulationTask<'a> {
     spec: &'a Spec,
     simulator: &'a Simulator,
     designs: &'a Designs,
@@ -76,29 +76,29 @@ struct Task<'a> {
     ids: WrittenIds,
 }
 
-impl Task<'_> {
+impl SimulationTask<'_> {
     /// Draws and writes; nothing is in place before all is written. The number of rows.
     fn write(
         &self,
-        (output, format): (&Target, TableFormat),
-        states: Option<&Output>,
-        work: &mut Work<'_>,
-    ) -> Result<Written, Failure> {
+        (output, format): (&OutputTarget, TableFormat),
+        states: Option<&OutputFile>,
+        work: &mut JobWork<'_>,
+    ) -> Result<WrittenEnsemble, Failure> {
         let data_file = output.begin()?;
-        let states_file = states.map(Output::begin).transpose()?;
+        let states_file = states.map(OutputFile::begin).transpose()?;
         let mut initial = Vec::new();
-        let keep = matches!(output, Target::Nameless).then_some(&mut initial);
+        let keep = matches!(output, OutputTarget::Nameless).then_some(&mut initial);
         let rows = self.fill((&data_file, format), (states_file.as_ref(), keep), work)?;
         let table = data_file.finish()?;
-        states_file.map(Pending::finish).transpose()?;
-        Ok(Written { rows, table, initial })
+        states_file.map(PendingFile::finish).transpose()?;
+        Ok(WrittenEnsemble { rows, table, initial })
     }
 
     fn fill(
         &self,
-        (data, format): (&Pending<'_>, TableFormat),
-        (states, mut keep): (Option<&Pending<'_>>, Option<&mut Initial>),
-        work: &mut Work<'_>,
+        (data, format): (&PendingFile<'_>, TableFormat),
+        (states, mut keep): (Option<&PendingFile<'_>>, Option<&mut TrueStates>),
+        work: &mut JobWork<'_>,
     ) -> Result<u64, Failure> {
         let spec = self.spec;
         let in_data = |error: WriteError| failed(error, data.name());
@@ -159,7 +159,7 @@ struct StateTable<'a> {
 }
 
 impl<'a> StateTable<'a> {
-    fn new(pending: &'a Pending<'_>, states: &[String]) -> Result<StateTable<'a>, Failure> {
+    fn new(pending: &'a PendingFile<'_>, states: &[String]) -> Result<StateTable<'a>, Failure> {
         let path = pending.name();
         let writer = StateWriter::new(BufWriter::new(pending.file()), states);
         let writer = writer.map_err(|error| failed(error, path.clone()))?;

@@ -8,18 +8,18 @@ use kalfit_data::{CellKind, TableFormat, TableWriter, WriteError};
 
 use crate::failure::Failure;
 use crate::job::TableTo;
-use crate::output::{Pending, Target};
+use crate::output::{OutputTarget, PendingFile};
 
 /// A table that will be written.
-pub(crate) struct Table {
-    pub(crate) target: Target,
+pub(crate) struct OutputTable {
+    pub(crate) target: OutputTarget,
     format: TableFormat,
 }
 
-pub(crate) type Writer<'a> = TableWriter<BufWriter<&'a File>>;
+pub(crate) type OutputTableWriter<'a> = TableWriter<BufWriter<&'a File>>;
 
-impl Table {
-    pub(crate) fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<Table>, Failure> {
+impl OutputTable {
+    pub(crate) fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<OutputTable>, Failure> {
         let (path, format) = match to {
             TableTo::Nowhere => return Ok(None),
             TableTo::Back => (None, TableFormat::Arrow),
@@ -28,15 +28,15 @@ impl Table {
                 (Some(path.as_path()), format)
             }
         };
-        Ok(Some(Table { target: Target::prepare(path, used)?, format }))
+        Ok(Some(OutputTable { target: OutputTarget::prepare(path, used)?, format }))
     }
 
     /// Writes it; it is in place when it is finished.
     pub(crate) fn write(
         &self,
         columns: &[(String, CellKind)],
-        rows: impl FnOnce(&mut Writer<'_>) -> Result<(), Failure>,
-    ) -> Result<Pending<'_>, Failure> {
+        rows: impl FnOnce(&mut OutputTableWriter<'_>) -> Result<(), Failure>,
+    ) -> Result<PendingFile<'_>, Failure> {
         let pending = self.target.begin()?;
         let mut writer =
             TableWriter::new(columns, self.format, BufWriter::new(pending.file())).map_err(self.failed())?;

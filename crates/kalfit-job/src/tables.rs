@@ -8,8 +8,8 @@ use kalfit_data::{CellKind, TableCell};
 
 use crate::failure::Failure;
 use crate::job::TableTo;
-use crate::output::Pending;
-use crate::table::Table;
+use crate::output::PendingFile;
+use crate::table::OutputTable;
 
 /// Which table of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,7 +27,7 @@ pub enum FitTable {
 /// # Errors
 /// The temporary file cannot be written.
 pub fn fit_table(record: &FitRecord, which: FitTable) -> Result<File, Failure> {
-    let table = Table::prepare(&TableTo::Back, &[])?.expect("it is handed back");
+    let table = OutputTable::prepare(&TableTo::Back, &[])?.expect("it is handed back");
     let pending = match which {
         FitTable::Tests => tests(&table, record)?,
         FitTable::Parameters => parameters(&table, record)?,
@@ -36,9 +36,9 @@ pub fn fit_table(record: &FitRecord, which: FitTable) -> Result<File, Failure> {
     Ok(pending.finish()?.expect("it has no name"))
 }
 
-type Columns = Vec<(String, CellKind)>;
+type TableColumns = Vec<(String, CellKind)>;
 
-fn columns<const N: usize>(names: [&str; N], kind: CellKind) -> Columns {
+fn columns<const N: usize>(names: [&str; N], kind: CellKind) -> TableColumns {
     names.map(|name| (name.to_owned(), kind)).to_vec()
 }
 
@@ -55,7 +55,7 @@ fn counted(n: Option<usize>) -> TableCell<'static> {
 }
 
 /// Means, spreads, correlations and dynamic parameters, a row for each number.
-pub(crate) fn parameters<'t>(table: &'t Table, record: &FitRecord) -> Result<Pending<'t>, Failure> {
+pub(crate) fn parameters<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
     let mut head =
         columns(["name", "kind", "phase", "level", "state", "other_state", "column", "unit"], CellKind::Text);
     head.extend(columns(["estimate", "std_error", "lower", "upper"], CellKind::Number));
@@ -83,7 +83,7 @@ fn quantity(own: &QuantityRecord) -> Vec<TableCell<'_>> {
 }
 
 /// What each constraint costs, a row for each constrained element.
-pub(crate) fn constraints<'t>(table: &'t Table, record: &FitRecord) -> Result<Pending<'t>, Failure> {
+pub(crate) fn constraints<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
     let mut head = columns(["element", "phase", "level"], CellKind::Text);
     let numbers = ["value", "sensitivity", "score_statistic", "p_value", "expected_change"];
     head.extend(columns(numbers, CellKind::Number));
@@ -105,8 +105,8 @@ fn constraint(own: &ConstraintRecord) -> Vec<TableCell<'_>> {
 }
 
 /// What each test says: a row for each of its phases.
-pub(crate) fn tests<'t>(table: &'t Table, record: &FitRecord) -> Result<Pending<'t>, Failure> {
-    let shape = Shape::of(record);
+pub(crate) fn tests<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
+    let shape = TestTableColumns::of(record);
     table.write(&shape.head(), |writer| {
         for test in &record.tests {
             for phase in &test.phases {
@@ -118,7 +118,7 @@ pub(crate) fn tests<'t>(table: &'t Table, record: &FitRecord) -> Result<Pending<
 }
 
 /// What the table of the tests has columns for.
-struct Shape<'a> {
+struct TestTableColumns<'a> {
     record: &'a FitRecord,
     /// Levels of groups, the outermost first, without the tests' own.
     levels: Vec<&'a str>,
@@ -148,8 +148,8 @@ const OF_TEST: [(&str, CellKind); 18] = [
     ("displacement", CellKind::Number),
 ];
 
-impl<'a> Shape<'a> {
-    fn of(record: &'a FitRecord) -> Shape<'a> {
+impl<'a> TestTableColumns<'a> {
+    fn of(record: &'a FitRecord) -> TestTableColumns<'a> {
         let own = record.levels.iter().filter(|level| level.column.is_some());
         let mut states: Vec<&str> = Vec::new();
         for state in record.phases.iter().flat_map(|phase| &phase.states) {
@@ -157,10 +157,10 @@ impl<'a> Shape<'a> {
                 states.push(state);
             }
         }
-        Shape { record, levels: own.map(|level| level.name.as_str()).collect(), states }
+        TestTableColumns { record, levels: own.map(|level| level.name.as_str()).collect(), states }
     }
 
-    fn head(&self) -> Columns {
+    fn head(&self) -> TableColumns {
         let taken = |name: &str| name == "test" || OF_TEST.iter().any(|(other, _)| *other == name);
         // two columns of one name would be one too many
         let free = |name: &str| if taken(name) { format!("level[{name}]") } else { name.to_owned() };

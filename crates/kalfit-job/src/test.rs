@@ -5,28 +5,28 @@ use kalfit::model::{Level, Parameter};
 use kalfit::record::{RatioProvenance, RatioRecord};
 use kalfit_spec::{BesideError, Hypothesis, Spec};
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{Done, TestJob, files};
-use crate::output::Output;
-use crate::work::{Watch, Work};
+use crate::job::{JobDone, TestJob, files};
+use crate::output::OutputFile;
+use crate::work::{JobWatch, JobWork};
 use crate::{known, memory, model, ratio, reductions};
 
 /// Tests a hypothesis within a model.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn test(job: &TestJob, watch: &mut dyn Watch) -> Result<Done<RatioRecord>, Failure> {
-    let mut work = Work::new(watch);
+pub fn test(job: &TestJob, watch: &mut dyn JobWatch) -> Result<JobDone<RatioRecord>, Failure> {
+    let mut work = JobWork::new(watch);
     let mut spec = model::load(&job.model, &job.data)?;
     memory::suffices(&spec)?;
-    let given = Given::open(&mut spec, &job.data)?;
+    let given = CommandInputs::open(&mut spec, &job.data)?;
     let hypothesis = hypothesis(&spec, job)?;
     let read = files(&[&job.model.document, &job.null], &given.inputs);
-    let output = Output::results(job.out.as_deref(), &read)?;
+    let output = OutputFile::results(job.out.as_deref(), &read)?;
     let record = read_and_test(job, &spec, &hypothesis, &given, &mut work)?;
     work.go_on()?;
-    Done::in_json(record, given.notes, output.as_ref())
+    JobDone::in_json(record, given.notes, output.as_ref())
 }
 
 fn hypothesis(spec: &Spec, job: &TestJob) -> Result<Hypothesis, Failure> {
@@ -42,8 +42,8 @@ fn read_and_test(
     job: &TestJob,
     spec: &Spec,
     hypothesis: &Hypothesis,
-    given: &Given,
-    work: &mut Work<'_>,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
 ) -> Result<RatioRecord, Failure> {
     let provenance = RatioProvenance {
         title: spec.model.shared().title.clone(),

@@ -4,10 +4,10 @@ use kalfit::{Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataReading, TestSink};
 use kalfit_spec::Spec;
 
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::refused::{self, Refused};
-use crate::work::Work;
+use crate::refused::{self, SinkRefusal};
+use crate::work::JobWork;
 
 /// The end of the tests that are worked on at once, from this one on: so many rows, or one test.
 pub(crate) fn batch(tests: &[PhasedTest], from: usize, most_rows: usize) -> usize {
@@ -23,24 +23,24 @@ pub(crate) fn batch(tests: &[PhasedTest], from: usize, most_rows: usize) -> usiz
 struct Keep<'a, 'w> {
     model: &'a PhasedModel,
     tests: Vec<PhasedTest>,
-    work: &'a mut Work<'w>,
+    work: &'a mut JobWork<'w>,
 }
 
 impl TestSink for Keep<'_, '_> {
-    type Error = Refused;
+    type Error = SinkRefusal;
 
-    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), Refused> {
-        Refused::unless_stopped(self.work)?;
+    fn tests(&mut self, tests: Vec<Test>, labels: &Labels) -> Result<(), SinkRefusal> {
+        SinkRefusal::unless_stopped(self.work)?;
         for test in tests {
-            self.tests.push(self.model.split(test, labels).map_err(Refused::Split)?);
+            self.tests.push(self.model.split(test, labels).map_err(SinkRefusal::Split)?);
         }
         let done = self.tests.len();
         self.work.say(|| format!("reading: {done} tests"));
         Ok(())
     }
 
-    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), Refused> {
-        Refused::unless_stopped_at(self.work, done, of)
+    fn bytes(&mut self, done: u64, of: Option<u64>) -> Result<(), SinkRefusal> {
+        SinkRefusal::unless_stopped_at(self.work, done, of)
     }
 
     fn restart(&mut self) {
@@ -49,7 +49,11 @@ impl TestSink for Keep<'_, '_> {
 }
 
 /// Reads all tests.
-pub(crate) fn read(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
+pub(crate) fn read(
+    spec: &Spec,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
+) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
     read_for(spec, &spec.model, given, work)
 }
 
@@ -57,8 +61,8 @@ pub(crate) fn read(spec: &Spec, given: &Given, work: &mut Work<'_>) -> Result<(V
 pub(crate) fn read_for(
     spec: &Spec,
     model: &PhasedModel,
-    given: &Given,
-    work: &mut Work<'_>,
+    given: &CommandInputs,
+    work: &mut JobWork<'_>,
 ) -> Result<(Vec<PhasedTest>, DataReading), Failure> {
     if !given.is_rows() {
         return given.tests(spec, model, work);

@@ -8,26 +8,26 @@ use kalfit_data::{DataReading, Input};
 use kalfit_spec::Spec;
 
 use crate::document::Document;
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{Done, FoldsOf, ModelJob, ValidateJob, files};
-use crate::output::Output;
-use crate::work::{Watch, Work};
+use crate::job::{FoldsOf, JobDone, ModelJob, ValidateJob, files};
+use crate::output::OutputFile;
+use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, groups, memory, model, refused, tests};
 
 /// Validates a model, and another one beside it.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<ValidatedRecord>, Failure> {
-    let mut work = Work::new(watch);
-    let first = Opened::new(job, &job.model)?;
+pub fn validate(job: &ValidateJob, watch: &mut dyn JobWatch) -> Result<JobDone<ValidatedRecord>, Failure> {
+    let mut work = JobWork::new(watch);
+    let first = OpenedModel::new(job, &job.model)?;
     if job.against.is_some() && first.given.inputs.contains(&Input::Stdin) {
         return Err(Failure::AgainstStdin);
     }
     let documents: Vec<_> = std::iter::once(&job.model.document).chain(&job.against).collect();
-    let output = Output::results(job.out.as_deref(), &files(&documents, &first.given.inputs))?;
-    let other = |document: &Document| Opened::new(job, &ModelJob { document: document.clone(), set: Vec::new() });
+    let output = OutputFile::results(job.out.as_deref(), &files(&documents, &first.given.inputs))?;
+    let other = |document: &Document| OpenedModel::new(job, &ModelJob { document: document.clone(), set: Vec::new() });
     let against = job.against.as_ref().map(other).transpose()?;
     against.as_ref().map_or(Ok(()), |against| first.refuse_others(against))?;
     let first = first.read(&mut work)?;
@@ -50,28 +50,28 @@ pub fn validate(job: &ValidateJob, watch: &mut dyn Watch) -> Result<Done<Validat
             .set_against(title, &beside)
             .map_err(|error| Failure::NotComparable { error: Box::new(error), path: other.spec.name.clone() })?;
     }
-    Done::in_json(record, first.given.notes, output.as_ref())
+    JobDone::in_json(record, first.given.notes, output.as_ref())
 }
 
 /// A model with the data that it will read.
-struct Opened {
+struct OpenedModel {
     spec: Spec,
-    given: Given,
+    given: CommandInputs,
 }
 
-impl Opened {
-    fn new(job: &ValidateJob, model: &ModelJob) -> Result<Opened, Failure> {
+impl OpenedModel {
+    fn new(job: &ValidateJob, model: &ModelJob) -> Result<OpenedModel, Failure> {
         let mut spec = model::load(model, &job.data)?;
         memory::suffices(&spec)?;
         if let FoldsOf::Column(column) = &job.folds {
             read_too(&mut spec, column);
         }
-        let given = Given::open(&mut spec, &job.data)?;
-        if given.is_rows() { Ok(Opened { spec, given }) } else { Err(Failure::FoldsOfRows) }
+        let given = CommandInputs::open(&mut spec, &job.data)?;
+        if given.is_rows() { Ok(OpenedModel { spec, given }) } else { Err(Failure::FoldsOfRows) }
     }
 
     /// Refuses another model that measures other columns.
-    fn refuse_others(&self, other: &Opened) -> Result<(), Failure> {
+    fn refuse_others(&self, other: &OpenedModel) -> Result<(), Failure> {
         let [first, second] = [self, other].map(|opened| measured(&opened.spec));
         if first == second {
             return Ok(());
@@ -80,23 +80,23 @@ impl Opened {
         Err(Failure::NotComparable { error: Box::new(error), path: other.spec.name.clone() })
     }
 
-    fn read(self, work: &mut Work<'_>) -> Result<Read, Failure> {
-        let Opened { spec, given } = self;
+    fn read(self, work: &mut JobWork<'_>) -> Result<ModelTests, Failure> {
+        let OpenedModel { spec, given } = self;
         let (tests, reading) = tests::read(&spec, &given, work)?;
         let ensemble = Ensemble::of_tests(&spec.model, reading.labels.clone(), tests);
-        Ok(Read { spec, given, ensemble, reading })
+        Ok(ModelTests { spec, given, ensemble, reading })
     }
 }
 
 /// A model with its tests.
-struct Read {
+struct ModelTests {
     spec: Spec,
-    given: Given,
+    given: CommandInputs,
     ensemble: Ensemble,
     reading: DataReading,
 }
 
-impl Read {
+impl ModelTests {
     fn folds(&self, job: &ValidateJob) -> Result<Folds, Failure> {
         let (model, labels, tests) = (&self.spec.model, self.ensemble.labels(), self.ensemble.tests());
         let found = match &job.folds {
@@ -110,7 +110,7 @@ impl Read {
     }
 
     /// The folds of another's tests, by the names of these.
-    fn folds_like(&self, other: &Read, folds: &Folds) -> Result<Folds, Failure> {
+    fn folds_like(&self, other: &ModelTests, folds: &Folds) -> Result<Folds, Failure> {
         let of: std::collections::HashMap<&str, usize> =
             other.ensemble.tests().iter().map(|test| test.id.as_str()).zip(folds.of.iter().copied()).collect();
         let place = |test: &kalfit::PhasedTest| {
@@ -124,7 +124,7 @@ impl Read {
         Ok(Folds { names: folds.names.clone(), of })
     }
 
-    fn validated(&self, folds: &Folds, job: &ValidateJob, work: &mut Work<'_>) -> Result<Validation, Failure> {
+    fn validated(&self, folds: &Folds, job: &ValidateJob, work: &mut JobWork<'_>) -> Result<Validation, Failure> {
         let mut options = Options::default();
         options.settings.criterion = job.criterion;
         run(&self.ensemble, folds, &options, work).map_err(|error| self.refused(error))

@@ -6,12 +6,12 @@ use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
 use kalfit_report::PlotKind;
 
-use crate::export::form::Form;
-use crate::job::{MethodChoice, Units};
+use crate::export::form::ExportFormat;
+use crate::job::{MethodChoice, PredictedUnits};
 
 /// One of the words of an option. Of each option the first is what is done unasked.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Word<T> {
+pub struct OptionWord<T> {
     /// The word.
     pub word: &'static str,
     /// What is done, in a line.
@@ -20,12 +20,12 @@ pub struct Word<T> {
     pub means: T,
 }
 
-const fn word<T>(word: &'static str, means: T, help: &'static str) -> Word<T> {
-    Word { word, help, means }
+const fn word<T>(word: &'static str, means: T, help: &'static str) -> OptionWord<T> {
+    OptionWord { word, help, means }
 }
 
 /// How free parameters are sought.
-pub const METHODS: &[Word<MethodChoice>] = &[
+pub const METHODS: &[OptionWord<MethodChoice>] = &[
     word(
         "hybrid",
         MethodChoice::By(Method::Hybrid),
@@ -37,19 +37,19 @@ pub const METHODS: &[Word<MethodChoice>] = &[
 ];
 
 /// How the mean and the covariance are sought.
-pub const SOLVERS: &[Word<Solver>] = &[
+pub const SOLVERS: &[OptionWord<Solver>] = &[
     word("newton", Solver::Newton, "Newton's method with the exact Hessian, safeguarded by EM"),
     word("em", Solver::Em, "The EM algorithm: many more iterations to the same optimum"),
 ];
 
 /// What is as likely as can be.
-pub const CRITERIA: &[Word<Criterion>] = &[
+pub const CRITERIA: &[OptionWord<Criterion>] = &[
     word("ml", Criterion::Ml, "Maximum likelihood"),
     word("reml", Criterion::Reml, "Restricted maximum likelihood: less biased covariances with few tests"),
 ];
 
 /// How the phases of a test are put together.
-pub const PHASES: &[Word<Combination>] = &[
+pub const PHASES: &[OptionWord<Combination>] = &[
     word("chain", Combination::Chain, "Exactly, phase by phase; the cost is linear in the number of phases"),
     word(
         "marginal",
@@ -60,7 +60,7 @@ pub const PHASES: &[Word<Combination>] = &[
 ];
 
 /// What intervals are made from.
-pub const INTERVALS: &[Word<IntervalKind>] = &[
+pub const INTERVALS: &[OptionWord<IntervalKind>] = &[
     word("wald", IntervalKind::Wald, "From standard errors"),
     word(
         "profile",
@@ -70,7 +70,7 @@ pub const INTERVALS: &[Word<IntervalKind>] = &[
 ];
 
 /// What standard errors are made from.
-pub const STD_ERRORS: &[Word<StdErrors>] = &[
+pub const STD_ERRORS: &[OptionWord<StdErrors>] = &[
     word("observed", StdErrors::Observed, "From the curvature of the log-likelihood"),
     word("expected", StdErrors::Expected, "From the expected curvature"),
     word(
@@ -81,27 +81,27 @@ pub const STD_ERRORS: &[Word<StdErrors>] = &[
 ];
 
 /// Whether tests are left out one by one.
-pub const DELETIONS: &[Word<DeletionChoice>] = &[
+pub const DELETIONS: &[OptionWord<DeletionChoice>] = &[
     word("auto", DeletionChoice::Cheap, "If that takes about a second at most"),
     word("all", DeletionChoice::All, "Always"),
     word("none", DeletionChoice::None, "Never"),
 ];
 
 /// Whether innovations are looked at.
-pub const INNOVATIONS: &[Word<bool>] = &[
+pub const INNOVATIONS: &[OptionWord<bool>] = &[
     word("on", true, "Compute them; large data are read twice"),
     word("off", false, "Leave them out, and read the data once"),
 ];
 
 /// What the states of a step are told from.
-pub const KINDS: &[Word<StateKind>] = &[
+pub const KINDS: &[OptionWord<StateKind>] = &[
     word("smoothed", StateKind::Smoothed, "From all measurements of the test"),
     word("filtered", StateKind::Filtered, "From measurements up to the step"),
     word("predicted", StateKind::Predicted, "From measurements before the step"),
 ];
 
 /// What a figure shows.
-pub const FIGURES: &[Word<PlotKind>] = &[
+pub const FIGURES: &[OptionWord<PlotKind>] = &[
     word("forest", PlotKind::Forest, "Means, standard deviations and free parameters with their 95 % intervals"),
     word("ellipses", PlotKind::Ellipses, "Each pair of states: the population, and the tests in it"),
     word("influence", PlotKind::Influence, "How far the estimates move when a test is left out"),
@@ -109,16 +109,16 @@ pub const FIGURES: &[Word<PlotKind>] = &[
 ];
 
 /// Whose tests are predicted.
-pub const UNITS: &[Word<Units>] = &[
-    word("new", Units::New, "Tests of new units"),
-    word("known", Units::Known, "Tests of units that were in the fit, by their names in the design"),
+pub const UNITS: &[OptionWord<PredictedUnits>] = &[
+    word("new", PredictedUnits::New, "Tests of new units"),
+    word("known", PredictedUnits::Known, "Tests of units that were in the fit, by their names in the design"),
 ];
 
 /// What kind of file a filter is written to.
-pub const FORMS: &[Word<Form>] = &[
-    word("json", Form::Json, "Text for any program"),
-    word("npz", Form::Npz, "Arrays of numpy"),
-    word("mat", Form::Mat, "Variables of Matlab and Octave"),
-    word("c", Form::C, "A header for C and C++"),
-    word("python", Form::Python, "A module that needs numpy alone"),
+pub const FORMS: &[OptionWord<ExportFormat>] = &[
+    word("json", ExportFormat::Json, "Text for any program"),
+    word("npz", ExportFormat::Npz, "Arrays of numpy"),
+    word("mat", ExportFormat::Mat, "Variables of Matlab and Octave"),
+    word("c", ExportFormat::C, "A header for C and C++"),
+    word("python", ExportFormat::Python, "A module that needs numpy alone"),
 ];

@@ -18,7 +18,7 @@ pub struct Share {
 }
 
 /// Somebody who waits for a job.
-pub trait Watch {
+pub trait JobWatch {
     /// Hears what is being done now. The words are made only when they are asked for.
     fn say(&mut self, what: &dyn Fn() -> String);
 
@@ -36,21 +36,21 @@ pub trait Watch {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Unwatched;
 
-impl Watch for Unwatched {
+impl JobWatch for Unwatched {
     fn say(&mut self, _: &dyn Fn() -> String) {}
 }
 
 /// A job under way.
-pub(crate) struct Work<'a> {
+pub(crate) struct JobWork<'a> {
     began: Instant,
-    watch: &'a mut dyn Watch,
+    watch: &'a mut dyn JobWatch,
     /// The search gains slowly by the method that was asked for.
     slow: bool,
 }
 
-impl<'a> Work<'a> {
-    pub(crate) fn new(watch: &'a mut dyn Watch) -> Work<'a> {
-        Work { began: Instant::now(), watch, slow: false }
+impl<'a> JobWork<'a> {
+    pub(crate) fn new(watch: &'a mut dyn JobWatch) -> JobWork<'a> {
+        JobWork { began: Instant::now(), watch, slow: false }
     }
 
     /// Time since the work began.
@@ -82,7 +82,7 @@ impl<'a> Work<'a> {
     }
 }
 
-impl Progress for Work<'_> {
+impl Progress for JobWork<'_> {
     fn step(&mut self, step: Step) {
         let slow = if self.slow { "; EM is slow here, the hybrid method takes fewer runs" } else { "" };
         self.say(|| {
@@ -122,9 +122,9 @@ fn rough(distance: f64) -> String {
 mod tests {
     use super::*;
 
-    struct Last(String);
+    struct LastWords(String);
 
-    impl Watch for Last {
+    impl JobWatch for LastWords {
         fn say(&mut self, what: &dyn Fn() -> String) {
             self.0 = what();
         }
@@ -132,9 +132,9 @@ mod tests {
 
     #[test]
     fn steps_and_stages_are_told_in_words() {
-        let mut last = Last(String::new());
-        let mut told = |tell: &dyn Fn(&mut Work<'_>)| {
-            tell(&mut Work::new(&mut last));
+        let mut last = LastWords(String::new());
+        let mut told = |tell: &dyn Fn(&mut JobWork<'_>)| {
+            tell(&mut JobWork::new(&mut last));
             last.0.clone()
         };
         let step = |decrement| Step { passes: 4, log_likelihood: 926_723.209_2, decrement };

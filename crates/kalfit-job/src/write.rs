@@ -8,7 +8,7 @@ use kalfit::record::TestRecord;
 use rayon::prelude::*;
 
 use crate::json;
-use crate::output::{Output, OutputError};
+use crate::output::{OutputError, OutputFile};
 
 /// Tests that one thread puts into words at a time.
 const CHUNK: usize = 32;
@@ -23,7 +23,7 @@ const NO_TESTS: &[u8] = b"\n  \"tests\": []";
 /// # Errors
 /// The file cannot be written.
 pub fn save(record: &mut FitRecord, path: &Path) -> Result<(), OutputError> {
-    self::record(&Output::prepare(path, &[])?, record)
+    self::record(&OutputFile::prepare(path, &[])?, record)
 }
 
 /// Writes a text to a file, whole or not at all.
@@ -31,11 +31,11 @@ pub fn save(record: &mut FitRecord, path: &Path) -> Result<(), OutputError> {
 /// # Errors
 /// The file cannot be written.
 pub fn save_text(text: &str, path: &Path) -> Result<(), OutputError> {
-    Output::prepare(path, &[])?.write_bytes(text.as_bytes())
+    OutputFile::prepare(path, &[])?.write_bytes(text.as_bytes())
 }
 
 /// Writes a record, byte for byte as it would be written in one piece.
-pub(crate) fn record(output: &Output, record: &mut FitRecord) -> Result<(), OutputError> {
+pub(crate) fn record(output: &OutputFile, record: &mut FitRecord) -> Result<(), OutputError> {
     let tests = std::mem::take(&mut record.tests);
     let head = json::to_vec(record);
     record.tests = tests;
@@ -122,7 +122,7 @@ mod tests {
             let expected = json::to_string(&record).unwrap() + "\n";
             for threads in [1, 2, 3] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                let output = Output::prepare(&path, &[]).unwrap();
+                let output = OutputFile::prepare(&path, &[]).unwrap();
                 pool.install(|| super::record(&output, &mut record)).unwrap();
                 let written = std::fs::read_to_string(&path).unwrap();
                 assert!(written == expected, "{count} tests, {threads} threads");

@@ -9,8 +9,9 @@ use kalfit::infer::Bootstrap;
 use kalfit::predict::{Limits, Sides};
 use kalfit_job::words;
 use kalfit_job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, Done, ExchangeJob, Exchanged, ExportJob, Failure,
-    FitJob, FoldsOf, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob, ValidateJob, Watch,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, Exchanged, ExportJob, Failure, FitJob,
+    FoldsOf, JobDone, JobWatch, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob,
+    ValidateJob,
 };
 use kalfit_report::{Style, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
@@ -262,7 +263,7 @@ pub(crate) fn simulate(
 type Made = (Option<Table>, usize, usize, Vec<String>);
 
 /// A job that makes an exchange file.
-type Exchange = fn(&ExchangeJob, &mut dyn Watch) -> Result<Done<Exchanged>, Failure>;
+type Exchange = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure>;
 
 /// Runs filters once and makes a table of what they leave: `reductions`, or `estimates` of the model's filters as they are.
 #[pyfunction]

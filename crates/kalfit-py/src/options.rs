@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use kalfit::dynamic::{self, Method};
 use kalfit::estimate::{Settings, Solver};
 use kalfit::infer::{Choices, TestsChoice};
-use kalfit_job::words::{self, Word};
+use kalfit_job::words::{self, OptionWord};
 use kalfit_job::{Document, FitJob, ModelJob};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -107,7 +107,7 @@ pub(crate) fn settings(solver: Solver, tolerance: Option<f64>, passes: Option<u3
 }
 
 /// The meaning of a word.
-pub(crate) fn pick<T: Copy>(option: &str, word: &str, words: &[Word<T>]) -> PyResult<T> {
+pub(crate) fn pick<T: Copy>(option: &str, word: &str, words: &[OptionWord<T>]) -> PyResult<T> {
     let found = words.iter().find(|own| own.word == word);
     found.map(|own| own.means).ok_or_else(|| {
         let names: Vec<String> = words.iter().map(|own| format!("`{}`", own.word)).collect();

@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use kalfit_job::{Failure, Share, Watch};
+use kalfit_job::{Failure, JobWatch, Share};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
 
@@ -53,7 +53,7 @@ impl<R> Teller<R> {
     }
 }
 
-impl<R> Watch for Teller<R> {
+impl<R> JobWatch for Teller<R> {
     fn say(&mut self, what: &dyn Fn() -> String) {
         self.tell(what, None);
     }
@@ -72,7 +72,7 @@ impl<R> Watch for Teller<R> {
 pub(crate) fn run<R: Send + 'static>(
     py: Python<'_>,
     How(threads, progress): How<'_>,
-    job: impl FnOnce(&mut dyn Watch) -> Result<R, Failure> + Send + 'static,
+    job: impl FnOnce(&mut dyn JobWatch) -> Result<R, Failure> + Send + 'static,
 ) -> PyResult<Ended<R>> {
     let pool = threads.map(pool).transpose()?;
     let (sender, receiver) = channel();

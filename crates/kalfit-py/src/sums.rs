@@ -1,6 +1,6 @@
 //! Fits by sums: what tests say in one place, and what is asked next.
 
-use kalfit_job::sums::{self, Joined, Sums, Theta};
+use kalfit_job::sums::{self, Joined, SiteSums, Theta};
 use kalfit_job::{Unwatched, words};
 use pyo3::prelude::*;
 
@@ -14,7 +14,7 @@ use crate::text::text;
 /// The tests of one place, read: it answers what is asked of them, on so many threads.
 #[pyclass(frozen, module = "kalfit._kalfit")]
 pub(crate) struct Site {
-    site: sums::Site,
+    site: sums::SumsSite,
     pool: rayon::ThreadPool,
 }
 
@@ -24,7 +24,7 @@ impl Site {
     fn open(py: Python<'_>, model: Asked, given: Vec<Given<'_>>, threads: usize) -> PyResult<Site> {
         let (model, given, pool) = (model.into(), data(given)?, pool(threads.clamp(1, 1024))?);
         py.detach(|| {
-            let site = pool.install(|| sums::Site::open(&model, &given, &mut Unwatched));
+            let site = pool.install(|| sums::SumsSite::open(&model, &given, &mut Unwatched));
             Ok(Site { site: site.map_err(|failure| exception(&failure))?, pool })
         })
     }
@@ -67,8 +67,8 @@ pub(crate) fn join(
 ) -> PyResult<Next> {
     let criterion = pick("criterion", criterion, words::CRITERIA)?;
     let theta = Theta::of_text("theta", theta).map_err(|failure| exception(&failure))?;
-    let one = |text: &String| Sums::of_text("sums", text).map_err(|failure| exception(&failure));
-    let given: Vec<Sums> = given.iter().map(one).collect::<PyResult<_>>()?;
+    let one = |text: &String| SiteSums::of_text("sums", text).map_err(|failure| exception(&failure));
+    let given: Vec<SiteSums> = given.iter().map(one).collect::<PyResult<_>>()?;
     let model = model.into();
     let joined = run(py, how, move |watch| sums::of_partitions((&model, criterion), theta, &given, watch))?.result;
     Ok(match joined {

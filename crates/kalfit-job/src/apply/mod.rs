@@ -8,31 +8,31 @@ use kalfit::record::{AppliedRecord, AppliedSource, Basis};
 use kalfit::reduce::{Evidence, grouping};
 use kalfit_spec::Spec;
 
-use self::tables::Task;
-use crate::evidence::Given;
+use self::tables::AppliedTests;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{AppliedModel, ApplyJob, Done, files};
-use crate::output::{Pending, Target};
+use crate::job::{AppliedModel, ApplyJob, JobDone, files};
+use crate::output::{OutputTarget, PendingFile};
 use crate::refused::by_apply;
-use crate::table::Table;
+use crate::table::OutputTable;
 use crate::truth::Truth;
-use crate::work::{Watch, Work};
+use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
 
 /// Applies a fitted model to tests.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>, Failure> {
+pub fn apply(job: &ApplyJob, watch: &mut dyn JobWatch) -> Result<JobDone<AppliedModel>, Failure> {
     let (mut spec, truth) = truth::load(&job.model, &job.from)?;
-    let given = Given::open(&mut spec, &job.data)?;
+    let given = CommandInputs::open(&mut spec, &job.data)?;
     let used = files(&[&job.model.document, &job.from], &given.inputs);
-    let [out, along] = [&job.tests, &job.states].map(|to| Table::prepare(to, &used));
+    let [out, along] = [&job.tests, &job.states].map(|to| OutputTable::prepare(to, &used));
     let (out, along) = (out?, along?);
-    if let (Some(out), Some(Table { target: Target::Named(along), .. })) = (&out, &along) {
+    if let (Some(out), Some(OutputTable { target: OutputTarget::Named(along), .. })) = (&out, &along) {
         out.target.refuse_same(Some(along))?;
     }
-    let mut work = Work::new(watch);
+    let mut work = JobWork::new(watch);
     let (tests, reading) = tests::read(&spec, &given, &mut work)?;
     let refused = |error| by_apply(error, &reading);
     work.say(|| "running the filters".to_owned());
@@ -49,15 +49,15 @@ pub fn apply(job: &ApplyJob, watch: &mut dyn Watch) -> Result<Done<AppliedModel>
     let grouping = grouping(&spec.model, &tests).map_err(|error| refused(error.into()))?;
     let groups = grouping.as_ref().map(|grouping| (grouping, &reading.labels));
     let record = AppliedRecord::new(&spec.model, source, (&tests, groups), (&said, &laws));
-    let task = Task { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
+    let task = AppliedTests { spec: &spec, applied: &applied, tests: &tests, reading: &reading };
     // neither is in place before both are whole
     let of_tests = out.as_ref().map(|table| task.tests(table, (&said, &laws))).transpose()?;
     let states = along.as_ref().map(|table| task.states(table, job.kind, &mut work)).transpose()?;
-    let of_tests = of_tests.map_or(Ok(None), Pending::finish)?;
-    let states = states.map_or(Ok(None), Pending::finish)?;
+    let of_tests = of_tests.map_or(Ok(None), PendingFile::finish)?;
+    let states = states.map_or(Ok(None), PendingFile::finish)?;
     let written = [out, along].into_iter().flatten().filter_map(|table| table.target.name()).collect();
     let notes = given.notes.into_iter().chain(truth.warnings).collect();
-    Ok(Done::new(AppliedModel { record, tests: of_tests, states }, notes, written))
+    Ok(JobDone::new(AppliedModel { record, tests: of_tests, states }, notes, written))
 }
 
 /// The laws that tests are judged by, and what they allow for.

@@ -6,24 +6,24 @@ use kalfit_data::{CellKind, DataReading, TableCell, WriteError};
 use kalfit_spec::Spec;
 
 use crate::failure::Failure;
-use crate::output::Pending;
+use crate::output::PendingFile;
 use crate::refused::by_apply;
-use crate::table::{Table, Writer};
+use crate::table::{OutputTable, OutputTableWriter};
 use crate::tests;
-use crate::work::Work;
+use crate::work::JobWork;
 
 /// States of this many rows, or of one test, are held at a time.
 const BATCH_ROWS: usize = 200_000;
 
 /// What the tables are of.
-pub(super) struct Task<'a> {
+pub(super) struct AppliedTests<'a> {
     pub(super) spec: &'a Spec,
     pub(super) applied: &'a Applied<'a>,
     pub(super) tests: &'a [PhasedTest],
     pub(super) reading: &'a DataReading,
 }
 
-impl Task<'_> {
+impl AppliedTests<'_> {
     fn model(&self) -> &PhasedModel {
         &self.spec.model
     }
@@ -42,7 +42,7 @@ impl Task<'_> {
     }
 
     /// A row for each phase of each test.
-    pub(super) fn tests<'t>(&self, table: &'t Table, said: (&Said, &Laws)) -> Result<Pending<'t>, Failure> {
+    pub(super) fn tests<'t>(&self, table: &'t OutputTable, said: (&Said, &Laws)) -> Result<PendingFile<'t>, Failure> {
         let names = self.estimated();
         let numbers = ["log_density", "distance"].map(|name| (name.to_owned(), CellKind::Number));
         let of =
@@ -102,10 +102,10 @@ impl Task<'_> {
     /// A row for each state at each step, and for each measured value.
     pub(super) fn states<'t>(
         &self,
-        table: &'t Table,
+        table: &'t OutputTable,
         kind: StateKind,
-        work: &mut Work<'_>,
-    ) -> Result<Pending<'t>, Failure> {
+        work: &mut JobWork<'_>,
+    ) -> Result<PendingFile<'t>, Failure> {
         let text = |name: &str| (name.to_owned(), CellKind::Text);
         let number = |name: &str| (name.to_owned(), CellKind::Number);
         let columns = [
@@ -135,7 +135,7 @@ impl Task<'_> {
         })
     }
 
-    fn phase(&self, test: &str, states: &PhaseStates, writer: &mut Writer<'_>) -> Result<(), WriteError> {
+    fn phase(&self, test: &str, states: &PhaseStates, writer: &mut OutputTableWriter<'_>) -> Result<(), WriteError> {
         let phase = &self.model().phases[states.phase];
         let begin = |row: usize, time: Option<f64>| {
             let time = time.map_or(TableCell::Missing, TableCell::Number);

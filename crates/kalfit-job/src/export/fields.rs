@@ -4,7 +4,7 @@ use kalfit::record::ExportRecord;
 
 /// One value.
 #[derive(Debug)]
-pub(super) enum Value<'a> {
+pub(super) enum FieldValue<'a> {
     Number(f64),
     Text(&'a str),
     Texts(Vec<&'a str>),
@@ -14,14 +14,14 @@ pub(super) enum Value<'a> {
 }
 
 /// All values with the names that they have in JSON. What is not there has none; a step that is not known is no number.
-pub(super) fn fields(record: &ExportRecord) -> Vec<(&'static str, Value<'_>)> {
+pub(super) fn fields(record: &ExportRecord) -> Vec<(&'static str, FieldValue<'_>)> {
     let (n, m, k) = (record.states.len(), record.measurements.len(), record.inputs.len());
-    let matrix = |columns: usize, rows: &[Vec<f64>]| Value::Matrix(rows.len(), columns, rows.concat());
+    let matrix = |columns: usize, rows: &[Vec<f64>]| FieldValue::Matrix(rows.len(), columns, rows.concat());
     let mut all = vec![
-        ("title", Value::Text(&record.title)),
-        ("phase", Value::Text(&record.phase)),
-        ("step", Value::Number(record.step.unwrap_or(f64::NAN))),
-        ("time_unit", Value::Text(record.time_unit.as_deref().unwrap_or(""))),
+        ("title", FieldValue::Text(&record.title)),
+        ("phase", FieldValue::Text(&record.phase)),
+        ("step", FieldValue::Number(record.step.unwrap_or(f64::NAN))),
+        ("time_unit", FieldValue::Text(record.time_unit.as_deref().unwrap_or(""))),
         ("states", texts(&record.states)),
         ("units", optional(&record.units)),
         ("measurements", texts(&record.measurements)),
@@ -34,20 +34,20 @@ pub(super) fn fields(record: &ExportRecord) -> Vec<(&'static str, Value<'_>)> {
         ("H", matrix(n, &record.h)),
         ("D", matrix(k, &record.d)),
         ("R", matrix(m, &record.r)),
-        ("x0_at", Value::Text(&record.x0_at)),
-        ("input_row", Value::Text(&record.input_row)),
+        ("x0_at", FieldValue::Text(&record.x0_at)),
+        ("input_row", FieldValue::Text(&record.input_row)),
     ];
     if let (Some(x0), Some(p0)) = (&record.x0, &record.p0) {
-        all.extend([("x0", Value::Vector(x0)), ("P0", matrix(n, p0))]);
+        all.extend([("x0", FieldValue::Vector(x0)), ("P0", matrix(n, p0))]);
     }
     all
 }
 
-fn texts(all: &[String]) -> Value<'_> {
-    Value::Texts(all.iter().map(String::as_str).collect())
+fn texts(all: &[String]) -> FieldValue<'_> {
+    FieldValue::Texts(all.iter().map(String::as_str).collect())
 }
 
 /// Nothing is an empty text.
-fn optional(all: &[Option<String>]) -> Value<'_> {
-    Value::Texts(all.iter().map(|one| one.as_deref().unwrap_or("")).collect())
+fn optional(all: &[Option<String>]) -> FieldValue<'_> {
+    FieldValue::Texts(all.iter().map(|one| one.as_deref().unwrap_or("")).collect())
 }

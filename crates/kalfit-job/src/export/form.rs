@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use crate::failure::Failure;
-use crate::output::Contents;
+use crate::output::FileContents;
 
 /// What kind of file a filter is written to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Form {
+pub enum ExportFormat {
     /// Text for any program.
     Json,
     /// Arrays of numpy.
@@ -20,27 +20,27 @@ pub enum Form {
     Python,
 }
 
-impl Form {
+impl ExportFormat {
     /// The one that the ending of a name says.
-    pub(super) fn of(path: &Path) -> Result<Form, Failure> {
+    pub(super) fn of(path: &Path) -> Result<ExportFormat, Failure> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
         match ending.as_deref() {
-            Some("json") => Ok(Form::Json),
-            Some("npz") => Ok(Form::Npz),
-            Some("mat") => Ok(Form::Mat),
-            Some("h" | "hh" | "hpp") => Ok(Form::C),
-            Some("py") => Ok(Form::Python),
+            Some("json") => Ok(ExportFormat::Json),
+            Some("npz") => Ok(ExportFormat::Npz),
+            Some("mat") => Ok(ExportFormat::Mat),
+            Some("h" | "hh" | "hpp") => Ok(ExportFormat::C),
+            Some("py") => Ok(ExportFormat::Python),
             _ => Err(Failure::NoForm { path: path.display().to_string() }),
         }
     }
 
-    pub(super) fn contents(self) -> Contents {
+    pub(super) fn contents(self) -> FileContents {
         match self {
-            Form::Json => Contents::Json,
-            Form::Npz => Contents::Npz,
-            Form::Mat => Contents::Mat,
-            Form::C => Contents::Header,
-            Form::Python => Contents::Module,
+            ExportFormat::Json => FileContents::Json,
+            ExportFormat::Npz => FileContents::Npz,
+            ExportFormat::Mat => FileContents::Mat,
+            ExportFormat::C => FileContents::Header,
+            ExportFormat::Python => FileContents::Module,
         }
     }
 }

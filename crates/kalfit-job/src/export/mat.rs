@@ -4,7 +4,7 @@
 
 use kalfit::record::ExportRecord;
 
-use super::fields::{Value, fields};
+use super::fields::{FieldValue, fields};
 
 /// Types of data.
 const INT8: u32 = 1;
@@ -32,13 +32,13 @@ pub(super) fn file(record: &ExportRecord) -> Vec<u8> {
     bytes
 }
 
-fn variable(name: &str, value: &Value<'_>) -> Vec<u8> {
+fn variable(name: &str, value: &FieldValue<'_>) -> Vec<u8> {
     match value {
-        Value::Number(x) => doubles(name, (1, 1), &[*x]),
-        Value::Vector(all) => doubles(name, (all.len(), 1), all),
-        Value::Matrix(rows, columns, all) => doubles(name, (*rows, *columns), all),
-        Value::Text(text) => characters(name, text),
-        Value::Texts(all) => {
+        FieldValue::Number(x) => doubles(name, (1, 1), &[*x]),
+        FieldValue::Vector(all) => doubles(name, (all.len(), 1), all),
+        FieldValue::Matrix(rows, columns, all) => doubles(name, (*rows, *columns), all),
+        FieldValue::Text(text) => characters(name, text),
+        FieldValue::Texts(all) => {
             let cells: Vec<u8> = all.iter().flat_map(|text| characters("", text)).collect();
             array((name, CELLS), (all.len(), 1), &cells)
         }

@@ -11,25 +11,25 @@ mod zip;
 use kalfit::export::{ExportError, Wanted, export as matrices};
 use kalfit::record::{ExportRecord, ExportSource};
 
-pub use self::form::Form;
+pub use self::form::ExportFormat;
 use crate::failure::Failure;
-use crate::job::{Done, ExportJob, files};
-use crate::output::{Output, OutputError};
+use crate::job::{ExportJob, JobDone, files};
+use crate::output::{OutputError, OutputFile};
 use crate::truth;
 
 /// Makes the filter, and writes it where a file is named.
 ///
 /// # Errors
 /// Bad input: among it a model whose matrices differ from row to row.
-pub fn export(job: &ExportJob) -> Result<Done<ExportRecord>, Failure> {
+pub fn export(job: &ExportJob) -> Result<JobDone<ExportRecord>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     let at = job.at.iter().map(|assignment| column_value(assignment)).collect::<Result<Vec<_>, Failure>>()?;
     let output = match &job.out {
         None => None,
         Some(path) => {
-            let form = job.form.map_or_else(|| Form::of(path), Ok)?;
+            let form = job.form.map_or_else(|| ExportFormat::of(path), Ok)?;
             let used = files(&[&job.model.document, &job.from], &[]);
-            let output = Output::prepare_for(("--as", form.contents()), Some(path), &used)?;
+            let output = OutputFile::prepare_for(("--as", form.contents()), Some(path), &used)?;
             output.map(|output| (output, form))
         }
     };
@@ -42,16 +42,16 @@ pub fn export(job: &ExportJob) -> Result<Done<ExportRecord>, Failure> {
         write(output, *form, &record)?;
     }
     let written = output.iter().map(|(output, _)| output.name()).collect();
-    Ok(Done::new(record, truth.warnings, written))
+    Ok(JobDone::new(record, truth.warnings, written))
 }
 
-fn write(output: &Output, form: Form, record: &ExportRecord) -> Result<(), OutputError> {
+fn write(output: &OutputFile, form: ExportFormat, record: &ExportRecord) -> Result<(), OutputError> {
     match form {
-        Form::Json => output.write(record),
-        Form::Npz => output.write_bytes(&npz::file(record)),
-        Form::Mat => output.write_bytes(&mat::file(record)),
-        Form::C => output.write_bytes(c::header(record, &output.stem()).as_bytes()),
-        Form::Python => output.write_bytes(python::module(record).as_bytes()),
+        ExportFormat::Json => output.write(record),
+        ExportFormat::Npz => output.write_bytes(&npz::file(record)),
+        ExportFormat::Mat => output.write_bytes(&mat::file(record)),
+        ExportFormat::C => output.write_bytes(c::header(record, &output.stem()).as_bytes()),
+        ExportFormat::Python => output.write_bytes(python::module(record).as_bytes()),
     }
 }
 

@@ -3,7 +3,7 @@
 
 use kalfit::record::ExportRecord;
 
-use super::fields::{Value, fields};
+use super::fields::{FieldValue, fields};
 use super::zip::Archive;
 
 /// The file.
@@ -16,13 +16,13 @@ pub(super) fn file(record: &ExportRecord) -> Vec<u8> {
 }
 
 /// One array, row-major.
-fn array(value: &Value<'_>) -> Vec<u8> {
+fn array(value: &FieldValue<'_>) -> Vec<u8> {
     match value {
-        Value::Number(x) => numbers(&[], &[*x]),
-        Value::Vector(all) => numbers(&[all.len()], all),
-        Value::Matrix(rows, columns, all) => numbers(&[*rows, *columns], all),
-        Value::Text(text) => texts(&[], &[text]),
-        Value::Texts(all) => texts(&[all.len()], all),
+        FieldValue::Number(x) => numbers(&[], &[*x]),
+        FieldValue::Vector(all) => numbers(&[all.len()], all),
+        FieldValue::Matrix(rows, columns, all) => numbers(&[*rows, *columns], all),
+        FieldValue::Text(text) => texts(&[], &[text]),
+        FieldValue::Texts(all) => texts(&[all.len()], all),
     }
 }
 
@@ -64,11 +64,11 @@ mod tests {
 
     #[test]
     fn an_array_has_the_header_of_the_format() {
-        let bytes = array(&Value::Matrix(1, 2, vec![1.5, -2.0]));
+        let bytes = array(&FieldValue::Matrix(1, 2, vec![1.5, -2.0]));
         assert_eq!(&bytes[..10], b"\x93NUMPY\x01\x00\x76\x00");
         assert!(bytes[10..].starts_with(b"{'descr': '<f8', 'fortran_order': False, 'shape': (1,2,), }"));
         assert_eq!((bytes.len(), bytes[127]), (128 + 16, b'\n'));
         assert_eq!(&bytes[128..136], &1.5_f64.to_le_bytes());
-        assert_eq!(array(&Value::Texts(vec!["µ", "rate"])).len(), 128 + 2 * 4 * 4);
+        assert_eq!(array(&FieldValue::Texts(vec!["µ", "rate"])).len(), 128 + 2 * 4 * 4);
     }
 }

@@ -10,16 +10,16 @@ use kalfit::record::{PredictedRecord, PredictedSource};
 use kalfit_data::{DataReading, Input};
 use kalfit_spec::{BesideError, DesignSpec, Spec};
 
-use self::profile::Profiles;
+use self::profile::ProfileData;
 use self::table::{columns, write_phase};
-use self::units::UnitsOf;
-use crate::evidence::Given;
+use self::units::UnitLaws;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{Done, PredictJob, PredictedModel, Units, files};
-use crate::output::Pending;
+use crate::job::{JobDone, PredictJob, PredictedModel, PredictedUnits, files};
+use crate::output::PendingFile;
 use crate::refused::by_predict;
-use crate::table::{Table, Writer};
-use crate::work::{Watch, Work};
+use crate::table::{OutputTable, OutputTableWriter};
+use crate::work::{JobWatch, JobWork};
 use crate::{model, tests, truth};
 
 /// Predictions of this many rows, or of one test, are held at a time.
@@ -29,19 +29,19 @@ const BATCH_ROWS: usize = 50_000;
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<PredictedModel>, Failure> {
+pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<PredictedModel>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
-    let units = UnitsOf::new(job, &spec, &truth)?;
+    let units = UnitLaws::new(job, &spec, &truth)?;
     let DesignSpec { spec: design, outputs } = designed(job, &spec)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &design))?;
     let documents: Vec<_> = [&job.model.document, &job.from].into_iter().chain(&job.outputs).collect();
     let mut read = files(&documents, &inputs);
-    let profiles = Profiles::open(job, &truth)?;
+    let profiles = ProfileData::open(job, &truth)?;
     read.extend(profiles.iter().flat_map(|profiles| files(&[], &profiles.given.inputs)));
-    let table = Table::prepare(&job.out, &read)?;
+    let table = OutputTable::prepare(&job.out, &read)?;
     let knowledge = truth.knowledge(&spec);
-    let mut work = Work::new(watch);
-    let (tests, reading) = tests::read(&design, &Given::rows_of(inputs), &mut work)?;
+    let mut work = JobWork::new(watch);
+    let (tests, reading) = tests::read(&design, &CommandInputs::rows_of(inputs), &mut work)?;
     let values = (&model::alpha(&design), truth.population.coefficients.as_slice());
     let estimation = knowledge.is_some();
     let predictor =
@@ -50,13 +50,13 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
         name: job.from.name(),
         fitted: truth.fitted,
         changed: truth.changed,
-        known_units: job.units == Units::Known,
+        known_units: job.units == PredictedUnits::Known,
         estimation,
         profile: profiles.is_some(),
     };
     let profiles = profiles.map(|profiles| profiles.limits((&predictor, &tests, &units, &reading), job, &mut work));
     let record = PredictedRecord::new(&design.model, source, job.limits);
-    let mut task = Task {
+    let mut task = PredictionTask {
         bounds: Bounds::new(job.limits),
         design: &design,
         outputs: &outputs,
@@ -68,7 +68,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
     };
     let pending = match &table {
         Some(table) => {
-            let rows = |writer: &mut Writer<'_>| task.each(&tests, &mut work, Some((table, writer)));
+            let rows = |writer: &mut OutputTableWriter<'_>| task.each(&tests, &mut work, Some((table, writer)));
             Some(table.write(&columns(), rows)?)
         }
         None => {
@@ -77,9 +77,9 @@ pub fn predict(job: &PredictJob, watch: &mut dyn Watch) -> Result<Done<Predicted
         }
     };
     let record = task.record;
-    let back = pending.map_or(Ok(None), Pending::finish)?;
+    let back = pending.map_or(Ok(None), PendingFile::finish)?;
     let written = table.iter().filter_map(|table| table.target.name()).collect();
-    Ok(Done::new(PredictedModel { record, table: back }, truth.warnings, written))
+    Ok(JobDone::new(PredictedModel { record, table: back }, truth.warnings, written))
 }
 
 /// The model for designs, at the values that were taken; of two outputs of a phase in one unit the sum is a third.
@@ -89,7 +89,7 @@ fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
         let name = job.outputs.as_ref().map_or_else(String::new, |outputs| outputs.name());
         Failure::model(error, &name, text.clone())
     };
-    let mut found = spec.design(text.as_deref(), job.units == Units::Known).map_err(|error| match error {
+    let mut found = spec.design(text.as_deref(), job.units == PredictedUnits::Known).map_err(|error| match error {
         BesideError::File(error) => of_outputs(error),
         BesideError::Model(error) => Failure::model(error, &spec.name, Some(spec.text.clone())),
     })?;
@@ -106,25 +106,25 @@ fn designed(job: &PredictJob, spec: &Spec) -> Result<DesignSpec, Failure> {
 }
 
 /// All that predictions depend on.
-struct Task<'a> {
+struct PredictionTask<'a> {
     bounds: Bounds,
     design: &'a Spec,
     outputs: &'a [Vec<Output>],
     predictor: &'a Predictor,
-    units: &'a UnitsOf,
+    units: &'a UnitLaws,
     reading: &'a DataReading,
     /// Limits of all means by profile likelihood, in their order.
     profiles: Option<Vec<Option<[f64; 2]>>>,
     record: PredictedRecord,
 }
 
-impl Task<'_> {
+impl PredictionTask<'_> {
     /// Predicts batch by batch.
     fn each(
         &mut self,
         tests: &[PhasedTest],
-        work: &mut Work<'_>,
-        mut to: Option<(&Table, &mut Writer<'_>)>,
+        work: &mut JobWork<'_>,
+        mut to: Option<(&OutputTable, &mut OutputTableWriter<'_>)>,
     ) -> Result<(), Failure> {
         let grouping = self.units.grouping(self.design, tests)?;
         let mut limits = self.profiles.take().map(Vec::into_iter);

@@ -6,13 +6,13 @@ use kalfit::{Alpha, Ensemble, EnsembleError, FitRecord, PhasedTest};
 use kalfit_data::DataReading;
 use kalfit_spec::Spec;
 
-use super::units::UnitsOf;
-use crate::evidence::Given;
+use super::units::UnitLaws;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{PredictJob, Units};
+use crate::job::{PredictJob, PredictedUnits};
 use crate::refused::by_predict;
 use crate::truth::Truth;
-use crate::work::Work;
+use crate::work::JobWork;
 use crate::{dynamic, memory, model, tests};
 
 /// A profile takes some ten fits: of no more values than this.
@@ -21,9 +21,9 @@ const MOST: usize = 500;
 const SAME: f64 = 1e-6;
 
 /// The data of a fit.
-pub(super) struct Profiles {
+pub(super) struct ProfileData {
     spec: Spec,
-    pub(super) given: Given,
+    pub(super) given: CommandInputs,
     log_likelihood: f64,
 }
 
@@ -32,9 +32,9 @@ fn none<T>(why: impl Into<String>, hint: &'static str) -> Result<T, Failure> {
     Err(Failure::NoProfile { why: why.into(), hint })
 }
 
-impl Profiles {
+impl ProfileData {
     /// Opens the data, if there are any.
-    pub(super) fn open(job: &PredictJob, truth: &Truth) -> Result<Option<Profiles>, Failure> {
+    pub(super) fn open(job: &PredictJob, truth: &Truth) -> Result<Option<ProfileData>, Failure> {
         if job.profile.is_empty() {
             return Ok(None);
         }
@@ -44,7 +44,7 @@ impl Profiles {
                 "give the results of `kalfit fit` with `--from`",
             );
         };
-        if job.units == Units::Known {
+        if job.units == PredictedUnits::Known {
             return none("the tests are of known units", "leave `--units known` or `--profile` out");
         }
         if record.criterion != "ml" {
@@ -64,18 +64,18 @@ impl Profiles {
             return none(why, "leave `--profile` out: the limits then follow from standard errors");
         }
         start_at(&mut spec, record);
-        let given = Given::open(&mut spec, &job.profile)?;
-        Ok(Some(Profiles { spec, given, log_likelihood: record.log_likelihood }))
+        let given = CommandInputs::open(&mut spec, &job.profile)?;
+        Ok(Some(ProfileData { spec, given, log_likelihood: record.log_likelihood }))
     }
 
     /// The limits of all means, in the order in which they are predicted.
     pub(super) fn limits(
         &self,
-        (predictor, designs, units, reading): (&Predictor, &[PhasedTest], &UnitsOf, &DataReading),
+        (predictor, designs, units, reading): (&Predictor, &[PhasedTest], &UnitLaws, &DataReading),
         job: &PredictJob,
-        work: &mut Work<'_>,
+        work: &mut JobWork<'_>,
     ) -> Result<Vec<Option<[f64; 2]>>, Failure> {
-        let UnitsOf::New(initial) = units else { unreachable!("known units were refused") };
+        let UnitLaws::New(initial) = units else { unreachable!("known units were refused") };
         let own = predictor.predict(designs, &vec![initial; designs.len()]);
         let own = own.map_err(|error| by_predict(error, Some(reading)))?;
         let values: usize = own.iter().flatten().flat_map(|phase| &phase.steps).map(|step| step.values.len()).sum();

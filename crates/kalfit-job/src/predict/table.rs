@@ -6,7 +6,7 @@ use kalfit::record::name_of;
 use kalfit_data::{CellKind, TableCell, WriteError};
 use rayon::prelude::*;
 
-use crate::table::Writer;
+use crate::table::OutputTableWriter;
 
 pub(super) fn columns() -> Vec<(String, CellKind)> {
     let texts = ["test", "phase"].map(|name| (name, CellKind::Text));
@@ -27,17 +27,17 @@ pub(super) fn columns() -> Vec<(String, CellKind)> {
 }
 
 /// Both limits of the mean and of tests.
-type Ends = (Option<[f64; 2]>, Option<[f64; 2]>);
+type LimitPair = (Option<[f64; 2]>, Option<[f64; 2]>);
 
 /// Writes one phase of a test.
 pub(super) fn write_phase(
     (model, outputs, bounds): (&PhasedModel, &[Vec<Output>], &Bounds),
     test: &str,
     phase: &PhasePredictions,
-    writer: &mut Writer<'_>,
+    writer: &mut OutputTableWriter<'_>,
 ) -> Result<(), WriteError> {
-    let of = |value: &Predicted| -> Ends { (bounds.of_mean(value), bounds.of_tests(value)) };
-    let ends: Vec<Vec<Ends>> = phase.steps.par_iter().map(|step| step.values.iter().map(of).collect()).collect();
+    let of = |value: &Predicted| -> LimitPair { (bounds.of_mean(value), bounds.of_tests(value)) };
+    let ends: Vec<Vec<LimitPair>> = phase.steps.par_iter().map(|step| step.values.iter().map(of).collect()).collect();
     let number_or = |x: Option<f64>| x.map_or(TableCell::Missing, TableCell::Number);
     let both = |ends: Option<[f64; 2]>| [number_or(ends.map(|ends| ends[0])), number_or(ends.map(|ends| ends[1]))];
     for (step, ends) in phase.steps.iter().zip(ends) {

@@ -8,11 +8,11 @@ use kalfit::{Grouping, Labels, PhasedTest};
 use kalfit_spec::Spec;
 
 use crate::failure::{Failure, UnknownUnit};
-use crate::job::{PredictJob, Units};
+use crate::job::{PredictJob, PredictedUnits};
 use crate::truth::Truth;
 
 /// The laws of initial states.
-pub(super) enum UnitsOf {
+pub(super) enum UnitLaws {
     /// All tests are of new units.
     New(Initial),
     /// Of units by name.
@@ -24,22 +24,22 @@ pub(super) enum UnitsOf {
     },
 }
 
-impl UnitsOf {
-    pub(super) fn new(job: &PredictJob, spec: &Spec, truth: &Truth) -> Result<UnitsOf, Failure> {
-        if job.units == Units::New {
-            return Ok(UnitsOf::New(Initial::new(&spec.model, &truth.population)));
+impl UnitLaws {
+    pub(super) fn new(job: &PredictJob, spec: &Spec, truth: &Truth) -> Result<UnitLaws, Failure> {
+        if job.units == PredictedUnits::New {
+            return Ok(UnitLaws::New(Initial::new(&spec.model, &truth.population)));
         }
         let level = spec.model.levels.last().ok_or(Failure::NoUnits { why: "the model has no levels of groups" })?;
         let record = truth.record.as_ref().ok_or(Failure::NoUnits { why: "a model file knows no units" })?;
         let units = record.unit_laws(&spec.model, &truth.population);
-        Ok(UnitsOf::Known { units, level: level.name.clone(), path: job.from.name() })
+        Ok(UnitLaws::Known { units, level: level.name.clone(), path: job.from.name() })
     }
 
     /// The groups of tests, where they count.
     pub(super) fn grouping(&self, design: &Spec, tests: &[PhasedTest]) -> Result<Option<Grouping>, Failure> {
         match self {
-            UnitsOf::New(_) => Ok(None),
-            UnitsOf::Known { .. } => {
+            UnitLaws::New(_) => Ok(None),
+            UnitLaws::Known { .. } => {
                 let found = grouping(&design.model, tests);
                 found.map_err(|error| Failure::Apply(Box::new(error.into())))
             }
@@ -54,8 +54,8 @@ impl UnitsOf {
         labels: &Labels,
     ) -> Result<&Initial, Failure> {
         let (units, level, path) = match self {
-            UnitsOf::New(initial) => return Ok(initial),
-            UnitsOf::Known { units, level, path } => (units, level, path),
+            UnitLaws::New(initial) => return Ok(initial),
+            UnitLaws::Known { units, level, path } => (units, level, path),
         };
         let group = grouping.and_then(|grouping| {
             let number = grouping.number(&test.id)?;

@@ -6,7 +6,7 @@ use serde::de::{Deserialize, DeserializeSeed, Deserializer, Error, MapAccess, Se
 
 /// What the number at a key may be.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Rule {
+enum NumberRule {
     /// Any; whole ones are counts, which are so small that many of them can be added.
     Count,
     /// Any, however large.
@@ -17,20 +17,20 @@ enum Rule {
 
 const MOST: u64 = 1 << 53;
 
-impl Rule {
-    fn of(key: &str) -> Rule {
+impl NumberRule {
+    fn of(key: &str) -> NumberRule {
         match key {
-            "seed" => Rule::Any,
-            key if key.ends_with("p_value") => Rule::Probability,
-            _ => Rule::Count,
+            "seed" => NumberRule::Any,
+            key if key.ends_with("p_value") => NumberRule::Probability,
+            _ => NumberRule::Count,
         }
     }
 
     fn check<E: Error>(self, number: f64, shown: impl fmt::Display) -> Result<(), E> {
         let (holds, expected) = match self {
-            Rule::Any => return Ok(()),
-            Rule::Count => (number <= MOST as f64, format!("a count of at most {MOST}")),
-            Rule::Probability => ((0.0..=1.0).contains(&number), "a probability, 0 to 1".to_owned()),
+            NumberRule::Any => return Ok(()),
+            NumberRule::Count => (number <= MOST as f64, format!("a count of at most {MOST}")),
+            NumberRule::Probability => ((0.0..=1.0).contains(&number), "a probability, 0 to 1".to_owned()),
         };
         if holds { Ok(()) } else { Err(E::custom(format!("found {shown}, expected {expected}"))) }
     }
@@ -38,12 +38,12 @@ impl Rule {
 
 /// The schema of results whose numbers are what their keys say.
 #[derive(Debug)]
-pub(super) struct Head {
+pub(super) struct ResultHead {
     pub(super) schema: Option<String>,
 }
 
-impl<'de> Deserialize<'de> for Head {
-    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Head, D::Error> {
+impl<'de> Deserialize<'de> for ResultHead {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<ResultHead, D::Error> {
         from.deserialize_map(HeadVisitor)
     }
 }
@@ -51,26 +51,26 @@ impl<'de> Deserialize<'de> for Head {
 struct HeadVisitor;
 
 impl<'de> Visitor<'de> for HeadVisitor {
-    type Value = Head;
+    type Value = ResultHead;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the object of a result")
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Head, A::Error> {
-        let mut head = Head { schema: None };
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ResultHead, A::Error> {
+        let mut head = ResultHead { schema: None };
         while let Some(key) = map.next_key::<String>()? {
             if key == "schema" {
                 head.schema = map.next_value()?;
             } else {
-                map.next_value_seed(Rule::of(&key))?;
+                map.next_value_seed(NumberRule::of(&key))?;
             }
         }
         Ok(head)
     }
 }
 
-impl<'de> DeserializeSeed<'de> for Rule {
+impl<'de> DeserializeSeed<'de> for NumberRule {
     type Value = ();
 
     fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<(), D::Error> {
@@ -78,7 +78,7 @@ impl<'de> DeserializeSeed<'de> for Rule {
     }
 }
 
-impl<'de> Visitor<'de> for Rule {
+impl<'de> Visitor<'de> for NumberRule {
     type Value = ();
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -98,7 +98,7 @@ impl<'de> Visitor<'de> for Rule {
     }
 
     fn visit_f64<E: Error>(self, number: f64) -> Result<(), E> {
-        if self == Rule::Count { Ok(()) } else { self.check(number, number) }
+        if self == NumberRule::Count { Ok(()) } else { self.check(number, number) }
     }
 
     fn visit_str<E>(self, _: &str) -> Result<(), E> {
@@ -116,7 +116,7 @@ impl<'de> Visitor<'de> for Rule {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
         while let Some(key) = map.next_key::<std::borrow::Cow<'_, str>>()? {
-            map.next_value_seed(Rule::of(&key))?;
+            map.next_value_seed(NumberRule::of(&key))?;
         }
         Ok(())
     }
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     fn read(text: &str) -> Result<Option<String>, String> {
-        serde_json::from_str::<Head>(text).map(|head| head.schema).map_err(|error| error.to_string())
+        serde_json::from_str::<ResultHead>(text).map(|head| head.schema).map_err(|error| error.to_string())
     }
 
     #[test]

@@ -7,25 +7,25 @@ use kalfit::validate::VALIDATE_SCHEMA;
 use serde::de::DeserializeOwned;
 
 use crate::document::Document;
-use head::Head;
+use head::ResultHead;
 
 /// Larger result files are not read.
 const MAX_BYTES: u64 = 1 << 30;
 
 /// What the file of a command holds.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Kind {
+pub(crate) struct ResultKind {
     pub(crate) schema: &'static str,
     /// The command that makes such results.
     pub(crate) command: &'static str,
 }
 
 /// What `kalfit fit --out` writes.
-pub(crate) const FIT: Kind = Kind { schema: FIT_SCHEMA, command: "fit" };
+pub(crate) const FIT: ResultKind = ResultKind { schema: FIT_SCHEMA, command: "fit" };
 /// What `kalfit test --out` writes.
-pub(crate) const TEST: Kind = Kind { schema: "kalfit-test/1", command: "test" };
+pub(crate) const TEST: ResultKind = ResultKind { schema: "kalfit-test/1", command: "test" };
 /// What `kalfit validate --out` writes.
-pub(crate) const VALIDATED: Kind = Kind { schema: VALIDATE_SCHEMA, command: "validate" };
+pub(crate) const VALIDATED: ResultKind = ResultKind { schema: VALIDATE_SCHEMA, command: "validate" };
 
 /// Why results cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -77,7 +77,7 @@ impl ResultError {
 }
 
 /// The results in a file.
-pub(crate) fn read<T: DeserializeOwned>(from: &Document, kind: Kind) -> Result<T, ResultError> {
+pub(crate) fn read<T: DeserializeOwned>(from: &Document, kind: ResultKind) -> Result<T, ResultError> {
     of_bytes(from.name(), &bytes(from)?, kind)
 }
 
@@ -90,7 +90,7 @@ fn bytes(from: &Document) -> Result<Vec<u8>, ResultError> {
 }
 
 /// One of two kinds of results.
-pub(crate) enum Either<A, B> {
+pub(crate) enum EitherResult<A, B> {
     First(A),
     Second(B),
 }
@@ -98,22 +98,22 @@ pub(crate) enum Either<A, B> {
 /// The results in a file that holds those of the first kind, or else of the second.
 pub(crate) fn read_either<A: DeserializeOwned, B: DeserializeOwned>(
     from: &Document,
-    first: Kind,
-    second: Kind,
-) -> Result<Either<A, B>, ResultError> {
+    first: ResultKind,
+    second: ResultKind,
+) -> Result<EitherResult<A, B>, ResultError> {
     let bytes = bytes(from)?;
-    let schema = serde_json::from_slice::<Head>(&bytes).ok().and_then(|head| head.schema);
+    let schema = serde_json::from_slice::<ResultHead>(&bytes).ok().and_then(|head| head.schema);
     if schema.as_deref() == Some(first.schema) {
-        return of_bytes(from.name(), &bytes, first).map(Either::First);
+        return of_bytes(from.name(), &bytes, first).map(EitherResult::First);
     }
-    of_bytes(from.name(), &bytes, second).map(Either::Second)
+    of_bytes(from.name(), &bytes, second).map(EitherResult::Second)
 }
 
 /// The results in the bytes of a file.
-pub(crate) fn of_bytes<T: DeserializeOwned>(path: String, bytes: &[u8], kind: Kind) -> Result<T, ResultError> {
-    let Kind { schema: expected, command } = kind;
+pub(crate) fn of_bytes<T: DeserializeOwned>(path: String, bytes: &[u8], kind: ResultKind) -> Result<T, ResultError> {
+    let ResultKind { schema: expected, command } = kind;
     let refused = |reason: String| ResultError::NotARecord { path: path.clone(), command, reason };
-    let head: Head = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+    let head: ResultHead = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
     match head.schema {
         None => Err(refused("it has no `schema`".to_owned())),
         Some(found) if found != expected => Err(ResultError::Schema { path, found, expected }),

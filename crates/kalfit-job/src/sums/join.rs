@@ -11,11 +11,11 @@ use kalfit_spec::Spec;
 
 use crate::document::Document;
 use crate::failure::Failure;
-use crate::job::{Done, ModelJob};
-use crate::output::Output;
+use crate::job::{JobDone, ModelJob};
+use crate::output::OutputFile;
 use crate::sums::error::SumsError;
-use crate::sums::theta::{Sums, Theta};
-use crate::work::{Watch, Work};
+use crate::sums::theta::{SiteSums, Theta};
+use crate::work::{JobWatch, JobWork};
 use crate::{memory, model, write};
 
 /// Put the sums of all places together.
@@ -44,7 +44,7 @@ pub enum Joined {
 
 /// What `kalfit join` ended with.
 #[derive(Debug)]
-pub struct Round {
+pub struct JoinedRound {
     /// Number of places.
     pub places: usize,
     /// Number of tests.
@@ -59,31 +59,31 @@ pub struct Round {
 ///
 /// # Errors
 /// Sums of other models, versions, rounds or places; what keeps a fit of all tests in one place from an answer.
-pub fn join(job: &JoinJob, watch: &mut dyn Watch) -> Result<Done<Round>, Failure> {
+pub fn join(job: &JoinJob, watch: &mut dyn JobWatch) -> Result<JobDone<JoinedRound>, Failure> {
     let spec = model::load(&job.model, &[])?;
     memory::suffices(&spec)?;
     let read: Vec<&Path> = std::iter::once(&job.model.document).chain(&job.sums).filter_map(Document::path).collect();
-    let (out, fit) = (Output::prepare(&job.out, &read)?, Output::prepare(&job.fit, &read)?);
+    let (out, fit) = (OutputFile::prepare(&job.out, &read)?, OutputFile::prepare(&job.fit, &read)?);
     out.refuse_same(Some(&fit))?;
     let names: Vec<String> = job.sums.iter().map(Document::name).collect();
-    let sums = job.sums.iter().map(Sums::read).collect::<Result<Vec<_>, _>>()?;
+    let sums = job.sums.iter().map(SiteSums::read).collect::<Result<Vec<_>, _>>()?;
     if let Some((at, other)) = twice(&sums) {
         let [file, first] = [at, other].map(|at| names[at].clone());
         return Err(SumsError::Twice { file, first }.into());
     }
     let theta = sums.first().ok_or(SumsError::Shard(ShardError::NoTests))?.theta.clone();
     let (rounds, tests) = (theta.round + 1, sums.iter().map(|sums| sums.tests).sum());
-    let named: Vec<(&str, &Sums)> = names.iter().map(String::as_str).zip(&sums).collect();
-    let round = |record| Round { places: sums.len(), tests, rounds, record };
+    let named: Vec<(&str, &SiteSums)> = names.iter().map(String::as_str).zip(&sums).collect();
+    let round = |record| JoinedRound { places: sums.len(), tests, rounds, record };
     match go_on((&spec, job.criterion), theta, &named, watch)? {
         Joined::Asks(theta) => {
             out.write(&*theta)?;
-            Ok(Done::new(round(None), Vec::new(), vec![out.name()]))
+            Ok(JobDone::new(round(None), Vec::new(), vec![out.name()]))
         }
         Joined::Ends(mut record) => {
             record.data.files = names.clone();
             write::record(&fit, &mut record)?;
-            Ok(Done::new(round(Some(record)), Vec::new(), vec![fit.name()]))
+            Ok(JobDone::new(round(Some(record)), Vec::new(), vec![fit.name()]))
         }
     }
 }
@@ -103,13 +103,13 @@ pub fn first(job: &ModelJob) -> Result<Theta, Failure> {
 pub fn of_partitions(
     (job, criterion): (&ModelJob, Criterion),
     theta: Theta,
-    sums: &[Sums],
-    watch: &mut dyn Watch,
+    sums: &[SiteSums],
+    watch: &mut dyn JobWatch,
 ) -> Result<Joined, Failure> {
     let spec = model::load(job, &[])?;
     memory::suffices(&spec)?;
     let names: Vec<String> = (1..=sums.len()).map(|k| format!("partition {k}")).collect();
-    let named: Vec<(&str, &Sums)> = names.iter().map(String::as_str).zip(sums).collect();
+    let named: Vec<(&str, &SiteSums)> = names.iter().map(String::as_str).zip(sums).collect();
     go_on((&spec, criterion), theta, &named, watch)
 }
 
@@ -117,10 +117,10 @@ pub fn of_partitions(
 fn go_on(
     (spec, criterion): (&Spec, Criterion),
     theta: Theta,
-    sums: &[(&str, &Sums)],
-    watch: &mut dyn Watch,
+    sums: &[(&str, &SiteSums)],
+    watch: &mut dyn JobWatch,
 ) -> Result<Joined, Failure> {
-    let mut work = Work::new(watch);
+    let mut work = JobWork::new(watch);
     let next = together(theta, sums, spec)?;
     let provenance = Provenance {
         model_digest: Some(spec.digest.clone()),
@@ -141,15 +141,15 @@ fn go_on(
 }
 
 /// Of sums of some tests that are there before, the first, and where they were. Counts may well be alike.
-fn twice(sums: &[Sums]) -> Option<(usize, usize)> {
+fn twice(sums: &[SiteSums]) -> Option<(usize, usize)> {
     let counts = |asked: &Asked| matches!(asked.question, Question::Observability { .. });
-    let same = |one: &Sums, other: &Sums| one.tests > 0 && one == other && !one.theta.ask.iter().all(counts);
+    let same = |one: &SiteSums, other: &SiteSums| one.tests > 0 && one == other && !one.theta.ask.iter().all(counts);
     let before = |at: usize| sums[..at].iter().position(|other| same(other, &sums[at]));
     (0..sums.len()).find_map(|at| Some((at, before(at)?)))
 }
 
 /// Each group of the outermost level is in one place.
-fn apart(sums: &[(&str, &Sums)], spec: &Spec) -> Result<(), SumsError> {
+fn apart(sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<(), SumsError> {
     let mut places: HashMap<&str, usize> = HashMap::new();
     for (at, (file, own)) in sums.iter().enumerate() {
         let before: Vec<usize> = own.groups.iter().filter_map(|group| places.insert(group, at)).collect();
@@ -165,7 +165,7 @@ fn apart(sums: &[(&str, &Sums)], spec: &Spec) -> Result<(), SumsError> {
 }
 
 /// What is known after a round.
-fn together(theta: Theta, sums: &[(&str, &Sums)], spec: &Spec) -> Result<Theta, SumsError> {
+fn together(theta: Theta, sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<Theta, SumsError> {
     let bare = theta.bare();
     let Some(&(first, _)) = sums.first() else { return Err(ShardError::NoTests.into()) };
     for &(file, own) in sums {

@@ -6,9 +6,9 @@ mod site;
 mod theta;
 
 pub use error::SumsError;
-pub use join::{JoinJob, Joined, Round, first, join, of_partitions};
-pub use site::{Site, Summed, SumsJob, sums};
-pub use theta::{Sums, Theta};
+pub use join::{JoinJob, Joined, JoinedRound, first, join, of_partitions};
+pub use site::{SumsJob, SumsMade, SumsSite, sums};
+pub use theta::{SiteSums, Theta};
 
 use crate::failure::Failure;
 

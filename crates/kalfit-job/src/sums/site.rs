@@ -8,13 +8,13 @@ use kalfit_data::Datum;
 use kalfit_spec::Spec;
 
 use crate::document::Document;
-use crate::evidence::Given;
+use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{Done, ModelJob, files};
-use crate::output::Output;
+use crate::job::{JobDone, ModelJob, files};
+use crate::output::OutputFile;
 use crate::sums::error::SumsError;
-use crate::sums::theta::{SUMS, Sums, Theta};
-use crate::work::{Watch, Work};
+use crate::sums::theta::{SUMS, SiteSums, Theta};
+use crate::work::{JobWatch, JobWork};
 use crate::{memory, model, tests};
 
 /// Make the sums that are asked for.
@@ -34,7 +34,7 @@ pub struct SumsJob {
 
 /// Sums that were made.
 #[derive(Debug)]
-pub struct Summed {
+pub struct SumsMade {
     /// Number of tests.
     pub tests: usize,
     /// Rounds before this one.
@@ -43,30 +43,30 @@ pub struct Summed {
 
 /// The tests of one place, read.
 #[derive(Debug)]
-pub struct Site {
+pub struct SumsSite {
     spec: Spec,
     shard: Shard,
     /// What the user should know.
     pub notes: Vec<String>,
 }
 
-impl Site {
+impl SumsSite {
     /// Reads the data of a place.
     ///
     /// # Errors
     /// Bad input, a model that is not fitted by sums, or [`Failure::Interrupted`].
-    pub fn open(job: &ModelJob, data: &[Datum], watch: &mut dyn Watch) -> Result<Site, Failure> {
+    pub fn open(job: &ModelJob, data: &[Datum], watch: &mut dyn JobWatch) -> Result<SumsSite, Failure> {
         let mut spec = model::load(job, data)?;
-        let given = Given::open(&mut spec, data)?;
-        Site::read(spec, &given, &mut Work::new(watch))
+        let given = CommandInputs::open(&mut spec, data)?;
+        SumsSite::read(spec, &given, &mut JobWork::new(watch))
     }
 
-    fn read(spec: Spec, given: &Given, work: &mut Work<'_>) -> Result<Site, Failure> {
+    fn read(spec: Spec, given: &CommandInputs, work: &mut JobWork<'_>) -> Result<SumsSite, Failure> {
         memory::suffices(&spec)?;
         let (tests, reading) = tests::read(&spec, given, work)?;
         let shard =
             Shard::new(spec.model.clone(), &reading.labels, tests, Settings::default()).map_err(SumsError::from)?;
-        Ok(Site { spec, shard, notes: given.notes.clone() })
+        Ok(SumsSite { spec, shard, notes: given.notes.clone() })
     }
 
     /// Number of tests.
@@ -86,7 +86,7 @@ impl Site {
     ///
     /// # Errors
     /// What is asked is of another model or of another version.
-    pub fn answer(&self, theta: Theta, name: &str) -> Result<Sums, Failure> {
+    pub fn answer(&self, theta: Theta, name: &str) -> Result<SiteSums, Failure> {
         theta.check(name, &self.spec)?;
         let answers = theta.ask.iter().map(|asked| self.shard.answer(asked)).collect::<Result<_, _>>();
         let answers = answers.map_err(SumsError::from)?;
@@ -95,7 +95,7 @@ impl Site {
             _ => Vec::new(), // they were compared before
         };
         groups.sort(); // not in the order of the names
-        Ok(Sums { schema: SUMS.schema.to_owned(), tests: self.tests(), groups, answers, theta })
+        Ok(SiteSums { schema: SUMS.schema.to_owned(), tests: self.tests(), groups, answers, theta })
     }
 }
 
@@ -103,18 +103,18 @@ impl Site {
 ///
 /// # Errors
 /// Bad input, fewer tests than may be told of, what is asked is of another model or version, or [`Failure::Interrupted`].
-pub fn sums(job: &SumsJob, watch: &mut dyn Watch) -> Result<Done<Summed>, Failure> {
+pub fn sums(job: &SumsJob, watch: &mut dyn JobWatch) -> Result<JobDone<SumsMade>, Failure> {
     let mut spec = model::load(&job.model, &job.data)?;
     let theta = job.at.as_ref().map(Theta::read).transpose()?;
-    let given = Given::open(&mut spec, &job.data)?;
+    let given = CommandInputs::open(&mut spec, &job.data)?;
     let documents: Vec<&Document> = std::iter::once(&job.model.document).chain(&job.at).collect();
-    let output = Output::prepare(&job.out, &files(&documents, &given.inputs))?;
-    let mut work = Work::new(watch);
+    let output = OutputFile::prepare(&job.out, &files(&documents, &given.inputs))?;
+    let mut work = JobWork::new(watch);
     let name = job.at.as_ref().map_or_else(String::new, Document::name);
     if let Some(theta) = &theta {
         theta.check(&name, &spec)?; // before the data are read
     }
-    let site = Site::read(spec, &given, &mut work)?;
+    let site = SumsSite::read(spec, &given, &mut work)?;
     let (found, least) = (site.tests(), job.at_least);
     if found < least {
         return Err(SumsError::Few { found, least }.into());
@@ -124,5 +124,5 @@ pub fn sums(job: &SumsJob, watch: &mut dyn Watch) -> Result<Done<Summed>, Failur
     let theta = theta.map_or_else(|| site.first(), Ok)?;
     let round = theta.round;
     output.write(&site.answer(theta, &name)?)?;
-    Ok(Done::new(Summed { tests: found, round }, site.notes.clone(), vec![output.name()]))
+    Ok(JobDone::new(SumsMade { tests: found, round }, site.notes.clone(), vec![output.name()]))
 }

@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::document::Document;
 use crate::failure::Failure;
-use crate::results::{self, Kind};
+use crate::results::{self, ResultKind};
 use crate::sums::error::SumsError;
 
 /// What `kalfit join --out` writes.
-pub(crate) const THETA: Kind = Kind { schema: "kalfit-theta/1", command: "join" };
+pub(crate) const THETA: ResultKind = ResultKind { schema: "kalfit-theta/1", command: "join" };
 /// What `kalfit sums --out` writes.
-pub(crate) const SUMS: Kind = Kind { schema: "kalfit-sums/1", command: "sums" };
+pub(crate) const SUMS: ResultKind = ResultKind { schema: "kalfit-sums/1", command: "sums" };
 
 /// The round of a fit by sums: what is asked for, and the sums over all places of the rounds before.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -38,7 +38,7 @@ pub struct Theta {
 
 /// What one place answers: sums over its tests, and nothing of a single test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Sums {
+pub struct SiteSums {
     /// `kalfit-sums/1`.
     pub schema: String,
     /// Number of tests.
@@ -113,18 +113,18 @@ impl Theta {
     }
 }
 
-impl Sums {
+impl SiteSums {
     /// Those of a text, which messages call `name`.
     ///
     /// # Errors
     /// [`Failure::Sums`] for anything else.
-    pub fn of_text(name: &str, text: &str) -> Result<Sums, Failure> {
+    pub fn of_text(name: &str, text: &str) -> Result<SiteSums, Failure> {
         let read = results::of_bytes(name.to_owned(), text.as_bytes(), SUMS);
         Ok(read.map_err(SumsError::from)?)
     }
 
     /// Those of a file.
-    pub(crate) fn read(from: &Document) -> Result<Sums, SumsError> {
+    pub(crate) fn read(from: &Document) -> Result<SiteSums, SumsError> {
         Ok(results::read(from, SUMS)?)
     }
 }

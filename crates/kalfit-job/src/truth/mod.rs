@@ -65,7 +65,7 @@ impl From<TruthError> for Failure {
 }
 
 /// The value of one parameter, at one level or common to all.
-struct Known {
+struct KnownValue {
     name: String,
     per: Option<String>,
     level: Option<String>,
@@ -151,7 +151,7 @@ fn is_model(from: &Document) -> Result<bool, TruthError> {
 }
 
 /// The population of a model file, in the order of the model, and the values of its parameters.
-fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population, Vec<Known>), Failure> {
+fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population, Vec<KnownValue>), Failure> {
     let path = from.name();
     let mut truth = model::read(from)?;
     for parameter in truth.model.shared().parameters.clone() {
@@ -186,12 +186,12 @@ fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population,
 }
 
 /// All values of a model's parameters.
-fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
+fn levels(spec: &Spec, alpha: &Alpha) -> Vec<KnownValue> {
     let mut known = Vec::new();
     for (parameter, level) in spec.model.shared().parameters.iter().zip(&alpha.values) {
         let per = parameter.per.map(|column| spec.model.shared().text_columns[column].name.clone());
         let mut add = |level: Option<&String>, value: f64| {
-            known.push(Known { name: parameter.name.clone(), per: per.clone(), level: level.cloned(), value });
+            known.push(KnownValue { name: parameter.name.clone(), per: per.clone(), level: level.cloned(), value });
         };
         match level {
             Level::Common(value) => add(None, *value),
@@ -205,25 +205,25 @@ fn levels(spec: &Spec, alpha: &Alpha) -> Vec<Known> {
 }
 
 /// The parameters of a fit, all of which the model must have.
-fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<Known>, TruthError> {
+fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<KnownValue>, TruthError> {
     let names: BTreeSet<&str> = spec.model.shared().parameters.iter().map(|own| own.name.as_str()).collect();
     let known = |p: &kalfit::record::ParameterRecord| {
         if !names.contains(p.name.as_str()) {
             return Err(TruthError::UnknownParameter { path: path.to_owned(), name: p.name.clone() });
         }
-        Ok(Known { name: p.name.clone(), per: p.per.clone(), level: p.level.clone(), value: p.estimate })
+        Ok(KnownValue { name: p.name.clone(), per: p.per.clone(), level: p.level.clone(), value: p.estimate })
     };
     record.parameters.iter().map(known).collect()
 }
 
 /// Gives the model's free parameters the values that are known; the names of those that got one.
-fn give(spec: &mut Spec, known: &[Known], path: &str, warnings: &mut Vec<String>) -> Result<Vec<String>, Failure> {
+fn give(spec: &mut Spec, known: &[KnownValue], path: &str, warnings: &mut Vec<String>) -> Result<Vec<String>, Failure> {
     let literals: HashMap<String, usize> =
         spec.model.shared().literals.iter().enumerate().map(|(literal, text)| (text.clone(), literal)).collect();
     let mut taken = Vec::new();
     for parameter in spec.model.shared().parameters.clone() {
         let mut values = Vec::new();
-        for Known { per, level, value, .. } in known.iter().filter(|known| known.name == parameter.name) {
+        for KnownValue { per, level, value, .. } in known.iter().filter(|known| known.name == parameter.name) {
             let literal = level.as_ref().and_then(|level| literals.get(level));
             let at_level = literal.and_then(|literal| parameter.fixed_levels.get(literal).copied());
             let own = match parameter.value {

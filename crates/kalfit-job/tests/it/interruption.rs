@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use kalfit::dynamic::Method;
 use kalfit::estimate::Solver;
-use kalfit_job::{Document, ExchangeJob, Failure, FitJob, ModelJob, Watch};
+use kalfit_job::{Document, ExchangeJob, Failure, FitJob, JobWatch, ModelJob};
 
 /// Stops a job once it has heard these words so many times.
 struct Impatient {
@@ -12,7 +12,7 @@ struct Impatient {
     times: usize,
 }
 
-impl Watch for Impatient {
+impl JobWatch for Impatient {
     fn say(&mut self, what: &dyn Fn() -> String) {
         if what().contains(self.words) {
             self.times = self.times.saturating_sub(1);
@@ -89,7 +89,7 @@ fn whatever_is_no_search_ends_without_a_result() {
 #[derive(Default)]
 struct Listener(Vec<String>);
 
-impl Watch for Listener {
+impl JobWatch for Listener {
     fn say(&mut self, what: &dyn Fn() -> String) {
         self.0.push(what());
     }
