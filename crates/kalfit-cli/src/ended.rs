@@ -11,7 +11,7 @@ use crate::terminal;
 
 /// How a command ended that had good input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Outcome {
+pub(crate) enum CommandOutcome {
     Done,
     NotCertified,
     /// Something could not be written, where other files were.
@@ -20,29 +20,29 @@ pub(crate) enum Outcome {
     Interrupted,
 }
 
-impl Outcome {
+impl CommandOutcome {
     /// Of a fit, or of what is made of fits.
-    pub(crate) fn of(converged: bool) -> Outcome {
-        if converged { Outcome::Done } else { Outcome::NotCertified }
+    pub(crate) fn of(converged: bool) -> CommandOutcome {
+        if converged { CommandOutcome::Done } else { CommandOutcome::NotCertified }
     }
 
     /// The same, when something could not be written.
-    pub(crate) fn with_losses(self) -> Outcome {
-        if self == Outcome::Interrupted { self } else { Outcome::Incomplete }
+    pub(crate) fn with_losses(self) -> CommandOutcome {
+        if self == CommandOutcome::Interrupted { self } else { CommandOutcome::Incomplete }
     }
 
     pub(crate) fn exit_code(self) -> ExitCode {
         match self {
-            Outcome::Done => ExitCode::SUCCESS,
-            Outcome::NotCertified | Outcome::Incomplete => ExitCode::FAILURE,
-            Outcome::Interrupted => ExitCode::from(interrupt::STATUS),
+            CommandOutcome::Done => ExitCode::SUCCESS,
+            CommandOutcome::NotCertified | CommandOutcome::Incomplete => ExitCode::FAILURE,
+            CommandOutcome::Interrupted => ExitCode::from(interrupt::STATUS),
         }
     }
 }
 
 /// Why a command ended without results that were seen.
 #[derive(Debug)]
-pub(crate) enum Ended {
+pub(crate) enum CommandFailure {
     /// The job could not be done.
     Failed(Box<Failure>),
     /// No starter model was written.
@@ -53,17 +53,19 @@ pub(crate) enum Ended {
     Unheard(std::io::Error),
 }
 
-impl From<Failure> for Ended {
-    fn from(failure: Failure) -> Ended {
-        Ended::Failed(Box::new(failure))
+impl From<Failure> for CommandFailure {
+    fn from(failure: Failure) -> CommandFailure {
+        CommandFailure::Failed(Box::new(failure))
     }
 }
 
-impl Ended {
+impl CommandFailure {
     /// Bad input, unless it was the user who ended it.
     pub(crate) fn exit_code(&self) -> ExitCode {
         match self {
-            Ended::Failed(failure) if matches!(**failure, Failure::Interrupted) => ExitCode::from(interrupt::STATUS),
+            CommandFailure::Failed(failure) if matches!(**failure, Failure::Interrupted) => {
+                ExitCode::from(interrupt::STATUS)
+            }
             _ => ExitCode::from(2),
         }
     }
@@ -72,19 +74,21 @@ impl Ended {
     pub(crate) fn words(&self) -> String {
         let color = terminal::color_on_stderr();
         match self {
-            Ended::Failed(failure) => kalfit_job::render(failure, color),
-            Ended::NotBegun(error) => kalfit_job::render_hinted(&error.to_string(), error.hint(), color),
-            Ended::NoPages(_) | Ended::Unheard(_) => kalfit_job::render_message(&self.message(), color),
+            CommandFailure::Failed(failure) => kalfit_job::render(failure, color),
+            CommandFailure::NotBegun(error) => kalfit_job::render_hinted(&error.to_string(), error.hint(), color),
+            CommandFailure::NoPages(_) | CommandFailure::Unheard(_) => {
+                kalfit_job::render_message(&self.message(), color)
+            }
         }
     }
 
     /// The message alone.
     pub(crate) fn message(&self) -> String {
         match self {
-            Ended::Failed(failure) => failure.to_string(),
-            Ended::NotBegun(error) => error.to_string(),
-            Ended::NoPages(error) => error.to_string(),
-            Ended::Unheard(error) => format!("cannot write to standard output: {error}"),
+            CommandFailure::Failed(failure) => failure.to_string(),
+            CommandFailure::NotBegun(error) => error.to_string(),
+            CommandFailure::NoPages(error) => error.to_string(),
+            CommandFailure::Unheard(error) => format!("cannot write to standard output: {error}"),
         }
     }
 }

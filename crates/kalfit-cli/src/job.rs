@@ -19,24 +19,24 @@ use crate::args::{
     ApplyArgs, Args, CheckArgs, Command, CompareArgs, DatasheetArgs, ExchangeArgs, ExportArgs, FitArgs, GlobalArgs,
     JoinArgs, ModelArgs, PlanArgs, PlotArgs, PredictArgs, ReportArgs, SimulateArgs, SumsArgs, TestArgs, ValidateArgs,
 };
-use crate::ended::{Ended, Outcome};
+use crate::ended::{CommandFailure, CommandOutcome};
 use crate::init::InitJob;
 use crate::interrupt;
-use crate::show::{self, Telling};
+use crate::show::{self, ShowOptions};
 
 /// One command with all that it needs to know.
 #[derive(Debug)]
-pub(crate) struct Order {
-    job: Job,
+pub(crate) struct CommandOrder {
+    job: CommandJob,
     /// Threads; all processors when none.
     threads: Option<usize>,
     /// Instructions, where an option fixes them.
     instructions: Option<String>,
-    telling: Telling,
+    telling: ShowOptions,
 }
 
 #[derive(Debug)]
-enum Job {
+enum CommandJob {
     Init(InitJob),
     Fit(FitJob),
     Reduce(ExchangeJob),
@@ -59,8 +59,8 @@ enum Job {
     Man(Option<PathBuf>),
 }
 
-impl Order {
-    pub(crate) fn run(&self) -> Result<Outcome, Ended> {
+impl CommandOrder {
+    pub(crate) fn run(&self) -> Result<CommandOutcome, CommandFailure> {
         kalfit_job::fix_instructions(self.instructions.as_deref())?;
         // now, where it can be told that there are none: whoever wants the first one could not
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads.unwrap_or(0)).build_global();
@@ -70,59 +70,61 @@ impl Order {
         })?;
         kalfit_job::memory_is_there()?;
         let telling = self.telling;
-        interrupt::listen(matches!(self.job, Job::Fit(_)), telling.quiet);
+        interrupt::listen(matches!(self.job, CommandJob::Fit(_)), telling.quiet);
         match &self.job {
-            Job::Init(job) => show::init(job, telling),
-            Job::Fit(job) => show::fit(job, telling),
-            Job::Reduce(job) => show::exchange(job, kalfit_job::reduce, telling),
-            Job::Estimates(job) => show::exchange(job, kalfit_job::estimates, telling),
-            Job::Sums(job) => show::sums(job, telling),
-            Job::Join(job) => show::join(job, telling),
-            Job::Test(job) => show::test(job, telling),
-            Job::Check(job) => show::check(job, telling),
-            Job::Simulate(job) => show::simulate(job, telling),
-            Job::Plan(job) => show::plan(job, telling),
-            Job::Apply(job) => show::apply(job, telling),
-            Job::Validate(job) => show::validate(job, telling),
-            Job::Predict(job) => show::predict(job, telling),
-            Job::Export(job) => show::export(job, telling),
-            Job::Datasheet(job) => show::datasheet(job, telling),
-            Job::Compare(job) => show::compare(job, telling),
-            Job::Report(job) => show::report(job, telling),
-            Job::Plot(job) => show::plot(job, telling),
-            Job::Completions(shell) => show::completions(*shell),
-            Job::Man(folder) => show::man(folder.as_deref(), telling),
+            CommandJob::Init(job) => show::init(job, telling),
+            CommandJob::Fit(job) => show::fit(job, telling),
+            CommandJob::Reduce(job) => show::exchange(job, kalfit_job::reduce, telling),
+            CommandJob::Estimates(job) => show::exchange(job, kalfit_job::estimates, telling),
+            CommandJob::Sums(job) => show::sums(job, telling),
+            CommandJob::Join(job) => show::join(job, telling),
+            CommandJob::Test(job) => show::test(job, telling),
+            CommandJob::Check(job) => show::check(job, telling),
+            CommandJob::Simulate(job) => show::simulate(job, telling),
+            CommandJob::Plan(job) => show::plan(job, telling),
+            CommandJob::Apply(job) => show::apply(job, telling),
+            CommandJob::Validate(job) => show::validate(job, telling),
+            CommandJob::Predict(job) => show::predict(job, telling),
+            CommandJob::Export(job) => show::export(job, telling),
+            CommandJob::Datasheet(job) => show::datasheet(job, telling),
+            CommandJob::Compare(job) => show::compare(job, telling),
+            CommandJob::Report(job) => show::report(job, telling),
+            CommandJob::Plot(job) => show::plot(job, telling),
+            CommandJob::Completions(shell) => show::completions(*shell),
+            CommandJob::Man(folder) => show::man(folder.as_deref(), telling),
         }
     }
 }
 
-impl From<Args> for Order {
-    fn from(mut args: Args) -> Order {
+impl From<Args> for CommandOrder {
+    fn from(mut args: Args) -> CommandOrder {
         let GlobalArgs { quiet, threads, instructions, color: _ } = args.global;
-        let telling = Telling { quiet, json: takes_standard_output(&mut args.command) };
+        let telling = ShowOptions { quiet, json: takes_standard_output(&mut args.command) };
         let job = match args.command {
-            Command::Fit(args) => Job::Fit(args.into()),
-            Command::Reduce(args) => Job::Reduce(args.into()),
-            Command::Estimates(args) => Job::Estimates(args.into()),
-            Command::Sums(args) => Job::Sums(args.into()),
-            Command::Join(args) => Job::Join(args.into()),
-            Command::Test(args) => Job::Test(args.into()),
-            Command::Check(args) => Job::Check(args.into()),
-            Command::Simulate(args) => Job::Simulate(args.into()),
-            Command::Plan(args) => Job::Plan(args.into()),
-            Command::Apply(args) => Job::Apply(args.into()),
-            Command::Validate(args) => Job::Validate(args.into()),
-            Command::Predict(args) => Job::Predict(args.into()),
-            Command::Export(args) => Job::Export(args.into()),
-            Command::Datasheet(args) => Job::Datasheet(args.into()),
-            Command::Compare(args) => Job::Compare(args.into()),
-            Command::Report(args) => Job::Report(args.into()),
-            Command::Init(args) => Job::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() }),
-            Command::Plot(args) => Job::Plot(args.into()),
-            Command::Completions(args) => Job::Completions(args.shell),
-            Command::Man(args) => Job::Man(args.dir),
+            Command::Fit(args) => CommandJob::Fit(args.into()),
+            Command::Reduce(args) => CommandJob::Reduce(args.into()),
+            Command::Estimates(args) => CommandJob::Estimates(args.into()),
+            Command::Sums(args) => CommandJob::Sums(args.into()),
+            Command::Join(args) => CommandJob::Join(args.into()),
+            Command::Test(args) => CommandJob::Test(args.into()),
+            Command::Check(args) => CommandJob::Check(args.into()),
+            Command::Simulate(args) => CommandJob::Simulate(args.into()),
+            Command::Plan(args) => CommandJob::Plan(args.into()),
+            Command::Apply(args) => CommandJob::Apply(args.into()),
+            Command::Validate(args) => CommandJob::Validate(args.into()),
+            Command::Predict(args) => CommandJob::Predict(args.into()),
+            Command::Export(args) => CommandJob::Export(args.into()),
+            Command::Datasheet(args) => CommandJob::Datasheet(args.into()),
+            Command::Compare(args) => CommandJob::Compare(args.into()),
+            Command::Report(args) => CommandJob::Report(args.into()),
+            Command::Init(args) => {
+                CommandJob::Init(InitJob { template: args.template, folder: args.dir.unwrap_or_default() })
+            }
+            Command::Plot(args) => CommandJob::Plot(args.into()),
+            Command::Completions(args) => CommandJob::Completions(args.shell),
+            Command::Man(args) => CommandJob::Man(args.dir),
         };
-        Order { job, threads: threads.map(usize::from), instructions, telling }
+        CommandOrder { job, threads: threads.map(usize::from), instructions, telling }
     }
 }
 

@@ -25,7 +25,7 @@ fn main() -> ExitCode {
     kalfit_data::keep_quiet_of_broken_files();
     let args = args::Args::parse();
     terminal::choose_color(args.global.color);
-    match job::Order::from(args).run() {
+    match job::CommandOrder::from(args).run() {
         Ok(outcome) => outcome.exit_code(),
         Err(ended) => {
             terminal::complain(&ended.words());

@@ -16,25 +16,25 @@ const PATIENCE: Duration = Duration::from_secs(1);
 const TICK: Duration = Duration::from_millis(200);
 
 /// The line.
-pub(crate) struct Line {
+pub(crate) struct ProgressLine {
     /// `None` where nobody would see it.
-    shown: Option<Shown>,
-    way: Option<Way>,
+    shown: Option<TerminalLine>,
+    way: Option<TimedShare>,
 }
 
 /// The way to an end that is known.
 #[derive(Debug, Clone, Copy)]
-struct Way {
+struct TimedShare {
     share: Share,
     began: Instant,
 }
 
-impl Way {
+impl TimedShare {
     /// Where it is now; a way of its own when it is about something else, or begins again.
-    fn on(before: Option<Way>, share: Share) -> Way {
+    fn on(before: Option<TimedShare>, share: Share) -> TimedShare {
         match before {
-            Some(way) if way.share.what == share.what && way.share.done <= share.done => Way { share, ..way },
-            _ => Way { share, began: Instant::now() },
+            Some(way) if way.share.what == share.what && way.share.done <= share.done => TimedShare { share, ..way },
+            _ => TimedShare { share, began: Instant::now() },
         }
     }
 }
@@ -54,11 +54,11 @@ fn outlook(share: Share, took: Duration) -> String {
     format!("{percent}, about {} left", HumanDuration(Duration::from_secs(seconds.ceil() as u64)))
 }
 
-impl Line {
+impl ProgressLine {
     /// The line of a command that begins now.
-    pub(crate) fn new(quiet: bool) -> Line {
+    pub(crate) fn new(quiet: bool) -> ProgressLine {
         let wanted = !quiet && std::io::stderr().is_terminal();
-        Line { shown: wanted.then(Shown::new), way: None }
+        ProgressLine { shown: wanted.then(TerminalLine::new), way: None }
     }
 
     /// Shows these words, with the outlook when they are about the way.
@@ -70,7 +70,7 @@ impl Line {
     }
 }
 
-impl JobWatch for Line {
+impl JobWatch for ProgressLine {
     fn say(&mut self, what: &dyn Fn() -> String) {
         if self.shown.is_some() {
             self.show(&what());
@@ -78,7 +78,7 @@ impl JobWatch for Line {
     }
 
     fn share(&mut self, share: Share) {
-        self.way = Some(Way::on(self.way, share));
+        self.way = Some(TimedShare::on(self.way, share));
         self.show(share.what);
     }
 
@@ -89,8 +89,8 @@ impl JobWatch for Line {
 
 /// A line on a terminal. A thread draws it once it is due, so that it is there in time whatever the work is at.
 #[derive(Debug)]
-struct Shown {
-    line: Arc<Mutex<Drawn>>,
+struct TerminalLine {
+    line: Arc<Mutex<LineContent>>,
     /// Gone when the line is to go.
     wanted: Option<Sender<()>>,
     drawer: Option<JoinHandle<()>>,
@@ -98,15 +98,15 @@ struct Shown {
 
 /// What is drawn, or will be.
 #[derive(Debug)]
-struct Drawn {
+struct LineContent {
     words: String,
     bar: Option<ProgressBar>,
 }
 
-impl Shown {
-    fn new() -> Shown {
+impl TerminalLine {
+    fn new() -> TerminalLine {
         let began = Instant::now();
-        let line = Arc::new(Mutex::new(Drawn { words: "starting".to_owned(), bar: None }));
+        let line = Arc::new(Mutex::new(LineContent { words: "starting".to_owned(), bar: None }));
         let (wanted, waits) = channel();
         let drawn = Arc::clone(&line);
         let draw = move || {
@@ -119,7 +119,7 @@ impl Shown {
             }
         };
         let drawer = std::thread::Builder::new().name("progress".to_owned()).spawn(draw).ok();
-        Shown { line, wanted: Some(wanted), drawer }
+        TerminalLine { line, wanted: Some(wanted), drawer }
     }
 
     fn say(&self, words: String) {
@@ -132,7 +132,7 @@ impl Shown {
 }
 
 /// Takes the line away.
-impl Drop for Shown {
+impl Drop for TerminalLine {
     fn drop(&mut self) {
         drop(self.wanted.take());
         if let Some(drawer) = self.drawer.take() {
@@ -179,9 +179,9 @@ mod tests {
     #[test]
     fn a_way_that_begins_again_is_timed_anew() {
         let long_ago = Instant::now().checked_sub(Duration::from_secs(60)).expect("the machine is up that long");
-        let way = Way { share: share(50, 100), began: long_ago };
-        assert_eq!(Way::on(Some(way), share(60, 100)).began, long_ago);
-        assert!(Way::on(Some(way), share(10, 100)).began > long_ago, "data are read a second time");
-        assert!(Way::on(Some(way), Share { what: "drawing", done: 60, of: 100 }).began > long_ago);
+        let way = TimedShare { share: share(50, 100), began: long_ago };
+        assert_eq!(TimedShare::on(Some(way), share(60, 100)).began, long_ago);
+        assert!(TimedShare::on(Some(way), share(10, 100)).began > long_ago, "data are read a second time");
+        assert!(TimedShare::on(Some(way), Share { what: "drawing", done: 60, of: 100 }).began > long_ago);
     }
 }
