@@ -11,20 +11,20 @@ use crate::errors::{DataError, data_exception};
 
 /// Each datum is the name of a file or a pattern, or a pair: what messages call a table, and the table.
 #[derive(FromPyObject)]
-pub(crate) enum Given<'py> {
+pub(crate) enum PyDatum<'py> {
     Named(String),
     Table(String, Bound<'py, PyAny>),
 }
 
 /// The data for a job.
-pub(crate) fn data(given: Vec<Given<'_>>) -> PyResult<Vec<Datum>> {
+pub(crate) fn data(given: Vec<PyDatum<'_>>) -> PyResult<Vec<Datum>> {
     given.into_iter().map(datum).collect()
 }
 
-fn datum(given: Given<'_>) -> PyResult<Datum> {
+fn datum(given: PyDatum<'_>) -> PyResult<Datum> {
     let (name, table) = match given {
-        Given::Named(name) => return Ok(Datum::Named(name)),
-        Given::Table(name, table) => (name, table),
+        PyDatum::Named(name) => return Ok(Datum::Named(name)),
+        PyDatum::Table(name, table) => (name, table),
     };
     let (schema, batches) = batches(&name, &table)?;
     Ok(Datum::Table(MemoryTable::new(name, schema, batches).map_err(|error| data_exception(&error))?))

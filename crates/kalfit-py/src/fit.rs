@@ -10,7 +10,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::errors::{exception, not_written};
-use crate::table::Table;
+use crate::table::PyTable;
 use crate::text::{text, written};
 
 /// The record of a fit. Python asks it for JSON of what it wants to see, so that a summary of a million tests parses none of them.
@@ -64,7 +64,7 @@ impl Results {
     }
 
     /// A table as the command writes it: `tests`, `parameters` or `constraints`.
-    fn table(&self, py: Python<'_>, which: &str) -> PyResult<Table> {
+    fn table(&self, py: Python<'_>, which: &str) -> PyResult<PyTable> {
         let which = match which {
             "tests" => FitTable::Tests,
             "parameters" => FitTable::Parameters,
@@ -72,7 +72,7 @@ impl Results {
             _ => return Err(PyValueError::new_err(format!("there is no table `{which}`"))),
         };
         let file = py.detach(|| kalfit_job::fit_table(&self.record(), which)).map_err(|failure| exception(&failure))?;
-        Table::ipc(file)
+        PyTable::ipc(file)
     }
 
     /// Number of the tests.

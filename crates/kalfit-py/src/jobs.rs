@@ -18,28 +18,28 @@ use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::data::{Given, data};
+use crate::data::{PyDatum, data};
 use crate::errors::exception;
 use crate::fit::Results;
-use crate::options::{Asked, FitOptions, Text, pick, settings};
-use crate::run::{Ended, How, run};
-use crate::table::Table;
+use crate::options::{FitOptions, ModelOptions, NamedText, pick, settings};
+use crate::run::{JobEnd, RunOptions, run};
+use crate::table::PyTable;
 use crate::text::written;
 
 /// (the fit, whether it was interrupted).
 #[pyfunction]
 pub(crate) fn fit(
     py: Python<'_>,
-    model: Asked,
-    given: Vec<Given<'_>>,
+    model: ModelOptions,
+    given: Vec<PyDatum<'_>>,
     out: Option<PathBuf>,
     options: FitOptions,
-    how: How<'_>,
+    how: RunOptions<'_>,
 ) -> PyResult<(Results, bool)> {
     let mut job = FitJob::new(model.into(), data(given)?);
     job.out = out;
     options.apply(&mut job)?;
-    let Ended { result, interrupted } = run(py, how, move |watch| kalfit_job::fit(&job, watch))?;
+    let JobEnd { result, interrupted } = run(py, how, move |watch| kalfit_job::fit(&job, watch))?;
     Ok((Results::new(result.record), interrupted))
 }
 
@@ -47,9 +47,9 @@ pub(crate) fn fit(
 #[pyfunction]
 pub(crate) fn check(
     py: Python<'_>,
-    model: Asked,
-    given: Vec<Given<'_>>,
-    how: How<'_>,
+    model: ModelOptions,
+    given: Vec<PyDatum<'_>>,
+    how: RunOptions<'_>,
 ) -> PyResult<(String, String, Vec<String>)> {
     let job = CheckJob { model: model.into(), data: data(given)?, out: None };
     let done = whole(run(py, how, move |watch| kalfit_job::check(&job, watch))?)?;
@@ -64,12 +64,12 @@ type TestOptions = (Option<(u32, u64)>, Option<f64>, Option<u32>);
 #[pyfunction]
 pub(crate) fn test(
     py: Python<'_>,
-    model: Asked,
-    given: Vec<Given<'_>>,
-    null: Text,
+    model: ModelOptions,
+    given: Vec<PyDatum<'_>>,
+    null: NamedText,
     options: TestOptions,
     out: Option<PathBuf>,
-    how: How<'_>,
+    how: RunOptions<'_>,
 ) -> PyResult<(String, Vec<String>)> {
     let (bootstrap, tolerance, passes) = options;
     let job = TestJob {
@@ -88,12 +88,12 @@ pub(crate) fn test(
 #[pyfunction]
 pub(crate) fn plan(
     py: Python<'_>,
-    model: Asked,
-    from: Text,
-    design: Vec<Given<'_>>,
+    model: ModelOptions,
+    from: NamedText,
+    design: Vec<PyDatum<'_>>,
     many: (Vec<usize>, Vec<(String, Vec<usize>)>),
     out: Option<PathBuf>,
-    how: How<'_>,
+    how: RunOptions<'_>,
 ) -> PyResult<(String, Vec<String>)> {
     let (tests, groups) = many;
     let job = PlanJob { model: model.into(), from: from.into(), design: data(design)?, tests, groups, out };
@@ -102,19 +102,19 @@ pub(crate) fn plan(
 }
 
 /// (JSON of the results, table of the tests, that of the states, notes); tables that went to files are not handed back.
-type Applied = (String, Option<Table>, Option<Table>, Vec<String>);
+type AppliedTuple = (String, Option<PyTable>, Option<PyTable>, Vec<String>);
 
 /// Applies a fitted model to tests. `states`: what those are known from, if they are wanted.
 #[pyfunction]
 pub(crate) fn apply(
     py: Python<'_>,
-    model: Asked,
-    given: Vec<Given<'_>>,
-    from: Text,
+    model: ModelOptions,
+    given: Vec<PyDatum<'_>>,
+    from: NamedText,
     states: Option<&str>,
     files: (Option<PathBuf>, Option<PathBuf>),
-    how: How<'_>,
-) -> PyResult<Applied> {
+    how: RunOptions<'_>,
+) -> PyResult<AppliedTuple> {
     let kind = states.map(|kind| pick("states", kind, words::KINDS)).transpose()?;
     let to = |file: Option<PathBuf>| file.map_or(TableTo::Back, TableTo::File);
     let job = ApplyJob {
@@ -127,23 +127,23 @@ pub(crate) fn apply(
     };
     let done = whole(run(py, how, move |watch| kalfit_job::apply(&job, watch))?)?;
     let AppliedModel { record, tests, states } = done.record;
-    let table = |file: Option<File>| file.map(Table::ipc).transpose();
+    let table = |file: Option<File>| file.map(PyTable::ipc).transpose();
     Ok((written(&record)?, table(tests)?, table(states)?, done.notes))
 }
 
 /// (number of folds and seed, or a column; criterion).
-type FoldsAsked = (Option<(usize, u64)>, Option<String>, String);
+type FoldOptions = (Option<(usize, u64)>, Option<String>, String);
 
 /// Predicts tests by fits that were made without them: (JSON of the validation, notes).
 #[pyfunction]
 pub(crate) fn validate(
     py: Python<'_>,
-    model: Asked,
-    given: Vec<Given<'_>>,
-    folds: FoldsAsked,
-    against: Option<Text>,
+    model: ModelOptions,
+    given: Vec<PyDatum<'_>>,
+    folds: FoldOptions,
+    against: Option<NamedText>,
     out: Option<PathBuf>,
-    how: How<'_>,
+    how: RunOptions<'_>,
 ) -> PyResult<(String, Vec<String>)> {
     let (drawn, by, criterion) = folds;
     let (count, seed) = drawn.unwrap_or((10, 1));
@@ -160,19 +160,19 @@ pub(crate) fn validate(
 }
 
 /// (outputs, confidence, content, each limit by itself, whose tests).
-type Asks = (Option<Text>, f64, f64, bool, String);
+type PredictOptions = (Option<NamedText>, f64, f64, bool, String);
 
 /// Says what tests that nobody has made will give, of designs and perhaps the data of the fit: (JSON of the last rows, table, notes).
 #[pyfunction]
 pub(crate) fn predict(
     py: Python<'_>,
-    model: Asked,
-    from: Text,
-    given: (Vec<Given<'_>>, Vec<Given<'_>>),
-    asks: Asks,
+    model: ModelOptions,
+    from: NamedText,
+    given: (Vec<PyDatum<'_>>, Vec<PyDatum<'_>>),
+    asks: PredictOptions,
     out: Option<PathBuf>,
-    how: How<'_>,
-) -> PyResult<(String, Option<Table>, Vec<String>)> {
+    how: RunOptions<'_>,
+) -> PyResult<(String, Option<PyTable>, Vec<String>)> {
     let (design, profile) = given;
     let (outputs, confidence, content, one_sided, units) = asks;
     let sides = if one_sided { Sides::One } else { Sides::Two };
@@ -188,18 +188,18 @@ pub(crate) fn predict(
     };
     let done = whole(run(py, how, move |watch| kalfit_job::predict(&job, watch))?)?;
     let PredictedModel { record, table } = done.record;
-    Ok((written(&record)?, table.map(Table::ipc).transpose()?, done.notes))
+    Ok((written(&record)?, table.map(PyTable::ipc).transpose()?, done.notes))
 }
 
 /// (length of a step, columns with their values as `column=value`, phase).
-type WantedFilter = (Option<f64>, Vec<String>, Option<String>);
+type ExportOptions = (Option<f64>, Vec<String>, Option<String>);
 
 /// (JSON of the filter that follows from a fit, notes).
 #[pyfunction]
 pub(crate) fn export(
-    model: Asked,
-    from: Text,
-    wanted: WantedFilter,
+    model: ModelOptions,
+    from: NamedText,
+    wanted: ExportOptions,
     form: Option<&str>,
     out: Option<PathBuf>,
 ) -> PyResult<(String, Vec<String>)> {
@@ -214,12 +214,12 @@ pub(crate) fn export(
 #[pyfunction]
 pub(crate) fn datasheet(
     py: Python<'_>,
-    model: Asked,
-    from: Text,
-    given: Vec<Given<'_>>,
+    model: ModelOptions,
+    from: NamedText,
+    given: Vec<PyDatum<'_>>,
     wanted: (Option<f64>, Vec<String>),
     out: Option<PathBuf>,
-    how: How<'_>,
+    how: RunOptions<'_>,
 ) -> PyResult<(String, Vec<String>)> {
     let (step, at) = wanted;
     let job = DatasheetJob { model: model.into(), from: from.into(), data: data(given)?, step, at, out };
@@ -229,7 +229,7 @@ pub(crate) fn datasheet(
 
 /// JSON of fits of the same data side by side.
 #[pyfunction]
-pub(crate) fn compare(fits: Vec<Text>, out: Option<PathBuf>) -> PyResult<String> {
+pub(crate) fn compare(fits: Vec<NamedText>, out: Option<PathBuf>) -> PyResult<String> {
     let job = CompareJob { fits: fits.into_iter().map(Into::into).collect(), out };
     let done = kalfit_job::compare(&job).map_err(|failure| exception(&failure))?;
     written(&done.record)
@@ -237,46 +237,46 @@ pub(crate) fn compare(fits: Vec<Text>, out: Option<PathBuf>) -> PyResult<String>
 
 /// (the table unless it went to a file, number of tests, of rows, the true initial states unless the table went to a file, the
 /// column that was added to tell tests apart, notes).
-type Drawn = (Option<Table>, u64, u64, Option<Table>, Option<String>, Vec<String>);
+type SimulatedTuple = (Option<PyTable>, u64, u64, Option<PyTable>, Option<String>, Vec<String>);
 
 /// Draws an ensemble.
 #[pyfunction]
 pub(crate) fn simulate(
     py: Python<'_>,
-    model: Asked,
-    from: Text,
-    design: Vec<Given<'_>>,
+    model: ModelOptions,
+    from: NamedText,
+    design: Vec<PyDatum<'_>>,
     draw: (Option<u64>, u64),
     files: (Option<PathBuf>, Option<PathBuf>),
-    how: How<'_>,
-) -> PyResult<Drawn> {
+    how: RunOptions<'_>,
+) -> PyResult<SimulatedTuple> {
     let (model, from, design) = (model.into(), from.into(), data(design)?);
     let ((tests, seed), (out, states)) = (draw, files);
     let job = SimulateJob { model, from, design, tests, seed, out, states };
     let done = whole(run(py, how, move |watch| kalfit_job::simulate(&job, watch))?)?;
     let Simulated { tests, rows, added, table, initial, state_names, .. } = done.record;
-    let states = table.is_some().then(|| Table::of_rows(&state_names, &initial)).transpose()?;
-    Ok((table.map(Table::ipc).transpose()?, tests, rows, states, added, done.notes))
+    let states = table.is_some().then(|| PyTable::of_rows(&state_names, &initial)).transpose()?;
+    Ok((table.map(PyTable::ipc).transpose()?, tests, rows, states, added, done.notes))
 }
 
 /// (the table unless it went to a file, number of rows, of tests, notes).
-type Made = (Option<Table>, usize, usize, Vec<String>);
+type ExchangedTuple = (Option<PyTable>, usize, usize, Vec<String>);
 
 /// A job that makes an exchange file.
-type Exchange = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure>;
+type ExchangeFunction = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure>;
 
 /// Runs filters once and makes a table of what they leave: `reductions`, or `estimates` of the model's filters as they are.
 #[pyfunction]
 pub(crate) fn exchange(
     py: Python<'_>,
     what: &str,
-    model: Asked,
-    given: Vec<Given<'_>>,
-    at: Option<Text>,
+    model: ModelOptions,
+    given: Vec<PyDatum<'_>>,
+    at: Option<NamedText>,
     out: Option<PathBuf>,
-    how: How<'_>,
-) -> PyResult<Made> {
-    let make: Exchange = match what {
+    how: RunOptions<'_>,
+) -> PyResult<ExchangedTuple> {
+    let make: ExchangeFunction = match what {
         "reductions" => kalfit_job::reduce,
         "estimates" => kalfit_job::estimates,
         _ => return Err(PyValueError::new_err(format!("what is `{what}`, expected `reductions` or `estimates`"))),
@@ -284,10 +284,10 @@ pub(crate) fn exchange(
     let job = ExchangeJob { model: model.into(), data: data(given)?, at: at.map(Into::into), out };
     let done = whole(run(py, how, move |watch| make(&job, watch))?)?;
     let Exchanged { rows, tests, table, .. } = done.record;
-    Ok((table.map(Table::parquet).transpose()?, rows, tests, done.notes))
+    Ok((table.map(PyTable::parquet).transpose()?, rows, tests, done.notes))
 }
 
 /// Nothing but a fit has a use for less than the whole.
-fn whole<R>(Ended { result, interrupted }: Ended<R>) -> PyResult<R> {
+fn whole<R>(JobEnd { result, interrupted }: JobEnd<R>) -> PyResult<R> {
     if interrupted { Err(PyKeyboardInterrupt::new_err(())) } else { Ok(result) }
 }

@@ -24,9 +24,9 @@ mod _kalfit {
         apply, check, compare, datasheet, exchange, export, fit, plan, predict, simulate, test, validate,
     };
     #[pymodule_export]
-    use crate::sums::{Site, first_theta, join};
+    use crate::sums::{PySite, first_theta, join};
     #[pymodule_export]
-    use crate::table::Table;
+    use crate::table::PyTable;
     #[pymodule_export]
     use crate::text::{
         applied_summary, compared_summary, datasheet_summary, describe, exported_summary, plan_summary,

@@ -12,20 +12,20 @@ use pyo3::prelude::*;
 
 /// A text and where it comes from: what messages call it, the text itself, and the file that it was read from, if any.
 #[derive(FromPyObject)]
-pub(crate) struct Text(String, String, Option<PathBuf>);
+pub(crate) struct NamedText(String, String, Option<PathBuf>);
 
-impl From<Text> for Document {
-    fn from(Text(name, text, file): Text) -> Document {
+impl From<NamedText> for Document {
+    fn from(NamedText(name, text, file): NamedText) -> Document {
         Document::Text { name, text, file }
     }
 }
 
 /// A model and values of parameters, each as `name=value`.
 #[derive(FromPyObject)]
-pub(crate) struct Asked(Text, Vec<String>);
+pub(crate) struct ModelOptions(NamedText, Vec<String>);
 
-impl From<Asked> for ModelJob {
-    fn from(Asked(text, set): Asked) -> ModelJob {
+impl From<ModelOptions> for ModelJob {
+    fn from(ModelOptions(text, set): ModelOptions) -> ModelJob {
         ModelJob { document: text.into(), set }
     }
 }

@@ -20,40 +20,40 @@ const TELL: Duration = Duration::from_millis(100);
 
 /// On how many threads, all when none; and who is told how it goes.
 #[derive(FromPyObject)]
-pub(crate) struct How<'py>(Option<usize>, Option<Bound<'py, PyAny>>);
+pub(crate) struct RunOptions<'py>(Option<usize>, Option<Bound<'py, PyAny>>);
 
 /// How a job ended.
-pub(crate) struct Ended<R> {
+pub(crate) struct JobEnd<R> {
     pub(crate) result: R,
     /// It was interrupted, and ended with what it had.
     pub(crate) interrupted: bool,
 }
 
-enum Heard<R> {
+enum JobMessage<R> {
     /// How it goes; and how much of how much is done, where the end is known.
     Words(String, Option<(u64, u64)>),
     Done(Box<Result<R, Failure>>),
 }
 
 /// The job's side.
-struct Teller<R> {
-    sender: Sender<Heard<R>>,
+struct MessageSender<R> {
+    sender: Sender<JobMessage<R>>,
     stop: Arc<AtomicBool>,
     /// Somebody wants to hear how it goes.
     wanted: bool,
     last: Option<Instant>,
 }
 
-impl<R> Teller<R> {
+impl<R> MessageSender<R> {
     fn tell(&mut self, what: &dyn Fn() -> String, share: Option<(u64, u64)>) {
         if self.wanted && self.last.is_none_or(|last| last.elapsed() >= TELL) {
             self.last = Some(Instant::now());
-            let _ = self.sender.send(Heard::Words(what(), share)); // nobody listens any longer when it fails
+            let _ = self.sender.send(JobMessage::Words(what(), share)); // nobody listens any longer when it fails
         }
     }
 }
 
-impl<R> JobWatch for Teller<R> {
+impl<R> JobWatch for MessageSender<R> {
     fn say(&mut self, what: &dyn Fn() -> String) {
         self.tell(what, None);
     }
@@ -71,23 +71,23 @@ impl<R> JobWatch for Teller<R> {
 /// itself, which writes nothing, and the exception of the signal is raised.
 pub(crate) fn run<R: Send + 'static>(
     py: Python<'_>,
-    How(threads, progress): How<'_>,
+    RunOptions(threads, progress): RunOptions<'_>,
     job: impl FnOnce(&mut dyn JobWatch) -> Result<R, Failure> + Send + 'static,
-) -> PyResult<Ended<R>> {
+) -> PyResult<JobEnd<R>> {
     let pool = threads.map(pool).transpose()?;
     let (sender, receiver) = channel();
     let stop = Arc::new(AtomicBool::new(false));
-    let mut teller = Teller { sender, stop: stop.clone(), wanted: progress.is_some(), last: None };
+    let mut teller = MessageSender { sender, stop: stop.clone(), wanted: progress.is_some(), last: None };
     let work = move || {
         let result = match pool {
             Some(pool) => pool.install(|| job(&mut teller)),
             None => job(&mut teller),
         };
-        let _ = teller.sender.send(Heard::Done(Box::new(result)));
+        let _ = teller.sender.send(JobMessage::Done(Box::new(result)));
     };
     let thread = std::thread::Builder::new().name("kalfit".to_owned()).spawn(work);
     thread.map_err(|error| exception(&Failure::Threads { threads: 1, reason: error.to_string() }))?;
-    let listener = Listener { receiver: Mutex::new(receiver), stop, progress };
+    let listener = MessageListener { receiver: Mutex::new(receiver), stop, progress };
     listener.wait(py)
 }
 
@@ -97,38 +97,40 @@ pub(crate) fn pool(threads: usize) -> PyResult<rayon::ThreadPool> {
 }
 
 /// Python's side.
-struct Listener<'py, R> {
-    receiver: Mutex<Receiver<Heard<R>>>,
+struct MessageListener<'py, R> {
+    receiver: Mutex<Receiver<JobMessage<R>>>,
     stop: Arc<AtomicBool>,
     progress: Option<Bound<'py, PyAny>>,
 }
 
 /// What a while of listening brought.
-enum While<R> {
-    Heard(Heard<R>),
+enum ListenResult<R> {
+    Heard(JobMessage<R>),
     Nothing,
     /// The job is gone without a word.
     Gone,
 }
 
-impl<R: Send> Listener<'_, R> {
-    fn wait(self, py: Python<'_>) -> PyResult<Ended<R>> {
+impl<R: Send> MessageListener<'_, R> {
+    fn wait(self, py: Python<'_>) -> PyResult<JobEnd<R>> {
         let mut raised: Option<(PyErr, Instant)> = None;
         loop {
             match self.listen(py) {
-                While::Heard(Heard::Words(words, share)) => {
+                ListenResult::Heard(JobMessage::Words(words, share)) => {
                     let (done, of) = share.unzip();
                     let tell = |progress: &Bound<'_, PyAny>| progress.call1((words, done, of)).map(|_| ());
                     let told = self.progress.as_ref().map_or(Ok(()), tell);
                     self.note(&mut raised, told);
                 }
-                While::Heard(Heard::Done(result)) => return ended(py, *result, raised.map(|(error, _)| error)),
-                While::Gone => {
+                ListenResult::Heard(JobMessage::Done(result)) => {
+                    return ended(py, *result, raised.map(|(error, _)| error));
+                }
+                ListenResult::Gone => {
                     let words =
                         "kalfit came to a halt by a fault of its own: please report it with the model and the data";
                     return Err(raised.map_or_else(|| PyRuntimeError::new_err(words), |(error, _)| error));
                 }
-                While::Nothing => {}
+                ListenResult::Nothing => {}
             }
             self.note(&mut raised, py.check_signals());
             if raised.as_ref().is_some_and(|(_, since)| since.elapsed() > PATIENCE) {
@@ -138,13 +140,13 @@ impl<R: Send> Listener<'_, R> {
         Err(raised.expect("the loop ends only after an exception").0)
     }
 
-    fn listen(&self, py: Python<'_>) -> While<R> {
+    fn listen(&self, py: Python<'_>) -> ListenResult<R> {
         let receiver = &self.receiver;
         let heard = py.detach(|| receiver.lock().expect("there is one listener").recv_timeout(LISTEN));
         match heard {
-            Ok(heard) => While::Heard(heard),
-            Err(RecvTimeoutError::Timeout) => While::Nothing,
-            Err(RecvTimeoutError::Disconnected) => While::Gone,
+            Ok(heard) => ListenResult::Heard(heard),
+            Err(RecvTimeoutError::Timeout) => ListenResult::Nothing,
+            Err(RecvTimeoutError::Disconnected) => ListenResult::Gone,
         }
     }
 
@@ -158,11 +160,11 @@ impl<R: Send> Listener<'_, R> {
 }
 
 /// What comes of a job that ended: an exception of Python's own goes before the job's, and Ctrl-C leaves a result that there is.
-fn ended<R>(py: Python<'_>, result: Result<R, Failure>, raised: Option<PyErr>) -> PyResult<Ended<R>> {
+fn ended<R>(py: Python<'_>, result: Result<R, Failure>, raised: Option<PyErr>) -> PyResult<JobEnd<R>> {
     match (result, raised) {
-        (Ok(result), None) => Ok(Ended { result, interrupted: false }),
+        (Ok(result), None) => Ok(JobEnd { result, interrupted: false }),
         (Ok(result), Some(error)) if error.is_instance_of::<PyKeyboardInterrupt>(py) => {
-            Ok(Ended { result, interrupted: true })
+            Ok(JobEnd { result, interrupted: true })
         }
         (_, Some(error)) => Err(error),
         (Err(failure), None) => Err(exception(&failure)),

@@ -4,28 +4,28 @@ use kalfit_job::sums::{self, Joined, SiteSums, Theta};
 use kalfit_job::{Unwatched, words};
 use pyo3::prelude::*;
 
-use crate::data::{Given, data};
+use crate::data::{PyDatum, data};
 use crate::errors::exception;
 use crate::fit::Results;
-use crate::options::{Asked, pick};
-use crate::run::{How, pool, run};
+use crate::options::{ModelOptions, pick};
+use crate::run::{RunOptions, pool, run};
 use crate::text::text;
 
 /// The tests of one place, read: it answers what is asked of them, on so many threads.
-#[pyclass(frozen, module = "kalfit._kalfit")]
-pub(crate) struct Site {
+#[pyclass(frozen, name = "Site", module = "kalfit._kalfit")]
+pub(crate) struct PySite {
     site: sums::SumsSite,
     pool: rayon::ThreadPool,
 }
 
 #[pymethods]
-impl Site {
+impl PySite {
     #[new]
-    fn open(py: Python<'_>, model: Asked, given: Vec<Given<'_>>, threads: usize) -> PyResult<Site> {
+    fn open(py: Python<'_>, model: ModelOptions, given: Vec<PyDatum<'_>>, threads: usize) -> PyResult<PySite> {
         let (model, given, pool) = (model.into(), data(given)?, pool(threads.clamp(1, 1024))?);
         py.detach(|| {
             let site = pool.install(|| sums::SumsSite::open(&model, &given, &mut Unwatched));
-            Ok(Site { site: site.map_err(|failure| exception(&failure))?, pool })
+            Ok(PySite { site: site.map_err(|failure| exception(&failure))?, pool })
         })
     }
 
@@ -47,24 +47,24 @@ impl Site {
 
 /// What is asked first, as JSON: all of θ, and what of it a place needs.
 #[pyfunction]
-pub(crate) fn first_theta(model: Asked) -> PyResult<(String, String)> {
+pub(crate) fn first_theta(model: ModelOptions) -> PyResult<(String, String)> {
     let theta = sums::first(&model.into()).map_err(|failure| exception(&failure))?;
     Ok((text(&theta)?, text(&theta.bare())?))
 }
 
 /// What is asked next, if anything is, and the fit, if the search has ended.
-type Next = (Option<(String, String)>, Option<Results>);
+type NextRound = (Option<(String, String)>, Option<Results>);
 
 /// Goes on with the sums of all places, in their order.
 #[pyfunction]
 pub(crate) fn join(
     py: Python<'_>,
-    model: Asked,
+    model: ModelOptions,
     criterion: &str,
     theta: &str,
     given: Vec<String>,
-    how: How<'_>,
-) -> PyResult<Next> {
+    how: RunOptions<'_>,
+) -> PyResult<NextRound> {
     let criterion = pick("criterion", criterion, words::CRITERIA)?;
     let theta = Theta::of_text("theta", theta).map_err(|failure| exception(&failure))?;
     let one = |text: &String| SiteSums::of_text("sums", text).map_err(|failure| exception(&failure));

@@ -19,25 +19,25 @@ use crate::data::batches;
 use crate::errors::Error;
 
 /// Record batches that any Arrow library takes by their C stream.
-#[pyclass(frozen, module = "kalfit._kalfit")]
-pub(crate) struct Table {
+#[pyclass(frozen, name = "Table", module = "kalfit._kalfit")]
+pub(crate) struct PyTable {
     schema: SchemaRef,
     batches: Vec<RecordBatch>,
 }
 
 #[pymethods]
-impl Table {
+impl PyTable {
     /// Takes any table with `__arrow_c_stream__`; `metadata` is added to what its schema says of it.
     #[new]
     #[pyo3(signature = (table, metadata = Vec::new()))]
-    fn new(table: &Bound<'_, PyAny>, metadata: Vec<(String, String)>) -> PyResult<Table> {
+    fn new(table: &Bound<'_, PyAny>, metadata: Vec<(String, String)>) -> PyResult<PyTable> {
         let (schema, parts) = batches("the table", table)?;
         let mut known = schema.metadata().clone();
         known.extend(metadata);
         let schema = Arc::new(schema.as_ref().clone().with_metadata(known));
         let parts = parts.into_iter().map(|batch| batch.with_schema(schema.clone()));
         let batches = parts.collect::<Result<_, _>>().map_err(|error| failed(&error))?;
-        Ok(Table { schema, batches })
+        Ok(PyTable { schema, batches })
     }
 
     #[pyo3(signature = (requested_schema = None))]
@@ -55,7 +55,7 @@ impl Table {
 
     /// Of columns of texts, and columns of 64-bit floats in the machine's own order of bytes.
     #[staticmethod]
-    fn columns(texts: Vec<(String, Vec<String>)>, numbers: Vec<(String, Vec<u8>)>) -> PyResult<Table> {
+    fn columns(texts: Vec<(String, Vec<String>)>, numbers: Vec<(String, Vec<u8>)>) -> PyResult<PyTable> {
         let (mut fields, mut arrays): (Vec<Field>, Vec<ArrayRef>) = (Vec::new(), Vec::new());
         for (name, texts) in texts {
             fields.push(Field::new(name, DataType::Utf8, true));
@@ -69,7 +69,7 @@ impl Table {
         }
         let schema = Arc::new(Schema::new(fields));
         let batch = RecordBatch::try_new(schema.clone(), arrays).map_err(|error| failed(&error))?;
-        Ok(Table { schema, batches: vec![batch] })
+        Ok(PyTable { schema, batches: vec![batch] })
     }
 
     /// Names of the columns.
@@ -90,30 +90,30 @@ impl Table {
     }
 }
 
-impl Table {
+impl PyTable {
     /// Of a Parquet file.
-    pub(crate) fn parquet(file: File) -> PyResult<Table> {
-        let read = || -> Result<Table, Box<dyn std::error::Error>> {
+    pub(crate) fn parquet(file: File) -> PyResult<PyTable> {
+        let read = || -> Result<PyTable, Box<dyn std::error::Error>> {
             let builder = ParquetRecordBatchReaderBuilder::try_new(file)?;
             let schema = builder.schema().clone();
             let batches = builder.build()?.map(|batch| batch?.with_schema(schema.clone())).collect::<Result<_, _>>()?;
-            Ok(Table { schema: schema.clone(), batches })
+            Ok(PyTable { schema: schema.clone(), batches })
         };
         read().map_err(|error| Error::new_err(format!("a temporary file could not be read back: {error}")))
     }
 
     /// Of an Arrow IPC file.
-    pub(crate) fn ipc(mut file: File) -> PyResult<Table> {
-        let mut read = || -> Result<Table, Box<dyn std::error::Error>> {
+    pub(crate) fn ipc(mut file: File) -> PyResult<PyTable> {
+        let mut read = || -> Result<PyTable, Box<dyn std::error::Error>> {
             file.seek(SeekFrom::Start(0))?;
             let reader = FileReader::try_new_buffered(&mut file, None)?;
-            Ok(Table { schema: reader.schema(), batches: reader.collect::<Result<_, _>>()? })
+            Ok(PyTable { schema: reader.schema(), batches: reader.collect::<Result<_, _>>()? })
         };
         read().map_err(|error| Error::new_err(format!("a temporary file could not be read back: {error}")))
     }
 
     /// One row a test: its id, and a number for each name, as far as there are any.
-    pub(crate) fn of_rows(names: &[String], rows: &[(String, Vec<f64>)]) -> PyResult<Table> {
+    pub(crate) fn of_rows(names: &[String], rows: &[(String, Vec<f64>)]) -> PyResult<PyTable> {
         let mut all = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
         let id = all.find(|name| !names.contains(name)).expect("one of so many names is free");
         let mut ids = StringBuilder::new();
@@ -128,7 +128,7 @@ impl Table {
         let mut arrays: Vec<ArrayRef> = vec![Arc::new(ids.finish())];
         arrays.extend(columns.iter_mut().map(|column| Arc::new(column.finish()) as ArrayRef));
         let batch = RecordBatch::try_new(schema.clone(), arrays).map_err(|error| failed(&error))?;
-        Ok(Table { schema, batches: vec![batch] })
+        Ok(PyTable { schema, batches: vec![batch] })
     }
 }
 

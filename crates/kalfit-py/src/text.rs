@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use serde::de::DeserializeOwned;
 
 use crate::errors::exception;
-use crate::options::Text;
+use crate::options::NamedText;
 
 /// Version of the package.
 #[pyfunction]
@@ -28,11 +28,11 @@ pub(crate) fn read_model(path: std::path::PathBuf) -> PyResult<String> {
 
 /// (title, digest, the model in words, the names of its parameters, the column that tells tests apart, the column of time, the
 /// columns of groups, the outermost first) of a model's text, which is sound.
-type Description = (String, String, Vec<String>, Vec<String>, Option<String>, Option<String>, Vec<String>);
+type ModelDescription = (String, String, Vec<String>, Vec<String>, Option<String>, Option<String>, Vec<String>);
 
 /// What a model's text says.
 #[pyfunction]
-pub(crate) fn describe(model: Text) -> PyResult<Description> {
+pub(crate) fn describe(model: NamedText) -> PyResult<ModelDescription> {
     let spec = kalfit_job::read_model(&model.into()).map_err(|failure| exception(&failure))?;
     let shared = spec.model.shared();
     let names = shared.parameters.iter().map(|parameter| parameter.name.clone()).collect();
