@@ -10,21 +10,21 @@ use crate::places;
 const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"];
 
 /// One page to look at: the name, then model and data from the root of the repository.
-struct Page {
+struct BrowserPage {
     name: &'static str,
     model: &'static str,
     data: &'static str,
     options: &'static [&'static str],
 }
 
-const fn page(name: &'static str, model: &'static str, data: &'static str) -> Page {
-    Page { name, model, data, options: &[] }
+const fn page(name: &'static str, model: &'static str, data: &'static str) -> BrowserPage {
+    BrowserPage { name, model, data, options: &[] }
 }
 
-const PAGES: &[Page] = &[
+const PAGES: &[BrowserPage] = &[
     page("gyro-bench", "examples/gyro-bench/bench.toml", "examples/gyro-bench/bench.csv"),
     page("two-phase", "examples/two-phase/platform.toml", "examples/two-phase/platform.csv"),
-    Page {
+    BrowserPage {
         options: &["--intervals", "profile"],
         ..page(
             "random-coefficients",
@@ -51,7 +51,7 @@ pub(crate) fn run() -> Result<(), String> {
     std::fs::create_dir_all(&work).map_err(|error| format!("cannot make {}: {error}", work.display()))?;
     let browser = browser()?;
     modules(&scripts, &work)?;
-    let reports = reports(&Kalfit { program: program(root, &target)?, root }, &work)?;
+    let reports = reports(&ReportProgram { program: program(root, &target)?, root }, &work)?;
     let mut node = Command::new("node");
     node.arg(scripts.join("report.mjs")).arg(browser).arg(&work).args(reports);
     done(&mut node, "the browser test")
@@ -105,7 +105,7 @@ fn modules(scripts: &Path, work: &Path) -> Result<(), String> {
 }
 
 /// Fits all pages, and an ensemble too large to be shown test by test.
-fn reports(kalfit: &Kalfit<'_>, work: &Path) -> Result<Vec<PathBuf>, String> {
+fn reports(kalfit: &ReportProgram<'_>, work: &Path) -> Result<Vec<PathBuf>, String> {
     let mut pages = Vec::new();
     for page in PAGES {
         let report = work.join(format!("{}.html", page.name));
@@ -147,12 +147,12 @@ fn program(root: &Path, target: &Path) -> Result<PathBuf, String> {
 }
 
 /// The program in the root of the repository.
-struct Kalfit<'a> {
+struct ReportProgram<'a> {
     program: PathBuf,
     root: &'a Path,
 }
 
-impl Kalfit<'_> {
+impl ReportProgram<'_> {
     fn run(&self, arguments: Vec<OsString>) -> Result<(), String> {
         done(Command::new(&self.program).args(arguments).current_dir(self.root), "kalfit")
     }

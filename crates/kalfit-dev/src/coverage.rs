@@ -21,14 +21,14 @@ use kalfit_spec::Spec;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use self::tally::Tally;
+use self::tally::IntervalTally;
 use crate::seed::SEED;
 
 /// Coverage of an interval that is what it says, within sampling error and terms of order 1/N.
 const SOUND: std::ops::RangeInclusive<f64> = 0.935..=0.965;
 
 /// A model, a design and a population.
-struct Setup {
+struct CoverageSetup {
     title: &'static str,
     model: &'static str,
     /// Cells of a row of a test, by column; `None` ends the test.
@@ -54,8 +54,8 @@ equation = "level + slope * x"
 noise = 20
 "#;
 
-const SETUPS: [Setup; 4] = [
-    Setup {
+const SETUPS: [CoverageSetup; 4] = [
+    CoverageSetup {
         title: "Random coefficients: 18 tests of 10 rows (too few for normal intervals of spreads; shown, not required)",
         model: RANDOM_COEFFICIENTS,
         cell: |_, row, column| match column {
@@ -69,7 +69,7 @@ const SETUPS: [Setup; 4] = [
         correlation: 0.3,
         large: false,
     },
-    Setup {
+    CoverageSetup {
         title: "Random coefficients: 100 tests of 6 to 10 rows",
         model: RANDOM_COEFFICIENTS,
         cell: |test, row, column| match column {
@@ -83,7 +83,7 @@ const SETUPS: [Setup; 4] = [
         correlation: 0.3,
         large: true,
     },
-    Setup {
+    CoverageSetup {
         title: "Gyros: 120 tests of unequal runs, a stationary drift, a lot effect, some that never turn",
         model: r#"
 [data]
@@ -112,7 +112,7 @@ bias = ["lot"]
         correlation: -0.4,
         large: true,
     },
-    Setup {
+    CoverageSetup {
         title: "Meta-analysis: 150 studies of two outcomes with errors of their own, some of one outcome only",
         model: r#"
 [states]
@@ -193,11 +193,11 @@ fn names(model: &Model) -> Vec<String> {
 }
 
 /// In the order of [`names`].
-fn truths(setup: &Setup) -> Vec<f64> {
+fn truths(setup: &CoverageSetup) -> Vec<f64> {
     [setup.mean, setup.coefficients, setup.std_dev, &[setup.correlation]].concat()
 }
 
-fn population(setup: &Setup) -> Population {
+fn population(setup: &CoverageSetup) -> Population {
     let p = setup.mean.len();
     let correlation = |i: usize, j: usize| if i == j { 1.0 } else { setup.correlation };
     Population {
@@ -207,7 +207,7 @@ fn population(setup: &Setup) -> Population {
     }
 }
 
-fn design(setup: &Setup, model: &Model) -> Vec<Test> {
+fn design(setup: &CoverageSetup, model: &Model) -> Vec<Test> {
     let one = |k: usize| {
         let mut test = Test::new(format!("t{k:03}"), model.columns.len(), 0);
         for row in 0.. {
@@ -220,7 +220,7 @@ fn design(setup: &Setup, model: &Model) -> Vec<Test> {
     (0..setup.tests).map(one).collect()
 }
 
-fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
+fn tally(setup: &CoverageSetup, model: &Model, ensembles: u64) -> Vec<IntervalTally> {
     let alpha = Alpha::fixed(&model.parameters).expect("a set-up has no free parameters");
     let designs = Designs::new(design(setup, model).into_iter().map(Into::into).collect())
         .expect("tests of a set-up have ids of their own");
@@ -238,7 +238,7 @@ fn tally(setup: &Setup, model: &Model, ensembles: u64) -> Vec<Tally> {
             },
         )
         .collect();
-    let mut tallies = vec![Tally::default(); truths.len()];
+    let mut tallies = vec![IntervalTally::default(); truths.len()];
     for ensemble in each {
         tallies.iter_mut().zip(ensemble).zip(&truths).for_each(|((tally, own), truth)| tally.add(own, *truth));
     }

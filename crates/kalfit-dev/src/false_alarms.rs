@@ -15,8 +15,8 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
-use self::count::{Count, LEVELS, head};
-use self::drawing::{Drawing, Shape};
+use self::count::{LEVELS, PValueCount, head};
+use self::drawing::{SimulatedModel, TestShape};
 use crate::seed::{SEED, random_of_block};
 
 /// Numbers of series.
@@ -26,7 +26,7 @@ const BLOCK: usize = 1_000_000;
 /// Tests of an ensemble.
 const TESTS: usize = 20_000;
 /// They have 20 to 100 rows.
-const SHAPE: Shape = Shape { rows: |k| 20 + (37 * k) % 81, time: |k, row| 0.05 * row * (1.0 + (k % 3) as f64) };
+const SHAPE: TestShape = TestShape { rows: |k| 20 + (37 * k) % 81, time: |k, row| 0.05 * row * (1.0 + (k % 3) as f64) };
 /// What an ensemble is accused of by searches at 5 %.
 const SEARCHES: [&str; 2] = ["innovations", "distance"];
 /// Of searches at 5 %, beyond sampling error and terms of order 1/N.
@@ -34,7 +34,7 @@ const MOST: f64 = 0.065;
 
 /// What is asked of the task.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Options {
+pub(crate) struct FalseAlarmOptions {
     /// Random numbers for each length of series; none are simulated with 0.
     #[arg(long, default_value_t = 1_000_000_000)]
     numbers: u64,
@@ -47,7 +47,7 @@ pub(crate) struct Options {
 }
 
 /// Simulates what is asked for; fails when a search accuses too often.
-pub(crate) fn run(options: &Options) -> ExitCode {
+pub(crate) fn run(options: &FalseAlarmOptions) -> ExitCode {
     if options.numbers > 0 {
         whiteness_table(options.numbers);
     }
@@ -106,17 +106,17 @@ fn whiteness(n: usize, draws: usize) -> [f64; LEVELS.len()] {
 
 /// What was found in ensembles.
 #[derive(Default)]
-struct Tally {
+struct FalseAlarmTally {
     /// p-values of size, whiteness and distance.
-    counts: [Count; 3],
+    counts: [PValueCount; 3],
     /// Ensembles accused by each of the searches, for the mean square of all innovations, and for anything.
     accused: [u64; 4],
 }
 
-fn tally(ensembles: u64) -> Result<Tally, String> {
-    let drawing = Drawing::new()?;
+fn tally(ensembles: u64) -> Result<FalseAlarmTally, String> {
+    let drawing = SimulatedModel::new()?;
     let designs = drawing.designs(TESTS, &SHAPE)?;
-    let mut tally = Tally::default();
+    let mut tally = FalseAlarmTally::default();
     let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
     let options = kalfit::Options { choices, ..kalfit::Options::default() };
     for k in 0..ensembles {
@@ -128,7 +128,7 @@ fn tally(ensembles: u64) -> Result<Tally, String> {
     Ok(tally)
 }
 
-impl Tally {
+impl FalseAlarmTally {
     fn add(&mut self, record: &FitRecord) {
         for test in &record.tests {
             let figures = test.innovations.as_ref();

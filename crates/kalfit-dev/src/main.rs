@@ -44,13 +44,13 @@ const MEASURE: &str = "Measurements, which are built in release on first use: co
 /// Tasks of kalfit's developers.
 #[derive(Debug, Parser)]
 #[command(name = "cargo dev", version, after_help = MEASURE)]
-struct Arguments {
+struct DevArguments {
     #[command(subcommand)]
-    task: Task,
+    task: DevTask,
 }
 
 #[derive(Debug, Subcommand)]
-enum Task {
+enum DevTask {
     /// Everything a change must pass: format, lints, tests, documentation, dependencies, the Python package, the report in a browser.
     Test {
         /// Only the steps whose name contains this.
@@ -59,7 +59,7 @@ enum Task {
     },
     /// Runs the program on damaged models, tables, exchange files and results: no run may panic, hang, or leave what is not whole. Best
     /// built with `--release`.
-    Fuzz(fuzz::Options),
+    Fuzz(fuzz::FuzzOptions),
     /// Writes into the pages of the book what its commands print, and its reference anew from the code. Read the difference.
     Book {
         /// Show the book in a browser instead; mdBook is installed into the target directory where it is missing.
@@ -69,11 +69,11 @@ enum Task {
     /// Changes the core in a hundred small ways, such as `a - b` for `a + b`, and sees whether a test notices each: the table of
     /// `book/src/guide/coverage.md`. An hour.
     #[cfg(feature = "mutants")]
-    Mutants(mutants::Options),
+    Mutants(mutants::MutantOptions),
     /// What measures kalfit itself.
     #[cfg(feature = "measure")]
     #[command(flatten)]
-    Measure(measure::Task),
+    Measure(measure::MeasureTask),
     /// The same, in a program that is not built yet.
     #[cfg(not(feature = "measure"))]
     #[command(external_subcommand)]
@@ -81,16 +81,16 @@ enum Task {
 }
 
 fn main() -> ExitCode {
-    match Arguments::parse().task {
-        Task::Test { only } => test::run(only.as_deref()),
-        Task::Fuzz(options) => fuzz::run(&options),
-        Task::Book { open: true } => book::open(),
-        Task::Book { open: false } => book::write(),
+    match DevArguments::parse().task {
+        DevTask::Test { only } => test::run(only.as_deref()),
+        DevTask::Fuzz(options) => fuzz::run(&options),
+        DevTask::Book { open: true } => book::open(),
+        DevTask::Book { open: false } => book::write(),
         #[cfg(feature = "mutants")]
-        Task::Mutants(options) => mutants::run(&options),
+        DevTask::Mutants(options) => mutants::run(&options),
         #[cfg(feature = "measure")]
-        Task::Measure(task) => measure::run(task),
+        DevTask::Measure(task) => measure::run(task),
         #[cfg(not(feature = "measure"))]
-        Task::Measure(words) => build::run(&words),
+        DevTask::Measure(words) => build::run(&words),
     }
 }

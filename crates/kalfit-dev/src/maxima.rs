@@ -18,7 +18,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use self::drawn::Drawn;
+use self::drawn::DrawnModel;
 use crate::seed::SEED;
 
 /// Log-likelihoods that differ by no more are equal.
@@ -30,7 +30,7 @@ const RANDOM: usize = 3;
 
 /// What is asked of the task.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Options {
+pub(crate) struct MaximaOptions {
     /// Random models.
     #[arg(long, default_value_t = 2000)]
     models: u64,
@@ -50,7 +50,7 @@ pub(crate) struct Options {
 
 /// What came out for one model.
 #[derive(Default)]
-struct Outcome {
+struct MaximaOutcome {
     kind: String,
     fits: usize,
     certified: usize,
@@ -65,14 +65,14 @@ struct Outcome {
 }
 
 /// Runs the models and prints the table.
-pub(crate) fn run(options: &Options) -> ExitCode {
+pub(crate) fn run(options: &MaximaOptions) -> ExitCode {
     if let Some(folder) = &options.save {
         return save(options, folder);
     }
     if options.profiles {
         return profile_ends(options);
     }
-    let outcomes: Vec<Outcome> =
+    let outcomes: Vec<MaximaOutcome> =
         (0..options.models).into_par_iter().map(|k| examine(options.seed + k, options.directions)).collect();
     let mut kinds: Vec<&str> = outcomes.iter().map(|outcome| outcome.kind.as_str()).collect();
     kinds.sort_unstable();
@@ -89,9 +89,9 @@ pub(crate) fn run(options: &Options) -> ExitCode {
 }
 
 /// Writes the models and their data.
-fn save(options: &Options, folder: &Path) -> ExitCode {
+fn save(options: &MaximaOptions, folder: &Path) -> ExitCode {
     let one = |seed: u64| {
-        let drawn = Drawn::new(&mut ChaCha8Rng::seed_from_u64(seed), seed);
+        let drawn = DrawnModel::new(&mut ChaCha8Rng::seed_from_u64(seed), seed);
         std::fs::write(folder.join(format!("{seed}.toml")), &drawn.text)?;
         std::fs::write(folder.join(format!("{seed}.csv")), drawn.table())
     };
@@ -105,14 +105,14 @@ fn save(options: &Options, folder: &Path) -> ExitCode {
 }
 
 /// Runs the models and prints how the ends of their profile intervals are met.
-fn profile_ends(options: &Options) -> ExitCode {
+fn profile_ends(options: &MaximaOptions) -> ExitCode {
     let one = |k: u64| {
         let mut random = ChaCha8Rng::seed_from_u64(options.seed + k);
-        let drawn = Drawn::new(&mut random, options.seed + k);
+        let drawn = DrawnModel::new(&mut random, options.seed + k);
         profiles::ends(&drawn, options.seed + k, &mut random)
     };
-    let all: Vec<profiles::Ends> = (0..options.models).into_par_iter().map(one).collect();
-    let count = |of: fn(&profiles::Ends) -> usize| all.iter().map(of).sum::<usize>();
+    let all: Vec<profiles::IntervalEnds> = (0..options.models).into_par_iter().map(one).collect();
+    let count = |of: fn(&profiles::IntervalEnds) -> usize| all.iter().map(of).sum::<usize>();
     let by = all.iter().map(|ends| ends.by).fold(0.0, f64::max);
     println!("| models | ends held | too short | by at most | too long |\n|---|---|---|---|---|");
     let (held, short, long) = (count(|ends| ends.held), count(|ends| ends.short), count(|ends| ends.long));
@@ -120,8 +120,8 @@ fn profile_ends(options: &Options) -> ExitCode {
     if short + long == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-fn line<'a>(kind: &str, outcomes: impl Iterator<Item = &'a Outcome>) {
-    let mut sum = Outcome::default();
+fn line<'a>(kind: &str, outcomes: impl Iterator<Item = &'a MaximaOutcome>) {
+    let mut sum = MaximaOutcome::default();
     let mut models = 0;
     for one in outcomes {
         models += 1;
@@ -138,10 +138,10 @@ fn line<'a>(kind: &str, outcomes: impl Iterator<Item = &'a Outcome>) {
     );
 }
 
-fn examine(seed: u64, directions: usize) -> Outcome {
+fn examine(seed: u64, directions: usize) -> MaximaOutcome {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let drawn = Drawn::new(&mut random, seed);
-    let mut outcome = Outcome { kind: drawn.kind.clone(), ..Outcome::default() };
+    let drawn = DrawnModel::new(&mut random, seed);
+    let mut outcome = MaximaOutcome { kind: drawn.kind.clone(), ..MaximaOutcome::default() };
     let mut ends: Vec<(usize, DynamicFit)> = Vec::new();
     for k in 0..RANDOM + 2 {
         let starts: Option<Vec<f64>> = match k {
@@ -194,7 +194,7 @@ fn says_nothing(end: &DynamicFit) -> bool {
 }
 
 /// The most that ℓ rises along random directions in natural parameters.
-fn probe(drawn: &Drawn, end: &DynamicFit, directions: usize, random: &mut ChaCha8Rng) -> f64 {
+fn probe(drawn: &DrawnModel, end: &DynamicFit, directions: usize, random: &mut ChaCha8Rng) -> f64 {
     let near = Population::from(&end.estimate);
     let parameters = &drawn.model.shared().parameters;
     let value = |values: &[f64]| -> Option<f64> {
@@ -243,7 +243,7 @@ mod tests {
     fn profile_intervals_end_where_all_else_fitted_says() {
         for seed in [1987, 3004] {
             let mut random = ChaCha8Rng::seed_from_u64(seed);
-            let drawn = Drawn::new(&mut random, seed);
+            let drawn = DrawnModel::new(&mut random, seed);
             let found = profiles::ends(&drawn, seed, &mut random);
             assert!(found.held >= 3, "seed {seed}: {} ends", found.held);
             assert_eq!((found.short, found.long), (0, 0), "seed {seed}: too short and too long, of {}", found.held);

@@ -11,7 +11,7 @@ use crate::{bench, coverage, false_alarms, fuzz, maxima, peers, whiteness};
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 #[derive(Debug, Subcommand)]
-pub(crate) enum Task {
+pub(crate) enum MeasureTask {
     /// Coverage of confidence intervals in simulated ensembles: the tables of `book/src/guide/coverage.md`.
     Coverage {
         /// Ensembles of each set-up; of those with levels a tenth of them.
@@ -22,9 +22,9 @@ pub(crate) enum Task {
         only: String,
     },
     /// Fits random models from several starts and probes around every certified end: a table of `book/src/guide/coverage.md`.
-    Maxima(maxima::Options),
+    Maxima(maxima::MaximaOptions),
     /// How often the checks of a fit reject a correct model: tables of `book/src/guide/coverage.md`.
-    FalseAlarms(false_alarms::Options),
+    FalseAlarms(false_alarms::FalseAlarmOptions),
     /// Simulates the distribution of the whiteness statistic: the table from which p-values of innovations come.
     Whiteness,
     /// Times the reduction and the iterations of the solver against the measured peak of the machine.
@@ -35,20 +35,20 @@ pub(crate) enum Task {
     },
     /// Gives damaged models, tables, exchange files and results to the libraries in this process, and fits small models whose
     /// log-likelihood is compared with that of a dense law: no input may panic, hang or take more memory than it is given.
-    FuzzInProcess(fuzz::InProcess),
+    FuzzInProcess(fuzz::InProcessOptions),
     /// Times whole fits against other programs, where they are installed, after comparing the answers: the tables of the book's "How fast it is".
-    Peers(peers::Options),
+    Peers(peers::PeerOptions),
 }
 
-pub(crate) fn run(task: Task) -> ExitCode {
+pub(crate) fn run(task: MeasureTask) -> ExitCode {
     match task {
-        Task::Coverage { ensembles, only } => coverage::run(ensembles, &only),
-        Task::Maxima(options) => maxima::run(&options),
-        Task::FalseAlarms(options) => false_alarms::run(&options),
-        Task::Whiteness => whiteness::run(),
-        Task::Bench { here: true } => bench::run(),
-        Task::Bench { here: false } => bench::build_and_run(),
-        Task::FuzzInProcess(options) => fuzz::in_process(&options),
-        Task::Peers(options) => peers::run(&options),
+        MeasureTask::Coverage { ensembles, only } => coverage::run(ensembles, &only),
+        MeasureTask::Maxima(options) => maxima::run(&options),
+        MeasureTask::FalseAlarms(options) => false_alarms::run(&options),
+        MeasureTask::Whiteness => whiteness::run(),
+        MeasureTask::Bench { here: true } => bench::run(),
+        MeasureTask::Bench { here: false } => bench::build_and_run(),
+        MeasureTask::FuzzInProcess(options) => fuzz::in_process(&options),
+        MeasureTask::Peers(options) => peers::run(&options),
     }
 }

@@ -11,12 +11,12 @@ const CHAINS: usize = 12;
 const ROUNDS: usize = 2_000_000;
 
 /// Chains of multiply-adds, side by side; the sum of what they come to.
-struct Chains {
+struct MultiplyAddChains {
     factor: f64,
     addend: f64,
 }
 
-impl Kernel for Chains {
+impl Kernel for MultiplyAddChains {
     type Output = f64;
 
     #[inline(always)]
@@ -52,7 +52,7 @@ pub(crate) fn registers() -> &'static str {
 
 fn run() -> f64 {
     let isa = Isa::best();
-    let chains = Chains { factor: black_box(0.999_999_9), addend: black_box(1e-9) };
+    let chains = MultiplyAddChains { factor: black_box(0.999_999_9), addend: black_box(1e-9) };
     let started = Instant::now();
     black_box(isa.run(chains));
     (2 * isa.lanes() * CHAINS * ROUNDS) as f64 / started.elapsed().as_secs_f64()

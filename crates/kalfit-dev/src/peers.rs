@@ -17,26 +17,26 @@ mod whole;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-use agreement::{Agreement, Ours};
-use answer::Answer;
+use agreement::{Agreement, KalfitAnswer};
+use answer::PeerAnswer;
 use clap::ValueEnum;
-use ensemble::Study;
-use peer::{Interpreters, Outcome, Peer};
-use record::Record;
-use space::Space;
+use ensemble::PeerStudy;
+use peer::{Interpreters, Peer, PeerOutcome};
+use record::DrawnRecord;
+use space::SpaceEnsemble;
 use table::{figure, head, row, seconds};
-use whole::Kalfit;
+use whole::KalfitCommand;
 
 use crate::places;
 
 /// Fits of one ensemble by several peers. What a peer cannot do in about a minute it is not asked.
-const FITS: &[(Study, usize, &[Peer])] = &[
-    (Study::Regression, 1_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
-    (Study::Regression, 10_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
-    (Study::Regression, 100_000, &[peer::LME4, peer::MIXEDLM_RS]),
-    (Study::Meta, 200, &[peer::METAFOR_DENSE, peer::METAFOR_SPARSE]),
-    (Study::Meta, 400, &[peer::METAFOR_DENSE]),
-    (Study::Meta, 1_000, &[peer::METAFOR_SPARSE]),
+const FITS: &[(PeerStudy, usize, &[Peer])] = &[
+    (PeerStudy::Regression, 1_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
+    (PeerStudy::Regression, 10_000, &[peer::LME4, peer::NLME, peer::STATSMODELS, peer::MIXEDLM_RS, peer::OPENMX]),
+    (PeerStudy::Regression, 100_000, &[peer::LME4, peer::MIXEDLM_RS]),
+    (PeerStudy::Meta, 200, &[peer::METAFOR_DENSE, peer::METAFOR_SPARSE]),
+    (PeerStudy::Meta, 400, &[peer::METAFOR_DENSE]),
+    (PeerStudy::Meta, 1_000, &[peer::METAFOR_SPARSE]),
 ];
 
 /// Values of the likelihood of ensembles, with one design for all tests or not.
@@ -49,7 +49,7 @@ const VALUES: &[(Peer, usize, bool)] = &[
 
 /// What the task is told.
 #[derive(Debug, Clone, clap::Args)]
-pub(crate) struct Options {
+pub(crate) struct PeerOptions {
     /// Run in this process; without it the task is first built as it is released.
     #[arg(long)]
     here: bool,
@@ -64,12 +64,12 @@ pub(crate) struct Options {
     rscript: String,
     /// Only this part.
     #[arg(long, value_name = "PART")]
-    only: Option<Part>,
+    only: Option<PeerPart>,
 }
 
 /// A part of the task, with tables of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Part {
+enum PeerPart {
     /// Whole fits, from a file of data to a file of results.
     Fits,
     /// Values of a likelihood at known parameters.
@@ -82,13 +82,13 @@ enum Part {
 
 /// What could not be compared.
 #[derive(Debug, Default)]
-struct Open {
+struct ComparisonGaps {
     missing: Vec<Peer>,
     problems: Vec<String>,
 }
 
 /// Runs the task, in a released build.
-pub(crate) fn run(options: &Options) -> ExitCode {
+pub(crate) fn run(options: &PeerOptions) -> ExitCode {
     let done = if options.here { here(options) } else { build_and_run(options) };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -107,7 +107,7 @@ fn cargo(arguments: &[&str]) -> Result<(), String> {
     }
 }
 
-fn build_and_run(options: &Options) -> Result<(), String> {
+fn build_and_run(options: &PeerOptions) -> Result<(), String> {
     let build = ["--quiet", "--release", "--locked", "--package"];
     let command = match &options.command {
         Some(command) => command.clone(),
@@ -138,14 +138,14 @@ fn program(name: &str) -> Result<String, String> {
     whole::path(&absolute).map(str::to_owned)
 }
 
-fn here(options: &Options) -> Result<(), String> {
+fn here(options: &PeerOptions) -> Result<(), String> {
     // one core against one core
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global().map_err(|error| error.to_string())?;
     let command = options.command.clone().ok_or("`--here` takes kalfit's command from `--command`")?;
     let command = command.canonicalize().map_err(|error| format!("{}: {error}", command.display()))?;
     let folder = std::env::temp_dir().join(format!("kalfit-peers-{}", std::process::id()));
     std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
-    let kalfit = Kalfit { command, folder };
+    let kalfit = KalfitCommand { command, folder };
     let interpreters = Interpreters { rscript: program(&options.rscript)?, python: program(&options.python)? };
     let done = parts(&kalfit, &interpreters, options.only);
     let removed = std::fs::remove_dir_all(&kalfit.folder);
@@ -153,17 +153,17 @@ fn here(options: &Options) -> Result<(), String> {
     removed.map_err(|error| format!("{}: {error}", kalfit.folder.display()))
 }
 
-fn parts(kalfit: &Kalfit, interpreters: &Interpreters, only: Option<Part>) -> Result<(), String> {
-    let wanted = |part: Part| only.is_none_or(|only| only == part);
-    let mut open = Open::default();
-    if wanted(Part::Fits) {
+fn parts(kalfit: &KalfitCommand, interpreters: &Interpreters, only: Option<PeerPart>) -> Result<(), String> {
+    let wanted = |part: PeerPart| only.is_none_or(|only| only == part);
+    let mut open = ComparisonGaps::default();
+    if wanted(PeerPart::Fits) {
         head(2, FITS_HEAD);
         for (study, tests, peers) in FITS {
             fits(kalfit, interpreters, (*study, *tests, peers), &mut open)?;
         }
         println!();
     }
-    if wanted(Part::Values) {
+    if wanted(PeerPart::Values) {
         head(2, VALUES_HEAD);
         for (peer, tests, shared) in VALUES {
             value(kalfit, interpreters, (peer, *tests, *shared), &mut open)?;
@@ -171,20 +171,20 @@ fn parts(kalfit: &Kalfit, interpreters: &Interpreters, only: Option<Part>) -> Re
         record(kalfit, interpreters, &mut open)?;
         println!();
     }
-    if wanted(Part::Sums) {
+    if wanted(PeerPart::Sums) {
         head(1, SUMS_HEAD);
         for tests in [10_000, 100_000, 1_000_000] {
             sums(kalfit, interpreters, tests, &mut open)?;
         }
         println!();
     }
-    if wanted(Part::Stages) {
+    if wanted(PeerPart::Stages) {
         stages::print(kalfit)?;
     }
     open.tell()
 }
 
-impl Open {
+impl ComparisonGaps {
     /// Prints which peers are missing; an error where answers differ or a peer failed.
     fn tell(&self) -> Result<(), String> {
         for peer in &self.missing {
@@ -199,15 +199,15 @@ impl Open {
         peer: &Peer,
         interpreters: &Interpreters,
         data: &Path,
-        ours: &Ours,
-    ) -> Option<(Answer, Agreement)> {
+        ours: &KalfitAnswer,
+    ) -> Option<(PeerAnswer, Agreement)> {
         match peer.answer(interpreters, data) {
-            Ok(Outcome::Answered(answer)) => match ours.against(&answer) {
+            Ok(PeerOutcome::Answered(answer)) => match ours.against(&answer) {
                 Ok(agreement) => return Some((answer, agreement)),
                 Err(why) => self.problems.push(format!("{}: the answers differ: {why}", peer.name)),
             },
-            Ok(Outcome::Missing) if self.missing.iter().any(|missing| missing.name == peer.name) => {}
-            Ok(Outcome::Missing) => self.missing.push(*peer),
+            Ok(PeerOutcome::Missing) if self.missing.iter().any(|missing| missing.name == peer.name) => {}
+            Ok(PeerOutcome::Missing) => self.missing.push(*peer),
             Err(why) => self.problems.push(why),
         }
         None
@@ -232,17 +232,17 @@ const VALUES_HEAD: &[&str] = &["peer", "designs", "tests", "rows", "its value", 
 
 /// Prints a row for each peer that agrees.
 fn fits(
-    kalfit: &Kalfit,
+    kalfit: &KalfitCommand,
     interpreters: &Interpreters,
-    (study, tests, peers): (Study, usize, &[Peer]),
-    open: &mut Open,
+    (study, tests, peers): (PeerStudy, usize, &[Peer]),
+    open: &mut ComparisonGaps,
 ) -> Result<(), String> {
     let [csv, parquet] = study.draw(tests, kalfit)?;
     let model = study.model();
     let model = whole::path(&model)?;
     let from_parquet = kalfit.fit(model, &parquet)?;
     let from_csv = kalfit.fit(model, &csv)?;
-    let ours = Ours::of(&kalfit.record()?)?;
+    let ours = KalfitAnswer::of(&kalfit.record()?)?;
     for peer in peers {
         let Some((answer, agreement)) = open.compared(peer, interpreters, &csv, &ours) else { continue };
         let theirs = answer.taken.processor;
@@ -259,27 +259,32 @@ fn fits(
 const SUMS_HEAD: &[&str] = &["peer", "tests", "its reading and sums", "kalfit, from Parquet, `--no-tests`", "ratio"];
 
 /// Prints a row of what a peer needs to read and sum what kalfit fits.
-fn sums(kalfit: &Kalfit, interpreters: &Interpreters, tests: usize, open: &mut Open) -> Result<(), String> {
-    let [_, parquet] = Study::Regression.draw(tests, kalfit)?;
-    let model = Study::Regression.model();
+fn sums(
+    kalfit: &KalfitCommand,
+    interpreters: &Interpreters,
+    tests: usize,
+    open: &mut ComparisonGaps,
+) -> Result<(), String> {
+    let [_, parquet] = PeerStudy::Regression.draw(tests, kalfit)?;
+    let model = PeerStudy::Regression.model();
     let arguments = ["fit", whole::path(&model)?, whole::path(&parquet)?, "--threads", "1", "--no-tests"];
     let ours = kalfit.median(5, &arguments)?.processor;
     match peer::POLARS.answer(interpreters, &parquet) {
-        Ok(Outcome::Answered(answer)) => {
+        Ok(PeerOutcome::Answered(answer)) => {
             let theirs = answer.taken.processor;
             let name = peer_name(&peer::POLARS, &answer);
             row(&[name, tests.to_string(), seconds(theirs), seconds(ours), figure(theirs / ours)]);
         }
-        Ok(Outcome::Missing) if open.missing.contains(&peer::POLARS) => {}
-        Ok(Outcome::Missing) => open.missing.push(peer::POLARS),
+        Ok(PeerOutcome::Missing) if open.missing.contains(&peer::POLARS) => {}
+        Ok(PeerOutcome::Missing) => open.missing.push(peer::POLARS),
         Err(why) => open.problems.push(why),
     }
     Ok(())
 }
 
 /// Prints the row of one long record, if the peer agrees.
-fn record(kalfit: &Kalfit, interpreters: &Interpreters, open: &mut Open) -> Result<(), String> {
-    let record = Record::draw();
+fn record(kalfit: &KalfitCommand, interpreters: &Interpreters, open: &mut ComparisonGaps) -> Result<(), String> {
+    let record = DrawnRecord::draw();
     let file = record.write(&kalfit.folder)?;
     let (ours, taken) = record.ours()?;
     if let Some((answer, agreement)) = open.compared(&peer::CELERITE, interpreters, &file, &ours) {
@@ -300,12 +305,12 @@ fn record(kalfit: &Kalfit, interpreters: &Interpreters, open: &mut Open) -> Resu
 
 /// Prints a row, if the peer agrees.
 fn value(
-    kalfit: &Kalfit,
+    kalfit: &KalfitCommand,
     interpreters: &Interpreters,
     (peer, tests, shared): (&Peer, usize, bool),
-    open: &mut Open,
+    open: &mut ComparisonGaps,
 ) -> Result<(), String> {
-    let space = Space::draw(tests, shared);
+    let space = SpaceEnsemble::draw(tests, shared);
     let file = space.write(&kalfit.folder)?;
     let (ours, taken) = space.ours()?;
     if let Some((answer, agreement)) = open.compared(peer, interpreters, &file, &ours) {
@@ -325,7 +330,7 @@ fn value(
 }
 
 /// The program that answered, with its version, and what of it was run.
-fn peer_name(peer: &Peer, answer: &Answer) -> String {
+fn peer_name(peer: &Peer, answer: &PeerAnswer) -> String {
     format!("{}, {}", answer.program, peer.what)
 }
 
@@ -337,8 +342,8 @@ mod tests {
     fn a_missing_peer_is_named_once_and_is_no_error() {
         let none = "no-such-interpreter".to_owned();
         let interpreters = Interpreters { rscript: none.clone(), python: none };
-        let ours = Ours { log_likelihood: 0.0, estimates: Vec::new() };
-        let mut open = Open::default();
+        let ours = KalfitAnswer { log_likelihood: 0.0, estimates: Vec::new() };
+        let mut open = ComparisonGaps::default();
         for peer in [peer::METAFOR_DENSE, peer::DYNAMAX, peer::METAFOR_SPARSE] {
             assert!(open.compared(&peer, &interpreters, Path::new("data.csv"), &ours).is_none());
         }

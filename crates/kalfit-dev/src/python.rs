@@ -7,7 +7,7 @@ use crate::places;
 use crate::places::MEASURE;
 
 /// Where things are.
-struct Places {
+struct PythonPlaces {
     /// The project.
     root: &'static Path,
     /// What cargo builds.
@@ -16,10 +16,10 @@ struct Places {
     environment: PathBuf,
 }
 
-impl Places {
-    fn new() -> Result<Places, String> {
+impl PythonPlaces {
+    fn new() -> Result<PythonPlaces, String> {
         let target = places::target()?;
-        Ok(Places { environment: target.join("python-tests"), root: places::root(), target })
+        Ok(PythonPlaces { environment: target.join("python-tests"), root: places::root(), target })
     }
 
     fn python(&self) -> PathBuf {
@@ -43,7 +43,7 @@ impl Places {
 
 /// Builds the wheel, installs it where nothing else is, and runs its tests there.
 pub(crate) fn run() -> Result<(), String> {
-    let places = Places::new()?;
+    let places = PythonPlaces::new()?;
     environment(&places)?;
     let python = places.python();
     places.run(&python, &["-m", "pip", "install", "--quiet", "--requirement", "python/tests/requirements.txt"])?;
@@ -62,7 +62,7 @@ pub(crate) fn run() -> Result<(), String> {
 }
 
 /// Spark itself is tried where there is Java to run it.
-fn spark(places: &Places) -> Result<(), String> {
+fn spark(places: &PythonPlaces) -> Result<(), String> {
     if Command::new("java").arg("-version").output().is_ok_and(|done| done.status.success()) {
         return places.run(&places.python(), &["-m", "pip", "install", "--quiet", "pyspark>=3.4"]);
     }
@@ -71,7 +71,7 @@ fn spark(places: &Places) -> Result<(), String> {
 }
 
 /// A fresh environment.
-fn environment(places: &Places) -> Result<(), String> {
+fn environment(places: &PythonPlaces) -> Result<(), String> {
     let system = Path::new(if cfg!(windows) { "python" } else { "python3" });
     let works = |code: &str| Command::new(system).args(["-c", code]).output().is_ok_and(|done| done.status.success());
     if !works("import sys; sys.exit(sys.version_info < (3, 10))") {

@@ -23,7 +23,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use self::proposal::{MOST_LAGS, PER_LAG, Proposal, lags};
+use self::proposal::{MOST_LAGS, PER_LAG, SeriesProposal, lags};
 use crate::places;
 use crate::seed::random_of_block;
 
@@ -115,7 +115,11 @@ fn chi_squared(degrees_of_freedom: usize, p: f64) -> f64 {
 /// The values that the statistic of n numbers exceeds with the probabilities of `LEVELS`.
 fn quantiles(n: usize) -> Vec<f64> {
     let draws = (NUMBERS / n).clamp(DRAWS.0, DRAWS.1) / BLOCK * BLOCK;
-    let drawn = if n <= LONG { drawn(n, draws, &short::Short::new(n)) } else { drawn(n, draws, &long::Long::new(n)) };
+    let drawn = if n <= LONG {
+        drawn(n, draws, &short::ShortMixture::new(n))
+    } else {
+        drawn(n, draws, &long::LongMixture::new(n))
+    };
     let mut quantiles = vec![f64::NAN; LEVELS.len()];
     let (mut sum, mut level) = (0.0, LEVELS.len());
     for (statistic, weight) in drawn {
@@ -129,7 +133,7 @@ fn quantiles(n: usize) -> Vec<f64> {
 }
 
 /// Statistics with their weights, the largest first.
-fn drawn(n: usize, draws: usize, proposal: &impl Proposal) -> Vec<(f64, f64)> {
+fn drawn(n: usize, draws: usize, proposal: &impl SeriesProposal) -> Vec<(f64, f64)> {
     let block = |block: usize| {
         let mut rng = random_of_block(n, block);
         let (mut z, mut products) = (vec![0.0; n], vec![0.0; lags(n) + 1]);

@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 
 /// A model, a design and a population.
 #[derive(Clone, Copy)]
-pub(super) struct Drawn {
+pub(super) struct DrawnSetup {
     /// With its parameters at the truth; those named in `free` are free in fits.
     pub(super) model: &'static str,
     pub(super) free: &'static str,
@@ -23,7 +23,7 @@ pub(super) struct Drawn {
 }
 
 /// Levels that their tests determine all but exactly.
-pub(super) const CONSTANT: Drawn = Drawn {
+pub(super) const CONSTANT: DrawnSetup = DrawnSetup {
     model: r#"
 [data]
 test = "test"
@@ -47,7 +47,7 @@ sigma = 0.01
 };
 
 /// Levels that their tests determine with an error as large as their spread.
-pub(super) const NOISY: Drawn = Drawn {
+pub(super) const NOISY: DrawnSetup = DrawnSetup {
     model: r#"
 [data]
 test = "test"
@@ -71,7 +71,7 @@ sigma = 3.4641
 };
 
 /// Random lines.
-pub(super) const LINE: Drawn = Drawn {
+pub(super) const LINE: DrawnSetup = DrawnSetup {
     model: r#"
 [data]
 test = "test"
@@ -95,7 +95,7 @@ sigma = 20
 };
 
 /// Random walks from a random level.
-pub(super) const WALK: Drawn = Drawn {
+pub(super) const WALK: DrawnSetup = DrawnSetup {
     model: r#"
 [data]
 test = "test"
@@ -124,7 +124,7 @@ sigma = 0.5
 };
 
 /// Levels of units, and of their tests.
-pub(super) const UNITS: Drawn = Drawn {
+pub(super) const UNITS: DrawnSetup = DrawnSetup {
     model: r#"
 [data]
 test = "test"
@@ -147,7 +147,7 @@ sigma = 20
     restricted: false,
 };
 
-impl Drawn {
+impl DrawnSetup {
     pub(super) fn spec(&self, is_free: bool) -> Spec {
         let free = |line: &str| {
             let name = line.split(" = ").next().unwrap_or_default();

@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::drawn::design;
-use super::tally::Tally;
+use super::tally::IntervalTally;
 use crate::seed::SEED;
 
 /// Of the simulation, and of the fits that know it.
@@ -22,7 +22,7 @@ const FITS: [(bool, IntervalKind); 4] = [
 ];
 
 /// A design and a population.
-struct Setup {
+struct LevelsSetup {
     title: &'static str,
     states: &'static [&'static str],
     units: usize,
@@ -32,19 +32,19 @@ struct Setup {
     rows: usize,
     mean: &'static [f64],
     /// Outermost first.
-    levels: [Spread; 2],
+    levels: [LevelSpread; 2],
 }
 
 /// What varies at one level.
-struct Spread {
+struct LevelSpread {
     name: &'static str,
     std_dev: &'static [f64],
     /// Of the two states, where there are two.
     correlation: f64,
 }
 
-const SETUPS: [Setup; 4] = [
-    Setup {
+const SETUPS: [LevelsSetup; 4] = [
+    LevelsSetup {
         title: "Levels: 30 units of 5 tests of 4 rows, one state",
         states: &["level"],
         units: 30,
@@ -52,11 +52,11 @@ const SETUPS: [Setup; 4] = [
         rows: 4,
         mean: &[250.0],
         levels: [
-            Spread { name: "unit", std_dev: &[24.0], correlation: 0.0 },
-            Spread { name: "tests", std_dev: &[12.0], correlation: 0.0 },
+            LevelSpread { name: "unit", std_dev: &[24.0], correlation: 0.0 },
+            LevelSpread { name: "tests", std_dev: &[12.0], correlation: 0.0 },
         ],
     },
-    Setup {
+    LevelsSetup {
         title: "Levels: 10 units of 3 tests of 4 rows, one state",
         states: &["level"],
         units: 10,
@@ -64,11 +64,11 @@ const SETUPS: [Setup; 4] = [
         rows: 4,
         mean: &[250.0],
         levels: [
-            Spread { name: "unit", std_dev: &[24.0], correlation: 0.0 },
-            Spread { name: "tests", std_dev: &[12.0], correlation: 0.0 },
+            LevelSpread { name: "unit", std_dev: &[24.0], correlation: 0.0 },
+            LevelSpread { name: "tests", std_dev: &[12.0], correlation: 0.0 },
         ],
     },
-    Setup {
+    LevelsSetup {
         title: "Levels: 30 units of 5 tests of 8 rows, two states",
         states: &["level", "slope"],
         units: 30,
@@ -76,11 +76,11 @@ const SETUPS: [Setup; 4] = [
         rows: 8,
         mean: &[250.0, 10.0],
         levels: [
-            Spread { name: "unit", std_dev: &[24.0, 6.0], correlation: 0.3 },
-            Spread { name: "tests", std_dev: &[12.0, 4.0], correlation: -0.3 },
+            LevelSpread { name: "unit", std_dev: &[24.0, 6.0], correlation: 0.3 },
+            LevelSpread { name: "tests", std_dev: &[12.0, 4.0], correlation: -0.3 },
         ],
     },
-    Setup {
+    LevelsSetup {
         title: "Levels: 10 units of 3 tests of 8 rows, two states",
         states: &["level", "slope"],
         units: 10,
@@ -88,15 +88,15 @@ const SETUPS: [Setup; 4] = [
         rows: 8,
         mean: &[250.0, 10.0],
         levels: [
-            Spread { name: "unit", std_dev: &[24.0, 6.0], correlation: 0.3 },
-            Spread { name: "tests", std_dev: &[12.0, 4.0], correlation: -0.3 },
+            LevelSpread { name: "unit", std_dev: &[24.0, 6.0], correlation: 0.3 },
+            LevelSpread { name: "tests", std_dev: &[12.0, 4.0], correlation: -0.3 },
         ],
     },
 ];
 
 /// What intervals are looked at.
 #[derive(Debug, Clone, Copy)]
-enum Quantity {
+enum CoveredQuantity {
     Mean(usize),
     StdDev { level: usize, state: usize },
     Correlation { level: usize },
@@ -120,34 +120,34 @@ pub(super) fn run(ensembles: u64, only: &str) {
     }
 }
 
-impl Setup {
-    fn quantities(&self) -> Vec<Quantity> {
+impl LevelsSetup {
+    fn quantities(&self) -> Vec<CoveredQuantity> {
         let states = 0..self.states.len();
-        let mut all: Vec<Quantity> = states.clone().map(Quantity::Mean).collect();
+        let mut all: Vec<CoveredQuantity> = states.clone().map(CoveredQuantity::Mean).collect();
         for level in 0..self.levels.len() {
-            all.extend(states.clone().map(|state| Quantity::StdDev { level, state }));
-            all.extend((self.states.len() == 2).then_some(Quantity::Correlation { level }));
+            all.extend(states.clone().map(|state| CoveredQuantity::StdDev { level, state }));
+            all.extend((self.states.len() == 2).then_some(CoveredQuantity::Correlation { level }));
         }
-        all.push(Quantity::Sigma);
+        all.push(CoveredQuantity::Sigma);
         all
     }
 
-    fn name(&self, quantity: Quantity) -> String {
+    fn name(&self, quantity: CoveredQuantity) -> String {
         let at = |level: usize| self.levels[level].name;
         match quantity {
-            Quantity::Mean(state) => format!("mean of {}", self.states[state]),
-            Quantity::StdDev { level, state } => format!("{}: std dev of {}", at(level), self.states[state]),
-            Quantity::Correlation { level } => format!("{}: correlation", at(level)),
-            Quantity::Sigma => "noise".to_owned(),
+            CoveredQuantity::Mean(state) => format!("mean of {}", self.states[state]),
+            CoveredQuantity::StdDev { level, state } => format!("{}: std dev of {}", at(level), self.states[state]),
+            CoveredQuantity::Correlation { level } => format!("{}: correlation", at(level)),
+            CoveredQuantity::Sigma => "noise".to_owned(),
         }
     }
 
-    fn truth(&self, quantity: Quantity) -> f64 {
+    fn truth(&self, quantity: CoveredQuantity) -> f64 {
         match quantity {
-            Quantity::Mean(state) => self.mean[state],
-            Quantity::StdDev { level, state } => self.levels[level].std_dev[state],
-            Quantity::Correlation { level } => self.levels[level].correlation,
-            Quantity::Sigma => SIGMA,
+            CoveredQuantity::Mean(state) => self.mean[state],
+            CoveredQuantity::StdDev { level, state } => self.levels[level].std_dev[state],
+            CoveredQuantity::Correlation { level } => self.levels[level].correlation,
+            CoveredQuantity::Sigma => SIGMA,
         }
     }
 
@@ -166,7 +166,7 @@ impl Setup {
     fn population(&self) -> Population {
         let p = self.states.len();
         let covariance = DMatrix::from_fn(2 * p, 2 * p, |i, k| {
-            let Spread { std_dev, correlation, .. } = &self.levels[1 - i / p];
+            let LevelSpread { std_dev, correlation, .. } = &self.levels[1 - i / p];
             let of_pair = if i == k { 1.0 } else { *correlation };
             if i / p == k / p { std_dev[i % p] * std_dev[k % p] * of_pair } else { 0.0 }
         });
@@ -175,7 +175,7 @@ impl Setup {
     }
 
     /// By quantity, of each of [`FITS`].
-    fn tally(&self, ensembles: u64) -> Vec<[Tally; FITS.len()]> {
+    fn tally(&self, ensembles: u64) -> Vec<[IntervalTally; FITS.len()]> {
         let models = [self.model(false), self.model(true)];
         let x: Vec<f64> = (0..self.rows).map(|row| row as f64).collect();
         let design = design(&models[0], (self.units, self.tests), &x);
@@ -187,7 +187,7 @@ impl Setup {
                 self.intervals(&models, &drawn.expect("a set-up is sound"))
             })
             .collect();
-        let mut tallies = vec![[Tally::default(); FITS.len()]; self.quantities().len()];
+        let mut tallies = vec![[IntervalTally::default(); FITS.len()]; self.quantities().len()];
         for ensemble in &each {
             for ((tallies, intervals), quantity) in tallies.iter_mut().zip(ensemble).zip(self.quantities()) {
                 let truth = self.truth(quantity);
@@ -207,20 +207,20 @@ impl Setup {
             let ensemble = Ensemble::of_tests(model, labels, drawn.tests().to_vec());
             ensemble.fit_with(&options, &mut estimate::Silent).expect("a legal problem").record
         });
-        let of = |quantity: Quantity| std::array::from_fn(|fit| interval(&records[fit], quantity));
+        let of = |quantity: CoveredQuantity| std::array::from_fn(|fit| interval(&records[fit], quantity));
         self.quantities().into_iter().map(of).collect()
     }
 }
 
 /// The interval of a quantity; `None` where the fit has none, or is not certified.
-fn interval(record: &FitRecord, quantity: Quantity) -> Interval {
+fn interval(record: &FitRecord, quantity: CoveredQuantity) -> Interval {
     if !record.converged {
         return None;
     }
     match quantity {
-        Quantity::Mean(state) => record.phases[0].mean.interval95[state],
-        Quantity::StdDev { level, state } => record.levels[level].std_dev.interval95[state],
-        Quantity::Correlation { level } => record.levels[level].correlation.interval95[1][0],
-        Quantity::Sigma => record.parameters[0].interval95.filter(|_| !record.parameters[0].fixed),
+        CoveredQuantity::Mean(state) => record.phases[0].mean.interval95[state],
+        CoveredQuantity::StdDev { level, state } => record.levels[level].std_dev.interval95[state],
+        CoveredQuantity::Correlation { level } => record.levels[level].correlation.interval95[1][0],
+        CoveredQuantity::Sigma => record.parameters[0].interval95.filter(|_| !record.parameters[0].fixed),
     }
 }

@@ -7,64 +7,74 @@ use kalfit_spec::DesignSpec;
 use rayon::prelude::*;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use super::drawn::{CONSTANT, Drawn, LINE, NOISY, UNITS, WALK, rows, values};
+use super::drawn::{CONSTANT, DrawnSetup, LINE, NOISY, UNITS, WALK, rows, values};
 use crate::seed::SEED;
 
 const LIMITS: Limits = Limits { confidence: 0.9, content: 0.95, sides: Sides::Two };
 
 /// What is predicted from which ensembles.
-struct Setup {
+struct PredictionSetup {
     title: &'static str,
     output: &'static str,
     /// `x` of the mission, whose last row counts.
     mission: &'static [f64],
-    drawn: Drawn,
+    drawn: DrawnSetup,
 }
 
-const SETUPS: [Setup; 8] = [
-    Setup { title: "5 tests that determine their level exactly", output: "level", mission: &[0.0], drawn: CONSTANT },
-    Setup {
+const SETUPS: [PredictionSetup; 8] = [
+    PredictionSetup {
+        title: "5 tests that determine their level exactly",
+        output: "level",
+        mission: &[0.0],
+        drawn: CONSTANT,
+    },
+    PredictionSetup {
         title: "5 tests that determine their level exactly, by restricted likelihood",
         output: "level",
         mission: &[0.0],
-        drawn: Drawn { restricted: true, ..CONSTANT },
+        drawn: DrawnSetup { restricted: true, ..CONSTANT },
     },
-    Setup {
+    PredictionSetup {
         title: "30 tests that determine their level with an error as large as its spread",
         output: "level",
         mission: &[0.0],
         drawn: NOISY,
     },
-    Setup {
+    PredictionSetup {
         title: "30 tests that determine their level with an error of 1.7 times its spread",
         output: "level",
         mission: &[0.0],
-        drawn: Drawn { rows: &[0.0, 1.0, 2.0, 3.0], ..NOISY },
+        drawn: DrawnSetup { rows: &[0.0, 1.0, 2.0, 3.0], ..NOISY },
     },
-    Setup {
+    PredictionSetup {
         title: "18 random lines of 10 rows, a little beyond them",
         output: "level + slope * x",
         mission: &[12.0],
         drawn: LINE,
     },
-    Setup {
+    PredictionSetup {
         title: "12 random walks of 20 rows from a random level, density and noise free",
         output: "level + walk",
         mission: &[10.0, 30.0],
         drawn: WALK,
     },
-    Setup { title: "10 units of 3 tests of 4 rows, a new unit", output: "level", mission: &[0.0], drawn: UNITS },
-    Setup {
+    PredictionSetup {
+        title: "10 units of 3 tests of 4 rows, a new unit",
+        output: "level",
+        mission: &[0.0],
+        drawn: UNITS,
+    },
+    PredictionSetup {
         title: "30 units of 5 tests of 4 rows, a new unit",
         output: "level",
         mission: &[0.0],
-        drawn: Drawn { units: 30, tests: 5, ..UNITS },
+        drawn: DrawnSetup { units: 30, tests: 5, ..UNITS },
     },
 ];
 
 /// How often limits held.
 #[derive(Debug, Default, Clone, Copy)]
-struct Tally {
+struct LimitTally {
     of: u64,
     mean: u64,
     quantiles: u64,
@@ -75,7 +85,7 @@ struct Tally {
 
 /// Runs the set-ups whose title holds `only` and prints their table.
 pub(super) fn run(ensembles: u64, only: &str) {
-    let chosen: Vec<&Setup> =
+    let chosen: Vec<&PredictionSetup> =
         SETUPS.iter().filter(|setup| "Predictions".contains(only) || setup.title.contains(only)).collect();
     if chosen.is_empty() {
         return;
@@ -86,7 +96,7 @@ pub(super) fn run(ensembles: u64, only: &str) {
     println!("| set-up | limits of the mean | m ± 1.96 s | tolerance, two sides | tolerance, one side | no limits |");
     println!("|---|---|---|---|---|---|");
     for setup in chosen {
-        let Tally { of, mean, quantiles, two, one, unknown } = setup.tally(ensembles);
+        let LimitTally { of, mean, quantiles, two, one, unknown } = setup.tally(ensembles);
         let part = |held: u64| format!("{:.1} %", 100.0 * held as f64 / (of - unknown).max(1) as f64);
         let [mean, quantiles, two, one] = [mean, quantiles, two, one].map(part);
         println!("| {} | {mean} | {quantiles} | {two} | {one} | {unknown} |", setup.title);
@@ -94,8 +104,8 @@ pub(super) fn run(ensembles: u64, only: &str) {
     println!();
 }
 
-impl Setup {
-    fn tally(&self, ensembles: u64) -> Tally {
+impl PredictionSetup {
+    fn tally(&self, ensembles: u64) -> LimitTally {
         let [known, free] = [false, true].map(|is_free| self.drawn.spec(is_free));
         let outputs = format!("[outputs.y]\nequation = \"{}\"\n", self.output);
         let DesignSpec { spec: design, outputs } = known.design(Some(&outputs), false).expect("a set-up is sound");
@@ -123,7 +133,7 @@ impl Setup {
             });
             one(found.as_ref(), &truth, &bounds)
         });
-        tally.reduce(Tally::default, |a, b| Tally {
+        tally.reduce(LimitTally::default, |a, b| LimitTally {
             of: a.of + b.of,
             mean: a.mean + b.mean,
             quantiles: a.quantiles + b.quantiles,
@@ -134,16 +144,16 @@ impl Setup {
     }
 }
 
-fn one(found: Option<&Predicted>, truth: &Predicted, [two, one]: &[Bounds; 2]) -> Tally {
+fn one(found: Option<&Predicted>, truth: &Predicted, [two, one]: &[Bounds; 2]) -> LimitTally {
     let (law, s) = (Normal::standard(), truth.variance().sqrt());
     let below = |limit: f64| law.cdf((limit - truth.mean) / s);
     let limits = found.and_then(|found| Some((found, two.of_mean(found)?, two.of_tests(found)?, one.of_tests(found)?)));
     let Some((found, mean, [lower, upper], [_, one_upper])) = limits else {
-        return Tally { of: 1, unknown: 1, ..Tally::default() };
+        return LimitTally { of: 1, unknown: 1, ..LimitTally::default() };
     };
     let half = law.inverse_cdf(0.5 * (1.0 + LIMITS.content)) * found.variance().sqrt();
     let holds = |lower: f64, upper: f64| u64::from(below(upper) - below(lower) >= LIMITS.content);
-    Tally {
+    LimitTally {
         of: 1,
         mean: u64::from(mean[0] <= truth.mean && truth.mean <= mean[1]),
         quantiles: holds(found.mean - half, found.mean + half),

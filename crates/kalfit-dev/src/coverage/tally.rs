@@ -3,13 +3,13 @@
 use kalfit::record::Interval;
 
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Tally {
+pub(super) struct IntervalTally {
     pub(super) held: u64,
     /// Fits without this interval.
     pub(super) without: u64,
 }
 
-impl Tally {
+impl IntervalTally {
     pub(super) fn add(&mut self, interval: Interval, truth: f64) {
         match interval {
             Some([low, high]) => {

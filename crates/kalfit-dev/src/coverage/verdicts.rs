@@ -4,7 +4,7 @@ use kalfit::apply::{Applied, Laws, Trust, Verdict};
 use kalfit::{Ensemble, Labels};
 use rayon::prelude::*;
 
-use super::drawn::{Drawn, LINE, NOISY, UNITS, WALK, values};
+use super::drawn::{DrawnSetup, LINE, NOISY, UNITS, WALK, values};
 use crate::seed::SEED;
 
 /// Share of the batches that may be accused.
@@ -15,9 +15,9 @@ const BATCH: usize = 20;
 const FITTED: [usize; 3] = [10, 20, 50];
 
 /// What is drawn.
-struct Setup {
+struct VerdictSetup {
     title: &'static str,
-    drawn: Drawn,
+    drawn: DrawnSetup,
 }
 
 const CUBIC: &str = r#"
@@ -36,11 +36,11 @@ noise = "sigma"
 sigma = 0.3
 "#;
 
-const SETUPS: [Setup; 5] = [
-    Setup { title: "random lines of 10 rows", drawn: Drawn { units: 0, tests: 1, ..LINE } },
-    Setup {
+const SETUPS: [VerdictSetup; 5] = [
+    VerdictSetup { title: "random lines of 10 rows", drawn: DrawnSetup { units: 0, tests: 1, ..LINE } },
+    VerdictSetup {
         title: "cubics of 8 rows, four states",
-        drawn: Drawn {
+        drawn: DrawnSetup {
             model: CUBIC,
             free: "sigma",
             units: 0,
@@ -51,30 +51,30 @@ const SETUPS: [Setup; 5] = [
             restricted: false,
         },
     },
-    Setup {
+    VerdictSetup {
         title: "levels determined with an error as large as their spread, 12 rows",
-        drawn: Drawn { units: 0, tests: 1, ..NOISY },
+        drawn: DrawnSetup { units: 0, tests: 1, ..NOISY },
     },
-    Setup {
+    VerdictSetup {
         title: "random walks of 8 rows from a random level, density and noise free",
-        drawn: Drawn { units: 0, tests: 1, rows: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0], ..WALK },
+        drawn: DrawnSetup { units: 0, tests: 1, rows: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0], ..WALK },
     },
-    Setup { title: "units of 3 tests of 4 rows", drawn: Drawn { units: 0, ..UNITS } },
+    VerdictSetup { title: "units of 3 tests of 4 rows", drawn: DrawnSetup { units: 0, ..UNITS } },
 ];
 
 /// How often a law accuses: distances, tests within units, residuals, some test by itself.
-type Accused = [u64; 4];
+type AccusedCounts = [u64; 4];
 
 #[derive(Debug, Default, Clone, Copy)]
-struct Tally {
+struct VerdictTally {
     of: u64,
     /// By the law that allows for estimation, and by chi-squared.
-    accused: [Accused; 2],
+    accused: [AccusedCounts; 2],
 }
 
 /// Runs the set-ups whose title holds `only` and prints their table.
 pub(super) fn run(ensembles: u64, only: &str) {
-    let chosen: Vec<&Setup> =
+    let chosen: Vec<&VerdictSetup> =
         SETUPS.iter().filter(|setup| "Verdicts".contains(only) || setup.title.contains(only)).collect();
     if chosen.is_empty() {
         return;
@@ -88,7 +88,7 @@ pub(super) fn run(ensembles: u64, only: &str) {
     println!("|---|---|---|---|---|---|---|---|---|---|");
     for setup in chosen {
         for fitted in FITTED {
-            let Tally { of, accused } = setup.tally(fitted, ensembles);
+            let VerdictTally { of, accused } = setup.tally(fitted, ensembles);
             let has_units = setup.drawn.tests > 1;
             let cell = |what: usize, law: usize| match (what, has_units) {
                 (1, false) => "-".to_owned(),
@@ -101,9 +101,9 @@ pub(super) fn run(ensembles: u64, only: &str) {
     println!();
 }
 
-impl Setup {
-    fn tally(&self, fitted: usize, ensembles: u64) -> Tally {
-        let [old, new] = [fitted, BATCH].map(|units| Drawn { units, ..self.drawn });
+impl VerdictSetup {
+    fn tally(&self, fitted: usize, ensembles: u64) -> VerdictTally {
+        let [old, new] = [fitted, BATCH].map(|units| DrawnSetup { units, ..self.drawn });
         let [known, free] = [false, true].map(|is_free| old.spec(is_free));
         let alpha = kalfit::Alpha::fixed(&known.model.shared().parameters).expect("the truth is known");
         let [design, batch] = [old.design(&known), new.design(&known)];
@@ -114,7 +114,7 @@ impl Setup {
         let one = |k: u64| {
             let record = old.fit(&free, &draw(&design, SEED + 2 * k));
             if !record.converged {
-                return Tally::default();
+                return VerdictTally::default();
             }
             let population = record.population(&known.model).expect("it is of this model");
             let (values, knowledge) = (values(&known, &record), record.knowledge(&known.model).expect("few numbers"));
@@ -124,16 +124,16 @@ impl Setup {
             let said = applied.said().expect("it applies");
             let laws = applied.laws(&said, &Trust::Estimates(&knowledge)).expect("it applies");
             let accused = [laws, Laws::known(&said)].map(|laws| accused(&said, &laws));
-            Tally { of: 1, accused }
+            VerdictTally { of: 1, accused }
         };
-        (0..ensembles).into_par_iter().map(one).reduce(Tally::default, |a, b| Tally {
+        (0..ensembles).into_par_iter().map(one).reduce(VerdictTally::default, |a, b| VerdictTally {
             of: a.of + b.of,
             accused: std::array::from_fn(|law| std::array::from_fn(|what| a.accused[law][what] + b.accused[law][what])),
         })
     }
 }
 
-fn accused(said: &kalfit::apply::Said, laws: &Laws) -> Accused {
+fn accused(said: &kalfit::apply::Said, laws: &Laws) -> AccusedCounts {
     let Verdict { distance, within, residual, .. } = said.verdict(laws);
     let below = |p: Option<f64>| u64::from(p.is_some_and(|p| p < LEVEL));
     let one = |(law, test): (&Option<kalfit::apply::Law>, &kalfit::infer::Posterior)| {

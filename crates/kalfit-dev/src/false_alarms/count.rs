@@ -5,7 +5,7 @@ pub(super) const LEVELS: [f64; 6] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
 
 /// How many p-values there are, and below each level.
 #[derive(Default, Clone, Copy)]
-pub(super) struct Count {
+pub(super) struct PValueCount {
     all: u64,
     below: [u64; LEVELS.len()],
 }
@@ -16,15 +16,15 @@ pub(super) fn head(what: &str) {
     println!("|---{}|", "|---".repeat(LEVELS.len()));
 }
 
-impl Count {
+impl PValueCount {
     pub(super) fn take(&mut self, p: Option<f64>) {
         let Some(p) = p else { return };
         self.all += 1;
         self.below.iter_mut().zip(LEVELS).filter(|(_, level)| p < *level).for_each(|(n, _)| *n += 1);
     }
 
-    pub(super) fn with(self, other: Count) -> Count {
-        Count { all: self.all + other.all, below: std::array::from_fn(|k| self.below[k] + other.below[k]) }
+    pub(super) fn with(self, other: PValueCount) -> PValueCount {
+        PValueCount { all: self.all + other.all, below: std::array::from_fn(|k| self.below[k] + other.below[k]) }
     }
 
     /// Prints counts as multiples of what they should be; none where that is too few to tell.

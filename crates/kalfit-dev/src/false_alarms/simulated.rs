@@ -20,20 +20,20 @@ equation = "bias + scale * turn + drift"
 noise = 0.08
 "#;
 
-pub(super) struct Drawing {
+pub(super) struct SimulatedModel {
     pub(super) model: PhasedModel,
     pub(super) alpha: Alpha,
     pub(super) population: Population,
 }
 
 /// Rows of test number k, and the time of each.
-pub(super) struct Shape {
+pub(super) struct TestShape {
     pub(super) rows: fn(k: usize) -> usize,
     pub(super) time: fn(k: usize, row: f64) -> f64,
 }
 
-impl Drawing {
-    pub(super) fn new() -> Result<Drawing, String> {
+impl SimulatedModel {
+    pub(super) fn new() -> Result<SimulatedModel, String> {
         let model = Spec::parse("model", MODEL).map_err(|error| error.to_string())?.model;
         let alpha = Alpha::fixed(&model.shared().parameters).map_err(|error| error.to_string())?;
         let population = Population {
@@ -41,11 +41,11 @@ impl Drawing {
             coefficients: vec![],
             covariance: DMatrix::from_row_slice(2, 2, &[0.64, -8.0, -8.0, 625.0]),
         };
-        Ok(Drawing { model, alpha, population })
+        Ok(SimulatedModel { model, alpha, population })
     }
 
     /// Designs of so many tests, which turn in some rows so that both states are told.
-    pub(super) fn designs(&self, count: usize, shape: &Shape) -> Result<Designs, String> {
+    pub(super) fn designs(&self, count: usize, shape: &TestShape) -> Result<Designs, String> {
         let columns = &self.model.shared().columns;
         let one = |k: usize| {
             let mut test = Test::new(format!("t{k:05}"), columns.len(), 0);

@@ -12,8 +12,8 @@ use kalfit::{Ensemble, Labels, Options};
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ChiSquared, ContinuousCDF};
 
-use super::count::{Count, LEVELS, head};
-use super::drawing::{Drawing, Shape};
+use super::count::{LEVELS, PValueCount, head};
+use super::drawing::{SimulatedModel, TestShape};
 use crate::seed::SEED;
 
 /// Tests of one draw.
@@ -24,14 +24,14 @@ const FEW: [u64; 6] = [5, 10, 20, 50, 200, 1000];
 const PART: u64 = 10;
 const STATES: usize = 2;
 /// Tests have four to nine rows.
-const SHAPE: Shape = Shape { rows: |k| 4 + k % 6, time: |_, row| 0.4 * row };
+const SHAPE: TestShape = TestShape { rows: |k| 4 + k % 6, time: |_, row| 0.4 * row };
 
 /// Both figures.
-type Counts = [Count; 2];
+type TailCounts = [PValueCount; 2];
 
 /// Simulates so many tests at known parameters and a tenth as many at estimates from few, and prints their tables.
 pub(super) fn run(tests: u64) -> Result<(), String> {
-    let drawing = Drawing::new()?;
+    let drawing = SimulatedModel::new()?;
     println!(
         "\nShare of tests with a p-value below the nominal one, as a multiple of it, {tests} tests at known parameters and {} at \
          estimates from N tests each.\n",
@@ -60,13 +60,13 @@ fn exactly(n: u64, level: f64) -> f64 {
 }
 
 /// By the population that the tests come from.
-fn known(drawing: &Drawing, tests: u64) -> Result<Counts, String> {
+fn known(drawing: &SimulatedModel, tests: u64) -> Result<TailCounts, String> {
     let designs = drawing.designs(DRAW as usize, &SHAPE)?;
-    let one = |k: u64| -> Result<Counts, String> {
+    let one = |k: u64| -> Result<TailCounts, String> {
         let tests = drawing.draw(&designs, SEED, k * DRAW..(k + 1) * DRAW)?;
         let applied = Applied::new(&drawing.model, &drawing.alpha, &drawing.population, &tests);
         let said = applied.and_then(|applied| applied.said()).map_err(|error| error.to_string())?;
-        let mut counts = Counts::default();
+        let mut counts = TailCounts::default();
         said.innovations.iter().for_each(|found| {
             counts[0].take(found.as_ref().and_then(|found| found.summary.p_value(0)));
         });
@@ -77,25 +77,25 @@ fn known(drawing: &Drawing, tests: u64) -> Result<Counts, String> {
 }
 
 /// By estimates from the n tests themselves, of so many ensembles.
-fn estimated(drawing: &Drawing, n: u64, ensembles: u64) -> Result<Counts, String> {
+fn estimated(drawing: &SimulatedModel, n: u64, ensembles: u64) -> Result<TailCounts, String> {
     let designs = drawing.designs(n as usize, &SHAPE)?;
     let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
     let options = Options { choices, ..Options::default() };
-    let one = |k: u64| -> Result<Counts, String> {
+    let one = |k: u64| -> Result<TailCounts, String> {
         let tests = drawing.draw(&designs, SEED, k * n..(k + 1) * n)?;
         let ensemble = Ensemble::of_tests(&drawing.model, Labels::default(), tests);
         let fit = ensemble.fit_with(&options, &mut Silent).map_err(|error| error.to_string())?;
-        let mut counts = Counts::default();
+        let mut counts = TailCounts::default();
         for test in &fit.record.tests {
             counts[0].take(test.innovations.as_ref().and_then(|found| found.nis_p_value));
             counts[1].take(test.p_value);
         }
         Ok(counts)
     };
-    let all: Vec<Result<Counts, String>> = (0..ensembles).into_par_iter().map(one).collect();
+    let all: Vec<Result<TailCounts, String>> = (0..ensembles).into_par_iter().map(one).collect();
     sum(all.into_iter())
 }
 
-fn sum(mut all: impl Iterator<Item = Result<Counts, String>>) -> Result<Counts, String> {
-    all.try_fold(Counts::default(), |sum, one| one.map(|one| [sum[0].with(one[0]), sum[1].with(one[1])]))
+fn sum(mut all: impl Iterator<Item = Result<TailCounts, String>>) -> Result<TailCounts, String> {
+    all.try_fold(TailCounts::default(), |sum, one| one.map(|one| [sum[0].with(one[0]), sum[1].with(one[1])]))
 }

@@ -3,16 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::damage::Form;
+use super::damage::DamageKind;
 
 /// Starter models.
 const TEMPLATES: [&str; 5] = ["random-coefficients", "meta-analysis", "gyro-bench", "static-imu", "two-phase"];
 
 /// What is damaged, and the commands that read it.
-pub(super) struct Subject {
+pub(super) struct FuzzSubject {
     /// What it is: model, CSV, Parquet, Arrow, exchange, results.
     pub(super) kind: &'static str,
-    pub(super) form: Form,
+    pub(super) form: DamageKind,
     /// Its name in the folder of a run.
     pub(super) name: &'static str,
     pub(super) bytes: Vec<u8>,
@@ -22,16 +22,16 @@ pub(super) struct Subject {
     pub(super) folder: PathBuf,
 }
 
-pub(super) struct Corpus {
+pub(super) struct FuzzCorpus {
     pub(super) kalfit: PathBuf,
-    pub(super) subjects: Vec<Subject>,
+    pub(super) subjects: Vec<FuzzSubject>,
 }
 
-impl Corpus {
+impl FuzzCorpus {
     /// Makes the sound files in a folder, anew.
-    pub(super) fn new(kalfit: &Path, folder: &Path) -> Result<Corpus, String> {
+    pub(super) fn new(kalfit: &Path, folder: &Path) -> Result<FuzzCorpus, String> {
         let _ = std::fs::remove_dir_all(folder); // of an earlier campaign, if any
-        let mut corpus = Corpus { kalfit: kalfit.to_owned(), subjects: Vec::new() };
+        let mut corpus = FuzzCorpus { kalfit: kalfit.to_owned(), subjects: Vec::new() };
         for template in TEMPLATES {
             corpus.add(template, folder.join(template))?;
         }
@@ -52,7 +52,7 @@ impl Corpus {
         let mut subjects = vec![
             (
                 "model",
-                Form::Text,
+                DamageKind::Text,
                 "m.toml",
                 model.clone(),
                 vec![
@@ -64,7 +64,7 @@ impl Corpus {
             ),
             (
                 "CSV",
-                Form::Text,
+                DamageKind::Text,
                 "d.csv",
                 data.clone(),
                 vec![
@@ -73,11 +73,11 @@ impl Corpus {
                     format!("apply {model} @ --from fit.json --out out.csv"),
                 ],
             ),
-            ("Parquet", Form::Bytes, "d.parquet", "drawn.parquet".to_owned(), vec![format!("check {model} @")]),
-            ("Arrow", Form::Bytes, "d.arrow", "drawn.arrow".to_owned(), vec![format!("check {model} @")]),
+            ("Parquet", DamageKind::Bytes, "d.parquet", "drawn.parquet".to_owned(), vec![format!("check {model} @")]),
+            ("Arrow", DamageKind::Bytes, "d.arrow", "drawn.arrow".to_owned(), vec![format!("check {model} @")]),
             (
                 "results",
-                Form::Json,
+                DamageKind::Json,
                 "fit.json",
                 "fit.json".to_owned(),
                 vec![
@@ -93,13 +93,13 @@ impl Corpus {
         // models with free dynamic parameters have none
         if self.make(&folder, &format!("reduce {model} {data} --out r.parquet")).is_ok() {
             let line = format!("fit {model} @ --max-iterations 30 --out out.json");
-            subjects.push(("exchange", Form::Bytes, "r.parquet", "r.parquet".to_owned(), vec![line]));
+            subjects.push(("exchange", DamageKind::Bytes, "r.parquet", "r.parquet".to_owned(), vec![line]));
         }
         for (kind, form, name, file, lines) in subjects {
             let place = folder.join(&file);
             let bytes = std::fs::read(&place).map_err(|error| format!("{}: {error}", place.display()))?;
             let lines = lines.iter().map(|line| line.split(' ').map(str::to_owned).collect()).collect();
-            self.subjects.push(Subject { kind, form, name, bytes, lines, folder: folder.clone() });
+            self.subjects.push(FuzzSubject { kind, form, name, bytes, lines, folder: folder.clone() });
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 /// How a file is damaged.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Form {
+pub(super) enum DamageKind {
     /// By bytes.
     Bytes,
     /// By bytes, words and lines.
@@ -66,16 +66,16 @@ const WORDS: [&str; 20] = [
     "true",
 ];
 
-pub(super) fn damaged(random: &mut ChaCha8Rng, sound: &[u8], form: Form) -> Vec<u8> {
+pub(super) fn damaged(random: &mut ChaCha8Rng, sound: &[u8], form: DamageKind) -> Vec<u8> {
     let mut bytes = sound.to_vec();
     let times = [1, 1, 1, 1, 2, 4][random.random_range(0..6_usize)];
     for _ in 0..times {
         bytes = match form {
-            Form::Bytes => by_bytes(random, bytes),
-            Form::Text if random.random_bool(0.2) => by_bytes(random, bytes),
-            Form::Text => by_words(random, &bytes),
-            Form::Json if random.random_bool(0.1) => by_bytes(random, bytes),
-            Form::Json => by_values(random, bytes),
+            DamageKind::Bytes => by_bytes(random, bytes),
+            DamageKind::Text if random.random_bool(0.2) => by_bytes(random, bytes),
+            DamageKind::Text => by_words(random, &bytes),
+            DamageKind::Json if random.random_bool(0.1) => by_bytes(random, bytes),
+            DamageKind::Json => by_values(random, bytes),
         };
     }
     bytes

@@ -89,19 +89,19 @@ pub(super) fn compared(text: &str, data: &Path) -> Result<bool, String> {
 }
 
 /// How much of the digits the dense law loses: its covariances are squares of what is well known.
-fn conditioned(tests: &[Rows], sigma: &DMatrix<f64>) -> f64 {
-    let largest = |test: &Rows| (&test.design * sigma * test.design.transpose()).amax() / test.variance;
+fn conditioned(tests: &[FuzzedTest], sigma: &DMatrix<f64>) -> f64 {
+    let largest = |test: &FuzzedTest| (&test.design * sigma * test.design.transpose()).amax() / test.variance;
     1.0 + 1e-5 * tests.iter().map(largest).fold(0.0, f64::max)
 }
 
 /// One test: y = design × state + noise.
-struct Rows {
+struct FuzzedTest {
     design: DMatrix<f64>,
     y: DVector<f64>,
     variance: f64,
 }
 
-impl Rows {
+impl FuzzedTest {
     /// log N(y; Xμ, XΣX' + R).
     fn log_density(&self, mean: &DVector<f64>, sigma: &DMatrix<f64>) -> Option<f64> {
         let n = self.y.len();
@@ -114,7 +114,7 @@ impl Rows {
 }
 
 /// The tests of a file that [`drawn`] made.
-fn tests(text: &str, data: &Path) -> Result<Vec<Rows>, String> {
+fn tests(text: &str, data: &Path) -> Result<Vec<FuzzedTest>, String> {
     let noise = text.rsplit("noise = ").next().and_then(|noise| noise.trim().parse::<f64>().ok());
     let noise = noise.ok_or("the model has a noise")?;
     let states = text.matches("[states.").count();
@@ -130,7 +130,7 @@ fn tests(text: &str, data: &Path) -> Result<Vec<Rows>, String> {
             _ => all.push((id, vec![row])),
         }
     }
-    let of = |(_, rows): (String, Vec<[f64; 3]>)| Rows {
+    let of = |(_, rows): (String, Vec<[f64; 3]>)| FuzzedTest {
         design: DMatrix::from_fn(rows.len(), states, |i, k| [1.0, rows[i][0], rows[i][1]][k]),
         y: DVector::from_iterator(rows.len(), rows.iter().map(|row| row[2])),
         variance: noise * noise,

@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::corpus::Corpus;
-use super::targets::{Given, Targets};
+use super::corpus::FuzzCorpus;
+use super::targets::{FuzzInput, FuzzTargets};
 
 /// No input may take longer.
 const LONGEST: Duration = Duration::from_secs(120);
@@ -31,34 +31,34 @@ thread_local! {
 
 /// What is asked of a campaign.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Asked {
+pub(super) struct InProcessBounds {
     pub(super) seed: u64,
     pub(super) inputs: u64,
     pub(super) time: Duration,
 }
 
 /// An input that was not dealt with as it must be.
-struct Wrong {
+struct WrongInput {
     seed: u64,
     why: String,
-    input: Given,
+    input: FuzzInput,
 }
 
 #[derive(Default)]
-struct Tally {
+struct InputTally {
     /// Inputs by kind and by whether they were read.
     by: BTreeMap<(&'static str, bool), u64>,
     slowest: Duration,
-    wrong: Vec<Wrong>,
+    wrong: Vec<WrongInput>,
 }
 
 /// What threads share.
-struct Shared {
-    targets: Targets,
+struct InProcessCampaign {
+    targets: FuzzTargets,
     next: AtomicU64,
     end: u64,
     over: AtomicBool,
-    tally: Mutex<Tally>,
+    tally: Mutex<InputTally>,
     /// Of each thread: the seed that it works on, and since when.
     at_work: Vec<Mutex<Option<(u64, Instant)>>>,
 }
@@ -68,10 +68,10 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Runs a campaign, and prints what came of it.
-pub(super) fn campaign(corpus: &Corpus, kept: &Path, asked: Asked) -> Result<(), String> {
+pub(super) fn campaign(corpus: &FuzzCorpus, kept: &Path, asked: InProcessBounds) -> Result<(), String> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let shared = Arc::new(Shared {
-        targets: Targets::new(corpus)?,
+    let shared = Arc::new(InProcessCampaign {
+        targets: FuzzTargets::new(corpus)?,
         next: AtomicU64::new(asked.seed),
         end: asked.seed.saturating_add(asked.inputs),
         over: AtomicBool::new(false),
@@ -98,7 +98,7 @@ pub(super) fn campaign(corpus: &Corpus, kept: &Path, asked: Asked) -> Result<(),
     stuck.map_or(Ok(()), Err)
 }
 
-impl Shared {
+impl InProcessCampaign {
     /// Takes one input after another, with one thread of its own for what the libraries do side by side.
     fn work(&self, thread: usize, folder: &Path) {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
@@ -108,7 +108,7 @@ impl Shared {
             if first >= self.end {
                 return;
             }
-            let mut own = Tally::default();
+            let mut own = InputTally::default();
             for seed in first..first.saturating_add(ROUND).min(self.end) {
                 let begun = Instant::now();
                 *locked(&self.at_work[thread]) = Some((seed, begun));
@@ -120,15 +120,15 @@ impl Shared {
         }
     }
 
-    fn one(&self, seed: u64, folder: &Path, tally: &mut Tally) {
+    fn one(&self, seed: u64, folder: &Path, tally: &mut InputTally) {
         let input = self.targets.input(seed);
         let ended = catch_unwind(AssertUnwindSafe(|| self.targets.run(&input, folder)));
         let read = match ended {
             Ok(Ok(read)) => read,
-            Ok(Err(why)) => return tally.wrong.push(Wrong { seed, why, input }),
+            Ok(Err(why)) => return tally.wrong.push(WrongInput { seed, why, input }),
             Err(_) => {
                 let why = format!("it panicked: {}", LAST_WORDS.with(|words| words.borrow().clone()));
-                return tally.wrong.push(Wrong { seed, why, input });
+                return tally.wrong.push(WrongInput { seed, why, input });
             }
         };
         *tally.by.entry((input.kind, read)).or_default() += 1;
@@ -161,7 +161,7 @@ impl Shared {
     }
 }
 
-impl Shared {
+impl InProcessCampaign {
     /// Writes the input of a seed to a file, and says where.
     fn keep(&self, seed: u64, kept: &Path) -> String {
         let input = self.targets.input(seed);
@@ -179,8 +179,8 @@ fn memory() -> u64 {
     kilobytes.unwrap_or(0) << 10
 }
 
-impl Tally {
-    fn add(&mut self, other: Tally) {
+impl InputTally {
+    fn add(&mut self, other: InputTally) {
         other.by.into_iter().for_each(|(kind, count)| *self.by.entry(kind).or_default() += count);
         self.slowest = self.slowest.max(other.slowest);
         self.wrong.extend(other.wrong);
@@ -200,7 +200,7 @@ impl Tally {
             let of = |read: bool| self.by.get(&(kind, read)).copied().unwrap_or(0);
             println!("  {kind:<12} {:>10} read {:>10} refused", of(true), of(false));
         }
-        for Wrong { seed, why, input } in &self.wrong {
+        for WrongInput { seed, why, input } in &self.wrong {
             println!("\nseed {seed}: {}", why.replace('\n', "\n  "));
             let place: PathBuf = kept.join(format!("{seed}-{}", input.name));
             std::fs::write(&place, &input.bytes).map_err(|error| format!("{}: {error}", place.display()))?;

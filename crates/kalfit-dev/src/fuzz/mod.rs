@@ -23,8 +23,8 @@ use rayon::prelude::*;
 
 use crate::places;
 use crate::places::MEASURE;
-use corpus::Corpus;
-use run::Ended;
+use corpus::FuzzCorpus;
+use run::RunEnd;
 
 /// Runs between two looks at the clock.
 const ROUND: u64 = 200;
@@ -33,7 +33,7 @@ const MOST_SHOWN: usize = 20;
 
 /// What is asked of the task.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Options {
+pub(crate) struct FuzzOptions {
     /// Runs; without it and `--minutes` 20 000.
     #[arg(long)]
     runs: Option<u64>,
@@ -48,7 +48,7 @@ pub(crate) struct Options {
 /// What is asked of the task that works in this process.
 #[cfg(feature = "measure")]
 #[derive(Debug, clap::Args)]
-pub(crate) struct InProcess {
+pub(crate) struct InProcessOptions {
     /// Inputs; without it and `--minutes` 200 000.
     #[arg(long)]
     inputs: Option<u64>,
@@ -67,7 +67,7 @@ const SHORT_IN_PROCESS: &str = "1000";
 
 /// A short campaign for the test command.
 pub(crate) fn short() -> Result<(), String> {
-    campaign(&Options { runs: Some(SHORT), minutes: None, seed: 1 })?;
+    campaign(&FuzzOptions { runs: Some(SHORT), minutes: None, seed: 1 })?;
     // in the program with the libraries, as the step of the tests has compiled them
     let build = ["build", "--quiet", "--workspace", "--locked", "--features", MEASURE, "--bin", "kalfit-dev"];
     let built = places::target()?.join("debug").join("kalfit-dev");
@@ -83,18 +83,18 @@ fn passed(command: &mut Command) -> Result<(), String> {
 
 /// Damages input to the libraries in this process, hundreds of times as fast as runs of the program.
 #[cfg(feature = "measure")]
-pub(crate) fn in_process(options: &InProcess) -> ExitCode {
+pub(crate) fn in_process(options: &InProcessOptions) -> ExitCode {
     let found = || {
         let (kalfit, kept) = places_of_a_campaign()?;
-        let corpus = Corpus::new(&kalfit, &kept.join("corpus"))?;
+        let corpus = FuzzCorpus::new(&kalfit, &kept.join("corpus"))?;
         let (inputs, time) = asked(options.inputs, options.minutes, 200_000)?;
-        in_process::campaign(&corpus, &kept, in_process::Asked { seed: options.seed, inputs, time })
+        in_process::campaign(&corpus, &kept, in_process::InProcessBounds { seed: options.seed, inputs, time })
     };
     ended(found())
 }
 
 /// Runs a campaign; what it found is printed, and kept where what cargo builds is.
-pub(crate) fn run(options: &Options) -> ExitCode {
+pub(crate) fn run(options: &FuzzOptions) -> ExitCode {
     ended(campaign(options))
 }
 
@@ -110,16 +110,16 @@ fn ended(found: Result<(), String>) -> ExitCode {
 
 /// What came out of runs, added up.
 #[derive(Default)]
-struct Figures {
+struct RunTally {
     /// Runs by what was damaged and by exit status.
     by: BTreeMap<(&'static str, String), u64>,
     runs: u64,
     slowest: Duration,
-    wrong: Vec<Wrong>,
+    wrong: Vec<WrongRun>,
 }
 
 /// A run that ended as none may.
-struct Wrong {
+struct WrongRun {
     seed: u64,
     line: String,
     why: String,
@@ -149,12 +149,12 @@ fn asked(count: Option<u64>, minutes: Option<f64>, usual: u64) -> Result<(u64, D
     })
 }
 
-fn campaign(options: &Options) -> Result<(), String> {
+fn campaign(options: &FuzzOptions) -> Result<(), String> {
     let (kalfit, kept) = places_of_a_campaign()?;
-    let corpus = Corpus::new(&kalfit, &kept.join("corpus"))?;
+    let corpus = FuzzCorpus::new(&kalfit, &kept.join("corpus"))?;
     let begun = Instant::now();
     let (runs, limit) = asked(options.runs, options.minutes, 20_000)?;
-    let mut all = Figures::default();
+    let mut all = RunTally::default();
     while all.runs < runs && begun.elapsed() < limit && all.wrong.len() < MOST_SHOWN {
         let first = options.seed.wrapping_add(all.runs);
         let round = ROUND.min(runs - all.runs);
@@ -166,14 +166,14 @@ fn campaign(options: &Options) -> Result<(), String> {
 }
 
 /// One run.
-struct Found {
+struct FuzzRun {
     kind: &'static str,
-    ended: Ended,
+    ended: RunEnd,
     seconds: Duration,
-    wrong: Option<Wrong>,
+    wrong: Option<WrongRun>,
 }
 
-fn one(corpus: &Corpus, kept: &std::path::Path, seed: u64) -> Result<Found, String> {
+fn one(corpus: &FuzzCorpus, kept: &std::path::Path, seed: u64) -> Result<FuzzRun, String> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let subject = &corpus.subjects[random.random_range(0..corpus.subjects.len())];
     let bytes = damage::damaged(&mut random, &subject.bytes, subject.form);
@@ -182,12 +182,12 @@ fn one(corpus: &Corpus, kept: &std::path::Path, seed: u64) -> Result<Found, Stri
     let done = run::run(corpus, subject, (line, &bytes), &folder)?;
     let why = done.wrong(&bytes);
     let (ended, seconds) = (done.ended, done.seconds);
-    let wrong = why.map(|why| Wrong { seed, line: line.join(" "), why, name: subject.name, bytes });
-    Ok(Found { kind: subject.kind, ended, seconds, wrong })
+    let wrong = why.map(|why| WrongRun { seed, line: line.join(" "), why, name: subject.name, bytes });
+    Ok(FuzzRun { kind: subject.kind, ended, seconds, wrong })
 }
 
-impl Figures {
-    fn add(&mut self, found: Found) {
+impl RunTally {
+    fn add(&mut self, found: FuzzRun) {
         self.runs += 1;
         *self.by.entry((found.kind, found.ended.to_string())).or_default() += 1;
         self.slowest = self.slowest.max(found.seconds);

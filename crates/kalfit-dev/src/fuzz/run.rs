@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use super::corpus::{Corpus, Subject};
+use super::corpus::{FuzzCorpus, FuzzSubject};
 
 /// No run may take longer.
 const LONGEST: Duration = Duration::from_secs(120);
@@ -15,25 +15,25 @@ const MEMORY: u64 = 4_000_000;
 
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ended {
+pub(super) enum RunEnd {
     Status(i32),
     Signal,
     TooLate,
 }
 
-impl fmt::Display for Ended {
+impl fmt::Display for RunEnd {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Ended::Status(status) => write!(f, "exit {status}"),
-            Ended::Signal => f.write_str("a signal"),
-            Ended::TooLate => f.write_str("too late"),
+            RunEnd::Status(status) => write!(f, "exit {status}"),
+            RunEnd::Signal => f.write_str("a signal"),
+            RunEnd::TooLate => f.write_str("too late"),
         }
     }
 }
 
 /// What a run left.
-pub(super) struct Done {
-    pub(super) ended: Ended,
+pub(super) struct FinishedRun {
+    pub(super) ended: RunEnd,
     pub(super) seconds: Duration,
     said: String,
     complained: String,
@@ -41,11 +41,11 @@ pub(super) struct Done {
     files: Vec<String>,
 }
 
-impl Done {
+impl FinishedRun {
     /// What is wrong with the run on these bytes.
     pub(super) fn wrong(&self, bytes: &[u8]) -> Option<String> {
         let last = || self.complained.chars().rev().take(600).collect::<Vec<_>>().into_iter().rev().collect::<String>();
-        if !matches!(self.ended, Ended::Status(0..=2)) {
+        if !matches!(self.ended, RunEnd::Status(0..=2)) {
             return Some(format!("it ended with {}\n{}", self.ended, last()));
         }
         if self.complained.contains("panicked at") {
@@ -56,7 +56,7 @@ impl Done {
         if !was_given && self.said.split(|c: char| !c.is_alphanumeric()).any(|word| word == "NaN") {
             return Some("it printed NaN".to_owned());
         }
-        if self.ended == Ended::Status(2) && !self.files.is_empty() {
+        if self.ended == RunEnd::Status(2) && !self.files.is_empty() {
             return Some(format!("it ended with status 2 and left {}", self.files.join(", ")));
         }
         let torn = self.files.iter().find(|name| name.contains("kalfit-"));
@@ -66,11 +66,11 @@ impl Done {
 
 /// Runs a line of words in a folder, which is gone again after it.
 pub(super) fn run(
-    corpus: &Corpus,
-    subject: &Subject,
+    corpus: &FuzzCorpus,
+    subject: &FuzzSubject,
     (line, bytes): (&[String], &[u8]),
     folder: &Path,
-) -> Result<Done, String> {
+) -> Result<FinishedRun, String> {
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     std::fs::create_dir_all(folder).map_err(failed)?;
     std::fs::write(folder.join(subject.name), bytes).map_err(failed)?;
@@ -96,7 +96,7 @@ pub(super) fn run(
             Some(status) => break ended(status),
             None if begun.elapsed() > LONGEST => {
                 child.kill().and_then(|()| child.wait()).map_err(failed)?;
-                break Ended::TooLate;
+                break RunEnd::TooLate;
             }
             None => std::thread::sleep(Duration::from_millis(2)),
         }
@@ -111,11 +111,11 @@ pub(super) fn run(
     let files = files.into_iter().filter(|name| name != subject.name).collect();
     std::fs::remove_dir_all(folder).map_err(failed)?;
     [out, err].iter().try_for_each(std::fs::remove_file).map_err(failed)?;
-    Ok(Done { ended, seconds, said, complained, files })
+    Ok(FinishedRun { ended, seconds, said, complained, files })
 }
 
-fn ended(status: ExitStatus) -> Ended {
-    status.code().map_or(Ended::Signal, Ended::Status)
+fn ended(status: ExitStatus) -> RunEnd {
+    status.code().map_or(RunEnd::Signal, RunEnd::Status)
 }
 
 /// The program with so much memory and no more, where a shell can say so.

@@ -9,7 +9,7 @@ use kalfit_spec::Spec;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::corpus::{Corpus, Subject};
+use super::corpus::{FuzzCorpus, FuzzSubject};
 use super::damage;
 use super::fits::{self, model};
 
@@ -25,7 +25,7 @@ const LARGEST: usize = 1 << 20;
 
 /// What a seed makes.
 #[derive(Debug)]
-pub(super) struct Given {
+pub(super) struct FuzzInput {
     /// Models, expressions, CSV, Parquet, Arrow, exchange, results or fits.
     pub(super) kind: &'static str,
     /// The name of its file.
@@ -37,55 +37,55 @@ pub(super) struct Given {
     beside: PathBuf,
 }
 
-pub(super) struct Targets {
-    subjects: Vec<(Sound, String)>,
+pub(super) struct FuzzTargets {
+    subjects: Vec<(SoundFile, String)>,
 }
 
 /// A sound file.
-struct Sound {
+struct SoundFile {
     kind: &'static str,
-    form: damage::Form,
+    form: damage::DamageKind,
     name: &'static str,
     bytes: Vec<u8>,
     folder: PathBuf,
 }
 
-impl Targets {
-    pub(super) fn new(corpus: &Corpus) -> Result<Targets, String> {
-        let of = |subject: &Subject| {
+impl FuzzTargets {
+    pub(super) fn new(corpus: &FuzzCorpus) -> Result<FuzzTargets, String> {
+        let of = |subject: &FuzzSubject| {
             let template = subject.folder.file_name().map(|name| name.to_string_lossy().into_owned());
             let model = subject.folder.join(format!("{}.toml", template.unwrap_or_default()));
             let text = std::fs::read_to_string(&model).map_err(|error| format!("{}: {error}", model.display()))?;
-            let Subject { kind, form, name, bytes, folder, .. } = subject;
-            Ok((Sound { kind, form: *form, name, bytes: bytes.clone(), folder: folder.clone() }, text))
+            let FuzzSubject { kind, form, name, bytes, folder, .. } = subject;
+            Ok((SoundFile { kind, form: *form, name, bytes: bytes.clone(), folder: folder.clone() }, text))
         };
-        Ok(Targets { subjects: corpus.subjects.iter().map(of).collect::<Result<_, String>>()? })
+        Ok(FuzzTargets { subjects: corpus.subjects.iter().map(of).collect::<Result<_, String>>()? })
     }
 
     /// The input of a seed.
-    pub(super) fn input(&self, seed: u64) -> Given {
+    pub(super) fn input(&self, seed: u64) -> FuzzInput {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let (sound, model) = &self.subjects[random.random_range(0..self.subjects.len())];
         let (model, beside) = (model.clone(), sound.folder.join("fit.json"));
         match random.random_range(0..16_u32) {
             0 => {
                 let (model, rows) = fits::drawn(&mut random);
-                Given { kind: "fits", name: "f.csv".to_owned(), bytes: rows.into_bytes(), model, beside }
+                FuzzInput { kind: "fits", name: "f.csv".to_owned(), bytes: rows.into_bytes(), model, beside }
             }
             1..=3 => {
                 let text = expressions(&mut random);
-                Given { kind: "expressions", name: "e.toml".to_owned(), bytes: text.into_bytes(), model, beside }
+                FuzzInput { kind: "expressions", name: "e.toml".to_owned(), bytes: text.into_bytes(), model, beside }
             }
             _ => {
                 let mut bytes = damage::damaged(&mut random, &sound.bytes, sound.form);
                 bytes.truncate(LARGEST); // a text that is repeated again and again has hundreds of megabytes
-                Given { kind: sound.kind, name: sound.name.to_owned(), bytes, model, beside }
+                FuzzInput { kind: sound.kind, name: sound.name.to_owned(), bytes, model, beside }
             }
         }
     }
 
     /// Whether an input was read, or the words for what was wrong with it. It may write into a folder.
-    pub(super) fn run(&self, input: &Given, folder: &Path) -> Result<bool, String> {
+    pub(super) fn run(&self, input: &FuzzInput, folder: &Path) -> Result<bool, String> {
         match input.kind {
             "model" | "expressions" => {
                 let Ok(text) = std::str::from_utf8(&input.bytes) else { return Ok(false) };
@@ -100,16 +100,16 @@ impl Targets {
 }
 
 /// The input as a file.
-fn in_file(input: &Given, folder: &Path) -> Result<PathBuf, String> {
+fn in_file(input: &FuzzInput, folder: &Path) -> Result<PathBuf, String> {
     let place = folder.join(&input.name);
     std::fs::write(&place, &input.bytes).map_err(|error| format!("{}: {error}", place.display()))?;
     Ok(place)
 }
 
 /// Takes tests and forgets them.
-struct Nowhere;
+struct ForgetfulSink;
 
-impl TestSink for Nowhere {
+impl TestSink for ForgetfulSink {
     type Error = std::convert::Infallible;
 
     fn tests(&mut self, _: Vec<Test>, _: &Labels) -> Result<(), Self::Error> {
@@ -123,7 +123,7 @@ impl TestSink for Nowhere {
 fn read(text: &str, data: &Path) -> Result<bool, String> {
     let spec = Spec::parse("m.toml", text).map_err(|error| error.to_string())?;
     let inputs = Input::expand(&[data.display().to_string()]).map_err(|error| error.to_string())?;
-    match kalfit_data::read(&spec.model, &spec.layout, &inputs, &mut Nowhere) {
+    match kalfit_data::read(&spec.model, &spec.layout, &inputs, &mut ForgetfulSink) {
         Ok(_) => Ok(true),
         Err(error) if error.to_string().is_empty() => Err("it was refused without a word".to_owned()),
         Err(_) => Ok(false),
@@ -141,7 +141,7 @@ fn checked(text: &str, data: &Path) -> Result<bool, String> {
 }
 
 /// Results by what shows them.
-fn report(input: &Given) -> Result<bool, String> {
+fn report(input: &FuzzInput) -> Result<bool, String> {
     let Ok(text) = std::str::from_utf8(&input.bytes) else { return Ok(false) };
     let fit = Document::Text { name: input.name.clone(), text: text.to_owned(), file: None };
     let read = kalfit_job::report(&ReportJob { fit: fit.clone(), test: None, out: None }).is_ok();

@@ -18,7 +18,7 @@ use rand_distr::{Distribution, StandardNormal};
 const SPREAD: f64 = 1.5;
 
 /// A model with the values it is drawn with.
-pub(super) struct Drawn {
+pub(super) struct DrawnModel {
     pub(super) kind: String,
     pub(super) text: String,
     pub(super) model: PhasedModel,
@@ -26,15 +26,15 @@ pub(super) struct Drawn {
     pub(super) tests: Vec<PhasedTest>,
 }
 
-impl Drawn {
+impl DrawnModel {
     /// Draws a model, its values, a design and the data.
-    pub(super) fn new(random: &mut ChaCha8Rng, seed: u64) -> Drawn {
+    pub(super) fn new(random: &mut ChaCha8Rng, seed: u64) -> DrawnModel {
         loop {
             let (kind, text, truth) = model(random);
             let spec = Spec::parse("model", &text).unwrap_or_else(|error| panic!("{}\n{text}", error.message));
             let model = spec.model;
             if let Some(tests) = data(&model, &truth, random, seed) {
-                return Drawn { kind, text, model, truth, tests };
+                return DrawnModel { kind, text, model, truth, tests };
             }
         }
     }

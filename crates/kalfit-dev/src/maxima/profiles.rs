@@ -7,7 +7,7 @@ use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoic
 use kalfit::model::{Expression, Value};
 use rand_chacha::ChaCha8Rng;
 
-use super::drawn::Drawn;
+use super::drawn::DrawnModel;
 
 /// Half of χ²₁'s 95 % quantile.
 const DROP: f64 = 1.920_729_410_347_062;
@@ -18,7 +18,7 @@ const RANDOM: usize = 2;
 
 /// The ends of one model's intervals.
 #[derive(Default)]
-pub(super) struct Ends {
+pub(super) struct IntervalEnds {
     /// Ends that were held.
     pub(super) held: usize,
     /// Ends at which a fit is higher than it may be: the interval is too short.
@@ -30,8 +30,8 @@ pub(super) struct Ends {
 }
 
 /// Holds all ends of the intervals of a model's free values.
-pub(super) fn ends(drawn: &Drawn, seed: u64, random: &mut ChaCha8Rng) -> Ends {
-    let mut found = Ends::default();
+pub(super) fn ends(drawn: &DrawnModel, seed: u64, random: &mut ChaCha8Rng) -> IntervalEnds {
+    let mut found = IntervalEnds::default();
     let model = drawn.free(None);
     let Some(fit) = drawn.fit(&model).filter(|fit| fit.stop == Stop::Certified) else { return found };
     let choices = Choices {
@@ -71,7 +71,7 @@ pub(super) fn ends(drawn: &Drawn, seed: u64, random: &mut ChaCha8Rng) -> Ends {
 }
 
 /// The highest ℓ of fits with the value of a slot held.
-fn highest(drawn: &Drawn, fit: &DynamicFit, (slot, end): (usize, f64), random: &mut ChaCha8Rng) -> Option<f64> {
+fn highest(drawn: &DrawnModel, fit: &DynamicFit, (slot, end): (usize, f64), random: &mut ChaCha8Rng) -> Option<f64> {
     let mut starts = vec![fit.values.clone(), drawn.truth.clone()];
     starts.extend((0..RANDOM).map(|_| drawn.scattered(random)));
     let value = |starts: &Vec<f64>| {

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use super::find::{self, Change};
+use super::find::{self, SourceChange};
 use super::rewrite::overlap;
 use super::sources::shares;
 
@@ -13,7 +13,7 @@ use super::sources::shares;
 pub(super) struct Mutant {
     pub(super) group: &'static str,
     pub(super) file: &'static str,
-    pub(super) change: Change,
+    pub(super) change: SourceChange,
     /// What it is known by from run to run: its file, its words and its line of source.
     pub(super) key: String,
 }
@@ -48,7 +48,7 @@ fn candidates(sources: &Path, group: &'static str, file: &'static str) -> Result
     let changes = find::changes(&text).map_err(|error| format!("{}: {error}", path.display()))?;
     let lines: Vec<&str> = text.lines().collect();
     let mut seen = BTreeSet::new();
-    let mut known = |change: &Change| {
+    let mut known = |change: &SourceChange| {
         let line = lines.get(change.line - 1).map_or("", |line| line.trim());
         let mut key = format!("{file}: {} in {line}", change.what);
         while !seen.insert(key.clone()) {

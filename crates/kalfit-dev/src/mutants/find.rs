@@ -9,7 +9,7 @@ use syn::{Attribute, BinOp, Expr, ExprLit, Lit, Stmt, Type, UnOp};
 
 /// What a stretch of a file becomes while its mutant is on.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Other {
+pub(super) enum Replacement {
     /// This expression instead.
     Value(String),
     /// Nothing: the statement is left out.
@@ -18,26 +18,26 @@ pub(super) enum Other {
 
 /// A change of a program: one stretch of a file, or every use of a constant in it.
 #[derive(Debug, Clone)]
-pub(super) struct Change {
+pub(super) struct SourceChange {
     pub(super) line: usize,
     /// Bytes of the file, apart from each other, and what they become.
-    pub(super) edits: Vec<(Range<usize>, Other)>,
+    pub(super) edits: Vec<(Range<usize>, Replacement)>,
     /// In words: `a + b` → `a - b`.
     pub(super) what: String,
 }
 
 /// All changes of a file, tests apart.
-pub(super) fn changes(source: &str) -> Result<Vec<Change>, String> {
+pub(super) fn changes(source: &str) -> Result<Vec<SourceChange>, String> {
     let file = syn::parse_file(source).map_err(|error| error.to_string())?;
-    let mut finder = Finder { source, found: Vec::new(), constants: BTreeMap::new(), uses: BTreeMap::new() };
+    let mut finder = ChangeFinder { source, found: Vec::new(), constants: BTreeMap::new(), uses: BTreeMap::new() };
     finder.visit_file(&file);
     finder.constants_in_use();
     Ok(finder.found)
 }
 
-struct Finder<'s> {
+struct ChangeFinder<'s> {
     source: &'s str,
-    found: Vec<Change>,
+    found: Vec<SourceChange>,
     /// Lines of constants, and what is multiplied or put in their place.
     constants: BTreeMap<String, (usize, String)>,
     /// Where they are used.
@@ -63,23 +63,23 @@ const SWAPS: [(&str, &str); 12] = [
 /// Methods that are left out: the number itself remains.
 const DROPPED: [&str; 6] = ["abs", "sqrt", "magnitude", "recip", "exp_m1", "ln_1p"];
 
-impl<'s> Finder<'s> {
+impl<'s> ChangeFinder<'s> {
     fn text(&self, node: &impl Spanned) -> &'s str {
         &self.source[node.span().byte_range()]
     }
 
     fn change(&mut self, node: &impl Spanned, other: String) {
         let what = format!("`{}` → `{}`", short(self.text(node)), short(&other));
-        let edits = vec![(node.span().byte_range(), Other::Value(other))];
-        self.found.push(Change { line: node.span().start().line, edits, what });
+        let edits = vec![(node.span().byte_range(), Replacement::Value(other))];
+        self.found.push(SourceChange { line: node.span().start().line, edits, what });
     }
 
     /// One change for each constant: all its uses in the file.
     fn constants_in_use(&mut self) {
         for (name, (line, other)) in std::mem::take(&mut self.constants) {
             let Some(uses) = self.uses.remove(&name) else { continue };
-            let edits = uses.into_iter().map(|range| (range, Other::Value(other.clone()))).collect();
-            self.found.push(Change { line, edits, what: format!("`{name}` → `{other}`") });
+            let edits = uses.into_iter().map(|range| (range, Replacement::Value(other.clone()))).collect();
+            self.found.push(SourceChange { line, edits, what: format!("`{name}` → `{other}`") });
         }
     }
 
@@ -168,13 +168,13 @@ impl<'s> Finder<'s> {
         };
         if acts {
             let what = format!("`{}` left out", short(self.text(whole)));
-            let edits = vec![(whole.span().byte_range(), Other::Nothing)];
-            self.found.push(Change { line: whole.span().start().line, edits, what });
+            let edits = vec![(whole.span().byte_range(), Replacement::Nothing)];
+            self.found.push(SourceChange { line: whole.span().start().line, edits, what });
         }
     }
 }
 
-impl<'ast> Visit<'ast> for Finder<'_> {
+impl<'ast> Visit<'ast> for ChangeFinder<'_> {
     fn visit_item(&mut self, node: &'ast syn::Item) {
         let attributes = match node {
             syn::Item::Mod(item) => &item.attrs,

@@ -16,16 +16,16 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use choose::Mutant;
-use scratch::Scratch;
+use scratch::ScratchCopy;
 use sources::{CERTIFICATE, GROUPS};
-use trial::Fate;
+use trial::MutantFate;
 
 /// Survivors among a hundred that the task puts up with, none of them in the certificate.
 const BEARABLE: usize = 3;
 
 /// What is asked of the task.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Options {
+pub(crate) struct MutantOptions {
     /// How many.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=4000))]
     mutants: u16,
@@ -47,7 +47,7 @@ pub(crate) struct Options {
 }
 
 /// Runs the task; it fails where too many survive.
-pub(crate) fn run(options: &Options) -> ExitCode {
+pub(crate) fn run(options: &MutantOptions) -> ExitCode {
     match campaign(options) {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
@@ -58,8 +58,8 @@ pub(crate) fn run(options: &Options) -> ExitCode {
     }
 }
 
-fn campaign(options: &Options) -> Result<bool, String> {
-    let scratch = Scratch::new()?;
+fn campaign(options: &MutantOptions) -> Result<bool, String> {
+    let scratch = ScratchCopy::new()?;
     let sample = (usize::from(options.mutants), options.seed);
     if options.list {
         let mutants = scratch.sample(sample)?;
@@ -92,26 +92,26 @@ fn line(k: usize, mutant: &Mutant) -> String {
     format!("{k:>4}   {}:{}: {}", mutant.file, mutant.change.line, mutant.change.what)
 }
 
-fn said(mutant: &Mutant, fate: &Fate) -> String {
+fn said(mutant: &Mutant, fate: &MutantFate) -> String {
     match (fate, explained::reason(&mutant.key)) {
-        (Fate::Killed(by), _) => format!("killed by {by}"),
-        (Fate::Survived(..), Some(reason)) => format!("the same program: {reason}"),
-        (Fate::Survived(_, 0), None) => "SURVIVED: no test meets it".to_owned(),
-        (Fate::Survived(asked, all), None) => format!("SURVIVED {asked} of {all} tests that meet it"),
+        (MutantFate::Killed(by), _) => format!("killed by {by}"),
+        (MutantFate::Survived(..), Some(reason)) => format!("the same program: {reason}"),
+        (MutantFate::Survived(_, 0), None) => "SURVIVED: no test meets it".to_owned(),
+        (MutantFate::Survived(asked, all), None) => format!("SURVIVED {asked} of {all} tests that meet it"),
     }
 }
 
 /// Survivors of a group or file, and those of them that are none.
 #[derive(Default, Clone, Copy)]
-struct Count {
+struct SurvivorCount {
     all: usize,
     killed: usize,
     same: usize,
 }
 
-impl Count {
-    fn and(self, other: Count) -> Count {
-        Count { all: self.all + other.all, killed: self.killed + other.killed, same: self.same + other.same }
+impl SurvivorCount {
+    fn and(self, other: SurvivorCount) -> SurvivorCount {
+        SurvivorCount { all: self.all + other.all, killed: self.killed + other.killed, same: self.same + other.same }
     }
 
     fn row(self, name: &str) -> String {
@@ -120,14 +120,14 @@ impl Count {
 }
 
 /// The table by groups and files, and the survivors; whether they are few enough.
-fn report(mutants: &[Mutant], fates: &[(usize, Fate)]) -> bool {
-    let mut files: BTreeMap<(&str, &str), Count> = BTreeMap::new();
+fn report(mutants: &[Mutant], fates: &[(usize, MutantFate)]) -> bool {
+    let mut files: BTreeMap<(&str, &str), SurvivorCount> = BTreeMap::new();
     let mut survivors = Vec::new();
     for &(k, ref fate) in fates {
-        let (mutant, killed) = (&mutants[k], matches!(fate, Fate::Killed(_)));
+        let (mutant, killed) = (&mutants[k], matches!(fate, MutantFate::Killed(_)));
         let same = !killed && explained::reason(&mutant.key).is_some();
         let count = files.entry((mutant.group, mutant.file)).or_default();
-        *count = count.and(Count { all: 1, killed: usize::from(killed), same: usize::from(same) });
+        *count = count.and(SurvivorCount { all: 1, killed: usize::from(killed), same: usize::from(same) });
         if !killed && !same {
             survivors.push(k);
         }
@@ -136,10 +136,10 @@ fn report(mutants: &[Mutant], fates: &[(usize, Fate)]) -> bool {
     for group in &GROUPS {
         let of_group = || files.iter().filter(|((name, _), _)| *name == group.name);
         of_group().for_each(|((_, file), count)| println!("{}", count.row(&format!("`{file}`"))));
-        let sum = of_group().fold(Count::default(), |sum, (_, count)| sum.and(*count));
+        let sum = of_group().fold(SurvivorCount::default(), |sum, (_, count)| sum.and(*count));
         println!("{}", sum.row(&format!("**{}**", group.name)));
     }
-    println!("{}", files.values().fold(Count::default(), |sum, count| sum.and(*count)).row("**all**"));
+    println!("{}", files.values().fold(SurvivorCount::default(), |sum, count| sum.and(*count)).row("**all**"));
     survivors.iter().for_each(|&k| println!("survived {k}: {}", mutants[k].key));
     let in_certificate = survivors.iter().any(|&k| mutants[k].group == CERTIFICATE);
     survivors.len() * 100 <= BEARABLE * fates.len().max(100) && !in_certificate

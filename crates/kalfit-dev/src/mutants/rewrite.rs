@@ -2,16 +2,16 @@
 
 use std::ops::Range;
 
-use super::find::{Change, Other};
+use super::find::{Replacement, SourceChange};
 
 /// Where a switch stands in the text that holds it.
-pub(super) struct Switch {
+pub(super) struct MutantSwitch {
     pub(super) mutant: usize,
     pub(super) range: Range<usize>,
 }
 
 /// The text with a switch for each change; the changes must not overlap.
-pub(super) fn rewritten(source: &str, changes: &[(usize, &Change)]) -> (String, Vec<Switch>) {
+pub(super) fn rewritten(source: &str, changes: &[(usize, &SourceChange)]) -> (String, Vec<MutantSwitch>) {
     let mut edits: Vec<_> =
         changes.iter().flat_map(|(mutant, change)| change.edits.iter().map(|edit| (*mutant, edit))).collect();
     edits.sort_by_key(|(_, (range, _))| range.start);
@@ -21,12 +21,12 @@ pub(super) fn rewritten(source: &str, changes: &[(usize, &Change)]) -> (String, 
         let start = text.len();
         let old = &source[range.clone()];
         match other {
-            Other::Value(new) => {
+            Replacement::Value(new) => {
                 text.push_str(&format!("(if crate::mutant::on({mutant}) {{ {new} }} else {{ {old} }})"));
             }
-            Other::Nothing => text.push_str(&format!("if !crate::mutant::on({mutant}) {{ {old} }}")),
+            Replacement::Nothing => text.push_str(&format!("if !crate::mutant::on({mutant}) {{ {old} }}")),
         }
-        switches.push(Switch { mutant, range: start..text.len() });
+        switches.push(MutantSwitch { mutant, range: start..text.len() });
         from = range.end;
     }
     text.push_str(&source[from..]);
@@ -34,7 +34,7 @@ pub(super) fn rewritten(source: &str, changes: &[(usize, &Change)]) -> (String, 
 }
 
 /// Whether two changes of one file share bytes.
-pub(super) fn overlap(a: &Change, b: &Change) -> bool {
+pub(super) fn overlap(a: &SourceChange, b: &SourceChange) -> bool {
     a.edits.iter().any(|(one, _)| b.edits.iter().any(|(other, _)| one.start < other.end && other.start < one.end))
 }
 
@@ -110,7 +110,7 @@ mod tests {
         let of = |what: &str| found.iter().position(|change| change.what == what).expect("it is among them");
         let (product, minus, floor) =
             (of("`x[k] * y` → `x[k] / y`"), of("`-sum` → `sum`"), of("`FLOOR` → `(FLOOR * 1000.0)`"));
-        let chosen: Vec<(usize, &Change)> = [product, minus, floor].map(|k| (k, &found[k])).to_vec();
+        let chosen: Vec<(usize, &SourceChange)> = [product, minus, floor].map(|k| (k, &found[k])).to_vec();
         let (text, switches) = rewritten(SOURCE, &chosen);
         assert!(
             text.contains(&format!("sum += (if crate::mutant::on({product}) {{ x[k] / y }} else {{ x[k] * y }});"))

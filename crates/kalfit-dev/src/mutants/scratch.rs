@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use serde_json::Value;
 
 use super::choose::{Mutant, chosen};
-use super::rewrite::{Switch, rewritten};
+use super::rewrite::{MutantSwitch, rewritten};
 use crate::places;
 
 /// The module that says which mutant is on.
@@ -26,22 +26,22 @@ fn sources() -> PathBuf {
 }
 
 /// Where the copy lies and what cargo builds of it.
-pub(super) struct Scratch {
+pub(super) struct ScratchCopy {
     folder: PathBuf,
 }
 
 /// A program of tests.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Tests {
+pub(super) struct TestProgram {
     pub(super) name: String,
     pub(super) program: PathBuf,
 }
 
-impl Scratch {
-    pub(super) fn new() -> Result<Scratch, String> {
+impl ScratchCopy {
+    pub(super) fn new() -> Result<ScratchCopy, String> {
         let folder = places::target()?.join("mutants");
         std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
-        Ok(Scratch { folder })
+        Ok(ScratchCopy { folder })
     }
 
     /// A file beside the copy.
@@ -88,8 +88,8 @@ impl Scratch {
     }
 
     /// Writes the copy; the switches by file.
-    fn write(&self, mutants: &[Mutant]) -> Result<BTreeMap<String, Vec<Switch>>, String> {
-        let mut changed: BTreeMap<&str, Vec<(usize, &super::find::Change)>> = BTreeMap::new();
+    fn write(&self, mutants: &[Mutant]) -> Result<BTreeMap<String, Vec<MutantSwitch>>, String> {
+        let mut changed: BTreeMap<&str, Vec<(usize, &super::find::SourceChange)>> = BTreeMap::new();
         for (k, mutant) in mutants.iter().enumerate() {
             changed.entry(mutant.file).or_default().push((k, &mutant.change));
         }
@@ -126,7 +126,7 @@ impl Scratch {
     }
 
     /// Mutants that do not compile.
-    fn wrong(&self, switches: &BTreeMap<String, Vec<Switch>>) -> Result<BTreeSet<usize>, String> {
+    fn wrong(&self, switches: &BTreeMap<String, Vec<MutantSwitch>>) -> Result<BTreeSet<usize>, String> {
         let (said, success) = self.said(&["check", "--quiet", "--lib"])?;
         if success {
             return Ok(BTreeSet::new());
@@ -149,14 +149,15 @@ impl Scratch {
     }
 
     /// Builds the programs of tests.
-    pub(super) fn built(&self) -> Result<Vec<Tests>, String> {
+    pub(super) fn built(&self) -> Result<Vec<TestProgram>, String> {
         let (said, success) = self.said(&["test", "--no-run", "--quiet"])?;
         let of = |line: &Value| {
             let program = line["executable"].as_str()?;
             let name = line["target"]["name"].as_str()?;
-            (line["profile"]["test"] == true).then(|| Tests { name: name.to_owned(), program: PathBuf::from(program) })
+            (line["profile"]["test"] == true)
+                .then(|| TestProgram { name: name.to_owned(), program: PathBuf::from(program) })
         };
-        let tests: Vec<Tests> = said.iter().filter_map(of).collect();
+        let tests: Vec<TestProgram> = said.iter().filter_map(of).collect();
         if !success || tests.is_empty() {
             return Err("the tests of the copy were not built".to_owned());
         }
@@ -166,28 +167,28 @@ impl Scratch {
     }
 
     /// The programs of tests as they were built last.
-    pub(super) fn as_built(&self) -> Result<Vec<Tests>, String> {
+    pub(super) fn as_built(&self) -> Result<Vec<TestProgram>, String> {
         let path = self.file(BUILT);
         let text = std::fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
         let of = |line: &str| {
             let (name, program) = line.split_once('\t')?;
-            Some(Tests { name: name.to_owned(), program: PathBuf::from(program) })
+            Some(TestProgram { name: name.to_owned(), program: PathBuf::from(program) })
         };
         Ok(text.lines().filter_map(of).collect())
     }
 }
 
 /// Mutants that a place in a message is in.
-fn hits(span: &Value, switches: &BTreeMap<String, Vec<Switch>>) -> Vec<usize> {
+fn hits(span: &Value, switches: &BTreeMap<String, Vec<MutantSwitch>>) -> Vec<usize> {
     let at = |name: &str| span[name].as_u64().unwrap_or(0) as usize;
     let file = span["file_name"].as_str().unwrap_or_default().replace('\\', "/");
     let Some(placed) = switches.iter().find(|(path, _)| file.ends_with(path.as_str())) else { return Vec::new() };
-    let inside = |switch: &&Switch| switch.range.start <= at("byte_start") && at("byte_end") <= switch.range.end;
+    let inside = |switch: &&MutantSwitch| switch.range.start <= at("byte_start") && at("byte_end") <= switch.range.end;
     let within: Vec<usize> = placed.1.iter().filter(inside).map(|switch| switch.mutant).collect();
     if !within.is_empty() {
         return within;
     }
-    let shared = |switch: &&Switch| switch.range.start < at("byte_end") && at("byte_start") < switch.range.end;
+    let shared = |switch: &&MutantSwitch| switch.range.start < at("byte_end") && at("byte_start") < switch.range.end;
     placed.1.iter().filter(shared).map(|switch| switch.mutant).collect()
 }
 

@@ -1,7 +1,7 @@
 //! Which files of the core are changed, and how many of a hundred mutants each has.
 
 /// Files that say one thing together.
-pub(super) struct Group {
+pub(super) struct SourceGroup {
     pub(super) name: &'static str,
     /// Below the sources of the core, with their parts of a hundred mutants.
     pub(super) files: &'static [(&'static str, usize)],
@@ -11,8 +11,8 @@ pub(super) struct Group {
 pub(super) const CERTIFICATE: &str = "certificate";
 
 /// From the filter's steps to the laws of test statistics.
-pub(super) const GROUPS: [Group; 5] = [
-    Group {
+pub(super) const GROUPS: [SourceGroup; 5] = [
+    SourceGroup {
         name: "kernels",
         files: &[
             ("reduce/kernel.rs", 6),
@@ -31,7 +31,7 @@ pub(super) const GROUPS: [Group; 5] = [
             ("estimate/chained/kernel.rs", 3),
         ],
     },
-    Group {
+    SourceGroup {
         name: CERTIFICATE,
         files: &[
             ("estimate/certificate.rs", 11),
@@ -46,7 +46,7 @@ pub(super) const GROUPS: [Group; 5] = [
             ("estimate/rounding.rs", 1),
         ],
     },
-    Group {
+    SourceGroup {
         name: "laws",
         files: &[
             ("infer/constraint.rs", 2),
@@ -59,7 +59,7 @@ pub(super) const GROUPS: [Group; 5] = [
             ("infer/ratio/restricted.rs", 1),
         ],
     },
-    Group {
+    SourceGroup {
         name: "algebra",
         files: &[
             ("linalg/algebra.rs", 2),
@@ -74,7 +74,7 @@ pub(super) const GROUPS: [Group; 5] = [
             ("linalg/whiten.rs", 1),
         ],
     },
-    Group {
+    SourceGroup {
         name: "dynamics",
         files: &[
             ("dynamic/edges.rs", 2),

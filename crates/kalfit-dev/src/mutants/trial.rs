@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use super::scratch::{Scratch, Tests};
+use super::scratch::{ScratchCopy, TestProgram};
 
 /// Address space of a run, in kilobytes.
 const MEMORY: u64 = 8_000_000;
@@ -19,7 +19,7 @@ const BATCHES: [f64; 4] = [1.0, 10.0, 40.0, f64::INFINITY];
 
 /// A test, how long it takes and which mutants it meets.
 #[derive(Debug, Clone)]
-pub(super) struct Trial {
+pub(super) struct MutantTrial {
     /// Place of its program in the list.
     program: usize,
     name: String,
@@ -29,7 +29,7 @@ pub(super) struct Trial {
 
 /// How a mutant ended.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Fate {
+pub(super) enum MutantFate {
     /// By this test, or by how its run ended.
     Killed(String),
     /// Though so many tests run through it, of this many that could.
@@ -37,20 +37,20 @@ pub(super) enum Fate {
 }
 
 /// How a run of some tests ended.
-enum Ended {
+enum TrialEnd {
     Passed,
     Failed(String),
 }
 
 /// A run of tests with a mutant, or with none.
-struct Run<'a> {
-    scratch: &'a Scratch,
-    tests: &'a Tests,
+struct TrialRun<'a> {
+    scratch: &'a ScratchCopy,
+    tests: &'a TestProgram,
     names: Vec<&'a str>,
     limit: Duration,
 }
 
-impl Run<'_> {
+impl TrialRun<'_> {
     fn command(&self) -> Command {
         let mut command = limited(&self.tests.program);
         command.args(["--exact", "--test-threads", "1"]).args(&self.names);
@@ -68,7 +68,7 @@ impl Run<'_> {
     }
 
     /// Until the first test fails.
-    fn run(&self, environment: (&str, &str)) -> Result<Ended, String> {
+    fn run(&self, environment: (&str, &str)) -> Result<TrialEnd, String> {
         let failed = |error: std::io::Error| format!("{}: {error}", self.tests.program.display());
         let mut command = self.command();
         command.env(environment.0, environment.1).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
@@ -94,10 +94,10 @@ impl Run<'_> {
             child.kill().and_then(|()| child.wait()).map_err(failed)?;
             drop(lines);
             let _ = reader.join();
-            return Ok(Ended::Failed(by));
+            return Ok(TrialEnd::Failed(by));
         }
         let status = child.wait().map_err(failed)?;
-        Ok(if status.success() { Ended::Passed } else { Ended::Failed(format!("{status}")) })
+        Ok(if status.success() { TrialEnd::Passed } else { TrialEnd::Failed(format!("{status}")) })
     }
 }
 
@@ -112,7 +112,7 @@ fn limited(program: &Path) -> Command {
 }
 
 /// Every test by itself with no mutant on: all must pass.
-pub(super) fn trials(scratch: &Scratch, programs: &[Tests]) -> Result<Vec<Trial>, String> {
+pub(super) fn trials(scratch: &ScratchCopy, programs: &[TestProgram]) -> Result<Vec<MutantTrial>, String> {
     let (kept, head) = (scratch.file("trials"), head(programs)?);
     if let Some(trials) = std::fs::read_to_string(&kept).ok().and_then(|text| read(&text, &head)) {
         return Ok(trials);
@@ -125,14 +125,14 @@ pub(super) fn trials(scratch: &Scratch, programs: &[Tests]) -> Result<Vec<Trial>
         for name in names {
             let _ = std::fs::remove_file(&met);
             let begun = Instant::now();
-            let run = Run { scratch, tests, names: vec![&name], limit: Duration::from_secs(600) };
-            if let Ended::Failed(by) = run.run(("KALFIT_MUTANTS_MET", &met.display().to_string()))? {
+            let run = TrialRun { scratch, tests, names: vec![&name], limit: Duration::from_secs(600) };
+            if let TrialEnd::Failed(by) = run.run(("KALFIT_MUTANTS_MET", &met.display().to_string()))? {
                 failed.push(format!("{} {name}: {by}", tests.name));
             }
             let seconds = begun.elapsed().as_secs_f64();
             let text = std::fs::read_to_string(&met).unwrap_or_default();
             let met = text.lines().filter_map(|line| line.parse().ok()).collect();
-            trials.push(Trial { program, name, seconds, met });
+            trials.push(MutantTrial { program, name, seconds, met });
         }
     }
     if !failed.is_empty() {
@@ -143,7 +143,7 @@ pub(super) fn trials(scratch: &Scratch, programs: &[Tests]) -> Result<Vec<Trial>
 }
 
 /// What the kept trials are of.
-fn head(programs: &[Tests]) -> Result<String, String> {
+fn head(programs: &[TestProgram]) -> Result<String, String> {
     let mut head = String::new();
     for tests in programs {
         let failed = |error: std::io::Error| format!("{}: {error}", tests.program.display());
@@ -154,7 +154,7 @@ fn head(programs: &[Tests]) -> Result<String, String> {
     Ok(head)
 }
 
-fn written(trials: &[Trial], head: &str) -> String {
+fn written(trials: &[MutantTrial], head: &str) -> String {
     let mut text = format!("{head}\n");
     for trial in trials {
         let met: Vec<String> = trial.met.iter().map(usize::to_string).collect();
@@ -163,19 +163,19 @@ fn written(trials: &[Trial], head: &str) -> String {
     text
 }
 
-fn read(text: &str, head: &str) -> Option<Vec<Trial>> {
+fn read(text: &str, head: &str) -> Option<Vec<MutantTrial>> {
     let (first, rest) = text.split_once('\n')?;
     let of = |line: &str| {
         let mut words = line.split('\t');
         let program = words.next()?.parse().ok()?;
         let (name, seconds) = (words.next()?.to_owned(), words.next()?.parse().ok()?);
         let met = words.next()?.split_whitespace().filter_map(|word| word.parse().ok()).collect();
-        Some(Trial { program, name, seconds, met })
+        Some(MutantTrial { program, name, seconds, met })
     };
     (first == head).then(|| rest.lines().map(of).collect())?
 }
 
-fn listed(tests: &Tests) -> Result<Vec<String>, String> {
+fn listed(tests: &TestProgram) -> Result<Vec<String>, String> {
     let done = Command::new(&tests.program).args(["--list", "--format", "terse"]).output();
     let done = done.map_err(|error| format!("{}: {error}", tests.program.display()))?;
     let text = String::from_utf8_lossy(&done.stdout);
@@ -184,37 +184,37 @@ fn listed(tests: &Tests) -> Result<Vec<String>, String> {
 
 /// Runs the tests that meet a mutant, the quickest first, until one fails or they have taken so many seconds.
 pub(super) fn fate(
-    (scratch, programs): (&Scratch, &[Tests]),
-    trials: &[Trial],
+    (scratch, programs): (&ScratchCopy, &[TestProgram]),
+    trials: &[MutantTrial],
     mutant: usize,
     seconds: f64,
-) -> Result<Fate, String> {
-    let mut meeting: Vec<&Trial> = trials.iter().filter(|trial| trial.met.contains(&mutant)).collect();
+) -> Result<MutantFate, String> {
+    let mut meeting: Vec<&MutantTrial> = trials.iter().filter(|trial| trial.met.contains(&mutant)).collect();
     meeting.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     let asked = within(&meeting, seconds);
     let mut rest = asked;
     for most in BATCHES {
         let batch = within(rest, most);
         rest = &rest[batch.len()..];
-        let mut by_program: BTreeMap<usize, Vec<&Trial>> = BTreeMap::new();
+        let mut by_program: BTreeMap<usize, Vec<&MutantTrial>> = BTreeMap::new();
         batch.iter().for_each(|&trial| by_program.entry(trial.program).or_default().push(trial));
         for (program, batch) in by_program {
             let seconds: f64 = batch.iter().map(|trial| trial.seconds).sum();
             let names = batch.iter().map(|trial| trial.name.as_str()).collect();
             let limit = Duration::from_secs_f64(seconds) * SLOWER + AND;
-            let run = Run { scratch, tests: &programs[program], names, limit };
-            if let Ended::Failed(by) = run.run(("KALFIT_MUTANT", &mutant.to_string()))? {
-                return Ok(Fate::Killed(by));
+            let run = TrialRun { scratch, tests: &programs[program], names, limit };
+            if let TrialEnd::Failed(by) = run.run(("KALFIT_MUTANT", &mutant.to_string()))? {
+                return Ok(MutantFate::Killed(by));
             }
         }
     }
-    Ok(Fate::Survived(asked.len(), meeting.len()))
+    Ok(MutantFate::Survived(asked.len(), meeting.len()))
 }
 
 /// The first of some tests, as many as there is time for.
-fn within<'a, 't>(trials: &'a [&'t Trial], seconds: f64) -> &'a [&'t Trial] {
+fn within<'a, 't>(trials: &'a [&'t MutantTrial], seconds: f64) -> &'a [&'t MutantTrial] {
     let mut sum = 0.0;
-    let in_time = |trial: &&&Trial| {
+    let in_time = |trial: &&&MutantTrial| {
         sum += trial.seconds;
         sum <= seconds
     };

@@ -2,11 +2,11 @@
 
 use kalfit::FitRecord;
 
-use super::answer::Answer;
+use super::answer::PeerAnswer;
 
 /// What kalfit found, in the order of [`Answer::estimates`], each with its standard error.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Ours {
+pub(crate) struct KalfitAnswer {
     pub(crate) log_likelihood: f64,
     pub(crate) estimates: Vec<(f64, f64)>,
 }
@@ -28,9 +28,9 @@ fn allowed(log_likelihood: f64) -> f64 {
 /// Largest difference of an estimate, in its standard errors.
 const STANDARD_ERRORS: f64 = 0.05;
 
-impl Ours {
+impl KalfitAnswer {
     /// Mean and covariance of the only phase, and the parameters, all of which must be free.
-    pub(super) fn of(record: &FitRecord) -> Result<Ours, String> {
+    pub(super) fn of(record: &FitRecord) -> Result<KalfitAnswer, String> {
         let [phase] = &record.phases[..] else { return Err("the fit has more than one phase".to_owned()) };
         let (mean, covariance) = (&phase.mean, &phase.covariance);
         let mean = mean.estimate.iter().copied().zip(mean.std_error.iter().copied());
@@ -40,11 +40,11 @@ impl Ours {
         let with_error = |(estimate, error): (f64, Option<f64>)| Some((estimate, error?));
         let estimates: Option<Vec<(f64, f64)>> = mean.chain(covariance).chain(parameters).map(with_error).collect();
         let estimates = estimates.ok_or("an estimate of kalfit's has no standard error")?;
-        Ok(Ours { log_likelihood: record.log_likelihood, estimates })
+        Ok(KalfitAnswer { log_likelihood: record.log_likelihood, estimates })
     }
 
     /// The distance of an answer that agrees, or where it does not.
-    pub(super) fn against(&self, theirs: &Answer) -> Result<Agreement, String> {
+    pub(super) fn against(&self, theirs: &PeerAnswer) -> Result<Agreement, String> {
         let log_likelihood = self.log_likelihood - theirs.log_likelihood;
         if log_likelihood.abs() > allowed(self.log_likelihood) {
             let (ours, theirs) = (self.log_likelihood, theirs.log_likelihood);
@@ -69,15 +69,15 @@ impl Ours {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::peers::clock::Taken;
+    use crate::peers::clock::TimeTaken;
 
-    fn ours() -> Ours {
-        Ours { log_likelihood: -1000.0, estimates: vec![(10.0, 0.1), (2.0, 0.2)] }
+    fn ours() -> KalfitAnswer {
+        KalfitAnswer { log_likelihood: -1000.0, estimates: vec![(10.0, 0.1), (2.0, 0.2)] }
     }
 
-    fn theirs(log_likelihood: f64, estimates: &[f64]) -> Answer {
-        let taken = Taken { processor: 1.0, elapsed: 1.0 };
-        Answer { program: "peer 1".to_owned(), log_likelihood, estimates: estimates.to_vec(), taken }
+    fn theirs(log_likelihood: f64, estimates: &[f64]) -> PeerAnswer {
+        let taken = TimeTaken { processor: 1.0, elapsed: 1.0 };
+        PeerAnswer { program: "peer 1".to_owned(), log_likelihood, estimates: estimates.to_vec(), taken }
     }
 
     #[test]
@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn answers_that_differ_are_told_by_what_differs() {
-        let why = |theirs: &Answer| ours().against(theirs).unwrap_err();
+        let why = |theirs: &PeerAnswer| ours().against(theirs).unwrap_err();
         assert_eq!(why(&theirs(-1000.1, &[10.0, 2.0])), "log-likelihood -1000.1, kalfit's -1000");
         assert_eq!(why(&theirs(-999.9, &[10.0, 2.0])), "log-likelihood -999.9, kalfit's -1000");
         assert_eq!(why(&theirs(-1000.0, &[10.0])), "1 estimates, kalfit has 2");

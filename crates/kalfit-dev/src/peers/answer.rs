@@ -1,31 +1,31 @@
 //! What a peer prints: lines of a key and values.
 
-use super::clock::Taken;
+use super::clock::TimeTaken;
 
 /// What a peer found, and how long its fit alone took.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Answer {
+pub(crate) struct PeerAnswer {
     /// Name and version.
     pub(crate) program: String,
     pub(crate) log_likelihood: f64,
     /// Mean, lower triangle of the covariance by rows, standard deviation of the noise; none where only a value was asked for.
     pub(crate) estimates: Vec<f64>,
-    pub(crate) taken: Taken,
+    pub(crate) taken: TimeTaken,
 }
 
-impl Answer {
+impl PeerAnswer {
     /// Reads the lines of a peer's script.
-    pub(super) fn parse(text: &str) -> Result<Answer, String> {
+    pub(super) fn parse(text: &str) -> Result<PeerAnswer, String> {
         let program = line(text, "version")?.ok_or("no line `version`")?.join(" ");
         let mut estimates = Vec::new();
         for key in ["mean", "covariance", "noise"] {
             estimates.extend(numbers(text, key)?);
         }
-        Ok(Answer {
+        Ok(PeerAnswer {
             program,
             log_likelihood: number(text, "log_likelihood")?,
             estimates,
-            taken: Taken { processor: positive(text, "processor")?, elapsed: positive(text, "elapsed")? },
+            taken: TimeTaken { processor: positive(text, "processor")?, elapsed: positive(text, "elapsed")? },
         })
     }
 }
@@ -79,18 +79,18 @@ elapsed 0.19
 
     #[test]
     fn lines_of_a_peer_are_read_and_others_passed_over() {
-        let expected = Answer {
+        let expected = PeerAnswer {
             program: "lme4 1.1.31".to_owned(),
             log_likelihood: -9_369.667_059_469_508,
             estimates: vec![9.98, 1.98, 0.97, 0.26, 0.24, 0.49],
-            taken: Taken { processor: 0.18, elapsed: 0.19 },
+            taken: TimeTaken { processor: 0.18, elapsed: 0.19 },
         };
-        assert_eq!(Answer::parse(PRINTED), Ok(expected));
+        assert_eq!(PeerAnswer::parse(PRINTED), Ok(expected));
     }
 
     #[test]
     fn a_missing_doubled_or_senseless_line_is_refused_by_its_name() {
-        let refused = |from: &str, to: &str| Answer::parse(&PRINTED.replace(from, to)).unwrap_err();
+        let refused = |from: &str, to: &str| PeerAnswer::parse(&PRINTED.replace(from, to)).unwrap_err();
         assert_eq!(refused("version lme4 1.1.31\n", ""), "no line `version`");
         assert_eq!(refused("processor 0.18\n", ""), "`processor` has 0 values, expected one");
         assert_eq!(refused("elapsed 0.19", "elapsed 0"), "`elapsed` is 0, expected a time");

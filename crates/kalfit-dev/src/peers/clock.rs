@@ -5,7 +5,7 @@ use std::time::Instant;
 
 /// Seconds that a piece of work took.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Taken {
+pub(crate) struct TimeTaken {
     /// Of all processors, the system's work included.
     pub(crate) processor: f64,
     /// By the clock on the wall.
@@ -14,17 +14,17 @@ pub(crate) struct Taken {
 
 /// Whose processor time.
 #[derive(Debug, Clone, Copy)]
-enum Who {
+enum ClockedProcesses {
     This,
     Children,
 }
 
 #[cfg(unix)]
-fn processor(who: Who) -> Result<f64, String> {
+fn processor(who: ClockedProcesses) -> Result<f64, String> {
     use nix::sys::resource::{UsageWho, getrusage};
     let who = match who {
-        Who::This => UsageWho::RUSAGE_SELF,
-        Who::Children => UsageWho::RUSAGE_CHILDREN,
+        ClockedProcesses::This => UsageWho::RUSAGE_SELF,
+        ClockedProcesses::Children => UsageWho::RUSAGE_CHILDREN,
     };
     let usage = getrusage(who).map_err(|error| format!("processor time: {error}"))?;
     let parts = [usage.user_time(), usage.system_time()];
@@ -32,30 +32,30 @@ fn processor(who: Who) -> Result<f64, String> {
 }
 
 #[cfg(not(unix))]
-fn processor(_: Who) -> Result<f64, String> {
+fn processor(_: ClockedProcesses) -> Result<f64, String> {
     Err("processor time is read by `getrusage`, which only Unix has".to_owned())
 }
 
-fn timed<T>(who: Who, work: impl FnOnce() -> T) -> Result<(T, Taken), String> {
+fn timed<T>(who: ClockedProcesses, work: impl FnOnce() -> T) -> Result<(T, TimeTaken), String> {
     let (before, started) = (processor(who)?, Instant::now());
     let result = work();
     let elapsed = started.elapsed().as_secs_f64();
-    Ok((result, Taken { processor: processor(who)? - before, elapsed }))
+    Ok((result, TimeTaken { processor: processor(who)? - before, elapsed }))
 }
 
 /// Runs a child process to its end. No other child may run meanwhile.
-pub(super) fn child(command: &mut Command) -> Result<(std::io::Result<Output>, Taken), String> {
-    timed(Who::Children, || command.output())
+pub(super) fn child(command: &mut Command) -> Result<(std::io::Result<Output>, TimeTaken), String> {
+    timed(ClockedProcesses::Children, || command.output())
 }
 
 /// Seconds of one run of `work` in this process: batches long enough for the clock, and the least of them.
-pub(super) fn repeated(mut work: impl FnMut()) -> Result<Taken, String> {
+pub(super) fn repeated(mut work: impl FnMut()) -> Result<TimeTaken, String> {
     const BATCHES: usize = 5;
     const BATCH: f64 = 0.3;
     work();
-    let mut least = Taken { processor: f64::INFINITY, elapsed: f64::INFINITY };
+    let mut least = TimeTaken { processor: f64::INFINITY, elapsed: f64::INFINITY };
     for _ in 0..BATCHES {
-        let (runs, taken) = timed(Who::This, || {
+        let (runs, taken) = timed(ClockedProcesses::This, || {
             let (started, mut runs) = (Instant::now(), 0.0);
             while started.elapsed().as_secs_f64() < BATCH {
                 work();
@@ -72,7 +72,7 @@ pub(super) fn repeated(mut work: impl FnMut()) -> Result<Taken, String> {
 /// Several runs of `work`, fewer when they take long, and the one with the median processor time.
 pub(super) fn median<T>(
     runs: usize,
-    taken: impl Fn(&T) -> Taken,
+    taken: impl Fn(&T) -> TimeTaken,
     mut work: impl FnMut() -> Result<T, String>,
 ) -> Result<T, String> {
     const ENOUGH: f64 = 20.0;
@@ -92,7 +92,7 @@ mod tests {
     #[test]
     fn the_median_run_is_neither_the_first_nor_the_least() {
         let mut seconds = [5.0, 1.0, 3.0].into_iter();
-        let run = || Ok(Taken { processor: seconds.next().unwrap(), elapsed: 0.0 });
+        let run = || Ok(TimeTaken { processor: seconds.next().unwrap(), elapsed: 0.0 });
         assert_eq!(median(3, |taken| *taken, run).unwrap().processor, 3.0);
     }
 

@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 use rand::RngExt;
 
 use super::peer::scripts;
-use super::whole::{Kalfit, path};
+use super::whole::{KalfitCommand, path};
 use crate::seed::{SEED, random};
 
 /// What is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Study {
+pub(crate) enum PeerStudy {
     /// Intercept and slope of each test, ten rows at inputs of its own, noise of unknown level.
     Regression,
     /// Two effects of each test, one row with sampling variances and covariance of its own.
@@ -21,11 +21,11 @@ pub(crate) enum Study {
 /// Rows of a test of the regression.
 pub(super) const ROWS: usize = 10;
 
-impl Study {
+impl PeerStudy {
     pub(super) fn name(self) -> &'static str {
         match self {
-            Study::Regression => "regression",
-            Study::Meta => "meta",
+            PeerStudy::Regression => "regression",
+            PeerStudy::Meta => "meta",
         }
     }
 
@@ -36,8 +36,8 @@ impl Study {
 
     pub(super) fn rows(self) -> usize {
         match self {
-            Study::Regression => ROWS,
-            Study::Meta => 1,
+            PeerStudy::Regression => ROWS,
+            PeerStudy::Meta => 1,
         }
     }
 
@@ -45,19 +45,19 @@ impl Study {
     fn design(self, tests: usize) -> String {
         let mut rng = random();
         let mut text = match self {
-            Study::Regression => "test,x,y\n",
-            Study::Meta => "test,y_a,y_b,v_a,v_b,c_ab\n",
+            PeerStudy::Regression => "test,x,y\n",
+            PeerStudy::Meta => "test,y_a,y_b,v_a,v_b,c_ab\n",
         }
         .to_owned();
         for test in 1..=tests {
             match self {
-                Study::Regression => {
+                PeerStudy::Regression => {
                     for _ in 0..ROWS {
                         let x: f64 = rng.random_range(0.0..1.0);
                         writeln!(text, "{test},{x:.4},0").expect("a string takes all");
                     }
                 }
-                Study::Meta => {
+                PeerStudy::Meta => {
                     let [a, b] = [(); 2].map(|()| rng.random_range(0.005..0.03_f64));
                     let covariance = rng.random_range(0.2..0.7) * (a * b).sqrt();
                     writeln!(text, "{test},0,0,{a:.6},{b:.6},{covariance:.6}").expect("a string takes all");
@@ -68,7 +68,7 @@ impl Study {
     }
 
     /// The data as a CSV and as a Parquet file, the same numbers in both.
-    pub(super) fn draw(self, tests: usize, kalfit: &Kalfit) -> Result<[PathBuf; 2], String> {
+    pub(super) fn draw(self, tests: usize, kalfit: &KalfitCommand) -> Result<[PathBuf; 2], String> {
         let file = |end: &str| kalfit.folder.join(format!("{}-{tests}.{end}", self.name()));
         let design = kalfit.folder.join("design.csv");
         write(&design, &self.design(tests))?;
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn a_design_has_every_row_of_every_test_and_is_the_same_again() {
-        for study in [Study::Regression, Study::Meta] {
+        for study in [PeerStudy::Regression, PeerStudy::Meta] {
             let text = study.design(30);
             assert_eq!(text.lines().count(), 1 + 30 * study.rows(), "{study:?}");
             assert_eq!(text, study.design(30), "{study:?}");
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn the_models_and_the_truths_are_sound_and_of_one_form() {
-        for study in [Study::Regression, Study::Meta] {
+        for study in [PeerStudy::Regression, PeerStudy::Meta] {
             let fitted = kalfit_spec::Spec::load(&study.model()).unwrap();
             let truth = kalfit_spec::Spec::load(&scripts().join(format!("{}-truth.toml", study.name()))).unwrap();
             assert_eq!(fitted.layout, truth.layout, "{study:?}");

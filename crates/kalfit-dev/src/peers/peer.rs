@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use super::answer::Answer;
+use super::answer::PeerAnswer;
 use super::clock;
 use super::whole::path;
 
@@ -61,8 +61,8 @@ pub(super) const PYKALMAN: Peer = python("pykalman", "`loglikelihood`", "pykalma
 
 /// What came of a peer.
 #[derive(Debug)]
-pub(crate) enum Outcome {
-    Answered(Answer),
+pub(crate) enum PeerOutcome {
+    Answered(PeerAnswer),
     Missing,
 }
 
@@ -78,24 +78,24 @@ const MISSING: i32 = 77;
 
 impl Peer {
     /// The answer with the median time of up to three runs.
-    pub(super) fn answer(&self, interpreters: &Interpreters, data: &Path) -> Result<Outcome, String> {
-        let Outcome::Answered(first) = self.run(interpreters, data)? else { return Ok(Outcome::Missing) };
+    pub(super) fn answer(&self, interpreters: &Interpreters, data: &Path) -> Result<PeerOutcome, String> {
+        let PeerOutcome::Answered(first) = self.run(interpreters, data)? else { return Ok(PeerOutcome::Missing) };
         let mut first = Some(first);
         let answer = clock::median(
             3,
-            |answer: &Answer| answer.taken,
+            |answer: &PeerAnswer| answer.taken,
             || match first.take() {
                 Some(answer) => Ok(answer),
                 None => match self.run(interpreters, data)? {
-                    Outcome::Answered(answer) => Ok(answer),
-                    Outcome::Missing => Err(format!("{}: it was there and is no more", self.name)),
+                    PeerOutcome::Answered(answer) => Ok(answer),
+                    PeerOutcome::Missing => Err(format!("{}: it was there and is no more", self.name)),
                 },
             },
         )?;
-        Ok(Outcome::Answered(answer))
+        Ok(PeerOutcome::Answered(answer))
     }
 
-    fn run(&self, interpreters: &Interpreters, data: &Path) -> Result<Outcome, String> {
+    fn run(&self, interpreters: &Interpreters, data: &Path) -> Result<PeerOutcome, String> {
         let program = match self.language {
             Language::R => &interpreters.rscript,
             Language::Python => &interpreters.python,
@@ -109,16 +109,16 @@ impl Peer {
         command.env("PYTHONDONTWRITEBYTECODE", "1");
         let output = match command.output() {
             Ok(output) => output,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Outcome::Missing),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(PeerOutcome::Missing),
             Err(error) => return Err(format!("{program}: {error}")),
         };
         match output.status.code() {
             Some(0) => {}
-            Some(MISSING) => return Ok(Outcome::Missing),
+            Some(MISSING) => return Ok(PeerOutcome::Missing),
             _ => return Err(format!("{}: {}\n{}", self.name, output.status, last_lines(&output.stderr))),
         }
-        let answer = Answer::parse(&String::from_utf8_lossy(&output.stdout));
-        answer.map(Outcome::Answered).map_err(|why| format!("{}: {why}", self.name))
+        let answer = PeerAnswer::parse(&String::from_utf8_lossy(&output.stdout));
+        answer.map(PeerOutcome::Answered).map_err(|why| format!("{}: {why}", self.name))
     }
 }
 
@@ -164,7 +164,7 @@ mod tests {
         let interpreters = Interpreters { rscript: none.clone(), python: none };
         for peer in ALL {
             let outcome = peer.run(&interpreters, Path::new("data.csv")).unwrap();
-            assert!(matches!(outcome, Outcome::Missing), "{}: {outcome:?}", peer.name);
+            assert!(matches!(outcome, PeerOutcome::Missing), "{}: {outcome:?}", peer.name);
         }
     }
 }

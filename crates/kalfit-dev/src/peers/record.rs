@@ -11,8 +11,8 @@ use kalfit_spec::Spec;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
-use super::agreement::Ours;
-use super::clock::{self, Taken};
+use super::agreement::KalfitAnswer;
+use super::clock::{self, TimeTaken};
 use super::ensemble;
 use crate::seed::random;
 
@@ -35,12 +35,12 @@ noise = 0.1
 
 /// Times and measured values.
 #[derive(Debug)]
-pub(super) struct Record {
+pub(super) struct DrawnRecord {
     rows: Vec<[f64; 2]>,
 }
 
-impl Record {
-    pub(super) fn draw() -> Record {
+impl DrawnRecord {
+    pub(super) fn draw() -> DrawnRecord {
         let mut rng = random();
         let (mut time, mut drift) = (0.0, 0.0);
         let row = || {
@@ -50,7 +50,7 @@ impl Record {
             (time, drift) = (time + step, kept * drift + 0.5 * (1.0 - kept * kept).sqrt() * w);
             [time, drift + 0.1 * v]
         };
-        Record { rows: std::iter::repeat_with(row).take(ROWS).collect() }
+        DrawnRecord { rows: std::iter::repeat_with(row).take(ROWS).collect() }
     }
 
     /// Writes the record as the peer reads it.
@@ -76,14 +76,14 @@ impl Record {
     }
 
     /// kalfit's log-likelihood, and its time.
-    pub(super) fn ours(&self) -> Result<(Ours, Taken), String> {
+    pub(super) fn ours(&self) -> Result<(KalfitAnswer, TimeTaken), String> {
         let model = model()?;
         let test = self.test(&model);
         let log_likelihood = value(&model, &test)?;
         let taken = clock::repeated(|| {
             black_box(value(&model, &test).is_ok());
         })?;
-        Ok((Ours { log_likelihood, estimates: Vec::new() }, taken))
+        Ok((KalfitAnswer { log_likelihood, estimates: Vec::new() }, taken))
     }
 }
 
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn the_value_is_that_of_the_textbook_filter() {
-        let record = Record { rows: Record::draw().rows[..50].to_vec() };
+        let record = DrawnRecord { rows: DrawnRecord::draw().rows[..50].to_vec() };
         let (mut mean, mut variance, mut last, mut expected) = (0.0, 0.25, 0.0, 0.0);
         for &[t, y] in &record.rows {
             let kept = (-(t - last) / 3.0).exp();

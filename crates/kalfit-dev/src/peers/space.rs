@@ -12,8 +12,8 @@ use nalgebra::DMatrix;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
-use super::agreement::Ours;
-use super::clock::{self, Taken};
+use super::agreement::KalfitAnswer;
+use super::clock::{self, TimeTaken};
 use super::ensemble;
 use crate::bench::bench_model;
 use crate::seed::random;
@@ -26,13 +26,13 @@ pub(super) const ROWS: usize = 100;
 
 /// An ensemble: rows of z and the inputs, test by test.
 #[derive(Debug)]
-pub(super) struct Space {
+pub(super) struct SpaceEnsemble {
     tests: Vec<Vec<[f64; STATES]>>,
 }
 
-impl Space {
+impl SpaceEnsemble {
     /// Tests with inputs of their own, or all with those of the first.
-    pub(super) fn draw(tests: usize, shared: bool) -> Space {
+    pub(super) fn draw(tests: usize, shared: bool) -> SpaceEnsemble {
         let mut rng = random();
         let mut test =
             || -> Vec<[f64; STATES]> { (0..ROWS).map(|_| [(); STATES].map(|()| rng.sample(StandardNormal))).collect() };
@@ -42,7 +42,7 @@ impl Space {
                 row[1..].copy_from_slice(&model[1..]);
             }
         }
-        Space { tests }
+        SpaceEnsemble { tests }
     }
 
     /// Writes the ensemble as the peers read it.
@@ -70,7 +70,7 @@ impl Space {
     }
 
     /// kalfit's log-likelihood with a prior N(0, I) of the constants, and the time of the reduction and the value together.
-    pub(super) fn ours(&self) -> Result<(Ours, Taken), String> {
+    pub(super) fn ours(&self) -> Result<(KalfitAnswer, TimeTaken), String> {
         let (model, tests) = (bench_model(STATES), self.tests());
         let p = STATES - 1;
         let value = || {
@@ -83,7 +83,7 @@ impl Space {
         let taken = clock::repeated(|| {
             black_box(value().is_ok());
         })?;
-        Ok((Ours { log_likelihood, estimates: Vec::new() }, taken))
+        Ok((KalfitAnswer { log_likelihood, estimates: Vec::new() }, taken))
     }
 }
 
@@ -94,7 +94,7 @@ mod tests {
     #[test]
     fn tests_share_their_inputs_when_asked_and_never_what_was_measured() {
         for shared in [false, true] {
-            let space = Space::draw(2, shared);
+            let space = SpaceEnsemble::draw(2, shared);
             let same = |k: usize| space.tests[0].iter().zip(&space.tests[1]).all(|(a, b)| a[k] == b[k]);
             assert_eq!([same(0), same(1), same(2)], [false, shared, shared]);
         }
@@ -103,7 +103,7 @@ mod tests {
     #[test]
     fn the_value_is_that_of_another_filter() {
         // sum of the normal densities of the rows of one test, by the textbook's covariance filter
-        let space = Space::draw(1, false);
+        let space = SpaceEnsemble::draw(1, false);
         let (mut mean, mut covariance) = (nalgebra::Vector3::zeros(), nalgebra::Matrix3::identity());
         let dynamics = nalgebra::Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, 1.0, 0.9));
         let noise = nalgebra::Matrix3::from_diagonal(&nalgebra::Vector3::new(0.0, 0.0, 0.19));

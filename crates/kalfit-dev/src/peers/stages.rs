@@ -4,12 +4,12 @@ use std::hint::black_box;
 use std::path::Path;
 
 use super::clock;
-use super::ensemble::Study;
+use super::ensemble::PeerStudy;
 use super::table::{figure, head, row, seconds};
-use super::whole::{Kalfit, path};
+use super::whole::{KalfitCommand, path};
 
 /// Prints the tables.
-pub(super) fn print(kalfit: &Kalfit) -> Result<(), String> {
+pub(super) fn print(kalfit: &KalfitCommand) -> Result<(), String> {
     let start = kalfit.median(21, &["--version"])?;
     println!(
         "Start-up (`kalfit --version`): {} of a processor, {} elapsed.\n",
@@ -31,7 +31,7 @@ pub(super) fn print(kalfit: &Kalfit) -> Result<(), String> {
     );
     let ensembles: Vec<_> = [10_000, 100_000]
         .into_iter()
-        .map(|tests| Ok((tests, Study::Regression.draw(tests, kalfit)?)))
+        .map(|tests| Ok((tests, PeerStudy::Regression.draw(tests, kalfit)?)))
         .collect::<Result<_, String>>()?;
     for (tests, files) in &ensembles {
         for (from, file) in ["CSV", "Parquet"].iter().zip(files) {
@@ -49,8 +49,8 @@ pub(super) fn print(kalfit: &Kalfit) -> Result<(), String> {
 }
 
 /// Processor times, each that of a whole process that does more than the one before.
-fn stages(kalfit: &Kalfit, file: &Path) -> Result<Vec<String>, String> {
-    let model = Study::Regression.model();
+fn stages(kalfit: &KalfitCommand, file: &Path) -> Result<Vec<String>, String> {
+    let model = PeerStudy::Regression.model();
     let (model, data) = (path(&model)?, path(file)?);
     let bytes = clock::repeated(|| {
         let bytes = std::fs::read(file).unwrap_or_default();
@@ -72,8 +72,8 @@ fn stages(kalfit: &Kalfit, file: &Path) -> Result<Vec<String>, String> {
 }
 
 /// Least elapsed times of whole fits by one and by two threads, in turn: other work on the machine only ever adds.
-fn threads(kalfit: &Kalfit, file: &Path) -> Result<[f64; 2], String> {
-    let model = Study::Regression.model();
+fn threads(kalfit: &KalfitCommand, file: &Path) -> Result<[f64; 2], String> {
+    let model = PeerStudy::Regression.model();
     let (model, data) = (path(&model)?, path(file)?);
     let mut least = [f64::INFINITY; 2];
     for _ in 0..7 {

@@ -5,11 +5,11 @@ use std::process::Command;
 
 use kalfit::FitRecord;
 
-use super::clock::{self, Taken};
+use super::clock::{self, TimeTaken};
 
 /// The command and a folder for its files.
 #[derive(Debug)]
-pub(crate) struct Kalfit {
+pub(crate) struct KalfitCommand {
     pub(crate) command: PathBuf,
     pub(crate) folder: PathBuf,
 }
@@ -17,9 +17,9 @@ pub(crate) struct Kalfit {
 /// Where the results of the last fit lie.
 const RESULTS: &str = "fit.json";
 
-impl Kalfit {
+impl KalfitCommand {
     /// One run in the folder; an error unless it is done and certified.
-    pub(super) fn run(&self, arguments: &[&str]) -> Result<Taken, String> {
+    pub(super) fn run(&self, arguments: &[&str]) -> Result<TimeTaken, String> {
         let mut command = Command::new(&self.command);
         let shown = format!("{} {}", self.command.display(), arguments.join(" "));
         let (output, taken) = clock::child(command.args(arguments).current_dir(&self.folder))?;
@@ -32,12 +32,12 @@ impl Kalfit {
     }
 
     /// The run with the median processor time of several.
-    pub(super) fn median(&self, runs: usize, arguments: &[&str]) -> Result<Taken, String> {
+    pub(super) fn median(&self, runs: usize, arguments: &[&str]) -> Result<TimeTaken, String> {
         clock::median(runs, |taken| *taken, || self.run(arguments))
     }
 
     /// Whole fits by one thread, results written to a file.
-    pub(super) fn fit(&self, model: &str, data: &Path) -> Result<Taken, String> {
+    pub(super) fn fit(&self, model: &str, data: &Path) -> Result<TimeTaken, String> {
         self.median(9, &["fit", model, path(data)?, "--threads", "1", "--out", RESULTS])
     }
 

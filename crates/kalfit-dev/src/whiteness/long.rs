@@ -11,23 +11,23 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::proposal::{Proposal, lags};
+use super::proposal::{SeriesProposal, lags};
 
 /// τ², each as often.
 const SPREADS: [f64; 5] = [0.0, 1.0, 3.0, 6.0, 12.0];
 
 /// The mixture over τ.
-pub(super) struct Long {
+pub(super) struct LongMixture {
     n: usize,
 }
 
-impl Long {
-    pub(super) fn new(n: usize) -> Long {
-        Long { n }
+impl LongMixture {
+    pub(super) fn new(n: usize) -> LongMixture {
+        LongMixture { n }
     }
 }
 
-impl Proposal for Long {
+impl SeriesProposal for LongMixture {
     fn draw(&self, number: usize, rng: &mut ChaCha8Rng, z: &mut [f64]) {
         let spread = (SPREADS[number % SPREADS.len()] / self.n as f64).sqrt();
         if spread == 0.0 {
@@ -61,7 +61,7 @@ impl Proposal for Long {
     }
 }
 
-impl Long {
+impl LongMixture {
     /// g/f of one τ².
     fn ratio(&self, spread: f64, gram: &DMatrix<f64>, b: &DVector<f64>) -> f64 {
         let scale = spread / self.n as f64;

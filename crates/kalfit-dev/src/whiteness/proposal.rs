@@ -8,7 +8,7 @@ pub(super) const MOST_LAGS: usize = 10;
 pub(super) const PER_LAG: usize = 5;
 
 /// A law of series to draw from.
-pub(super) trait Proposal: Sync {
+pub(super) trait SeriesProposal: Sync {
     /// Draw number `number` into `z`.
     fn draw(&self, number: usize, rng: &mut ChaCha8Rng, z: &mut [f64]);
 

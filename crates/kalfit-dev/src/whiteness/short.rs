@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::proposal::{Proposal, lags};
+use super::proposal::{SeriesProposal, lags};
 
 /// Draws of ten that are uncorrelated, that are sinusoids; the rest are autoregressions.
 const PLAIN: usize = 1;
@@ -18,7 +18,7 @@ const CHANCES: [f64; 5] = [1e-1, 1e-2, 1e-4, 1e-7, 1e-11];
 const COEFFICIENTS: [f64; 10] = [-0.95, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 0.95];
 
 /// The mixture; weights are of directions alone.
-pub(super) struct Short {
+pub(super) struct ShortMixture {
     /// Sinusoids of length one: the eigenvectors of the lag-one product.
     sinusoids: Vec<Vec<f64>>,
     /// How often each is drawn.
@@ -27,8 +27,8 @@ pub(super) struct Short {
     strengths: Vec<f64>,
 }
 
-impl Short {
-    pub(super) fn new(n: usize) -> Short {
+impl ShortMixture {
+    pub(super) fn new(n: usize) -> ShortMixture {
         let sinusoid = |j: usize| -> Vec<f64> {
             let length = (0.5 * (n + 1) as f64).sqrt();
             (1..=n).map(|i| ((i * j) as f64 * PI / (n + 1) as f64).sin() / length).collect()
@@ -40,7 +40,7 @@ impl Short {
             let rest = p.powf(2.0 / (n - 1) as f64);
             (n - 1) as f64 * (1.0 - rest) / rest
         };
-        Short {
+        ShortMixture {
             sinusoids: (1..=n).map(sinusoid).collect(),
             shares: (0..n).map(|j| share(j) / all).collect(),
             strengths: CHANCES.map(strength).to_vec(),
@@ -57,7 +57,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-impl Proposal for Short {
+impl SeriesProposal for ShortMixture {
     fn draw(&self, number: usize, rng: &mut ChaCha8Rng, z: &mut [f64]) {
         match number % OF {
             kind if kind < PLAIN => {}
