@@ -552,7 +552,7 @@ pub(crate) struct ExportArgs {
     pub(crate) phase: Option<String>,
 
     /// What to write [default: as the ending of the file says: `.json`, `.npz`, `.mat`, `.h` or `.py`]
-    #[arg(long = "as", value_parser = one_of(words::FORMS), value_name = "FORM")]
+    #[arg(long = "as", value_parser = one_of(words::EXPORT_FORMATS), value_name = "FORM")]
     pub(crate) form: Option<ExportFormat>,
 
     /// File for the filter

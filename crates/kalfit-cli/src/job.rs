@@ -11,7 +11,7 @@ use kalfit::predict::{Limits, Sides};
 use kalfit_data::Datum;
 use kalfit_job::sums::{JoinJob, SumsJob};
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldsOf,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExportJob, Failure, FitJob, FitTables, FoldChoice,
     ModelJob, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 
@@ -280,11 +280,11 @@ impl From<PlanArgs> for PlanJob {
 
 impl From<ValidateArgs> for ValidateJob {
     fn from(args: ValidateArgs) -> ValidateJob {
-        let drawn = || FoldsOf::Drawn { count: args.folds.unwrap_or(10) as usize, seed: args.seed.unwrap_or(1) };
+        let drawn = || FoldChoice::Drawn { count: args.folds.unwrap_or(10) as usize, seed: args.seed.unwrap_or(1) };
         ValidateJob {
             model: args.model.into(),
             data: data(args.data),
-            folds: args.by.map_or_else(drawn, FoldsOf::Column),
+            folds: args.by.map_or_else(drawn, FoldChoice::Column),
             against: args.against.map(Into::into),
             criterion: args.criterion,
             out: args.out,
@@ -329,7 +329,7 @@ impl From<ExportArgs> for ExportJob {
             phase: args.phase,
             step: args.step,
             at: args.at,
-            form: args.form,
+            format: args.form,
             out: Some(args.out),
         }
     }

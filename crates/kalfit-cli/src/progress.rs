@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use kalfit_job::{JobWatch, Share};
+use kalfit_job::{JobWatch, ProgressShare};
 
 use crate::interrupt;
 
@@ -25,13 +25,13 @@ pub(crate) struct ProgressLine {
 /// The way to an end that is known.
 #[derive(Debug, Clone, Copy)]
 struct TimedShare {
-    share: Share,
+    share: ProgressShare,
     began: Instant,
 }
 
 impl TimedShare {
     /// Where it is now; a way of its own when it is about something else, or begins again.
-    fn on(before: Option<TimedShare>, share: Share) -> TimedShare {
+    fn on(before: Option<TimedShare>, share: ProgressShare) -> TimedShare {
         match before {
             Some(way) if way.share.what == share.what && way.share.done <= share.done => TimedShare { share, ..way },
             _ => TimedShare { share, began: Instant::now() },
@@ -40,8 +40,8 @@ impl TimedShare {
 }
 
 /// How far it is and how long it will take from there, as far as so much time can tell.
-fn outlook(share: Share, took: Duration) -> String {
-    let Share { done, of, .. } = share;
+fn outlook(share: ProgressShare, took: Duration) -> String {
+    let ProgressShare { done, of, .. } = share;
     if of == 0 {
         return String::new();
     }
@@ -77,7 +77,7 @@ impl JobWatch for ProgressLine {
         }
     }
 
-    fn share(&mut self, share: Share) {
+    fn share(&mut self, share: ProgressShare) {
         self.way = Some(TimedShare::on(self.way, share));
         self.show(share.what);
     }
@@ -155,8 +155,8 @@ fn bar(began: Instant) -> ProgressBar {
 mod tests {
     use super::*;
 
-    fn share(done: u64, of: u64) -> Share {
-        Share { what: "reading", done, of }
+    fn share(done: u64, of: u64) -> ProgressShare {
+        ProgressShare { what: "reading", done, of }
     }
 
     #[test]
@@ -182,6 +182,6 @@ mod tests {
         let way = TimedShare { share: share(50, 100), began: long_ago };
         assert_eq!(TimedShare::on(Some(way), share(60, 100)).began, long_ago);
         assert!(TimedShare::on(Some(way), share(10, 100)).began > long_ago, "data are read a second time");
-        assert!(TimedShare::on(Some(way), Share { what: "drawing", done: 60, of: 100 }).began > long_ago);
+        assert!(TimedShare::on(Some(way), ProgressShare { what: "drawing", done: 60, of: 100 }).began > long_ago);
     }
 }

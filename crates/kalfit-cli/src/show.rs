@@ -5,11 +5,11 @@ use std::path::Path;
 use clap_complete::Shell;
 use kalfit_job::sums::{JoinJob, JoinedRound, SumsJob};
 use kalfit_job::{
-    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, Exchanged, ExportJob, Failure, FitJob, JobDone,
+    ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable, ExportJob, Failure, FitJob, JobDone,
     JobWatch, PlanJob, PlotJob, PredictJob, ReportJob, SimulateJob, TestJob, ValidateJob,
 };
 use kalfit_report::{
-    Style, applied_summary, check_summary, compared_summary, datasheet_summary, exported_summary, plan_summary,
+    TextStyle, applied_summary, check_summary, compared_summary, datasheet_summary, exported_summary, plan_summary,
     predicted_summary, ratio_summary, summary, validated_summary,
 };
 use serde::Serialize;
@@ -32,7 +32,7 @@ pub(crate) struct ShowOptions {
 
 impl ShowOptions {
     /// What goes to standard output.
-    fn put<R: Serialize>(self, record: &R, summary: fn(&R, &Style) -> String) -> String {
+    fn put<R: Serialize>(self, record: &R, summary: fn(&R, &TextStyle) -> String) -> String {
         match self.json {
             true => kalfit_job::json::to_string(record).expect("records can be put into JSON") + "\n",
             false => summary(record, &terminal::style()),
@@ -135,7 +135,7 @@ pub(crate) fn man(folder: Option<&Path>, how: ShowOptions) -> Result<CommandOutc
 }
 
 /// A job that writes an exchange file.
-type RunExchange = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure>;
+type RunExchange = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<ExchangedTable>, Failure>;
 
 pub(crate) fn exchange(
     job: &ExchangeJob,

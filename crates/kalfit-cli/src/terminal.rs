@@ -4,14 +4,14 @@ use std::io::{IsTerminal, Write};
 
 use anstream::stream::RawStream;
 use anstream::{AutoStream, ColorChoice};
-use kalfit_report::Style;
+use kalfit_report::TextStyle;
 
 /// Wider lines are hard to read.
 const WIDEST: usize = 120;
 
 /// How to lay out what goes to standard output.
-pub(crate) fn style() -> Style {
-    let mut style = Style::default();
+pub(crate) fn style() -> TextStyle {
+    let mut style = TextStyle::default();
     if std::io::stdout().is_terminal()
         && let Some((terminal_size::Width(width), _)) = terminal_size::terminal_size()
     {

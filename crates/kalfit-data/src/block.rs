@@ -8,12 +8,12 @@ use kalfit::{Label, Labels};
 
 use crate::error::DataError;
 use crate::moment::Moment;
-use crate::numbering::Numbering;
+use crate::numbering::RowNumbering;
 
 /// Rows that stand one after the other in a table: the cells that the model and the layout name. Blocks are made by many
 /// threads and taken in by one, in the order of the table.
 #[derive(Debug, Default)]
-pub(crate) struct Block {
+pub(crate) struct RowBlock {
     /// Number of rows.
     pub(crate) rows: usize,
     /// Numeric cells, row after row, NaN where missing; date-times are filled in when the first row of their test is known.
@@ -29,7 +29,7 @@ pub(crate) struct Block {
     pub(crate) moments: Vec<Moment>,
     pub(crate) ids: TestIds,
     /// Numbers of the rows in the file.
-    pub(crate) numbering: Numbering,
+    pub(crate) numbering: RowNumbering,
     /// What is wrong with the row after the last one.
     pub(crate) end: Option<DataError>,
 }
@@ -78,10 +78,10 @@ impl TestIds {
     }
 }
 
-impl Block {
+impl RowBlock {
     /// A block of no rows that ends with an error.
-    pub(crate) fn failed(error: DataError) -> Block {
-        Block { end: Some(error), ..Block::default() }
+    pub(crate) fn failed(error: DataError) -> RowBlock {
+        RowBlock { end: Some(error), ..RowBlock::default() }
     }
 
     /// Turns the labels of the block into those of the whole reading.

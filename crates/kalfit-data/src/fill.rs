@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use kalfit::Label;
 
-use crate::block::Block;
+use crate::block::RowBlock;
 use crate::error::DataError;
 use crate::moment::Moment;
-use crate::numbering::Numbering;
+use crate::numbering::RowNumbering;
 use crate::wanted::{WantedColumn, WantedColumns};
 
 /// A row that is wrong, and what is wrong with it.
@@ -43,7 +43,7 @@ pub(crate) fn change<T: PartialEq>(rows: Range<usize>, value: impl Fn(usize) -> 
 /// Fills a block.
 pub(crate) struct BlockFiller<'a> {
     wanted: &'a WantedColumns,
-    block: Block,
+    block: RowBlock,
 }
 
 /// The first of all errors: by its row, then by the column.
@@ -75,7 +75,7 @@ impl<'a> BlockFiller<'a> {
         let numbers = Vec::with_capacity(wanted.numbers * rows);
         let texts = Vec::with_capacity(wanted.texts * rows);
         let clock = wanted.time().map_or_else(Vec::new, |column| column.numbers.clone());
-        BlockFiller { wanted, block: Block { numbers, texts, width: wanted.numbers, clock, ..Block::default() } }
+        BlockFiller { wanted, block: RowBlock { numbers, texts, width: wanted.numbers, clock, ..RowBlock::default() } }
     }
 
     /// Appends rows, up to the first that is wrong.
@@ -117,8 +117,8 @@ impl<'a> BlockFiller<'a> {
     }
 
     /// The block of the sound rows, which have these numbers in the file, and what is wrong with the row after them.
-    pub(crate) fn finish(self, numbering: Numbering, end: Option<DataError>) -> Block {
-        let mut block = Block { numbering, end, ..self.block };
+    pub(crate) fn finish(self, numbering: RowNumbering, end: Option<DataError>) -> RowBlock {
+        let mut block = RowBlock { numbering, end, ..self.block };
         block.numbers.truncate(block.rows * self.wanted.numbers);
         block.texts.truncate(block.rows * self.wanted.texts);
         block.moments.truncate(block.rows);
@@ -279,7 +279,7 @@ mod tests {
         let wanted = wanted();
         let mut filler = BlockFiller::new(&wanted, 10);
         assert!(filler.fill(&TextSheet(SOUND)).is_ok() && filler.fill(&TextSheet(SOUND)).is_ok());
-        let mut block = filler.finish(Numbering::from(2), None);
+        let mut block = filler.finish(RowNumbering::from(2), None);
         let run = |run: usize| (block.run(run).0, block.run(run).1.map(|(id, _)| id));
         let runs: Vec<_> = (0..block.runs()).map(run).collect();
         let (a, b, none) = (Some("a"), Some("b"), Some(""));
@@ -300,7 +300,7 @@ mod tests {
         sheet[0][3] = "b";
         let mut filler = BlockFiller::new(&wanted, 5);
         assert!(filler.fill(&TextSheet(sheet)).is_ok());
-        let block = filler.finish(Numbering::from(2), None);
+        let block = filler.finish(RowNumbering::from(2), None);
         let run = |run: usize| (block.run(run).0, block.run(run).1.map(|(id, _)| id));
         let runs: Vec<_> = (0..block.runs()).map(run).collect();
         assert_eq!(runs, [(0..2, Some("same/a")), (2..5, Some("same/b"))]);
@@ -327,7 +327,7 @@ mod tests {
             let mut filler = BlockFiller::new(&wanted, 5);
             let (row, found) = filler.fill(&TextSheet(sheet)).expect_err("a cell is wrong");
             assert_eq!((row, found.to_string()), (expected.0, error(expected.1, expected.0).to_string()));
-            let block = filler.finish(Numbering::from(1), None);
+            let block = filler.finish(RowNumbering::from(1), None);
             let rows = if block.runs() == 0 { 0 } else { block.run(block.runs() - 1).0.end };
             assert_eq!((block.rows, block.numbers.len(), block.texts.len(), rows), (row, row, 2 * row, row));
         }

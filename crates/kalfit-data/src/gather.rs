@@ -6,7 +6,7 @@ use std::ops::Range;
 use hashbrown::HashTable;
 use kalfit::{Label, Source, Test, TestBatch};
 
-use crate::block::Block;
+use crate::block::RowBlock;
 use crate::moment::Moment;
 
 /// Gathers rows by test. Streaming, a test is complete when the next one begins; holding, when all is read.
@@ -139,7 +139,7 @@ impl TestGatherer {
     /// A row whose time is before this one, of the row before it in its test and phase.
     pub(crate) fn take(
         &mut self,
-        block: &mut Block,
+        block: &mut RowBlock,
         rows: Range<usize>,
         file: u32,
         unit: i128,

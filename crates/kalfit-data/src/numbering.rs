@@ -4,15 +4,15 @@ use std::ops::Range;
 
 /// The numbers of rows, as a person counts, in runs that follow each other.
 #[derive(Debug, Default)]
-pub(crate) struct Numbering {
+pub(crate) struct RowNumbering {
     /// The first row of each run, and its number.
     runs: Vec<(usize, u64)>,
 }
 
-impl Numbering {
+impl RowNumbering {
     /// Of rows that follow each other.
-    pub(crate) fn from(first: u64) -> Numbering {
-        Numbering { runs: vec![(0, first)] }
+    pub(crate) fn from(first: u64) -> RowNumbering {
+        RowNumbering { runs: vec![(0, first)] }
     }
 
     /// Says the number of a row after those before.
@@ -48,11 +48,11 @@ mod tests {
 
     #[test]
     fn rows_have_numbers_that_need_not_follow_each_other() {
-        let mut numbering = Numbering::default();
+        let mut numbering = RowNumbering::default();
         (0..).zip([2, 3, 7, 8, 9]).for_each(|(row, number)| numbering.push(row, number));
         assert_eq!((0..5).map(|row| numbering.of(row)).collect::<Vec<_>>(), [2, 3, 7, 8, 9]);
         assert_eq!(numbering.parts(1..4).collect::<Vec<_>>(), [(1..2, 3), (2..4, 7)]);
         assert_eq!(numbering.parts(4..5).collect::<Vec<_>>(), [(4..5, 9)]);
-        assert_eq!(Numbering::from(5).parts(2..4).collect::<Vec<_>>(), [(2..4, 7)]);
+        assert_eq!(RowNumbering::from(5).parts(2..4).collect::<Vec<_>>(), [(2..4, 7)]);
     }
 }

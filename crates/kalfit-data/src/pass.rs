@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use kalfit::{Label, Labels, PhasedModel, Test};
 
-use crate::block::Block;
+use crate::block::RowBlock;
 use crate::cell::shown;
 use crate::error::DataError;
 use crate::gather::{TestGatherer, TestTurn};
@@ -14,9 +14,9 @@ use crate::moment::{Moment, unit_nanoseconds};
 use crate::place::CellPlace;
 use crate::room::MemoryWatch;
 use crate::sink::{DataReading, ReadError, TestSink};
-use crate::spool::Spool;
+use crate::spool::StdinSpool;
 use crate::table;
-use crate::table::ahead::{Goes, TableProgress, each};
+use crate::table::ahead::{Demand, TableProgress, each};
 use crate::wanted::WantedColumns;
 
 /// What a pass must know, the same for every pass.
@@ -89,7 +89,7 @@ pub(crate) fn run<S: TestSink>(
     mut gather: TestGatherer,
     reading: &mut DataReading,
     sink: &mut S,
-    spool: &mut Spool<'_>,
+    spool: &mut StdinSpool<'_>,
 ) -> Result<PassEnd, ReadError<S::Error>> {
     let (sizes, mut watch) = (InputSizes::of(job.inputs), MemoryWatch::default());
     let clock = &job.model.shared().clock;
@@ -100,16 +100,16 @@ pub(crate) fn run<S: TestSink>(
         let before = reading.rows;
         let number = u32::try_from(index).expect("fewer than 2^32 files");
         let mut taker = BlockTaker { job, file: (&file, number), gather: &mut gather, times: &mut times };
-        let goes = each::<Block, ReadError<S::Error>>(&mut *table, &mut |mut block, done| {
+        let demand = each::<RowBlock, ReadError<S::Error>>(&mut *table, &mut |mut block, done| {
             block.relabel(&mut reading.labels);
-            let goes = taker.take(&mut block, reading, sink)?;
+            let demand = taker.take(&mut block, reading, sink)?;
             if let Some((taken, left)) = watch.short(reading.rows, taker.gather.held()) {
                 return Err(DataError::Memory { file: file.clone(), rows: reading.rows, taken, left }.into());
             }
             tell(sink, (sizes.read(index, done), sizes.all), reading)?;
-            block.end.take().map_or(Ok(goes), |error| Err(error.into()))
+            block.end.take().map_or(Ok(demand), |error| Err(error.into()))
         })?;
-        if goes == Goes::NoFurther {
+        if demand == Demand::NoMore {
             return Ok(PassEnd::MustHold);
         }
         if reading.rows == before {
@@ -135,10 +135,10 @@ struct BlockTaker<'t, 'a> {
 impl BlockTaker<'_, '_> {
     fn take<S: TestSink>(
         &mut self,
-        block: &mut Block,
+        block: &mut RowBlock,
         reading: &mut DataReading,
         sink: &mut S,
-    ) -> Result<Goes, ReadError<S::Error>> {
+    ) -> Result<Demand, ReadError<S::Error>> {
         for run in 0..block.runs() {
             let (rows, id) = block.run(run);
             self.times.check(block, rows.start, self.file.0)?; // before anything else is said of the row
@@ -147,18 +147,18 @@ impl BlockTaker<'_, '_> {
                 (id, self.job.wanted.hasher.hash_one(id))
             });
             match self.gather.turn(id, hash) {
-                TestTurn::Returned => return Ok(Goes::NoFurther),
+                TestTurn::Returned => return Ok(Demand::NoMore),
                 TestTurn::Known => {}
                 // the tests before it go before what may be wrong with its rows
                 TestTurn::New => self.gather.batch().map_or(Ok(()), |batch| hand_over(sink, batch, reading))?,
             }
             self.rows(block, rows, reading)?;
         }
-        Ok(Goes::On)
+        Ok(Demand::More)
     }
 
     /// Puts rows into the test whose turn it is.
-    fn rows(&mut self, block: &mut Block, rows: Range<usize>, reading: &mut DataReading) -> Result<(), DataError> {
+    fn rows(&mut self, block: &mut RowBlock, rows: Range<usize>, reading: &mut DataReading) -> Result<(), DataError> {
         let file = self.file.0;
         // times are checked row by row, each against the first of all and then against the one before it
         let mut sound = rows.clone();
@@ -183,7 +183,7 @@ impl BlockTaker<'_, '_> {
     }
 
     /// The first row whose groups are not those of the first row of its test.
-    fn astray(&self, block: &Block, rows: Range<usize>, labels: &Labels) -> Option<(usize, DataError)> {
+    fn astray(&self, block: &RowBlock, rows: Range<usize>, labels: &Labels) -> Option<(usize, DataError)> {
         let wanted = self.job.wanted;
         if wanted.groups.is_empty() || rows.is_empty() {
             return None;
@@ -204,7 +204,7 @@ impl BlockTaker<'_, '_> {
     }
 
     /// The phase of a row, by the text of its cell: that it is none of the model's is for others to say.
-    fn phase(&self, block: &Block, row: usize, labels: &Labels) -> Option<String> {
+    fn phase(&self, block: &RowBlock, row: usize, labels: &Labels) -> Option<String> {
         let label = block.texts[row * self.job.wanted.texts + self.job.model.column?];
         (!label.is_missing()).then(|| shown(labels.text(label).as_bytes()))
     }
@@ -229,7 +229,7 @@ fn hand_over<S: TestSink>(
 
 impl TimeChecker<'_> {
     /// Refuses a time of another kind than the first, and date-times without a unit.
-    fn check(&mut self, block: &Block, row: usize, file: &str) -> Result<(), DataError> {
+    fn check(&mut self, block: &RowBlock, row: usize, file: &str) -> Result<(), DataError> {
         let Some(now) = block.time(row) else { return Ok(()) };
         match &self.first {
             Some((first, _)) if first.same_kind(now) => Ok(()),
@@ -255,7 +255,7 @@ impl TimeChecker<'_> {
 
     fn decrease(
         &self,
-        block: &Block,
+        block: &RowBlock,
         row: usize,
         (file, test): (&str, &str),
         phase: Option<String>,
@@ -270,7 +270,7 @@ impl TimeChecker<'_> {
         }
     }
 
-    fn place(&self, block: &Block, row: usize, file: &str) -> Box<CellPlace> {
+    fn place(&self, block: &RowBlock, row: usize, file: &str) -> Box<CellPlace> {
         self.wanted.time().expect("a row has a time only with a time column").place(file, block.numbering.of(row))
     }
 }

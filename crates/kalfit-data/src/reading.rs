@@ -9,7 +9,7 @@ use crate::gather::TestGatherer;
 use crate::input::{Input, test_ids};
 use crate::pass::{PassEnd, PassInput, run};
 use crate::sink::{DataReading, ReadError, TestSink};
-use crate::spool::Spool;
+use crate::spool::StdinSpool;
 use crate::wanted::WantedColumns;
 
 /// Id of the test when all rows are one.
@@ -52,7 +52,7 @@ pub fn read_from<S: TestSink>(
         TestKey::Column(_) => Vec::new(),
     };
     let job = PassInput::new(inputs, &wanted, ids, model);
-    let mut spool = Spool::new(stdin, matches!(layout.test, TestKey::Column(_)));
+    let mut spool = StdinSpool::new(stdin, matches!(layout.test, TestKey::Column(_)));
     if run(&job, gather(model, &wanted, false), &mut reading, sink, &mut spool)? == PassEnd::MustHold {
         sink.restart();
         spool.last_time();

@@ -5,16 +5,16 @@ use std::io::{self, Read};
 use crate::room::{bytes_in_words, memory_left};
 
 /// Standard input with a memory: what was read can be read again from the start.
-pub(crate) struct Spool<'a> {
+pub(crate) struct StdinSpool<'a> {
     source: &'a mut dyn Read,
     kept: Vec<u8>,
     keeps: bool,
 }
 
-impl<'a> Spool<'a> {
+impl<'a> StdinSpool<'a> {
     /// Remembers what passes only when `keeps` says that it may be needed again.
-    pub(crate) fn new(source: &'a mut dyn Read, keeps: bool) -> Spool<'a> {
-        Spool { source, kept: Vec::new(), keeps }
+    pub(crate) fn new(source: &'a mut dyn Read, keeps: bool) -> StdinSpool<'a> {
+        StdinSpool { source, kept: Vec::new(), keeps }
     }
 
     /// What comes from now on need not be remembered.
@@ -36,18 +36,18 @@ impl<'a> Spool<'a> {
     }
 
     /// All of it, from the start.
-    pub(crate) fn rewound(&mut self) -> Rewound<'_, 'a> {
-        Rewound { spool: self, position: 0 }
+    pub(crate) fn rewound(&mut self) -> RewoundStdin<'_, 'a> {
+        RewoundStdin { spool: self, position: 0 }
     }
 }
 
 /// One reading of a [`Spool`].
-pub(crate) struct Rewound<'s, 'a> {
-    spool: &'s mut Spool<'a>,
+pub(crate) struct RewoundStdin<'s, 'a> {
+    spool: &'s mut StdinSpool<'a>,
     position: usize,
 }
 
-impl Read for Rewound<'_, '_> {
+impl Read for RewoundStdin<'_, '_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let spool = &mut *self.spool;
         if self.position < spool.kept.len() {
@@ -72,7 +72,7 @@ mod tests {
     #[test]
     fn what_was_read_comes_again_and_the_rest_follows() {
         let mut source: &[u8] = b"abcdefgh";
-        let mut spool = Spool::new(&mut source, true);
+        let mut spool = StdinSpool::new(&mut source, true);
         let mut start = [0; 3];
         spool.rewound().read_exact(&mut start).unwrap();
         assert_eq!(&start, b"abc");

@@ -2,7 +2,7 @@
 //! distances by plain simulation, and whole ensembles drawn from a model and fitted with it.
 
 mod count;
-mod drawing;
+mod simulated;
 mod tails;
 
 use std::process::ExitCode;
@@ -16,7 +16,7 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
 use self::count::{LEVELS, PValueCount, head};
-use self::drawing::{SimulatedModel, TestShape};
+use self::simulated::{SimulatedModel, TestShape};
 use crate::seed::{SEED, random_of_block};
 
 /// Numbers of series.
@@ -114,14 +114,14 @@ struct FalseAlarmTally {
 }
 
 fn tally(ensembles: u64) -> Result<FalseAlarmTally, String> {
-    let drawing = SimulatedModel::new()?;
-    let designs = drawing.designs(TESTS, &SHAPE)?;
+    let simulated = SimulatedModel::new()?;
+    let designs = simulated.designs(TESTS, &SHAPE)?;
     let mut tally = FalseAlarmTally::default();
     let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
     let options = kalfit::Options { choices, ..kalfit::Options::default() };
     for k in 0..ensembles {
-        let tests = drawing.draw(&designs, SEED + k, 0..TESTS as u64)?;
-        let ensemble = Ensemble::of_tests(&drawing.model, Labels::default(), tests);
+        let tests = simulated.draw(&designs, SEED + k, 0..TESTS as u64)?;
+        let ensemble = Ensemble::of_tests(&simulated.model, Labels::default(), tests);
         let fit = ensemble.fit_with(&options, &mut estimate::Silent).map_err(|error| error.to_string())?;
         tally.add(&fit.record);
     }

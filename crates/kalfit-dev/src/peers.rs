@@ -17,7 +17,7 @@ mod whole;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-use agreement::{Agreement, KalfitAnswer};
+use agreement::{KalfitAnswer, PeerAgreement};
 use answer::PeerAnswer;
 use clap::ValueEnum;
 use ensemble::PeerStudy;
@@ -200,7 +200,7 @@ impl ComparisonGaps {
         interpreters: &Interpreters,
         data: &Path,
         ours: &KalfitAnswer,
-    ) -> Option<(PeerAnswer, Agreement)> {
+    ) -> Option<(PeerAnswer, PeerAgreement)> {
         match peer.answer(interpreters, data) {
             Ok(PeerOutcome::Answered(answer)) => match ours.against(&answer) {
                 Ok(agreement) => return Some((answer, agreement)),

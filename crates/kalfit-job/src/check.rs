@@ -11,7 +11,7 @@ use kalfit::record::{
 use kalfit::reduce::grouping;
 use kalfit::{Alpha, Evidence, Grouping, Model, PhasedModel, PhasedTest, Reductions, infer};
 use kalfit_data::DataReading;
-use kalfit_report::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts};
+use kalfit_report::{CheckFindings, CheckRecord, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts};
 use kalfit_spec::Spec;
 
 use crate::evidence::CommandInputs;
@@ -36,7 +36,7 @@ pub fn check(job: &CheckJob, watch: &mut dyn JobWatch) -> Result<JobDone<CheckRe
     let output = OutputFile::results(job.out.as_deref(), &files(&[&job.model.document], inputs))?;
     let free = model::has_free(spec.model.shared());
     let (parameters, checked) = match (&given, free) {
-        (None, _) => (Vec::new(), Checked::Model),
+        (None, _) => (Vec::new(), CheckFindings::Model),
         (Some(given), false) if spec.model.levels.is_empty() => (Vec::new(), known(&spec, given, &mut work)?),
         (Some(given), _) => started(&spec, given, &mut work)?,
     };
@@ -47,7 +47,7 @@ pub fn check(job: &CheckJob, watch: &mut dyn JobWatch) -> Result<JobDone<CheckRe
 }
 
 /// Reads the data and runs the filters: all parameters are known.
-fn known(spec: &Spec, given: &CommandInputs, work: &mut JobWork<'_>) -> Result<Checked, Failure> {
+fn known(spec: &Spec, given: &CommandInputs, work: &mut JobWork<'_>) -> Result<CheckFindings, Failure> {
     let alpha = model::alpha(spec);
     let mut counts = no_counts(&spec.model);
     let reductions = reductions::reduce(spec, &alpha, given, work, &mut |test| match test {
@@ -78,7 +78,7 @@ fn started(
     spec: &Spec,
     given: &CommandInputs,
     work: &mut JobWork<'_>,
-) -> Result<(Vec<ParameterCounts>, Checked), Failure> {
+) -> Result<(Vec<ParameterCounts>, CheckFindings), Failure> {
     let model = spec.model.shared();
     let (tests, reading) = tests::read(spec, given, work)?;
     let mut phases = no_counts(&spec.model);
@@ -131,7 +131,7 @@ fn examined(
     (reductions, grouping): (&Reductions, Option<&Arc<Grouping>>),
     files: Vec<String>,
     (mut notes, at_start_of): (Vec<String>, Vec<String>),
-) -> Result<Checked, Failure> {
+) -> Result<CheckFindings, Failure> {
     let found = infer::examine_at_start(reductions, &Structure::of(model, alpha, grouping)).map_err(Failure::Fit)?;
     let infer::Examination { unidentified, explanations, observability, phases } = &found;
     let mut said = crossing_notes(model, unidentified, explanations, observability);
@@ -151,7 +151,7 @@ fn examined(
     };
     let phases = counts.into_iter().zip(&model.phases).map(phase).collect();
     let levels = grouping.map_or(Vec::new(), |grouping| levels(model, grouping, blind));
-    Ok(Checked::Reduced { data: DataRecord::of(reductions, files), phases, levels, notes, at_start_of })
+    Ok(CheckFindings::Reduced { data: DataRecord::of(reductions, files), phases, levels, notes, at_start_of })
 }
 
 /// The levels, the outermost first. `blind` gives what is not identified of each, the innermost first.

@@ -7,14 +7,14 @@ use kalfit_data::exchange::{EstimatesWriter, ExchangeEntry};
 
 use crate::exchange::{self, ExchangeMaker, ExchangeRefusal, ExchangeSetting, ExchangeSink};
 use crate::failure::Failure;
-use crate::job::{ExchangeJob, Exchanged, JobDone};
+use crate::job::{ExchangeJob, ExchangedTable, JobDone};
 use crate::work::JobWatch;
 
 /// Runs the `[filter]` of each phase and writes its estimates with the errors they make.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn estimates(job: &ExchangeJob, watch: &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure> {
+pub fn estimates(job: &ExchangeJob, watch: &mut dyn JobWatch) -> Result<JobDone<ExchangedTable>, Failure> {
     exchange::run::<EstimateMaker>(job, watch)
 }
 

@@ -9,8 +9,8 @@ use kalfit::record::Provenance;
 use kalfit::reduce::SplitError;
 use kalfit::{Evidence, Labels, PhasedModel, PhasedTest, Reductions, Test};
 use kalfit_data::exchange::{
-    Assembly, ExchangeEntry, ExchangeError, ExchangeFile, Metadata, ParameterValue, SortedInputs, difference, merge,
-    read_estimates, read_reductions, sort, twice,
+    ExchangeEntry, ExchangeError, ExchangeFile, ExchangeMetadata, ParameterValue, SortedInputs, TestAssembly,
+    difference, merge, read_estimates, read_reductions, sort, twice,
 };
 use kalfit_data::{DataError, DataReading, Datum, Input, TestSink};
 use kalfit_spec::Spec;
@@ -144,7 +144,7 @@ impl CommandInputs {
         let digest = spec.reduction_digest();
         let own = ParameterValue::known(spec.model.shared());
         let mut held: Vec<ParameterValue> = Vec::new();
-        let mut seen: Vec<(&str, Metadata)> = Vec::new();
+        let mut seen: Vec<(&str, ExchangeMetadata)> = Vec::new();
         for (source, is_reduction) in
             self.reductions.iter().map(|source| (source, true)).chain(self.estimates.iter().map(|s| (s, false)))
         {
@@ -203,11 +203,11 @@ impl CommandInputs {
         spec: &Spec,
         model: &'a PhasedModel,
         work: &mut JobWork<'_>,
-    ) -> Result<(Assembly<'a>, DataReading), Failure> {
+    ) -> Result<(TestAssembly<'a>, DataReading), Failure> {
         let refused = |error: DataError| Failure::data(error, spec);
         let (rows, mut reading) = self.rows(spec, model, work)?;
         reading.files = self.files.clone();
-        let mut assembly = Assembly::new(model, &self.files);
+        let mut assembly = TestAssembly::new(model, &self.files);
         rows.into_iter().try_for_each(|entry| assembly.add(entry)).map_err(refused)?;
         let mut done = 0;
         let mut add = |entry: ExchangeEntry| {

@@ -10,14 +10,14 @@ use kalfit::dynamic::DynamicError;
 use kalfit::model::ParameterError;
 use kalfit::reduce::{GroupingError, ReduceError, SplitError};
 use kalfit::{Alpha, Labels, PhasedModel, Source, Test};
-use kalfit_data::exchange::{ExchangeEntry, Metadata, ParameterValue};
+use kalfit_data::exchange::{ExchangeEntry, ExchangeMetadata, ParameterValue};
 use kalfit_data::{DataReading, ReadError, TestSink, WriteError};
 use kalfit_spec::Spec;
 
 use crate::document::Document;
 use crate::evidence::{CommandInputs, entries};
 use crate::failure::Failure;
-use crate::job::{ExchangeJob, Exchanged, JobDone, files};
+use crate::job::{ExchangeJob, ExchangedTable, JobDone, files};
 use crate::output::{OutputTarget, PendingFile};
 use crate::truth::error::TruthError;
 use crate::work::{JobWatch, JobWork};
@@ -62,11 +62,11 @@ pub(crate) type ExchangeSink = BufWriter<File>;
 pub(crate) struct ExchangeSetting {
     pub(crate) spec: Spec,
     pub(crate) alpha: Alpha,
-    metadata: Metadata,
+    metadata: ExchangeMetadata,
 }
 
 impl ExchangeSetting {
-    pub(crate) fn metadata(&self) -> &Metadata {
+    pub(crate) fn metadata(&self) -> &ExchangeMetadata {
         &self.metadata
     }
 }
@@ -94,7 +94,7 @@ pub(crate) enum ExchangeRefusal {
 pub(crate) fn run<M: ExchangeMaker>(
     job: &ExchangeJob,
     watch: &mut dyn JobWatch,
-) -> Result<JobDone<Exchanged>, Failure> {
+) -> Result<JobDone<ExchangedTable>, Failure> {
     let mut spec = model::read(&job.model.document)?;
     let path = job.out.as_ref().map_or_else(|| M::ROW.to_owned() + "s", |path| path.display().to_string());
     M::refuse(&spec.model).map_err(|error| Failure::Write { error: Box::new(error), path })?;
@@ -131,13 +131,13 @@ pub(crate) fn run<M: ExchangeMaker>(
     filing.work.go_on()?;
     let (tests, rows) = (filing.tests.len(), filing.rows);
     filing.close()?;
-    let record = Exchanged { rows, row: M::ROW, tests, table: pending.finish()? };
+    let record = ExchangedTable { rows, row: M::ROW, tests, table: pending.finish()? };
     Ok(JobDone::new(record, notes, output.name().into_iter().collect()))
 }
 
-fn metadata(spec: &Spec, alpha: &Alpha, given: &CommandInputs, of_estimates: bool) -> Metadata {
+fn metadata(spec: &Spec, alpha: &Alpha, given: &CommandInputs, of_estimates: bool) -> ExchangeMetadata {
     let model = spec.model.shared();
-    Metadata {
+    ExchangeMetadata {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         title: model.title.clone(),
         model_digest: spec.digest.clone(),

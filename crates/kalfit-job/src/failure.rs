@@ -182,7 +182,7 @@ pub enum Failure {
     StepBesideData,
     /// A file whose ending does not say what is to be in it.
     #[error("what `{path}` is to hold is not said")]
-    NoForm {
+    NoExportFormat {
         /// The file.
         path: String,
     },
@@ -427,7 +427,7 @@ impl Failure {
             Failure::Export(error) => error.hint(),
             Failure::NoColumnValue { .. } => Some("write `--at temperature=20`".to_owned()),
             Failure::StepBesideData => Some("leave one of them out".to_owned()),
-            Failure::NoForm { .. } => Some(
+            Failure::NoExportFormat { .. } => Some(
                 "say it by `--as json`, `npz`, `mat`, `c` or `python`, or by an ending: `.json`, `.npz`, `.mat`, `.h`, `.py`"
                     .to_owned(),
             ),

@@ -14,7 +14,7 @@ use kalfit_report::PlotKind;
 use serde::Serialize;
 
 use crate::document::Document;
-use crate::export::form::ExportFormat;
+use crate::export::format::ExportFormat;
 use crate::failure::Failure;
 use crate::output::OutputFile;
 
@@ -177,9 +177,9 @@ pub struct ApplyJob {
     /// Where all parameters come from: results of a fit, or a model.
     pub from: Document,
     /// Where a table of the tests goes.
-    pub tests: TableTo,
+    pub tests: TableDestination,
     /// Where a table of the states at every step goes.
-    pub states: TableTo,
+    pub states: TableDestination,
     /// What is known of the states when they are told.
     pub kind: StateKind,
 }
@@ -192,7 +192,7 @@ pub struct ValidateJob {
     /// The tests.
     pub data: Vec<Datum>,
     /// Which tests are left out together.
-    pub folds: FoldsOf,
+    pub folds: FoldChoice,
     /// Another model.
     pub against: Option<Document>,
     /// Of the fits.
@@ -203,7 +203,7 @@ pub struct ValidateJob {
 
 /// Which tests are left out together.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum FoldsOf {
+pub enum FoldChoice {
     /// About equally many, drawn.
     Drawn {
         /// Number of folds.
@@ -233,7 +233,7 @@ pub struct PredictJob {
     /// The data of the fit, where limits of means are to be by profile likelihood.
     pub profile: Vec<Datum>,
     /// Where the table goes.
-    pub out: TableTo,
+    pub out: TableDestination,
 }
 
 /// How free parameters are sought.
@@ -266,7 +266,7 @@ pub struct PredictedModel {
 
 /// Where a table goes.
 #[derive(Debug, Clone, Default)]
-pub enum TableTo {
+pub enum TableDestination {
     /// It is not made.
     #[default]
     Nowhere,
@@ -276,9 +276,9 @@ pub enum TableTo {
     File(PathBuf),
 }
 
-impl From<Option<PathBuf>> for TableTo {
-    fn from(path: Option<PathBuf>) -> TableTo {
-        path.map_or(TableTo::Nowhere, TableTo::File)
+impl From<Option<PathBuf>> for TableDestination {
+    fn from(path: Option<PathBuf>) -> TableDestination {
+        path.map_or(TableDestination::Nowhere, TableDestination::File)
     }
 }
 
@@ -307,7 +307,7 @@ pub struct ExportJob {
     /// Columns with the value that they have on all rows, each as `column=value`.
     pub at: Vec<String>,
     /// What kind of file; as the ending of `out` says when none.
-    pub form: Option<ExportFormat>,
+    pub format: Option<ExportFormat>,
     /// The file.
     pub out: Option<PathBuf>,
 }
@@ -398,7 +398,7 @@ impl<R: Serialize> JobDone<R> {
 
 /// A table that was made.
 #[derive(Debug)]
-pub struct Exchanged {
+pub struct ExchangedTable {
     /// Number of its rows.
     pub rows: usize,
     /// What a row is, in words.
@@ -411,7 +411,7 @@ pub struct Exchanged {
 
 /// An ensemble that was drawn.
 #[derive(Debug)]
-pub struct Simulated {
+pub struct SimulatedEnsemble {
     /// Number of tests.
     pub tests: u64,
     /// Number of rows.

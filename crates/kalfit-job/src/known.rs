@@ -21,7 +21,7 @@ pub(crate) fn test(
     provenance: RatioProvenance,
     work: &mut JobWork<'_>,
 ) -> Result<RatioRecord, Failure> {
-    let bench = KnownCovarianceTest { job, model: &spec.model, null: &hypothesis.model, alpha, reductions, grouping };
+    let bench = KnownParameterTest { job, model: &spec.model, null: &hypothesis.model, alpha, reductions, grouping };
     let wide = estimate::fit(reductions, &Structure::of(&spec.model, alpha, grouping), &job.settings, work)
         .map_err(Failure::Fit)?;
     let null = bench.fit(&hypothesis.model, work)?;
@@ -51,7 +51,7 @@ pub(crate) fn drawing(work: &mut JobWork<'_>, done: usize, asked: Bootstrap) -> 
 }
 
 /// What all fits of a test share.
-struct KnownCovarianceTest<'a> {
+struct KnownParameterTest<'a> {
     job: &'a TestJob,
     model: &'a PhasedModel,
     null: &'a PhasedModel,
@@ -60,7 +60,7 @@ struct KnownCovarianceTest<'a> {
     grouping: Option<&'a Arc<Grouping>>,
 }
 
-impl KnownCovarianceTest<'_> {
+impl KnownParameterTest<'_> {
     fn fit(&self, model: &PhasedModel, progress: &mut dyn Progress) -> Result<Estimate, Failure> {
         let of = |model| Structure::of(model, self.alpha, self.grouping);
         let (within, structure) = (of(self.model), of(model));

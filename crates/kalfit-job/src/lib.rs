@@ -1,7 +1,7 @@
 //! Jobs: a model and data in, a record out, without a terminal.
 //!
 //! Each command of `kalfit` and each function of the Python package is one job: a struct that says what is wanted
-//! ([`FitJob`] and its sisters), one function that does it ([`fit`] …), and a record that anybody can show. A [`Watch`] hears how
+//! ([`FitJob`] and its sisters), one function that does it ([`fit`] …), and a record that anybody can show. A [`JobWatch`] hears how
 //! it goes, and may ask it to stop. Whatever is wrong with the input is a [`Failure`], which [`render`] puts into words.
 //!
 //! ```
@@ -75,9 +75,9 @@ pub use failure::{Failure, SourcePlace, SourceText, UnknownUnit};
 pub use fit::fit;
 pub use instructions::{INSTRUCTIONS, fix_instructions};
 pub use job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, Exchanged, ExportJob, FitJob, FitTables,
-    FoldsOf, JobDone, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob, PredictedModel, PredictedUnits, ReportJob,
-    SimulateJob, Simulated, TableTo, TestJob, ValidateJob,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable, ExportJob, FitJob,
+    FitTables, FoldChoice, JobDone, MethodChoice, ModelJob, PlanJob, PlotJob, PredictJob, PredictedModel,
+    PredictedUnits, ReportJob, SimulateJob, SimulatedEnsemble, TableDestination, TestJob, ValidateJob,
 };
 pub use memory::is_there as memory_is_there;
 pub use model::read as read_model;
@@ -89,10 +89,10 @@ pub use reduce::reduce;
 pub use report::report;
 pub use results::ResultError;
 pub use simulate::simulate;
-pub use tables::{FitTable, fit_table};
+pub use tables::{FitTableKind, fit_table};
 pub use test::test;
 pub use truth::error::TruthError;
 pub use truth::fit_record;
 pub use validate::validate;
-pub use work::{JobWatch, Share, Unwatched};
+pub use work::{JobWatch, ProgressShare, Unwatched};
 pub use write::{save, save_text};

@@ -200,7 +200,7 @@ impl OutputFile {
         OutputFile::prepare_for(("--out", FileContents::Json), path, inputs)
     }
 
-    /// As [`Output::prepare`], for these contents under this option: a name that says otherwise is refused.
+    /// As [`OutputFile::prepare`], for these contents under this option: a name that says otherwise is refused.
     pub(crate) fn prepare_for(
         (option, contents): (&'static str, FileContents),
         path: Option<&Path>,
@@ -369,7 +369,7 @@ pub(crate) enum OutputTarget {
 }
 
 impl OutputTarget {
-    /// As [`Output::prepare`], where there is a name.
+    /// As [`OutputFile::prepare`], where there is a name.
     pub(crate) fn prepare(path: Option<&Path>, inputs: &[&Path]) -> Result<OutputTarget, OutputError> {
         path.map_or(Ok(OutputTarget::Nameless), |path| Ok(OutputTarget::Named(OutputFile::prepare(path, inputs)?)))
     }

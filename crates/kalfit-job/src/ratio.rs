@@ -52,7 +52,7 @@ pub(crate) fn test(
         return known::test(job, (spec, hypothesis), (&alpha, &reductions, grouping.as_ref()), provenance, work);
     }
     let settings = Settings { method: Method::Hybrid, inner: job.settings.clone(), starts: 0, seed: 1 };
-    let bench = RatioTest { wide: &wide, null, tests: &tests, reading: &reading, settings };
+    let bench = FreeParameterTest { wide: &wide, null, tests: &tests, reading: &reading, settings };
     let narrow = bench.fit(null, work)?;
     let full = bench.at_least(bench.fit(&wide, work)?, &narrow, work)?;
     let ratio = bench.ratio((null, &narrow), &full)?;
@@ -91,7 +91,7 @@ fn parts_of<'a>(
 }
 
 /// What all fits of a test share.
-struct RatioTest<'a> {
+struct FreeParameterTest<'a> {
     wide: &'a PhasedModel,
     null: &'a PhasedModel,
     tests: &'a [PhasedTest],
@@ -99,7 +99,7 @@ struct RatioTest<'a> {
     settings: Settings,
 }
 
-impl RatioTest<'_> {
+impl FreeParameterTest<'_> {
     fn fit_with(
         &self,
         model: &PhasedModel,

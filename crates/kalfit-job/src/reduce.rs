@@ -7,14 +7,14 @@ use kalfit_data::exchange::{ExchangeEntry, ReductionWriter};
 
 use crate::exchange::{self, ExchangeMaker, ExchangeRefusal, ExchangeSetting, ExchangeSink};
 use crate::failure::Failure;
-use crate::job::{ExchangeJob, Exchanged, JobDone};
+use crate::job::{ExchangeJob, ExchangedTable, JobDone};
 use crate::work::JobWatch;
 
 /// Runs the filters once, at known parameters, and writes what they make of the data: all that a fit needs.
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn reduce(job: &ExchangeJob, watch: &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure> {
+pub fn reduce(job: &ExchangeJob, watch: &mut dyn JobWatch) -> Result<JobDone<ExchangedTable>, Failure> {
     exchange::run::<ReductionMaker>(job, watch)
 }
 

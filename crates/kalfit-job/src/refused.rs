@@ -25,7 +25,7 @@ impl SinkRefusal {
         if work.is_stopped() { Err(SinkRefusal::Interrupted) } else { Ok(()) }
     }
 
-    /// As [`Refused::unless_stopped`], saying how far the reading is.
+    /// As [`SinkRefusal::unless_stopped`], saying how far the reading is.
     pub(crate) fn unless_stopped_at(work: &mut JobWork<'_>, done: u64, of: Option<u64>) -> Result<(), SinkRefusal> {
         of.into_iter().for_each(|of| work.share("reading", done, of));
         SinkRefusal::unless_stopped(work)

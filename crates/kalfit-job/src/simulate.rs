@@ -11,7 +11,7 @@ use kalfit_spec::Spec;
 
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{JobDone, SimulateJob, Simulated, files};
+use crate::job::{JobDone, SimulateJob, SimulatedEnsemble, files};
 use crate::output::{OutputFile, OutputTarget, PendingFile};
 use crate::work::{JobWatch, JobWork};
 use crate::{tests, truth};
@@ -24,7 +24,7 @@ const BATCH_ROWS: u64 = 200_000;
 ///
 /// # Errors
 /// Bad input, or [`Failure::Interrupted`].
-pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<Simulated>, Failure> {
+pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<SimulatedEnsemble>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
     let format = match &job.out {
@@ -51,7 +51,7 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<S
     let added = added_id_column(spec.model.shared(), &spec.layout, ids);
     let states = states.map(|states| states.name());
     let state_names = spec.model.estimated_names();
-    let record = Simulated { tests: count, rows, states, added, table, initial, state_names };
+    let record = SimulatedEnsemble { tests: count, rows, states, added, table, initial, state_names };
     Ok(JobDone::new(record, truth.warnings, output.name().into_iter().collect()))
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use kalfit_data::{CellKind, TableFormat, TableWriter, WriteError};
 
 use crate::failure::Failure;
-use crate::job::TableTo;
+use crate::job::TableDestination;
 use crate::output::{OutputTarget, PendingFile};
 
 /// A table that will be written.
@@ -19,11 +19,11 @@ pub(crate) struct OutputTable {
 pub(crate) type OutputTableWriter<'a> = TableWriter<BufWriter<&'a File>>;
 
 impl OutputTable {
-    pub(crate) fn prepare(to: &TableTo, used: &[&Path]) -> Result<Option<OutputTable>, Failure> {
+    pub(crate) fn prepare(to: &TableDestination, used: &[&Path]) -> Result<Option<OutputTable>, Failure> {
         let (path, format) = match to {
-            TableTo::Nowhere => return Ok(None),
-            TableTo::Back => (None, TableFormat::Arrow),
-            TableTo::File(path) => {
+            TableDestination::Nowhere => return Ok(None),
+            TableDestination::Back => (None, TableFormat::Arrow),
+            TableDestination::File(path) => {
                 let format = TableFormat::of(path).map_err(|error| failed(error, path.display().to_string()))?;
                 (Some(path.as_path()), format)
             }

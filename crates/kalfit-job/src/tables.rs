@@ -7,13 +7,13 @@ use kalfit::record::{ConstraintRecord, PosteriorRecord, QuantityRecord, TestReco
 use kalfit_data::{CellKind, TableCell};
 
 use crate::failure::Failure;
-use crate::job::TableTo;
+use crate::job::TableDestination;
 use crate::output::PendingFile;
 use crate::table::OutputTable;
 
 /// Which table of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FitTable {
+pub enum FitTableKind {
     /// What each test says: a row for each of its phases.
     Tests,
     /// Means, spreads, correlations and dynamic parameters, a row for each number.
@@ -26,12 +26,12 @@ pub enum FitTable {
 ///
 /// # Errors
 /// The temporary file cannot be written.
-pub fn fit_table(record: &FitRecord, which: FitTable) -> Result<File, Failure> {
-    let table = OutputTable::prepare(&TableTo::Back, &[])?.expect("it is handed back");
+pub fn fit_table(record: &FitRecord, which: FitTableKind) -> Result<File, Failure> {
+    let table = OutputTable::prepare(&TableDestination::Back, &[])?.expect("it is handed back");
     let pending = match which {
-        FitTable::Tests => tests(&table, record)?,
-        FitTable::Parameters => parameters(&table, record)?,
-        FitTable::Constraints => constraints(&table, record)?,
+        FitTableKind::Tests => tests(&table, record)?,
+        FitTableKind::Parameters => parameters(&table, record)?,
+        FitTableKind::Constraints => constraints(&table, record)?,
     };
     Ok(pending.finish()?.expect("it has no name"))
 }

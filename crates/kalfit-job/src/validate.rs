@@ -10,7 +10,7 @@ use kalfit_spec::Spec;
 use crate::document::Document;
 use crate::evidence::CommandInputs;
 use crate::failure::Failure;
-use crate::job::{FoldsOf, JobDone, ModelJob, ValidateJob, files};
+use crate::job::{FoldChoice, JobDone, ModelJob, ValidateJob, files};
 use crate::output::OutputFile;
 use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, groups, memory, model, refused, tests};
@@ -34,8 +34,8 @@ pub fn validate(job: &ValidateJob, watch: &mut dyn JobWatch) -> Result<JobDone<V
     let folds = first.folds(job)?;
     let found = first.validated(&folds, job, &mut work)?;
     let (by, seed) = match &job.folds {
-        FoldsOf::Drawn { seed, .. } => (None, Some(*seed)),
-        FoldsOf::Column(column) => (Some(column.clone()), None),
+        FoldChoice::Drawn { seed, .. } => (None, Some(*seed)),
+        FoldChoice::Column(column) => (Some(column.clone()), None),
     };
     let provenance =
         ValidateProvenance { model_digest: Some(first.spec.digest.clone()), files: first.given.names(), by, seed };
@@ -63,7 +63,7 @@ impl OpenedModel {
     fn new(job: &ValidateJob, model: &ModelJob) -> Result<OpenedModel, Failure> {
         let mut spec = model::load(model, &job.data)?;
         memory::suffices(&spec)?;
-        if let FoldsOf::Column(column) = &job.folds {
+        if let FoldChoice::Column(column) = &job.folds {
             read_too(&mut spec, column);
         }
         let given = CommandInputs::open(&mut spec, &job.data)?;
@@ -100,8 +100,8 @@ impl ModelTests {
     fn folds(&self, job: &ValidateJob) -> Result<Folds, Failure> {
         let (model, labels, tests) = (&self.spec.model, self.ensemble.labels(), self.ensemble.tests());
         let found = match &job.folds {
-            FoldsOf::Drawn { count, seed } => Folds::drawn(model, labels, tests, (*count, *seed)),
-            FoldsOf::Column(_) => {
+            FoldChoice::Drawn { count, seed } => Folds::drawn(model, labels, tests, (*count, *seed)),
+            FoldChoice::Column(_) => {
                 let texts = groups::of(model, tests, labels)?.unwrap_or_default();
                 Folds::by_text(model, labels, tests, &texts)
             }

@@ -6,7 +6,7 @@ use kalfit::estimate::{Combination, Criterion, Solver};
 use kalfit::infer::{DeletionChoice, IntervalKind, StdErrors};
 use kalfit_report::PlotKind;
 
-use crate::export::form::ExportFormat;
+use crate::export::format::ExportFormat;
 use crate::job::{MethodChoice, PredictedUnits};
 
 /// One of the words of an option. Of each option the first is what is done unasked.
@@ -115,7 +115,7 @@ pub const UNITS: &[OptionWord<PredictedUnits>] = &[
 ];
 
 /// What kind of file a filter is written to.
-pub const FORMS: &[OptionWord<ExportFormat>] = &[
+pub const EXPORT_FORMATS: &[OptionWord<ExportFormat>] = &[
     word("json", ExportFormat::Json, "Text for any program"),
     word("npz", ExportFormat::Npz, "Arrays of numpy"),
     word("mat", ExportFormat::Mat, "Variables of Matlab and Octave"),

@@ -8,8 +8,8 @@ use crate::failure::Failure;
 
 /// How far something has come whose end is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Share {
-    /// What is being done: the words of [`Watch::say`] begin with it.
+pub struct ProgressShare {
+    /// What is being done: the words of [`JobWatch::say`] begin with it.
     pub what: &'static str,
     /// So much of it is done.
     pub done: u64,
@@ -23,7 +23,7 @@ pub trait JobWatch {
     fn say(&mut self, what: &dyn Fn() -> String);
 
     /// Hears how far it is, where the end is known.
-    fn share(&mut self, _: Share) {}
+    fn share(&mut self, _: ProgressShare) {}
 
     /// True once the job is to end as soon as it can. A search for a fit ends where it is, with a result that says so; whatever
     /// else is under way ends with [`Failure::Interrupted`].
@@ -65,7 +65,7 @@ impl<'a> JobWork<'a> {
 
     /// Says how far it is.
     pub(crate) fn share(&mut self, what: &'static str, done: u64, of: u64) {
-        self.watch.share(Share { what, done, of });
+        self.watch.share(ProgressShare { what, done, of });
     }
 
     /// True when nobody waits any longer.

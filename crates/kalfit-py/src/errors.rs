@@ -37,7 +37,7 @@ pub(crate) fn exception(failure: &Failure) -> PyErr {
         Failure::Output(_)
         | Failure::Write { .. }
         | Failure::NotParquet { .. }
-        | Failure::NoForm { .. }
+        | Failure::NoExportFormat { .. }
         | Failure::StepBesideData
         | Failure::NoRoom { .. }
         | Failure::Threads { .. } => Error::new_err(text),

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use kalfit::FitRecord;
-use kalfit_job::FitTable;
-use kalfit_report::{Style, summary};
+use kalfit_job::FitTableKind;
+use kalfit_report::{TextStyle, summary};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -66,9 +66,9 @@ impl Results {
     /// A table as the command writes it: `tests`, `parameters` or `constraints`.
     fn table(&self, py: Python<'_>, which: &str) -> PyResult<PyTable> {
         let which = match which {
-            "tests" => FitTable::Tests,
-            "parameters" => FitTable::Parameters,
-            "constraints" => FitTable::Constraints,
+            "tests" => FitTableKind::Tests,
+            "parameters" => FitTableKind::Parameters,
+            "constraints" => FitTableKind::Constraints,
             _ => return Err(PyValueError::new_err(format!("there is no table `{which}`"))),
         };
         let file = py.detach(|| kalfit_job::fit_table(&self.record(), which)).map_err(|failure| exception(&failure))?;
@@ -82,7 +82,7 @@ impl Results {
 
     /// In words, as the command prints it.
     fn summary(&self, py: Python<'_>, width: usize, color: bool) -> String {
-        py.detach(|| summary(&self.record(), &Style { width, color }))
+        py.detach(|| summary(&self.record(), &TextStyle { width, color }))
     }
 
     /// Writes fit.json, whole or not at all.

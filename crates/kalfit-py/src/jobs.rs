@@ -9,11 +9,11 @@ use kalfit::infer::Bootstrap;
 use kalfit::predict::{Limits, Sides};
 use kalfit_job::words;
 use kalfit_job::{
-    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, Exchanged, ExportJob, Failure, FitJob,
-    FoldsOf, JobDone, JobWatch, PlanJob, PredictJob, PredictedModel, SimulateJob, Simulated, TableTo, TestJob,
-    ValidateJob,
+    AppliedModel, ApplyJob, CheckJob, CompareJob, DatasheetJob, ExchangeJob, ExchangedTable, ExportJob, Failure,
+    FitJob, FoldChoice, JobDone, JobWatch, PlanJob, PredictJob, PredictedModel, SimulateJob, SimulatedEnsemble,
+    TableDestination, TestJob, ValidateJob,
 };
-use kalfit_report::{Style, check_summary};
+use kalfit_report::{TextStyle, check_summary};
 use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -53,7 +53,7 @@ pub(crate) fn check(
 ) -> PyResult<(String, String, Vec<String>)> {
     let job = CheckJob { model: model.into(), data: data(given)?, out: None };
     let done = whole(run(py, how, move |watch| kalfit_job::check(&job, watch))?)?;
-    let summary = check_summary(&done.record, &Style::default());
+    let summary = check_summary(&done.record, &TextStyle::default());
     Ok((written(&done.record)?, summary, done.notes))
 }
 
@@ -116,13 +116,13 @@ pub(crate) fn apply(
     how: RunOptions<'_>,
 ) -> PyResult<AppliedTuple> {
     let kind = states.map(|kind| pick("states", kind, words::KINDS)).transpose()?;
-    let to = |file: Option<PathBuf>| file.map_or(TableTo::Back, TableTo::File);
+    let to = |file: Option<PathBuf>| file.map_or(TableDestination::Back, TableDestination::File);
     let job = ApplyJob {
         model: model.into(),
         data: data(given)?,
         from: from.into(),
         tests: to(files.0),
-        states: kind.map_or(TableTo::Nowhere, |_| to(files.1)),
+        states: kind.map_or(TableDestination::Nowhere, |_| to(files.1)),
         kind: kind.unwrap_or(StateKind::Smoothed),
     };
     let done = whole(run(py, how, move |watch| kalfit_job::apply(&job, watch))?)?;
@@ -150,7 +150,7 @@ pub(crate) fn validate(
     let job = ValidateJob {
         model: model.into(),
         data: data(given)?,
-        folds: by.map_or(FoldsOf::Drawn { count, seed }, FoldsOf::Column),
+        folds: by.map_or(FoldChoice::Drawn { count, seed }, FoldChoice::Column),
         against: against.map(Into::into),
         criterion: pick("criterion", &criterion, words::CRITERIA)?,
         out,
@@ -184,7 +184,7 @@ pub(crate) fn predict(
         limits: Limits { confidence, content, sides },
         units: pick("units", &units, words::UNITS)?,
         profile: data(profile)?,
-        out: out.map_or(TableTo::Back, TableTo::File),
+        out: out.map_or(TableDestination::Back, TableDestination::File),
     };
     let done = whole(run(py, how, move |watch| kalfit_job::predict(&job, watch))?)?;
     let PredictedModel { record, table } = done.record;
@@ -200,12 +200,12 @@ pub(crate) fn export(
     model: ModelOptions,
     from: NamedText,
     wanted: ExportOptions,
-    form: Option<&str>,
+    format: Option<&str>,
     out: Option<PathBuf>,
 ) -> PyResult<(String, Vec<String>)> {
-    let form = form.map(|form| pick("format", form, words::FORMS)).transpose()?;
+    let format = format.map(|format| pick("format", format, words::EXPORT_FORMATS)).transpose()?;
     let (step, at, phase) = wanted;
-    let job = ExportJob { model: model.into(), from: from.into(), phase, step, at, form, out };
+    let job = ExportJob { model: model.into(), from: from.into(), phase, step, at, format, out };
     let done = kalfit_job::export(&job).map_err(|failure| exception(&failure))?;
     Ok((written(&done.record)?, done.notes))
 }
@@ -254,7 +254,7 @@ pub(crate) fn simulate(
     let ((tests, seed), (out, states)) = (draw, files);
     let job = SimulateJob { model, from, design, tests, seed, out, states };
     let done = whole(run(py, how, move |watch| kalfit_job::simulate(&job, watch))?)?;
-    let Simulated { tests, rows, added, table, initial, state_names, .. } = done.record;
+    let SimulatedEnsemble { tests, rows, added, table, initial, state_names, .. } = done.record;
     let states = table.is_some().then(|| PyTable::of_rows(&state_names, &initial)).transpose()?;
     Ok((table.map(PyTable::ipc).transpose()?, tests, rows, states, added, done.notes))
 }
@@ -263,7 +263,7 @@ pub(crate) fn simulate(
 type ExchangedTuple = (Option<PyTable>, usize, usize, Vec<String>);
 
 /// A job that makes an exchange file.
-type ExchangeFunction = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<Exchanged>, Failure>;
+type ExchangeFunction = fn(&ExchangeJob, &mut dyn JobWatch) -> Result<JobDone<ExchangedTable>, Failure>;
 
 /// Runs filters once and makes a table of what they leave: `reductions`, or `estimates` of the model's filters as they are.
 #[pyfunction]
@@ -283,7 +283,7 @@ pub(crate) fn exchange(
     };
     let job = ExchangeJob { model: model.into(), data: data(given)?, at: at.map(Into::into), out };
     let done = whole(run(py, how, move |watch| make(&job, watch))?)?;
-    let Exchanged { rows, tests, table, .. } = done.record;
+    let ExchangedTable { rows, tests, table, .. } = done.record;
     Ok((table.map(PyTable::parquet).transpose()?, rows, tests, done.notes))
 }
 

@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use kalfit_job::{Failure, JobWatch, Share};
+use kalfit_job::{Failure, JobWatch, ProgressShare};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
 
@@ -58,7 +58,7 @@ impl<R> JobWatch for MessageSender<R> {
         self.tell(what, None);
     }
 
-    fn share(&mut self, Share { what, done, of }: Share) {
+    fn share(&mut self, ProgressShare { what, done, of }: ProgressShare) {
         self.tell(&|| what.to_owned(), Some((done, of)).filter(|_| of > 0));
     }
 

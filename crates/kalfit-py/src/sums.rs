@@ -1,6 +1,6 @@
 //! Fits by sums: what tests say in one place, and what is asked next.
 
-use kalfit_job::sums::{self, Joined, SiteSums, Theta};
+use kalfit_job::sums::{self, JoinedSums, SiteSums, Theta};
 use kalfit_job::{Unwatched, words};
 use pyo3::prelude::*;
 
@@ -72,7 +72,7 @@ pub(crate) fn join(
     let model = model.into();
     let joined = run(py, how, move |watch| sums::of_partitions((&model, criterion), theta, &given, watch))?.result;
     Ok(match joined {
-        Joined::Asks(theta) => (Some((text(&*theta)?, text(&theta.bare())?)), None),
-        Joined::Ends(record) => (None, Some(Results::new(*record))),
+        JoinedSums::Asks(theta) => (Some((text(&*theta)?, text(&theta.bare())?)), None),
+        JoinedSums::Ends(record) => (None, Some(Results::new(*record))),
     })
 }

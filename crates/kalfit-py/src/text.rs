@@ -5,7 +5,7 @@ use kalfit::compare::ComparedRecord;
 use kalfit::record::{AppliedRecord, DatasheetRecord, ExportRecord, PlanRecord, PredictedRecord, RatioRecord};
 use kalfit::validate::ValidatedRecord;
 use kalfit_job::Document;
-use kalfit_report::Style;
+use kalfit_report::TextStyle;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use serde::de::DeserializeOwned;
@@ -48,49 +48,49 @@ pub(crate) fn describe(model: NamedText) -> PyResult<ModelDescription> {
 /// Summary of the JSON of a likelihood-ratio test.
 #[pyfunction]
 pub(crate) fn ratio_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::ratio_summary(&read::<RatioRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::ratio_summary(&read::<RatioRecord>(json)?, &TextStyle { width, color }))
 }
 
 /// Summary of the JSON of a fitted model that was applied.
 #[pyfunction]
 pub(crate) fn applied_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::applied_summary(&read::<AppliedRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::applied_summary(&read::<AppliedRecord>(json)?, &TextStyle { width, color }))
 }
 
 /// Summary of the JSON of fits side by side.
 #[pyfunction]
 pub(crate) fn compared_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::compared_summary(&read::<ComparedRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::compared_summary(&read::<ComparedRecord>(json)?, &TextStyle { width, color }))
 }
 
 /// Summary of the JSON of a datasheet.
 #[pyfunction]
 pub(crate) fn datasheet_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::datasheet_summary(&read::<DatasheetRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::datasheet_summary(&read::<DatasheetRecord>(json)?, &TextStyle { width, color }))
 }
 
 /// Summary of the JSON of a filter.
 #[pyfunction]
 pub(crate) fn exported_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::exported_summary(&read::<ExportRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::exported_summary(&read::<ExportRecord>(json)?, &TextStyle { width, color }))
 }
 
 /// Summary of the JSON of a plan.
 #[pyfunction]
 pub(crate) fn plan_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::plan_summary(&read::<PlanRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::plan_summary(&read::<PlanRecord>(json)?, &TextStyle { width, color }))
 }
 
 /// Summary of the JSON of predictions.
 #[pyfunction]
 pub(crate) fn predicted_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::predicted_summary(&read::<PredictedRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::predicted_summary(&read::<PredictedRecord>(json)?, &TextStyle { width, color }))
 }
 
 /// Summary of the JSON of a validation.
 #[pyfunction]
 pub(crate) fn validated_summary(json: &str, width: usize, color: bool) -> PyResult<String> {
-    Ok(kalfit_report::validated_summary(&read::<ValidatedRecord>(json)?, &Style { width, color }))
+    Ok(kalfit_report::validated_summary(&read::<ValidatedRecord>(json)?, &TextStyle { width, color }))
 }
 
 fn read<T: DeserializeOwned>(json: &str) -> PyResult<T> {

@@ -2,7 +2,7 @@
 
 use kalfit::record::{AppliedRecord, Basis, FarGroupRecord, FarRecord, JointRecord, LawRecord};
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::{p_value, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -14,7 +14,7 @@ const MOST: usize = 10;
 const DOUBTFUL: f64 = 0.01;
 
 /// What a fitted model says of tests, in words and tables. Every line fits `style.width` and ends with a line feed.
-pub fn applied_summary(record: &AppliedRecord, style: &Style) -> String {
+pub fn applied_summary(record: &AppliedRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {

@@ -4,7 +4,7 @@ use kalfit::record::{DataRecord, InformationRecord, ObservabilityRecord, Unident
 
 use serde::Serialize;
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::plain;
 use crate::page::PageLayout;
 use crate::summary::doubts;
@@ -33,7 +33,7 @@ pub struct CheckRecord {
     /// Dynamic parameters some values of which are free, counted in the data.
     pub parameters: Vec<ParameterCounts>,
     /// How far the check went.
-    pub checked: Checked,
+    pub checked: CheckFindings,
 }
 
 impl CheckRecord {
@@ -41,7 +41,12 @@ impl CheckRecord {
     pub const SCHEMA: &str = "kalfit-check/1";
 
     /// What this version found.
-    pub fn new(title: String, model: Vec<String>, parameters: Vec<ParameterCounts>, checked: Checked) -> CheckRecord {
+    pub fn new(
+        title: String,
+        model: Vec<String>,
+        parameters: Vec<ParameterCounts>,
+        checked: CheckFindings,
+    ) -> CheckRecord {
         let kalfit_version = env!("CARGO_PKG_VERSION").to_owned();
         CheckRecord { schema: CheckRecord::SCHEMA.to_owned(), kalfit_version, title, model, parameters, checked }
     }
@@ -69,7 +74,7 @@ pub struct ParameterCounts {
 /// How far a check went.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "lowercase")]
-pub enum Checked {
+pub enum CheckFindings {
     /// There were no data.
     Model,
     /// The filters ran over the data.
@@ -135,7 +140,7 @@ pub struct CheckedPhase {
 }
 
 /// The check in words. Every line fits `style.width` and ends with a line feed.
-pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
+pub fn check_summary(record: &CheckRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
@@ -144,10 +149,10 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
     let facts: Vec<String> = record.model.iter().map(|fact| clean(fact)).collect();
     sections.push(page.section("Model", &page.items(&facts)));
     match &record.checked {
-        Checked::Model => {
+        CheckFindings::Model => {
             sections.push(page.paragraph("The model is valid. Give data as well to see what they can identify."))
         }
-        Checked::Reduced { data, phases, .. } => sections.extend(reduced(record, (data, phases), &page)),
+        CheckFindings::Reduced { data, phases, .. } => sections.extend(reduced(record, (data, phases), &page)),
     }
     sections.retain(|section| !section.is_empty());
     sections.join("\n")
@@ -155,7 +160,7 @@ pub fn check_summary(record: &CheckRecord, style: &Style) -> String {
 
 /// Data, observability, identifiability.
 fn reduced(record: &CheckRecord, (data, phases): (&DataRecord, &[CheckedPhase]), page: &PageLayout<'_>) -> Vec<String> {
-    let Checked::Reduced { levels, notes, at_start_of, .. } = &record.checked else { return Vec::new() };
+    let CheckFindings::Reduced { levels, notes, at_start_of, .. } = &record.checked else { return Vec::new() };
     let facts = format!("{} {}", headline::data(data).trim_start_matches("Data: "), headline::designs(data));
     let counts: Vec<PhaseCounts> = phases.iter().map(|phase| phase.counts.clone()).collect();
     let mut sections = vec![

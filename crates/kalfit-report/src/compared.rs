@@ -2,7 +2,7 @@
 
 use kalfit::compare::{ComparedFit, ComparedRecord, ComparedValidation, NestedRecord, PValueKind, StandingRecord};
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::{hundredths, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -12,7 +12,7 @@ use crate::words::{capital, clean, count, sentence};
 const MOST: usize = 30;
 
 /// The comparison in words and tables. Every line fits `style.width` and ends with a line feed.
-pub fn compared_summary(record: &ComparedRecord, style: &Style) -> String {
+pub fn compared_summary(record: &ComparedRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let names: Vec<String> = record.fits.iter().map(|fit| clean(&fit.name)).collect();
     let (what, number) = match record.fits.len() {

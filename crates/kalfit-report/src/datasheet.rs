@@ -2,7 +2,7 @@
 
 use kalfit::record::{CurveRecord, DatasheetRecord, EntryRecord, Interval};
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::plain;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -11,7 +11,7 @@ use crate::words::{clean, sentence};
 const DIGITS: usize = 4;
 
 /// The numbers of a datasheet in words and tables. Every line fits `style.width` and ends with a line feed.
-pub fn datasheet_summary(record: &DatasheetRecord, style: &Style) -> String {
+pub fn datasheet_summary(record: &DatasheetRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {

@@ -2,14 +2,14 @@
 
 use kalfit::record::ExportRecord;
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::plain;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count, sentence};
 
 /// A filter in words and tables. Every line fits `style.width` and ends with a line feed.
-pub fn exported_summary(record: &ExportRecord, style: &Style) -> String {
+pub fn exported_summary(record: &ExportRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {

@@ -21,7 +21,7 @@ mod validated;
 mod words;
 
 pub use applied::applied_summary;
-pub use check::{CheckRecord, Checked, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
+pub use check::{CheckFindings, CheckRecord, CheckedLevel, CheckedPhase, ParameterCounts, PhaseCounts, check_summary};
 pub use compared::compared_summary;
 pub use datasheet::datasheet_summary;
 pub use exported::exported_summary;
@@ -35,21 +35,21 @@ pub use validated::validated_summary;
 
 /// How a text is laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Style {
+pub struct TextStyle {
     /// Characters a line may have; less than 60 is taken as 60.
     pub width: usize,
     /// Bold headings and a coloured headline, by ANSI escape sequences. Nothing is said by colour alone.
     pub color: bool,
 }
 
-impl Default for Style {
+impl Default for TextStyle {
     /// 80 characters, no colour.
-    fn default() -> Style {
-        Style { width: 80, color: false }
+    fn default() -> TextStyle {
+        TextStyle { width: 80, color: false }
     }
 }
 
-impl Style {
+impl TextStyle {
     fn columns(&self) -> usize {
         self.width.max(60)
     }

@@ -17,7 +17,7 @@ const SMALL: f64 = 1e-4;
 
 /// How to write a figure and all that stands beside it, so that their last digits agree.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Precision {
+pub(crate) enum FigurePrecision {
     /// This many digits after the point.
     Decimals(usize),
     /// With an exponent; the last digit stands for this power of ten.
@@ -26,19 +26,19 @@ pub(crate) enum Precision {
     Significant(usize),
 }
 
-impl Precision {
+impl FigurePrecision {
     /// Two digits of the standard error govern the digits of the estimate.
-    pub(crate) fn of(estimate: f64, std_error: Option<f64>) -> Precision {
+    pub(crate) fn of(estimate: f64, std_error: Option<f64>) -> FigurePrecision {
         let Some(error) = std_error.filter(|e| e.is_finite() && *e > 0.0) else {
-            return Precision::Significant(DIGITS);
+            return FigurePrecision::Significant(DIGITS);
         };
         let size = estimate.abs().max(error);
         let last = power(error, ERROR_DIGITS) + 1 - ERROR_DIGITS as i32;
         let last = if estimate == 0.0 { last } else { last.max(power(estimate, ERROR_DIGITS) + 1 - MOST_DIGITS) };
         if (SMALL..LARGE).contains(&size) {
-            Precision::Decimals(usize::try_from(-last).unwrap_or(0))
+            FigurePrecision::Decimals(usize::try_from(-last).unwrap_or(0))
         } else {
-            Precision::Exponent(last)
+            FigurePrecision::Exponent(last)
         }
     }
 
@@ -48,10 +48,10 @@ impl Precision {
             return UNKNOWN.to_owned();
         }
         match self {
-            Precision::Significant(digits) => plain(x, digits),
-            Precision::Decimals(decimals) => unsigned_zero(format!("{x:.decimals$}")),
-            Precision::Exponent(_) if x == 0.0 => "0".to_owned(),
-            Precision::Exponent(last) => {
+            FigurePrecision::Significant(digits) => plain(x, digits),
+            FigurePrecision::Decimals(decimals) => unsigned_zero(format!("{x:.decimals$}")),
+            FigurePrecision::Exponent(_) if x == 0.0 => "0".to_owned(),
+            FigurePrecision::Exponent(last) => {
                 let digits = usize::try_from(power(x, 1) - last).unwrap_or(0);
                 format!("{x:.digits$e}")
             }
@@ -71,7 +71,7 @@ impl Precision {
 
 /// A log-likelihood, AIC or BIC: differences of a hundredth are the smallest that matter.
 pub(crate) fn hundredths(x: f64) -> String {
-    if x.abs() >= 1e12 { plain(x, 12) } else { Precision::Decimals(2).show(x) }
+    if x.abs() >= 1e12 { plain(x, 12) } else { FigurePrecision::Decimals(2).show(x) }
 }
 
 /// A probability.
@@ -82,7 +82,7 @@ pub(crate) fn probability(p: f64) -> String {
         p if p < 1e-4 => format!("{p:.0e}"),
         p if p < 0.01 => plain(p, 1),
         p if p > 0.995 => "1".to_owned(),
-        p => Precision::Decimals(2).show(p),
+        p => FigurePrecision::Decimals(2).show(p),
     }
 }
 
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     fn both(estimate: f64, error: f64) -> String {
-        let precision = Precision::of(estimate, Some(error));
+        let precision = FigurePrecision::of(estimate, Some(error));
         format!("{} ± {}", precision.show(estimate), precision.show_error(error))
     }
 
@@ -160,7 +160,7 @@ mod tests {
             (-0.0, "0"),
         ] {
             assert_eq!(plain(x, DIGITS), expected, "{x}");
-            assert_eq!(Precision::of(x, None).show(x), expected, "{x} by precision");
+            assert_eq!(FigurePrecision::of(x, None).show(x), expected, "{x} by precision");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use maud::{PreEscaped, html};
 
-use crate::Style;
+use crate::TextStyle;
 use crate::table::{self, TextColumn};
 use crate::words::wrap;
 
@@ -11,7 +11,7 @@ const MOST_ROWS: usize = 200;
 
 /// What all sections of a text or a page are laid out with.
 pub(crate) struct PageLayout<'a> {
-    pub(crate) style: &'a Style,
+    pub(crate) style: &'a TextStyle,
     medium: PageMedium,
 }
 
@@ -22,13 +22,13 @@ enum PageMedium {
 }
 
 impl<'a> PageLayout<'a> {
-    pub(crate) fn new(style: &'a Style) -> PageLayout<'a> {
+    pub(crate) fn new(style: &'a TextStyle) -> PageLayout<'a> {
         PageLayout { style, medium: PageMedium::Text }
     }
 
     /// Sections are HTML, escaped.
     pub(crate) fn html() -> PageLayout<'static> {
-        const STYLE: &Style = &Style { width: 80, color: false };
+        const STYLE: &TextStyle = &TextStyle { width: 80, color: false };
         PageLayout { style: STYLE, medium: PageMedium::Html }
     }
 

@@ -2,8 +2,8 @@
 
 use kalfit::record::{ArrangementRecord, PlanRecord, PlannedRecord};
 
-use crate::Style;
-use crate::number::{Precision, plain};
+use crate::TextStyle;
+use crate::number::{FigurePrecision, plain};
 use crate::page::PageLayout;
 use crate::summary::headline;
 use crate::table::{ColumnSide, TextColumn, wide_table};
@@ -13,7 +13,7 @@ use crate::words::{clean, count, list};
 const MOST_NAMES: usize = 12;
 
 /// A plan in words and tables. Every line fits `style.width` and ends with a line feed.
-pub fn plan_summary(record: &PlanRecord, style: &Style) -> String {
+pub fn plan_summary(record: &PlanRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {
@@ -48,7 +48,7 @@ fn table(record: &PlanRecord, rows: &[&PlannedRecord], width: usize) -> String {
         return String::new();
     }
     let smallest = |q: &PlannedRecord| q.std_error.iter().flatten().copied().reduce(f64::min);
-    let value = |q: &PlannedRecord| q.value.map_or("-".to_owned(), |v| Precision::of(v, smallest(q)).show(v));
+    let value = |q: &PlannedRecord| q.value.map_or("-".to_owned(), |v| FigurePrecision::of(v, smallest(q)).show(v));
     // of a pair, the phase is said once
     let several = record.quantities.iter().any(|q| q.phase != record.quantities[0].phase);
     let name = |q: &PlannedRecord| {
@@ -97,7 +97,7 @@ fn explained(one: &ArrangementRecord) -> String {
 }
 
 fn two_digits(error: f64) -> String {
-    if error > 0.0 { Precision::of(error, Some(error)).show_error(error) } else { plain(error, 2) }
+    if error > 0.0 { FigurePrecision::of(error, Some(error)).show_error(error) } else { plain(error, 2) }
 }
 
 fn reason(quantity: &PlannedRecord) -> &'static str {

@@ -2,7 +2,7 @@
 
 use kalfit::record::{PairRecord, PredictedRecord, PredictedValueRecord};
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::plain;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn, wide_table};
@@ -14,7 +14,7 @@ const MOST: usize = 10;
 const DIGITS: usize = 4;
 
 /// Predictions in words and tables. Every line fits `style.width` and ends with a line feed.
-pub fn predicted_summary(record: &PredictedRecord, style: &Style) -> String {
+pub fn predicted_summary(record: &PredictedRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {

@@ -2,7 +2,7 @@
 
 use kalfit::record::{BootstrapRecord, ParameterRecord, RatioRecord, SideRecord};
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::{hundredths, p_value, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -12,7 +12,7 @@ use crate::words::{clean, count, sentence};
 const MOST_PARAMETERS: usize = 30;
 
 /// The test in words and tables: what is tested, what was found, how far it can be trusted. Every line fits `style.width`.
-pub fn ratio_summary(record: &RatioRecord, style: &Style) -> String {
+pub fn ratio_summary(record: &RatioRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = vec![headline(record, &page), fits(record, &page), laws(record, &page)];
     sections.push(parameters(record, &page));

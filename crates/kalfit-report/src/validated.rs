@@ -2,7 +2,7 @@
 
 use kalfit::validate::{AgainstRecord, PieceRecord, ValidatedRecord};
 
-use crate::Style;
+use crate::TextStyle;
 use crate::number::{p_value, plain};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
@@ -15,7 +15,7 @@ const MOST_FOLDS: usize = 30;
 const LEVEL: f64 = 0.05;
 
 /// How well a model predicts, in words and tables. Every line fits `style.width` and ends with a line feed.
-pub fn validated_summary(record: &ValidatedRecord, style: &Style) -> String {
+pub fn validated_summary(record: &ValidatedRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = Vec::new();
     if !record.title.trim().is_empty() {

@@ -6,7 +6,7 @@ use kalfit::model::{Initial, State};
 
 use crate::error::{Result, Span, SpecError, SpecProblem, StructureProblem};
 use crate::names::NameIndex;
-use crate::semidefinite::Defect;
+use crate::semidefinite::CovarianceDefect;
 use crate::states::start_words;
 use crate::suggest::suggest;
 use crate::table::TomlField;
@@ -159,10 +159,10 @@ pub(crate) fn pair_of<'t>(text: &'t str, span: &Span, place: &str) -> Result<(&'
 }
 
 /// The error of a matrix that is no covariance.
-pub(crate) fn to_problem(defect: &Defect, place: &str, name: &dyn Fn(usize) -> String) -> SpecError {
+pub(crate) fn to_problem(defect: &CovarianceDefect, place: &str, name: &dyn Fn(usize) -> String) -> SpecError {
     let error = SpecError::new(defect.problem(place, name));
     match defect {
-        Defect::Eigenvalues { .. } => error.hint("every pair is possible by itself, but not all together"),
+        CovarianceDefect::Eigenvalues { .. } => error.hint("every pair is possible by itself, but not all together"),
         _ => error,
     }
 }

@@ -112,6 +112,6 @@ pub use beside::BesideError;
 pub use design::DesignSpec;
 pub use error::{ExpressionProblem, SpecError, SpecProblem, StructureProblem};
 pub use hypothesis::Hypothesis;
-pub use set::Assignment;
+pub use set::ParameterAssignment;
 pub use show::PhaseWords;
 pub use spec::Spec;

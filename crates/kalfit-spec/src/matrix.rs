@@ -30,7 +30,7 @@ impl ExpressionMatrix {
         })
     }
 
-    /// As [`Matrix::read`], with nothing but numbers.
+    /// As [`ExpressionMatrix::read`], with nothing but numbers.
     pub(crate) fn read_numbers(field: &TomlField<'_>, elements: &NamedElements) -> Result<ExpressionMatrix> {
         ExpressionMatrix::read_with(field, elements, |cell| cell.number().map(Expression::Number))
     }

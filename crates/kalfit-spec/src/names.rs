@@ -176,7 +176,7 @@ pub(crate) struct NameContext<'t> {
     pub(crate) text_columns: Vec<Column>,
     columns_by_name: HashMap<String, usize>,
     text_columns_by_name: HashMap<String, usize>,
-    pub(crate) literals: Literals,
+    pub(crate) literals: TextLiterals,
     /// First use of each column, numeric or text.
     pub(crate) column_spans: BTreeMap<String, Span>,
     parts: usize,
@@ -184,12 +184,12 @@ pub(crate) struct NameContext<'t> {
 
 /// Texts that the model names, each once.
 #[derive(Debug, Default)]
-pub(crate) struct Literals {
+pub(crate) struct TextLiterals {
     pub(crate) texts: Vec<String>,
     by_text: HashMap<String, usize>,
 }
 
-impl Literals {
+impl TextLiterals {
     /// The index of a text.
     pub(crate) fn add(&mut self, text: &str) -> usize {
         if let Some(&index) = self.by_text.get(text) {
@@ -217,7 +217,7 @@ impl<'t> NameContext<'t> {
             text_columns: Vec::new(),
             columns_by_name: HashMap::new(),
             text_columns_by_name: HashMap::new(),
-            literals: Literals::default(),
+            literals: TextLiterals::default(),
             column_spans: BTreeMap::new(),
             parts: 0,
         }

@@ -10,7 +10,7 @@ use crate::suggest::suggest;
 
 /// `name[level] = value`, taken apart.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Assignment<'a> {
+pub struct ParameterAssignment<'a> {
     /// Name of the parameter.
     pub name: &'a str,
     /// One of its levels; `None`: all of them.
@@ -26,7 +26,7 @@ impl Spec {
     /// Something that is not an assignment of a finite number, a name that is no parameter, a level of a parameter
     /// without `per`, a value out of bounds or of the wrong sign. The errors have no span, and the model stays as it was.
     pub fn set(&mut self, assignment: &str) -> std::result::Result<(), SpecError> {
-        let Assignment { name, level, value } = Assignment::new(assignment)?;
+        let ParameterAssignment { name, level, value } = ParameterAssignment::new(assignment)?;
         let mut model = self.model.shared().clone();
         let parameters = &mut model.parameters;
         let Some(index) = parameters.iter().position(|parameter| parameter.name == name) else {
@@ -74,12 +74,12 @@ impl Spec {
     }
 }
 
-impl Assignment<'_> {
+impl ParameterAssignment<'_> {
     /// Takes an assignment apart, whatever model it is for.
     ///
     /// # Errors
     /// Something that is not an assignment of a finite number.
-    pub fn new(text: &str) -> Result<Assignment<'_>> {
+    pub fn new(text: &str) -> Result<ParameterAssignment<'_>> {
         let wrong = || SpecError::new(SpecProblem::NotAnAssignment { found: text.to_owned() });
         let (target, value) = text.rsplit_once('=').ok_or_else(wrong)?;
         let (target, number) = (target.trim(), value.trim());
@@ -95,7 +95,7 @@ impl Assignment<'_> {
         if name.is_empty() || level.is_some_and(str::is_empty) {
             return Err(wrong());
         }
-        Ok(Assignment { name, level, value })
+        Ok(ParameterAssignment { name, level, value })
     }
 
     /// What it assigns to: `tau`, or `sigma[A]`.

@@ -15,7 +15,7 @@ type TokenInput<'s> = LocatingSlice<&'s str>;
 
 /// One word.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Token<'s> {
+pub(crate) enum ExpressionToken<'s> {
     Number(f64),
     Name(&'s str),
     /// A name in backticks: always a column.
@@ -26,7 +26,7 @@ pub(crate) enum Token<'s> {
 }
 
 /// A word and its bytes in the text.
-pub(crate) type SpannedToken<'s> = (Token<'s>, Range<usize>);
+pub(crate) type SpannedToken<'s> = (ExpressionToken<'s>, Range<usize>);
 
 /// Longest first, so that `<=` is not read as `<` and `=`.
 const SYMBOLS: [&str; 14] = ["<=", ">=", "==", "!=", "<", ">", "+", "-", "*", "/", "^", "(", ")", ","];
@@ -42,7 +42,9 @@ pub(crate) fn tokenize(text: &str) -> Result<Vec<SpannedToken<'_>>, (ExpressionP
         }
         let start = input.current_token_start();
         match alt((number, name, column, literal, symbol)).with_span().parse_next(&mut input) {
-            Ok((Token::Number(x), span)) if !x.is_finite() => return Err((ExpressionProblem::NotFinite, span)),
+            Ok((ExpressionToken::Number(x), span)) if !x.is_finite() => {
+                return Err((ExpressionProblem::NotFinite, span));
+            }
             Ok(word) => words.push(word),
             Err(_) => return Err(unreadable(text, start)),
         }
@@ -51,7 +53,7 @@ pub(crate) fn tokenize(text: &str) -> Result<Vec<SpannedToken<'_>>, (ExpressionP
 
 /// True when a text can be written in expressions as it is.
 pub(crate) fn is_name(text: &str) -> bool {
-    matches!(tokenize(text).as_deref(), Ok([(Token::Name(name), _)]) if *name == text)
+    matches!(tokenize(text).as_deref(), Ok([(ExpressionToken::Name(name), _)]) if *name == text)
 }
 
 fn skip_space(input: &mut TokenInput<'_>) {
@@ -59,34 +61,34 @@ fn skip_space(input: &mut TokenInput<'_>) {
     debug_assert!(space.is_ok(), "no space is space too");
 }
 
-fn number<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
+fn number<'s>(input: &mut TokenInput<'s>) -> Lexed<ExpressionToken<'s>> {
     let exponent = (one_of(['e', 'E']), opt(one_of(['+', '-'])), digit1).void();
     let mantissa = alt(((digit1, opt(('.', digit0))).void(), ('.', digit1).void()));
-    (mantissa, opt(exponent)).take().try_map(str::parse::<f64>).map(Token::Number).parse_next(input)
+    (mantissa, opt(exponent)).take().try_map(str::parse::<f64>).map(ExpressionToken::Number).parse_next(input)
 }
 
-fn name<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
+fn name<'s>(input: &mut TokenInput<'s>) -> Lexed<ExpressionToken<'s>> {
     let first = one_of(|c: char| c.is_alphabetic() || c == '_');
     let rest = take_while(0.., |c: char| c.is_alphanumeric() || c == '_');
-    (first, rest).take().map(Token::Name).parse_next(input)
+    (first, rest).take().map(ExpressionToken::Name).parse_next(input)
 }
 
-fn column<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
-    ('`', take_while(1.., |c| c != '`'), '`').map(|(_, name, _)| Token::Column(name)).parse_next(input)
+fn column<'s>(input: &mut TokenInput<'s>) -> Lexed<ExpressionToken<'s>> {
+    ('`', take_while(1.., |c| c != '`'), '`').map(|(_, name, _)| ExpressionToken::Column(name)).parse_next(input)
 }
 
 /// A quote inside a text is written twice.
-fn literal<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
+fn literal<'s>(input: &mut TokenInput<'s>) -> Lexed<ExpressionToken<'s>> {
     let inside = repeat::<_, _, (), _, _>(0.., alt(("''".void(), none_of('\'').void())));
     let quoted: &str = ('\'', inside, '\'').take().parse_next(input)?;
-    Ok(Token::Text(quoted[1..quoted.len() - 1].replace("''", "'")))
+    Ok(ExpressionToken::Text(quoted[1..quoted.len() - 1].replace("''", "'")))
 }
 
-fn symbol<'s>(input: &mut TokenInput<'s>) -> Lexed<Token<'s>> {
+fn symbol<'s>(input: &mut TokenInput<'s>) -> Lexed<ExpressionToken<'s>> {
     for symbol in SYMBOLS {
         let found: Lexed<&str> = winnow::token::literal(symbol).parse_next(input);
         if found.is_ok() {
-            return Ok(Token::Symbol(symbol));
+            return Ok(ExpressionToken::Symbol(symbol));
         }
     }
     Err(winnow::error::ContextError::new())
@@ -110,15 +112,15 @@ fn unreadable(text: &str, start: usize) -> (ExpressionProblem, Range<usize>) {
     }
 }
 
-impl Token<'_> {
+impl ExpressionToken<'_> {
     /// The word as messages show it.
     pub(crate) fn shown(&self) -> String {
         match self {
-            Token::Number(x) => format!("the number `{x}`"),
-            Token::Name(name) => format!("`{name}`"),
-            Token::Column(name) => format!("the column `{name}`"),
-            Token::Text(text) => format!("the text '{text}'"),
-            Token::Symbol(symbol) => format!("`{symbol}`"),
+            ExpressionToken::Number(x) => format!("the number `{x}`"),
+            ExpressionToken::Name(name) => format!("`{name}`"),
+            ExpressionToken::Column(name) => format!("the column `{name}`"),
+            ExpressionToken::Text(text) => format!("the text '{text}'"),
+            ExpressionToken::Symbol(symbol) => format!("`{symbol}`"),
         }
     }
 }
@@ -127,33 +129,36 @@ impl Token<'_> {
 mod tests {
     use super::*;
 
-    fn tokens(text: &str) -> Vec<Token<'_>> {
+    fn tokens(text: &str) -> Vec<ExpressionToken<'_>> {
         tokenize(text).unwrap().into_iter().map(|(token, _)| token).collect()
     }
 
     #[test]
     fn numbers_names_columns_texts_and_symbols_are_told_apart() {
         let expected = [
-            Token::Number(1e-6),
-            Token::Symbol("*"),
-            Token::Name("tau_2"),
-            Token::Symbol("<="),
-            Token::Column("my column"),
-            Token::Symbol("=="),
-            Token::Text("it's".to_owned()),
+            ExpressionToken::Number(1e-6),
+            ExpressionToken::Symbol("*"),
+            ExpressionToken::Name("tau_2"),
+            ExpressionToken::Symbol("<="),
+            ExpressionToken::Column("my column"),
+            ExpressionToken::Symbol("=="),
+            ExpressionToken::Text("it's".to_owned()),
         ];
         assert_eq!(tokens("1e-6*tau_2 <= `my column` == 'it''s'"), expected);
     }
 
     #[test]
     fn numbers_may_start_or_end_with_the_point() {
-        assert_eq!(tokens(".5 5. 5.e1"), [Token::Number(0.5), Token::Number(5.0), Token::Number(50.0)]);
+        assert_eq!(
+            tokens(".5 5. 5.e1"),
+            [ExpressionToken::Number(0.5), ExpressionToken::Number(5.0), ExpressionToken::Number(50.0)]
+        );
     }
 
     #[test]
     fn a_number_followed_by_letters_is_a_number_and_a_name() {
-        assert_eq!(tokens("2x"), [Token::Number(2.0), Token::Name("x")]);
-        assert_eq!(tokens("2e"), [Token::Number(2.0), Token::Name("e")]);
+        assert_eq!(tokens("2x"), [ExpressionToken::Number(2.0), ExpressionToken::Name("x")]);
+        assert_eq!(tokens("2e"), [ExpressionToken::Number(2.0), ExpressionToken::Name("e")]);
     }
 
     #[test]

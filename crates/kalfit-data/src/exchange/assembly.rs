@@ -23,7 +23,7 @@ pub struct ExchangeEntry {
 
 /// Puts tests together whose phases come from several files.
 #[derive(Debug)]
-pub struct Assembly<'a> {
+pub struct TestAssembly<'a> {
     model: &'a PhasedModel,
     /// By [`Source::file`].
     files: &'a [String],
@@ -38,10 +38,10 @@ struct AssembledTest {
     phases: Vec<Option<(Evidence, Source)>>,
 }
 
-impl<'a> Assembly<'a> {
+impl<'a> TestAssembly<'a> {
     /// No test yet. `files`: names of files by [`Source::file`], for messages.
-    pub fn new(model: &'a PhasedModel, files: &'a [String]) -> Assembly<'a> {
-        Assembly { model, files, tests: Vec::new(), places: HashMap::new() }
+    pub fn new(model: &'a PhasedModel, files: &'a [String]) -> TestAssembly<'a> {
+        TestAssembly { model, files, tests: Vec::new(), places: HashMap::new() }
     }
 
     /// Adds what is known of one phase of a test.

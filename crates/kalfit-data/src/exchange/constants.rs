@@ -13,7 +13,7 @@ use crate::error::DataError;
 const PREFIX: &str = "constant.";
 
 /// Where the columns of a model stand in a file.
-pub(super) struct Constants {
+pub(super) struct ConstantColumns {
     /// By numeric column of the model: its name in the file.
     numbers: Vec<Option<String>>,
     /// By text column.
@@ -49,8 +49,8 @@ pub(super) fn textual(model: &PhasedModel) -> impl Iterator<Item = (usize, &str)
     all.filter(|&(index, _)| model.column != Some(index))
 }
 
-impl Constants {
-    pub(super) fn new(model: &PhasedModel, layout: &Layout, schema: &Schema) -> Constants {
+impl ConstantColumns {
+    pub(super) fn new(model: &PhasedModel, layout: &Layout, schema: &Schema) -> ConstantColumns {
         let there = |name: &str| Some(name_in_file(name)).filter(|name| schema.column_with_name(name).is_some());
         let shared = model.shared();
         let mut numbers = vec![None; shared.columns.len()];
@@ -65,7 +65,7 @@ impl Constants {
                 None => TextCellSource::Nothing,
             }
         });
-        Constants { numbers, texts: texts.collect(), tokens: MissingTexts::new(&layout.missing) }
+        ConstantColumns { numbers, texts: texts.collect(), tokens: MissingTexts::new(&layout.missing) }
     }
 
     /// The columns to read beside those of the schema.

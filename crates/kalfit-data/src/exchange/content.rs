@@ -8,7 +8,7 @@ use bytes::Bytes;
 use parquet::file::metadata::ParquetMetaData;
 
 use super::error::ExchangeError;
-use super::metadata::{Metadata, SCHEMA, value};
+use super::metadata::{ExchangeMetadata, SCHEMA, value};
 use super::schema::{ESTIMATES_SCHEMA, REDUCTIONS_SCHEMA};
 use crate::cell::shown;
 use crate::error::DataError;
@@ -83,8 +83,8 @@ impl ExchangeFile {
     ///
     /// # Errors
     /// It cannot be read, or its metadata are wrong.
-    pub fn metadata(&self) -> Result<Option<Metadata>, DataError> {
-        opened!(self, |opened| { Ok(Metadata::read(&self.name, opened.about.metadata())?) })
+    pub fn metadata(&self) -> Result<Option<ExchangeMetadata>, DataError> {
+        opened!(self, |opened| { Ok(ExchangeMetadata::read(&self.name, opened.about.metadata())?) })
     }
 
     /// About how many rows it has, for whoever makes room for them: never more than its bytes could fill.

@@ -5,11 +5,11 @@ use kalfit::{Evidence, Labels, Layout, PhasedModel};
 use nalgebra::{DMatrix, DVector};
 
 use super::assembly::ExchangeEntry;
-use super::constants::Constants;
+use super::constants::ConstantColumns;
 use super::content::{ExchangeFile, opened};
 use super::error::ExchangeError;
 use super::keys::{PhaseFinder, TestIdFinder};
-use super::metadata::Metadata;
+use super::metadata::ExchangeMetadata;
 use super::schema::ESTIMATES;
 use super::sheet::{ExchangeSheet, SheetRequest, SheetRow};
 use crate::error::DataError;
@@ -25,15 +25,15 @@ pub fn read_estimates(
     (model, layout): (&PhasedModel, &Layout),
     labels: &mut Labels,
     take: &mut dyn FnMut(ExchangeEntry) -> Result<(), DataError>,
-) -> Result<Option<Metadata>, DataError> {
+) -> Result<Option<ExchangeMetadata>, DataError> {
     if !model.levels.is_empty() {
         return Err(ExchangeError::Levels { file: source.name.clone(), kind: KIND }.into());
     }
     opened!(source, |opened| {
-        let metadata = Metadata::read(&source.name, opened.about.metadata())?;
-        let constants = Constants::new(model, layout, opened.about.schema());
-        let wish = SheetRequest { kind: KIND, columns: &ESTIMATES, further: constants.columns(layout) };
-        let mut sheet = ExchangeSheet::new(&source.name, opened, &wish)?;
+        let metadata = ExchangeMetadata::read(&source.name, opened.about.metadata())?;
+        let constants = ConstantColumns::new(model, layout, opened.about.schema());
+        let request = SheetRequest { kind: KIND, columns: &ESTIMATES, further: constants.columns(layout) };
+        let mut sheet = ExchangeSheet::new(&source.name, opened, &request)?;
         let key = TestIdFinder::new(layout);
         let phases = PhaseFinder::new(model);
         let mut rows = 0;

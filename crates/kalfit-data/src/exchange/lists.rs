@@ -7,7 +7,7 @@ use arrow::datatypes::DataType;
 use arrow::error::ArrowError;
 
 use crate::table::arrays::{NumberArray, is_numeric};
-use crate::table::strings::{Strings, is_text};
+use crate::table::strings::{StringColumn, is_text};
 
 /// A column of lists of numbers.
 pub(super) struct NumberLists {
@@ -22,7 +22,7 @@ pub(super) struct NumberLists {
 pub(super) struct TextLists {
     rows: Vec<Option<Range<usize>>>,
     /// Elements of all lists; none when all lists are empty.
-    texts: Option<Strings>,
+    texts: Option<StringColumn>,
 }
 
 /// The type of the elements of a list; `None` for other types.
@@ -93,7 +93,7 @@ impl NumberLists {
 impl TextLists {
     pub(super) fn new(array: &dyn Array) -> Result<TextLists, ArrowError> {
         let (rows, values) = parts(array)?;
-        Ok(TextLists { rows, texts: Strings::new(&values) })
+        Ok(TextLists { rows, texts: StringColumn::new(&values) })
     }
 
     /// True when the list in a row is this one and has no null element.

@@ -19,7 +19,7 @@ const OF_MEASUREMENTS: &str = "measurements";
 
 /// Where an exchange file comes from.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Metadata {
+pub struct ExchangeMetadata {
     /// Version of kalfit that wrote it.
     pub version: String,
     /// Title of the model.
@@ -36,7 +36,7 @@ pub struct Metadata {
     pub of_estimates: bool,
 }
 
-impl Metadata {
+impl ExchangeMetadata {
     /// What is written.
     pub(super) fn pairs(&self, schema: &str) -> Vec<KeyValue> {
         let pair = |key: &str, value: String| KeyValue::new(key.to_owned(), value);
@@ -54,7 +54,7 @@ impl Metadata {
     }
 
     /// What a file says; `None` of one that is not kalfit's.
-    pub(super) fn read(file: &str, metadata: &ParquetMetaData) -> Result<Option<Metadata>, ExchangeError> {
+    pub(super) fn read(file: &str, metadata: &ParquetMetaData) -> Result<Option<ExchangeMetadata>, ExchangeError> {
         let text = |key: &'static str| value(metadata, key);
         let Some(schema) = text(SCHEMA) else { return Ok(None) };
         if schema != REDUCTIONS_SCHEMA && schema != ESTIMATES_SCHEMA {
@@ -85,7 +85,7 @@ impl Metadata {
                 return Err(ExchangeError::Metadata { file: file.to_owned(), key: LIKELIHOOD, reason });
             }
         };
-        Ok(Some(Metadata {
+        Ok(Some(ExchangeMetadata {
             of_estimates,
             version: version.to_owned(),
             title: text(TITLE).unwrap_or_default().to_owned(),

@@ -26,10 +26,10 @@ mod sheet;
 mod write;
 
 pub use alpha::{AlphaDifference, ParameterValue, difference, merge};
-pub use assembly::{Assembly, ExchangeEntry, twice};
+pub use assembly::{ExchangeEntry, TestAssembly, twice};
 pub use content::{ExchangeFile, InputContent, SortedInputs, sort};
 pub use error::ExchangeError;
 pub use estimates::read_estimates;
-pub use metadata::Metadata;
+pub use metadata::ExchangeMetadata;
 pub use reductions::read_reductions;
 pub use write::{EstimatesWriter, ReductionWriter};

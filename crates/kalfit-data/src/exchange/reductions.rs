@@ -14,12 +14,12 @@ use super::assembly::ExchangeEntry;
 use super::content::{ExchangeBytes, ExchangeFile};
 use super::error::ExchangeError;
 use super::keys::PhaseFinder;
-use super::metadata::Metadata;
+use super::metadata::ExchangeMetadata;
 use super::schema::{GROUPS, REDUCTIONS, REDUCTIONS_KIND, TEST};
 use super::sheet::{ExchangeSheet, RowGroupPart, SheetPlan, SheetRequest, SheetRow};
 use crate::error::DataError;
 use crate::kind::PARQUET;
-use crate::table::ahead::{BlockTask, BlockTasks, Goes, MakeBlock, TableProgress, each};
+use crate::table::ahead::{BlockTask, BlockTasks, Demand, MakeBlock, TableProgress, each};
 
 pub(super) const INFORMATION: &str = "information";
 pub(super) const SQUARE_ROOT: &str = "square-root";
@@ -35,7 +35,7 @@ pub fn read_reductions(
     model: &PhasedModel,
     labels: &mut Labels,
     take: &mut dyn FnMut(ExchangeEntry) -> Result<(), DataError>,
-) -> Result<Metadata, DataError> {
+) -> Result<ExchangeMetadata, DataError> {
     let mut labelled = |(mut entry, groups): (ExchangeEntry, Vec<String>)| {
         if let Evidence::Reduced(piece) = &mut entry.evidence {
             piece.groups = groups.iter().map(|name| labels.intern(name)).collect();
@@ -53,19 +53,23 @@ fn read<R: ChunkReader + 'static>(
     model: &PhasedModel,
     again: impl Fn() -> io::Result<R> + Sync,
     take: &mut dyn FnMut(GroupedEntry) -> Result<(), DataError>,
-) -> Result<Metadata, DataError> {
-    let reader =
-        ReductionReader { source, phases: PhaseFinder::new(model), known: known(model), levels: model.levels.len() };
+) -> Result<ExchangeMetadata, DataError> {
+    let reader = ReductionReader {
+        source,
+        phases: PhaseFinder::new(model),
+        expected: expected_phases(model),
+        levels: model.levels.len(),
+    };
     let open = || again().map_err(|error| DataError::Io { file: source.name.clone(), source: error });
     let opened = super::sheet::open(&source.name, open()?)?;
     let about = opened.about.metadata();
-    let metadata = Metadata::read(&source.name, about)?.ok_or_else(|| ExchangeError::Metadata {
+    let metadata = ExchangeMetadata::read(&source.name, about)?.ok_or_else(|| ExchangeError::Metadata {
         file: source.name.clone(),
         key: super::metadata::SCHEMA,
         reason: "it is missing".to_owned(),
     })?;
-    let wish = SheetRequest { kind: REDUCTIONS_KIND, columns: &REDUCTIONS, further: Vec::new() };
-    let plan = SheetPlan::new(&source.name, &opened, &wish)?;
+    let request = SheetRequest { kind: REDUCTIONS_KIND, columns: &REDUCTIONS, further: Vec::new() };
+    let plan = SheetPlan::new(&source.name, &opened, &request)?;
     let make = |part: RowGroupPart| -> MakeBlock<'_, ReductionRows> {
         let (reader, open, plan) = (&reader, &open, plan.clone());
         Box::new(move || {
@@ -79,7 +83,7 @@ fn read<R: ChunkReader + 'static>(
     each::<ReductionRows, DataError>(&mut parts, &mut |(entries, end), _| {
         rows += entries.len();
         entries.into_iter().try_for_each(&mut *take)?;
-        end.map_or(Ok(Goes::On), Err)
+        end.map_or(Ok(Demand::More), Err)
     })?;
     if rows == 0 { Err(DataError::NoRows { file: source.name.clone() }) } else { Ok(metadata) }
 }
@@ -137,7 +141,7 @@ impl<'a, F: Fn(RowGroupPart) -> MakeBlock<'a, ReductionRows>> BlockTasks<'a, Red
 struct ReductionReader<'a> {
     source: &'a ExchangeFile,
     phases: PhaseFinder<'a>,
-    known: Vec<ExpectedPhase<'a>>,
+    expected: Vec<ExpectedPhase<'a>>,
     /// Number of levels of groups.
     levels: usize,
 }
@@ -153,7 +157,7 @@ struct ExpectedPhase<'a> {
     before: Option<usize>,
 }
 
-fn known(model: &PhasedModel) -> Vec<ExpectedPhase<'_>> {
+fn expected_phases(model: &PhasedModel) -> Vec<ExpectedPhase<'_>> {
     let phases = &model.phases;
     let named = |phase: &Phase, states: &mut dyn Iterator<Item = usize>| -> Vec<String> {
         states.map(|state| phase.model.states[state].name.clone()).collect()
@@ -179,7 +183,7 @@ impl ReductionReader<'_> {
                 let test = row.text(TEST).ok_or_else(|| DataError::MissingTest { at: row.place(TEST) })?;
                 let phase = self.phases.of(row)?;
                 let at = kalfit::Source { file: self.source.number, row: row.number() };
-                let evidence = Evidence::Reduced(Box::new(piece(row, &self.known[phase], &test)?));
+                let evidence = Evidence::Reduced(Box::new(piece(row, &self.expected[phase], &test)?));
                 rows.push((ExchangeEntry { test, phase, evidence, at }, self.groups(row)?));
             }
         }
@@ -208,19 +212,19 @@ impl ReductionReader<'_> {
 }
 
 /// One row. q entering coordinates, n states.
-fn piece(row: SheetRow<'_>, known: &ExpectedPhase<'_>, test: &str) -> Result<PhaseReduction, ExchangeError> {
-    let own = known.phase;
-    same_names(row, "states", &known.entering, &own.name)?;
-    let q = known.entering.len();
+fn piece(row: SheetRow<'_>, expected: &ExpectedPhase<'_>, test: &str) -> Result<PhaseReduction, ExchangeError> {
+    let own = expected.phase;
+    same_names(row, "states", &expected.entering, &own.name)?;
+    let q = expected.entering.len();
     let reduction = reduction(row, q, own.model.mean.regression.len(), test)?;
-    let terminal = match &known.terminal {
+    let terminal = match &expected.terminal {
         Some(all) => {
             same_names(row, "terminal_states", all, &own.name)?;
             Some(terminal(row, all.len(), q)?)
         }
         None => None,
     };
-    let inherited = match known.before {
+    let inherited = match expected.before {
         None => None,
         Some(before) => {
             let rule = || format!("q × n with q = {q} entering states and n = {before} states of the phase before");

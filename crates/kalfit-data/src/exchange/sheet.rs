@@ -40,7 +40,7 @@ pub(super) struct SheetRequest<'a> {
     pub(super) further: Vec<(String, ColumnShape)>,
 }
 
-/// Where the columns of a wish are in a file.
+/// Where the columns of a request are in a file.
 #[derive(Clone)]
 pub(super) struct SheetPlan<'a> {
     file: &'a str,
@@ -124,13 +124,13 @@ fn refuse_long_lists(file: &str, metadata: &ParquetMetaData, bytes: u64) -> Resu
 }
 
 impl<'a> ExchangeSheet<'a> {
-    /// All rows of a file with the columns of a wish.
+    /// All rows of a file with the columns of a request.
     pub(super) fn new<R: ChunkReader + 'static>(
         file: &'a str,
         opened: OpenParquet<R>,
-        wish: &SheetRequest<'_>,
+        request: &SheetRequest<'_>,
     ) -> Result<ExchangeSheet<'a>, DataError> {
-        SheetPlan::new(file, &opened, wish)?.sheet(opened.bytes, None)
+        SheetPlan::new(file, &opened, request)?.sheet(opened.bytes, None)
     }
 
     /// The next rows; `None` at the end.
@@ -152,21 +152,22 @@ impl<'a> ExchangeSheet<'a> {
 }
 
 impl<'a> SheetPlan<'a> {
-    /// Finds the columns of a wish in a file.
+    /// Finds the columns of a request in a file.
     pub(super) fn new<R: ChunkReader>(
         file: &'a str,
         opened: &OpenParquet<R>,
-        wish: &SheetRequest<'_>,
+        request: &SheetRequest<'_>,
     ) -> Result<SheetPlan<'a>, DataError> {
         let about = &opened.about;
         let names: Vec<String> = about.schema().fields().iter().map(|field| field.name().clone()).collect();
         let (mut roots, mut shapes) = (Vec::new(), BTreeMap::new());
-        let own = wish.columns.iter().map(|column| (column.name, column.shape, column.needed.then_some(column.name)));
-        let further = wish.further.iter().map(|(name, shape)| (name.as_str(), *shape, None));
+        let own =
+            request.columns.iter().map(|column| (column.name, column.shape, column.needed.then_some(column.name)));
+        let further = request.further.iter().map(|(name, shape)| (name.as_str(), *shape, None));
         for (name, shape, needed) in own.chain(further) {
             let Some(root) = position(file, &names, name)? else {
                 if let Some(column) = needed {
-                    return Err(missing(file, wish.kind, column, names).into());
+                    return Err(missing(file, request.kind, column, names).into());
                 }
                 continue;
             };
@@ -174,7 +175,7 @@ impl<'a> SheetPlan<'a> {
             if *data_type == DataType::Null {
                 continue; // nothing but nulls
             }
-            fits(file, data_type, (name, shape), wish.kind)?;
+            fits(file, data_type, (name, shape), request.kind)?;
             roots.push(root);
             shapes.insert(name.to_owned(), shape);
         }

@@ -13,7 +13,7 @@ use parquet::basic::Compression;
 use parquet::file::properties::WriterProperties;
 
 use super::constants::{name_in_file, numeric, textual};
-use super::metadata::Metadata;
+use super::metadata::ExchangeMetadata;
 use super::reductions::{INFORMATION, SQUARE_ROOT};
 use super::schema::{ESTIMATES_SCHEMA, GROUPS, REDUCTIONS_SCHEMA};
 use crate::write::WriteError;
@@ -118,7 +118,7 @@ impl ExchangeColumnKind {
 impl<W: Write + Send> ExchangeTable<W> {
     fn new(
         columns: &[(String, ExchangeColumnKind)],
-        metadata: &Metadata,
+        metadata: &ExchangeMetadata,
         schema: &str,
         sink: W,
     ) -> Result<ExchangeTable<W>, WriteError> {
@@ -190,7 +190,7 @@ impl<W: Write + Send> ReductionWriter<W> {
     ///
     /// # Errors
     /// A sink that cannot be written to.
-    pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<ReductionWriter<W>, WriteError> {
+    pub fn new(model: &PhasedModel, metadata: &ExchangeMetadata, sink: W) -> Result<ReductionWriter<W>, WriteError> {
         use ExchangeColumnKind::{Count, Number, Numbers, Text, Words};
         let columns = [
             ("test", Text),
@@ -282,7 +282,7 @@ impl<W: Write + Send> EstimatesWriter<W> {
     ///
     /// # Errors
     /// A model with levels of groups, a sink that cannot be written to.
-    pub fn new(model: &PhasedModel, metadata: &Metadata, sink: W) -> Result<EstimatesWriter<W>, WriteError> {
+    pub fn new(model: &PhasedModel, metadata: &ExchangeMetadata, sink: W) -> Result<EstimatesWriter<W>, WriteError> {
         use ExchangeColumnKind::{Count, Number, Numbers, Text, Words};
         if !model.levels.is_empty() {
             return Err(WriteError::Levels);

@@ -1,13 +1,13 @@
 //! Reading ahead: blocks of rows, or what else a file is cut into, are decoded by many threads while others are taken in, and taken in by one thread, in order.
 
-use crate::block::Block;
+use crate::block::RowBlock;
 use crate::error::DataError;
 
 /// Makes a block: what can be done apart from everything else.
 pub(crate) type MakeBlock<'a, T> = Box<dyn FnOnce() -> T + Send + 'a>;
 
 /// A block to be made.
-pub(crate) struct BlockTask<'a, T = Block> {
+pub(crate) struct BlockTask<'a, T = RowBlock> {
     /// Makes it.
     pub(crate) make: MakeBlock<'a, T>,
     /// How far the table is with it.
@@ -23,7 +23,7 @@ pub(crate) enum TableProgress {
 }
 
 /// What a table is cut into.
-pub(crate) trait BlockTasks<'a, T = Block> {
+pub(crate) trait BlockTasks<'a, T = RowBlock> {
     /// The next block to be made; `None` at the end. An error stands after the blocks before it.
     fn next(&mut self) -> Result<Option<BlockTask<'a, T>>, DataError>;
 
@@ -33,9 +33,9 @@ pub(crate) trait BlockTasks<'a, T = Block> {
 
 /// Whether more is wanted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Goes {
-    On,
-    NoFurther,
+pub(crate) enum Demand {
+    More,
+    NoMore,
 }
 
 /// Blocks that are made and not yet taken.
@@ -44,14 +44,14 @@ type MadeBlocks<T> = Vec<(T, TableProgress)>;
 /// Hands all blocks to `take`, in their order, as long as it wants them: the first error is the same for any number of threads.
 pub(crate) fn each<'a, T: Default + Send, E: From<DataError>>(
     table: &mut dyn BlockTasks<'a, T>,
-    take: &mut dyn FnMut(T, TableProgress) -> Result<Goes, E>,
-) -> Result<Goes, E> {
+    take: &mut dyn FnMut(T, TableProgress) -> Result<Demand, E>,
+) -> Result<Demand, E> {
     let mut alone = table.alone();
     let threads = rayon::current_num_threads();
     while alone > 0 || threads == 1 {
-        let Some(BlockTask { make, done }) = table.next()? else { return Ok(Goes::On) };
-        if take(make(), done)? == Goes::NoFurther {
-            return Ok(Goes::NoFurther);
+        let Some(BlockTask { make, done }) = table.next()? else { return Ok(Demand::More) };
+        if take(make(), done)? == Demand::NoMore {
+            return Ok(Demand::NoMore);
         }
         alone = alone.saturating_sub(1);
     }
@@ -62,42 +62,49 @@ pub(crate) fn each<'a, T: Default + Send, E: From<DataError>>(
 fn together<'a, T: Default + Send, E: From<DataError>>(
     table: &mut dyn BlockTasks<'a, T>,
     width: usize,
-    take: &mut dyn FnMut(T, TableProgress) -> Result<Goes, E>,
-) -> Result<Goes, E> {
+    take: &mut dyn FnMut(T, TableProgress) -> Result<Demand, E>,
+) -> Result<Demand, E> {
     let mut made = MadeBlocks::<T>::new();
     let mut round = BlockRound::read(table, width);
     loop {
         let BlockRound { tasks, end } = round;
         let mut places: MadeBlocks<T> = tasks.iter().map(|task| (T::default(), task.done)).collect();
-        let (goes, next) = rayon::in_place_scope(|scope| {
+        let (demand, next) = rayon::in_place_scope(|scope| {
             for (task, place) in tasks.into_iter().zip(&mut places) {
                 scope.spawn(move |_| place.0 = (task.make)());
             }
-            let goes = take_all(std::mem::take(&mut made), take);
-            let wanted = end.is_none() && matches!(goes, Ok(Goes::On));
-            (goes, wanted.then(|| BlockRound::read(table, width)))
+            let demand = take_all(std::mem::take(&mut made), take);
+            let wanted = end.is_none() && matches!(demand, Ok(Demand::More));
+            (demand, wanted.then(|| BlockRound::read(table, width)))
         });
-        if goes? == Goes::NoFurther {
-            return Ok(Goes::NoFurther);
+        if demand? == Demand::NoMore {
+            return Ok(Demand::NoMore);
         }
         made = places;
         match (next, end) {
             (Some(next), _) => round = next,
             (None, end) => {
-                let goes = take_all(made, take)?;
-                return if goes == Goes::On { end.unwrap_or(Ok(())).map(|()| goes).map_err(E::from) } else { Ok(goes) };
+                let demand = take_all(made, take)?;
+                return if demand == Demand::More {
+                    end.unwrap_or(Ok(())).map(|()| demand).map_err(E::from)
+                } else {
+                    Ok(demand)
+                };
             }
         }
     }
 }
 
-fn take_all<T, E>(made: MadeBlocks<T>, take: &mut dyn FnMut(T, TableProgress) -> Result<Goes, E>) -> Result<Goes, E> {
+fn take_all<T, E>(
+    made: MadeBlocks<T>,
+    take: &mut dyn FnMut(T, TableProgress) -> Result<Demand, E>,
+) -> Result<Demand, E> {
     for (block, done) in made {
-        if take(block, done)? == Goes::NoFurther {
-            return Ok(Goes::NoFurther);
+        if take(block, done)? == Demand::NoMore {
+            return Ok(Demand::NoMore);
         }
     }
-    Ok(Goes::On)
+    Ok(Demand::More)
 }
 
 /// Blocks to be made at the same time.

@@ -8,7 +8,7 @@ use arrow::compute::cast;
 use arrow::datatypes::{DataType, Date32Type, Float32Type, Float64Type, Int64Type, TimeUnit, UInt64Type};
 use arrow::error::ArrowError;
 
-use super::strings::{Strings, is_text};
+use super::strings::{StringColumn, is_text};
 use crate::fill::change;
 use crate::moment::{Moment, date_text};
 
@@ -34,7 +34,7 @@ pub(crate) enum NumberArray {
     /// Values; nulls are NaN.
     Values(Vec<f64>),
     /// Texts, to be read as in a CSV file.
-    Texts(Strings),
+    Texts(StringColumn),
 }
 
 /// The time column of a batch.
@@ -47,14 +47,14 @@ pub(crate) enum TimeArray {
 
 /// A text column of a batch.
 pub(crate) enum TextArray {
-    Strings(Strings),
+    Strings(StringColumn),
     Signed(Int64Array),
     Unsigned(UInt64Array),
     Single(Float32Array),
     Double(Float64Array),
     Boolean(BooleanArray),
     /// Printed decimals, with their trailing zeros.
-    Decimal(Strings),
+    Decimal(StringColumn),
     Dates(Vec<Option<i64>>),
     Moments(Vec<Option<Moment>>),
     Nothing,
@@ -63,7 +63,7 @@ pub(crate) enum TextArray {
 impl NumberArray {
     /// Shape: one value a row.
     pub(crate) fn new(array: &dyn Array) -> Result<NumberArray, ArrowError> {
-        if let Some(strings) = Strings::new(array) {
+        if let Some(strings) = StringColumn::new(array) {
             return Ok(NumberArray::Texts(strings));
         }
         if *array.data_type() == DataType::Null {
@@ -91,7 +91,7 @@ impl TimeArray {
 impl TextArray {
     /// Shape: one text a row.
     pub(crate) fn new(array: &dyn Array) -> Result<TextArray, ArrowError> {
-        if let Some(strings) = Strings::new(array) {
+        if let Some(strings) = StringColumn::new(array) {
             return Ok(TextArray::Strings(strings));
         }
         let converted = |to: DataType| cast(array, &to);
@@ -113,7 +113,7 @@ impl TextArray {
                 TextArray::Signed(converted(DataType::Int64)?.as_primitive::<Int64Type>().clone())
             }
             other if is_temporal(other) => TextArray::Moments(moments(array)?.unwrap_or_default()),
-            _ => TextArray::Decimal(Strings::Utf8(converted(DataType::Utf8)?.as_string::<i32>().clone())),
+            _ => TextArray::Decimal(StringColumn::Utf8(converted(DataType::Utf8)?.as_string::<i32>().clone())),
         })
     }
 

@@ -11,7 +11,7 @@ use crate::cell::CellFault;
 use crate::error::DataError;
 use crate::fill::{BadRow, BlockFiller, ColumnwiseRows};
 use crate::moment::Moment;
-use crate::numbering::Numbering;
+use crate::numbering::RowNumbering;
 use crate::wanted::{WantedColumn, WantedColumns};
 
 /// Rows decoded at a time.
@@ -129,7 +129,7 @@ impl<'a> BlockTasks<'a> for BatchTable<'a> {
         let make = move || {
             let mut filler = BlockFiller::new(form.wanted, batch.num_rows());
             let filled = form.fill(&mut filler, &positions, (&batch, before));
-            filler.finish(Numbering::from(before + 1), filled.err())
+            filler.finish(RowNumbering::from(before + 1), filled.err())
         };
         Ok(Some(BlockTask { make: Box::new(make), done: TableProgress::Share(0.0) }))
     }

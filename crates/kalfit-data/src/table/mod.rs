@@ -21,7 +21,7 @@ use crate::error::DataError;
 use crate::input::Input;
 use crate::kind::{FileKind, HEAD, detect};
 use crate::memory::MemoryTable;
-use crate::spool::Spool;
+use crate::spool::StdinSpool;
 use crate::wanted::WantedColumns;
 
 /// Opens an input and finds the wanted columns in it.
@@ -29,7 +29,7 @@ pub(crate) fn open<'a>(
     input: &Input,
     file: &'a str,
     wanted: &'a WantedColumns,
-    spool: &'a mut Spool<'_>,
+    spool: &'a mut StdinSpool<'_>,
 ) -> Result<Box<dyn BlockTasks<'a> + 'a>, DataError> {
     let failed = |source: io::Error| DataError::Io { file: file.to_owned(), source };
     if let Input::Table(table) = input {

@@ -17,8 +17,8 @@ use kalfit::model::{
 use kalfit::reduce::{Estimates, Inherited, Path as Arithmetic, PhaseReduction, Terminal};
 use kalfit::{Evidence, Labels, Layout, Model, PhasedModel, Reduction, Source as Row, Test};
 use kalfit_data::exchange::{
-    Assembly, EstimatesWriter, ExchangeEntry, InputContent, Metadata, ParameterValue, ReductionWriter, SortedInputs,
-    read_estimates, read_reductions, sort,
+    EstimatesWriter, ExchangeEntry, ExchangeMetadata, InputContent, ParameterValue, ReductionWriter, SortedInputs,
+    TestAssembly, read_estimates, read_reductions, sort,
 };
 use kalfit_data::{DataError, Input};
 use nalgebra::{DMatrix, DVector};
@@ -131,14 +131,14 @@ fn estimates(id: &str, labels: &mut Labels, (n, m, k): (usize, usize, usize), ph
     }
 }
 
-fn metadata() -> Metadata {
+fn metadata() -> ExchangeMetadata {
     let value = |name: &str, value: f64| ParameterValue {
         name: name.into(),
         per: None,
         levels: Default::default(),
         value: Some(value),
     };
-    Metadata {
+    ExchangeMetadata {
         version: "0.1.0".into(),
         title: "a µ".into(),
         model_digest: "sha256:1".into(),
@@ -548,7 +548,7 @@ fn entry(test: &str, phase: usize, row: u64) -> ExchangeEntry {
 #[test]
 fn phases_of_a_test_may_come_from_several_places_once_each() {
     let (model, files) = (two_phases(), ["first.parquet".to_owned(), "second.parquet".to_owned()]);
-    let mut assembly = Assembly::new(&model, &files);
+    let mut assembly = TestAssembly::new(&model, &files);
     for (test, phase, row) in [("b", 1, 1), ("a", 0, 2), ("b", 0, 11)] {
         assembly.add(entry(test, phase, row)).unwrap();
     }
@@ -556,7 +556,7 @@ fn phases_of_a_test_may_come_from_several_places_once_each() {
     let found: Vec<(&str, usize)> = tests.iter().map(|test| (test.id.as_str(), test.phases.len())).collect();
     assert_eq!(found, [("b", 2), ("a", 1)]);
 
-    let mut assembly = Assembly::new(&model, &files);
+    let mut assembly = TestAssembly::new(&model, &files);
     assembly.add(entry("b", 1, 3)).unwrap();
     assert_snapshot!(assembly.add(entry("b", 1, 12)).unwrap_err(), @"phase `flight` of test `b` is given twice: first.parquet, row 3 and second.parquet, row 12");
     assert_snapshot!(assembly.finish().unwrap_err(), @"first.parquet, row 3: found phase `flight` of test `b`, expected phase `align` too, which comes before it");

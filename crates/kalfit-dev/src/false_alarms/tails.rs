@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use statrs::distribution::{Beta, ChiSquared, ContinuousCDF};
 
 use super::count::{LEVELS, PValueCount, head};
-use super::drawing::{SimulatedModel, TestShape};
+use super::simulated::{SimulatedModel, TestShape};
 use crate::seed::SEED;
 
 /// Tests of one draw.
@@ -31,18 +31,18 @@ type TailCounts = [PValueCount; 2];
 
 /// Simulates so many tests at known parameters and a tenth as many at estimates from few, and prints their tables.
 pub(super) fn run(tests: u64) -> Result<(), String> {
-    let drawing = SimulatedModel::new()?;
+    let simulated = SimulatedModel::new()?;
     println!(
         "\nShare of tests with a p-value below the nominal one, as a multiple of it, {tests} tests at known parameters and {} at \
          estimates from N tests each.\n",
         tests / PART
     );
     head("figure");
-    let [size, distance] = known(&drawing, tests)?;
+    let [size, distance] = known(&simulated, tests)?;
     size.row("size, parameters known");
     distance.row("distance, parameters known");
     for n in FEW {
-        let [size, distance] = estimated(&drawing, n, (tests / PART).div_ceil(n))?;
+        let [size, distance] = estimated(&simulated, n, (tests / PART).div_ceil(n))?;
         size.row(&format!("size, N = {n}"));
         distance.row(&format!("distance, N = {n}"));
         let exact = LEVELS.map(|level| format!("{:.2}", exactly(n, level) / level));
@@ -60,11 +60,11 @@ fn exactly(n: u64, level: f64) -> f64 {
 }
 
 /// By the population that the tests come from.
-fn known(drawing: &SimulatedModel, tests: u64) -> Result<TailCounts, String> {
-    let designs = drawing.designs(DRAW as usize, &SHAPE)?;
+fn known(simulated: &SimulatedModel, tests: u64) -> Result<TailCounts, String> {
+    let designs = simulated.designs(DRAW as usize, &SHAPE)?;
     let one = |k: u64| -> Result<TailCounts, String> {
-        let tests = drawing.draw(&designs, SEED, k * DRAW..(k + 1) * DRAW)?;
-        let applied = Applied::new(&drawing.model, &drawing.alpha, &drawing.population, &tests);
+        let tests = simulated.draw(&designs, SEED, k * DRAW..(k + 1) * DRAW)?;
+        let applied = Applied::new(&simulated.model, &simulated.alpha, &simulated.population, &tests);
         let said = applied.and_then(|applied| applied.said()).map_err(|error| error.to_string())?;
         let mut counts = TailCounts::default();
         said.innovations.iter().for_each(|found| {
@@ -77,13 +77,13 @@ fn known(drawing: &SimulatedModel, tests: u64) -> Result<TailCounts, String> {
 }
 
 /// By estimates from the n tests themselves, of so many ensembles.
-fn estimated(drawing: &SimulatedModel, n: u64, ensembles: u64) -> Result<TailCounts, String> {
-    let designs = drawing.designs(n as usize, &SHAPE)?;
+fn estimated(simulated: &SimulatedModel, n: u64, ensembles: u64) -> Result<TailCounts, String> {
+    let designs = simulated.designs(n as usize, &SHAPE)?;
     let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
     let options = Options { choices, ..Options::default() };
     let one = |k: u64| -> Result<TailCounts, String> {
-        let tests = drawing.draw(&designs, SEED, k * n..(k + 1) * n)?;
-        let ensemble = Ensemble::of_tests(&drawing.model, Labels::default(), tests);
+        let tests = simulated.draw(&designs, SEED, k * n..(k + 1) * n)?;
+        let ensemble = Ensemble::of_tests(&simulated.model, Labels::default(), tests);
         let fit = ensemble.fit_with(&options, &mut Silent).map_err(|error| error.to_string())?;
         let mut counts = TailCounts::default();
         for test in &fit.record.tests {

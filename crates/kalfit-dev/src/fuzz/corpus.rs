@@ -12,7 +12,7 @@ const TEMPLATES: [&str; 5] = ["random-coefficients", "meta-analysis", "gyro-benc
 pub(super) struct FuzzSubject {
     /// What it is: model, CSV, Parquet, Arrow, exchange, results.
     pub(super) kind: &'static str,
-    pub(super) form: DamageKind,
+    pub(super) damage: DamageKind,
     /// Its name in the folder of a run.
     pub(super) name: &'static str,
     pub(super) bytes: Vec<u8>,
@@ -95,11 +95,11 @@ impl FuzzCorpus {
             let line = format!("fit {model} @ --max-iterations 30 --out out.json");
             subjects.push(("exchange", DamageKind::Bytes, "r.parquet", "r.parquet".to_owned(), vec![line]));
         }
-        for (kind, form, name, file, lines) in subjects {
+        for (kind, damage, name, file, lines) in subjects {
             let place = folder.join(&file);
             let bytes = std::fs::read(&place).map_err(|error| format!("{}: {error}", place.display()))?;
             let lines = lines.iter().map(|line| line.split(' ').map(str::to_owned).collect()).collect();
-            self.subjects.push(FuzzSubject { kind, form, name, bytes, lines, folder: folder.clone() });
+            self.subjects.push(FuzzSubject { kind, damage, name, bytes, lines, folder: folder.clone() });
         }
         Ok(())
     }

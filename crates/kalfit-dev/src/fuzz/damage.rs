@@ -66,11 +66,11 @@ const WORDS: [&str; 20] = [
     "true",
 ];
 
-pub(super) fn damaged(random: &mut ChaCha8Rng, sound: &[u8], form: DamageKind) -> Vec<u8> {
+pub(super) fn damaged(random: &mut ChaCha8Rng, sound: &[u8], damage: DamageKind) -> Vec<u8> {
     let mut bytes = sound.to_vec();
     let times = [1, 1, 1, 1, 2, 4][random.random_range(0..6_usize)];
     for _ in 0..times {
-        bytes = match form {
+        bytes = match damage {
             DamageKind::Bytes => by_bytes(random, bytes),
             DamageKind::Text if random.random_bool(0.2) => by_bytes(random, bytes),
             DamageKind::Text => by_words(random, &bytes),

@@ -176,7 +176,7 @@ struct FuzzRun {
 fn one(corpus: &FuzzCorpus, kept: &std::path::Path, seed: u64) -> Result<FuzzRun, String> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let subject = &corpus.subjects[random.random_range(0..corpus.subjects.len())];
-    let bytes = damage::damaged(&mut random, &subject.bytes, subject.form);
+    let bytes = damage::damaged(&mut random, &subject.bytes, subject.damage);
     let line = &subject.lines[random.random_range(0..subject.lines.len())];
     let folder = kept.join(format!("run-{seed}"));
     let done = run::run(corpus, subject, (line, &bytes), &folder)?;

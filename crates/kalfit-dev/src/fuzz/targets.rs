@@ -44,7 +44,7 @@ pub(super) struct FuzzTargets {
 /// A sound file.
 struct SoundFile {
     kind: &'static str,
-    form: damage::DamageKind,
+    damage: damage::DamageKind,
     name: &'static str,
     bytes: Vec<u8>,
     folder: PathBuf,
@@ -56,8 +56,8 @@ impl FuzzTargets {
             let template = subject.folder.file_name().map(|name| name.to_string_lossy().into_owned());
             let model = subject.folder.join(format!("{}.toml", template.unwrap_or_default()));
             let text = std::fs::read_to_string(&model).map_err(|error| format!("{}: {error}", model.display()))?;
-            let FuzzSubject { kind, form, name, bytes, folder, .. } = subject;
-            Ok((SoundFile { kind, form: *form, name, bytes: bytes.clone(), folder: folder.clone() }, text))
+            let FuzzSubject { kind, damage, name, bytes, folder, .. } = subject;
+            Ok((SoundFile { kind, damage: *damage, name, bytes: bytes.clone(), folder: folder.clone() }, text))
         };
         Ok(FuzzTargets { subjects: corpus.subjects.iter().map(of).collect::<Result<_, String>>()? })
     }
@@ -77,7 +77,7 @@ impl FuzzTargets {
                 FuzzInput { kind: "expressions", name: "e.toml".to_owned(), bytes: text.into_bytes(), model, beside }
             }
             _ => {
-                let mut bytes = damage::damaged(&mut random, &sound.bytes, sound.form);
+                let mut bytes = damage::damaged(&mut random, &sound.bytes, sound.damage);
                 bytes.truncate(LARGEST); // a text that is repeated again and again has hundreds of megabytes
                 FuzzInput { kind: sound.kind, name: sound.name.to_owned(), bytes, model, beside }
             }

@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 
 use super::answer::PeerAnswer;
 
-/// What kalfit found, in the order of [`Answer::estimates`], each with its standard error.
+/// What kalfit found, in the order of [`PeerAnswer::estimates`], each with its standard error.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct KalfitAnswer {
     pub(crate) log_likelihood: f64,
@@ -13,7 +13,7 @@ pub(crate) struct KalfitAnswer {
 
 /// How far apart two answers are that agree.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Agreement {
+pub(crate) struct PeerAgreement {
     /// kalfit's log-likelihood less the peer's.
     pub(crate) log_likelihood: f64,
     /// Largest difference of an estimate, in its standard errors.
@@ -44,7 +44,7 @@ impl KalfitAnswer {
     }
 
     /// The distance of an answer that agrees, or where it does not.
-    pub(super) fn against(&self, theirs: &PeerAnswer) -> Result<Agreement, String> {
+    pub(super) fn against(&self, theirs: &PeerAnswer) -> Result<PeerAgreement, String> {
         let log_likelihood = self.log_likelihood - theirs.log_likelihood;
         if log_likelihood.abs() > allowed(self.log_likelihood) {
             let (ours, theirs) = (self.log_likelihood, theirs.log_likelihood);
@@ -62,7 +62,7 @@ impl KalfitAnswer {
             }
             largest = largest.max(distance);
         }
-        Ok(Agreement { log_likelihood, estimates: largest })
+        Ok(PeerAgreement { log_likelihood, estimates: largest })
     }
 }
 

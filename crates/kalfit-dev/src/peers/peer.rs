@@ -14,7 +14,7 @@ pub(super) fn scripts() -> PathBuf {
 
 /// The language of a script.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Language {
+pub(crate) enum ScriptLanguage {
     R,
     Python,
 }
@@ -26,7 +26,7 @@ pub(crate) struct Peer {
     pub(crate) name: &'static str,
     /// What of it is run.
     pub(crate) what: &'static str,
-    pub(crate) language: Language,
+    pub(crate) language: ScriptLanguage,
     /// The script and what follows the data file.
     pub(crate) script: &'static str,
     pub(crate) arguments: &'static [&'static str],
@@ -35,11 +35,11 @@ pub(crate) struct Peer {
 }
 
 const fn r(name: &'static str, what: &'static str, script: &'static str, install: &'static str) -> Peer {
-    Peer { name, what, language: Language::R, script, arguments: &[], install }
+    Peer { name, what, language: ScriptLanguage::R, script, arguments: &[], install }
 }
 
 const fn python(name: &'static str, what: &'static str, script: &'static str, install: &'static str) -> Peer {
-    Peer { name, what, language: Language::Python, script, arguments: &[], install }
+    Peer { name, what, language: ScriptLanguage::Python, script, arguments: &[], install }
 }
 
 const METAFOR: Peer = r("metafor", "`rma.mv`", "metafor.R", "apt install r-cran-metafor");
@@ -97,8 +97,8 @@ impl Peer {
 
     fn run(&self, interpreters: &Interpreters, data: &Path) -> Result<PeerOutcome, String> {
         let program = match self.language {
-            Language::R => &interpreters.rscript,
-            Language::Python => &interpreters.python,
+            ScriptLanguage::R => &interpreters.rscript,
+            ScriptLanguage::Python => &interpreters.python,
         };
         let mut command = Command::new(program);
         command.arg(self.script).arg(path(data)?).args(self.arguments).current_dir(scripts());
@@ -151,8 +151,8 @@ mod tests {
         for peer in ALL {
             let text = std::fs::read_to_string(scripts().join(peer.script)).unwrap();
             let says = match peer.language {
-                Language::R => "needs(",
-                Language::Python => "common.missing()",
+                ScriptLanguage::R => "needs(",
+                ScriptLanguage::Python => "common.missing()",
             };
             assert!(text.contains(says), "{}", peer.script);
         }

@@ -2,7 +2,7 @@
 
 mod c;
 mod fields;
-pub(crate) mod form;
+pub(crate) mod format;
 mod mat;
 mod npz;
 mod python;
@@ -11,7 +11,7 @@ mod zip;
 use kalfit::export::{ExportError, Wanted, export as matrices};
 use kalfit::record::{ExportRecord, ExportSource};
 
-pub use self::form::ExportFormat;
+pub use self::format::ExportFormat;
 use crate::failure::Failure;
 use crate::job::{ExportJob, JobDone, files};
 use crate::output::{OutputError, OutputFile};
@@ -27,10 +27,10 @@ pub fn export(job: &ExportJob) -> Result<JobDone<ExportRecord>, Failure> {
     let output = match &job.out {
         None => None,
         Some(path) => {
-            let form = job.form.map_or_else(|| ExportFormat::of(path), Ok)?;
+            let format = job.format.map_or_else(|| ExportFormat::of(path), Ok)?;
             let used = files(&[&job.model.document, &job.from], &[]);
-            let output = OutputFile::prepare_for(("--as", form.contents()), Some(path), &used)?;
-            output.map(|output| (output, form))
+            let output = OutputFile::prepare_for(("--as", format.contents()), Some(path), &used)?;
+            output.map(|output| (output, format))
         }
     };
     let wanted = Wanted { phase: job.phase.clone(), step: job.step, at };
@@ -38,15 +38,15 @@ pub fn export(job: &ExportJob) -> Result<JobDone<ExportRecord>, Failure> {
     let words = spec.words(found.phase);
     let source = ExportSource { from: job.from.name(), at: &wanted.at, words: &words };
     let record = ExportRecord::new(&spec.model, &found, &source);
-    if let Some((output, form)) = &output {
-        write(output, *form, &record)?;
+    if let Some((output, format)) = &output {
+        write(output, *format, &record)?;
     }
     let written = output.iter().map(|(output, _)| output.name()).collect();
     Ok(JobDone::new(record, truth.warnings, written))
 }
 
-fn write(output: &OutputFile, form: ExportFormat, record: &ExportRecord) -> Result<(), OutputError> {
-    match form {
+fn write(output: &OutputFile, format: ExportFormat, record: &ExportRecord) -> Result<(), OutputError> {
+    match format {
         ExportFormat::Json => output.write(record),
         ExportFormat::Npz => output.write_bytes(&npz::file(record)),
         ExportFormat::Mat => output.write_bytes(&mat::file(record)),

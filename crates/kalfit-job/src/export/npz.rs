@@ -4,11 +4,11 @@
 use kalfit::record::ExportRecord;
 
 use super::fields::{FieldValue, fields};
-use super::zip::Archive;
+use super::zip::ZipArchive;
 
 /// The file.
 pub(super) fn file(record: &ExportRecord) -> Vec<u8> {
-    let mut archive = Archive::default();
+    let mut archive = ZipArchive::default();
     for (name, value) in fields(record) {
         archive.add(&format!("{name}.npy"), &array(&value));
     }

@@ -9,13 +9,13 @@ const UTF8: u16 = 1 << 11;
 
 /// An archive that is being made.
 #[derive(Debug, Default)]
-pub(super) struct Archive {
+pub(super) struct ZipArchive {
     bytes: Vec<u8>,
     directory: Vec<u8>,
     files: u16,
 }
 
-impl Archive {
+impl ZipArchive {
     /// Adds a file.
     pub(super) fn add(&mut self, name: &str, contents: &[u8]) {
         let offset = self.bytes.len() as u32;
@@ -39,7 +39,7 @@ impl Archive {
 
     /// The archive.
     pub(super) fn finish(self) -> Vec<u8> {
-        let Archive { mut bytes, directory, files } = self;
+        let ZipArchive { mut bytes, directory, files } = self;
         let offset = bytes.len() as u32;
         bytes.extend(&directory);
         bytes.extend(b"PK\x05\x06");

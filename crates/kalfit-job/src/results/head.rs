@@ -44,13 +44,13 @@ pub(super) struct ResultHead {
 
 impl<'de> Deserialize<'de> for ResultHead {
     fn deserialize<D: Deserializer<'de>>(from: D) -> Result<ResultHead, D::Error> {
-        from.deserialize_map(HeadVisitor)
+        from.deserialize_map(ResultHeadVisitor)
     }
 }
 
-struct HeadVisitor;
+struct ResultHeadVisitor;
 
-impl<'de> Visitor<'de> for HeadVisitor {
+impl<'de> Visitor<'de> for ResultHeadVisitor {
     type Value = ResultHead;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -35,7 +35,7 @@ pub struct JoinJob {
 
 /// How a fit by sums goes on.
 #[derive(Debug)]
-pub enum Joined {
+pub enum JoinedSums {
     /// One more round.
     Asks(Box<Theta>),
     /// It has ended.
@@ -76,11 +76,11 @@ pub fn join(job: &JoinJob, watch: &mut dyn JobWatch) -> Result<JobDone<JoinedRou
     let named: Vec<(&str, &SiteSums)> = names.iter().map(String::as_str).zip(&sums).collect();
     let round = |record| JoinedRound { places: sums.len(), tests, rounds, record };
     match go_on((&spec, job.criterion), theta, &named, watch)? {
-        Joined::Asks(theta) => {
+        JoinedSums::Asks(theta) => {
             out.write(&*theta)?;
             Ok(JobDone::new(round(None), Vec::new(), vec![out.name()]))
         }
-        Joined::Ends(mut record) => {
+        JoinedSums::Ends(mut record) => {
             record.data.files = names.clone();
             write::record(&fit, &mut record)?;
             Ok(JobDone::new(round(Some(record)), Vec::new(), vec![fit.name()]))
@@ -105,7 +105,7 @@ pub fn of_partitions(
     theta: Theta,
     sums: &[SiteSums],
     watch: &mut dyn JobWatch,
-) -> Result<Joined, Failure> {
+) -> Result<JoinedSums, Failure> {
     let spec = model::load(job, &[])?;
     memory::suffices(&spec)?;
     let names: Vec<String> = (1..=sums.len()).map(|k| format!("partition {k}")).collect();
@@ -119,7 +119,7 @@ fn go_on(
     theta: Theta,
     sums: &[(&str, &SiteSums)],
     watch: &mut dyn JobWatch,
-) -> Result<Joined, Failure> {
+) -> Result<JoinedSums, Failure> {
     let mut work = JobWork::new(watch);
     let next = together(theta, sums, spec)?;
     let provenance = Provenance {
@@ -132,10 +132,10 @@ fn go_on(
     let asks = Asks { settings: Settings { criterion, ..Settings::default() }, ..Asks::default() };
     let found = kalfit::shards::go_on(&spec.model, &asks, next.known.clone(), provenance, &mut work);
     match found.map_err(SumsError::from)? {
-        Next::Asks(ask) => Ok(Joined::Asks(Box::new(Theta { ask, ..next }))),
+        Next::Asks(ask) => Ok(JoinedSums::Asks(Box::new(Theta { ask, ..next }))),
         Next::Ends(mut record) => {
             record.notes.splice(0..0, spec.questions());
-            Ok(Joined::Ends(record))
+            Ok(JoinedSums::Ends(record))
         }
     }
 }

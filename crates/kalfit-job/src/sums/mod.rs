@@ -6,7 +6,7 @@ mod site;
 mod theta;
 
 pub use error::SumsError;
-pub use join::{JoinJob, Joined, JoinedRound, first, join, of_partitions};
+pub use join::{JoinJob, JoinedRound, JoinedSums, first, join, of_partitions};
 pub use site::{SumsJob, SumsMade, SumsSite, sums};
 pub use theta::{SiteSums, Theta};
 

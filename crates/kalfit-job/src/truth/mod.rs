@@ -9,7 +9,7 @@ use kalfit::infer::{Estimand, Knowledge};
 use kalfit::model::{Level, ParameterError, Value};
 use kalfit::record::RecordError;
 use kalfit::{Alpha, FitRecord, Population};
-use kalfit_spec::{Assignment, Spec};
+use kalfit_spec::{ParameterAssignment, Spec};
 
 use crate::document::Document;
 use crate::failure::Failure;
@@ -106,7 +106,7 @@ fn take(spec: &mut Spec, from: &Document, set: &[String]) -> Result<Truth, Failu
     };
     let mut taken = give(spec, &known, &path, &mut warnings)?;
     model::set(spec, set)?;
-    let assigned = set.iter().filter_map(|assignment| Assignment::new(assignment).ok());
+    let assigned = set.iter().filter_map(|assignment| ParameterAssignment::new(assignment).ok());
     let changed: Vec<String> = assigned.clone().map(|assignment| assignment.target()).collect();
     taken.retain(|name| !assigned.clone().any(|assignment| assignment.name == name));
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
@@ -162,7 +162,8 @@ fn of_model(spec: &Spec, from: &Document, set: &[String]) -> Result<(Population,
         }
     }
     let is_there = |name: &str| truth.model.shared().parameters.iter().any(|p| p.name == name);
-    let is_own = |assignment: &&String| Assignment::new(assignment).is_ok_and(|assigned| is_there(assigned.name));
+    let is_own =
+        |assignment: &&String| ParameterAssignment::new(assignment).is_ok_and(|assigned| is_there(assigned.name));
     let own: Vec<String> = set.iter().filter(is_own).cloned().collect();
     model::set(&mut truth, &own)?;
     let alpha = Alpha::fixed(&truth.model.shared().parameters)

@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 use maud::{Markup, html};
 
 use crate::html::math::equation;
-use crate::html::math::{self, Math};
+use crate::html::math::{self, EquationPart};
 use crate::html::section::PageSection;
 use crate::summary::places;
 use crate::words::{clean, sentence};
@@ -32,9 +32,10 @@ fn equations(record: &FitRecord) -> Markup {
     use math::{hat, letter, op, row, sub};
     let phased = record.phases.len() > 1;
     let regression = record.phases.iter().any(|phase| !phase.mean.regression.is_empty());
-    let x = |k: Math| sub(letter("x"), k);
+    let x = |k: EquationPart| sub(letter("x"), k);
     let j = || letter("j");
-    let normal = |mean: Math, variance: Math| row([letter("N"), op("("), mean, op(","), variance, op(")")]);
+    let normal =
+        |mean: EquationPart, variance: EquationPart| row([letter("N"), op("("), mean, op(","), variance, op(")")]);
     let mean =
         if regression { row([letter("μ"), op("+"), sub(letter("D"), j()), letter("β")]) } else { letter("μ") };
     let step = || row([letter("k"), op("−"), math::number("1")]);

@@ -10,7 +10,7 @@ use crate::html::grouping::{ColoredGroups, place};
 use crate::html::outlying::{LEVEL, MOST_TESTS, outlying, stands_out};
 use crate::html::posteriors;
 use crate::html::section::PageSection;
-use crate::number::{Precision, hundredths, plain, probability};
+use crate::number::{FigurePrecision, hundredths, plain, probability};
 use crate::page::PageLayout;
 use crate::summary::{outliers, places};
 use crate::table::{ColumnSide, TextColumn};
@@ -120,7 +120,7 @@ fn states(record: &FitRecord, tests: &[&TestRecord]) -> Vec<TextColumn> {
             let part = test.phases.iter().find(|part| part.name == phase.name)?;
             let (mean, variance) = (*part.mean.get(i)?, *part.covariance.rows().nth(i)?.get(i)?);
             let sd = Some(variance.max(0.0).sqrt()).filter(|s| *s > 0.0 && s.is_finite());
-            let precision = Precision::of(mean, sd);
+            let precision = FigurePrecision::of(mean, sd);
             let sd = sd.map_or_else(String::new, |sd| format!(" ± {}", precision.show_error(sd)));
             Some(format!("{}{sd}", precision.show(mean)))
         };

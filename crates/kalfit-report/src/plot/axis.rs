@@ -1,7 +1,7 @@
 //! From values to points.
 
 use crate::number::plain;
-use crate::plot::canvas::{Canvas, FAINT, GRID, SMALL, TextAnchor, width_of};
+use crate::plot::canvas::{FAINT, GRID, PlotCanvas, SMALL, TextAnchor, width_of};
 
 /// Digits of the number at a tick.
 const DIGITS: usize = 6;
@@ -12,7 +12,7 @@ const LOW: f64 = 120.0;
 
 /// One axis.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Axis {
+pub(super) struct PlotAxis {
     low: f64,
     high: f64,
     /// Points of the ends.
@@ -20,9 +20,9 @@ pub(super) struct Axis {
     to: f64,
 }
 
-impl Axis {
+impl PlotAxis {
     /// From `from` to `to`, with room for all values that are finite and some to spare.
-    pub(super) fn over(values: impl Iterator<Item = f64>, from: f64, to: f64) -> Axis {
+    pub(super) fn over(values: impl Iterator<Item = f64>, from: f64, to: f64) -> PlotAxis {
         let ends = values.filter(|x| x.abs() < 1e150).fold(None, |ends: Option<(f64, f64)>, x| match ends {
             Some((low, high)) => Some((low.min(x), high.max(x))),
             None => Some((x, x)),
@@ -30,12 +30,12 @@ impl Axis {
         let (low, high) = ends.unwrap_or((0.0, 1.0));
         // of values that are all the same, and near the end of what numbers can tell apart
         let room = (0.05 * (high - low)).max(1e-9 * low.abs().max(high.abs())).max(f64::MIN_POSITIVE * 1e6);
-        Axis { low: low - room, high: high + room, from, to }
+        PlotAxis { low: low - room, high: high + room, from, to }
     }
 
     /// The same from zero, which has no room below it.
-    pub(super) fn from_zero(values: impl Iterator<Item = f64>, from: f64, to: f64) -> Axis {
-        Axis { low: 0.0, ..Axis::over(values.chain([0.0]), from, to) }
+    pub(super) fn from_zero(values: impl Iterator<Item = f64>, from: f64, to: f64) -> PlotAxis {
+        PlotAxis { low: 0.0, ..PlotAxis::over(values.chain([0.0]), from, to) }
     }
 
     pub(super) fn at(&self, x: f64) -> f64 {
@@ -65,7 +65,7 @@ impl Axis {
     }
 
     /// Numbers below a figure, and lines up to its top.
-    pub(super) fn below(&self, on: &mut Canvas<'_>, top: f64, bottom: f64) {
+    pub(super) fn below(&self, on: &mut PlotCanvas<'_>, top: f64, bottom: f64) {
         for (tick, words) in self.ticks(|words| (width_of(words, SMALL) + 14.0).max(55.0)) {
             let x = self.at(tick);
             on.line(&[[x, top], [x, bottom]], GRID, 0.7);
@@ -75,7 +75,7 @@ impl Axis {
     }
 
     /// Numbers at the left of a figure, and lines to its right.
-    pub(super) fn beside(&self, on: &mut Canvas<'_>, left: f64, right: f64) {
+    pub(super) fn beside(&self, on: &mut PlotCanvas<'_>, left: f64, right: f64) {
         let least = if (self.to - self.from).abs() < LOW { CLOSEST } else { 2.0 * CLOSEST };
         for (tick, words) in self.ticks(|_| least) {
             let y = self.at(tick);
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn all_values_are_inside_and_ticks_are_round() {
-        let axis = Axis::over([2.0, -1.0, f64::NAN].into_iter(), 100.0, 400.0);
+        let axis = PlotAxis::over([2.0, -1.0, f64::NAN].into_iter(), 100.0, 400.0);
         assert!(axis.at(-1.0) > 100.0 && axis.at(2.0) < 400.0, "{axis:?}");
         let words = |needs: f64| axis.ticks(|_| needs).into_iter().map(|(_, words)| words).collect::<Vec<_>>();
         assert_eq!(words(50.0), ["-1", "0", "1", "2"]);
@@ -102,7 +102,7 @@ mod tests {
     #[test]
     fn values_that_are_all_the_same_have_an_axis() {
         for x in [0.0, 3.0, 1e-300, 1e12, -7e140] {
-            let axis = Axis::over(std::iter::once(x), 0.0, 100.0);
+            let axis = PlotAxis::over(std::iter::once(x), 0.0, 100.0);
             assert!((axis.at(x) - 50.0).abs() < 1.0, "{x} is at {}", axis.at(x));
             assert!(axis.ticks(|_| 20.0).len() < 10);
         }

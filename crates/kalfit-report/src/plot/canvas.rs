@@ -3,14 +3,14 @@
 use crate::words::wrap;
 
 /// Three parts of 255.
-pub(super) type Color = [u8; 3];
+pub(super) type PlotColor = [u8; 3];
 
-pub(super) const INK: Color = [0x22; 3];
-pub(super) const FAINT: Color = [0x77; 3];
-pub(super) const GRID: Color = [0xdd; 3];
+pub(super) const INK: PlotColor = [0x22; 3];
+pub(super) const FAINT: PlotColor = [0x77; 3];
+pub(super) const GRID: PlotColor = [0xdd; 3];
 /// Of Okabe and Ito's palette, which colour-blind readers can tell apart.
-pub(super) const BLUE: Color = [0x00, 0x72, 0xb2];
-pub(super) const ORANGE: Color = [0xd5, 0x5e, 0x00];
+pub(super) const BLUE: PlotColor = [0x00, 0x72, 0xb2];
+pub(super) const ORANGE: PlotColor = [0xd5, 0x5e, 0x00];
 
 /// How much of an area's colour is seen.
 pub(super) const AREA: f32 = 0.15;
@@ -39,23 +39,23 @@ pub(super) enum TextAnchor {
 pub(super) enum SceneShape {
     Line {
         points: Vec<[f64; 2]>,
-        color: Color,
+        color: PlotColor,
         width: f64,
         dashed: bool,
     },
     Area {
         points: Vec<[f64; 2]>,
-        color: Color,
+        color: PlotColor,
     },
     Bar {
         from: [f64; 2],
         to: [f64; 2],
-        color: Color,
+        color: PlotColor,
     },
     Dot {
         at: [f64; 2],
         radius: f64,
-        color: Color,
+        color: PlotColor,
         filled: bool,
     },
     /// `at` is half way up a small letter.
@@ -64,35 +64,35 @@ pub(super) enum SceneShape {
         words: String,
         size: f64,
         side: TextAnchor,
-        color: Color,
+        color: PlotColor,
     },
 }
 
 /// All shapes of a figure.
 #[derive(Debug)]
-pub(super) struct Scene {
+pub(super) struct PlotScene {
     pub(super) width: f64,
     pub(super) height: f64,
     pub(super) shapes: Vec<SceneShape>,
 }
 
 /// A part of a scene, from some height on.
-pub(super) struct Canvas<'a> {
-    scene: &'a mut Scene,
+pub(super) struct PlotCanvas<'a> {
+    scene: &'a mut PlotScene,
     top: f64,
     pub(super) width: f64,
 }
 
-impl Scene {
-    pub(super) fn canvas(&mut self) -> Canvas<'_> {
-        Canvas { top: 0.0, width: self.width, scene: self }
+impl PlotScene {
+    pub(super) fn canvas(&mut self) -> PlotCanvas<'_> {
+        PlotCanvas { top: 0.0, width: self.width, scene: self }
     }
 }
 
-impl Canvas<'_> {
+impl PlotCanvas<'_> {
     /// The same without its first points.
-    pub(super) fn below(&mut self, height: f64) -> Canvas<'_> {
-        Canvas { scene: self.scene, top: self.top + height, width: self.width }
+    pub(super) fn below(&mut self, height: f64) -> PlotCanvas<'_> {
+        PlotCanvas { scene: self.scene, top: self.top + height, width: self.width }
     }
 
     fn place(&self, [x, y]: [f64; 2]) -> [f64; 2] {
@@ -103,33 +103,33 @@ impl Canvas<'_> {
         points.iter().map(|point| self.place(*point)).collect()
     }
 
-    pub(super) fn line(&mut self, points: &[[f64; 2]], color: Color, width: f64) {
+    pub(super) fn line(&mut self, points: &[[f64; 2]], color: PlotColor, width: f64) {
         let points = self.places(points);
         self.scene.shapes.push(SceneShape::Line { points, color, width, dashed: false });
     }
 
-    pub(super) fn dashed(&mut self, from: [f64; 2], to: [f64; 2], color: Color) {
+    pub(super) fn dashed(&mut self, from: [f64; 2], to: [f64; 2], color: PlotColor) {
         let points = self.places(&[from, to]);
         self.scene.shapes.push(SceneShape::Line { points, color, width: 1.0, dashed: true });
     }
 
     /// A closed area of a faint colour.
-    pub(super) fn area(&mut self, points: &[[f64; 2]], color: Color) {
+    pub(super) fn area(&mut self, points: &[[f64; 2]], color: PlotColor) {
         let points = self.places(points);
         self.scene.shapes.push(SceneShape::Area { points, color });
     }
 
-    pub(super) fn bar(&mut self, from: [f64; 2], to: [f64; 2], color: Color) {
+    pub(super) fn bar(&mut self, from: [f64; 2], to: [f64; 2], color: PlotColor) {
         let (from, to) = (self.place(from), self.place(to));
         self.scene.shapes.push(SceneShape::Bar { from, to, color });
     }
 
-    pub(super) fn dot(&mut self, at: [f64; 2], radius: f64, color: Color, filled: bool) {
+    pub(super) fn dot(&mut self, at: [f64; 2], radius: f64, color: PlotColor, filled: bool) {
         let at = self.place(at);
         self.scene.shapes.push(SceneShape::Dot { at, radius, color, filled });
     }
 
-    pub(super) fn text(&mut self, at: [f64; 2], words: &str, size: f64, side: TextAnchor, color: Color) {
+    pub(super) fn text(&mut self, at: [f64; 2], words: &str, size: f64, side: TextAnchor, color: PlotColor) {
         let at = self.place(at);
         self.scene.shapes.push(SceneShape::Text { at, words: words.to_owned(), size, side, color });
     }

@@ -4,10 +4,10 @@ use kalfit::FitRecord;
 use kalfit::record::PhaseRecord;
 
 use crate::html::outlying::stands_out;
-use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, TextAnchor, WORDS, cut};
+use crate::plot::axis::PlotAxis;
+use crate::plot::canvas::{BLUE, FAINT, INK, ORANGE, PlotCanvas, SMALL, TextAnchor, WORDS, cut};
 use crate::plot::error::PlotError;
-use crate::plot::picture::PlotDrawing;
+use crate::plot::picture::DrawablePlot;
 use crate::words::clean;
 
 /// Pairs that are drawn: those of the first four states.
@@ -110,7 +110,7 @@ fn edge(pair: &StatePair, part: f64) -> Vec<[f64; 2]> {
     (0..=POINTS).map(point).collect()
 }
 
-impl PlotDrawing for EllipsePlot {
+impl DrawablePlot for EllipsePlot {
     fn caption(&self) -> String {
         let at = if self.regression { ", regression columns at zero" } else { "" };
         format!("Population (50 % and 95 %{at}) and estimates of the tests given it")
@@ -121,7 +121,7 @@ impl PlotDrawing for EllipsePlot {
         rows as f64 * 0.8 * self.side(width) + 8.0
     }
 
-    fn draw(&self, on: &mut Canvas<'_>) {
+    fn draw(&self, on: &mut PlotCanvas<'_>) {
         let (columns, side) = (self.columns(on.width), self.side(on.width));
         for (k, pair) in self.pairs.iter().enumerate() {
             let left = 8.0 + (k % columns) as f64 * side;
@@ -130,13 +130,13 @@ impl PlotDrawing for EllipsePlot {
     }
 }
 
-fn put(pair: &StatePair, on: &mut Canvas<'_>, left: f64, side: f64) {
+fn put(pair: &StatePair, on: &mut PlotCanvas<'_>, left: f64, side: f64) {
     let edges = HELD.map(|part| edge(pair, part));
     let all = || edges[1].iter().copied().chain(pair.tests.iter().map(|test| test.at));
     let (from, to) = (left + LEFT, left + side - 14.0);
     let (top, bottom) = (22.0, 0.8 * side - BELOW);
-    let x = Axis::over(all().map(|at| at[0]), from, to);
-    let y = Axis::over(all().map(|at| at[1]), bottom, top);
+    let x = PlotAxis::over(all().map(|at| at[0]), from, to);
+    let y = PlotAxis::over(all().map(|at| at[1]), bottom, top);
     let at = |value: [f64; 2]| [x.at(value[0]), y.at(value[1])];
     x.below(on, top, bottom);
     y.beside(on, from, to);

@@ -4,10 +4,10 @@ use kalfit::FitRecord;
 
 use crate::html::forest::{ForestPanel, panels};
 use crate::html::{estimates, parameters};
-use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, SMALL, TextAnchor, WORDS, cut, widest};
+use crate::plot::axis::PlotAxis;
+use crate::plot::canvas::{BLUE, FAINT, INK, PlotCanvas, SMALL, TextAnchor, WORDS, cut, widest};
 use crate::plot::error::PlotError;
-use crate::plot::picture::PlotDrawing;
+use crate::plot::picture::DrawablePlot;
 use crate::words::clean;
 
 /// Heights, in points.
@@ -42,7 +42,7 @@ impl ForestPlot {
     }
 }
 
-impl PlotDrawing for ForestPlot {
+impl DrawablePlot for ForestPlot {
     fn caption(&self) -> String {
         "Estimates with 95 % intervals; open marks have none".to_owned()
     }
@@ -51,7 +51,7 @@ impl PlotDrawing for ForestPlot {
         self.panels.iter().map(|panel| LABEL + ROW * panel.rows.len() as f64 + TICKS).sum::<f64>() + 6.0
     }
 
-    fn draw(&self, on: &mut Canvas<'_>) {
+    fn draw(&self, on: &mut PlotCanvas<'_>) {
         let rows = || self.panels.iter().flat_map(|panel| &panel.rows);
         let left = 12.0 + widest(rows().map(|row| row.name.as_str()), WORDS, 0.35 * on.width) + 10.0;
         let words = if on.width < WIDE {
@@ -73,10 +73,10 @@ fn short(words: &str) -> &str {
     words.split(" (95 %").next().unwrap_or(words)
 }
 
-fn put(panel: &ForestPanel, on: &mut Canvas<'_>, left: f64, right: f64) {
+fn put(panel: &ForestPanel, on: &mut PlotCanvas<'_>, left: f64, right: f64) {
     let known = |end: Option<f64>| end.filter(|x| x.is_finite());
     let ends = panel.rows.iter().flat_map(|row| row.ends.unwrap_or([None, None]).map(known)).flatten();
-    let axis = Axis::over(ends.chain(panel.rows.iter().map(|row| row.estimate)), left, right);
+    let axis = PlotAxis::over(ends.chain(panel.rows.iter().map(|row| row.estimate)), left, right);
     let bottom = LABEL + ROW * panel.rows.len() as f64;
     on.text([12.0, 14.0], &cut(&panel.label, on.width - 24.0, WORDS), WORDS, TextAnchor::Left, INK);
     axis.below(on, LABEL, bottom);

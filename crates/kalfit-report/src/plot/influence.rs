@@ -3,10 +3,10 @@
 use kalfit::FitRecord;
 use kalfit::record::displacement_limit;
 
-use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, TextAnchor, WORDS, cut, widest};
+use crate::plot::axis::PlotAxis;
+use crate::plot::canvas::{BLUE, FAINT, INK, ORANGE, PlotCanvas, SMALL, TextAnchor, WORDS, cut, widest};
 use crate::plot::error::PlotError;
-use crate::plot::picture::PlotDrawing;
+use crate::plot::picture::DrawablePlot;
 use crate::summary::influence::deleted;
 use crate::words::{clean, count};
 
@@ -39,7 +39,7 @@ impl InfluencePlot {
     }
 }
 
-impl PlotDrawing for InfluencePlot {
+impl DrawablePlot for InfluencePlot {
     fn caption(&self) -> String {
         let which = if self.of > MOST {
             format!("the {MOST} most influential of {}", count(self.of, "test"))
@@ -53,10 +53,10 @@ impl PlotDrawing for InfluencePlot {
         TOP + ROW * self.tests.len() as f64 + BOTTOM
     }
 
-    fn draw(&self, on: &mut Canvas<'_>) {
+    fn draw(&self, on: &mut PlotCanvas<'_>) {
         let left = 22.0 + widest(self.tests.iter().map(|(id, _)| id.as_str()), WORDS, 0.35 * on.width);
         let right = on.width - 20.0;
-        let axis = Axis::from_zero(self.tests.iter().map(|one| one.1).chain([self.limit]), left, right);
+        let axis = PlotAxis::from_zero(self.tests.iter().map(|one| one.1).chain([self.limit]), left, right);
         let bottom = TOP + ROW * self.tests.len() as f64;
         axis.below(on, TOP, bottom);
         for (k, (id, displacement)) in self.tests.iter().enumerate() {

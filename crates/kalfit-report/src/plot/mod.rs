@@ -23,7 +23,7 @@ pub use crate::plot::picture::PlotFormat;
 use crate::plot::ellipses::EllipsePlot;
 use crate::plot::forest::ForestPlot;
 use crate::plot::influence::InfluencePlot;
-use crate::plot::picture::PlotDrawing;
+use crate::plot::picture::DrawablePlot;
 use crate::plot::records::RecordPlot;
 
 /// Widths of a figure, in points of a screen.
@@ -42,7 +42,7 @@ pub enum PlotKind {
     Records,
 }
 
-/// A figure of a fit, as a whole file. `along` and `test` are for [`What::Records`] alone: what is known along the records, and the
+/// A figure of a fit, as a whole file. `along` and `test` are for [`PlotKind::Records`] alone: what is known along the records, and the
 /// test to show, by default the least probable.
 ///
 /// # Errors

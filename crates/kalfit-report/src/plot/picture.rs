@@ -2,7 +2,7 @@
 
 use kalfit::FitRecord;
 
-use crate::plot::canvas::{Canvas, LINE, Scene, WORDS, lines};
+use crate::plot::canvas::{LINE, PlotCanvas, PlotScene, WORDS, lines};
 use crate::plot::error::PlotError;
 use crate::plot::{png, svg};
 use crate::words::clean;
@@ -20,21 +20,21 @@ pub enum PlotFormat {
 }
 
 /// A figure that knows how to draw itself, in points, below its heading.
-pub(super) trait PlotDrawing {
+pub(super) trait DrawablePlot {
     /// What it shows, for the lines below its title.
     fn caption(&self) -> String;
 
     /// Its height at this width.
     fn height(&self, width: f64) -> f64;
 
-    fn draw(&self, on: &mut Canvas<'_>);
+    fn draw(&self, on: &mut PlotCanvas<'_>);
 
     /// The file.
     fn put(&self, record: &FitRecord, format: PlotFormat, width: u32) -> Result<Vec<u8>, PlotError> {
         let width = f64::from(width);
         let caption = lines(&self.caption(), width - 24.0, WORDS);
         let heading = HEADING + LINE * caption.len() as f64;
-        let mut scene = Scene { width, height: (heading + self.height(width)).ceil(), shapes: Vec::new() };
+        let mut scene = PlotScene { width, height: (heading + self.height(width)).ceil(), shapes: Vec::new() };
         let mut canvas = scene.canvas();
         canvas.heading(&clean(&record.title), &caption);
         self.draw(&mut canvas.below(heading));

@@ -3,7 +3,7 @@
 use tiny_skia::{FillRule, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform};
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-use crate::plot::canvas::{AREA, Color, DASH, Scene, SceneShape, TextAnchor};
+use crate::plot::canvas::{AREA, DASH, PlotColor, PlotScene, SceneShape, TextAnchor};
 use crate::plot::error::PlotError;
 use crate::plot::svg::MIDDLE;
 
@@ -12,24 +12,24 @@ const PIXELS: f32 = 2.0;
 /// Latin, Greek and Cyrillic letters and mathematical signs of DejaVu Sans; see assets/README.md.
 const FONT: &[u8] = include_bytes!("../../assets/DejaVuSans.ttf");
 
-pub(super) fn png(scene: &Scene) -> Result<Vec<u8>, PlotError> {
+pub(super) fn png(scene: &PlotScene) -> Result<Vec<u8>, PlotError> {
     let failed = |what: String| PlotError::Draw(what);
     let font = Face::parse(FONT, 0).map_err(|error| failed(error.to_string()))?;
     let pixels = |points: f64| (points as f32 * PIXELS).ceil() as u32;
     let (wide, high) = (pixels(scene.width), pixels(scene.height));
     let mut pixmap = Pixmap::new(wide, high).ok_or_else(|| failed(format!("{wide} × {high} pixels are too many")))?;
     pixmap.fill(tiny_skia::Color::WHITE);
-    let mut paper = Paper { pixmap, font };
+    let mut paper = PngPaper { pixmap, font };
     scene.shapes.iter().for_each(|shape| paper.put(shape));
     paper.pixmap.encode_png().map_err(|error| failed(error.to_string()))
 }
 
-struct Paper {
+struct PngPaper {
     pixmap: Pixmap,
     font: Face<'static>,
 }
 
-impl Paper {
+impl PngPaper {
     fn put(&mut self, shape: &SceneShape) {
         match shape {
             SceneShape::Line { points, color, width, dashed } => {
@@ -55,13 +55,13 @@ impl Paper {
     }
 
     /// Nothing where there is no path: of one point, or without extent.
-    fn fill(&mut self, path: Option<Path>, color: Color, opacity: f32) {
+    fn fill(&mut self, path: Option<Path>, color: PlotColor, opacity: f32) {
         let Some(path) = path else { return };
         let scaled = Transform::from_scale(PIXELS, PIXELS);
         self.pixmap.fill_path(&path, &paint(color, opacity), FillRule::Winding, scaled, None);
     }
 
-    fn stroke(&mut self, path: Option<Path>, color: Color, stroke: Stroke) {
+    fn stroke(&mut self, path: Option<Path>, color: PlotColor, stroke: Stroke) {
         let Some(path) = path else { return };
         let scaled = Transform::from_scale(PIXELS, PIXELS);
         self.pixmap.stroke_path(&path, &paint(color, 1.0), &stroke, scaled, None);
@@ -78,7 +78,7 @@ impl Paper {
             TextAnchor::Middle => 0.5 * width,
             TextAnchor::Right => width,
         };
-        let mut pen = Pen { path: PathBuilder::new(), x: x - before, line: y + MIDDLE as f32 * size, scale };
+        let mut pen = GlyphPen { path: PathBuilder::new(), x: x - before, line: y + MIDDLE as f32 * size, scale };
         for glyph in &glyphs {
             self.font.outline_glyph(*glyph, &mut pen);
             pen.x += advance(glyph);
@@ -88,20 +88,20 @@ impl Paper {
 }
 
 /// Writes outlines of letters, whose y goes up, where they belong.
-struct Pen {
+struct GlyphPen {
     path: PathBuilder,
     x: f32,
     line: f32,
     scale: f32,
 }
 
-impl Pen {
+impl GlyphPen {
     fn at(&self, x: f32, y: f32) -> (f32, f32) {
         (self.x + self.scale * x, self.line - self.scale * y)
     }
 }
 
-impl OutlineBuilder for Pen {
+impl OutlineBuilder for GlyphPen {
     fn move_to(&mut self, x: f32, y: f32) {
         let (x, y) = self.at(x, y);
         self.path.move_to(x, y);
@@ -142,7 +142,7 @@ fn through(points: &[[f64; 2]], closed: bool) -> Option<Path> {
     path.finish()
 }
 
-fn paint(color: Color, opacity: f32) -> Paint<'static> {
+fn paint(color: PlotColor, opacity: f32) -> Paint<'static> {
     let [red, green, blue] = color;
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
     paint.set_color_rgba8(red, green, blue, (255.0 * opacity).round() as u8);

@@ -2,10 +2,10 @@
 
 use kalfit::record::{AlongRecord, MeasurementAlong, TestAlong};
 
-use crate::plot::axis::Axis;
-use crate::plot::canvas::{BLUE, Canvas, FAINT, INK, ORANGE, SMALL, TextAnchor, WORDS, cut};
+use crate::plot::axis::PlotAxis;
+use crate::plot::canvas::{BLUE, FAINT, INK, ORANGE, PlotCanvas, SMALL, TextAnchor, WORDS, cut};
 use crate::plot::error::PlotError;
-use crate::plot::picture::PlotDrawing;
+use crate::plot::picture::DrawablePlot;
 use crate::words::{clean, list};
 
 /// Measurements that are drawn.
@@ -60,7 +60,7 @@ impl<'a> RecordPlot<'a> {
     }
 }
 
-impl PlotDrawing for RecordPlot<'_> {
+impl DrawablePlot for RecordPlot<'_> {
     fn caption(&self) -> String {
         format!(
             "Test {} of {}: measured values, predictions ± 2 standard deviations, innovations",
@@ -73,7 +73,7 @@ impl PlotDrawing for RecordPlot<'_> {
         self.measurements().len() as f64 * (VALUES + INNOVATIONS + 2.0 * AROUND) + 10.0
     }
 
-    fn draw(&self, on: &mut Canvas<'_>) {
+    fn draw(&self, on: &mut PlotCanvas<'_>) {
         let time = self.unit.as_ref().map_or("time".to_owned(), |unit| format!("time [{unit}]"));
         for (k, (name, own)) in self.measurements().into_iter().enumerate() {
             let top = k as f64 * (VALUES + INNOVATIONS + 2.0 * AROUND);
@@ -84,16 +84,16 @@ impl PlotDrawing for RecordPlot<'_> {
 }
 
 /// Where the panel is, with its axis of time.
-fn times(own: &MeasurementAlong, on: &Canvas<'_>) -> Axis {
-    Axis::over(own.at.iter().chain(&own.innovations_at).copied(), LEFT, on.width - 18.0)
+fn times(own: &MeasurementAlong, on: &PlotCanvas<'_>) -> PlotAxis {
+    PlotAxis::over(own.at.iter().chain(&own.innovations_at).copied(), LEFT, on.width - 18.0)
 }
 
-fn values(own: &MeasurementAlong, name: &str, on: &mut Canvas<'_>) {
+fn values(own: &MeasurementAlong, name: &str, on: &mut PlotCanvas<'_>) {
     let (x, right) = (times(own, on), on.width - 18.0);
     let (top, bottom) = (24.0, 24.0 + VALUES);
     let rows = own.at.len().min(own.measured.len()).min(own.predicted.len()).min(own.std_dev.len());
     // the band of the first steps, before anything is known, would leave nothing else to see
-    let y = Axis::over(own.measured.iter().copied(), bottom, top);
+    let y = PlotAxis::over(own.measured.iter().copied(), bottom, top);
     let band = |sign: f64| (0..rows).map(move |i| (i, own.predicted[i] + sign * 2.0 * own.std_dev[i]));
     let point = |(i, value): (usize, f64)| [x.at(own.at[i]), y.at(value)];
     on.text([12.0, 10.0], &cut(name, on.width - 24.0, WORDS), WORDS, TextAnchor::Left, INK);
@@ -109,10 +109,10 @@ fn values(own: &MeasurementAlong, name: &str, on: &mut Canvas<'_>) {
     }
 }
 
-fn innovations(own: &MeasurementAlong, time: &str, on: &mut Canvas<'_>) {
+fn innovations(own: &MeasurementAlong, time: &str, on: &mut PlotCanvas<'_>) {
     let (x, right) = (times(own, on), on.width - 18.0);
     let (top, bottom) = (24.0, 24.0 + INNOVATIONS);
-    let y = Axis::over(own.standardised.iter().copied().chain([-LIMIT, LIMIT]), bottom, top);
+    let y = PlotAxis::over(own.standardised.iter().copied().chain([-LIMIT, LIMIT]), bottom, top);
     on.text([12.0, 10.0], "innovations / standard deviation", WORDS, TextAnchor::Left, INK);
     x.below(on, top, bottom);
     y.beside(on, LEFT, right);

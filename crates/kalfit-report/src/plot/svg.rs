@@ -4,12 +4,12 @@ use std::fmt::Write;
 
 use maud::{PreEscaped, html};
 
-use crate::plot::canvas::{AREA, Color, DASH, Scene, SceneShape, TextAnchor};
+use crate::plot::canvas::{AREA, DASH, PlotColor, PlotScene, SceneShape, TextAnchor};
 
 /// How far the middle of a small letter is above the line it stands on, as a part of its size.
 pub(super) const MIDDLE: f64 = 0.36;
 
-pub(super) fn svg(scene: &Scene) -> String {
+pub(super) fn svg(scene: &PlotScene) -> String {
     let (width, height) = (scene.width, scene.height);
     let shapes = html! { @for shape in &scene.shapes { (PreEscaped(element(shape))) "\n" } };
     let head = format!(
@@ -56,7 +56,7 @@ fn element(shape: &SceneShape) -> String {
     }
 }
 
-fn hex([red, green, blue]: Color) -> String {
+fn hex([red, green, blue]: PlotColor) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }
 

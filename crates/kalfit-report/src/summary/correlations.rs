@@ -1,7 +1,7 @@
 //! Correlations between the states, the lower triangle.
 
 use super::spread::StateSpread;
-use crate::number::Precision;
+use crate::number::FigurePrecision;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 
@@ -48,13 +48,13 @@ fn cell(spread: StateSpread<'_>, i: usize, k: usize) -> String {
     let Some(value) = of(&spread.correlation.estimate) else { return UNDEFINED.to_owned() };
     match of(&spread.correlation.std_error).filter(|e| *e > 0.0) {
         Some(error) => {
-            let decimals = match Precision::of(value, Some(error)) {
-                Precision::Decimals(d) => d.clamp(2, 3),
+            let decimals = match FigurePrecision::of(value, Some(error)) {
+                FigurePrecision::Decimals(d) => d.clamp(2, 3),
                 _ => 3,
             };
-            format!("{} ± {error:.decimals$}", Precision::Decimals(decimals).show(value))
+            format!("{} ± {error:.decimals$}", FigurePrecision::Decimals(decimals).show(value))
         }
-        None => Precision::Decimals(3).show(value),
+        None => FigurePrecision::Decimals(3).show(value),
     }
 }
 

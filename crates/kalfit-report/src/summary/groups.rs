@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::{GroupRecord, GroupTestRecord};
 
-use crate::number::{Precision, plain, probability};
+use crate::number::{FigurePrecision, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
@@ -40,7 +40,7 @@ fn columns(rows: &[GroupRecord], column: &str) -> Vec<TextColumn> {
     if rows.iter().any(|group| group.innovations > 0) {
         let square = |g: &GroupRecord| {
             let (square, spread) = (g.innovations_mean_square?, (2.0 / g.innovations.max(1) as f64).sqrt());
-            Some(Precision::of(square, Some(spread)).show(square))
+            Some(FigurePrecision::of(square, Some(spread)).show(square))
         };
         columns.push(TextColumn::new("mean square", ColumnSide::Right, each(&square)));
         columns.push(TextColumn::new("p-value", ColumnSide::Right, each(&|g| g.innovations_p_value.map(probability))));

@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 use kalfit::FitRecord;
 use kalfit::record::{InnovationRecord, SEARCH_LEVEL, holm, overall_size};
 
-use crate::number::{Precision, plain, probability};
+use crate::number::{FigurePrecision, plain, probability};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
@@ -102,7 +102,7 @@ fn overall(all: &[(&str, &InnovationRecord)], free: usize) -> String {
     format!(
         "Mean square of all {}, each divided by its standard deviation: {} (expected 1 ± {}).{verdict}",
         count(n, "innovation"),
-        Precision::of(mean, Some(spread)).show(mean),
+        FigurePrecision::of(mean, Some(spread)).show(mean),
         plain(spread, 2)
     )
 }
@@ -123,7 +123,7 @@ fn by_phase(all: &[(&str, &InnovationRecord)], phases: &[&str]) -> String {
     let seen = phases.iter().map(|name| (name, of(name))).filter(|(_, (n, _))| *n > 0);
     let shown = |(name, (n, nis)): (&&str, (usize, f64))| {
         let (mean, spread) = (nis / n as f64, (2.0 / n as f64).sqrt());
-        let shown = Precision::of(mean, Some(spread)).show(mean);
+        let shown = FigurePrecision::of(mean, Some(spread)).show(mean);
         format!("{shown} in {} ({n}, 1 ± {})", clean(name), plain(spread, 2))
     };
     let each: Vec<String> = seen.map(shown).collect();

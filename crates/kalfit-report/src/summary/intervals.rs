@@ -4,7 +4,7 @@ use kalfit::record::{FitRecord, Interval, PhaseRecord, RegressionRecord};
 
 use super::places;
 use super::spread::StateSpread;
-use crate::number::Precision;
+use crate::number::FigurePrecision;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 
@@ -83,7 +83,7 @@ fn of_spread(spread: StateSpread<'_>, place: &str) -> Vec<IntervalRow> {
 fn row(quantity: String, estimate: Option<f64>, interval: Interval) -> Option<IntervalRow> {
     let (estimate, ends) = (estimate?, interval?);
     let width = ends.iter().flatten().map(|end| (end - estimate).abs()).fold(0.0, f64::max);
-    let precision = Precision::of(estimate, Some(0.5 * width).filter(|w| *w > 0.0));
+    let precision = FigurePrecision::of(estimate, Some(0.5 * width).filter(|w| *w > 0.0));
     let end = |end: Option<f64>| end.map_or_else(|| OPEN.to_owned(), |x| precision.show(x));
     Some(IntervalRow { quantity, place: String::new(), estimate: precision.show(estimate), ends: ends.map(end) })
 }

@@ -7,7 +7,7 @@ use super::combination::NEGLIGIBLE;
 use super::places::{TABLE, outer, places};
 use super::states::{FigureCells, spread};
 use super::{correlations, doubts, outlying_groups};
-use crate::number::{Precision, plain};
+use crate::number::{FigurePrecision, plain};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 
@@ -93,7 +93,7 @@ fn is_open(level: &LevelRecord, i: usize) -> bool {
 
 fn interval(level: &LevelRecord, i: usize) -> String {
     let Some([low, high]) = level.std_dev.interval95.get(i).copied().flatten() else { return String::new() };
-    let precision = Precision::of(level.std_dev.estimate[i], level.std_dev.std_error.get(i).copied().flatten());
+    let precision = FigurePrecision::of(level.std_dev.estimate[i], level.std_dev.std_error.get(i).copied().flatten());
     let end = |x: Option<f64>, open: &str| x.map_or_else(|| open.to_owned(), |x| precision.show(x));
     format!("{} to {}", end(low, "0"), end(high, "∞"))
 }

@@ -27,11 +27,11 @@ use kalfit::record::PhaseRecord;
 
 use crate::page::PageLayout;
 use crate::words::{clean, count, sentence};
-use crate::{Style, number};
+use crate::{TextStyle, number};
 
 /// The fit in words and tables. Every line fits `style.width` and ends with a line feed. Works from the record alone and copes
 /// with any record, also with one whose lists do not match in length; figures that are not finite are said to be unknown.
-pub fn summary(record: &FitRecord, style: &Style) -> String {
+pub fn summary(record: &FitRecord, style: &TextStyle) -> String {
     let page = PageLayout::new(style);
     let mut sections = vec![headline::section(record, &page)];
     for phase in &record.phases {

@@ -4,7 +4,7 @@ use kalfit::FitRecord;
 use kalfit::record::ParameterRecord;
 
 use super::states::{FigureCells, cells, std_error};
-use crate::number::{DIGITS, Precision, plain};
+use crate::number::{DIGITS, FigurePrecision, plain};
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::{clean, count};
@@ -117,8 +117,8 @@ fn interval(row: &ParameterRecord) -> String {
 pub(crate) fn ends_in_words(estimate: f64, std_error: Option<f64>, ends: [Option<f64>; 2]) -> String {
     // without a standard error each end stands for itself
     let precision = match std_error {
-        Some(error) => Precision::of(estimate, Some(error)),
-        None => Precision::Significant(END_DIGITS),
+        Some(error) => FigurePrecision::of(estimate, Some(error)),
+        None => FigurePrecision::Significant(END_DIGITS),
     };
     match ends {
         [Some(low), Some(high)] => format!("{} to {}", precision.show(low), precision.show(high)),
@@ -137,7 +137,11 @@ pub(crate) fn methods(record: &FitRecord, page: &PageLayout<'_>) -> String {
     let column = |of: &dyn Fn(&kalfit::record::MethodRecord) -> String| methods.iter().map(of).collect();
     let work = [
         TextColumn::new("method", ColumnSide::Left, column(&|m| m.method.clone())),
-        TextColumn::new("log-lik.", ColumnSide::Right, column(&|m| Precision::Decimals(6).show(m.log_likelihood))),
+        TextColumn::new(
+            "log-lik.",
+            ColumnSide::Right,
+            column(&|m| FigurePrecision::Decimals(6).show(m.log_likelihood)),
+        ),
         TextColumn::new("converged", ColumnSide::Left, column(&|m| if m.converged { "yes" } else { "no" }.to_owned())),
         TextColumn::new("iter.", ColumnSide::Right, column(&|m| m.iterations.to_string())),
         TextColumn::new("filter runs", ColumnSide::Right, column(&|m| m.filter_passes.to_string())),

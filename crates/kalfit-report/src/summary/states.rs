@@ -5,7 +5,7 @@ use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord,
 
 use super::combination::{NEGLIGIBLE, covariance_of};
 use super::places;
-use crate::number::Precision;
+use crate::number::FigurePrecision;
 use crate::page::PageLayout;
 use crate::table::{ColumnSide, TextColumn};
 use crate::words::clean;
@@ -98,7 +98,7 @@ pub(crate) fn cells(
     fixed: bool,
     why: &dyn Fn() -> Option<&'static str>,
 ) -> FigureCells {
-    let precision = Precision::of(estimate, error.filter(|_| !fixed));
+    let precision = FigurePrecision::of(estimate, error.filter(|_| !fixed));
     let beside = match error.filter(|e| e.is_finite()) {
         _ if fixed => "fixed".to_owned(),
         Some(error) => format!("± {}", precision.show_error(error)),

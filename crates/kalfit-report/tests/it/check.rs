@@ -1,9 +1,9 @@
 //! What `kalfit check` prints.
 
 use kalfit::record::{DataRecord, ObservabilityRecord, UnidentifiedRecord};
-use kalfit_report::{CheckRecord, Checked, CheckedPhase, PhaseCounts, Style, check_summary};
+use kalfit_report::{CheckFindings, CheckRecord, CheckedPhase, PhaseCounts, TextStyle, check_summary};
 
-fn shown(checked: Checked) -> String {
+fn shown(checked: CheckFindings) -> String {
     let record = CheckRecord::new(
         "Reaction time".into(),
         vec![
@@ -13,10 +13,10 @@ fn shown(checked: Checked) -> String {
         vec![],
         checked,
     );
-    check_summary(&record, &Style::default())
+    check_summary(&record, &TextStyle::default())
 }
 
-fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> Checked {
+fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> CheckFindings {
     let files = vec!["a.csv".into(), "b.csv".into()];
     let data = DataRecord { tests: 18, steps: 180, observations: 180, design_classes: 2, square_root_tests: 0, files };
     let state = |state: &str, informed_by, observed_by, share| ObservabilityRecord {
@@ -35,12 +35,12 @@ fn reduced(unidentified: Vec<UnidentifiedRecord>, at_start_of: Vec<String>) -> C
         weak: vec![],
         information: None,
     };
-    Checked::Reduced { data, phases: vec![phase], levels: vec![], notes: vec![], at_start_of }
+    CheckFindings::Reduced { data, phases: vec![phase], levels: vec![], notes: vec![], at_start_of }
 }
 
 #[test]
 fn a_model_alone() {
-    insta::assert_snapshot!(shown(Checked::Model), @"
+    insta::assert_snapshot!(shown(CheckFindings::Model), @"
     Reaction time
 
     Model

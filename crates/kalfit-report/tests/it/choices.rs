@@ -5,10 +5,10 @@ use crate::common;
 
 use kalfit::FitRecord;
 use kalfit::record::{DeletionRecord, RegressionRecord};
-use kalfit_report::{Style, summary};
+use kalfit_report::{TextStyle, summary};
 
 fn at(width: usize, record: &FitRecord) -> String {
-    summary(record, &Style { width, color: false })
+    summary(record, &TextStyle { width, color: false })
 }
 
 /// The section under a heading that starts so.

@@ -5,7 +5,7 @@ use crate::common;
 
 use kalfit::FitRecord;
 use kalfit::record::{InnovationPartRecord, InnovationRecord, ObservabilityRecord, WeakRecord, WhitenessRecord};
-use kalfit_report::{Style, summary};
+use kalfit_report::{TextStyle, summary};
 
 fn innovations(nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
     let whiteness = WhitenessRecord { statistic: 4.5, lags: 2, degrees_of_freedom: 2, p_value: white_p };
@@ -29,7 +29,7 @@ fn record(found: &[InnovationRecord]) -> FitRecord {
 
 /// The section on innovations.
 fn section(record: &FitRecord) -> String {
-    let text = summary(record, &Style::default());
+    let text = summary(record, &TextStyle::default());
     let from = text.find("Innovations (measured").map_or("", |at| &text[at..]);
     from.split("\n\n").next().unwrap_or_default().to_owned() + "\n"
 }
@@ -110,7 +110,7 @@ fn states_that_hang_on_one_test_and_weak_directions_are_warned_of() {
         leading_share: Some(0.4),
         phases: vec![],
     }];
-    let text = summary(&record, &Style::default());
+    let text = summary(&record, &TextStyle::default());
     let at = text.find("What the data cannot").expect("a section");
     insta::assert_snapshot!(text[at..].split("\n\n").next().unwrap(), @"
     What the data cannot determine

@@ -5,7 +5,7 @@ use crate::common;
 use insta::assert_snapshot;
 use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, LevelRecord, PhaseRecord, PosteriorRecord, SquareRecord, UnitRecord};
-use kalfit_report::{Style, html, summary};
+use kalfit_report::{TextStyle, html, summary};
 
 fn level(name: &str, column: Option<&str>, groups: usize, of: PhaseRecord) -> LevelRecord {
     LevelRecord {
@@ -75,7 +75,7 @@ fn between(text: &str, from: &str, to: &str) -> String {
 
 #[test]
 fn each_level_has_its_spread_and_its_correlations() {
-    let text = summary(&chips_of_lots(), &Style::default());
+    let text = summary(&chips_of_lots(), &TextStyle::default());
     assert_snapshot!(between(&text, "Data:", "Convergence and"), @r#"
     Data: 18 tests, 180 steps, 180 observations from data.csv.
     Levels: 3 groups of `lot` and 9 groups of `chip`; 18 tests within them.
@@ -120,7 +120,7 @@ fn each_level_has_its_spread_and_its_correlations() {
 fn a_group_that_stands_out_has_a_row() {
     let mut record = chips_of_lots();
     record.groups[2].p_value = Some(1e-4);
-    let text = summary(&record, &Style::default());
+    let text = summary(&record, &TextStyle::default());
     assert_snapshot!(between(&text, "Outlying groups", "Convergence and"), @"
     Outlying groups
       level  group  tests  distance²  expected  p-value  times 3
@@ -139,7 +139,7 @@ fn a_level_at_which_nothing_varies_is_said_so() {
     lots.correlation.estimate = vec![vec![None; 2]; 2];
     lots.boundary[0] =
         BoundaryRecord { rank: 0, zero_variances: vec!["bias".into(), "scale".into()], ..lots.boundary[0].clone() };
-    let text = summary(&record, &Style::default());
+    let text = summary(&record, &TextStyle::default());
     assert_snapshot!(between(&text, "Spread by level (share", "Outlying groups"), @"
     Spread by level (share: part of the variance of a test)
       state  spread           number  std dev                     share
@@ -170,7 +170,7 @@ fn a_level_at_which_nothing_varies_is_said_so() {
         zero_variances: vec!["bias".into()],
         ..lots.boundary[0].clone()
     };
-    let text = summary(&record, &Style::default());
+    let text = summary(&record, &TextStyle::default());
     assert!(text.contains("From lot to lot, the variance of bias is estimated as zero."), "{text}");
     assert!(!text.contains("Nothing varies"), "{text}");
 }
@@ -184,7 +184,7 @@ fn profiles_name_where_each_quantity_varies() {
         spread.interval95[0] = Some([Some(low), Some(2.0 * low)]);
     }
     record.levels[1].correlation.interval95[1][0] = Some([None, Some(0.4)]);
-    let text = summary(&record, &Style::default());
+    let text = summary(&record, &TextStyle::default());
     assert_snapshot!(between(&text, "95 % intervals by", "Spread by level (share"), @"
     95 % intervals by profile likelihood
                                   spread           estimate  from    to

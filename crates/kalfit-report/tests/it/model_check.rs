@@ -2,13 +2,13 @@
 
 use kalfit::FitRecord;
 use kalfit::record::*;
-use kalfit_report::{Style, html, summary};
+use kalfit_report::{TextStyle, html, summary};
 
 use crate::common;
 
 /// The first paragraph after the title.
 fn verdicts(record: &FitRecord) -> String {
-    let text = summary(record, &Style::default());
+    let text = summary(record, &TextStyle::default());
     let part = |heading: &str| text.split("\n\n").find(|part| part.starts_with(heading)).unwrap_or_default().to_owned();
     part("Convergence and model check") + "\n" + &part("What to do next") + "\n"
 }
@@ -96,7 +96,7 @@ fn no_green_box_stands_over_a_model_that_the_page_refutes() {
     assert_eq!(kinds(&record).1, ["mean_square", "innovations", "distance"]);
     let page = html(&record);
     assert!(page.contains("class=\"verdict fair\"") && !page.contains("class=\"verdict good\""));
-    let painted = summary(&record, &Style { color: true, ..Style::default() });
+    let painted = summary(&record, &TextStyle { color: true, ..TextStyle::default() });
     assert!(painted.contains("\u{1b}[1;33mConverged") && !painted.contains("\u{1b}[1;32m"), "{painted}");
 }
 
@@ -146,7 +146,7 @@ fn what_was_not_looked_at_has_not_passed() {
     let mut stuck = with(&[innovations(10, 60.0, 7e-9, 0.5)]);
     stuck.converged = false;
     assert_eq!(kinds(&stuck), ("not checked".to_owned(), vec![]));
-    assert!(!summary(&stuck, &Style::default()).contains("Model check"));
+    assert!(!summary(&stuck, &TextStyle::default()).contains("Model check"));
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn groups_are_a_table_with_what_is_known_of_their_difference() {
         p_value: 6e-6,
         on_boundary: true,
     });
-    let text = summary(&record, &Style::default());
+    let text = summary(&record, &TextStyle::default());
     let section = text.find("Groups by lot").map_or("", |at| &text[at..]).split("\n\n").next().unwrap_or_default();
     insta::assert_snapshot!(section, @"
     Groups by lot

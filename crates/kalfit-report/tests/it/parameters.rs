@@ -6,7 +6,7 @@ use crate::common;
 use common::{phase, record};
 use kalfit::FitRecord;
 use kalfit::record::{MethodRecord, ParameterRecord};
-use kalfit_report::{Style, summary};
+use kalfit_report::{TextStyle, summary};
 
 fn parameter(name: &str, estimate: f64, std_error: Option<f64>) -> ParameterRecord {
     ParameterRecord {
@@ -34,7 +34,7 @@ fn with(parameters: Vec<ParameterRecord>) -> FitRecord {
 
 /// The sections from a heading on, up to the constraints and the outlying tests.
 fn shown(record: &FitRecord, heading: &str) -> String {
-    let text = summary(record, &Style::default());
+    let text = summary(record, &TextStyle::default());
     let start = text.find(heading).unwrap_or_else(|| panic!("no {heading} in\n{text}"));
     let rest = &text[start..];
     let end =

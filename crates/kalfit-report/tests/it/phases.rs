@@ -5,7 +5,7 @@ use kalfit::record::{
     ConstraintRecord, DataRecord, EnteredRecord, FilterRecord, InformationLostRecord, InformationRecord,
     ObservabilityRecord, UnidentifiedRecord, WeakRecord,
 };
-use kalfit_report::{CheckRecord, Checked, CheckedPhase, PhaseCounts, Style, check_summary, summary};
+use kalfit_report::{CheckFindings, CheckRecord, CheckedPhase, PhaseCounts, TextStyle, check_summary, summary};
 
 use crate::common::{phase, record};
 
@@ -40,7 +40,7 @@ fn each_phase_has_sections_of_its_own() {
         expected_change: Some(0.2),
     };
     fit.constraints = vec![constraint("mean[tilt]", 0.002)];
-    insta::assert_snapshot!(summary(&fit, &Style::default()), @"
+    insta::assert_snapshot!(summary(&fit, &TextStyle::default()), @"
     Inertial platform
 
     Data: 18 tests, 180 steps, 180 observations from data.csv.
@@ -90,7 +90,7 @@ fn what_the_marginal_combination_leaves_out_is_said() {
     fit.solver.phases = "marginal".into();
     fit.composite_log_likelihood = Some(-900.123);
     (fit.aic, fit.bic) = (None, None);
-    let text = summary(&fit, &Style::default());
+    let text = summary(&fit, &TextStyle::default());
     let lines: Vec<&str> = text.lines().skip(7).take(9).collect();
     insta::assert_snapshot!(lines.join("\n"), @"
     between phases.
@@ -104,7 +104,7 @@ fn what_the_marginal_combination_leaves_out_is_said() {
                    tilt
     ");
     fit.composite_log_likelihood = Some(f64::NAN);
-    assert!(!summary(&fit, &Style::default()).contains("NaN"));
+    assert!(!summary(&fit, &TextStyle::default()).contains("NaN"));
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn a_likelihood_of_estimates_is_said_to_be_one_and_what_the_filters_lost_is_said
     };
     fit.phases[0].filter = filter(&["scale"], Some(lost));
     fit.phases[1].filter = filter(&[], None);
-    let text = summary(&fit, &Style::default());
+    let text = summary(&fit, &TextStyle::default());
     let part = |from: &str, lines: usize| -> String {
         let at = text.find(from).unwrap_or_else(|| panic!("no {from} in\n{text}"));
         text[at..].lines().take(lines).collect::<Vec<_>>().join("\n")
@@ -166,7 +166,7 @@ fn directions_that_mix_phases_are_left_to_the_notes() {
         phases: vec!["align".into(), "flight".into()],
     }];
     fit.notes = vec!["the phases together say nothing about 0.71 align.tilt - 0.71 flight.tilt".into()];
-    let text = summary(&fit, &Style::default());
+    let text = summary(&fit, &TextStyle::default());
     assert!(!text.contains("What the data cannot determine"), "{text}");
     assert!(text.contains("The phases together say nothing about 0.71 align.tilt - 0.71 flight.tilt."), "{text}");
     assert_eq!(text.matches("1 not identified").count(), 2, "beside both means:\n{text}");
@@ -177,7 +177,7 @@ fn what_enters_at_each_phase_is_a_table() {
     let mut fit = two();
     fit.phases[0].information = information(2, 2, 2);
     fit.phases[1].information = information(0, 3, 3);
-    let text = summary(&fit, &Style::default());
+    let text = summary(&fit, &TextStyle::default());
     let at = text.find("What the phases observe").expect("it is there");
     insta::assert_snapshot!(text[at..].lines().take(8).collect::<Vec<_>>().join("\n"), @"
     What the phases observe
@@ -189,9 +189,9 @@ fn what_enters_at_each_phase_is_a_table() {
         states of this and all earlier phases.
       From phase flight on: 0.8 flight.tilt + 0.6 align.tilt.
     ");
-    assert!(!summary(&two(), &Style::default()).contains("What the phases observe"), "nothing is known of it");
+    assert!(!summary(&two(), &TextStyle::default()).contains("What the phases observe"), "nothing is known of it");
     fit.phases[1].information = information(2, 3, 3);
-    let text = summary(&fit, &Style::default());
+    let text = summary(&fit, &TextStyle::default());
     assert!(!text.contains("What the phases observe"), "each phase observes all that enters it:\n{text}");
 }
 
@@ -204,9 +204,9 @@ fn checked(phases: Vec<CheckedPhase>, notes: Vec<String>) -> String {
         square_root_tests: 0,
         files: vec!["data.csv".into()],
     };
-    let checked = Checked::Reduced { data, phases, levels: vec![], notes, at_start_of: vec![] };
+    let checked = CheckFindings::Reduced { data, phases, levels: vec![], notes, at_start_of: vec![] };
     let record = CheckRecord::new("Platform".into(), vec!["phases".into()], vec![], checked);
-    check_summary(&record, &Style::default())
+    check_summary(&record, &TextStyle::default())
 }
 
 fn seen(name: &str, tests: usize, states: &[&str]) -> CheckedPhase {

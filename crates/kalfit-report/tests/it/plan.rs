@@ -3,7 +3,7 @@
 use insta::assert_snapshot;
 use kalfit::record::DataRecord;
 use kalfit::record::{PlanRecord, PlannedRecord};
-use kalfit_report::{Style, plan_summary};
+use kalfit_report::{TextStyle, plan_summary};
 
 fn quantity(kind: &str, states: &[&str], value: Option<f64>, errors: Result<[f64; 3], &str>) -> PlannedRecord {
     PlannedRecord {
@@ -53,7 +53,7 @@ fn record() -> PlanRecord {
 
 #[test]
 fn a_plan_says_what_is_expected_and_why_something_is_not() {
-    assert_snapshot!(plan_summary(&record(), &Style::default()), @"
+    assert_snapshot!(plan_summary(&record(), &TextStyle::default()), @"
     Gyros
 
     Design: 4 tests, 40 steps, 39 observations from bench.csv.
@@ -93,7 +93,7 @@ fn a_plan_says_what_is_expected_and_why_something_is_not() {
 #[test]
 fn every_line_fits_and_holds_no_control_character() {
     for width in 60..130 {
-        let text = plan_summary(&record(), &Style { width, color: false });
+        let text = plan_summary(&record(), &TextStyle { width, color: false });
         for line in text.lines() {
             assert!(line.chars().count() <= width, "{} > {width}: {line}", line.chars().count());
             assert!(!line.chars().any(char::is_control), "{line:?}");

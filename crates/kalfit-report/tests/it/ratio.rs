@@ -1,7 +1,7 @@
 //! What a likelihood-ratio test reads like.
 
 use kalfit::record::{BootstrapRecord, ComponentRecord, DataRecord, PartRecord, RatioRecord, SideRecord};
-use kalfit_report::{Style, ratio_summary};
+use kalfit_report::{TextStyle, ratio_summary};
 
 fn side(log_likelihood: f64, free_parameters: usize) -> SideRecord {
     SideRecord {
@@ -121,11 +121,11 @@ fn hostile() -> RatioRecord {
 }
 
 fn at(width: usize, record: &RatioRecord) -> String {
-    ratio_summary(record, &Style { width, color: false })
+    ratio_summary(record, &TextStyle { width, color: false })
 }
 
 fn at_80(record: &RatioRecord) -> String {
-    ratio_summary(record, &Style::default())
+    ratio_summary(record, &TextStyle::default())
 }
 
 #[test]
@@ -400,7 +400,7 @@ fn names_cannot_move_the_cursor() {
 #[test]
 fn colour_changes_no_letter() {
     for record in [plain(), drawn(200), not_converged()] {
-        let colored = ratio_summary(&record, &Style { width: 80, color: true });
+        let colored = ratio_summary(&record, &TextStyle { width: 80, color: true });
         let mut plain = String::new();
         for (i, piece) in colored.split('\u{1b}').enumerate() {
             let escape = if i == 0 { None } else { piece.find('m') };

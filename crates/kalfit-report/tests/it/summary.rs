@@ -4,10 +4,10 @@ use crate::common;
 
 use common::{constrained, phase, record, singular, sleepstudy};
 use kalfit::record::BoundaryRecord;
-use kalfit_report::{Style, summary};
+use kalfit_report::{TextStyle, summary};
 
 fn at_80(record: &kalfit::FitRecord) -> String {
-    summary(record, &Style::default())
+    summary(record, &TextStyle::default())
 }
 
 #[test]
@@ -317,7 +317,7 @@ fn wide_matrices_are_cut_into_parts_that_fit_80_columns() {
 
 #[test]
 fn wide_matrices_use_120_columns_where_there_are() {
-    insta::assert_snapshot!(summary(&ten_states(), &Style { width: 120, color: false }), @"
+    insta::assert_snapshot!(summary(&ten_states(), &TextStyle { width: 120, color: false }), @"
     Ten states
 
     Data: 18 tests, 180 steps, 180 observations from data.csv.
@@ -473,7 +473,7 @@ fn phases_have_a_section_each() {
 #[test]
 fn colour_changes_no_letter() {
     for record in [sleepstudy(), singular(), constrained()] {
-        let colored = summary(&record, &Style { width: 80, color: true });
+        let colored = summary(&record, &TextStyle { width: 80, color: true });
         let mut plain = String::new();
         let mut rest = colored.as_str();
         while let Some(start) = rest.find('\u{1b}') {
@@ -491,7 +491,7 @@ fn colour_changes_no_letter() {
 fn every_line_fits_the_page() {
     for record in [sleepstudy(), singular(), constrained(), ten_states()] {
         for width in [60, 72, 80, 100, 120, 200] {
-            for line in summary(&record, &Style { width, color: false }).lines() {
+            for line in summary(&record, &TextStyle { width, color: false }).lines() {
                 assert!(line.chars().count() <= width, "{} > {width}: {line}", line.chars().count());
                 assert_eq!(line.trim_end(), line, "no spaces at the end of a line");
             }

@@ -8,21 +8,21 @@ use crate::error::{ExpressionProblem as Wrong, Result, Span, SpecError};
 use crate::expression::fold::{self, ONE, ZERO};
 use crate::expression::form::LinearForm;
 use crate::expression::scope::ExpressionScope;
-use crate::expression::snippet::Snippet;
+use crate::expression::snippet::ExpressionSnippet;
 use crate::expression::syntax::{SyntaxKind, SyntaxNode};
 use crate::names::{NameContext, ParameterRole};
 use crate::suggest::suggest;
 use crate::vocabulary::{function_called, functions, is_reserved, symbol};
 
 /// Turns one tree into its meaning.
-pub(crate) struct Lowering<'c, 't> {
+pub(crate) struct ExpressionLowering<'c, 't> {
     pub(crate) context: &'c mut NameContext<'t>,
     pub(crate) scope: ExpressionScope<'c>,
-    pub(crate) snippet: &'c Snippet,
+    pub(crate) snippet: &'c ExpressionSnippet,
 }
 
 /// A number, linear in states, or a truth value without states.
-enum Meaning {
+enum ExpressionMeaning {
     Number(LinearForm),
     Truth(Expression),
 }
@@ -30,12 +30,12 @@ enum Meaning {
 const NUMBER: &str = "a number";
 const TRUTH: &str = "a condition";
 
-impl Lowering<'_, '_> {
+impl ExpressionLowering<'_, '_> {
     /// The meaning of a tree that must be a number.
     pub(crate) fn form(&mut self, node: &SyntaxNode) -> Result<LinearForm> {
         match self.any(node)? {
-            Meaning::Number(form) => Ok(form),
-            Meaning::Truth(_) => Err(self
+            ExpressionMeaning::Number(form) => Ok(form),
+            ExpressionMeaning::Truth(_) => Err(self
                 .wrong(Wrong::Type { found: TRUTH, expected: NUMBER }, &node.span)
                 .hint("`if(condition, 1, 0)` makes a number of a condition")),
         }
@@ -44,8 +44,8 @@ impl Lowering<'_, '_> {
     /// The meaning of a tree that must be a condition.
     pub(crate) fn truth(&mut self, node: &SyntaxNode) -> Result<Expression> {
         match self.any(node)? {
-            Meaning::Truth(expression) => Ok(expression),
-            Meaning::Number(_) => {
+            ExpressionMeaning::Truth(expression) => Ok(expression),
+            ExpressionMeaning::Number(_) => {
                 let hint = format!("write `{} != 0`", self.snippet.text_at(&node.span));
                 Err(self.wrong(Wrong::Type { found: NUMBER, expected: TRUTH }, &node.span).hint(hint))
             }
@@ -59,7 +59,7 @@ impl Lowering<'_, '_> {
         Ok(form.constant)
     }
 
-    fn any(&mut self, node: &SyntaxNode) -> Result<Meaning> {
+    fn any(&mut self, node: &SyntaxNode) -> Result<ExpressionMeaning> {
         self.context.spend(1).map_err(|problem| self.wrong(problem, &node.span))?;
         match &node.kind {
             SyntaxKind::Number(x) => Ok(number(Expression::Number(*x))),
@@ -68,8 +68,8 @@ impl Lowering<'_, '_> {
             SyntaxKind::Text(_) => Err(self
                 .wrong(Wrong::Type { found: "a text", expected: "a number or a condition" }, &node.span)
                 .hint("texts are compared with columns, as in `sensor == 'A'`")),
-            SyntaxKind::Negate(a) => Ok(Meaning::Number(self.form(a)?.negate())),
-            SyntaxKind::Not(a) => Ok(Meaning::Truth(fold::not(self.truth(a)?))),
+            SyntaxKind::Negate(a) => Ok(ExpressionMeaning::Number(self.form(a)?.negate())),
+            SyntaxKind::Not(a) => Ok(ExpressionMeaning::Truth(fold::not(self.truth(a)?))),
             SyntaxKind::Binary(operator, a, b) => match operator {
                 Operator::And | Operator::Or => self.connective_chain(node),
                 Operator::Power => self.power(a, b, &node.span),
@@ -82,10 +82,10 @@ impl Lowering<'_, '_> {
         }
     }
 
-    fn name(&mut self, name: &str, span: &Range<usize>) -> Result<Meaning> {
+    fn name(&mut self, name: &str, span: &Range<usize>) -> Result<ExpressionMeaning> {
         if let Some(state) = self.context.states.get(name) {
             self.allow(self.scope.states, || format!("state `{name}`"), span)?;
-            return Ok(Meaning::Number(LinearForm::state(state)));
+            return Ok(ExpressionMeaning::Number(LinearForm::state(state)));
         }
         if let Some(index) = self.context.parameters.get(name) {
             return self.parameter(name, index, span);
@@ -107,7 +107,7 @@ impl Lowering<'_, '_> {
         }
     }
 
-    fn parameter(&mut self, name: &str, index: usize, span: &Range<usize>) -> Result<Meaning> {
+    fn parameter(&mut self, name: &str, index: usize, span: &Range<usize>) -> Result<ExpressionMeaning> {
         self.allow(self.scope.parameters, || format!("parameter `{name}`"), span)?;
         if let Some(column) = self.context.levels[index]
             && !self.scope.columns
@@ -120,7 +120,7 @@ impl Lowering<'_, '_> {
         Ok(number(Expression::Parameter(index)))
     }
 
-    fn column(&mut self, name: &str, span: &Range<usize>) -> Result<Meaning> {
+    fn column(&mut self, name: &str, span: &Range<usize>) -> Result<ExpressionMeaning> {
         if !self.scope.columns {
             let states = self.context.states.names().filter(|_| self.scope.states);
             let parameters = self.context.parameters.names().filter(|_| self.scope.parameters);
@@ -133,7 +133,7 @@ impl Lowering<'_, '_> {
     }
 
     /// Walks a left spine of + - * / without recursion.
-    fn arithmetic_chain(&mut self, node: &SyntaxNode) -> Result<Meaning> {
+    fn arithmetic_chain(&mut self, node: &SyntaxNode) -> Result<ExpressionMeaning> {
         let mut chain = Vec::new();
         let mut first = node;
         while let SyntaxKind::Binary(operator, left, right) = &first.kind
@@ -147,7 +147,7 @@ impl Lowering<'_, '_> {
             let right = self.form(right)?;
             total = self.combine(operator, total, right, span)?;
         }
-        Ok(Meaning::Number(total))
+        Ok(ExpressionMeaning::Number(total))
     }
 
     fn combine(&mut self, operator: Operator, a: LinearForm, b: LinearForm, span: &Range<usize>) -> Result<LinearForm> {
@@ -186,14 +186,14 @@ impl Lowering<'_, '_> {
         self.context.spend(copies).map_err(|problem| self.wrong(problem, span))
     }
 
-    fn power(&mut self, base: &SyntaxNode, exponent: &SyntaxNode, span: &Range<usize>) -> Result<Meaning> {
+    fn power(&mut self, base: &SyntaxNode, exponent: &SyntaxNode, span: &Range<usize>) -> Result<ExpressionMeaning> {
         let (base, exponent) = (self.form(base)?, self.form(exponent)?);
         if let Some(state) = exponent.first_state() {
             return Err(self.wrong(Wrong::StateInExponent { name: self.state_name(state) }, span));
         }
         if let Some(state) = base.first_state() {
             if exponent.constant == ONE {
-                return Ok(Meaning::Number(base));
+                return Ok(ExpressionMeaning::Number(base));
             }
             return Err(self.wrong(Wrong::PowerOfState { name: self.state_name(state) }, span));
         }
@@ -202,7 +202,7 @@ impl Lowering<'_, '_> {
     }
 
     /// Walks a left spine of `and` and `or` without recursion.
-    fn connective_chain(&mut self, node: &SyntaxNode) -> Result<Meaning> {
+    fn connective_chain(&mut self, node: &SyntaxNode) -> Result<ExpressionMeaning> {
         let mut chain = Vec::new();
         let mut first = node;
         while let SyntaxKind::Binary(operator @ (Operator::And | Operator::Or), left, right) = &first.kind {
@@ -214,7 +214,7 @@ impl Lowering<'_, '_> {
             let right = self.truth(right)?;
             total = fold::binary(operator, total, right).map_err(|problem| self.wrong(problem, span))?;
         }
-        Ok(Meaning::Truth(total))
+        Ok(ExpressionMeaning::Truth(total))
     }
 
     fn comparison(
@@ -223,7 +223,7 @@ impl Lowering<'_, '_> {
         a: &SyntaxNode,
         b: &SyntaxNode,
         span: &Range<usize>,
-    ) -> Result<Meaning> {
+    ) -> Result<ExpressionMeaning> {
         match (&a.kind, &b.kind) {
             (SyntaxKind::Text(text), _) => return self.text_comparison(operator, b, text, span),
             (_, SyntaxKind::Text(text)) => return self.text_comparison(operator, a, text, span),
@@ -234,7 +234,7 @@ impl Lowering<'_, '_> {
             return Err(self.wrong(Wrong::ConditionOnState { name: self.state_name(state) }, span));
         }
         let folded = fold::binary(operator, a.constant, b.constant);
-        folded.map(Meaning::Truth).map_err(|problem| self.wrong(problem, span))
+        folded.map(ExpressionMeaning::Truth).map_err(|problem| self.wrong(problem, span))
     }
 
     fn text_comparison(
@@ -243,7 +243,7 @@ impl Lowering<'_, '_> {
         other: &SyntaxNode,
         text: &str,
         span: &Range<usize>,
-    ) -> Result<Meaning> {
+    ) -> Result<ExpressionMeaning> {
         let negated = match operator {
             Operator::Equal => false,
             Operator::NotEqual => true,
@@ -265,7 +265,7 @@ impl Lowering<'_, '_> {
         let file_span = self.snippet.locate(&other.span);
         let column = self.context.text_column(column, file_span, self.scope.place);
         let equals = Expression::TextEquals { column, literal: self.context.literals.add(text) };
-        Ok(Meaning::Truth(if negated { fold::not(equals) } else { equals }))
+        Ok(ExpressionMeaning::Truth(if negated { fold::not(equals) } else { equals }))
     }
 
     /// What a bare name is when it is not a column.
@@ -281,7 +281,7 @@ impl Lowering<'_, '_> {
         }
     }
 
-    fn call(&mut self, name: &str, arguments: &[SyntaxNode], span: &Range<usize>) -> Result<Meaning> {
+    fn call(&mut self, name: &str, arguments: &[SyntaxNode], span: &Range<usize>) -> Result<ExpressionMeaning> {
         if name == "if" {
             return self.choice(arguments, span);
         }
@@ -303,7 +303,7 @@ impl Lowering<'_, '_> {
         fold::call(function, scalars).map(number).map_err(|problem| self.wrong(problem, span))
     }
 
-    fn choice(&mut self, arguments: &[SyntaxNode], span: &Range<usize>) -> Result<Meaning> {
+    fn choice(&mut self, arguments: &[SyntaxNode], span: &Range<usize>) -> Result<ExpressionMeaning> {
         let [condition, yes, no] = arguments else {
             let wrong = Wrong::Arguments { name: "if".to_owned(), found: arguments.len(), expected: "3" };
             return Err(self.wrong(wrong, span).hint("write `if(condition, value, other_value)`"));
@@ -312,7 +312,7 @@ impl Lowering<'_, '_> {
         let (yes, no) = (self.form(yes)?, self.form(no)?);
         let copies = (yes.terms.len() + no.terms.len()).saturating_mul(fold::size(&condition));
         self.context.spend(copies).map_err(|problem| self.wrong(problem, span))?;
-        Ok(Meaning::Number(LinearForm::choose(&condition, yes, no)))
+        Ok(ExpressionMeaning::Number(LinearForm::choose(&condition, yes, no)))
     }
 
     fn unknown_function(&self, name: &str, span: &Range<usize>) -> SpecError {
@@ -346,8 +346,8 @@ impl Lowering<'_, '_> {
     }
 }
 
-fn number(constant: Expression) -> Meaning {
-    Meaning::Number(LinearForm { terms: Vec::new(), constant })
+fn number(constant: Expression) -> ExpressionMeaning {
+    ExpressionMeaning::Number(LinearForm { terms: Vec::new(), constant })
 }
 
 /// The form of a plain number.

@@ -12,16 +12,16 @@ use kalfit::model::{Expression, Linear};
 use crate::error::{Result, SpecError};
 use crate::names::NameContext;
 use crate::table::TomlField;
-use lower::Lowering;
-use snippet::Snippet;
+use lower::ExpressionLowering;
+use snippet::ExpressionSnippet;
 use syntax::SyntaxNode;
 
 pub(crate) use fold::{ONE, ZERO, binary, is_zero, negate, size, square};
 pub(crate) use scope::ExpressionScope;
 
-fn read(context: &NameContext<'_>, field: &TomlField<'_>) -> Result<(Snippet, SyntaxNode)> {
+fn read(context: &NameContext<'_>, field: &TomlField<'_>) -> Result<(ExpressionSnippet, SyntaxNode)> {
     let text = field.as_text().ok_or_else(|| field.wrong_type("a number or an expression"))?;
-    let snippet = Snippet::new(context.source, text, field.span.clone());
+    let snippet = ExpressionSnippet::new(context.source, text, field.span.clone());
     match syntax::parse(text) {
         Ok(node) => Ok((snippet, node)),
         Err(fault) => {
@@ -41,7 +41,7 @@ pub(crate) fn linear(
         return Ok(lower::constant(field.number()?));
     }
     let (snippet, node) = read(context, field)?;
-    Ok(Lowering { context, scope, snippet: &snippet }.form(&node)?.into_linear())
+    Ok(ExpressionLowering { context, scope, snippet: &snippet }.form(&node)?.into_linear())
 }
 
 /// A number without states: a number or an expression.
@@ -54,7 +54,7 @@ pub(crate) fn scalar(
         return Ok(lower::constant(field.number()?).constant);
     }
     let (snippet, node) = read(context, field)?;
-    Lowering { context, scope, snippet: &snippet }.scalar(&node)
+    ExpressionLowering { context, scope, snippet: &snippet }.scalar(&node)
 }
 
 /// A condition.
@@ -65,5 +65,5 @@ pub(crate) fn condition(
 ) -> Result<Expression> {
     field.text()?;
     let (snippet, node) = read(context, field)?;
-    Lowering { context, scope, snippet: &snippet }.truth(&node)
+    ExpressionLowering { context, scope, snippet: &snippet }.truth(&node)
 }

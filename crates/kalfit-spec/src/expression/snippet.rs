@@ -6,21 +6,21 @@ use crate::error::Span;
 
 /// The text of an expression and where it stands in the file.
 #[derive(Debug)]
-pub(crate) struct Snippet {
+pub(crate) struct ExpressionSnippet {
     text: String,
     span: Span,
     /// Start of the text in the file, when it stands there as it is, without escapes.
     start: Option<usize>,
 }
 
-impl Snippet {
-    pub(super) fn new(source: &str, text: &str, span: Span) -> Snippet {
+impl ExpressionSnippet {
+    pub(super) fn new(source: &str, text: &str, span: Span) -> ExpressionSnippet {
         // One quote, three, or three and a line break before the text.
         let start = [1, 3, 4, 5]
             .into_iter()
             .map(|skip| span.start + skip)
             .find(|&start| start + text.len() < span.end && source.get(start..start + text.len()) == Some(text));
-        Snippet { text: text.to_owned(), span, start }
+        ExpressionSnippet { text: text.to_owned(), span, start }
     }
 
     /// Bytes of the file for bytes of the text.

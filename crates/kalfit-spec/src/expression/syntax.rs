@@ -5,7 +5,7 @@ use std::ops::Range;
 use kalfit::model::Operator;
 
 use crate::error::ExpressionProblem;
-use crate::token::{SpannedToken, Token, tokenize};
+use crate::token::{ExpressionToken, SpannedToken, tokenize};
 use crate::vocabulary::operator_written;
 
 /// Longest expression that is read, in bytes.
@@ -43,10 +43,10 @@ pub(crate) struct SyntaxFault {
     pub(crate) hint: Option<String>,
 }
 
-type Parsed<T> = Result<T, Box<SyntaxFault>>;
+type ParseResult<T> = Result<T, Box<SyntaxFault>>;
 
 /// Reads a whole text as one expression.
-pub(crate) fn parse(text: &str) -> Parsed<SyntaxNode> {
+pub(crate) fn parse(text: &str) -> ParseResult<SyntaxNode> {
     if text.len() > MAX_LENGTH {
         return fault(ExpressionProblem::TooLong { found: text.len(), limit: MAX_LENGTH }, 0..text.len(), None);
     }
@@ -70,8 +70,8 @@ struct ExpressionParser<'w, 's> {
 }
 
 /// How tightly operators bind, loosest first: left and right power of each.
-fn power(token: &Token<'_>) -> Option<(u8, u8, Operator)> {
-    let (Token::Name(word) | Token::Symbol(word)) = token else { return None };
+fn power(token: &ExpressionToken<'_>) -> Option<(u8, u8, Operator)> {
+    let (ExpressionToken::Name(word) | ExpressionToken::Symbol(word)) = token else { return None };
     let operator = operator_written(word)?;
     let (left, right) = match operator {
         Operator::Or => (1, 2),
@@ -91,7 +91,7 @@ const OPERAND: &str = "a number, a name or `(`";
 
 impl<'w> ExpressionParser<'w, '_> {
     /// Precedence climbing: all operators that bind at least as tightly as `least`.
-    fn expression(&mut self, least: u8, depth: usize) -> Parsed<SyntaxNode> {
+    fn expression(&mut self, least: u8, depth: usize) -> ParseResult<SyntaxNode> {
         if depth >= MAX_DEPTH {
             return fault(ExpressionProblem::TooDeep { limit: MAX_DEPTH }, self.here(), None);
         }
@@ -115,21 +115,21 @@ impl<'w> ExpressionParser<'w, '_> {
         Ok(left)
     }
 
-    fn operand(&mut self, depth: usize) -> Parsed<SyntaxNode> {
+    fn operand(&mut self, depth: usize) -> ParseResult<SyntaxNode> {
         let Some((token, span)) = self.words.get(self.next) else { return self.unexpected(OPERAND) };
         let span = span.clone();
         self.next += 1;
         match token {
-            Token::Number(x) => self.node(SyntaxKind::Number(*x), span),
-            Token::Column(name) => self.node(SyntaxKind::Column((*name).to_owned()), span),
-            Token::Text(text) => self.node(SyntaxKind::Text(text.clone()), span),
-            Token::Name("not") => self.prefix(NOT, SyntaxKind::Not, span, depth),
-            Token::Symbol("-") => self.prefix(MINUS, SyntaxKind::Negate, span, depth),
-            Token::Name(name) if !matches!(*name, "and" | "or") => match self.peek() {
-                Some(Token::Symbol("(")) => self.call(name, span, depth),
+            ExpressionToken::Number(x) => self.node(SyntaxKind::Number(*x), span),
+            ExpressionToken::Column(name) => self.node(SyntaxKind::Column((*name).to_owned()), span),
+            ExpressionToken::Text(text) => self.node(SyntaxKind::Text(text.clone()), span),
+            ExpressionToken::Name("not") => self.prefix(NOT, SyntaxKind::Not, span, depth),
+            ExpressionToken::Symbol("-") => self.prefix(MINUS, SyntaxKind::Negate, span, depth),
+            ExpressionToken::Name(name) if !matches!(*name, "and" | "or") => match self.peek() {
+                Some(ExpressionToken::Symbol("(")) => self.call(name, span, depth),
                 _ => self.node(SyntaxKind::Name((*name).to_owned()), span),
             },
-            Token::Symbol("(") => {
+            ExpressionToken::Symbol("(") => {
                 let mut inside = self.expression(0, depth + 1)?;
                 let close = self.close(&span)?;
                 inside.span = span.start..close;
@@ -148,20 +148,20 @@ impl<'w> ExpressionParser<'w, '_> {
         kind: fn(Box<SyntaxNode>) -> SyntaxKind,
         span: Range<usize>,
         depth: usize,
-    ) -> Parsed<SyntaxNode> {
+    ) -> ParseResult<SyntaxNode> {
         let operand = self.expression(least, depth + 1)?;
         let span = span.start..operand.span.end;
         self.node(kind(Box::new(operand)), span)
     }
 
-    fn call(&mut self, name: &str, span: Range<usize>, depth: usize) -> Parsed<SyntaxNode> {
+    fn call(&mut self, name: &str, span: Range<usize>, depth: usize) -> ParseResult<SyntaxNode> {
         let open = self.here();
         self.next += 1;
         let mut arguments = Vec::new();
-        if self.peek() != Some(&Token::Symbol(")")) {
+        if self.peek() != Some(&ExpressionToken::Symbol(")")) {
             loop {
                 arguments.push(self.expression(0, depth + 1)?);
-                if self.peek() != Some(&Token::Symbol(",")) {
+                if self.peek() != Some(&ExpressionToken::Symbol(",")) {
                     break;
                 }
                 self.next += 1;
@@ -172,9 +172,9 @@ impl<'w> ExpressionParser<'w, '_> {
     }
 
     /// The end of the parenthesis that was opened at `open`.
-    fn close(&mut self, open: &Range<usize>) -> Parsed<usize> {
+    fn close(&mut self, open: &Range<usize>) -> ParseResult<usize> {
         match self.words.get(self.next) {
-            Some((Token::Symbol(")"), span)) => {
+            Some((ExpressionToken::Symbol(")"), span)) => {
                 self.next += 1;
                 Ok(span.end)
             }
@@ -183,7 +183,7 @@ impl<'w> ExpressionParser<'w, '_> {
         }
     }
 
-    fn node(&mut self, kind: SyntaxKind, span: Range<usize>) -> Parsed<SyntaxNode> {
+    fn node(&mut self, kind: SyntaxKind, span: Range<usize>) -> ParseResult<SyntaxNode> {
         self.parts += 1;
         if self.parts > MAX_PARTS {
             return fault(ExpressionProblem::TooManyParts { limit: MAX_PARTS }, 0..self.end, None);
@@ -191,7 +191,7 @@ impl<'w> ExpressionParser<'w, '_> {
         Ok(SyntaxNode { kind, span })
     }
 
-    fn peek(&self) -> Option<&'w Token<'_>> {
+    fn peek(&self) -> Option<&'w ExpressionToken<'_>> {
         self.words.get(self.next).map(|(token, _)| token)
     }
 
@@ -199,21 +199,25 @@ impl<'w> ExpressionParser<'w, '_> {
         self.words.get(self.next).map_or(self.end..self.end, |(_, span)| span.clone())
     }
 
-    fn unexpected<T>(&self, expected: &'static str) -> Parsed<T> {
-        let found = self.peek().map_or("the end".to_owned(), Token::shown);
+    fn unexpected<T>(&self, expected: &'static str) -> ParseResult<T> {
+        let found = self.peek().map_or("the end".to_owned(), ExpressionToken::shown);
         let before = self.next.checked_sub(1).map(|i| &self.words[i].0);
         let hint = match (before, self.peek()) {
-            (Some(Token::Symbol("*")), Some(Token::Symbol("*"))) => Some("`^` raises to a power".to_owned()),
-            (Some(Token::Number(x)), Some(Token::Name(name))) => Some(format!("write `{x} * {name}`")),
-            (Some(Token::Number(x)), Some(Token::Symbol("("))) => Some(format!("write `{x} * (`")),
-            (_, Some(Token::Symbol("+"))) => Some("a sign `+` is left out".to_owned()),
+            (Some(ExpressionToken::Symbol("*")), Some(ExpressionToken::Symbol("*"))) => {
+                Some("`^` raises to a power".to_owned())
+            }
+            (Some(ExpressionToken::Number(x)), Some(ExpressionToken::Name(name))) => {
+                Some(format!("write `{x} * {name}`"))
+            }
+            (Some(ExpressionToken::Number(x)), Some(ExpressionToken::Symbol("("))) => Some(format!("write `{x} * (`")),
+            (_, Some(ExpressionToken::Symbol("+"))) => Some("a sign `+` is left out".to_owned()),
             _ => None,
         };
         fault(ExpressionProblem::Unexpected { found, expected }, self.here(), hint)
     }
 }
 
-fn fault<T>(problem: ExpressionProblem, span: Range<usize>, hint: Option<String>) -> Parsed<T> {
+fn fault<T>(problem: ExpressionProblem, span: Range<usize>, hint: Option<String>) -> ParseResult<T> {
     Err(Box::new(SyntaxFault { problem, span, hint }))
 }
 

@@ -9,7 +9,7 @@ use std::io::{self, Read};
 pub(super) const MARK: &[u8] = b"\x0c";
 
 /// Bytes without the lines that begin with `comment`, which is not empty. In a quoted cell no line is a comment.
-pub(super) struct Uncommented<R> {
+pub(super) struct UncommentedBytes<R> {
     bytes: R,
     comment: Vec<u8>,
     state: CommentState,
@@ -28,10 +28,10 @@ enum CommentState {
     Row { quoted: bool, opens: bool },
 }
 
-impl<R: Read> Uncommented<R> {
-    pub(super) fn new(bytes: R, comment: &str) -> Uncommented<R> {
+impl<R: Read> UncommentedBytes<R> {
+    pub(super) fn new(bytes: R, comment: &str) -> UncommentedBytes<R> {
         let comment = comment.as_bytes().to_vec();
-        Uncommented { bytes, comment, state: CommentState::Start(0), ready: Vec::new(), given: 0 }
+        UncommentedBytes { bytes, comment, state: CommentState::Start(0), ready: Vec::new(), given: 0 }
     }
 
     fn take(&mut self, byte: u8) {
@@ -78,7 +78,7 @@ impl<R: Read> Uncommented<R> {
     }
 }
 
-impl<R: Read> Read for Uncommented<R> {
+impl<R: Read> Read for UncommentedBytes<R> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         let mut bytes = [0; 1 << 13];
         while self.given == self.ready.len() && !out.is_empty() {
@@ -104,7 +104,7 @@ mod tests {
 
     fn left(text: &str, comment: &str) -> String {
         let mut left = String::new();
-        Uncommented::new(text.as_bytes(), comment).read_to_string(&mut left).unwrap();
+        UncommentedBytes::new(text.as_bytes(), comment).read_to_string(&mut left).unwrap();
         left
     }
 

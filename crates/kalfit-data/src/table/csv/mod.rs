@@ -7,7 +7,7 @@ mod scan;
 
 use std::io::{self, Cursor, Read};
 
-use self::comment::Uncommented;
+use self::comment::UncommentedBytes;
 use self::cut::{CsvChunk, CsvCutter};
 use self::rows::{CsvForm, CsvRecords, RecordPlace};
 use super::ahead::{BlockTask, BlockTasks, TableProgress};
@@ -45,7 +45,7 @@ impl<'a> CsvTable<'a> {
         let failed = |source| DataError::Io { file: file.to_owned(), source };
         let mut bytes: Box<dyn Read + 'a> = match &wanted.comment {
             None => Box::new(bytes),
-            Some(comment) => Box::new(Uncommented::new(unmarked(bytes).map_err(failed)?, comment)),
+            Some(comment) => Box::new(UncommentedBytes::new(unmarked(bytes).map_err(failed)?, comment)),
         };
         let start = header_line(&mut bytes).map_err(failed)?;
         if start.starts_with(b"\xff\xfe") || start.starts_with(b"\xfe\xff") {

@@ -8,12 +8,12 @@ use memchr::memchr_iter;
 
 use super::comment::MARK;
 use super::cut::CsvChunk;
-use super::scan::{CsvCells, cuts};
-use crate::block::Block;
+use super::scan::{CsvCuts, cuts};
+use crate::block::RowBlock;
 use crate::error::DataError;
 use crate::fill::{BadRow, BlockFiller, ColumnwiseRows, change};
 use crate::moment::Moment;
-use crate::numbering::Numbering;
+use crate::numbering::RowNumbering;
 use crate::wanted::WantedColumns;
 
 /// What must be known of a file to read its rows.
@@ -29,8 +29,8 @@ pub(super) struct CsvForm<'a> {
 }
 
 /// The rows of a chunk. `positions`: of each wanted column.
-pub(super) fn block(form: CsvForm<'_>, positions: &[usize], chunk: &CsvChunk) -> Block {
-    let (bytes, numbering) = (Cow::Borrowed(&[][..]), Numbering::default());
+pub(super) fn block(form: CsvForm<'_>, positions: &[usize], chunk: &CsvChunk) -> RowBlock {
+    let (bytes, numbering) = (Cow::Borrowed(&[][..]), RowNumbering::default());
     let mut grid = CsvGrid { form, positions, bytes, starts: vec![0], rows: Vec::new(), numbering, blank: chunk.blank };
     let mut end = if chunk.quotes { grid.quoted(chunk) } else { grid.plain(chunk) }.err();
     let mut filler = BlockFiller::new(form.wanted, grid.rows.len());
@@ -51,7 +51,7 @@ struct CsvGrid<'a> {
     /// The first cell of each row.
     rows: Vec<u32>,
     /// The first lines of the rows.
-    numbering: Numbering,
+    numbering: RowNumbering,
     /// First of the blank lines right before the next row.
     blank: Option<u64>,
 }
@@ -59,7 +59,7 @@ struct CsvGrid<'a> {
 impl<'a> CsvGrid<'a> {
     /// Without quotes, every line is a row.
     fn plain(&mut self, chunk: &'a CsvChunk) -> Result<(), DataError> {
-        let CsvCells { starts, rows } = cuts(&chunk.bytes, self.form.delimiter);
+        let CsvCuts { starts, rows } = cuts(&chunk.bytes, self.form.delimiter);
         (self.bytes, self.starts) = (Cow::Borrowed(&chunk.bytes[..]), starts);
         self.rows.reserve(rows.len());
         let (mut first, comments) = (0, self.form.wanted.comment.is_some());

@@ -2,7 +2,7 @@
 
 /// Cells, one after the other, and the rows that they make.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct CsvCells {
+pub(super) struct CsvCuts {
     /// Where each cell begins, and at last where another would: one byte lies between a cell's end and the next one.
     pub(super) starts: Vec<u32>,
     /// Number of cells up to the end of each row.
@@ -13,8 +13,8 @@ pub(super) struct CsvCells {
 const BLOCK: usize = u64::BITS as usize;
 
 /// Every `delimiter` ends a cell, every line feed a cell and a row; the last row may go without. At most 2^32 bytes.
-pub(super) fn cuts(bytes: &[u8], delimiter: u8) -> CsvCells {
-    let mut cuts = CsvCells { starts: Vec::with_capacity(bytes.len() / 8 + 2), rows: Vec::new() };
+pub(super) fn cuts(bytes: &[u8], delimiter: u8) -> CsvCuts {
+    let mut cuts = CsvCuts { starts: Vec::with_capacity(bytes.len() / 8 + 2), rows: Vec::new() };
     cuts.starts.push(0);
     let (blocks, rest) = bytes.as_chunks::<BLOCK>();
     for (number, block) in blocks.iter().enumerate() {
@@ -39,7 +39,7 @@ fn ones(block: &[u8; BLOCK], byte: u8) -> u64 {
     eights.fold(0, |ones, eight| ones << 8 | u64::from_le_bytes(*eight).wrapping_mul(GATHER) >> 56)
 }
 
-impl CsvCells {
+impl CsvCuts {
     fn cells(&self) -> u32 {
         self.starts.len() as u32 - 1
     }
@@ -67,8 +67,8 @@ mod tests {
     use super::*;
 
     /// The same, byte by byte.
-    fn slowly(bytes: &[u8], delimiter: u8) -> CsvCells {
-        let mut cuts = CsvCells { starts: vec![0], rows: Vec::new() };
+    fn slowly(bytes: &[u8], delimiter: u8) -> CsvCuts {
+        let mut cuts = CsvCuts { starts: vec![0], rows: Vec::new() };
         let unended = bytes.last().is_some_and(|last| *last != b'\n').then_some(&b'\n');
         for (at, &byte) in bytes.iter().chain(unended).enumerate() {
             if byte == delimiter || byte == b'\n' {

@@ -17,11 +17,11 @@ use parquet::file::reader::ChunkReader;
 use super::ahead::{BlockTask, BlockTasks, TableProgress};
 use super::batches::{BatchForm, ROWS};
 use super::guard::guarded;
-use crate::block::Block;
+use crate::block::RowBlock;
 use crate::error::DataError;
 use crate::fill::BlockFiller;
 use crate::kind::PARQUET;
-use crate::numbering::Numbering;
+use crate::numbering::RowNumbering;
 use crate::wanted::WantedColumns;
 use survey::RowGroupSurvey;
 
@@ -145,17 +145,17 @@ struct RowGroupRows<'a> {
 }
 
 impl RowGroupRows<'_> {
-    fn block<R: ChunkReader + 'static>(self, bytes: io::Result<R>) -> Block {
+    fn block<R: ChunkReader + 'static>(self, bytes: io::Result<R>) -> RowBlock {
         let file = self.form.file.to_owned();
         match bytes {
             Ok(bytes) => self.read(bytes),
-            Err(source) => Block::failed(DataError::Io { file, source }),
+            Err(source) => RowBlock::failed(DataError::Io { file, source }),
         }
     }
 
-    fn read<R: ChunkReader + 'static>(self, bytes: R) -> Block {
+    fn read<R: ChunkReader + 'static>(self, bytes: R) -> RowBlock {
         let RowGroupRows { form, metadata, mask, positions, group, skip, rows, batch, mut before } = self;
-        let (mut filler, numbering) = (BlockFiller::new(form.wanted, rows), Numbering::from(before + 1));
+        let (mut filler, numbering) = (BlockFiller::new(form.wanted, rows), RowNumbering::from(before + 1));
         let last = before + rows as u64;
         let read = || -> Result<(), DataError> {
             let mut reader = guarded(form.file, PARQUET, || {

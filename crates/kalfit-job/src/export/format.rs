@@ -30,7 +30,7 @@ impl ExportFormat {
             Some("mat") => Ok(ExportFormat::Mat),
             Some("h" | "hh" | "hpp") => Ok(ExportFormat::C),
             Some("py") => Ok(ExportFormat::Python),
-            _ => Err(Failure::NoForm { path: path.display().to_string() }),
+            _ => Err(Failure::NoExportFormat { path: path.display().to_string() }),
         }
     }
 
