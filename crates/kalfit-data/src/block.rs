@@ -18,7 +18,7 @@ pub(crate) struct RowBlock {
     pub(crate) rows: usize,
     /// Numeric cells, row after row, NaN where missing; date-times are filled in when the first row of their test is known.
     pub(crate) numbers: Vec<f64>,
-    /// Text cells, row after row: labels of `labels`, and of the whole reading after [`Block::relabel`].
+    /// Text cells, row after row: labels of `labels`, and of the whole reading after [`RowBlock::relabel`].
     pub(crate) texts: Vec<Label>,
     /// Texts, in order of first appearance.
     pub(crate) labels: Labels,

@@ -41,7 +41,7 @@ impl<'a> StdinSpool<'a> {
     }
 }
 
-/// One reading of a [`Spool`].
+/// One reading of a [`StdinSpool`].
 pub(crate) struct RewoundStdin<'s, 'a> {
     spool: &'s mut StdinSpool<'a>,
     position: usize,

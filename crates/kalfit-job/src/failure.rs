@@ -398,85 +398,82 @@ impl Failure {
             Failure::Data { error, .. } => error.hint(),
             Failure::Split { error, .. } => Some(error.hint().to_owned()),
             Failure::Reduce { error, .. } => error.hint().map(str::to_owned),
-            Failure::MixedGroup(_) => {
-                Some("group by a column that is constant within a test, or make each of its texts a test of its own".to_owned())
-            }
-            Failure::GroupTest { hint, .. } => Some((*hint).to_owned()),
             Failure::Fit(error) => fit_hint(error).map(str::to_owned),
             Failure::Sums(error) => error.hint().map(str::to_owned),
             Failure::Dynamic(error) => error.hint().map(str::to_owned),
             Failure::NotNested(error) => Some(nesting_hint(*error).to_owned()),
             Failure::DynamicRatio(error) => dynamic_ratio_hint(error).map(str::to_owned),
-            Failure::HypothesisParameter { .. } => Some("a hypothesis restricts what the model leaves free".to_owned()),
             Failure::Truth(error) => error.hint(),
             Failure::Simulate { error, .. } => error.hint().map(str::to_owned),
             Failure::Apply(error) => apply_hint(error).map(str::to_owned),
-            Failure::Predict(_) => None,
-            Failure::UnknownUnit(_) => Some("`--units new` predicts tests of units that nobody has seen".to_owned()),
-            Failure::NoUnits { .. } => Some("leave it out".to_owned()),
-            Failure::NoProfile { hint, .. } => Some((*hint).to_owned()),
-            Failure::Folds(error) if matches!(**error, FoldsError::Apart { .. }) => {
-                Some("a fold holds whole groups: name a column that is the same for all tests of one".to_owned())
-            }
-            Failure::Folds(_) | Failure::Validate(_) => None,
-            Failure::FoldsOfRows => Some("give the measurements".to_owned()),
-            Failure::AgainstStdin => Some("put the data in a file, and name it in the place of `-`".to_owned()),
-            Failure::NotComparable { .. } => {
-                Some("log densities are compared of the same measured values: both models must use the same columns".to_owned())
-            }
             Failure::Export(error) => error.hint(),
-            Failure::NoColumnValue { .. } => Some("write `--at temperature=20`".to_owned()),
-            Failure::StepBesideData => Some("leave one of them out".to_owned()),
-            Failure::NoExportFormat { .. } => Some(
-                "say it by `--as json`, `npz`, `mat`, `c` or `python`, or by an ending: `.json`, `.npz`, `.mat`, `.h`, `.py`"
-                    .to_owned(),
-            ),
             Failure::Compare(error) => Some(error.hint().to_owned()),
-            Failure::Compared(error) => match &**error {
-                ResultError::NotARecord { .. } | ResultError::Schema { .. } => {
-                    Some("`kalfit compare` takes what `kalfit fit --out` writes".to_owned())
-                }
-                _ => None,
-            },
             Failure::Plan { error, .. } => plan_hint(error).map(str::to_owned),
             Failure::Write { error, .. } => write_hint(error).map(str::to_owned),
             Failure::Output(error) => error.hint().map(str::to_owned),
             Failure::Report(error) => report_hint(error).map(str::to_owned),
-            Failure::RecordsWithoutData => {
-                Some("write `kalfit plot fit.json data.csv --what records --model model.toml --out records.svg`".to_owned())
-            }
-            Failure::IdlePlotData => Some("leave them out: other figures are drawn from the results alone".to_owned()),
-            Failure::PlotOfModel => Some("give the file that `kalfit fit --out` wrote".to_owned()),
-            Failure::Plot(_) => None,
-            Failure::RestrictedErrors => {
-                Some("leave `--std-errors` out: the restricted likelihood has those of its own curvature".to_owned())
-            }
             Failure::GroupsTwice { level } => Some(format!("give all of them at once: `--groups {level}=5,10,20`")),
-            Failure::UnknownLevel { .. } => None,
             Failure::NoGroups { level } => Some(format!("give them: `--groups {level}=5,10,20`")),
+            of_command => of_command.command_hint().map(str::to_owned),
+        }
+    }
+
+    /// What to do about what a command finds itself, not the error of a part of its work.
+    fn command_hint(&self) -> Option<&'static str> {
+        Some(match self {
+            Failure::MixedGroup(_) => {
+                "group by a column that is constant within a test, or make each of its texts a test of its own"
+            }
+            Failure::GroupTest { hint, .. } | Failure::NoProfile { hint, .. } => hint,
+            Failure::HypothesisParameter { .. } => "a hypothesis restricts what the model leaves free",
+            Failure::UnknownUnit(_) => "`--units new` predicts tests of units that nobody has seen",
+            Failure::NoUnits { .. } | Failure::OnePhase { .. } => "leave it out",
+            Failure::Folds(error) if matches!(**error, FoldsError::Apart { .. }) => {
+                "a fold holds whole groups: name a column that is the same for all tests of one"
+            }
+            Failure::FoldsOfRows => "give the measurements",
+            Failure::AgainstStdin => "put the data in a file, and name it in the place of `-`",
+            Failure::NotComparable { .. } => {
+                "log densities are compared of the same measured values: both models must use the same columns"
+            }
+            Failure::NoColumnValue { .. } => "write `--at temperature=20`",
+            Failure::StepBesideData => "leave one of them out",
+            Failure::NoExportFormat { .. } => {
+                "say it by `--as json`, `npz`, `mat`, `c` or `python`, or by an ending: `.json`, `.npz`, `.mat`, `.h`, `.py`"
+            }
+            Failure::Compared(error)
+                if matches!(**error, ResultError::NotARecord { .. } | ResultError::Schema { .. }) =>
+            {
+                "`kalfit compare` takes what `kalfit fit --out` writes"
+            }
+            Failure::RecordsWithoutData => {
+                "write `kalfit plot fit.json data.csv --what records --model model.toml --out records.svg`"
+            }
+            Failure::IdlePlotData => "leave them out: other figures are drawn from the results alone",
+            Failure::PlotOfModel => "give the file that `kalfit fit --out` wrote",
+            Failure::RestrictedErrors => {
+                "leave `--std-errors` out: the restricted likelihood has those of its own curvature"
+            }
             Failure::MoreThanDesign { .. } => {
-                Some("give a design with as many groups and tests as are wanted: new groups need names of their own".to_owned())
+                "give a design with as many groups and tests as are wanted: new groups need names of their own"
             }
             Failure::NoFreeParameter { .. } => {
-                Some("leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`".to_owned())
+                "leave it out, or free a parameter in `[parameters]`: `{}` or `{ start = 1 }`"
             }
-            Failure::OnePhase { .. } => Some("leave it out".to_owned()),
-            Failure::NotParquet { .. } | Failure::Interrupted => None,
-            Failure::NoFilter { .. } => Some(
+            Failure::NoFilter { .. } => {
                 "leave these rows out, they may stand beside the estimates as they are; or use `kalfit reduce`, which takes any phase"
-                    .to_owned(),
-            ),
-            Failure::NotEstimates { .. } => Some("leave the file out: it may stand beside the estimates".to_owned()),
-            Failure::Memory { .. } => Some(
-                "half the states take a sixteenth of it; a state with `initial = \"stationary\"` or `initial = { mean = …, sigma = … }` is not estimated"
-                    .to_owned(),
-            ),
-            Failure::NoRoom { .. } => Some("raise the limit of the process, which `ulimit -v` shows".to_owned()),
-            Failure::Instructions { .. } => {
-                Some("all machines that are to give the same bits need the same instructions; `portable` is everywhere".to_owned())
             }
-            Failure::Threads { .. } => Some("ask for fewer with `--threads`".to_owned()),
-        }
+            Failure::NotEstimates { .. } => "leave the file out: it may stand beside the estimates",
+            Failure::Memory { .. } => {
+                "half the states take a sixteenth of it; a state with `initial = \"stationary\"` or `initial = { mean = …, sigma = … }` is not estimated"
+            }
+            Failure::NoRoom { .. } => "raise the limit of the process, which `ulimit -v` shows",
+            Failure::Instructions { .. } => {
+                "all machines that are to give the same bits need the same instructions; `portable` is everywhere"
+            }
+            Failure::Threads { .. } => "ask for fewer with `--threads`",
+            _ => return None,
+        })
     }
 }
 

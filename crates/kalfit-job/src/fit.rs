@@ -24,7 +24,7 @@ const CUT_SHORT: &str =
 /// Said where the list of tests is empty.
 const NO_TESTS: &str = "what each test says was not asked for";
 
-/// Fits a model to data. A search that is [stopped](Watch::stops) ends with the best that it found, and a record that says so,
+/// Fits a model to data. A search that is [stopped](JobWatch::stops) ends with the best that it found, and a record that says so,
 /// and writes no file unless the job [keeps](FitJob::keeps_stopped) it.
 ///
 /// # Errors

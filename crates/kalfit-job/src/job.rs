@@ -52,7 +52,7 @@ pub struct FitJob {
     pub innovations: bool,
     /// Fit each group of tests by itself too: do they differ.
     pub group_test: bool,
-    /// Write the files of a search that was [stopped](crate::Watch::stops), too: what it has, as not converged.
+    /// Write the files of a search that was [stopped](crate::JobWatch::stops), too: what it has, as not converged.
     pub keeps_stopped: bool,
 }
 

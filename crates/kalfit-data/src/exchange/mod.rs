@@ -9,7 +9,7 @@
 //!   the sensitivity and the covariance of its error. They may come from any program; metadata are not needed.
 //!
 //! [`sort`] tells such files from tables of rows, [`read_reductions`] and [`read_estimates`] read them a few hundred rows at a
-//! time, [`Assembly`] puts the phases of each test together, and [`ReductionWriter`] and [`EstimatesWriter`] write them.
+//! time, [`TestAssembly`] puts the phases of each test together, and [`ReductionWriter`] and [`EstimatesWriter`] write them.
 
 mod alpha;
 mod assembly;

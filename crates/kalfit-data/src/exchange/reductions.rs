@@ -25,7 +25,7 @@ pub(super) const INFORMATION: &str = "information";
 pub(super) const SQUARE_ROOT: &str = "square-root";
 
 /// Reads a reductions file and hands its rows on. That it was made with this model and α is for
-/// [`Metadata::check_digest`] and [`difference`](super::difference) to say. Names of groups are added to `labels`.
+/// [`ExchangeMetadata::check_digest`] and [`difference`](super::difference) to say. Names of groups are added to `labels`.
 ///
 /// # Errors
 /// What is wrong with the file, with its place: of a model with levels also that it does not say the groups of its tests; whatever

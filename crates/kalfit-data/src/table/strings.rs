@@ -15,7 +15,7 @@ pub(crate) enum StringColumn {
     Dictionary { keys: ArrayRef, index: Vec<usize>, values: Box<StringColumn> },
 }
 
-/// True for types that [`Strings`] can show.
+/// True for types that [`StringColumn`] can show.
 pub(crate) fn is_text(data_type: &DataType) -> bool {
     match data_type {
         DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View => true,
