@@ -16,7 +16,7 @@ use crate::model::Population;
 
 /// A logarithm this far away has no limit there.
 const FAR: f64 = 25.0;
-/// A value at zero is followed from this part of the largest value.
+/// A value at zero is followed from this part of what the data suggest for it.
 const TRACE: f64 = 1e-6;
 /// Logarithms move no further than this at first.
 const STRIDE: f64 = 3.0;
@@ -46,7 +46,7 @@ pub(crate) fn profiles(
         if is_open(parameter) && objective.edges.has(slot) {
             kept += 1;
         } else if is_open(parameter) {
-            let error = covariances.alpha[slot].map_or(0.5, f64::sqrt);
+            let error = covariances.alpha[slot].map(f64::sqrt);
             parameter.interval = Some(HeldValue::new((objective, &best), slot).ends(&others, error));
         }
     }
@@ -79,8 +79,12 @@ impl Holds for HeldValue<'_, '_> {
     type Near = Branch;
 
     fn held(&self, (): (), way: f64, near: &Branch) -> Option<Held<Branch>> {
-        let found = self.highest(near, self.objective.coordinates[self.slot].moved(self.from, way))?;
-        Some(Held { value: found.home.value(), slope: found.home.gradient[self.slot], near: found })
+        let found = self.highest(near, self.objective.coordinates[self.slot].moved(self.from, way));
+        // where ℓ is not defined a value is as unlikely as can be
+        let nowhere = || Held { value: f64::NEG_INFINITY, slope: 0.0, near: near.clone() };
+        let held =
+            |found: Branch| Held { value: found.home.value(), slope: found.home.gradient[self.slot], near: found };
+        Some(found.map_or_else(nowhere, held))
     }
 
     fn is_on_new_branch(near: &Branch) -> bool {
@@ -91,12 +95,13 @@ impl Holds for HeldValue<'_, '_> {
 impl<'b, 'a> HeldValue<'b, 'a> {
     fn new((objective, best): (&'b ProfileLikelihood<'a>, &'b ProfilePoint), slot: usize) -> HeldValue<'b, 'a> {
         let value = best.values[slot];
-        let from = if objective.coordinates[slot].log && value == 0.0 { TRACE * scale(best) } else { value };
+        let from =
+            if objective.coordinates[slot].log && value == 0.0 { TRACE * objective.units()[slot] } else { value };
         HeldValue { objective, best, slot, from }
     }
 
-    /// Both ends; `error` is the standard error of the coordinate. `None` where no value is unlikely enough.
-    fn ends(&self, others: &[Vec<f64>], error: f64) -> [Option<f64>; 2] {
+    /// Both ends; `error` is the standard error of the coordinate, if it has one. `None` where no value is unlikely enough.
+    fn ends(&self, others: &[Vec<f64>], error: Option<f64>) -> [Option<f64>; 2] {
         let coordinate = self.objective.coordinates[self.slot];
         let (far, longest) = if coordinate.log { (FAR, STRIDE) } else { (f64::INFINITY, f64::INFINITY) };
         let bounds = [coordinate.lower, coordinate.upper];
@@ -110,13 +115,23 @@ impl<'b, 'a> HeldValue<'b, 'a> {
             if self.best.values[self.slot] == bound {
                 return Some(bound);
             }
-            match profile.end(&start, sign * (QUANTILE * error).min(longest))? {
+            match profile.end(&start, sign * self.first_step(error).min(longest))? {
                 // every value down to zero, or up to infinity, may be
                 end if limits[side] == Some(end) => Some(bound).filter(|bound| bound.is_finite()),
                 end => Some(coordinate.moved(self.from, end)),
             }
         };
         [(0, -1.0), (1, 1.0)].map(one)
+    }
+
+    /// About how far an end is: by the standard error, or at a bound by the slope there.
+    fn first_step(&self, error: Option<f64>) -> f64 {
+        let slope = self.best.gradient[self.slot].abs();
+        match error {
+            Some(error) => QUANTILE * error,
+            None if !self.objective.coordinates[self.slot].log && slope > 0.0 => 0.5 * QUANTILE * QUANTILE / slope,
+            None => 0.5 * QUANTILE,
+        }
     }
 
     /// The best ℓ with the value held here: from nearby, where that is too low from other ends, and at the quantile from around it.
@@ -138,12 +153,6 @@ impl<'b, 'a> HeldValue<'b, 'a> {
         }
         Some(Branch { home, others, is_new })
     }
-}
-
-/// The largest of the values.
-fn scale(best: &ProfilePoint) -> f64 {
-    let largest = best.values.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
-    if largest > 0.0 { largest } else { 1.0 }
 }
 
 /// The best ℓ with a value held, from these values.

@@ -2,8 +2,11 @@
 
 use crate::infer::held::Held;
 
-/// Evaluations for one end.
+/// Evaluations for one end; after so many, every second one halves the bracket, since where branches change slopes lead astray.
 const TRIES: usize = 30;
+const SURELY: usize = 8;
+/// Where the profile jumps, the jump is known to this part of its distance.
+const JUMP: f64 = 1e-3;
 
 /// Finds maxima with one quantity held.
 pub(crate) trait Holds: Sync {
@@ -56,13 +59,13 @@ impl<H: Holds> Profile<'_, H> {
     pub(crate) fn end(&self, start: &H::Near, step: f64) -> Option<f64> {
         let sign = step.signum();
         let limit = self.limits[usize::from(sign > 0.0)];
-        if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12) {
+        if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12 * step.abs()) {
             return limit;
         }
         let mut near = start.clone();
         let (mut below, mut above, mut is_unlikely) = (self.centre, f64::INFINITY * sign, false); // the last: what is above
         let mut x = self.inside(self.centre + step, self.centre, limit, sign);
-        for _ in 0..TRIES {
+        for tries in 1..=TRIES {
             let Some((zeta, slope, held)) = self.root(x, &near, sign) else {
                 (above, is_unlikely) = (x, false); // no certified maximum there: nearer
                 x = 0.5 * (below + x);
@@ -86,10 +89,14 @@ impl<H: Holds> Profile<'_, H> {
             } else {
                 (above, is_unlikely) = (x, true);
             }
-            x = self.next(x, zeta, slope, (below, above), step);
+            x = match above.is_finite() && tries > SURELY && tries.is_multiple_of(2) {
+                true => 0.5 * (below + above),
+                false => self.next(x, zeta, slope, (below, above), step),
+            };
             x = self.inside(x, below, limit, sign);
         }
-        (is_unlikely && above.is_finite()).then_some(0.5 * (below + above))
+        let jumps = is_unlikely && (above - below).abs() <= JUMP * (above - self.centre).abs();
+        jumps.then_some(0.5 * (below + above))
     }
 
     fn next(&self, x: f64, zeta: f64, slope: f64, (below, above): (f64, f64), step: f64) -> f64 {
