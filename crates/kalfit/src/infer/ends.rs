@@ -122,3 +122,64 @@ impl<H: Holds> Profile<'_, H> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A profile that is known: ζ and its slope at a distance from the centre, `None` where no maximum is found.
+    struct Known<F>(F);
+
+    impl<F: Fn(f64) -> Option<(f64, f64)> + Sync> Holds for Known<F> {
+        const PRECISION: f64 = 1e-6;
+        const ATTAINS_LIMITS: bool = true;
+        type What = ();
+        type Near = ();
+
+        fn held(&self, (): (), x: f64, (): &()) -> Option<Held<()>> {
+            let (zeta, slope) = self.0(x.abs())?;
+            Some(Held { value: -0.5 * zeta * zeta, slope: -x.signum() * zeta * slope, near: () })
+        }
+    }
+
+    /// The upper and the lower end, which lie alike.
+    fn end(profile: impl Fn(f64) -> Option<(f64, f64)> + Sync, step: f64, limit: Option<f64>) -> Option<f64> {
+        let limits = [limit.map(|limit| -limit), limit];
+        let holder = Known(profile);
+        let profile = Profile { holder: &holder, what: (), centre: 0.0, maximum: 0.0, quantile: 2.0, limits };
+        let [lower, upper] = [profile.end(&(), -step), profile.end(&(), step)];
+        println!("{lower:?} {upper:?}");
+        assert_eq!(lower.map(|end| -end), upper);
+        upper
+    }
+
+    fn near(found: Option<f64>, expected: f64, tolerance: f64) {
+        let found = found.expect("an end");
+        assert!((found - expected).abs() <= tolerance * expected, "{found} for {expected}");
+    }
+
+    #[test]
+    fn an_end_is_found_in_any_unit_and_from_any_first_step() {
+        for unit in [1e-13, 1.0, 1e9] {
+            for step in [0.05, 1.0, 40.0] {
+                let curved = |x: f64| Some(((1.0 + x / unit).ln() * 3.0, 3.0 / (unit + x)));
+                near(end(curved, step * unit, Some(1e4 * unit)), ((2.0_f64 / 3.0).exp() - 1.0) * unit, 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn a_profile_that_jumps_over_the_quantile_ends_at_the_jump() {
+        for (at, below, above) in [(0.4055, 0.55, 2.05), (0.3, 1.99, 9.0), (2.7, 0.1, 2.0001)] {
+            let jumping = |x: f64| Some(if x < at { (below * x / at, below / at) } else { (above + x - at, 1.0) });
+            near(end(jumping, 1.0, None), at, 2e-3);
+        }
+    }
+
+    #[test]
+    fn without_maxima_further_out_there_is_no_end_and_at_a_limit_it_is_the_limit() {
+        let slow = |x: f64| (x, 1.0);
+        assert_eq!(end(|x| (x < 1.0).then(|| slow(x)), 0.3, None), None);
+        assert_eq!(end(|x| Some(slow(x)), 0.3, Some(1.5)), Some(1.5));
+    }
+}
