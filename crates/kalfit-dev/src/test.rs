@@ -1,5 +1,6 @@
 //! The test command: what the README names and CI runs.
 
+use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
@@ -68,6 +69,7 @@ const STEPS: &[Step] = &[
 type Other = (&'static str, &'static str, fn() -> Result<(), String>);
 
 const OTHERS: &[Other] = &[
+    ("neon", "the registers of other processors compile", other_processor),
     ("fuzz", "the program on damaged files", fuzz::short),
     ("python", "the wheel in a fresh environment, and its tests", python::run),
     ("browser", "the report in Chromium", browser::run),
@@ -146,6 +148,23 @@ impl Step {
             (Err(error), _) => Outcome::Failed(error.to_string()),
         }
     }
+}
+
+/// A processor whose registers have code of their own, which is not compiled here.
+const OTHER_PROCESSOR: &str = "aarch64-unknown-linux-gnu";
+
+/// Checks the code of another processor where its standard library is installed.
+fn other_processor() -> Result<(), String> {
+    let output = Command::new("rustc").args(["--print", "sysroot"]).output().map_err(|e| e.to_string())?;
+    let root = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+    if !Path::new(&root).join("lib/rustlib").join(OTHER_PROCESSOR).is_dir() {
+        println!("== left out: its standard library is not installed: rustup target add {OTHER_PROCESSOR}");
+        return Ok(());
+    }
+    let mut check = Command::new("cargo");
+    check.args(["check", "--locked", "--package", "kalfit-lanes", "--target", OTHER_PROCESSOR]);
+    let status = check.current_dir(places::root()).status().map_err(|e| e.to_string())?;
+    if status.success() { Ok(()) } else { Err(status.to_string()) }
 }
 
 /// The stated minimum is tested when the toolchain at hand is that minimum; a newer one is said to be newer.

@@ -137,7 +137,7 @@ fn found() -> Vec<Isa> {
 
 #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
 fn found() -> Vec<Isa> {
-    vec![Isa::PORTABLE, Isa(Kind::Neon)]
+    vec![Isa::PORTABLE, Isa(IsaKind::Neon)]
 }
 
 #[cfg(not(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon"))))]
