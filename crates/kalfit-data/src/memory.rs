@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use arrow::array::RecordBatch;
-use arrow::datatypes::{DataType, SchemaRef};
+use arrow_array::RecordBatch;
+use arrow_schema::{DataType, SchemaRef};
 use bytes::Bytes;
 use parquet::arrow::ArrowWriter;
 use parquet::file::metadata::KeyValue;
@@ -87,6 +87,6 @@ impl MemoryTable {
 }
 
 /// Whether cells may be missing, and what is noted beside, does not count.
-fn same_column(found: &arrow::datatypes::Field, expected: &arrow::datatypes::Field) -> bool {
+fn same_column(found: &arrow_schema::Field, expected: &arrow_schema::Field) -> bool {
     found.name() == expected.name() && found.data_type() == expected.data_type()
 }

@@ -1,9 +1,9 @@
 //! Data that are asked for: names of files, and tables in memory by Arrow's C stream, without a copy.
 
-use arrow::datatypes::SchemaRef;
-use arrow::ffi_stream::RecordBatchStreamReader;
-use arrow::pyarrow::FromPyArrow;
-use arrow::record_batch::{RecordBatch, RecordBatchReader};
+use arrow_array::ffi_stream::RecordBatchStreamReader;
+use arrow_array::{RecordBatch, RecordBatchReader};
+use arrow_pyarrow::FromPyArrow;
+use arrow_schema::SchemaRef;
 use kalfit_data::{Datum, MemoryTable};
 use pyo3::prelude::*;
 

@@ -1,6 +1,6 @@
 //! Columns of an estimates file that are constants of its tests: what offsets, regressions, levels and `carry` look up.
 
-use arrow::datatypes::Schema;
+use arrow_schema::Schema;
 use kalfit::{Label, Labels, Layout, PhasedModel, Test, TestKey};
 
 use super::schema::{ColumnShape, ESTIMATES, TEST};

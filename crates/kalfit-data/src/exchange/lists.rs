@@ -2,9 +2,10 @@
 
 use std::ops::Range;
 
-use arrow::array::{Array, ArrayRef, AsArray};
-use arrow::datatypes::DataType;
-use arrow::error::ArrowError;
+use arrow_array::cast::AsArray;
+use arrow_array::{Array, ArrayRef};
+use arrow_schema::ArrowError;
+use arrow_schema::DataType;
 
 use crate::table::arrays::{NumberArray, is_numeric};
 use crate::table::strings::{StringColumn, is_text};

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use arrow::array::RecordBatch;
-use arrow::datatypes::DataType;
-use arrow::error::ArrowError;
+use arrow_array::RecordBatch;
+use arrow_schema::ArrowError;
+use arrow_schema::DataType;
 use nalgebra::DMatrix;
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{

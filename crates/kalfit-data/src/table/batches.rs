@@ -1,8 +1,8 @@
 //! Record batches of Parquet and Arrow IPC into blocks.
 
-use arrow::array::{Array, RecordBatch};
-use arrow::datatypes::Schema;
-use arrow::error::ArrowError;
+use arrow_array::{Array, RecordBatch};
+use arrow_schema::ArrowError;
+use arrow_schema::Schema;
 
 use super::ahead::{BlockTask, BlockTasks, TableProgress};
 use super::arrays::{NumberArray, TextArray, TimeArray, misfit};

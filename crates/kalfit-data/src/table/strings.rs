@@ -2,8 +2,9 @@
 
 use std::ops::Range;
 
-use arrow::array::{Array, ArrayRef, AsArray, LargeStringArray, StringArray, StringViewArray};
-use arrow::datatypes::DataType;
+use arrow_array::cast::AsArray;
+use arrow_array::{Array, ArrayRef, LargeStringArray, StringArray, StringViewArray};
+use arrow_schema::DataType;
 
 use crate::fill::change;
 
@@ -37,7 +38,7 @@ impl StringColumn {
                 let dictionary = array.as_any_dictionary_opt()?;
                 let index = if dictionary.values().is_empty() { Vec::new() } else { dictionary.normalized_keys() };
                 let values = Box::new(StringColumn::new(dictionary.values())?);
-                StringColumn::Dictionary { keys: arrow::array::make_array(dictionary.keys().to_data()), index, values }
+                StringColumn::Dictionary { keys: arrow_array::make_array(dictionary.keys().to_data()), index, values }
             }
             _ => return None,
         })

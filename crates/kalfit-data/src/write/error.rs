@@ -1,6 +1,6 @@
 //! Why tests cannot be written.
 
-use arrow::error::ArrowError;
+use arrow_schema::ArrowError;
 use parquet::errors::ParquetError;
 
 /// What is wrong with a table that is to be written.

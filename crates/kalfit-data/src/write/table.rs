@@ -3,8 +3,9 @@
 use std::io::Write;
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Float64Builder, Int64Builder, StringBuilder};
-use arrow::datatypes::{DataType, Field, Schema};
+use arrow_array::ArrayRef;
+use arrow_array::builder::{Float64Builder, Int64Builder, StringBuilder};
+use arrow_schema::{DataType, Field, Schema};
 
 use super::batches::{BatchWriter, ROWS};
 use super::csv::{failed, header, number};

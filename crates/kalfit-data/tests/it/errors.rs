@@ -7,12 +7,12 @@ use crate::support;
 use std::fs;
 use std::sync::Arc;
 
-use arrow::array::{
+use arrow_array::types::Int64Type;
+use arrow_array::{
     ArrayRef, BinaryArray, BooleanArray, Float64Array, Int64Array, ListArray, NullArray, StringArray,
     TimestampSecondArray,
 };
-use arrow::datatypes::Int64Type;
-use arrow::ipc::writer::IpcWriteOptions;
+use arrow_ipc::writer::IpcWriteOptions;
 use insta::assert_snapshot;
 use kalfit::{Layout, PhasedModel, TestKey};
 use kalfit_data::{DataError, Input};
@@ -358,7 +358,7 @@ fn times() {
     ");
 }
 
-fn columns() -> arrow::array::RecordBatch {
+fn columns() -> arrow_array::RecordBatch {
     batch(vec![
         ("id", Arc::new(Int64Array::from(vec![1, 1, 2, 2])) as ArrayRef),
         ("y", Arc::new(Float64Array::from(vec![1.0, 2.0, 3.0, 4.0])) as ArrayRef),

@@ -7,9 +7,11 @@ use crate::support;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Float32Array, Float64Array, ListBuilder, RecordBatch, StringArray, StringBuilder};
-use arrow::array::{FixedSizeListArray, Float64Builder, Int64Array, LargeListBuilder};
-use arrow::datatypes::{DataType, Field};
+use arrow_array::builder::{Float64Builder, LargeListBuilder};
+use arrow_array::builder::{ListBuilder, StringBuilder};
+use arrow_array::{ArrayRef, Float32Array, Float64Array, RecordBatch, StringArray};
+use arrow_array::{FixedSizeListArray, Int64Array};
+use arrow_schema::{DataType, Field};
 use insta::assert_snapshot;
 use kalfit::model::{
     Carry, CovarianceStructure, Expression, GroupLevel, Initial, Linear, MeanStructure, Motion, Phase, State,

@@ -4,13 +4,13 @@ use crate::support;
 
 use std::sync::Arc;
 
-use arrow::array::{
+use arrow_array::types::Int8Type;
+use arrow_array::{
     ArrayRef, BooleanArray, Date32Array, Decimal128Array, DictionaryArray, Float32Array, Int8Array, Int64Array,
     LargeStringArray, NullArray, StringArray, StringViewArray, TimestampMicrosecondArray, UInt64Array,
 };
-use arrow::datatypes::Int8Type;
-use arrow::ipc::CompressionType;
-use arrow::ipc::writer::IpcWriteOptions;
+use arrow_ipc::CompressionType;
+use arrow_ipc::writer::IpcWriteOptions;
 use kalfit::Layout;
 use kalfit_data::Input;
 use support::*;
@@ -47,7 +47,7 @@ fn the_same_table_gives_the_same_tests_in_every_format() {
     let model = model(&["t", "y", "n"], &["lot", "n"], Some("t"));
     let (table, reversed) = (table(), table().reversed());
     let lz4 = || IpcWriteOptions::default().try_with_compression(Some(CompressionType::LZ4_FRAME)).unwrap();
-    let narrow = || IpcWriteOptions::try_new(8, false, arrow::ipc::MetadataVersion::V5).unwrap();
+    let narrow = || IpcWriteOptions::try_new(8, false, arrow_ipc::MetadataVersion::V5).unwrap();
     let bom = [b"\xef\xbb\xbf".to_vec(), table.csv(',', "\n")].concat();
     let mut unended = table.csv(',', "\n");
     unended.pop();
@@ -149,7 +149,7 @@ fn every_arrow_type_that_holds_numbers_or_texts_is_read_as_both() {
         ),
         (
             "f64",
-            Arc::new(arrow::array::Float64Array::from(vec![Some(7.0), None, Some(0.1)])),
+            Arc::new(arrow_array::Float64Array::from(vec![Some(7.0), None, Some(0.1)])),
             [7.0, f64::NAN, 0.1],
             ["7", "-", "0.1"],
         ),
@@ -224,7 +224,7 @@ fn integers_and_whole_floats_are_the_same_test_id() {
         ("y", Arc::new(Int64Array::from(vec![1, 2])) as ArrayRef),
     ]);
     let floats = batch(vec![
-        ("id", Arc::new(arrow::array::Float64Array::from(vec![8.0, 9.5])) as ArrayRef),
+        ("id", Arc::new(arrow_array::Float64Array::from(vec![8.0, 9.5])) as ArrayRef),
         ("y", Arc::new(Int64Array::from(vec![3, 4])) as ArrayRef),
     ]);
     let folder = tempfile::tempdir().unwrap();

@@ -4,7 +4,7 @@
 
 use crate::support;
 
-use arrow::ipc::writer::IpcWriteOptions;
+use arrow_ipc::writer::IpcWriteOptions;
 use insta::assert_snapshot;
 use kalfit::{Labels, Layout, PhasedModel, Source, Test, TestKey};
 use kalfit_data::{TableFormat, TestWriter, WrittenIds};

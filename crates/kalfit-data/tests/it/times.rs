@@ -6,7 +6,7 @@ use crate::support;
 
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Date32Array, Int64Array, TimestampMillisecondArray, TimestampNanosecondArray};
+use arrow_array::{ArrayRef, Date32Array, Int64Array, TimestampMillisecondArray, TimestampNanosecondArray};
 use kalfit::Layout;
 use support::*;
 

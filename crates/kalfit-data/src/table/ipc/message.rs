@@ -1,7 +1,7 @@
 //! What a message declares, held against the bytes it has.
 
-use arrow::error::ArrowError;
-use arrow::ipc::root_as_message;
+use arrow_ipc::root_as_message;
+use arrow_schema::ArrowError;
 
 use crate::error::DataError;
 

@@ -2,12 +2,12 @@
 
 use std::io::Read;
 
-use arrow::array::RecordBatch;
-use arrow::buffer::Buffer;
-use arrow::datatypes::SchemaRef;
-use arrow::error::ArrowError;
-use arrow::ipc::reader::StreamDecoder;
-use arrow::ipc::root_as_message;
+use arrow_array::RecordBatch;
+use arrow_buffer::Buffer;
+use arrow_ipc::reader::StreamDecoder;
+use arrow_ipc::root_as_message;
+use arrow_schema::ArrowError;
+use arrow_schema::SchemaRef;
 
 use super::super::batches::BatchTable;
 use super::super::guard::guarded;

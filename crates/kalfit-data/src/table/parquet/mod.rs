@@ -184,7 +184,7 @@ impl RowGroupRows<'_> {
 fn next_batch(
     reader: &mut ParquetRecordBatchReader,
     file: &str,
-) -> Result<Option<arrow::array::RecordBatch>, DataError> {
+) -> Result<Option<arrow_array::RecordBatch>, DataError> {
     reader.next().transpose().map_err(|source| DataError::Arrow { file: file.to_owned(), source: Box::new(source) })
 }
 

@@ -7,8 +7,8 @@ use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
-use arrow::ipc::writer::{FileWriter, IpcWriteOptions, StreamWriter};
+use arrow_array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
+use arrow_ipc::writer::{FileWriter, IpcWriteOptions, StreamWriter};
 use kalfit::model::{Clock, Column, CovarianceStructure, MeanStructure};
 use kalfit::{Label, Labels, Layout, Model, PhasedModel, Source, Test, TestKey};
 use kalfit_data::{DataError, DataReading, Input, ReadError, TestSink, read_from};
