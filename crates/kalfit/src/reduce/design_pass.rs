@@ -3,13 +3,11 @@
 
 use std::sync::Arc;
 
-use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, StateFrame, Stretch};
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel::{self, FilterState};
 use crate::reduce::schedule::{GainSchedule, GainsWork};
 use crate::reduce::settling::SteadyState;
-use crate::reduce::small;
 use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
 use kalfit_lanes::Real;
@@ -48,17 +46,14 @@ impl GainSchedule {
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
         let watched = work.settling.begin(stretch.count);
         let (mut frozen, mut gain_steps, mut done) = (SteadyState::Nothing, 0, 0);
-        let small = if stretch.count > FEW { small::steps(design, stretch) } else { None };
         while done < stretch.count && frozen != SteadyState::All {
             let before = done;
             done = if watched { work.settling.next_look().min(stretch.count) } else { stretch.count };
-            match (frozen, small) {
-                (SteadyState::Nothing, Some(steps)) => steps(design, stretch, done - before, work, self),
-                (SteadyState::Nothing, None) => (before..done).for_each(|_| self.step(design, stretch, work)),
-                _ => (before..done).for_each(|_| self.sensitivities(design, stretch, work)),
-            }
             if frozen == SteadyState::Nothing {
+                (before..done).for_each(|_| self.step(design, stretch, work));
                 gain_steps = done;
+            } else {
+                (before..done).for_each(|_| self.sensitivities(design, stretch, work));
             }
             if watched {
                 frozen = work.settling.look(done, (&work.P, frame.r), &work.Psi, frozen);

@@ -16,14 +16,13 @@
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; matrix exponentials once per length and coefficients
-//! Design ── design_pass (lanes, small, root) ──> Gains   S, K, T, P, J: once per design class
+//! Design ── design_pass (lanes, root) ──> Gains          S, K, T, P, J: once per design class
 //! Gains + Data ── lanes (pass, scan) ──> Reduction       e, x̂, y: once per test, a long one in a lane by itself
 //! ```
 //!
 //! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for plain numbers and for lanes
-//! (`small`, of few moving states, and `root`, of square roots, have their own); innovations, x̂ and y in `lanes`. Up
-//! to 64 equal steps go through `lanes`, a test or a design in each lane; more through `design_pass`, `small` where few states move,
-//! and `scan`; designs that covariances lose digits of through `root`.
+//! (`root`, of square roots, has its own); innovations, x̂ and y in `lanes`. Up to 64 equal steps go through `lanes`, a test or a design
+//! in each lane; more through `design_pass` and `scan`; designs that covariances lose digits of through `root`.
 //!
 //! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
 //!
@@ -83,7 +82,6 @@ mod schedule;
 mod semidefinite;
 mod settling;
 mod shared;
-mod small;
 mod split;
 mod stack;
 mod start;
@@ -129,11 +127,11 @@ pub(crate) use part::PhaseReducer;
 pub(crate) use phased::{FilteredPhases, PhasedBatches, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
 pub(crate) use reducer::{LongDesignClasses, own_innovations};
-pub(crate) use scan::{InvariantStep, Scan, with_states};
+pub(crate) use scan::{InvariantStep, Scan, moving, with_states};
 pub(crate) use semidefinite::ldl;
 pub(crate) use settling::{SteadyState, SteadyStateMonitor};
 pub(crate) use shared::SharedStore;
-pub(crate) use small::{SmallMotion, moving};
+
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::GatheredCells;
 pub(crate) use subject::{Coefficient, Fault, ModelAt, Subject, Uses};

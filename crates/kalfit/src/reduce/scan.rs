@@ -4,7 +4,6 @@
 use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Stretch};
 use crate::reduce::gains::{GainSpan, Gains};
-use crate::reduce::small::moving;
 use kalfit_lanes::{Lanes, Part, Real};
 
 /// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
@@ -60,6 +59,12 @@ pub(crate) use with_states;
 
 /// Most states that move in a stretch that is scanned.
 const MOST_MOVING: usize = 6;
+
+/// States that noise reaches or that move: the first ones of the kernels' order.
+pub(crate) fn moving(design: &Design, stretch: &Stretch<'_>) -> usize {
+    let last = stretch.transition.and_then(|transition| transition.pattern.moved.last());
+    design.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
+}
 
 /// How many states move in a stretch, if it is of the kind that is scanned.
 pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {

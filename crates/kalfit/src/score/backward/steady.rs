@@ -2,7 +2,9 @@
 //! states that move; those that rest are constants. Of the adjoints the data's part has a file of its own
 //! ([`DataAdjoint`]); the rest is the design's.
 
-use crate::reduce::{SmallMotion, Stretch, mirror, update};
+use kalfit_lanes::Real;
+
+use crate::reduce::{Stretch, mirror, update};
 use crate::score::backward::data_adjoint::{DataAdjoint, PriorVariances};
 use crate::score::backward::design_sums::{DesignAdjoint, DesignSums, FilterCovariance, Gain};
 use crate::score::backward::filtered::FilteredMoments;
@@ -12,8 +14,9 @@ use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 #[derive(Debug, Clone, Copy)]
 pub(super) struct StepCoefficients<const N: usize, const C: usize> {
     pub(super) data: DataAdjoint<f64, N>,
-    /// With ΨC for Ψ.
-    motion: SmallMotion<N, C>,
+    Q: [[f64; N]; N],
+    /// What the states that rest add to φΨC.
+    c: [[f64; C]; N],
     noise: f64,
     moves: bool,
     wanted: AdjointsWanted,
@@ -57,25 +60,75 @@ fn product<const N: usize, const W: usize>(x: &[[f64; N]; N], y: &[[f64; W]; N])
 
 impl<const N: usize, const C: usize> StepCoefficients<N, C> {
     pub(super) fn new(run: &BackwardInput<'_>, stretch: &Stretch<'_>, now: &FilteredMoments) -> StepCoefficients<N, C> {
+        let (mut Q, mut c) = ([[0.0; N]; N], [[0.0; C]; N]);
+        if let Some(transition) = stretch.transition {
+            for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
+                (Q[i as usize][j as usize], Q[j as usize][i as usize]) = (q, q);
+            }
+            let resting = |(_, j, _): &(usize, usize, f64)| *j >= N && !now.Psi.is_empty();
+            for (i, j, phi) in transition.entries().filter(resting) {
+                (0..C).for_each(|l| c[i][l] = phi.fma(now.Psi[j * C + l], c[i][l]));
+            }
+        }
         StepCoefficients {
             data: DataAdjoint::new(run, stretch, &now.x),
-            motion: SmallMotion::new(stretch.transition.map(|transition| &**transition), &now.Psi),
+            Q,
+            c,
             noise: run.design.noise[stretch.lines.start],
             moves: stretch.transition.is_some(),
             wanted: run.wanted,
         }
     }
 
+    /// φΨC.
+    #[inline(always)]
+    fn advanced(&self, Psi: &[[f64; C]; N]) -> [[f64; C]; N] {
+        let (phi, mut moved) = (&self.data.filter.phi, self.c);
+        for i in 0..N {
+            for k in 0..N {
+                for j in 0..C {
+                    moved[i][j] = phi[i][k].fma(Psi[k][j], moved[i][j]);
+                }
+            }
+        }
+        moved
+    }
+
+    /// φPφ' + Q.
+    #[inline(always)]
+    fn predicted(&self, P: &[[f64; N]; N]) -> [[f64; N]; N] {
+        let (phi, mut moved) = (&self.data.filter.phi, self.Q);
+        let mut phiP = [[0.0; N]; N];
+        for i in 0..N {
+            for k in 0..N {
+                for j in 0..N {
+                    phiP[i][j] = phi[i][k].fma(P[k][j], phiP[i][j]);
+                }
+            }
+        }
+        for i in 0..N {
+            for j in 0..=i {
+                let mut sum = 0.0;
+                for k in 0..N {
+                    sum = phi[j][k].fma(phiP[i][k], sum);
+                }
+                moved[i][j] += sum;
+                moved[j][i] = moved[i][j];
+            }
+        }
+        moved
+    }
+
     /// P before a step and, if it is wanted there, before its measurement.
     #[inline(always)]
     pub(super) fn ahead(&self, P: &[[f64; N]; N]) -> PriorVariances<N> {
-        PriorVariances { left: *P, arrived: if self.wanted.equation { self.motion.predict(P) } else { *P } }
+        PriorVariances { left: *P, arrived: if self.wanted.equation { self.predicted(P) } else { *P } }
     }
 
     /// P and ΨC after the step. Where gains rest (`P` false), P does too.
     #[inline(always)]
     pub(super) fn advance(&self, from: &FilterCovariance<N, C>, gain: &Gain<N, C>, P: bool) -> FilterCovariance<N, C> {
-        let mut Psi = self.motion.advance(&from.Psi);
+        let mut Psi = self.advanced(&from.Psi);
         for i in 0..N {
             for j in 0..C {
                 Psi[i][j] -= gain.K[i] * gain.T[j];
@@ -87,7 +140,7 @@ impl<const N: usize, const C: usize> StepCoefficients<N, C> {
     /// P after the step.
     #[inline(always)]
     pub(super) fn updated(&self, P: &[[f64; N]; N], weight: f64) -> [[f64; N]; N] {
-        let mut to = self.motion.predict(P);
+        let mut to = self.predicted(P);
         if weight != 0.0 {
             let (states, P) = (std::array::from_fn::<u32, N, _>(|i| i as u32), to.as_flattened_mut());
             update(N, &states, &self.data.filter.h, self.noise, P, &mut [0.0; N], &mut [0.0; N]);
@@ -168,7 +221,7 @@ impl<const N: usize, const C: usize> StepCoefficients<N, C> {
             }
         }
         if self.wanted.equation {
-            let Psi = self.motion.advance(&spread.Psi);
+            let Psi = self.advanced(&spread.Psi);
             for i in 0..N {
                 let mut sum = -inner(&upsilon, &Psi[i]);
                 for j in 0..N {
