@@ -3,7 +3,7 @@
 //! The best ℓ is that of the highest branch: other ends of the searches, and what is found around an end, are tried before a value is
 //! called unlikely.
 
-use crate::dynamic::branches::{ALIKE, highest, others};
+use crate::dynamic::branches::{ALIKE, highest, others, others_of_value};
 use crate::dynamic::coordinates::alike;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::explore;
@@ -47,7 +47,8 @@ pub(crate) fn profiles(
             kept += 1;
         } else if is_open(parameter) {
             let error = covariances.alpha[slot].map(f64::sqrt);
-            parameter.interval = Some(HeldValue::new((objective, &best), slot).ends(&others, error));
+            let others = others_of_value(objective, (&best.values, &others), slot);
+            parameter.interval = Some(HeldValue::new((objective, &best), slot).ends(others, error));
         }
     }
     Ok(kept)
@@ -101,7 +102,7 @@ impl<'b, 'a> HeldValue<'b, 'a> {
     }
 
     /// Both ends; `error` is the standard error of the coordinate, if it has one. `None` where no value is unlikely enough.
-    fn ends(&self, others: &[Vec<f64>], error: Option<f64>) -> [Option<f64>; 2] {
+    fn ends(&self, others: Vec<Vec<f64>>, error: Option<f64>) -> [Option<f64>; 2] {
         let coordinate = self.objective.coordinates[self.slot];
         let (far, longest) = if coordinate.log { (FAR, STRIDE) } else { (f64::INFINITY, f64::INFINITY) };
         let bounds = [coordinate.lower, coordinate.upper];
@@ -109,7 +110,7 @@ impl<'b, 'a> HeldValue<'b, 'a> {
         let limits = bounds.map(|bound| Some(way(bound)).filter(|limit| limit.is_finite()));
         let maximum = self.best.value();
         let profile = Profile { holder: self, what: (), centre: 0.0, maximum, quantile: QUANTILE, limits };
-        let start = Branch { home: self.best.clone(), others: others.to_vec(), is_new: false };
+        let start = Branch { home: self.best.clone(), others, is_new: false };
         let one = |(side, sign): (usize, f64)| {
             let bound = bounds[side];
             if self.best.values[self.slot] == bound {
@@ -172,4 +173,46 @@ fn held(
     let end = search.run().ok()?;
     debug_assert!(end.home.values[slot] == value, "a held value stays");
     Some(end)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamic::branches::WITHIN;
+    use crate::dynamic::tests::{settings, twins, with_processes};
+    use crate::dynamic::{Method, fit};
+    use crate::ensemble::Labels;
+    use crate::estimate::Criterion;
+    use crate::model::Slots;
+
+    #[test]
+    fn exchangeable_values_have_one_profile() {
+        let model = twins();
+        let tests = with_processes(&[(1.0, 0.5), (30.0, 1.5)], 0.02, (16, 24));
+        let labels = Labels::new(&model.shared().literals);
+        let (settings, slots) = (settings(Method::Hybrid, Criterion::Ml), Slots::in_phases(&model, &labels, &tests));
+        let fit = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+        let best = objective.solve(&fit.sought, None).expect("defined");
+        let others = others(&objective, &fit);
+        let profile = |slot: usize, value: f64| {
+            let others = others_of_value(&objective, (&best.values, &others), slot);
+            let start = Branch { home: best.clone(), others, is_new: false };
+            let found = HeldValue::new((&objective, &best), slot).highest(&start, value).expect("defined");
+            best.value() - found.home.value()
+        };
+        let (mut likely, mut unlikely) = (0, 0);
+        for (a, b) in [(0, 2), (1, 3)] {
+            let between = |part: f64| fit.values[a] * (fit.values[b] / fit.values[a]).powf(part);
+            for value in [-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5].map(between) {
+                let (one, other) = (profile(a, value), profile(b, value));
+                // what is likely enough is looked for no further
+                let (least, most) = (one.min(other), one.max(other));
+                let same = most - least < 1e-6;
+                assert!(same || most < WITHIN, "{a} and {b} at {value}: ℓ falls by {one} and {other}");
+                (likely, unlikely) = if most < WITHIN { (likely + 1, unlikely) } else { (likely, unlikely + 1) };
+            }
+        }
+        assert!(likely >= 4 && unlikely >= 2, "{likely} and {unlikely}");
+    }
 }

@@ -339,7 +339,7 @@ fn of_one_test_the_restricted_likelihood_says_nothing_of_the_covariance() {
 }
 
 /// z = bias + one + two + noise, the two processes of one kind. Values: tau, sigma, rest, spread, noise.
-fn twins() -> PhasedModel {
+pub(super) fn twins() -> PhasedModel {
     let equation = linear(vec![(0, number(1.0)), (1, number(1.0)), (2, number(1.0))], number(0.0));
     let names = ["tau", "sigma", "rest", "spread", "noise"];
     let parameters = names.iter().map(|name| parameter(name, Some(1.0), None, true)).collect();
@@ -355,6 +355,26 @@ fn twins() -> PhasedModel {
         vec![meter("z", 1, equation, square(alpha(4)))],
     )
     .into()
+}
+
+/// Tests with a bias, processes of these time constants and sizes, and noise of this size.
+pub(super) fn with_processes(processes: &[(f64, f64)], noise: f64, (tests, rows): (usize, usize)) -> Vec<PhasedTest> {
+    let mut random = Lcg(5);
+    let mut one = |j: usize| {
+        let mut test = Test::new(format!("u{j:02}"), 3, 2);
+        let bias = random.normal();
+        let mut drifts: Vec<f64> = processes.iter().map(|(_, sigma)| sigma * random.normal()).collect();
+        for k in 0..rows {
+            for (drift, (tau, sigma)) in drifts.iter_mut().zip(processes) {
+                let phi = f64::exp(-1.0 / tau);
+                *drift = phi * *drift + sigma * (1.0 - phi * phi).sqrt() * random.normal();
+            }
+            let z = bias + drifts.iter().sum::<f64>() + noise * random.normal();
+            test.push(&[k as f64, z, 0.0], &[Label::literal(0), Label::literal(0)], Source::default());
+        }
+        test.into()
+    };
+    (0..tests).map(&mut one).collect()
 }
 
 #[test]
