@@ -59,6 +59,7 @@ pub(super) fn places(
     let white: Vec<usize> = timed.iter().copied().filter(|&parameter| is_white(objective, end, parameter)).collect();
     let exchanges = ExchangeablePair::unlike(objective.model, objective.slots);
     all.extend(given_back(objective, end, &levels));
+    all.extend(held.and_then(|t| left_to_noise(objective, end, (t, &timed), progress)));
     all.extend(given_up(objective, values, (&levels, &white), &exchanges));
     for &s in &levels {
         all.extend(sizes(objective, end, (s, objective.units()[s])));
@@ -111,6 +112,25 @@ fn given_back(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usiz
     let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
     let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
     pairs.filter_map(|pair| handed_over(objective, values, pair)).collect()
+}
+
+/// Where the size of a process is held, as much in all noises of measurements that are at zero, and the process in the shape that suits
+/// it best beside that: they may explain what it explains, and the process be of its size by being slow.
+fn left_to_noise(
+    objective: &ProfileLikelihood<'_>,
+    end: &SearchEnd,
+    (t, timed): (usize, &[usize]),
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
+    let parameter = timed.iter().find(|&&parameter| driven(objective, parameter) == Some((t, true)))?;
+    let from = objective.coordinates[t].level?;
+    let mut beside = end.home.values.clone();
+    for s in (0..beside.len()).filter(|&s| end.is_at_zero(s) && !drives(objective, s)) {
+        let Some(to) = objective.coordinates[s].level else { continue };
+        beside[s] = beside[t].powf(from / to).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
+    }
+    let is_other = beside != end.home.values;
+    is_other.then(|| best_of(objective, *parameter, &beside, progress))?.map(|(beside, _)| beside)
 }
 
 /// Processes that are all but white given to the noise of a measurement, as they stand and with another process in their place: what the

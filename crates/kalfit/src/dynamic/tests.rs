@@ -454,20 +454,22 @@ fn work_of_a_fit_is_as_recorded() {
 
 #[test]
 fn profile_intervals_end_where_the_likelihood_has_fallen_by_the_quantile() {
-    let model = model(false);
-    let (labels, tests) = ensemble(&model, 12, 8);
-    let settings = settings(Method::Hybrid, Criterion::Ml);
-    let best = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
-    let choices = Choices { intervals: IntervalKind::Profile, ..Choices::default() };
-    let (_, parameters) = infer(&model, &tests, &best, choices).expect("inferred");
-    for (slot, parameter) in best.slots.slots().iter().zip(&parameters).filter(|(slot, _)| slot.level.is_none()) {
-        for end in parameter.interval.expect("determined").into_iter().flatten().filter(|end| *end != 0.0) {
-            let mut held = model.clone();
-            held.phases[0].model.parameters[slot.parameter].value = Value::Fixed(end);
-            let there = fit(&held, &labels, &tests, &settings, &mut Silent).expect("a fit");
-            let fallen = 2.0 * (best.estimate.log_likelihood - there.estimate.log_likelihood);
-            let near = (fallen - 3.841_458_8).abs() < 2e-3;
-            assert!(near, "{}: {end} has {fallen}, the quantile is 3.841", slot.parameter);
+    for (tests, rows) in [(12, 8), (15, 6)] {
+        let model = model(false);
+        let (labels, tests) = ensemble(&model, tests, rows);
+        let settings = settings(Method::Hybrid, Criterion::Ml);
+        let best = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
+        let choices = Choices { intervals: IntervalKind::Profile, ..Choices::default() };
+        let (_, parameters) = infer(&model, &tests, &best, choices).expect("inferred");
+        for (slot, parameter) in best.slots.slots().iter().zip(&parameters).filter(|(slot, _)| slot.level.is_none()) {
+            for end in parameter.interval.expect("determined").into_iter().flatten().filter(|end| *end != 0.0) {
+                let mut held = model.clone();
+                held.phases[0].model.parameters[slot.parameter].value = Value::Fixed(end);
+                let there = fit(&held, &labels, &tests, &settings, &mut Silent).expect("a fit");
+                let fallen = 2.0 * (best.estimate.log_likelihood - there.estimate.log_likelihood);
+                let near = (fallen - 3.841_458_8).abs() < 2e-3;
+                assert!(near, "{}: {end} has {fallen}, the quantile is 3.841", slot.parameter);
+            }
         }
     }
 }
