@@ -11,6 +11,7 @@ use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::sample::{ALIKE, CLOSE, FOLLOWED, SubsampleProgress, larger, nearer, roughly, sample, total};
 use crate::dynamic::search::search;
 use crate::dynamic::search_state::{RISE, SearchEnd, SearchStart, SearchState};
+use crate::dynamic::tries::valued;
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
 use crate::estimate::{Progress, Silent, Stop};
@@ -171,13 +172,13 @@ fn look_around(
         let mut floor = best.map(|best| best.home.value() + RISE);
         let anew = floor.map(|floor| floor + LITTLE);
         let mut higher = false;
+        let places = highest_first(hybrid, &places, &tried, progress);
+        if progress.stops() {
+            return Ok(Explored::Part);
+        }
         for place in places {
             if hybrid.filter_passes() >= most || progress.stops() {
                 return Ok(Explored::Part);
-            }
-            let place = ordered(&objective.twins, &place);
-            if tried.iter().any(|other| other == &place) {
-                continue;
             }
             tried.push(place.clone());
             let Ok(home) = hybrid.solve(&place, None) else { continue };
@@ -199,6 +200,25 @@ fn look_around(
         }
     }
     Ok(Explored::Part)
+}
+
+/// Places that have not been tried, those with the highest ℓ first: where another explanation is nearly as good already, a search is
+/// short, and runs that may be spent are not used up where all is to be found anew.
+fn highest_first(
+    objective: &ProfileLikelihood<'_>,
+    places: &[Vec<f64>],
+    tried: &[Vec<f64>],
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let mut anew: Vec<Vec<f64>> = Vec::new();
+    for place in places.iter().map(|place| ordered(&objective.twins, place)) {
+        if !tried.contains(&place) && !anew.contains(&place) {
+            anew.push(place);
+        }
+    }
+    let mut valued = valued(objective, anew, progress);
+    valued.sort_by(|a, b| b.1.total_cmp(&a.1));
+    valued.into_iter().map(|(place, _)| place).collect()
 }
 
 /// The best certified end.
