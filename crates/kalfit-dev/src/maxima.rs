@@ -228,10 +228,12 @@ mod tests {
 
     /// Models of which some certified end lay below another: a process that is all but constant in a test, one that stands for the
     /// noise of a measurement, two that are white like it, one that is white but for the shortest steps, one that returns from zero for
-    /// few time constants, one that is white in another's place, and a level that cannot be zero but comes near to it.
+    /// few time constants, one that is white in another's place, and a level that cannot be zero but comes near to it. Beside noises
+    /// with a covariance: one explanation of many that comes late among those looked at, and processes that are white or all but white
+    /// and stand for a part of the noises, one of them in another's place.
     #[test]
     fn all_starts_end_at_one_maximum() {
-        for seed in [2066, 2091, 2174, 2279, 2783, 4012, 4103] {
+        for seed in [2066, 2091, 2174, 2279, 2783, 4012, 4103, 9184, 9285, 9330, 9366] {
             let found = examine(seed, 0);
             assert_eq!(found.below, 0, "seed {seed}, {}: one end is {:.2e} below another", found.kind, found.gap);
             assert!(found.certified >= 4, "seed {seed}: {} of {} ends are certified", found.certified, found.fits);

@@ -11,6 +11,7 @@ mod branches;
 mod colours;
 mod coordinates;
 mod covariances;
+mod crossed;
 mod differences;
 mod edges;
 mod em;

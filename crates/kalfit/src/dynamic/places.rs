@@ -1,5 +1,6 @@
 //! Places from which a search may lead to another maximum than the one that is known: what another part of the model may explain.
 
+use crate::dynamic::crossed::CrossedNoise;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::scales::{self, time_constants};
 use crate::dynamic::search_state::SearchEnd;
@@ -14,6 +15,8 @@ const APART: f64 = 0.4;
 const LEVEL: f64 = 1e-3;
 /// A process whose time constant may be a quarter of what it is, at no more loss of ℓ than this, is white.
 const WHITE: f64 = 1e-6;
+/// … and at no more than this it may be noise of a measurement.
+const NEARLY: f64 = 0.1;
 /// Of processes that are set apart so many shapes are followed.
 const APART_TRIED: usize = 3;
 /// Sizes of levels at zero that are tried, in units of what the data suggest.
@@ -56,11 +59,16 @@ pub(super) fn places(
     }
     let is_open = |parameter: &usize| objective.slots.common(*parameter).is_some_and(|s| held != Some(s));
     let timed: Vec<usize> = time_constants(objective.model).into_iter().filter(is_open).collect();
-    let white: Vec<usize> = timed.iter().copied().filter(|&parameter| is_white(objective, end, parameter)).collect();
+    let losses: Vec<(usize, f64)> =
+        timed.iter().filter_map(|&parameter| Some((parameter, loss_if_shorter(objective, end, parameter)?))).collect();
+    let almost = |most: f64| -> Vec<usize> {
+        losses.iter().filter(|(_, loss)| *loss <= most).map(|(parameter, _)| *parameter).collect()
+    };
+    let (white, nearly_white) = (almost(WHITE), almost(NEARLY));
     let exchanges = ExchangeablePair::unlike(objective.model, objective.slots);
     all.extend(given_back(objective, end, &levels));
     all.extend(held.and_then(|t| left_to_noise(objective, end, (t, &timed), progress)));
-    all.extend(given_up(objective, values, (&levels, &white), &exchanges));
+    all.extend(given_up(objective, values, (&levels, &nearly_white), &exchanges));
     for &s in &levels {
         all.extend(sizes(objective, end, (s, objective.units()[s])));
     }
@@ -134,7 +142,8 @@ fn left_to_noise(
 }
 
 /// Processes that are all but white given to the noise of a measurement, as they stand and with another process in their place: what the
-/// other one explained may be explained as well, and the one that is at zero may return in another shape.
+/// other one explained may be explained as well, and the one that is at zero may return in another shape. Beside noises with a covariance
+/// the other process may take over what this one gave.
 fn given_up(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],
@@ -153,12 +162,20 @@ fn given_up(
         all.extend(
             exchanges.iter().filter_map(|pair| handed_over(objective, &pair.exchanged(values), (s, other(pair)?))),
         );
+        let changed = |pair: &ExchangeablePair| {
+            let (own, given) = (other(pair)?, handed_over(objective, values, (s, t))?);
+            CrossedNoise::of(objective, s, own)?.taken(&pair.exchanged(&given))
+        };
+        all.extend(exchanges.iter().filter_map(changed));
     }
     all
 }
 
-/// The variance of the level `t` handed over to the level `s`.
+/// The variance of the level `t` handed over to the level `s`, and what it is of covariances beside that.
 fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
+    if let Some(noises) = CrossedNoise::of(objective, s, t) {
+        return Some(noises.given(values));
+    }
     let (taker, giver) = (objective.coordinates[s], objective.coordinates[t]);
     let (from, to) = (giver.level?, taker.level?);
     let mut given = values.to_vec();
@@ -167,12 +184,12 @@ fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize
     Some(given)
 }
 
-/// A process whose time constant may be a quarter of what it is for no loss of ℓ.
-fn is_white(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_constant: usize) -> bool {
-    let Some(slot) = objective.slots.common(time_constant) else { return false };
+/// By how much ℓ changes where a time constant is a quarter of what it is.
+fn loss_if_shorter(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_constant: usize) -> Option<f64> {
+    let slot = objective.slots.common(time_constant)?;
     let mut shorter = end.home.values.clone();
     shorter[slot] = objective.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
-    objective.value(&shorter).is_some_and(|value| (value - end.home.value()).abs() <= WHITE)
+    Some((objective.value(&shorter)? - end.home.value()).abs())
 }
 
 /// A process that is all but white, with the time constant that suits it best among those from which it is told apart from white noise.
@@ -228,19 +245,26 @@ fn taken_over(
     time_constant: usize,
     progress: &mut dyn Progress,
 ) -> Option<Vec<f64>> {
-    let (taker, _) = driven(objective, time_constant)?;
+    let (taker, is_size) = driven(objective, time_constant)?;
     if values[s] == 0.0 || drives(objective, s) {
         return None;
     }
-    let (from, to) = (objective.coordinates[s].level?, objective.coordinates[taker].level?);
-    let mut over = values.to_vec();
-    over[taker] =
-        values[s].powf(from / to).clamp(objective.coordinates[taker].lower, objective.coordinates[taker].upper);
-    over[s] = 0.0;
+    let noises = CrossedNoise::of(objective, s, taker).filter(|noises| is_size && noises.first() == s);
+    let crossed = noises.and_then(|noises| noises.taken(values));
+    let over = crossed.or_else(|| replaced(objective, values, (s, taker)))?;
     let best = best_of(objective, time_constant, &over, progress)?;
     // no higher and no lower: white as the noise was, and the way up may be close by
     let is_level = (best.1 - height).abs() <= LEVEL;
     Some(if is_level { longer(objective, time_constant, best, progress) } else { best.0 })
+}
+
+/// The level `t` in the place of the level `s`.
+fn replaced(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
+    let (from, to) = (objective.coordinates[s].level?, objective.coordinates[t].level?);
+    let mut replaced = values.to_vec();
+    replaced[t] = values[s].powf(from / to).clamp(objective.coordinates[t].lower, objective.coordinates[t].upper);
+    replaced[s] = 0.0;
+    Some(replaced)
 }
 
 /// Other parts of what a covariance of noises may be: of the other sign, say.

@@ -1,0 +1,203 @@
+//! Noises of measurements whose covariances are free, beside a process that is all but white.
+//!
+//! ```text
+//! R + h h'σ²      what measurements with noise covariance R, and h times a white process of variance σ², vary by
+//! ```
+//!
+//! So noise may take over such a process, covariances and all, or a process as much of the noise as it can, σ² = 1/(h'R⁻¹h): ℓ stays
+//! what it was, and the other explanation may lead on from there. With a variance alone in the place of another ℓ would fall far, as
+//! measurements would be correlated otherwise.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::dynamic::profile_likelihood::ProfileLikelihood;
+use crate::model::{Expression, Model};
+
+/// A process leaves this part of what it could take over: covariances are sought within what variances allow.
+const LEFT: f64 = 1e-2;
+
+/// Measurements whose noises have free covariances, and what they measure of one process.
+pub(super) struct CrossedNoise<'b, 'a> {
+    objective: &'b ProfileLikelihood<'a>,
+    /// The level of each measurement's noise, and the exponent with which it is a variance.
+    levels: Vec<(usize, f64)>,
+    /// Covariances of two of them.
+    covariances: Vec<(usize, usize, usize)>,
+    /// h.
+    loadings: DVector<f64>,
+    /// The level of the process, and its exponent.
+    process: (usize, f64),
+}
+
+impl<'b, 'a> CrossedNoise<'b, 'a> {
+    /// Those beside the noise with level `s`, and the process with level `t`; `None` where there are none, or where levels or what is
+    /// measured is not that simple.
+    pub(super) fn of(objective: &'b ProfileLikelihood<'a>, s: usize, t: usize) -> Option<Self> {
+        let [phase] = &objective.model.phases[..] else { return None };
+        let model = &phase.model;
+        let slot = |covariance: &Expression| match covariance {
+            Expression::Parameter(p) => objective.slots.common(*p).filter(|&slot| objective.edges.has(slot)),
+            _ => None,
+        };
+        let free = model.noise_covariance.iter().filter_map(|(i, j, covariance)| Some((*i, *j, slot(covariance)?)));
+        let free: Vec<(usize, usize, usize)> = free.collect();
+        let mut measurements: Vec<usize> = free.iter().flat_map(|&(i, j, _)| [i, j]).collect();
+        measurements.sort_unstable();
+        measurements.dedup();
+        let place = |m: usize| measurements.iter().position(|&other| other == m);
+        let covariances = free.iter().filter_map(|&(i, j, slot)| Some((place(i)?, place(j)?, slot))).collect();
+        let level = |&m: &usize| level_of(objective, &model.measurements[m].noise_variance);
+        let levels: Vec<(usize, f64)> = measurements.iter().map(level).collect::<Option<_>>()?;
+        let driven = objective.slots.slots()[t].parameter;
+        let state = model
+            .states
+            .iter()
+            .position(|state| state.motion.noise_variance().is_some_and(|variance| variance.mentions(driven)))?;
+        let loadings = measurements.iter().map(|&m| loading(model, m, state)).collect::<Option<Vec<f64>>>()?;
+        let process = (t, objective.coordinates[t].level?);
+        let is_one = levels.iter().any(|(level, _)| *level == s);
+        is_one.then(|| CrossedNoise { objective, levels, covariances, loadings: loadings.into(), process })
+    }
+
+    /// The level of the first of them.
+    pub(super) fn first(&self) -> usize {
+        self.levels[0].0
+    }
+
+    /// The process given to the noises.
+    pub(super) fn given(&self, sought: &[f64]) -> Vec<f64> {
+        let mut values = self.objective.values(sought);
+        let (t, exponent) = self.process;
+        let variance = values[t].powf(exponent);
+        let noises = self.matrix(&values) + &self.loadings * self.loadings.transpose() * variance;
+        values[t] = 0.0;
+        self.with(values, &noises)
+    }
+
+    /// As much of the noises as a process can take over, taken over by it; `None` where that is nothing.
+    pub(super) fn taken(&self, sought: &[f64]) -> Option<Vec<f64>> {
+        let mut values = self.objective.values(sought);
+        let noises = self.matrix(&values);
+        let information = self.loadings.dot(&noises.clone().cholesky()?.solve(&self.loadings));
+        let variance = Some((1.0 - LEFT) / information).filter(|variance| variance.is_finite() && *variance > 0.0)?;
+        let left = noises - &self.loadings * self.loadings.transpose() * variance;
+        let (t, exponent) = self.process;
+        let taker = self.objective.coordinates[t];
+        values[t] = variance.powf(exponent.recip()).clamp(taker.lower, taker.upper);
+        Some(self.with(values, &left))
+    }
+
+    /// R.
+    fn matrix(&self, values: &[f64]) -> DMatrix<f64> {
+        let variances = self.levels.iter().map(|&(level, exponent)| values[level].powf(exponent));
+        let mut matrix = DMatrix::from_diagonal(&DVector::from_iterator(self.levels.len(), variances));
+        for &(i, j, slot) in &self.covariances {
+            (matrix[(i, j)], matrix[(j, i)]) = (values[slot], values[slot]);
+        }
+        matrix
+    }
+
+    /// What is sought where R is this.
+    fn with(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
+        for (m, &(level, exponent)) in self.levels.iter().enumerate().filter(|(m, _)| self.loadings[*m] != 0.0) {
+            let coordinate = self.objective.coordinates[level];
+            values[level] = noises[(m, m)].max(0.0).powf(exponent.recip()).clamp(coordinate.lower, coordinate.upper);
+        }
+        self.covariances.iter().for_each(|&(i, j, slot)| values[slot] = noises[(i, j)]);
+        self.objective.sought(&values)
+    }
+}
+
+/// The only value in a variance, a level of all tests, and its exponent.
+fn level_of(objective: &ProfileLikelihood<'_>, variance: &Expression) -> Option<(usize, f64)> {
+    let parameters = variance.parameters();
+    let only = parameters.first().copied().filter(|_| parameters.len() == 1)?;
+    let slot = objective.slots.common(only)?;
+    Some((slot, objective.coordinates[slot].level?))
+}
+
+/// What a measurement measures of a state, where that is a number.
+fn loading(model: &Model, measurement: usize, state: usize) -> Option<f64> {
+    let terms = &model.measurements[measurement].equation.terms;
+    let Some((_, coefficient)) = terms.iter().find(|(of, _)| *of == state) else { return Some(0.0) };
+    match coefficient {
+        Expression::Negate(a) => a.as_number().map(|x| -x),
+        other => other.as_number(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::{constant, free, gauss_markov, measurement, name};
+    use crate::dynamic::Settings;
+    use crate::ensemble::{Labels, Source, Test};
+    use crate::model::by_hand::Lcg;
+    use crate::model::{PhasedModel, Slots};
+    use crate::reduce::PhasedTest;
+
+    /// y = a + p + noise and z = a - 0.3 p + noise, with a covariance of the noises; values of tau, sigma, s, r, c.
+    fn instruments(is_crossed: bool) -> PhasedModel {
+        let model = crate::Model::builder("")
+            .time("t")
+            .state(constant("a"))
+            .state(gauss_markov("p", "tau", "sigma"))
+            .measurement(measurement("y", name("a") + name("p"), "s"))
+            .measurement(measurement("z", name("a") - 0.3 * name("p"), "r"));
+        let (model, names) = match is_crossed {
+            true => (model.noise_covariance("y", "z", name("c")), &["tau", "sigma", "s", "r", "c"][..]),
+            false => (model, &["tau", "sigma", "s", "r"][..]),
+        };
+        names.iter().fold(model, |model, name| model.parameter(free(*name))).build().unwrap()
+    }
+
+    fn tests(model: &PhasedModel) -> Vec<PhasedTest> {
+        let mut random = Lcg(3);
+        let columns = &model.shared().columns;
+        let one = |j: usize| {
+            let mut test = Test::new(format!("u{j}"), columns.len(), 0);
+            for k in 0..7 {
+                let cell = |name: &str| if name == "t" { f64::from(k) } else { random.normal() };
+                let cells: Vec<f64> = columns.iter().map(|column| column.name.as_str()).map(cell).collect();
+                test.push(&cells, &[], Source::default());
+            }
+            test.into()
+        };
+        (0..6).map(one).collect()
+    }
+
+    #[test]
+    fn a_white_process_and_noises_with_a_covariance_are_one_explanation() {
+        let model = instruments(true);
+        let (tests, settings) = (tests(&model), Settings::default());
+        let slots = Slots::in_phases(&model, &Labels::default(), &tests);
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+        let white = objective.sought(&[0.02, 0.6, 0.5, 0.7, 0.1]);
+        let noises = CrossedNoise::of(&objective, 2, 1).expect("they have a covariance");
+        let given = noises.given(&white);
+        let found = objective.values(&given);
+        for (found, expected) in
+            found.iter().zip([0.02, 0.0, 0.61f64.sqrt(), (0.49f64 + 0.09 * 0.36).sqrt(), 0.1 - 0.3 * 0.36])
+        {
+            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        }
+        let taken = noises.taken(&given).expect("noise that a process may take over");
+        assert!(taken[1] > 0.6 && taken[4].abs() <= 1.0, "more than before: {taken:?}");
+        let [before, between, after] =
+            [&white, &given, &taken].map(|place| objective.solve(place, None).expect("defined").value());
+        assert!((between - before).abs() < 1e-8 && (after - before).abs() < 1e-8, "{before} {between} {after}");
+        // what is left of the noises has hardly any of the process's direction
+        let (left, h) = (noises.matrix(&objective.values(&taken)), &noises.loadings);
+        let full = h.dot(&(noises.matrix(&found).try_inverse().expect("regular") * h));
+        assert!((full * h.dot(&(left.try_inverse().expect("regular") * h)).recip() - LEFT).abs() < 1e-6);
+    }
+
+    #[test]
+    fn noises_without_a_free_covariance_are_not_crossed() {
+        let model = instruments(false);
+        let (tests, settings) = (tests(&model), Settings::default());
+        let slots = Slots::in_phases(&model, &Labels::default(), &tests);
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+        assert!(CrossedNoise::of(&objective, 2, 1).is_none());
+    }
+}
