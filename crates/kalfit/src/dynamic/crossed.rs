@@ -11,7 +11,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
-use crate::model::{Expression, Model};
+use crate::model::{Expression, Model, Operator};
 
 /// A process leaves this part of what it could take over: covariances are sought within what variances allow.
 const LEFT: f64 = 1e-2;
@@ -30,8 +30,8 @@ pub(super) struct CrossedNoise<'b, 'a> {
 }
 
 impl<'b, 'a> CrossedNoise<'b, 'a> {
-    /// Those beside the noise with level `s`, and the process with level `t`; `None` where there are none, or where levels or what is
-    /// measured is not that simple.
+    /// Those beside the noise with level `s`, and the process with level `t`; `None` where there are none, or where levels, covariances
+    /// or what is measured is not that simple: ℓ would not stay what it is.
     pub(super) fn of(objective: &'b ProfileLikelihood<'a>, s: usize, t: usize) -> Option<Self> {
         let [phase] = &objective.model.phases[..] else { return None };
         let model = &phase.model;
@@ -39,8 +39,8 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
             Expression::Parameter(p) => objective.slots.common(*p).filter(|&slot| objective.edges.has(slot)),
             _ => None,
         };
-        let free = model.noise_covariance.iter().filter_map(|(i, j, covariance)| Some((*i, *j, slot(covariance)?)));
-        let free: Vec<(usize, usize, usize)> = free.collect();
+        let free = model.noise_covariance.iter().map(|(i, j, covariance)| Some((*i, *j, slot(covariance)?)));
+        let free: Vec<(usize, usize, usize)> = free.collect::<Option<_>>()?;
         let mut measurements: Vec<usize> = free.iter().flat_map(|&(i, j, _)| [i, j]).collect();
         measurements.sort_unstable();
         measurements.dedup();
@@ -48,15 +48,20 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         let covariances = free.iter().filter_map(|&(i, j, slot)| Some((place(i)?, place(j)?, slot))).collect();
         let level = |&m: &usize| level_of(objective, &model.measurements[m].noise_variance);
         let levels: Vec<(usize, f64)> = measurements.iter().map(level).collect::<Option<_>>()?;
-        let driven = objective.slots.slots()[t].parameter;
-        let state = model
-            .states
-            .iter()
-            .position(|state| state.motion.noise_variance().is_some_and(|variance| variance.mentions(driven)))?;
-        let loadings = measurements.iter().map(|&m| loading(model, m, state)).collect::<Option<Vec<f64>>>()?;
-        let process = (t, objective.coordinates[t].level?);
-        let is_one = levels.iter().any(|(level, _)| *level == s);
-        is_one.then(|| CrossedNoise { objective, levels, covariances, loadings: loadings.into(), process })
+        let loadings = loadings(model, objective.slots.slots()[t].parameter, &measurements)?;
+        let noises =
+            CrossedNoise { objective, levels, covariances, loadings, process: (t, objective.coordinates[t].level?) };
+        (noises.levels.iter().any(|(level, _)| *level == s) && noises.is_complete()).then_some(noises)
+    }
+
+    /// Each level is one measurement's, and whatever the process is seen in has a covariance.
+    fn is_complete(&self) -> bool {
+        let count = self.levels.len();
+        let seen = |i: usize| self.loadings[i] != 0.0;
+        let has = |i: usize, j: usize| self.covariances.iter().any(|&(a, b, _)| (a, b) == (i, j) || (a, b) == (j, i));
+        (0..count).any(seen)
+            && (0..count)
+                .all(|i| (0..i).all(|j| self.levels[i].0 != self.levels[j].0 && (!seen(i) || !seen(j) || has(i, j))))
     }
 
     /// The level of the first of them.
@@ -80,10 +85,10 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         let noises = self.matrix(&values);
         let information = self.loadings.dot(&noises.clone().cholesky()?.solve(&self.loadings));
         let variance = Some((1.0 - LEFT) / information).filter(|variance| variance.is_finite() && *variance > 0.0)?;
-        let left = noises - &self.loadings * self.loadings.transpose() * variance;
         let (t, exponent) = self.process;
         let taker = self.objective.coordinates[t];
         values[t] = variance.powf(exponent.recip()).clamp(taker.lower, taker.upper);
+        let left = noises - &self.loadings * self.loadings.transpose() * values[t].powf(exponent);
         Some(self.with(values, &left))
     }
 
@@ -108,12 +113,28 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
     }
 }
 
-/// The only value in a variance, a level of all tests, and its exponent.
+/// The level of all tests that a variance is, or is the square of, and its exponent.
 fn level_of(objective: &ProfileLikelihood<'_>, variance: &Expression) -> Option<(usize, f64)> {
-    let parameters = variance.parameters();
-    let only = parameters.first().copied().filter(|_| parameters.len() == 1)?;
-    let slot = objective.slots.common(only)?;
-    Some((slot, objective.coordinates[slot].level?))
+    let (parameter, exponent) = match variance {
+        Expression::Parameter(p) => (*p, 1.0),
+        Expression::Binary(Operator::Multiply, a, b) if a == b => match &**a {
+            Expression::Parameter(p) => (*p, 2.0),
+            _ => return None,
+        },
+        _ => return None,
+    };
+    let slot = objective.slots.common(parameter)?;
+    (objective.coordinates[slot].level == Some(exponent)).then_some((slot, exponent))
+}
+
+/// What these measurements measure of the one state that a level drives, where those are numbers and no other measurement sees it.
+fn loadings(model: &Model, driven: usize, measurements: &[usize]) -> Option<DVector<f64>> {
+    let drives = |k: &usize| model.states[*k].motion.noise_variance().is_some_and(|variance| variance.mentions(driven));
+    let mut states = (0..model.states.len()).filter(drives);
+    let state = states.next().filter(|_| states.next().is_none())?;
+    let all = (0..model.measurements.len()).map(|m| loading(model, m, state)).collect::<Option<Vec<f64>>>()?;
+    let is_elsewhere = (0..all.len()).any(|m| all[m] != 0.0 && !measurements.contains(&m));
+    (!is_elsewhere).then(|| DVector::from_iterator(measurements.len(), measurements.iter().map(|&m| all[m])))
 }
 
 /// What a measurement measures of a state, where that is a number.

@@ -129,6 +129,9 @@ fn by_method(
 
 /// The best end that is found around another while a value is held; the other where none is higher.
 pub(super) fn around(objective: &ProfileLikelihood<'_>, end: SearchEnd, held: usize) -> SearchEnd {
+    if !is_possible(objective) {
+        return end;
+    }
     let most = objective.filter_passes() + most(objective);
     let floor = end.home.value() + RISE;
     let mut places = places(objective, &end, Some(held), &mut Silent);
@@ -172,7 +175,7 @@ fn look_around(
         let mut floor = best.map(|best| best.home.value() + RISE);
         let anew = floor.map(|floor| floor + LITTLE);
         let mut higher = false;
-        let places = highest_first(hybrid, &places, &tried, progress);
+        let places = in_turns(hybrid, untried(hybrid, &places, &tried), most, progress);
         if progress.stops() {
             return Ok(Explored::Part);
         }
@@ -202,23 +205,40 @@ fn look_around(
     Ok(Explored::Part)
 }
 
-/// Places that have not been tried, those with the highest ℓ first: where another explanation is nearly as good already, a search is
-/// short, and runs that may be spent are not used up where all is to be found anew.
-fn highest_first(
-    objective: &ProfileLikelihood<'_>,
-    places: &[Vec<f64>],
-    tried: &[Vec<f64>],
-    progress: &mut dyn Progress,
-) -> Vec<Vec<f64>> {
+/// Places that have not been tried, each once.
+fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let mut anew: Vec<Vec<f64>> = Vec::new();
     for place in places.iter().map(|place| ordered(&objective.twins, place)) {
         if !tried.contains(&place) && !anew.contains(&place) {
             anew.push(place);
         }
     }
-    let mut valued = valued(objective, anew, progress);
+    anew
+}
+
+/// Places in turns, one with the highest ℓ and one as they are listed, none twice. Where another explanation is nearly as good already a
+/// search is short; but it may lead back to where it came from, and use up the runs that others are to have. Half of the `most` runs
+/// are left for searches: places beyond those are not valued.
+fn in_turns(
+    objective: &ProfileLikelihood<'_>,
+    places: Vec<Vec<f64>>,
+    most: usize,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let affordable = most.saturating_sub(objective.filter_passes()) / 2;
+    let mut valued = valued(objective, places[..affordable.min(places.len())].to_vec(), progress);
     valued.sort_by(|a, b| b.1.total_cmp(&a.1));
-    valued.into_iter().map(|(place, _)| place).collect()
+    let mut highest = valued.into_iter().map(|(place, _)| place);
+    let mut turns: Vec<Vec<f64>> = Vec::with_capacity(places.len());
+    for listed in places {
+        let next = highest.find(|place| !turns.contains(place));
+        for place in next.into_iter().chain([listed]) {
+            if !turns.contains(&place) {
+                turns.push(place);
+            }
+        }
+    }
+    turns
 }
 
 /// The best certified end.

@@ -85,9 +85,15 @@ pub(super) fn places(
     }
     all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
     all.extend(all_times(objective, values));
-    // whatever moved it
-    all.retain(|place| held.is_none_or(|s| place[s] == values[s]));
-    all
+    let mut places: Vec<Vec<f64>> = Vec::with_capacity(all.len());
+    for place in all {
+        // whatever moved it
+        let stays = held.is_none_or(|s| place[s] == values[s]);
+        if stays && !places.contains(&place) {
+            places.push(place);
+        }
+    }
+    places
 }
 
 /// Of two processes that coincide one has taken the variance of both, and the other one may be of any size and shape beside it.
@@ -133,7 +139,8 @@ fn left_to_noise(
     let parameter = timed.iter().find(|&&parameter| driven(objective, parameter) == Some((t, true)))?;
     let from = objective.coordinates[t].level?;
     let mut beside = end.home.values.clone();
-    for s in (0..beside.len()).filter(|&s| end.is_at_zero(s) && !drives(objective, s)) {
+    let measures = |s: usize| scales::measures(objective.model, objective.slots.slots()[s].parameter);
+    for s in (0..beside.len()).filter(|&s| end.is_at_zero(s) && measures(s)) {
         let Some(to) = objective.coordinates[s].level else { continue };
         beside[s] = beside[t].powf(from / to).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
     }

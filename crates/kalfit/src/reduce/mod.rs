@@ -131,7 +131,6 @@ pub(crate) use scan::{InvariantStep, Scan, moving, with_states};
 pub(crate) use semidefinite::ldl;
 pub(crate) use settling::{SteadyState, SteadyStateMonitor};
 pub(crate) use shared::SharedStore;
-
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::GatheredCells;
 pub(crate) use subject::{Coefficient, Fault, ModelAt, Subject, Uses};

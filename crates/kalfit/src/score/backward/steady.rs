@@ -1,4 +1,4 @@
-//! One step of the filter and its way back on arrays of known size, which stay in registers: one scalar measurement of the N
+//! One step of the filter and its way back on arrays of known size: one scalar measurement of the N
 //! states that move; those that rest are constants. Of the adjoints the data's part has a file of its own
 //! ([`DataAdjoint`]); the rest is the design's.
 
