@@ -230,7 +230,7 @@ mod tests {
     /// noise of a measurement, two that are white like it, one that is white but for the shortest steps, one that returns from zero for
     /// few time constants, one that is white in another's place, and a level that cannot be zero but comes near to it. Beside noises
     /// with a covariance: one explanation of many that comes late among those looked at, and processes that are white or all but white
-    /// and stand for a part of the noises, one of them in another's place.
+    /// and stand for a part of the noises.
     #[test]
     fn all_starts_end_at_one_maximum() {
         for seed in [2066, 2091, 2174, 2279, 2783, 4012, 4103, 9184, 9285, 9330] {
