@@ -150,27 +150,34 @@ fn loading(model: &Model, measurement: usize, state: usize) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::build::{constant, free, gauss_markov, measurement, name};
+    use crate::build::{Formula, ModelBuilder, constant, free, gauss_markov, measurement, name};
     use crate::dynamic::Settings;
     use crate::ensemble::{Labels, Source, Test};
     use crate::model::by_hand::Lcg;
     use crate::model::{PhasedModel, Slots};
     use crate::reduce::PhasedTest;
 
-    /// y = a + p + noise and z = a - 0.3 p + noise, with a covariance of the noises; values of tau, sigma, s, r, c.
-    fn instruments(is_crossed: bool) -> PhasedModel {
+    /// y = a + p + noise and z = a - 0.3 p + noise, noises of these levels; more is added to the model, whose free values these are.
+    fn instruments(
+        levels: [Formula; 2],
+        more: impl Fn(ModelBuilder) -> ModelBuilder,
+        values: &[&'static str],
+    ) -> PhasedModel {
+        let [first, second] = levels;
         let model = crate::Model::builder("")
             .time("t")
             .state(constant("a"))
             .state(gauss_markov("p", "tau", "sigma"))
-            .measurement(measurement("y", name("a") + name("p"), "s"))
-            .measurement(measurement("z", name("a") - 0.3 * name("p"), "r"));
-        let (model, names) = match is_crossed {
-            true => (model.noise_covariance("y", "z", name("c")), &["tau", "sigma", "s", "r", "c"][..]),
-            false => (model, &["tau", "sigma", "s", "r"][..]),
-        };
-        names.iter().fold(model, |model, name| model.parameter(free(*name))).build().unwrap()
+            .measurement(measurement("y", name("a") + name("p"), first))
+            .measurement(measurement("z", name("a") - 0.3 * name("p"), second));
+        values.iter().fold(more(model), |model, name| model.parameter(free(*name))).build().unwrap()
     }
+
+    fn crossed(model: ModelBuilder) -> ModelBuilder {
+        model.noise_covariance("y", "z", name("c"))
+    }
+
+    const VALUES: &[&str] = &["tau", "sigma", "s", "r", "c"];
 
     fn tests(model: &PhasedModel) -> Vec<PhasedTest> {
         let mut random = Lcg(3);
@@ -189,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_white_process_and_noises_with_a_covariance_are_one_explanation() {
-        let model = instruments(true);
+        let model = instruments([name("s"), name("r")], crossed, VALUES);
         let (tests, settings) = (tests(&model), Settings::default());
         let slots = Slots::in_phases(&model, &Labels::default(), &tests);
         let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
@@ -213,12 +220,23 @@ mod tests {
         assert!((full * h.dot(&(left.try_inverse().expect("regular") * h)).recip() - LEFT).abs() < 1e-6);
     }
 
+    fn is_crossed(model: &PhasedModel) -> bool {
+        let (slots, settings) = (Slots::new(model.shared(), &Labels::default(), &[]), Settings::default());
+        CrossedNoise::of(&ProfileLikelihood::new(model, &[], &slots, &settings), 2, 1).is_some()
+    }
+
     #[test]
-    fn noises_without_a_free_covariance_are_not_crossed() {
-        let model = instruments(false);
-        let (tests, settings) = (tests(&model), Settings::default());
-        let slots = Slots::in_phases(&model, &Labels::default(), &tests);
-        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
-        assert!(CrossedNoise::of(&objective, 2, 1).is_none());
+    fn noises_that_are_not_that_simple_are_not_crossed() {
+        let both = || [name("s"), name("r")];
+        assert!(is_crossed(&instruments(both(), crossed, VALUES)));
+        assert!(!is_crossed(&instruments(both(), |model| model, &VALUES[..4])), "no covariance");
+        let part = [name("s"), 2.0 * name("r")];
+        assert!(!is_crossed(&instruments(part, crossed, VALUES)), "twice a level");
+        let one = [name("s"), name("s")];
+        assert!(!is_crossed(&instruments(one, crossed, &["tau", "sigma", "s", "c"])), "one level of both");
+        let elsewhere = |model| crossed(model).measurement(measurement("w", name("p"), 0.5));
+        assert!(!is_crossed(&instruments(both(), elsewhere, VALUES)), "the process is seen elsewhere");
+        let beside = |model| crossed(model).state(gauss_markov("q", 3.0, "sigma"));
+        assert!(!is_crossed(&instruments(both(), beside, VALUES)), "another process of that size");
     }
 }

@@ -6,7 +6,7 @@
 //! will do: only where ℓ of that part is about as high elsewhere does the search go there on all of them.
 
 use crate::dynamic::coordinates::alike;
-use crate::dynamic::places::places;
+use crate::dynamic::places::{each_once, places};
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::sample::{ALIKE, CLOSE, FOLLOWED, SubsampleProgress, larger, nearer, roughly, sample, total};
 use crate::dynamic::search::search;
@@ -207,13 +207,8 @@ fn look_around(
 
 /// Places that have not been tried, each once.
 fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let mut anew: Vec<Vec<f64>> = Vec::new();
-    for place in places.iter().map(|place| ordered(&objective.twins, place)) {
-        if !tried.contains(&place) && !anew.contains(&place) {
-            anew.push(place);
-        }
-    }
-    anew
+    let ordered = places.iter().map(|place| ordered(&objective.twins, place));
+    each_once(ordered.filter(|place| !tried.contains(place)))
 }
 
 /// Places in turns, one with the highest ℓ and one as they are listed, none twice. Where another explanation is nearly as good already a
@@ -232,10 +227,9 @@ fn in_turns(
     let mut turns: Vec<Vec<f64>> = Vec::with_capacity(places.len());
     for listed in places {
         let next = highest.find(|place| !turns.contains(place));
-        for place in next.into_iter().chain([listed]) {
-            if !turns.contains(&place) {
-                turns.push(place);
-            }
+        turns.extend(next);
+        if !turns.contains(&listed) {
+            turns.push(listed);
         }
     }
     turns

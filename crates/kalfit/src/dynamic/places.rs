@@ -45,26 +45,17 @@ pub(super) fn places(
     let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
     let is_timed = !time_constants(objective.model).is_empty();
     for &s in levels.iter().filter(|&&s| values[s] > 0.0 && is_timed && drives(objective, s)) {
-        let mut without = values.clone();
-        without[s] = 0.0;
-        all.push(without);
+        all.push(without(values, s));
     }
     for t in (0..values.len()).filter(|&t| objective.edges.has(t) && held != Some(t)) {
         all.extend(other_parts(values, t));
     }
     for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(objective, s) && is_crossed(objective, s)) {
-        let mut without = values.clone();
-        without[s] = 0.0;
-        all.push(without);
+        all.push(without(values, s));
     }
     let is_open = |parameter: &usize| objective.slots.common(*parameter).is_some_and(|s| held != Some(s));
     let timed: Vec<usize> = time_constants(objective.model).into_iter().filter(is_open).collect();
-    let losses: Vec<(usize, f64)> =
-        timed.iter().filter_map(|&parameter| Some((parameter, loss_if_shorter(objective, end, parameter)?))).collect();
-    let almost = |most: f64| -> Vec<usize> {
-        losses.iter().filter(|(_, loss)| *loss <= most).map(|(parameter, _)| *parameter).collect()
-    };
-    let (white, nearly_white) = (almost(WHITE), almost(NEARLY));
+    let [white, nearly_white] = all_but_white(objective, end, &timed);
     let exchanges = ExchangeablePair::unlike(objective.model, objective.slots);
     all.extend(given_back(objective, end, &levels));
     all.extend(held.and_then(|t| left_to_noise(objective, end, (t, &timed), progress)));
@@ -85,15 +76,34 @@ pub(super) fn places(
     }
     all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
     all.extend(all_times(objective, values));
-    let mut places: Vec<Vec<f64>> = Vec::with_capacity(all.len());
-    for place in all {
-        // whatever moved it
-        let stays = held.is_none_or(|s| place[s] == values[s]);
-        if stays && !places.contains(&place) {
-            places.push(place);
+    // whatever moved it
+    each_once(all.into_iter().filter(|place| held.is_none_or(|s| place[s] == values[s])))
+}
+
+/// Places in their order, none twice.
+pub(super) fn each_once(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
+    let mut all: Vec<Vec<f64>> = Vec::new();
+    for place in places {
+        if !all.contains(&place) {
+            all.push(place);
         }
     }
-    places
+    all
+}
+
+/// A level at zero.
+fn without(values: &[f64], s: usize) -> Vec<f64> {
+    let mut without = values.to_vec();
+    without[s] = 0.0;
+    without
+}
+
+/// Time constants of processes that are white as far as ℓ can tell, and of those that are nearly so.
+fn all_but_white(objective: &ProfileLikelihood<'_>, end: &SearchEnd, timed: &[usize]) -> [Vec<usize>; 2] {
+    let loss = |&parameter: &usize| Some((parameter, loss_if_shorter(objective, end, parameter)?));
+    let losses: Vec<(usize, f64)> = timed.iter().filter_map(loss).collect();
+    [WHITE, NEARLY]
+        .map(|most| losses.iter().filter(|(_, loss)| *loss <= most).map(|(parameter, _)| *parameter).collect())
 }
 
 /// Of two processes that coincide one has taken the variance of both, and the other one may be of any size and shape beside it.
