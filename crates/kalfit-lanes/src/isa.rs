@@ -119,10 +119,23 @@ impl Isa {
             IsaKind::Neon => kernel.run::<crate::neon::Neon>(),
             // SAFETY: `found` made this value, so the machine has AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
-            IsaKind::Avx2 => unsafe { in_avx2(kernel) },
+            IsaKind::Avx2 => unsafe { in_avx2::<K, crate::avx2::Avx2>(kernel) },
             // SAFETY: `found` made this value, so the machine has AVX-512F, AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
             IsaKind::Avx512 => unsafe { in_avx512(kernel) },
+        }
+    }
+
+    /// Runs a kernel on one number at a time, which is to the bit what each lane of [`Isa::run`] would hold, but for reciprocals that
+    /// are a rounding or two off.
+    pub fn run_one<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.0 {
+            IsaKind::Portable => kernel.run::<f64>(),
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            IsaKind::Neon => kernel.run::<crate::fused::Fused>(),
+            // SAFETY: `found` made this value, so the machine has AVX2 and FMA.
+            #[cfg(target_arch = "x86_64")]
+            IsaKind::Avx2 | IsaKind::Avx512 => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
         }
     }
 }
@@ -147,8 +160,8 @@ fn found() -> Vec<Isa> {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn in_avx2<K: Kernel>(kernel: K) -> K::Output {
-    kernel.run::<crate::avx2::Avx2>()
+fn in_avx2<K: Kernel, T: Lanes>(kernel: K) -> K::Output {
+    kernel.run::<T>()
 }
 
 #[cfg(target_arch = "x86_64")]

@@ -7,6 +7,8 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
+mod fused;
 mod isa;
 #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
 mod neon;
@@ -165,6 +167,7 @@ mod tests {
                     assert!(same, "{isa:?}: operation {at} of lane {lane}: {found} {expected}");
                 }
             }
+            assert_eq!(format!("{:?}", isa.run_one(Everything(x, y))), format!("{expected:?}"), "{isa:?}, one by one");
         }
     }
 
@@ -212,6 +215,7 @@ mod tests {
             assert!(fma == one_rounding || fma == 0.0, "{isa:?}: {fma:e}");
             assert_eq!(fma, -fnma, "{isa:?}");
             assert_eq!(sum, f64::from((1 << isa.lanes()) - 1), "{isa:?}");
+            assert_eq!(isa.run_one(Fused), [fma, fnma, 1.0], "{isa:?}, one by one");
         }
     }
 

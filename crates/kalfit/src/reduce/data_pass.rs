@@ -3,7 +3,8 @@
 use crate::reduce::data::{Data, Miss, Outcome};
 use crate::reduce::design::Design;
 use crate::reduce::gains::{FactorRotations, Gains};
-use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, solve};
+use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, pass_alone};
+use kalfit_lanes::Lanes;
 
 /// A measurement that can only be one value may miss it by this part of the size of its terms.
 const ROUNDING: f64 = 1e-10;
@@ -12,8 +13,7 @@ const ROUNDING: f64 = 1e-10;
 pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut DataWorkspace) -> Result<Outcome, Miss> {
     let of = (design, gains);
     let Some(turns) = &gains.turns else {
-        let square = innovations(of, data, room, &mut ());
-        solve(of, square, room);
+        pass_alone(of, data, room);
         return Ok(room.outcome((0, 1), gains.active, gains.log_determinant));
     };
     if gains.active < design.rows() {
@@ -36,12 +36,12 @@ struct Possible<'a> {
     miss: Option<Miss>,
 }
 
-impl InnovationObserver<f64> for Possible<'_> {
+impl InnovationObserver for Possible<'_> {
     const EACH: bool = true;
 
-    fn see(&mut self, (row, line): (usize, usize), e: f64, x: &[f64]) {
-        let (states, h) = self.design.terms(line);
-        let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize]).abs()).sum();
+    fn see<T: Lanes>(&mut self, (row, line): (usize, usize), e: T, x: &[T]) {
+        let (e, (states, h)) = (e.lane(0), self.design.terms(line));
+        let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize].lane(0)).abs()).sum();
         let silent = self.gains.row(row).0 == 0.0;
         let off = e.abs() > ROUNDING * (self.sizes[row] + terms);
         if silent && off && self.miss.is_none() {

@@ -130,6 +130,16 @@ impl<R: Real> Transition<R> {
     }
 }
 
+impl<R: Real> Transition<R> {
+    /// Takes the numbers of one of the same pattern.
+    #[inline(always)]
+    pub(crate) fn take(&mut self, other: &Transition) {
+        for (own, &x) in self.phi.iter_mut().zip(&other.phi).chain(self.q.iter_mut().zip(&other.q)) {
+            *own = R::splat(x);
+        }
+    }
+}
+
 impl Transition<f64> {
     /// (row, column, entry) of φ, of the rows that move.
     pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
@@ -249,6 +259,19 @@ impl<'a> Stretch<'a> {
 }
 
 impl Design {
+    /// The pattern of the transitions: all have one.
+    pub(crate) fn pattern(&self) -> Option<&Arc<Pattern>> {
+        self.moves.first().map(|transition| &transition.pattern)
+    }
+
+    /// A transition of zeros, of this pattern.
+    #[inline(always)]
+    pub(crate) fn blank_transition<R: Real>(&self) -> Transition<R> {
+        let pattern = self.pattern().cloned().unwrap_or_default();
+        let (phi, q) = (vec![R::splat(0.0); pattern.columns.len()], vec![R::splat(0.0); pattern.pairs.len()]);
+        Transition { pattern, phi, q }
+    }
+
     pub(crate) fn new(frame: Arc<StateFrame>) -> Design {
         let variance = vec![0.0; frame.r * frame.r];
         Design {

@@ -3,63 +3,116 @@
 
 use std::sync::Arc;
 
+use kalfit_lanes::{Isa, Kernel, Lanes, Real};
+
+use crate::reduce::covariance_filter::CovarianceFilter;
 use crate::reduce::design::{Design, StateFrame, Stretch};
 use crate::reduce::gains::{GainSpan, Gains};
-use crate::reduce::kernel::{self, FilterState};
+use crate::reduce::kernel;
+use crate::reduce::moment_path::MomentPath;
 use crate::reduce::schedule::{GainSchedule, GainsWork};
 use crate::reduce::settling::SteadyState;
 use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
-use kalfit_lanes::Real;
 
 /// The design pass in plain covariance and information arithmetic; `None` where that would lose too much. `states`: the state of the
 /// model at each place of the kernels, where the last state is wanted.
 pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
-    let frame = &*design.frame;
-    let (p, r) = (frame.p, frame.r);
-    work.P.clone_from(&design.variance);
-    work.Psi.clone_from(&frame.sensitivity);
-    work.G.clear();
-    work.G.resize(r, 0.0);
-    work.settling.start(&work.Psi);
-    let mut out = GainSchedule {
-        gains: Vec::with_capacity((1 + r) * design.ends.len()),
-        sensitivities: Vec::with_capacity(p * design.ends.len()),
-        pieces: vec![GainSpan::all(0)],
-        sums: InformationSums::new(p),
-        many: Vec::new(),
-    };
-    for stretch in design.stretches() {
-        out.stretch(design, &stretch, work);
-    }
-    let mut gains = out.finish((r, p), design.rows())?;
+    let (p, r) = (design.frame.p, design.frame.r);
+    let mut gains = Isa::best().run_one(DesignPass { design, work }).finish((r, p), design.rows())?;
     if let Some(states) = states {
         gains.end = Some(Arc::new(TerminalRoot::of_covariance(states, &work.Psi, &work.P, r)?));
     }
     Some(gains)
 }
 
+/// The pass over one design.
+struct DesignPass<'a> {
+    design: &'a Design,
+    work: &'a mut GainsWork,
+}
+
+impl Kernel for DesignPass<'_> {
+    type Output = GainSchedule;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> GainSchedule {
+        let DesignPass { design, work } = self;
+        let (p, r) = (design.frame.p, design.frame.r);
+        work.settling.start(&design.frame.sensitivity);
+        let mut filter = CovarianceFilter::<T>::new(design, |k| T::splat(design.variance[k]));
+        let mut out = GainSchedule {
+            gains: Vec::with_capacity((1 + r) * design.ends.len()),
+            sensitivities: Vec::with_capacity(p * design.ends.len()),
+            pieces: vec![GainSpan::all(0)],
+            sums: InformationSums::new(p),
+            many: Vec::new(),
+            paths: Vec::new(),
+        };
+        for stretch in design.stretches() {
+            out.stretch(design, &stretch, (&mut filter, work));
+        }
+        let mut sums = Vec::new();
+        filter.sums.lanes(&mut sums);
+        out.sums.take_lane(&sums, 0, T::COUNT);
+        work.take(&filter);
+        out
+    }
+}
+
+impl GainsWork {
+    /// P and Ψ as they are now.
+    #[inline(always)]
+    fn take<T: Lanes>(&mut self, filter: &CovarianceFilter<T>) {
+        for (list, own) in [(&mut self.P, &filter.P), (&mut self.Psi, &filter.Psi)] {
+            list.clear();
+            for x in own {
+                list.push(x.lane(0));
+            }
+        }
+    }
+}
+
 impl GainSchedule {
     /// Equal steps: in full until P no longer changes, then Ψ alone until it does not change either, then all others at once.
-    fn stretch(&mut self, design: &Design, stretch: &Stretch<'_>, work: &mut GainsWork) {
+    #[inline(always)]
+    fn stretch<T: Lanes>(
+        &mut self,
+        design: &Design,
+        stretch: &Stretch<'_>,
+        (filter, work): (&mut CovarianceFilter<T>, &mut GainsWork),
+    ) {
         let frame = &*design.frame;
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
+        if let Some(transition) = stretch.transition {
+            filter.transition.take(transition);
+        }
+        let mut path = work.keeps_paths.then(|| MomentPath::new(design, stretch)).flatten();
         let watched = work.settling.begin(stretch.count);
         let (mut frozen, mut gain_steps, mut done) = (SteadyState::Nothing, 0, 0);
         while done < stretch.count && frozen != SteadyState::All {
             let before = done;
             done = if watched { work.settling.next_look().min(stretch.count) } else { stretch.count };
             if frozen == SteadyState::Nothing {
-                (before..done).for_each(|_| self.step(design, stretch, work));
+                for _ in before..done {
+                    filter.note(&mut path);
+                    self.step(design, stretch, filter);
+                }
                 gain_steps = done;
             } else {
-                (before..done).for_each(|_| self.sensitivities(design, stretch, work));
+                for _ in before..done {
+                    filter.note(&mut path);
+                    self.sensitivities(design, stretch, filter);
+                }
             }
             if watched {
+                work.take(filter);
                 frozen = work.settling.look(done, (&work.P, frame.r), &work.Psi, frozen);
             }
         }
-        self.repeat(frame, stretch.lines.len(), stretch.count - done);
+        filter.note(&mut path);
+        self.paths.extend(path);
+        self.repeat(frame, stretch.lines.len(), stretch.count - done, filter);
         let piece = GainSpan {
             row: stretch.rows.start,
             width: stretch.lines.len(),
@@ -72,44 +125,47 @@ impl GainSchedule {
     }
 
     /// A step in full.
-    fn step(&mut self, design: &Design, stretch: &Stretch<'_>, work: &mut GainsWork) {
-        let frame = &*design.frame;
-        let (p, r) = (frame.p, frame.r);
-        if let Some(transition) = stretch.transition {
-            kernel::predict(&mut work.P, r, transition, &mut work.rows);
-            kernel::advance(&mut work.Psi, p, transition, &mut work.rows);
+    #[inline(always)]
+    fn step<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
+        if stretch.transition.is_some() {
+            filter.predict(&design.frame);
         }
         for line in stretch.lines.clone() {
-            let (states, h) = design.terms(line);
-            let (weight, K) = append(&mut self.gains, 1 + r).split_first_mut().expect("stride is positive");
-            let T = append(&mut self.sensitivities, p);
-            let of = FilterState { P: &mut work.P, Psi: &mut work.Psi, J: &mut self.sums.J };
-            let update = kernel::measure(frame, (states, h, design.noise[line]), of, (&mut work.G, K, T));
-            *weight = update.weight;
-            self.sums.count(update.S, update.kept);
+            let states = filter.take(design, line);
+            let update = filter.measure(&design.frame, (states, T::splat(design.noise[line])));
+            self.gains.push(update.weight.lane(0));
+            for K in &filter.K {
+                self.gains.push(K.lane(0));
+            }
+            for T in &filter.T {
+                self.sensitivities.push(T.lane(0));
+            }
         }
     }
 
     /// A step under the gains of the last one.
-    fn sensitivities(&mut self, design: &Design, stretch: &Stretch<'_>, work: &mut GainsWork) {
-        let frame = &*design.frame;
-        let (p, stride) = (frame.p, 1 + frame.r);
-        if let Some(transition) = stretch.transition {
-            kernel::advance(&mut work.Psi, p, transition, &mut work.rows);
+    #[inline(always)]
+    fn sensitivities<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
+        if stretch.transition.is_some() {
+            filter.advance(&design.frame);
         }
+        let stride = 1 + design.frame.r;
         let last = self.gains.len() - stride * stretch.lines.len();
         for (gain, line) in self.gains[last..].chunks_exact(stride).zip(stretch.lines.clone()) {
-            let (states, h) = design.terms(line);
-            let T = append(&mut self.sensitivities, p);
-            kernel::sensitivity(frame, states, h, &work.Psi, T);
-            kernel::correct(p, &gain[1..], T, &mut work.Psi);
-            kernel::inform(T, gain[0], &mut self.sums.J);
-            self.sums.scale(gain[0].recip_or_zero());
+            let states = filter.take(design, line);
+            for (K, &gain) in filter.K.iter_mut().zip(&gain[1..]) {
+                *K = T::splat(gain);
+            }
+            filter.measure_again(&design.frame, states, T::splat(gain[0]));
+            for T in &filter.T {
+                self.sensitivities.push(T.lane(0));
+            }
         }
     }
 
     /// So many more steps of `lines` measurements under the gains and sensitivities of the last one: J += m TT'/S.
-    fn repeat(&mut self, frame: &StateFrame, lines: usize, many: usize) {
+    #[inline(always)]
+    fn repeat<T: Lanes>(&mut self, frame: &StateFrame, lines: usize, many: usize, filter: &mut CovarianceFilter<T>) {
         if many == 0 {
             return;
         }
@@ -117,15 +173,11 @@ impl GainSchedule {
         for back in (1..=lines).rev() {
             let weight = self.gains[self.gains.len() - back * stride];
             let T = &self.sensitivities[self.sensitivities.len() - back * p..][..p];
-            kernel::inform(T, weight * many as f64, &mut self.sums.J);
+            for k in 0..p {
+                filter.T[k] = T::splat(T[k]);
+            }
+            kernel::inform(&filter.T, T::splat(weight * many as f64), &mut filter.sums.J);
             self.many.push((weight.recip_or_zero().or_one(), many));
         }
     }
-}
-
-/// Room for so many more numbers, and those.
-fn append(numbers: &mut Vec<f64>, many: usize) -> &mut [f64] {
-    let start = numbers.len();
-    numbers.resize(start + many, 0.0);
-    &mut numbers[start..]
 }

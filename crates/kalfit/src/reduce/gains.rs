@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use crate::reduce::moment_path::MomentPath;
 use crate::reduce::terminal::{Terminal, TerminalRoot, TerminalState};
 
 /// A finished design pass: everything but the data.
@@ -28,6 +29,8 @@ pub(crate) struct Gains {
     pub(crate) turns: Option<FactorRotations>,
     /// The last state, where a phase follows.
     pub(crate) end: Option<Arc<TerminalRoot>>,
+    /// P and Ψ before equal steps, in order of rows, where a way back wants them.
+    pub(crate) paths: Vec<MomentPath>,
 }
 
 /// Rows of equal steps and what is kept of them: of the first steps each, and the last one kept stands for all that follow.
@@ -137,6 +140,11 @@ impl Gains {
         &self.sensitivities[sensitivity * self.p..][..self.p]
     }
 
+    /// P and Ψ before the steps of the stretch with this first row, if they are kept.
+    pub(crate) fn path(&self, row: usize) -> Option<&MomentPath> {
+        MomentPath::of(&self.paths, row)
+    }
+
     /// Where a test with this x̂_K, in the kernels' order, ends; `None` where no phase follows.
     pub(crate) fn terminal(&self, states: &[usize], x: &[f64]) -> Option<Terminal> {
         Some(TerminalState::new(self.end.clone()?, states, x.iter().copied()).terminal())
@@ -147,6 +155,7 @@ impl Gains {
         let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());
         let end = self.end.as_ref().map_or(0, |end| end.bytes());
         let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
-        8 * (kept + self.factor.len() + turns) + end + 200
+        let paths: usize = self.paths.iter().map(MomentPath::bytes).sum();
+        8 * (kept + self.factor.len() + turns) + end + paths + 200
     }
 }

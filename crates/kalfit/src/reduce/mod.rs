@@ -20,9 +20,10 @@
 //! Gains + Data ── lanes (pass, scan) ──> Reduction       e, x̂, y: once per test, a long one in a lane by itself
 //! ```
 //!
-//! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for plain numbers and for lanes
-//! (`root`, of square roots, has its own); innovations, x̂ and y in `lanes`. Up to 64 equal steps go through `lanes`, a test or a design
-//! in each lane; more through `design_pass` and `scan`; designs that covariances lose digits of through `root`.
+//! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for one number and for lanes
+//! (`root`, of square roots, has its own), and go over the steps in a `covariance_filter`: of one design in `design_pass`, of designs of
+//! one shape side by side in `lanes`. Innovations, x̂ and y are in `lanes`, of one test or of many. One test has the bits that it has in
+//! a lane. Designs that covariances lose digits of go through `root`.
 //!
 //! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
 //!
@@ -36,7 +37,7 @@
 //! test whose cells are those of one before it, measured values apart, is not evaluated (recognise), and tests of one design have one
 //! data pass (lanes); tests of designs of their own are evaluated, filtered and whitened side by side (blocks): their steps are found
 //! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on what else is in
-//! the batch, long records known to be alike excepted.
+//! the batch.
 //!
 //! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
@@ -46,6 +47,7 @@ mod blocks;
 mod carry;
 mod chain;
 mod class;
+mod covariance_filter;
 mod data;
 mod data_pass;
 mod design;
@@ -61,6 +63,7 @@ mod instances;
 mod kernel;
 mod known_steps;
 mod lanes;
+mod moment_path;
 mod motion;
 mod observe;
 mod order;
@@ -121,6 +124,7 @@ pub(crate) use instances::Instance;
 pub(crate) use kernel::{advance, mirror, predict, update};
 pub(crate) use known_steps::KnownSteps;
 pub(crate) use lanes::{DataBlock, DesignBatch, Interleaved, at};
+pub(crate) use moment_path::MomentPath;
 pub(crate) use motion::{Evaluated, Filled, MotionPullback, Moves};
 pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;

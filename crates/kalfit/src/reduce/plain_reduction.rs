@@ -79,7 +79,7 @@ impl Plain {
 
     /// The gains by square-root arrays.
     fn root(&self, design: &Design, rows: &[usize], states: Option<&[usize]>) -> Result<Gains, ReduceError> {
-        root_gains(design, states).map_err(|error| match error {
+        root_gains(design, states, false).map_err(|error| match error {
             RootError::Exact { row } => {
                 self.refuse(&format!("step {}", rows[row] + 1), ReduceErrorKind::ExactMeasurement)
             }

@@ -14,7 +14,7 @@ use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::instances::Instances;
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::lanes::{DataBlock, DataWorkspace, DesignBatch};
+use crate::reduce::lanes::{DataBlock, DataWorkspace};
 use crate::reduce::motion::{Filled, MotionPlan, Moves};
 use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
@@ -99,7 +99,6 @@ pub(crate) struct Workspace {
     /// For one test by itself.
     pub(crate) block: DataBlock,
     pub(crate) room: DataWorkspace,
-    pub(crate) gained: DesignBatch,
     spans: Vec<StepSpan>,
     /// Number of the first step of each span.
     firsts: Vec<usize>,
@@ -208,7 +207,6 @@ impl Preparer {
             pass: DataWorkspace::default(),
             block: DataBlock::new(Isa::best()),
             room: DataWorkspace::default(),
-            gained: DesignBatch::default(),
             spans: Vec::new(),
             whole: GatheredCells::default(),
             step: GatheredCells::default(),

@@ -17,7 +17,7 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
-use crate::reduce::lanes::{fits, innovations, is_short};
+use crate::reduce::lanes::innovations;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::recognise::DesignCells;
 use crate::reduce::root::{RootError, root_gains};
@@ -51,6 +51,8 @@ pub struct Reducer {
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
+    /// P and Ψ before equal steps are wanted.
+    paths: bool,
     design_runs: AtomicU64,
     root_runs: AtomicU64,
     data_runs: AtomicU64,
@@ -117,7 +119,7 @@ impl Reducer {
     /// wanted again by the backward pass.
     pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, SharedStore::new(CLASS_BYTES)))
+        Ok(Reducer { paths: true, ..Reducer::of(preparer, SharedStore::new(CLASS_BYTES)) })
     }
 
     /// The same where no backward pass is to come: what one test alone wants is not kept.
@@ -155,6 +157,7 @@ impl Reducer {
             alike: None,
             unfrozen: false,
             ends: false,
+            paths: false,
             design_runs: AtomicU64::new(0),
             root_runs: AtomicU64::new(0),
             data_runs: AtomicU64::new(0),
@@ -229,7 +232,7 @@ impl Reducer {
     pub(crate) fn workspace(&self) -> Workspace {
         let mut work = self.preparer.workspace();
         work.gains.settling.off = self.unfrozen;
-        work.gained.with_ends = self.ends;
+        work.gains.keeps_paths = self.paths;
         work
     }
 
@@ -300,7 +303,7 @@ impl Reducer {
         (digest, gains): (u128, &Gains),
         work: &mut Workspace,
     ) -> Result<Reduction, Box<Fault>> {
-        let outcome = own_outcome(gains, work).map_err(|miss| {
+        let outcome = outcome(&work.design, gains, &work.data, &mut work.pass).map_err(|miss| {
             let Instance { meter, row } = work.instances.get(miss.row);
             Fault::new(Subject::Value(meter), impossible(miss)).on(row)
         })?;
@@ -345,45 +348,25 @@ impl Reducer {
 
     /// The design class of the test in the work space; `by_root`: its design is known to call for square-root arrays.
     fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
-        let Workspace { design, gains, block, room, gained, .. } = work;
+        let Workspace { design, gains, .. } = work;
         let states = self.ends.then_some(&*self.preparer.order.states);
         let make = |design: &Design| {
             self.count_design_run(digest);
-            let information = match by_root {
-                true => None,
-                false if is_short(design) => block.gains(design, states, (gained, room)),
-                false => information_gains(design, states, gains),
-            };
-            if let Some(gains) = information {
+            if !by_root && let Some(gains) = information_gains(design, states, gains) {
                 return Ok(gains);
             }
             self.root_runs.fetch_add(1, Ordering::Relaxed);
-            root_gains(design, states)
+            root_gains(design, states, self.paths)
         };
         let design = &*design;
         DesignClass(self.classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
     }
 }
 
-/// The outcome of the test in the work space; x̂_K is left there.
-fn own_outcome(gains: &Gains, work: &mut Workspace) -> Result<Outcome, Miss> {
-    let Workspace { design, data, block, room, pass, .. } = work;
-    if fits(design, gains) {
-        return Ok(block.alone((design, gains), data, room, &mut pass.x));
-    }
-    outcome(design, gains, data, pass)
-}
-
 /// The innovations of the test in the work space, for σ = 0, to `pass.e`; x̂_K is left there too. The same bits as side by side.
 pub(crate) fn own_innovations(gains: &Gains, work: &mut Workspace) {
-    let Workspace { design, data, block, room, pass, .. } = work;
-    if fits(design, gains) {
-        block.alone((design, gains), data, room, &mut pass.x);
-        pass.e.clear();
-        pass.e.extend(block.innovations(0, room));
-    } else {
-        innovations((design, gains), data, pass, &mut ());
-    }
+    let Workspace { design, data, pass, .. } = work;
+    innovations((design, gains), data, pass, &mut ());
 }
 
 pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {

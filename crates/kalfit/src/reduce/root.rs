@@ -10,6 +10,7 @@ use crate::linalg::fold::{Rotation, fold, fold_row, norm};
 use crate::reduce::design::{Design, StateFrame, Transition};
 use crate::reduce::gains::{FactorRotations, GainSpan, Gains, RankOperation};
 use crate::reduce::kernel;
+use crate::reduce::moment_path::MomentPath;
 use crate::reduce::semidefinite::{NotSemidefinite, root};
 use crate::reduce::terminal::TerminalRoot;
 
@@ -49,7 +50,7 @@ struct RootFilter<'a> {
 
 /// Runs the square-root filter of a design. `states`: the state of the model at each place of the kernels, where the last state is
 /// wanted.
-pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>) -> Result<Gains, RootError> {
+pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths: bool) -> Result<Gains, RootError> {
     let mut filter = RootFilter::start(design)?;
     let (p, r) = (design.frame.p, design.frame.r);
     let mut gains = Gains {
@@ -63,15 +64,22 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>) -> Result<Ga
         active: 0,
         turns: None,
         end: None,
+        paths: Vec::new(),
     };
     let mut turns = FactorRotations { folds: Vec::with_capacity(p * design.rows()), settle: Vec::new() };
-    for step in design.each_step() {
-        if let Some(transition) = step.transition {
-            filter.predict(transition)?;
+    for stretch in design.stretches() {
+        let mut path = keeps_paths.then(|| MomentPath::new(design, &stretch)).flatten();
+        for step in stretch.steps() {
+            filter.note(&mut path);
+            if let Some(transition) = step.transition {
+                filter.predict(transition)?;
+            }
+            for (line, row) in step.lines.zip(step.rows) {
+                filter.update(design, (line, row), &mut gains, &mut turns.folds)?;
+            }
         }
-        for (line, row) in step.lines.zip(step.rows) {
-            filter.update(design, (line, row), &mut gains, &mut turns.folds)?;
-        }
+        filter.note(&mut path);
+        gains.paths.extend(path);
     }
     settle(&mut filter.R, p, UNINFORMED, &mut turns.settle);
     for k in 0..p {
@@ -96,6 +104,15 @@ impl<'a> RootFilter<'a> {
             R: vec![0.0; frame.p * frame.p],
             work: Vec::new(),
         })
+    }
+
+    /// P and Ψ as they are now go to the end of a path, if there is one.
+    fn note(&self, path: &mut Option<MomentPath>) {
+        let Some(path) = path else { return };
+        let r = self.frame.r;
+        let entry = |i: usize, j: usize| (0..r).map(|k| self.U[k * r + i] * self.U[k * r + j]).sum::<f64>();
+        let P: Vec<f64> = (0..r * r).map(|ij| entry(ij / r, ij % r)).collect();
+        path.push(r, &P, &self.Psi);
     }
 
     /// Folds the rows of [Uφ'; Q^½'] into the new U.

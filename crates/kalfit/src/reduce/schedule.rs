@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use crate::reduce::design::Stretch;
 use crate::reduce::gains::{GainSpan, Gains};
+use crate::reduce::moment_path::MomentPath;
 use crate::reduce::settling::SteadyStateMonitor;
 use crate::reduce::sums::InformationSums;
 
@@ -18,17 +19,18 @@ pub(crate) struct GainSchedule {
     pub(crate) sums: InformationSums,
     /// Rows that Π S lacks: (S, how many).
     pub(super) many: Vec<(f64, usize)>,
+    pub(super) paths: Vec<MomentPath>,
 }
 
-/// Work space of the design pass; afterwards P and Ψ of the last step, those of
-/// steps that changed nothing any more included.
+/// Work space of the design pass: P and Ψ, when they were last looked at; afterwards those of the last step, of steps that changed
+/// nothing any more too.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GainsWork {
     pub(crate) P: Vec<f64>,
     pub(crate) Psi: Vec<f64>,
-    pub(super) G: Vec<f64>,
-    pub(super) rows: Vec<f64>,
     pub(crate) settling: SteadyStateMonitor,
+    /// P and Ψ before equal steps are wanted.
+    pub(crate) keeps_paths: bool,
 }
 
 impl GainSchedule {
@@ -67,6 +69,7 @@ impl GainSchedule {
             active,
             turns: None,
             end: None,
+            paths: self.paths,
         })
     }
 }

@@ -26,6 +26,7 @@ mod batch;
 mod data_adjoint;
 mod design_sums;
 mod equal;
+mod equal_backward;
 mod filtered;
 mod forward;
 mod record_segments;
@@ -65,11 +66,11 @@ impl BackwardInput<'_> {
         for at in (0..work.parts.len()).rev() {
             let part = work.parts[at];
             match part.kind {
-                SegmentKind::Equal(kernel) => {
+                SegmentKind::Equal(pass) => {
                     if self.tracked() {
                         work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
                     }
-                    (kernel.backward)(self, &part, work);
+                    pass(self, &part, work);
                     sink.measured(part.steps.0, &work.measured)?;
                     if self.design.stretch(part.stretch).transition.is_some() {
                         sink.moved(part.steps.0, &work.moved)?;

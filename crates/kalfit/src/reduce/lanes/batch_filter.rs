@@ -56,6 +56,6 @@ impl BatchFilter {
     /// Runs the filters of so many tests, and their data passes.
     pub(crate) fn filter(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
         let BatchFilter { block, design_batch: gained } = self;
-        block.isa().run(DesignPassKernel { design, tests, data: Some(block.side()), gained, room });
+        block.isa().run(DesignPassKernel { design, tests, data: block.side(), gained, room });
     }
 }

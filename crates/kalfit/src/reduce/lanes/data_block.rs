@@ -1,13 +1,10 @@
 //! The data of tests of one design, a test in each lane, and what their pass finds.
 
-use std::sync::Arc;
-
 use kalfit_lanes::Isa;
 
-use crate::reduce::data::{Data, Outcome};
+use crate::reduce::data::Outcome;
 use crate::reduce::design::Design;
 use crate::reduce::gains::Gains;
-use crate::reduce::lanes::design_batch::{DesignBatch, DesignPassKernel};
 use crate::reduce::lanes::numbers::DataView;
 use crate::reduce::lanes::pass::DataPass;
 use crate::reduce::lanes::workspace::DataWorkspace;
@@ -83,24 +80,6 @@ impl DataBlock {
         self.isa.run(DataPass { design, gains, data: self.side(), room });
     }
 
-    /// The gains of one design; `None` where square-root arrays are called for. `states`: the state of the model at each place of the
-    /// kernels, where the last state is wanted.
-    pub(crate) fn gains(
-        &self,
-        design: &Design,
-        states: Option<&[usize]>,
-        (gained, room): (&mut DesignBatch, &mut DataWorkspace),
-    ) -> Option<Gains> {
-        let first = (0, self.isa.lanes());
-        gained.load(design, self.isa.lanes());
-        self.isa.run(DesignPassKernel { design, tests: 1, data: None, gained, room });
-        let mut gains = gained.gains(first, design.rows())?;
-        if let Some(states) = states {
-            gains.end = Some(Arc::new(gained.end(first, states)?));
-        }
-        Some(gains)
-    }
-
     /// Starts, inputs and values, to be changed.
     pub(super) fn numbers_mut(&mut self) -> [&mut [f64]; 3] {
         let lanes = self.isa.lanes();
@@ -138,22 +117,5 @@ impl DataBlock {
     /// x̂ of the last step of the test in a lane.
     pub(crate) fn last<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
         room.x.iter().skip(lane).step_by(self.isa.lanes()).copied()
-    }
-
-    /// The outcome of one test by itself, and x̂ of its last step to `x`.
-    pub(crate) fn alone(
-        &mut self,
-        (design, gains): (&Design, &Gains),
-        data: &Data,
-        room: &mut DataWorkspace,
-        x: &mut Vec<f64>,
-    ) -> Outcome {
-        self.clear(data.start.len(), data.inputs.len(), data.values.len());
-        self.begin(0, &data.start, &data.inputs);
-        self.values(0, data.values.iter().copied());
-        self.run(design, gains, room);
-        x.clear();
-        x.extend(self.last(0, room));
-        self.outcome(0, (gains.active, gains.log_determinant), room)
     }
 }

@@ -1,15 +1,11 @@
 //! The design pass over designs of one shape side by side: the steps of [`design_pass`](crate::reduce::design_pass), a design in each
 //! lane.
-#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J, R")]
-
-use std::sync::Arc;
 
 use kalfit_lanes::{Kernel, Lanes};
 
 use crate::linalg::symmetric::pairs;
-use crate::reduce::design::{Design, EqualSteps, Pattern, Transition};
-use crate::reduce::gains::{GainSpan, Gains};
-use crate::reduce::kernel::{self, FilterState};
+use crate::reduce::covariance_filter::CovarianceFilter;
+use crate::reduce::design::{Design, EqualSteps, Transition};
 use crate::reduce::lanes::numbers::{DataView, Numbers, at, put};
 use crate::reduce::lanes::pass::innovate;
 use crate::reduce::lanes::squares;
@@ -46,12 +42,11 @@ pub(crate) struct DesignBatch {
     last: (Vec<f64>, Vec<f64>),
 }
 
-/// The design pass over designs whose numbers are in lanes, so many of them and of the shape of `design`; then the data pass, if there
-/// are data.
+/// The design pass over designs whose numbers are in lanes, so many of them and of the shape of `design`; then the data pass.
 pub(super) struct DesignPassKernel<'a> {
     pub(super) design: &'a Design,
     pub(super) tests: usize,
-    pub(super) data: Option<DataView<'a>>,
+    pub(super) data: DataView<'a>,
     pub(super) gained: &'a mut DesignBatch,
     pub(super) room: &'a mut DataWorkspace,
 }
@@ -64,17 +59,15 @@ impl Kernel for DesignPassKernel<'_> {
         let DesignPassKernel { design, tests, data, gained, room } = self;
         let sums = gained.filter::<T>(design);
         gained.finish(&sums, tests);
-        if let Some(data) = data {
-            let square = innovate::<T, _, _>(design, gained, data, room, &mut ());
-            squares::solve::<T, _>(gained, design.frame.p, square, room);
-        }
+        let square = innovate::<T, _, _>(design, gained, data, room, &mut ());
+        squares::solve::<T, _>(gained, design.frame.p, square, room);
     }
 }
 
 impl DesignBatch {
     /// Of designs that are all as long as this one, each step a run: numbers of zero, but noises of one.
     pub(super) fn blank(&mut self, design: &Design, lanes: usize) {
-        let (terms, pairs) = pattern(design).map_or((0, 0), |pattern| (pattern.columns.len(), pattern.pairs.len()));
+        let (terms, pairs) = design.pattern().map_or((0, 0), |pattern| (pattern.columns.len(), pattern.pairs.len()));
         let DesignBatch { variance, h, noise, moves, phi, q, .. } = self;
         let mut transitions = 0_usize;
         let number = |run: &EqualSteps| {
@@ -97,31 +90,6 @@ impl DesignBatch {
         self.terms = terms;
     }
 
-    /// The numbers of one design, in the first lane.
-    pub(super) fn load(&mut self, design: &Design, lanes: usize) {
-        let DesignBatch { variance, h, noise, moves, phi, q, .. } = self;
-        let first = |column: &mut Vec<f64>, numbers: &mut dyn Iterator<Item = f64>, rest: f64| {
-            column.clear();
-            for x in numbers {
-                column.push(x);
-                column.resize(column.len() + lanes - 1, rest);
-            }
-        };
-        let transitions = || design.moves.iter();
-        first(variance, &mut design.variance.iter().copied(), 0.0);
-        first(h, &mut design.h.iter().copied(), 0.0);
-        first(noise, &mut design.noise.iter().copied(), 1.0);
-        first(phi, &mut transitions().flat_map(|transition| transition.phi.iter().copied()), 0.0);
-        first(q, &mut transitions().flat_map(|transition| transition.q.iter().copied()), 0.0);
-        let mut number = 0;
-        moves.clear();
-        moves.extend(design.runs.iter().map(|run| {
-            number = run.transition.unwrap_or(number);
-            number as usize
-        }));
-        self.terms = pattern(design).map_or(0, |pattern| pattern.columns.len());
-    }
-
     /// The covariance filter.
     #[inline(always)]
     fn filter<T: Lanes>(&mut self, design: &Design) -> InformationSums<T> {
@@ -133,35 +101,54 @@ impl DesignBatch {
             self.last.0.resize(frame.r * frame.r * T::COUNT, 0.0);
             self.last.1.resize(frame.sensitivity.len() * T::COUNT, 0.0);
         }
-        let mut state = CovarianceState::<T>::new(self, design);
+        let mut filter = CovarianceFilter::<T>::new(design, |k| at(&self.variance, k));
         let (mut first, mut row) = (0, 0);
         let mut now = None;
         for (at_run, run) in design.runs.iter().enumerate() {
             let number = self.moves[at_run];
             if run.transition.is_some() && now != Some(number) {
-                self.take(at_run, &mut state.transition);
+                self.take(at_run, &mut filter.transition);
                 now = Some(number);
             }
             for _ in 0..run.count {
                 if run.transition.is_some() {
-                    kernel::predict(&mut state.P, frame.r, &state.transition, &mut state.rows);
-                    kernel::advance(&mut state.Psi, frame.p, &state.transition, &mut state.rows);
+                    filter.predict(frame);
                 }
                 for line in first..run.lines {
-                    state.measure(self, design, (line, row));
+                    self.measure(&mut filter, design, (line, row));
                     row += 1;
                 }
             }
             first = run.lines;
         }
         if self.with_ends {
-            for (from, to) in [(&state.P, &mut self.last.0), (&state.Psi, &mut self.last.1)] {
+            for (from, to) in [(&filter.P, &mut self.last.0), (&filter.Psi, &mut self.last.1)] {
                 for (k, x) in from.iter().enumerate() {
                     put(to, k, *x);
                 }
             }
         }
-        state.sums
+        filter.sums
+    }
+
+    /// A scalar measurement; what it leaves is kept.
+    #[inline(always)]
+    fn measure<T: Lanes>(&mut self, filter: &mut CovarianceFilter<T>, design: &Design, (line, row): (usize, usize)) {
+        let (frame, start) = (&*design.frame, if line == 0 { 0 } else { design.ends[line - 1] });
+        filter.h.clear();
+        for term in start..design.ends[line] {
+            filter.h.push(at(&self.h, term));
+        }
+        let (states, noise) = (&design.states[start..design.ends[line]], at(&self.noise, line));
+        let update = filter.measure(frame, (states, noise));
+        let stride = 1 + frame.r;
+        put(&mut self.gains, row * stride, update.weight);
+        for i in 0..frame.r {
+            put(&mut self.gains, row * stride + 1 + i, filter.K[i]);
+        }
+        for k in 0..frame.p {
+            put(&mut self.sensitivities, row * frame.p + k, filter.T[k]);
+        }
     }
 
     /// R and Σ log S of each design.
@@ -205,87 +192,6 @@ impl DesignBatch {
     pub(crate) fn weights(&self, (lane, lanes): (usize, usize), rows: usize) -> impl Iterator<Item = f64> + use<'_> {
         self.gains.iter().skip(lane).step_by(lanes * self.stride).take(rows).copied()
     }
-
-    /// The gains of one design by themselves; `None` where square-root arrays are called for.
-    pub(crate) fn gains(&self, (lane, lanes): (usize, usize), rows: usize) -> Option<Gains> {
-        let (factor, log_determinant) = self.found[lane].clone()?;
-        let own = |all: &[f64], numbers: usize| -> Vec<f64> {
-            all.iter().skip(lane).step_by(lanes).take(numbers).copied().collect()
-        };
-        Some(Gains {
-            r: self.stride - 1,
-            p: self.p,
-            gains: own(&self.gains, rows * self.stride),
-            sensitivities: own(&self.sensitivities, rows * self.p),
-            pieces: vec![GainSpan::all(rows)],
-            factor,
-            log_determinant,
-            active: rows,
-            turns: None,
-            end: None,
-        })
-    }
-}
-
-/// The covariance filter of several designs on its way.
-struct CovarianceState<T> {
-    P: Vec<T>,
-    Psi: Vec<T>,
-    G: Vec<T>,
-    K: Vec<T>,
-    T: Vec<T>,
-    h: Vec<T>,
-    transition: Transition<T>,
-    /// Work space of the kernels.
-    rows: Vec<T>,
-    sums: InformationSums<T>,
-}
-
-impl<T: Lanes> CovarianceState<T> {
-    #[inline(always)]
-    fn new(gained: &DesignBatch, design: &Design) -> CovarianceState<T> {
-        let (frame, zero) = (&*design.frame, T::splat(0.0));
-        let (mut P, mut Psi) = (vec![zero; frame.r * frame.r], vec![zero; frame.sensitivity.len()]);
-        for k in 0..P.len() {
-            P[k] = at(&gained.variance, k);
-        }
-        for k in 0..Psi.len() {
-            Psi[k] = T::splat(frame.sensitivity[k]);
-        }
-        CovarianceState {
-            P,
-            Psi,
-            G: vec![zero; frame.r],
-            K: vec![zero; frame.r],
-            T: vec![zero; frame.p],
-            h: Vec::new(),
-            transition: transition(design),
-            rows: Vec::new(),
-            sums: InformationSums::new(frame.p),
-        }
-    }
-
-    /// A scalar measurement; what it leaves is kept.
-    #[inline(always)]
-    fn measure(&mut self, gained: &mut DesignBatch, design: &Design, (line, row): (usize, usize)) {
-        let (frame, start) = (&*design.frame, if line == 0 { 0 } else { design.ends[line - 1] });
-        self.h.clear();
-        for term in start..design.ends[line] {
-            self.h.push(at(&gained.h, term));
-        }
-        let (states, noise) = (&design.states[start..design.ends[line]], at(&gained.noise, line));
-        let of = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
-        let update = kernel::measure(frame, (states, &self.h, noise), of, (&mut self.G, &mut self.K, &mut self.T));
-        self.sums.count(update.S, update.kept);
-        let stride = 1 + frame.r;
-        put(&mut gained.gains, row * stride, update.weight);
-        for i in 0..frame.r {
-            put(&mut gained.gains, row * stride + 1 + i, self.K[i]);
-        }
-        for k in 0..frame.p {
-            put(&mut gained.sensitivities, row * frame.p + k, self.T[k]);
-        }
-    }
 }
 
 impl<T: Lanes> Numbers<T> for DesignBatch {
@@ -320,18 +226,4 @@ impl<T: Lanes> Numbers<T> for DesignBatch {
     fn R(&self, at_: usize) -> T {
         at(&self.factor, at_)
     }
-}
-
-/// Room for a transition of a design.
-#[inline(always)]
-pub(super) fn transition<T: Lanes>(design: &Design) -> Transition<T> {
-    let pattern = pattern(design).cloned().unwrap_or_default();
-    let (phi, q) = (vec![T::splat(0.0); pattern.columns.len()], vec![T::splat(0.0); pattern.pairs.len()]);
-    Transition { pattern, phi, q }
-}
-
-/// The pattern of the transitions of a design: all have one.
-#[inline(always)]
-fn pattern(design: &Design) -> Option<&Arc<Pattern>> {
-    design.moves.first().map(|transition| &transition.pattern)
 }

@@ -4,7 +4,7 @@ use kalfit_lanes::Lanes;
 
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::lanes::DataBlock;
-use crate::reduce::lanes::design_batch::{DesignBatch, transition};
+use crate::reduce::lanes::design_batch::DesignBatch;
 use crate::reduce::lanes::numbers::{Numbers, at};
 
 /// A test in each lane. Where one is shorter than the longest it goes on with measurements that say nothing, and transitions that
@@ -45,7 +45,7 @@ impl<T: Lanes> Interleaved<'_, T> {
     /// Room for a transition.
     #[inline(always)]
     pub(crate) fn transition(&self) -> Transition<T> {
-        transition(self.shape)
+        self.shape.blank_transition()
     }
 
     /// Takes the transition of a run; false, and nothing is taken, where it has none.

@@ -3,6 +3,7 @@
 
 use kalfit_lanes::Lanes;
 
+use crate::reduce::data::Data;
 use crate::reduce::design::Stretch;
 
 /// What a pass takes from the designs of its tests: numbers that are the same in all lanes, or each lane's own.
@@ -47,6 +48,13 @@ pub(super) struct DataView<'a> {
     pub(super) start: &'a [f64],
     pub(super) inputs: &'a [f64],
     pub(super) values: &'a [f64],
+}
+
+impl<'a> DataView<'a> {
+    /// Of one test.
+    pub(super) fn of(data: &'a Data) -> DataView<'a> {
+        DataView { start: &data.start, inputs: &data.inputs, values: &data.values }
+    }
 }
 
 /// Number `k` of each test.

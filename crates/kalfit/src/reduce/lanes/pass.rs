@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use kalfit_lanes::{Kernel, Lanes, Part};
+use kalfit_lanes::{Isa, Kernel, Lanes, Part};
 
 use crate::reduce::data::{Data, FEW};
 use crate::reduce::design::{Design, Pattern, Stretch, TransitionRow};
@@ -111,36 +111,55 @@ impl Kernel for DataPass<'_> {
     }
 }
 
-/// The innovations of a test by itself: e'S⁻¹e; y to `room.d`.
-pub(crate) fn innovations<L: InnovationObserver<f64>>(
+/// The innovations of one test.
+struct Innovations<'a, L> {
+    design: &'a Design,
+    gains: &'a Gains,
+    data: DataView<'a>,
+    room: &'a mut DataWorkspace,
+    look: &'a mut L,
+}
+
+impl<L: InnovationObserver> Kernel for Innovations<'_, L> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let Innovations { design, gains, data, room, look } = self;
+        innovate::<T, _, _>(design, &SharedDesign::new(design, gains), data, room, look);
+    }
+}
+
+/// The innovations of a test by itself, in the bits that it has in a lane.
+pub(crate) fn innovations<L: InnovationObserver>(
     (design, gains): (&Design, &Gains),
     data: &Data,
     room: &mut DataWorkspace,
     look: &mut L,
-) -> f64 {
-    let side = DataView { start: &data.start, inputs: &data.inputs, values: &data.values };
-    innovate::<f64, _, _>(design, &SharedDesign::new(design, gains), side, room, look)
+) {
+    let data = DataView::of(data);
+    Isa::best().run_one(Innovations { design, gains, data, room, look });
 }
 
-/// d and the residual sum of squares after [`innovations`], which were `square`.
-pub(crate) fn solve((design, gains): (&Design, &Gains), square: f64, room: &mut DataWorkspace) {
-    squares::solve::<f64, _>(&SharedDesign::new(design, gains), design.frame.p, square, room);
+/// The data pass of a test by itself, in the bits that it has in a lane; what it finds is left in `room`.
+pub(crate) fn pass_alone((design, gains): (&Design, &Gains), data: &Data, room: &mut DataWorkspace) {
+    Isa::best().run_one(DataPass { design, gains, data: DataView::of(data), room });
 }
 
 /// Sees innovations on the way.
-pub(crate) trait InnovationObserver<T> {
+pub(crate) trait InnovationObserver {
     /// It wants to see every one: no stretch is gone over at once.
     const EACH: bool;
 
     /// Sees that of a row, with its line and x̂ before the update.
-    fn see(&mut self, at: (usize, usize), e: T, x: &[T]);
+    fn see<T: Lanes>(&mut self, at: (usize, usize), e: T, x: &[T]);
 }
 
-impl<T> InnovationObserver<T> for () {
+impl InnovationObserver for () {
     const EACH: bool = false;
 
     #[inline(always)]
-    fn see(&mut self, _: (usize, usize), _: T, _: &[T]) {}
+    fn see<T: Lanes>(&mut self, _: (usize, usize), _: T, _: &[T]) {}
 }
 
 /// What a pass carries from row to row.
@@ -158,7 +177,7 @@ struct MeanState<T> {
 
 /// The pass over tests of designs of one shape, of which `design` is one: e'S⁻¹e; y to `room.d`.
 #[inline(always)]
-pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver<T>>(
+pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     design: &Design,
     numbers: &N,
     data: DataView<'_>,
@@ -289,7 +308,7 @@ impl<T: Lanes> MeanState<T> {
 
     /// The innovation of a scalar measurement, after which x and the sums have it.
     #[inline(always)]
-    fn measure<N: Numbers<T>, L: InnovationObserver<T>>(
+    fn measure<N: Numbers<T>, L: InnovationObserver>(
         &mut self,
         (design, line): (&Design, usize),
         (numbers, row): (&N, usize),

@@ -6,9 +6,10 @@
 //! ∂ℓ/∂Q: ½rr'        ∂ℓ/∂b: r        r ← φ'r        ∂ℓ/∂φ: r (x̄ + Pφ'r)'
 //! ```
 
-use kalfit_lanes::Real;
+use kalfit_lanes::{Lanes, Real};
 
 use crate::reduce::{self, Stretch};
+use crate::score::backward::design_sums::one;
 use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 
 /// The coefficients of a step.
@@ -47,6 +48,14 @@ impl<T: Real, const N: usize> DataSums<T, N> {
     }
 }
 
+impl<T: Lanes, const N: usize> DataSums<T, N> {
+    /// Of one test.
+    pub(super) fn one(&self) -> DataSums<f64, N> {
+        let (u, uu) = (self.u.lane(0), self.uu.lane(0));
+        DataSums { u, uu, h: one(self.h), r: one(self.r), rr: self.rr.map(one), phi: self.phi.map(one) }
+    }
+}
+
 impl<T: Real, const N: usize> DataAdjoint<T, N> {
     /// Of a stretch; `x`: the filter before it.
     #[inline(always)]
@@ -60,7 +69,7 @@ impl<T: Real, const N: usize> DataAdjoint<T, N> {
     pub(crate) fn back(
         &self,
         r: &mut [T; N],
-        (weight, K): (f64, &[f64; N]),
+        &(weight, ref K): &(f64, [f64; N]),
         e: T,
         (x, P): (&[T; N], &PriorVariances<N>),
         sums: &mut DataSums<T, N>,

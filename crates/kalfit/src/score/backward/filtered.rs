@@ -183,11 +183,6 @@ impl<T: Real> FilteredMoments<T> {
 }
 
 impl FilteredMoments {
-    /// x̄ of zero, where nobody asks for more.
-    pub(super) fn zero(n: usize) -> FilteredMoments {
-        FilteredMoments { x: vec![0.0; n], ..FilteredMoments::default() }
-    }
-
     pub(super) fn load(&mut self, kept: &[f64], sizes: (usize, usize)) {
         let seen = FilterSnapshot::new(kept, sizes);
         for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {

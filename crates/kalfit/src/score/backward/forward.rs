@@ -1,11 +1,11 @@
 //! A record cut into parts, and the way forth over them.
 
 use crate::reduce::DesignStep;
-use crate::score::backward::equal::kernel;
 use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::run::BackwardInput;
 use crate::score::backward::sink::Sink;
 use crate::score::backward::work::{BackwardWork, MOST, Segment, SegmentKind};
+use crate::score::backward::{equal, equal_backward};
 
 impl BackwardInput<'_> {
     /// Length of a kept state.
@@ -29,7 +29,7 @@ impl BackwardInput<'_> {
             let part = work.parts[at];
             match part.kind {
                 SegmentKind::Steps => self.steps_forth(&part, work),
-                SegmentKind::Equal(kernel) => (kernel.forward)(self, &part, work),
+                SegmentKind::Equal(_) => equal::forward(self, &part, work),
             }
         }
     }
@@ -43,11 +43,12 @@ impl BackwardInput<'_> {
             let inputs = if stretch.transition.is_some() { driven } else { 0 };
             let steps = (step, step + stretch.count);
             let few = if many < MOST { cut.few } else { cut.few.max(cut.short) };
-            let long = stretch.count > few && driven == 0;
-            let summed = || kernel(self, &stretch).filter(|_| sink.sums(steps.0..steps.1));
-            if let Some(kernel) = long.then(summed).flatten() {
+            let long = stretch.count > few;
+            let summed = || equal_backward::kernel(self, &stretch).filter(|_| sink.sums(steps.0..steps.1));
+            let begun = |kind, steps, skip, input| Segment { kind, steps, stretch: at, skip, input, mark: 0 };
+            if let Some(pass) = long.then(summed).flatten() {
                 many += 1;
-                parts.push(Segment { kind: SegmentKind::Equal(kernel), steps, stretch: at, skip: 0, input, mark: 0 });
+                parts.push(begun(SegmentKind::Equal(pass), steps, 0, input));
             } else {
                 let mut skip = 0;
                 while skip < stretch.count {
@@ -58,8 +59,7 @@ impl BackwardInput<'_> {
                     let part = match open {
                         Some(part) => part,
                         None => {
-                            let (steps, input) = ((start, start), input + skip * inputs);
-                            parts.push(Segment { kind: SegmentKind::Steps, steps, stretch: at, skip, input, mark: 0 });
+                            parts.push(begun(SegmentKind::Steps, (start, start), skip, input + skip * inputs));
                             parts.last_mut().expect("one was pushed")
                         }
                     };

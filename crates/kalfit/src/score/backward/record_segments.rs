@@ -1,6 +1,6 @@
 //! A record as segments, for other data to pass over: its steps, and the P of the way of one record over it.
 
-use crate::reduce::{DesignStep, moving};
+use crate::reduce::DesignStep;
 use crate::score::backward::equal::EqualStretch;
 use crate::score::backward::forward::FilterPosition;
 use crate::score::backward::run::BackwardInput;
@@ -53,26 +53,11 @@ impl<'a> BackwardInput<'a> {
     }
 
     fn together(&'a self, part: &Segment, work: &BackwardWork, segments: &mut RecordSegments<'a>) {
-        let stretch = self.design.stretch(part.stretch);
-        let (n, r, states) = (self.design.frame.n, self.design.frame.r, moving(self.design, &stretch));
-        let blocks = stretch.count.div_ceil(work.cut.block);
-        let mut P = Vec::new();
-        if self.tracked() {
-            let first = &work.marks[part.mark + n..][..r * r];
-            P.resize(states * states, 0.0);
-            (0..r).for_each(|i| P[i * states..][..r].copy_from_slice(&first[i * r..][..r]));
-            let size = states + states * states + states * self.moments.columns;
-            let later = |block: usize| &work.marks[part.mark + self.stride() + (block - 1) * size + states..];
-            (1..blocks).for_each(|block| P.extend_from_slice(&later(block)[..states * states]));
-        }
-        let place = r * r;
-        segments
-            .left
-            .resize(segments.left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
-        segments.before.resize(segments.before.len() + usize::from(self.wanted.equation) * place, 0.0);
-        segments
-            .segments
-            .push(RecordSegment::Equal(EqualStretch::new(self, part, work.cut.block).with_marks(states, P)));
+        let (stretch, place) = (self.design.stretch(part.stretch), self.design.frame.r.pow(2));
+        let RecordSegments { segments, left, before } = segments;
+        left.resize(left.len() + usize::from(self.wanted.motion && stretch.transition.is_some()) * place, 0.0);
+        before.resize(before.len() + usize::from(self.wanted.equation) * place, 0.0);
+        segments.push(RecordSegment::Equal(EqualStretch::new(self, part, work.cut.block)));
     }
 }
 

@@ -72,14 +72,19 @@ fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Desig
     (design, Data { start, inputs, values, sizes: vec![1.0; rows.len()] })
 }
 
+/// Work space of a design pass that keeps P and Ψ.
+fn keeping() -> GainsWork {
+    GainsWork { keeps_paths: true, ..GainsWork::default() }
+}
+
 fn reduced(numbers: &Numbers) -> (Design, Data, Gains, Reduction) {
     let (design, data) = design(numbers);
     reduction_of(design, data)
 }
 
 fn reduction_of(design: Design, data: Data) -> (Design, Data, Gains, Reduction) {
-    let plain = information_gains(&design, None, &mut GainsWork::default());
-    let gains = plain.unwrap_or_else(|| root_gains(&design, None).expect("semidefinite")); // a part need not determine its unknowns
+    let plain = information_gains(&design, None, &mut keeping());
+    let gains = plain.unwrap_or_else(|| root_gains(&design, None, true).expect("semidefinite")); // a part need not determine its unknowns
     let reduction = reduction_by(&gains, &design, &data);
     (design, data, gains, reduction)
 }
@@ -455,7 +460,7 @@ fn long() -> (Design, Data) {
 
 fn totals(cut: SegmentLengths, unfrozen: bool, wanted: AdjointsWanted, takes_sums: bool) -> Totals {
     let (design, data) = long();
-    let mut work = GainsWork::default();
+    let mut work = keeping();
     work.settling.off = unfrozen;
     let gains = information_gains(&design, None, &mut work).expect("well conditioned");
     let moments = moments(reduction_by(&gains, &design, &data).view(), &law());

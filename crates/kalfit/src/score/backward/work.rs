@@ -33,7 +33,7 @@ pub(crate) struct BackwardWork {
     /// ē of each scalar measurement.
     pub(super) e: Vec<f64>,
     pub(super) parts: Vec<Segment>,
-    /// States of the forward filter, as [`FilteredMoments::save`] keeps them, where parts begin and within long ones.
+    /// States of the forward filter, as [`FilteredMoments::save`] keeps them, where parts begin; x̄ alone within long ones.
     pub(super) marks: Vec<f64>,
     /// Those of one part, before each transition and before each measurement.
     pub(super) left: Vec<f64>,
@@ -74,7 +74,7 @@ pub(super) enum SegmentKind {
     /// One by one.
     Steps,
     /// A whole stretch of equal ones, summed.
-    Equal(Kernel),
+    Equal(SegmentPass),
 }
 
 impl Segment {
@@ -91,12 +91,5 @@ impl Segment {
     }
 }
 
-/// The way forth over a stretch, and back.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Kernel {
-    pub(super) forward: SegmentPass,
-    pub(super) backward: SegmentPass,
-}
-
-/// One way over a part.
+/// The way back over a part.
 pub(super) type SegmentPass = fn(&BackwardInput<'_>, &Segment, &mut BackwardWork);

@@ -27,7 +27,6 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
         let (mut answers, mut xs) = (DataSums::none(), Vec::new());
         for (number, (from, to)) in stretch.blocks().enumerate().rev() {
             let mut x = known(&marks[number * N..]);
-            let ahead = stretch.ahead::<N>((from, to));
             let still = stretch.moving().clamp(from, to);
             xs.clear();
             for k in from..to {
@@ -35,14 +34,16 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
                 x = adjoint.filter.state(&x, &stretch.weighted(k).1, at(e, k));
             }
             if still < to {
-                let (gain, ahead) = (stretch.weighted::<N>(still), ahead[ahead.len() - 1]);
+                let gain = stretch.weighted(still);
+                let prior = stretch.variances(still, &gain);
                 for k in (still..to).rev() {
-                    adjoint.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], &ahead), &mut answers);
+                    adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut answers);
                 }
             }
             for k in (from..still).rev() {
-                let (gain, ahead) = (stretch.weighted::<N>(k), &ahead[(k - from).min(ahead.len() - 1)]);
-                adjoint.back(&mut r, (gain.0, &gain.1), at(e, k), (&xs[k - from], ahead), &mut answers);
+                let gain = stretch.weighted(k);
+                let prior = stretch.variances(k, &gain);
+                adjoint.back(&mut r, &gain, at(e, k), (&xs[k - from], &prior), &mut answers);
             }
         }
         all[..N].copy_from_slice(&r);

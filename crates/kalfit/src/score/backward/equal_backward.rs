@@ -1,0 +1,254 @@
+//! Back through many equal steps of one scalar measurement, of few moving states: with sums, and without renewing N and ρ where
+//! these no longer change.
+
+use kalfit_lanes::{Isa, Kernel, Lanes};
+
+use crate::reduce::{MomentPath, SteadyState, SteadyStateMonitor, Stretch};
+use crate::score::backward::data_adjoint::{DataSums, PriorVariances};
+use crate::score::backward::design_sums::{DesignAdjoint, DesignSums, Gain, PriorMoments};
+use crate::score::backward::equal::{EqualStretch, lifted};
+use crate::score::backward::filtered::FilteredMoments;
+use crate::score::backward::run::BackwardInput;
+use crate::score::backward::steady::StepCoefficients;
+use crate::score::backward::work::{BackwardWork, Segment, SegmentPass};
+
+fn columns<const N: usize>(c: usize) -> Option<SegmentPass> {
+    Some(match c {
+        0 => backward::<N, 0>,
+        1 => backward::<N, 1>,
+        2 => backward::<N, 2>,
+        3 => backward::<N, 3>,
+        _ => return None,
+    })
+}
+
+/// The way back over a stretch, if there is one of known size.
+pub(super) fn kernel(run: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option<SegmentPass> {
+    let c = run.moments.columns;
+    let known = !run.tracked() || run.gains.path(stretch.rows.start).is_some();
+    match MomentPath::states(run.design, stretch).filter(|_| known)? {
+        0 => columns::<0>(c),
+        1 => columns::<1>(c),
+        2 => columns::<2>(c),
+        3 => columns::<3>(c),
+        4 => columns::<4>(c),
+        _ => None,
+    }
+}
+
+/// The way back over a stretch: its state, and whether N and ρ rest.
+struct EqualBackward<T, const N: usize, const C: usize> {
+    step: StepCoefficients<T, N>,
+    r: [T; N],
+    bars: DesignAdjoint<T, N, C>,
+    answers: DataSums<T, N>,
+    sums: DesignSums<T, N, C>,
+    /// P where it rests, and what each step adds to the sums while N and ρ rest too: so many steps so far.
+    still: Option<(PriorVariances<N>, DesignSums<T, N, C>)>,
+    rested: usize,
+    watched: bool,
+}
+
+/// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
+fn backward<const N: usize, const C: usize>(run: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
+    Isa::best().run_one(EqualPass::<N, C> { run, part, work });
+}
+
+struct EqualPass<'a, const N: usize, const C: usize> {
+    run: &'a BackwardInput<'a>,
+    part: &'a Segment,
+    work: &'a mut BackwardWork,
+}
+
+impl<const N: usize, const C: usize> Kernel for EqualPass<'_, N, C> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let EqualPass { run, part, work } = self;
+        let steps = EqualStretch::new(run, part, work.cut.block);
+        let mut back = EqualBackward::<T, N, C>::new(&steps, work);
+        let mut xs = vec![[T::splat(0.0); N]; steps.block.min(steps.stretch.count)];
+        for (from, to) in steps.blocks().rev() {
+            if run.blank && back.still.is_some() && from >= steps.moving() {
+                back.rested += to - from;
+                continue;
+            }
+            if run.tracked() && !run.blank {
+                let mark = part.mark + run.stride() + from / steps.block * N;
+                let first = std::array::from_fn(|i| T::splat(work.marks[mark + i]));
+                let e = &work.e[steps.stretch.rows.clone()];
+                back.again(&steps, first, (from, to), (e, &mut xs));
+            }
+            back.block(&steps, (from, to), &xs, work);
+        }
+        back.settle();
+        back.finish(&steps, work);
+    }
+}
+
+impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
+    #[inline(always)]
+    fn new(steps: &EqualStretch<'_>, work: &mut BackwardWork) -> EqualBackward<T, N, C> {
+        let (zero, r, adjoint) = (T::splat(0.0), steps.run.design.frame.r, &work.adjoint);
+        let mut bars = DesignAdjoint { rho: [[zero; C]; N], N: [[zero; N]; N] };
+        for i in 0..N {
+            for j in 0..C {
+                bars.rho[i][j] = T::splat(adjoint.rho[i * C + j]);
+            }
+            for j in 0..if i < r { r } else { 0 } {
+                bars.N[i][j] = T::splat(adjoint.N[i * r + j]);
+            }
+        }
+        work.settling.start(&adjoint.rho[..N * C]);
+        EqualBackward {
+            step: StepCoefficients::new(steps.run, &steps.stretch, &lifted(&work.now.x)),
+            r: std::array::from_fn(|i| T::splat(adjoint.r[i])),
+            bars,
+            answers: DataSums::none(),
+            sums: DesignSums::none(),
+            still: None,
+            rested: 0,
+            watched: work.settling.begin(steps.stretch.count - steps.moving()),
+        }
+    }
+
+    /// x̄ before each of the steps `from..to`, from that before the first of them.
+    #[inline(always)]
+    fn again(
+        &self,
+        steps: &EqualStretch<'_>,
+        mut x: [T; N],
+        (from, to): (usize, usize),
+        (e, xs): (&[f64], &mut Vec<[T; N]>),
+    ) {
+        xs.clear();
+        for k in from..to {
+            xs.push(x);
+            x = self.step.data.filter.state(&x, &steps.weighted(k).1, T::splat(e[k]));
+        }
+    }
+
+    /// Back over steps `from..to`; `xs`: x̄ before each.
+    #[inline(always)]
+    fn block(&mut self, steps: &EqualStretch<'_>, (from, to): (usize, usize), xs: &[[T; N]], work: &mut BackwardWork) {
+        let e = &work.e[steps.stretch.rows.clone()];
+        let (mut k, low) = (to, from.max(steps.moving()));
+        while k > low {
+            let gain = steps.gain::<N, C>(k - 1);
+            if let Some((P, _)) = &self.still {
+                let (mut r, mut answers) = (self.r, self.answers);
+                for (&e, x) in e[low..k].iter().zip(&xs[low - from..k - from]).rev() {
+                    self.step.data.back(&mut r, &gain.own, T::splat(e), (x, P), &mut answers);
+                }
+                (self.r, self.answers) = (r, answers);
+                self.rested += k - low;
+                k = low;
+                continue;
+            }
+            let count = steps.stretch.count;
+            let until = if self.watched { low.max(count.saturating_sub(work.settling.next_look())) } else { low };
+            let prior = steps.prior(k - 1, &gain);
+            for k in (until..k).rev() {
+                self.step(&gain, e[k], (&xs[k - from], &prior));
+            }
+            k = until;
+            if self.watched && self.looks(steps, count - k, &mut work.settling) {
+                self.still = Some((prior.P, self.step.rested(&self.bars, &gain, &prior)));
+            }
+        }
+        if from < steps.moving() {
+            self.settle();
+        }
+        for k in (from..k.min(to)).rev() {
+            let gain = steps.gain(k);
+            self.step(&gain, e[k], (&xs[k - from], &steps.prior(k, &gain)));
+        }
+    }
+
+    #[inline(always)]
+    fn step(&mut self, gain: &Gain<N, C>, e: f64, (x, prior): (&[T; N], &PriorMoments<N, C>)) {
+        let EqualBackward { step, r, bars, answers, sums, .. } = self;
+        step.data.back(r, &gain.own, T::splat(e), (x, &prior.P), answers);
+        step.back(bars, gain, prior, sums);
+    }
+
+    /// Whether N and ρ have come to rest after so many steps.
+    fn looks(&self, steps: &EqualStretch<'_>, done: usize, settling: &mut SteadyStateMonitor) -> bool {
+        if done < settling.next_look() {
+            return false;
+        }
+        let (r, bars) = (steps.run.design.frame.r, self.bars.one());
+        let mut information = [0.0; 16];
+        for i in 0..r {
+            information[i * r..][..r].copy_from_slice(&bars.N[i][..r]);
+        }
+        let rho = bars.rho.as_flattened();
+        settling.look(done, (&information[..r * r], r), rho, SteadyState::Nothing) == SteadyState::All
+    }
+
+    /// Sums what the steps have added since N and ρ came to rest.
+    #[inline(always)]
+    fn settle(&mut self) {
+        if let Some((_, each)) = self.still.take() {
+            self.sums.add(std::mem::take(&mut self.rested) as f64, &each);
+        }
+    }
+
+    /// The adjoints of the states before the stretch, and of its coefficients.
+    fn finish(&self, steps: &EqualStretch<'_>, work: &mut BackwardWork) {
+        let (run, sums, answers, bars) = (steps.run, self.sums.one(), self.answers.one(), self.bars.one());
+        let r = run.design.frame.r;
+        let adjoint = &mut work.adjoint;
+        (0..N).for_each(|i| adjoint.r[i] = self.r[i].lane(0));
+        adjoint.rho[..N * C].copy_from_slice(bars.rho.as_flattened());
+        (0..r).for_each(|i| adjoint.N[i * r..][..r].copy_from_slice(&bars.N[i][..r]));
+        let mut add = |state: usize, factor: f64, u: f64, upsilon: &[f64; C]| {
+            adjoint.r[state] += factor * u;
+            (0..C).for_each(|j| adjoint.rho[state * C + j] += factor * upsilon[j]);
+        };
+        let (states, h) = run.design.terms(steps.stretch.lines.start);
+        for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
+            add(state as usize, h, answers.u, &sums.upsilon);
+        }
+        let bar = &mut work.measured;
+        bar.noise.clear();
+        bar.noise.push(sums.noise + 0.5 * answers.uu);
+        bar.value.clear();
+        bar.value.push(-answers.u);
+        bar.h.clear();
+        if run.wanted.equation {
+            bar.h.extend(sums.h.iter().zip(&answers.h).map(|(design, data)| design + data));
+            bar.h.extend((N..run.design.frame.n).map(|s| resting(&work.now, s, answers.u, &sums.upsilon)));
+        }
+        let Some(transition) = steps.stretch.transition else { return };
+        let (pattern, bar) = (&transition.pattern, &mut work.moved);
+        bar.input.clear();
+        bar.q.clear();
+        bar.q.extend(pattern.pairs.iter().map(|&(i, j)| {
+            let one = sums.q[i as usize][j as usize] + 0.5 * answers.rr[i as usize][j as usize];
+            if i == j { one } else { 2.0 * one }
+        }));
+        bar.phi.clear();
+        bar.phi.resize(transition.phi.len(), 0.0);
+        for row in &pattern.moved {
+            let i = row.state as usize;
+            for k in row.start as usize..row.end as usize {
+                let j = pattern.columns[k] as usize;
+                if j >= N {
+                    add(j, transition.phi[k], answers.r[i], &sums.rho[i]);
+                }
+                if run.wanted.motion {
+                    let rests = || resting(&work.now, j, answers.r[i], &sums.rho[i]);
+                    bar.phi[k] = if j < N { sums.phi[i][j] + answers.phi[i][j] } else { rests() };
+                }
+            }
+        }
+    }
+}
+
+/// ux - υ(ΨC)' of a state that rests.
+fn resting<const C: usize>(now: &FilteredMoments, state: usize, u: f64, upsilon: &[f64; C]) -> f64 {
+    let Psi = &now.Psi[state * C..][..C];
+    u * now.x[state] - upsilon.iter().zip(Psi).map(|(upsilon, Psi)| upsilon * Psi).sum::<f64>()
+}
