@@ -59,8 +59,9 @@ pub(crate) fn fit(
     }
     let fit = first.expect("there is at least one method");
     work.say(|| "standard errors and intervals".to_owned());
-    let (inference, parameters) =
-        dynamic::infer(model, &tests, &fit, patience(job.choices, work)).map_err(|error| failure(error, &reading))?;
+    let choices = patience(job.choices, work);
+    let found = dynamic::infer(model, (&reading.labels, &tests), &fit, choices, work);
+    let (inference, parameters) = found.map_err(|error| failure(error, &reading))?;
     let parts =
         DynamicParts { model, labels: &reading.labels, fit: &fit, inference: &inference, parameters: &parameters };
     let mut record = FitRecord::dynamic(&parts, given.provenance(spec, work.seconds()));
@@ -128,6 +129,7 @@ pub(crate) fn failure(error: DynamicError, reading: &DataReading) -> Failure {
     match error {
         DynamicError::Reduce(error) => Failure::Reduce { error: *error, reading: Some(Box::new(reading.clone())) },
         DynamicError::Fit(error) => Failure::Fit(error),
+        DynamicError::Interrupted => Failure::Interrupted,
         error @ (DynamicError::Grouping(_)
         | DynamicError::Marginal { .. }
         | DynamicError::Expected { .. }

@@ -34,7 +34,8 @@ pub(crate) fn record(
 ) -> Result<(FitRecord, Population), Failure> {
     let structure = Structure::of(&spec.model, alpha, sorted.levels.map(|(grouping, _)| grouping));
     let estimate = estimate::fit(reductions, &structure, &job.settings, work).map_err(Failure::Fit)?;
-    let inference = infer::infer(&estimate, reductions, patience(job.choices, work));
+    let choices = patience(job.choices, work);
+    let inference = infer::infer_while(&spec.model, (&estimate, reductions), choices, work);
     let provenance = given.provenance(spec, work.seconds());
     let mut record = FitRecord::new(&spec.model, alpha, reductions, &estimate, &inference, provenance);
     if let Some((grouping, labels)) = sorted.levels {

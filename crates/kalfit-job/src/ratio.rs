@@ -72,7 +72,7 @@ pub(crate) fn test(
             Some((asked, found.ok_or(Failure::Interrupted)?))
         }
     };
-    let inferred = [bench.infer(null, &narrow)?, bench.infer(&wide, &full)?];
+    let inferred = [bench.infer(null, &narrow, work)?, bench.infer(&wide, &full, work)?];
     let sides = DynamicSides {
         null: parts_of(null, &reading.labels, &narrow, &inferred[0]),
         alternative: parts_of(&wide, &reading.labels, &full, &inferred[1]),
@@ -114,9 +114,15 @@ impl FreeParameterTest<'_> {
         self.fit_with(model, &self.settings, work)
     }
 
-    fn infer(&self, model: &PhasedModel, fit: &DynamicFit) -> Result<(Inference, Vec<ParameterInference>), Failure> {
+    fn infer(
+        &self,
+        model: &PhasedModel,
+        fit: &DynamicFit,
+        work: &mut JobWork<'_>,
+    ) -> Result<(Inference, Vec<ParameterInference>), Failure> {
         let choices = Choices { deletion: DeletionChoice::None, ..Choices::default() };
-        dynamic::infer(model, self.tests, fit, choices).map_err(|error| failure(error, self.reading))
+        let data = (&self.reading.labels, self.tests);
+        dynamic::infer(model, data, fit, choices, work).map_err(|error| failure(error, self.reading))
     }
 
     /// The model fitted again, from the hypothesis and from elsewhere, when the hypothesis has the higher likelihood.

@@ -17,8 +17,8 @@ pub struct ProgressShare {
     pub of: u64,
 }
 
-/// Somebody who waits for a job.
-pub trait JobWatch {
+/// Somebody who waits for a job: heard in whatever thread works at it.
+pub trait JobWatch: Send {
     /// Hears what is being done now. The words are made only when they are asked for.
     fn say(&mut self, what: &dyn Fn() -> String);
 
@@ -92,12 +92,17 @@ impl Progress for JobWork<'_> {
         });
     }
 
-    fn stage(&mut self, stage: Stage) {
+    fn stage(&mut self, stage: Stage<'_>) {
         self.slow |= matches!(stage, Stage::Slow);
         self.say(|| match stage {
             Stage::StartValues { filter_runs } => format!("start values: filter run {}", filter_runs + 1),
             Stage::Filters { filter_runs } => format!("search: filter run {}", filter_runs + 1),
             Stage::Slow => "search: EM is slow here, the hybrid method takes fewer runs".to_owned(),
+            Stage::Interval { of, is_upper, filter_runs } => {
+                let end = if is_upper { "upper" } else { "lower" };
+                let runs = if filter_runs > 0 { format!(": filter run {}", filter_runs + 1) } else { String::new() };
+                format!("interval of {of}, {end} end{runs}")
+            }
             _ => "fitting".to_owned(),
         });
     }
@@ -143,6 +148,9 @@ mod tests {
         assert_eq!(told(&|work| work.step(step(None))), "pass 4: log-likelihood 926723.21");
         assert_eq!(told(&|work| work.stage(Stage::StartValues { filter_runs: 0 })), "start values: filter run 1");
         assert_eq!(told(&|work| work.stage(Stage::Filters { filter_runs: 11 })), "search: filter run 12");
+        let interval = |filter_runs| Stage::Interval { of: "`tau1`", is_upper: filter_runs == 0, filter_runs };
+        assert_eq!(told(&|work| work.stage(interval(0))), "interval of `tau1`, upper end");
+        assert_eq!(told(&|work| work.stage(interval(7))), "interval of `tau1`, lower end: filter run 8");
         let slowly = told(&|work| {
             work.stage(Stage::Slow);
             work.step(step(None));

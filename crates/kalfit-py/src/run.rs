@@ -53,7 +53,7 @@ impl<R> MessageSender<R> {
     }
 }
 
-impl<R> JobWatch for MessageSender<R> {
+impl<R: Send> JobWatch for MessageSender<R> {
     fn say(&mut self, what: &dyn Fn() -> String) {
         self.tell(what, None);
     }

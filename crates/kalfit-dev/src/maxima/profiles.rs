@@ -1,8 +1,9 @@
 //! Whether profile intervals end where they say: at each end of an interval the value is held, and all others are fitted from
 //! several starts. The highest of these fits must lie χ²₁'s 95 % quantile, halved, below the maximum.
 
+use kalfit::Labels;
 use kalfit::dynamic::{self, DynamicFit};
-use kalfit::estimate::Stop;
+use kalfit::estimate::{Silent, Stop};
 use kalfit::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
 use kalfit::model::{Expression, Value};
 use rand_chacha::ChaCha8Rng;
@@ -40,7 +41,8 @@ pub(super) fn ends(drawn: &DrawnModel, seed: u64, random: &mut ChaCha8Rng) -> In
         deletion: DeletionChoice::None,
         tests: TestsChoice::None,
     };
-    let Ok((_, parameters)) = dynamic::infer(&model, &drawn.tests, &fit, choices) else { return found };
+    let data = (&Labels::default(), &drawn.tests[..]);
+    let Ok((_, parameters)) = dynamic::infer(&model, data, &fit, choices, &mut Silent) else { return found };
     let of_noises = |slot: usize| {
         let named = |(.., c): &(usize, usize, Expression)| *c == Expression::Parameter(slot);
         drawn.model.phases.iter().any(|phase| phase.model.noise_covariance.iter().any(named))

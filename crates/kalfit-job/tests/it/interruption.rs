@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use kalfit::dynamic::Method;
 use kalfit::estimate::Solver;
+use kalfit::infer::IntervalKind;
 use kalfit_job::{Document, ExchangeJob, Failure, FitJob, JobWatch, ModelJob};
 
 /// Stops a job once it has heard these words so many times.
@@ -41,6 +42,10 @@ fn sleep() -> FitJob {
     job("random-coefficients/sleepstudy.toml", "random-coefficients/sleepstudy.csv")
 }
 
+fn ovary() -> FitJob {
+    job("gauss-markov/ovary.toml", "gauss-markov/ovary.csv")
+}
+
 #[test]
 fn a_search_that_is_stopped_ends_with_its_best_so_far_and_says_so() {
     let whole = kalfit_job::fit(&bench(), &mut Impatient { words: "nothing says this", times: 1 }).unwrap().record;
@@ -70,6 +75,53 @@ fn a_search_for_parameters_stops_by_every_method() {
         assert!(record.reason.contains("interrupted"), "{method:?}: {}", record.reason);
         assert!(record.starts.is_empty(), "{method:?}: no other start was tried");
     }
+}
+
+#[test]
+fn intervals_that_are_stopped_are_those_from_standard_errors_and_it_says_so() {
+    for (words, runs) in [("interval of `", "filter run"), ("interval of the", "")] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut job = ovary();
+        let wald = kalfit_job::fit(&job, &mut Impatient { words: "nothing says this", times: 1 }).unwrap().record;
+        job.choices.intervals = IntervalKind::Profile;
+        job.out = Some(folder.path().join("fit.json"));
+        let mut heard = Listener::default();
+        let whole = kalfit_job::fit(&job, &mut heard).unwrap();
+        assert!(heard.0.iter().any(|said| said.contains(words) && said.contains(runs)), "{:?}", heard.0);
+        assert_eq!((whole.record.intervals.as_str(), whole.written.len()), ("profile", 1));
+        std::fs::remove_file(folder.path().join("fit.json")).unwrap();
+        let done = kalfit_job::fit(&job, &mut Impatient { words, times: 2 }).unwrap();
+        assert!(done.record.converged, "{}", done.record.reason);
+        assert_eq!((&done.record.parameters, &done.record.intervals), (&wald.parameters, &wald.intervals));
+        assert!(done.record.notes.iter().any(|note| note.contains("interrupted")), "{:?}", done.record.notes);
+        assert!(!folder.path().join("fit.json").exists(), "nobody waits for the file");
+    }
+}
+
+/// Stops at once when it has heard these words, and counts how often they are said after that.
+struct Deaf(&'static str, Option<usize>);
+
+impl JobWatch for Deaf {
+    fn say(&mut self, what: &dyn Fn() -> String) {
+        if what().contains(self.0) {
+            self.1 = Some(self.1.map_or(0, |later| later + 1));
+        }
+    }
+
+    fn stops(&self) -> bool {
+        self.1.is_some()
+    }
+}
+
+#[test]
+fn no_filter_runs_for_intervals_once_nobody_waits() {
+    let mut job = ovary();
+    job.choices.intervals = IntervalKind::Profile;
+    let mut deaf = Deaf("end: filter run ", None);
+    let record = kalfit_job::fit(&job, &mut deaf).unwrap().record;
+    assert_eq!(record.intervals, "wald");
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    assert!(deaf.1.is_some_and(|later| later <= threads), "{:?}", deaf.1);
 }
 
 #[test]

@@ -23,6 +23,9 @@ pub enum DynamicError {
         /// Number of free values.
         free: usize,
     },
+    /// Nobody waits any longer.
+    #[error("interrupted")]
+    Interrupted,
     /// Expected information of free parameters where it is not worked out.
     #[error(
         "standard errors from the expected information beside free parameters (`{parameter}`) are for tests given as rows, without \
@@ -51,7 +54,7 @@ impl DynamicError {
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             DynamicError::Reduce(error) => error.hint(),
-            DynamicError::Fit(_) => None,
+            DynamicError::Fit(_) | DynamicError::Interrupted => None,
             DynamicError::Grouping(GroupingError::NoRows { .. }) => {
                 Some("give the rows of the test, which name its groups")
             }

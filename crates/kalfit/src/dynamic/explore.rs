@@ -14,7 +14,7 @@ use crate::dynamic::search_state::{RISE, SearchEnd, SearchStart, SearchState};
 use crate::dynamic::tries::valued;
 use crate::dynamic::twins::ordered;
 use crate::dynamic::{DynamicError, Explored, Method, Settings, start};
-use crate::estimate::{Progress, Silent, Stop};
+use crate::estimate::{Progress, Stop};
 
 /// Rows that may be filtered for it, all runs together.
 const ROWS: usize = 20_000_000;
@@ -128,17 +128,22 @@ fn by_method(
 }
 
 /// The best end that is found around another while a value is held; the other where none is higher.
-pub(super) fn around(objective: &ProfileLikelihood<'_>, end: SearchEnd, held: usize) -> SearchEnd {
+pub(super) fn around(
+    objective: &ProfileLikelihood<'_>,
+    end: SearchEnd,
+    held: usize,
+    progress: &mut dyn Progress,
+) -> SearchEnd {
     if !is_possible(objective) {
         return end;
     }
     let most = objective.filter_passes() + most(objective);
     let floor = end.home.value() + RISE;
-    let mut places = places(objective, &end, Some(held), &mut Silent);
-    places.extend(start::from_data(objective, Some((held, end.home.values[held])), &mut Silent));
+    let mut places = places(objective, &end, Some(held), progress);
+    places.extend(start::from_data(objective, Some((held, end.home.values[held])), progress));
     let mut found = places.into_iter().take_while(|_| objective.filter_passes() < most).filter_map(|place| {
-        let (home, mut silent) = (objective.solve(&place, None).ok()?, Silent);
-        let mut search = SearchState::new(objective, &mut silent, home).beyond(Some(floor));
+        let home = objective.solve(&place, None).ok()?;
+        let mut search = SearchState::new(objective, &mut *progress, home).beyond(Some(floor));
         search.hold(held);
         search.run().ok().filter(|found| found.stop == Stop::Certified && found.home.value() > floor)
     });

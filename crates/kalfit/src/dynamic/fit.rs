@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::search_state::SearchEnd;
+use crate::dynamic::slot_name::slot_name;
 use crate::dynamic::{
     DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
 };
 use crate::ensemble::Labels;
 use crate::estimate::{Combination, FitError, Progress, Stage, Stop};
-use crate::model::{Model, PhasedModel, Slots};
+use crate::model::{PhasedModel, Slots};
 use crate::reduce::{Evidence, PhasedTest, grouping};
 use crate::remote::Answers;
 use crate::score::dependences;
@@ -49,7 +50,7 @@ pub fn fit(
         given_up: end.given_up,
     };
     let others = ends.into_iter().map(other).collect();
-    let unbounded = vanishing.iter().map(|&s| name_of(model.shared(), labels, &slots, s)).collect();
+    let unbounded = vanishing.iter().map(|&s| slot_name(model.shared(), labels, &slots, s)).collect();
     finished(&objective, best, (others, explored, unbounded))
 }
 
@@ -141,18 +142,6 @@ fn searched(
         }
     }
     Ok((ends, first_error))
-}
-
-/// `` `tau` ``, or `` `sigma` for lot B ``.
-fn name_of(model: &Model, labels: &Labels, slots: &Slots, s: usize) -> String {
-    let slot = slots.slots()[s];
-    let parameter = &model.parameters[slot.parameter];
-    match (parameter.per, slot.level) {
-        (Some(column), Some(level)) => {
-            format!("`{}` for {} {}", parameter.name, model.text_columns[column].name, labels.text(level))
-        }
-        _ => format!("`{}`", parameter.name),
-    }
 }
 
 /// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.

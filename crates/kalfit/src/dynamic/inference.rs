@@ -1,26 +1,31 @@
 //! What each number of a fit with free α is worth.
 
+use crate::dynamic::before_runs::BeforeRuns;
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{
     Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, expected, interval, law, profile, sandwich,
 };
-use crate::estimate::{Criterion, Estimate, JointLaw, Stop};
-use crate::infer::{Choices, Inference, IntervalKind, QUANTILE, StdErrors, sensitivities};
+use crate::ensemble::Labels;
+use crate::estimate::{Criterion, Estimate, JointLaw, Progress, Stop};
+use crate::infer::{Choices, Inference, IntervalKind, QUANTILE, SharedProgress, StdErrors, inferred, sensitivities};
 use crate::model::PhasedModel;
 use crate::reduce::PhasedTest;
 
 /// A logarithm with a standard error beyond this is not determined by the data.
 const UNDETERMINED: f64 = 10.0;
 
-/// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α.
+/// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α. Whoever waits hears which
+/// interval is sought; once nobody does, intervals are those from standard errors, and fits without each test are left out.
 pub fn infer(
     model: &PhasedModel,
-    tests: &[PhasedTest],
+    (labels, tests): (&Labels, &[PhasedTest]),
     fit: &DynamicFit,
     choices: Choices,
+    progress: &mut dyn Progress,
 ) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
+    let progress = &SharedProgress::new(progress, Some(model));
     let ml = fit.estimate.criterion == Criterion::Ml;
     let objective = match fit.reductions.remote() {
         Some(remote) => {
@@ -41,24 +46,44 @@ pub fn infer(
         Some(asked) => {
             let mut other = fit.estimate.clone();
             other.state.joint = Some(law::joint(model, fit, asked));
-            let inference = crate::infer::infer(&other, &fit.reductions, wald);
+            let inference = inferred(&other, &fit.reductions, wald, progress);
             // score tests stay those of the observed information
             let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
             (inference, parameter_inferences(model, fit, asked))
         }
         None => {
-            let inference = crate::infer::infer(&estimate, &fit.reductions, wald);
+            let inference = inferred(&estimate, &fit.reductions, wald, progress);
             (inference, parameter_inferences(model, fit, &observed))
         }
     };
     if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
-        let kept = interval::profiles(&objective, fit, &observed, &mut parameters)?;
-        if fit.estimate.stop == Stop::Certified {
-            profile::profiles((&objective, fit), &estimate, &observed, (&mut inference, &parameters));
+        let from_errors = (inference.intervals.clone(), parameters.clone());
+        let goes_on = |runs| progress.goes_on(runs);
+        let objective = objective.while_waited_for(BeforeRuns(&goes_on));
+        let worth = (&mut inference, &mut parameters[..]);
+        let found = profiles((&objective, fit), (&estimate, &observed), worth, (labels, progress));
+        if progress.stops() {
+            (inference.intervals, parameters) = from_errors;
+        } else {
+            found?;
         }
-        inference.intervals.unprofiled += kept;
     }
     Ok((inference, parameters))
+}
+
+/// Puts profile intervals in the place of those from standard errors.
+fn profiles(
+    (objective, fit): (&ProfileLikelihood<'_>, &DynamicFit),
+    (estimate, observed): (&Estimate, &ValueCovariances),
+    (inference, parameters): (&mut Inference, &mut [ParameterInference]),
+    (labels, progress): (&Labels, &SharedProgress<'_>),
+) -> Result<(), DynamicError> {
+    let kept = interval::profiles(objective, fit, observed, parameters, (labels, progress))?;
+    if fit.estimate.stop == Stop::Certified {
+        profile::profiles((objective, fit), estimate, observed, (inference, parameters), progress);
+    }
+    inference.intervals.unprofiled += kept;
+    Ok(())
 }
 
 /// The estimate with the law of (α, μ, Σ) from the observed information, and that law.

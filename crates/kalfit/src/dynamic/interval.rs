@@ -9,9 +9,10 @@ use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::explore;
 use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::dynamic::search_state::{SearchEnd, SearchState};
+use crate::dynamic::slot_name::slot_name;
 use crate::dynamic::{DynamicError, DynamicFit, ParameterInference, Standing};
-use crate::estimate::Silent;
-use crate::infer::{Held, Holds, Profile, QUANTILE};
+use crate::ensemble::Labels;
+use crate::infer::{Held, Holds, Profile, QUANTILE, SharedProgress};
 use crate::model::Population;
 
 /// A logarithm this far away has no limit there.
@@ -31,6 +32,7 @@ pub(crate) fn profiles(
     fit: &DynamicFit,
     covariances: &ValueCovariances,
     parameters: &mut [ParameterInference],
+    (labels, progress): (&Labels, &SharedProgress<'_>),
 ) -> Result<usize, DynamicError> {
     let is_open = |parameter: &ParameterInference| {
         matches!(parameter.standing, Standing::Inside | Standing::Lower | Standing::Upper)
@@ -48,7 +50,8 @@ pub(crate) fn profiles(
         } else if is_open(parameter) {
             let error = covariances.alpha[slot].map(f64::sqrt);
             let others = others_of_value(objective, (&best.values, &others), slot);
-            parameter.interval = Some(HeldValue::new((objective, &best), slot).ends(others, error));
+            let name = slot_name(objective.model.shared(), labels, objective.slots, slot);
+            parameter.interval = Some(HeldValue::new((objective, &best), slot, progress).ends(name, others, error));
         }
     }
     Ok(kept)
@@ -56,12 +59,13 @@ pub(crate) fn profiles(
 
 /// The value in a slot, held at a way of its coordinate from its maximum; from where nothing can be felt yet if that is zero, as from
 /// there no logarithm leads away.
-struct HeldValue<'b, 'a> {
+struct HeldValue<'b, 'a, 'p> {
     objective: &'b ProfileLikelihood<'a>,
     best: &'b ProfilePoint,
     slot: usize,
     /// Where ways begin.
     from: f64,
+    progress: &'b SharedProgress<'p>,
 }
 
 /// The best ℓ with the value held, and places of other branches.
@@ -73,7 +77,7 @@ struct Branch {
     is_new: bool,
 }
 
-impl Holds for HeldValue<'_, '_> {
+impl Holds for HeldValue<'_, '_, '_> {
     const PRECISION: f64 = 1e-4;
     const ATTAINS_LIMITS: bool = true;
     type What = ();
@@ -93,23 +97,28 @@ impl Holds for HeldValue<'_, '_> {
     }
 }
 
-impl<'b, 'a> HeldValue<'b, 'a> {
-    fn new((objective, best): (&'b ProfileLikelihood<'a>, &'b ProfilePoint), slot: usize) -> HeldValue<'b, 'a> {
+impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
+    fn new(
+        (objective, best): (&'b ProfileLikelihood<'a>, &'b ProfilePoint),
+        slot: usize,
+        progress: &'b SharedProgress<'p>,
+    ) -> HeldValue<'b, 'a, 'p> {
         let value = best.values[slot];
         let from =
             if objective.coordinates[slot].log && value == 0.0 { TRACE * objective.units()[slot] } else { value };
-        HeldValue { objective, best, slot, from }
+        HeldValue { objective, best, slot, from, progress }
     }
 
     /// Both ends; `error` is the standard error of the coordinate, if it has one. `None` where no value is unlikely enough.
-    fn ends(&self, others: Vec<Vec<f64>>, error: Option<f64>) -> [Option<f64>; 2] {
+    fn ends(&self, name: String, others: Vec<Vec<f64>>, error: Option<f64>) -> [Option<f64>; 2] {
         let coordinate = self.objective.coordinates[self.slot];
         let (far, longest) = if coordinate.log { (FAR, STRIDE) } else { (f64::INFINITY, f64::INFINITY) };
         let bounds = [coordinate.lower, coordinate.upper];
         let way = |bound: f64| (coordinate.of_value(bound) - coordinate.of_value(self.from)).clamp(-far, far);
         let limits = bounds.map(|bound| Some(way(bound)).filter(|limit| limit.is_finite()));
         let maximum = self.best.value();
-        let profile = Profile { holder: self, what: (), centre: 0.0, maximum, quantile: QUANTILE, limits };
+        let (centre, quantile, progress) = (0.0, QUANTILE, self.progress);
+        let profile = Profile { holder: self, what: (), name, centre, maximum, quantile, limits, progress };
         let start = Branch { home: self.best.clone(), others, is_new: false };
         let one = |(side, sign): (usize, f64)| {
             let bound = bounds[side];
@@ -137,7 +146,7 @@ impl<'b, 'a> HeldValue<'b, 'a> {
 
     /// The best ℓ with the value held here: from nearby, where that is too low from other ends, and at the quantile from around it.
     fn highest(&self, near: &Branch, tried: f64) -> Option<Branch> {
-        let from = |values: &[f64]| held(self.objective, &near.home, values, (self.slot, tried));
+        let from = |values: &[f64]| self.held_from(&near.home, values, tried);
         let at = |root: f64| self.best.value() - 0.5 * root * root;
         let value = |end: &SearchEnd| end.home.value();
         let likely = at(QUANTILE - Self::PRECISION);
@@ -147,32 +156,28 @@ impl<'b, 'a> HeldValue<'b, 'a> {
             return Some(Branch { home: end.home, others, is_new: false });
         }
         let before = end.home.values.clone();
-        let home = explore::around(self.objective, end, self.slot).home; // ℓ may be higher elsewhere
+        let mut progress = self.progress;
+        let home = explore::around(self.objective, end, self.slot, &mut progress).home; // ℓ may be higher elsewhere
         let is_new = !alike(&before, &home.values, ALIKE);
         if is_new {
             others.push(home.values.clone());
         }
         Some(Branch { home, others, is_new })
     }
-}
 
-/// The best ℓ with a value held, from these values.
-fn held(
-    objective: &ProfileLikelihood<'_>,
-    near: &ProfilePoint,
-    values: &[f64],
-    (slot, value): (usize, f64),
-) -> Option<SearchEnd> {
-    let mut values = values.to_vec();
-    values[slot] = value;
-    let population = Population::from(&near.estimate);
-    let home = objective.solve(&values, Some(&population)).ok()?;
-    let mut silent = Silent;
-    let mut search = SearchState::new(objective, &mut silent, home);
-    search.hold(slot);
-    let end = search.run().ok()?;
-    debug_assert!(end.home.values[slot] == value, "a held value stays");
-    Some(end)
+    /// The same from these values alone.
+    fn held_from(&self, near: &ProfilePoint, values: &[f64], tried: f64) -> Option<SearchEnd> {
+        let mut values = values.to_vec();
+        values[self.slot] = tried;
+        let population = Population::from(&near.estimate);
+        let home = self.objective.solve(&values, Some(&population)).ok()?;
+        let mut progress = self.progress;
+        let mut search = SearchState::new(self.objective, &mut progress, home);
+        search.hold(self.slot);
+        let end = search.run().ok()?;
+        debug_assert!(end.home.values[self.slot] == tried, "a held value stays");
+        Some(end)
+    }
 }
 
 #[cfg(test)]
@@ -181,8 +186,7 @@ mod tests {
     use crate::dynamic::branches::WITHIN;
     use crate::dynamic::tests::{settings, twins, with_processes};
     use crate::dynamic::{Method, fit};
-    use crate::ensemble::Labels;
-    use crate::estimate::Criterion;
+    use crate::estimate::{Criterion, Silent};
     use crate::model::Slots;
 
     #[test]
@@ -195,10 +199,12 @@ mod tests {
         let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
         let best = objective.solve(&fit.sought, None).expect("defined");
         let others = others(&objective, &fit);
+        let mut silent = Silent;
+        let progress = SharedProgress::new(&mut silent, None);
         let profile = |slot: usize, value: f64| {
             let others = others_of_value(&objective, (&best.values, &others), slot);
             let start = Branch { home: best.clone(), others, is_new: false };
-            let found = HeldValue::new((&objective, &best), slot).highest(&start, value).expect("defined");
+            let found = HeldValue::new((&objective, &best), slot, &progress).highest(&start, value).expect("defined");
             best.value() - found.home.value()
         };
         let (mut likely, mut unlikely) = (0, 0);

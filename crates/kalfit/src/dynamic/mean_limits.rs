@@ -5,11 +5,12 @@ use nalgebra::DVector;
 use rayon::prelude::*;
 
 use crate::dynamic::DynamicFit;
+use crate::dynamic::before_runs::BeforeRuns;
 use crate::dynamic::inference::with_law;
 use crate::dynamic::outer::{HeldQuantity, Outer, WarmStart};
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
-use crate::estimate::{Estimate, Point};
-use crate::infer::{AsymptoticLaw, Held, HeldMaximum, Holder, Holds, MeanCombination, Profile};
+use crate::estimate::{Estimate, Point, Progress};
+use crate::infer::{AsymptoticLaw, Held, HeldMaximum, Holder, Holds, MeanCombination, Profile, SharedProgress};
 use crate::model::{Alpha, PhasedModel, Population};
 use crate::reduce::PhasedTest;
 
@@ -23,16 +24,18 @@ pub type MeansAt<'a> = &'a (dyn Fn(&Alpha) -> Option<Vec<MeanCombination>> + Syn
 
 /// Between which values the likelihood-ratio test keeps each predicted mean: those whose ℓ_max, over α, μ and Σ, is within half the
 /// square of `quantile` of the maximum. Both are the estimate where nothing that was estimated moves it; `None` where an end is not
-/// found.
+/// found, as is none once nobody waits any longer.
 pub fn mean_limits(
-    model: &PhasedModel,
-    tests: &[PhasedTest],
+    (model, tests): (&PhasedModel, &[PhasedTest]),
     fit: &DynamicFit,
-    means: MeansAt<'_>,
-    quantile: f64,
+    (means, quantile): (MeansAt<'_>, f64),
+    progress: &mut dyn Progress,
 ) -> Vec<Option<[f64; 2]>> {
+    let progress = &SharedProgress::new(progress, Some(model));
     let objective = ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings);
     let (estimate, covariances) = with_law(&objective, fit);
+    let goes_on = |runs| progress.goes_on(runs);
+    let objective = objective.while_waited_for(BeforeRuns(&goes_on));
     let Some(home) = means(&fit.alpha) else { return Vec::new() };
     let outer = Outer::new((&objective, fit), &estimate, &covariances);
     let population = Population::from(&estimate);
@@ -46,7 +49,8 @@ pub fn mean_limits(
         }
         let step = quantile * outer.error(mean)?;
         let maximum = estimate.state.newton_iterate.local.value;
-        let profile = Profile { holder: &means, what: number, centre, maximum, quantile, limits: [None; 2] };
+        let (name, limits) = (format!("predicted mean {}", number + 1), [None; 2]);
+        let profile = Profile { holder: &means, what: number, name, centre, maximum, quantile, limits, progress };
         profile.ends(&WarmStart::best(fit, &estimate), step)
     };
     (0..home.len()).into_par_iter().map(limits).collect()

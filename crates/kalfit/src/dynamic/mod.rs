@@ -7,6 +7,7 @@
 //! ```
 
 mod balance;
+mod before_runs;
 mod branches;
 mod colours;
 mod coordinates;
@@ -48,6 +49,7 @@ mod scales;
 mod search;
 mod search_state;
 mod settings;
+mod slot_name;
 mod standing;
 mod start;
 mod stepwise;

@@ -13,7 +13,7 @@ use crate::dynamic::outer::{Outer, WarmStart};
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{DynamicFit, ParameterInference};
 use crate::estimate::{Criterion, Estimate};
-use crate::infer::{Holdable, Inference, IntervalKind, free, profiled, quantities};
+use crate::infer::{Holdable, Inference, IntervalKind, SharedProgress, free, profiled, quantities};
 use crate::model::{CovarianceKind, Expression};
 
 /// So many quantities have profiles.
@@ -27,6 +27,7 @@ pub(crate) fn profiles(
     estimate: &Estimate,
     covariances: &ValueCovariances,
     (inference, parameters): (&mut Inference, &[ParameterInference]),
+    progress: &SharedProgress<'_>,
 ) {
     let all = quantities(&estimate.state.problem.covariance.elements, estimate.coefficients.len());
     let moved = moved_elements(objective, fit);
@@ -47,7 +48,8 @@ pub(crate) fn profiles(
     let is_done = |what: &Holdable| wanted.contains(what) || entries.iter().any(|(entry, _)| entry == what);
     intervals.unprofiled = due.iter().filter(|what| !is_done(what)).count();
     let outer = Outer::new((objective, fit), estimate, covariances);
-    intervals.follow((estimate, &inference.uncertainty), &wanted, &outer, &WarmStart::best(fit, estimate));
+    let start = WarmStart::best(fit, estimate);
+    intervals.follow((estimate, &inference.uncertainty), &wanted, (&outer, &start), progress);
 }
 
 /// Elements of Σ beside its diagonal that parameters in matrices of its structure move.

@@ -9,6 +9,7 @@ use std::sync::{Arc, OnceLock};
 use nalgebra::DVector;
 use rayon::prelude::*;
 
+use crate::dynamic::before_runs::BeforeRuns;
 use crate::dynamic::edges::Edges;
 use crate::dynamic::indirect::{Around, Indirect};
 use crate::dynamic::matrices::{self, matrix_gradient};
@@ -53,6 +54,8 @@ pub(crate) struct ProfileLikelihood<'a> {
     /// What is known of the tests, where they are elsewhere.
     answers: Option<Arc<Answers>>,
     batching: Batching,
+    /// Asked before each run of the filters.
+    before_runs: Option<BeforeRuns<'a>>,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
@@ -144,6 +147,7 @@ impl<'a> ProfileLikelihood<'a> {
             scale: Scale::of(model, tests, slots),
             answers: None,
             batching: Batching::default(),
+            before_runs: None,
             filter_passes: zero(),
             score_passes: zero(),
             passes: zero(),
@@ -165,6 +169,17 @@ impl<'a> ProfileLikelihood<'a> {
             units: units.into(),
             ..objective
         }
+    }
+
+    /// The same as long as somebody waits: nothing is defined any longer once nobody does.
+    pub(crate) fn while_waited_for(self, before_runs: BeforeRuns<'a>) -> ProfileLikelihood<'a> {
+        ProfileLikelihood { before_runs: Some(before_runs), ..self }
+    }
+
+    /// Somebody still waits for what is worked out.
+    fn go_on(&self) -> Result<(), DynamicError> {
+        let goes_on = self.before_runs.is_none_or(|BeforeRuns(asks)| asks(self.filter_passes()));
+        if goes_on { Ok(()) } else { Err(DynamicError::Interrupted) }
     }
 
     /// The groups that tests stand in, where the model has levels.
@@ -297,6 +312,7 @@ impl<'a> ProfileLikelihood<'a> {
 
     /// Runs the filters.
     fn filter(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
+        self.go_on()?;
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
@@ -349,6 +365,7 @@ impl<'a> ProfileLikelihood<'a> {
         far: f64,
     ) -> Result<Option<AtScale>, DynamicError> {
         let Some(scale) = &self.scale else { return Ok(None) };
+        self.go_on()?;
         let how = (&self.structure(alpha), near, &self.settings.inner);
         let run = |value| Ok(self.filter(&[value])?.reductions);
         let found = scale.fit((values[0], self.coordinates[0]), (far, &run), how)?;
@@ -507,6 +524,7 @@ impl<'a> ProfileLikelihood<'a> {
         reduced: &Reduced,
         law: &InitialLaw,
     ) -> Result<Vec<Gradient>, DynamicError> {
+        self.go_on()?;
         let Reduced { reducer, reductions, filtered } = reduced;
         if let Some(remote) = reductions.remote() {
             self.score_passes.fetch_add(1, Ordering::Relaxed);

@@ -180,7 +180,7 @@ pub(super) struct SubsampleProgress<'a, 'b> {
 }
 
 impl Progress for SubsampleProgress<'_, '_> {
-    fn stage(&mut self, _: Stage) {
+    fn stage(&mut self, _: Stage<'_>) {
         self.progress.stage(Stage::StartValues { filter_runs: self.small.filter_passes() });
     }
 

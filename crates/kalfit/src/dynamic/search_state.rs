@@ -178,7 +178,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     }
 
     /// Says how it goes.
-    pub(super) fn say(&mut self, stage: Stage) {
+    pub(super) fn say(&mut self, stage: Stage<'_>) {
         self.progress.stage(stage);
     }
 

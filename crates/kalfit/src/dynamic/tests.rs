@@ -330,7 +330,7 @@ fn of_one_test_the_restricted_likelihood_says_nothing_of_the_covariance() {
         let (labels, tests) = ensemble(&model, 1, rows);
         let fit = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
         assert_eq!(fit.stop, Stop::Certified, "{rows} rows");
-        let (inference, _) = infer(&model, &tests, &fit, Choices::default()).expect("inferred");
+        let (inference, _) = infer(&model, (&labels, &tests), &fit, Choices::default(), &mut Silent).expect("inferred");
         let found = inference.uncertainty;
         assert!(found.errors.mean.iter().all(Option::is_some), "{rows} rows: {found:?}");
         assert!(found.errors.covariance.iter().flatten().all(Option::is_none), "{rows} rows: {found:?}");
@@ -460,7 +460,7 @@ fn profile_intervals_end_where_the_likelihood_has_fallen_by_the_quantile() {
         let settings = settings(Method::Hybrid, Criterion::Ml);
         let best = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
         let choices = Choices { intervals: IntervalKind::Profile, ..Choices::default() };
-        let (_, parameters) = infer(&model, &tests, &best, choices).expect("inferred");
+        let (_, parameters) = infer(&model, (&labels, &tests), &best, choices, &mut Silent).expect("inferred");
         for (slot, parameter) in best.slots.slots().iter().zip(&parameters).filter(|(slot, _)| slot.level.is_none()) {
             for end in parameter.interval.expect("determined").into_iter().flatten().filter(|end| *end != 0.0) {
                 let mut held = model.clone();

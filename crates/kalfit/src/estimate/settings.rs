@@ -88,7 +88,7 @@ pub struct Step {
 /// What is done beside the steps of a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Stage {
+pub enum Stage<'a> {
     /// Start values of free parameters are sought.
     StartValues {
         /// Filter runs that it took so far.
@@ -101,18 +101,28 @@ pub enum Stage {
     },
     /// EM over free parameters gains slowly here, and another method would take far fewer runs.
     Slow,
+    /// An end of an interval by profile likelihood is sought.
+    Interval {
+        /// What the interval is of: `` `tau` ``, or ``the mean of `bias` ``.
+        of: &'a str,
+        /// The upper end, not the lower one.
+        is_upper: bool,
+        /// Filter runs since the search ended; none where α is known.
+        filter_runs: usize,
+    },
 }
 
-/// Listens to the search.
-pub trait Progress {
+/// Listens to the search, and to what is inferred from its end: there in whatever thread works at it.
+pub trait Progress: Send {
     /// Called when something begins that may take long, before the first step and between steps.
-    fn stage(&mut self, _: Stage) {}
+    fn stage(&mut self, _: Stage<'_>) {}
 
     /// Called after each accepted step.
     fn step(&mut self, step: Step);
 
     /// True once the search is to end where it is, with [`Stop::Interrupted`](crate::estimate::Stop::Interrupted). It is asked
-    /// between steps.
+    /// between steps; and while intervals by profile likelihood are sought, before each run of the filters: those from standard errors
+    /// stand for them then.
     fn stops(&self) -> bool {
         false
     }

@@ -61,7 +61,7 @@ fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress)
             seed: options.seed,
         };
         let found = dynamic::fit(model, labels, tests, &search, progress)?;
-        let (inference, parameters) = dynamic::infer(model, tests, &found, options.choices)?;
+        let (inference, parameters) = dynamic::infer(model, (labels, tests), &found, options.choices, progress)?;
         let parts = DynamicParts { model, labels, fit: &found, inference: &inference, parameters: &parameters };
         let mut record = FitRecord::dynamic(&parts, Provenance::default());
         record.add_levels((model, labels), found.estimate.grouping().map(|grouping| &**grouping), &inference);
@@ -89,7 +89,7 @@ pub(super) fn of_reductions(
     progress: &mut dyn Progress,
 ) -> Result<Fit, EnsembleError> {
     let estimate = estimate::fit(&reductions, &Structure::of(model, alpha, grouping), &options.settings, progress)?;
-    let inference = infer::infer(&estimate, &reductions, options.choices);
+    let inference = infer::infer_while(model, (&estimate, &reductions), options.choices, progress);
     let record = FitRecord::new(model, alpha, &reductions, &estimate, &inference, Provenance::default());
     Ok(Fit { model: model.clone(), alpha: alpha.clone(), reductions, estimate, inference, record })
 }

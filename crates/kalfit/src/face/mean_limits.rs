@@ -38,7 +38,10 @@ impl Ensemble {
         if !slots.is_empty() {
             let fit = dynamic::fit(model, labels, tests, &dynamic::Settings::default(), progress)?;
             let converged = fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified;
-            let limits = if converged { dynamic::mean_limits(model, tests, &fit, means, quantile) } else { Vec::new() };
+            let limits = match converged {
+                true => dynamic::mean_limits((model, tests), &fit, (means, quantile), progress),
+                false => Vec::new(),
+            };
             return Ok(MeanProfiles { log_likelihood: fit.estimate.log_likelihood, converged, limits });
         }
         let alpha = slots.alpha(model.shared(), &[]);
@@ -48,7 +51,7 @@ impl Ensemble {
         let found = estimate::fit(&reductions, &structure, &estimate::Settings::default(), progress)?;
         let converged = found.stop == Stop::Certified;
         let home = if converged { means(&alpha) } else { None };
-        let limits = infer::mean_limits(&found, &home.unwrap_or_default(), quantile);
+        let limits = infer::mean_limits(&found, &home.unwrap_or_default(), quantile, progress);
         Ok(MeanProfiles { log_likelihood: found.log_likelihood, converged, limits })
     }
 }

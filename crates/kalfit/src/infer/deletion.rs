@@ -4,13 +4,13 @@
 //! them is free: the sums over the others are the sums over all, less what the test says.
 
 use nalgebra::DMatrix;
-use rayon::prelude::*;
 
 use crate::estimate::{
     Class, ClimbLimits, CovarianceMap, Criterion, Estimate, Local, NewtonIterate, Objective, Order, Point, Problem,
     Silent, Stop, Sums, climb, fit_from,
 };
 use crate::infer::posterior::{Distance, distance};
+use crate::infer::progress::SharedProgress;
 use crate::model::Population;
 use crate::reduce::Reductions;
 
@@ -31,10 +31,14 @@ pub struct Deletion {
 const STEPS: usize = 12;
 
 /// The fit without each test that stands in no group, in the order of the reductions. `None` where the others alone have no certified
-/// optimum, and for the only test.
-pub(super) fn alone(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
+/// optimum, and for the only test; of all once nobody waits any longer.
+pub(super) fn alone(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    progress: &SharedProgress<'_>,
+) -> Option<Vec<Option<Deletion>>> {
     if reductions.len() < 2 {
-        return vec![None; reductions.len()];
+        return Some(vec![None; reductions.len()]);
     }
     let all = &All::of(estimate);
     let without = |j: usize| {
@@ -44,7 +48,7 @@ pub(super) fn alone(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<
         };
         Some(deletion(estimate, all, (reductions, j), &others))
     };
-    (0..reductions.len()).into_par_iter().map(without).collect()
+    progress.each(reductions.len(), without)
 }
 
 /// Rough number of multiplications that [`deletions`](super::deletions) takes: of each step the pass, and what is done with its Hessian.

@@ -1,9 +1,10 @@
 //! What is said of each test, whether tests stand in groups or not.
 
-use crate::estimate::{Estimate, Point, Problem};
+use crate::estimate::{Estimate, Point, Problem, Silent};
 use crate::infer::deletion::{self, Deletion};
 use crate::infer::levels::{self, GroupPosterior};
 use crate::infer::posterior::{self, Posterior};
+use crate::infer::progress::SharedProgress;
 use crate::reduce::Reductions;
 
 /// Posteriors of all tests, in their order.
@@ -34,9 +35,18 @@ pub(crate) fn posteriors_at(
 /// The fit without each test, in the order of the reductions. `None` where the others alone have no certified optimum, and for
 /// the only test.
 pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
+    deletions_while(estimate, reductions, &SharedProgress::new(&mut Silent, None)).unwrap_or_default()
+}
+
+/// As [`deletions`], as long as somebody waits; `None` when they no longer do.
+pub(crate) fn deletions_while(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    progress: &SharedProgress<'_>,
+) -> Option<Vec<Option<Deletion>>> {
     let evidence = estimate.state.evidence(reductions);
     match estimate.grouping() {
-        Some(_) => levels::deletions(estimate, &evidence).map_or(Vec::new(), |found| found.0),
-        None => deletion::alone(estimate, &evidence),
+        Some(_) => levels::deletions(estimate, &evidence, progress).map(|found| found.0),
+        None => deletion::alone(estimate, &evidence, progress),
     }
 }

@@ -1,6 +1,7 @@
 //! Ends of profile intervals: where the maximum of ℓ with one quantity held has fallen by as much as the interval allows.
 
 use crate::infer::held::Held;
+use crate::infer::progress::SharedProgress;
 
 /// Evaluations for one end; after so many, every second one halves the bracket, since where branches change slopes lead astray.
 const TRIES: usize = 30;
@@ -27,9 +28,11 @@ pub(crate) trait Holds: Sync {
 }
 
 /// The profile of one quantity.
-pub(crate) struct Profile<'a, H: Holds> {
+pub(crate) struct Profile<'a, 'p, H: Holds> {
     pub(crate) holder: &'a H,
     pub(crate) what: H::What,
+    /// What whoever waits calls it.
+    pub(crate) name: String,
     /// Its estimate.
     pub(crate) centre: f64,
     /// ℓ there.
@@ -38,9 +41,11 @@ pub(crate) struct Profile<'a, H: Holds> {
     pub(crate) quantile: f64,
     /// Values beyond which the quantity cannot go.
     pub(crate) limits: [Option<f64>; 2],
+    /// Once nobody waits any longer no end is found.
+    pub(crate) progress: &'a SharedProgress<'p>,
 }
 
-impl<H: Holds> Profile<'_, H> {
+impl<H: Holds> Profile<'_, '_, H> {
     /// Both ends, a first step to each side of this length; `None` where one is not found.
     pub(crate) fn ends(&self, start: &H::Near, step: f64) -> Option<[f64; 2]> {
         Some([self.end(start, -step)?, self.end(start, step)?])
@@ -62,10 +67,14 @@ impl<H: Holds> Profile<'_, H> {
         if limit.is_some_and(|limit| sign * (limit - self.centre) <= 1e-12 * step.abs()) {
             return limit;
         }
+        self.progress.seeks(&self.name, sign > 0.0);
         let mut near = start.clone();
         let (mut below, mut above, mut is_unlikely) = (self.centre, f64::INFINITY * sign, false); // the last: what is above
         let mut x = self.inside(self.centre + step, self.centre, limit, sign);
         for tries in 1..=TRIES {
+            if self.progress.stops() {
+                return None;
+            }
             let Some((zeta, slope, held)) = self.root(x, &near, sign) else {
                 (above, is_unlikely) = (x, false); // no certified maximum there: nearer
                 x = 0.5 * (below + x);
@@ -126,6 +135,7 @@ impl<H: Holds> Profile<'_, H> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimate::Silent;
 
     /// A profile that is known: ζ and its slope at a distance from the centre, `None` where no maximum is found.
     struct Known<F>(F);
@@ -145,8 +155,10 @@ mod tests {
     /// The upper and the lower end, which lie alike.
     fn end(profile: impl Fn(f64) -> Option<(f64, f64)> + Sync, step: f64, limit: Option<f64>) -> Option<f64> {
         let limits = [limit.map(|limit| -limit), limit];
-        let holder = Known(profile);
-        let profile = Profile { holder: &holder, what: (), centre: 0.0, maximum: 0.0, quantile: 2.0, limits };
+        let (holder, mut silent) = (Known(profile), Silent);
+        let progress = &SharedProgress::new(&mut silent, None);
+        let (centre, maximum, quantile, name) = (0.0, 0.0, 2.0, String::new());
+        let profile = Profile { holder: &holder, what: (), name, centre, maximum, quantile, limits, progress };
         let [lower, upper] = [profile.end(&(), -step), profile.end(&(), step)];
         println!("{lower:?} {upper:?}");
         assert_eq!(lower.map(|end| -end), upper);

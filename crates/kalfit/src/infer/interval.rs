@@ -7,6 +7,7 @@ use crate::infer::ends::{Holds, Profile};
 use crate::infer::held::{Held, HeldMaximum, Holder};
 use crate::infer::holdable::{Holdable, Quantities};
 use crate::infer::information::Uncertainty;
+use crate::infer::progress::SharedProgress;
 use crate::linalg::elements::Elements;
 
 /// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
@@ -71,9 +72,14 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
     found
 }
 
-/// Intervals by profile likelihood; of means under the restricted likelihood, which has no profile of them, Wald's. A quantity on the boundary has one too; one for which no certified maximum is found near
-/// an end has none there.
-pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Quantities<bool>) -> Intervals {
+/// Intervals by profile likelihood; of means under the restricted likelihood, which has no profile of them, Wald's. A quantity on the
+/// boundary has one too; one for which no certified maximum is found near an end has none there. `None` once nobody waits any longer.
+pub(super) fn profile(
+    estimate: &Estimate,
+    uncertainty: &Uncertainty,
+    free: &Quantities<bool>,
+    progress: &SharedProgress<'_>,
+) -> Option<Intervals> {
     let mut found = Intervals::none(IntervalKind::Profile, estimate);
     if estimate.criterion == Criterion::Reml {
         let wald = wald(estimate, uncertainty).ends;
@@ -81,8 +87,8 @@ pub fn profile(estimate: &Estimate, uncertainty: &Uncertainty, free: &Quantities
     }
     let wanted = profiled(estimate, free);
     let holder = Holder::new(&estimate.state);
-    found.follow((estimate, uncertainty), &wanted, &holder, &estimate.state.newton_iterate.point);
-    found
+    found.follow((estimate, uncertainty), &wanted, (&holder, &estimate.state.newton_iterate.point), progress);
+    (!progress.stops()).then_some(found)
 }
 
 /// Free quantities that have a profile: under the restricted likelihood means have none.
@@ -100,8 +106,8 @@ impl Intervals {
         &mut self,
         (estimate, uncertainty): (&Estimate, &Uncertainty),
         wanted: &[Holdable],
-        holder: &H,
-        start: &H::Near,
+        (holder, start): (&H, &H::Near),
+        progress: &SharedProgress<'_>,
     ) {
         let ends: Vec<Interval> = wanted
             .par_iter()
@@ -109,7 +115,8 @@ impl Intervals {
                 let centre = value(estimate, what)?;
                 let step = uncertainty.errors.of(what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
                 let maximum = estimate.state.newton_iterate.local.value;
-                let profile = Profile { holder, what, centre, maximum, quantile: QUANTILE, limits: limits(what) };
+                let (name, limits) = (progress.name(what), limits(what));
+                let profile = Profile { holder, what, name, centre, maximum, quantile: QUANTILE, limits, progress };
                 Some([profile.end(start, -step), profile.end(start, step)])
             })
             .collect();

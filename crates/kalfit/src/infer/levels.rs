@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use crate::estimate::{Estimate, LevelPosteriors, Order, Point, Problem, TestPosterior, Units, level_posteriors};
 use crate::infer::deletion::{Deletion, searched};
 use crate::infer::posterior::{Distance, Posterior, distance};
+use crate::infer::progress::SharedProgress;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
 
@@ -93,33 +94,36 @@ pub(super) fn posteriors(
 }
 
 /// The fit without each test, in their order, and without each group of each level, the innermost first. `None` where the others alone
-/// have no certified optimum, and where there are no others.
-pub(super) fn deletions(estimate: &Estimate, evidence: &Reductions) -> Option<(Deletions, Vec<Deletions>)> {
+/// have no certified optimum, and where there are no others; of all once nobody waits any longer.
+pub(super) fn deletions(
+    estimate: &Estimate,
+    evidence: &Reductions,
+    progress: &SharedProgress<'_>,
+) -> Option<(Deletions, Vec<Deletions>)> {
     let problem = &estimate.state.problem;
     let classes = problem.classes.of(evidence);
     let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
     let whole = problem.likelihood(&estimate.state.newton_iterate.point, Order::First).value;
-    let tests = (0..evidence.len()).into_par_iter().map(|j| {
+    let tests = progress.each(evidence.len(), |j| {
         let (point, found) = ensemble.without(estimate, &[j], whole)?;
         let (_, distance) = distance(problem, &point, evidence, j);
         Some(Deletion { distance, ..found })
-    });
-    let tests = tests.collect();
+    })?;
     let grouping = &ensemble.units.grouping;
-    let of_level = |level: usize| -> Deletions {
+    let of_level = |level: usize| -> Option<Deletions> {
         let mut members = vec![Vec::new(); grouping.groups(level).len()];
         for j in 0..evidence.len() {
             let number = grouping.number(evidence.id(j)).expect("it was grouped");
             members[grouping.group_of(number, level)].push(j);
         }
-        let without = |(group, members): (usize, &Vec<usize>)| {
-            let (point, found) = ensemble.without(estimate, members, whole)?;
+        let without = |group: usize| {
+            let (point, found) = ensemble.without(estimate, &members[group], whole)?;
             let own = &ensemble.at(&point).groups[level][group];
             Some(Deletion { distance: Distance::new(own.squared, own.degrees_of_freedom), ..found })
         };
-        members.par_iter().enumerate().map(without).collect()
+        progress.each(members.len(), without)
     };
-    Some((tests, (0..grouping.depth()).map(of_level).collect()))
+    Some((tests, (0..grouping.depth()).map(of_level).collect::<Option<_>>()?))
 }
 
 impl GroupedTests<'_> {

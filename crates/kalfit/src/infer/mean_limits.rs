@@ -3,10 +3,11 @@
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-use crate::estimate::{Estimate, Point};
+use crate::estimate::{Estimate, Point, Progress};
 use crate::infer::ends::{Holds, Profile};
 use crate::infer::held::{Held, HeldMaximum, Holder};
 use crate::infer::law::AsymptoticLaw;
+use crate::infer::progress::SharedProgress;
 use crate::model::Population;
 
 /// constant + weights'(μ, γ), in the user's units.
@@ -46,8 +47,14 @@ impl Holds for Combinations<'_> {
 
 /// Between which values the likelihood-ratio test keeps each combination, where the parameters are known: those whose ℓ_max is within
 /// half the square of `quantile` of the maximum. Both are the estimate where nothing that was estimated moves it; `None` where an end
-/// is not found.
-pub fn mean_limits(estimate: &Estimate, all: &[MeanCombination], quantile: f64) -> Vec<Option<[f64; 2]>> {
+/// is not found, as is none once nobody waits any longer.
+pub fn mean_limits(
+    estimate: &Estimate,
+    all: &[MeanCombination],
+    quantile: f64,
+    progress: &mut dyn Progress,
+) -> Vec<Option<[f64; 2]>> {
+    let progress = &SharedProgress::new(progress, None);
     let (law, population) = (AsymptoticLaw::new(&estimate.state), Population::from(estimate));
     let holder = Combinations { holder: Holder::new(&estimate.state), all };
     let limits = |(what, combination): (usize, &MeanCombination)| {
@@ -58,7 +65,8 @@ pub fn mean_limits(estimate: &Estimate, all: &[MeanCombination], quantile: f64) 
         }
         let step = Some(quantile * variance.sqrt()).filter(|step| *step > 0.0 && step.is_finite())?;
         let maximum = estimate.state.newton_iterate.local.value;
-        let profile = Profile { holder: &holder, what, centre, maximum, quantile, limits: [None; 2] };
+        let name = format!("predicted mean {}", what + 1);
+        let profile = Profile { holder: &holder, what, name, centre, maximum, quantile, limits: [None; 2], progress };
         profile.ends(&estimate.state.newton_iterate.point, step)
     };
     all.par_iter().enumerate().map(limits).collect()

@@ -27,6 +27,7 @@ mod observability;
 mod observed;
 mod phases;
 mod posterior;
+mod progress;
 mod ratio;
 mod reason;
 mod std_errors;
@@ -35,14 +36,14 @@ pub use crate::linalg::elements::Element;
 pub use constraint::{Sensitivity, sensitivities};
 pub use deletion::Deletion;
 pub use direction::{Direction, Quantity};
-pub(crate) use each::posteriors_at;
 pub use each::{deletions, posteriors};
+pub(crate) use each::{deletions_while, posteriors_at};
 pub use estimated::Estimated;
 pub use estimates::EstimateCovariance;
 pub use holdable::Quantities;
 pub use identifiability::{Examination, examine_at_start, identifiability};
 pub use information::{Boundary, Uncertainty, free, uncertainty};
-pub use interval::{Interval, IntervalKind, Intervals, profile, wald};
+pub use interval::{Interval, IntervalKind, Intervals, wald};
 pub use knowledge::{Estimand, Knowledge};
 pub use levels::GroupPosterior;
 pub use mean_limits::{MeanCombination, mean_limits};
@@ -66,10 +67,12 @@ pub(crate) use interval::{QUANTILE, profiled, quantities, value};
 pub(crate) use knowledge::MOST as MOST_OF_A_VALUE;
 pub(crate) use law::AsymptoticLaw;
 pub(crate) use observability::counted;
+pub(crate) use progress::SharedProgress;
 pub(crate) use ratio::replicates;
 pub(crate) use std_errors::PART;
 
-use crate::estimate::{Criterion, Estimate};
+use crate::estimate::{Criterion, Estimate, Progress, Silent};
+use crate::model::PhasedModel;
 use crate::reduce::Reductions;
 use deletion::deletion_work;
 
@@ -144,6 +147,27 @@ pub struct Inference {
 
 /// Infers all of it, from the reductions that the estimate was made from.
 pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> Inference {
+    inferred(estimate, reductions, choices, &SharedProgress::new(&mut Silent, None))
+}
+
+/// As [`infer`], as long as somebody waits, who hears which interval is sought. Once nobody does, intervals are those from standard
+/// errors, and fits without each test are left out.
+pub fn infer_while(
+    model: &PhasedModel,
+    (estimate, reductions): (&Estimate, &Reductions),
+    choices: Choices,
+    progress: &mut dyn Progress,
+) -> Inference {
+    inferred(estimate, reductions, choices, &SharedProgress::new(progress, Some(model)))
+}
+
+/// The same, where threads share whoever waits.
+pub(crate) fn inferred(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    choices: Choices,
+    progress: &SharedProgress<'_>,
+) -> Inference {
     let evidence = estimate.state.evidence(reductions);
     let Examination { unidentified, explanations, observability, phases } =
         identifiability::examine(estimate, &evidence, reductions);
@@ -152,10 +176,11 @@ pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> 
         Criterion::Reml => StdErrors::Observed, // what it adds to ℓ is no sum over tests
     };
     let (uncertainty, estimates) = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
-    let intervals = match choices.intervals {
-        IntervalKind::Wald => wald(estimate, &uncertainty),
-        IntervalKind::Profile => profile(estimate, &uncertainty, &free(estimate, &unidentified)),
+    let profiled = match choices.intervals {
+        IntervalKind::Wald => None,
+        IntervalKind::Profile => interval::profile(estimate, &uncertainty, &free(estimate, &unidentified), progress),
     };
+    let intervals = profiled.unwrap_or_else(|| wald(estimate, &uncertainty));
     let each = choices.tests == TestsChoice::Each;
     let wanted = match choices.deletion {
         _ if !each => false,
@@ -169,8 +194,8 @@ pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> 
         false => (Vec::new(), Vec::new()),
     };
     let (deletions, group_deletions) = match wanted {
-        true if grouped => levels::deletions(estimate, &evidence).unzip(),
-        true => (Some(deletions(estimate, reductions)), None),
+        true if grouped => levels::deletions(estimate, &evidence, progress).unzip(),
+        true => (deletions_while(estimate, reductions, progress), None),
         false => (None, None),
     };
     Inference {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::dynamic::{self, Coordinate, Method, Settings, SuggestedValues};
 use crate::ensemble::Labels;
 use crate::estimate::{self, Combination, Criterion, FitError, Progress, Stage, Step, Structure};
-use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer};
+use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer_while};
 use crate::model::{PhasedModel, Slots, Value};
 use crate::record::{DynamicParts, FitRecord, Provenance};
 use crate::reduce::{Reductions, grouping};
@@ -100,7 +100,7 @@ fn at_known(
     let grouping = grouping(model, &[])?.map(Arc::new); // the tests are elsewhere
     let structure = Structure::of(model, &alpha, grouping.as_ref());
     let estimate = estimate::fit(&reductions, &structure, &asks.settings, progress).map_err(failed)?;
-    let inference = infer(&estimate, &reductions, choices);
+    let inference = infer_while(model, (&estimate, &reductions), choices, progress);
     Ok(FitRecord::new(model, &alpha, &reductions, &estimate, &inference, provenance))
 }
 
@@ -117,8 +117,8 @@ fn with_free(
     // α, μ and Σ move together: what a step asks for is one sum
     let settings = Settings { method: Method::Innovations, inner: asks.settings.clone(), ..Settings::default() };
     let fit = dynamic::fit_remote(model, (slots, &settings), (answers, start, units), progress).map_err(Box::new)?;
-    let (inference, parameters) = dynamic::infer(model, &[], &fit, choices).map_err(Box::new)?;
     let labels = &Labels::new(&model.shared().literals);
+    let (inference, parameters) = dynamic::infer(model, (labels, &[]), &fit, choices, progress).map_err(Box::new)?;
     let parts = DynamicParts { model, labels, fit: &fit, inference: &inference, parameters: &parameters };
     Ok(FitRecord::dynamic(&parts, provenance))
 }
@@ -180,7 +180,7 @@ impl Progress for SearchWaits<'_> {
         }
     }
 
-    fn stage(&mut self, stage: Stage) {
+    fn stage(&mut self, stage: Stage<'_>) {
         self.progress.stage(stage);
     }
 

@@ -22,7 +22,7 @@ pub use record::{
 use crate::apply::Applied;
 use crate::estimate::{Criterion, Progress, Stop};
 use crate::face::{Ensemble, Fit, Options};
-use crate::infer::{DeletionChoice, Distance, TestsChoice, deletions};
+use crate::infer::{DeletionChoice, Distance, SharedProgress, TestsChoice, deletions_while};
 use crate::innovations::Innovations;
 use crate::model::{Alpha, Level, PhasedModel, Population, Value};
 use crate::reduce::{PhasedTest, grouping};
@@ -103,7 +103,7 @@ pub fn validate(
     };
     let mut tests: Vec<Option<LeftOut>> = vec![None; ensemble.tests().len()];
     let model = started(&whole);
-    let alone = alone(ensemble, &whole, folds);
+    let alone = alone(ensemble, &whole, folds, progress);
     for fold in 0..folds.count() {
         if progress.stops() {
             return Err(ValidateError::Interrupted);
@@ -143,11 +143,19 @@ fn started(whole: &Fit) -> PhasedModel {
     model
 }
 
-/// The population without each test, where every fold is one test and α is known.
-fn alone(ensemble: &Ensemble, whole: &Fit, folds: &Folds) -> Option<Vec<Option<Population>>> {
+/// The population without each test, where every fold is one test and α is known, as long as somebody waits.
+fn alone(
+    ensemble: &Ensemble,
+    whole: &Fit,
+    folds: &Folds,
+    progress: &mut dyn Progress,
+) -> Option<Vec<Option<Population>>> {
     let is_known = whole.record.parameters.iter().all(|parameter| parameter.fixed);
     let single = folds.count() == ensemble.tests().len() && ensemble.model().levels.is_empty();
-    let found = (is_known && single && whole.converged()).then(|| deletions(&whole.estimate, &whole.reductions))?;
+    if !(is_known && single && whole.converged()) {
+        return None;
+    }
+    let found = deletions_while(&whole.estimate, &whole.reductions, &SharedProgress::new(progress, None))?;
     Some(found.into_iter().map(|deletion| Some(deletion?.estimate)).collect())
 }
 

@@ -90,7 +90,8 @@ fn fitted(model: &Model) -> (Labels, Vec<Test>, DynamicFit, Inference, Vec<Param
     let (model, phased) =
         (PhasedModel::from(model.clone()), tests.iter().cloned().map(PhasedTest::from).collect::<Vec<_>>());
     let fit = dynamic::fit(&model, &labels, &phased, &Settings::default(), &mut Silent).unwrap();
-    let (inference, parameters) = dynamic::infer(&model, &phased, &fit, Choices::default()).unwrap();
+    let (inference, parameters) =
+        dynamic::infer(&model, (&labels, &phased), &fit, Choices::default(), &mut Silent).unwrap();
     (labels, tests, fit, inference, parameters)
 }
 
