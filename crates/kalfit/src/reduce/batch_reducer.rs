@@ -1,280 +1,111 @@
-//! Tests → reductions, many at a time: tests of a design that is known are recognised, and their data passes are one.
-
-use std::sync::Arc;
+//! Tests → reductions, many at a time: replicates side by side, and those with designs of their own beside their like.
 
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
+use crate::reduce::Reductions;
 use crate::reduce::blocks::batch_workspace::BatchWorkspace;
-use crate::reduce::blocks::reduced::{ReducedTests, ToEnd};
-use crate::reduce::class::DesignClass;
+use crate::reduce::blocks::reduced::ReducedTests;
 use crate::reduce::error::ReduceError;
-use crate::reduce::lanes::DataBlock;
 use crate::reduce::prepare::{Skeleton, Workspace};
-use crate::reduce::recognise::DesignCells;
-use crate::reduce::reducer::{DesignExemplar, Reducer, ReductionHeader};
-use crate::reduce::shared::StoreEntry;
-use crate::reduce::{Reduction, Reductions};
-
-/// Most classes whose blocks are filled at the same time.
-const OPEN: usize = 32;
-
-/// Tests that are looked at together: so many shares for each thread, but neither more tests than these, nor, while their rows are
-/// few, fewer.
-const SHARES: usize = 4;
-const MOST: usize = 512;
-const FEWEST: usize = 32;
-const FEW_ROWS: usize = 8192;
+use crate::reduce::reducer::Reducer;
+use crate::reduce::replicates::Replicates;
+use crate::reduce::share::share;
 
 /// Batches that are reduced before what they say goes where all is: there is never much of it twice.
-const BATCHES: usize = 256;
+const BATCHES: usize = 128;
+const LISTS: usize = 32;
 
 /// Tests with designs of their own that are put in order together, for each lane: they fill lanes with their like, and need no room of
 /// their own for long.
 const TOGETHER: usize = 4;
 
-/// How many of so many tests, with so many rows in all, are looked at together.
-pub(crate) fn share(tests: usize, rows: usize) -> usize {
-    let fewest = (FEW_ROWS * tests / rows.max(1)).clamp(1, FEWEST);
-    (tests / (SHARES * rayon::current_num_threads())).clamp(fewest, MOST)
-}
-
-/// The reductions of all batches, in order, or the first error.
-pub(crate) fn joined(batches: Vec<Result<Reductions, ReduceError>>) -> Result<Reductions, ReduceError> {
-    Ok(Reductions::joined(batches.into_iter().collect::<Result<_, _>>()?))
-}
-
-/// Reduces batches of tests.
+/// Reduces batches of tests with designs of their own.
 #[derive(Debug)]
-pub(crate) struct BatchReducer<'a> {
+struct BatchReducer<'a> {
     reducer: &'a Reducer,
     work: Workspace,
-    groups: Vec<PendingBatch>,
-    /// The group that took the last test.
-    latest: usize,
-    /// The group that makes room for another, when there are as many as there may be.
-    oldest: usize,
-    /// Tests with designs of their own, and room for them.
+    /// Tests, and room for them.
     own: Vec<Skeleton>,
     spare: Vec<Skeleton>,
     beside: BatchWorkspace,
-    /// Reductions as they come. Odd ones, with which something is wrong or that call for square-root arrays, come last, each by itself.
-    found: ReducedTests,
-    /// What is wrong with tests, by their numbers.
-    faults: Vec<(usize, ReduceError)>,
-}
-
-/// Tests of a known design, gathered in a block.
-#[derive(Debug)]
-struct PendingBatch {
-    known: Arc<StoreEntry<DesignCells, DesignExemplar>>,
-    block: DataBlock,
-    /// Number and covariates of the test in each lane.
-    seats: Vec<(usize, Vec<f64>)>,
 }
 
 impl Reducer {
-    /// [`Reducer::reduce`], of tests that stand anywhere.
-    pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
-        match self.alike() {
-            Some(alike) => self.reduce_alike(alike, tests),
-            None => self.reduce_each(tests),
-        }
+    /// The reductions of tests, in their order; of several tests in error, the first one's error.
+    pub fn reduce(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
+        self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
-    /// The same, each test by itself.
-    pub(super) fn reduce_each(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
-        let share = share(tests.len(), tests.iter().map(|test| test.rows()).sum());
-        let mut all = Reductions::new();
-        for some in tests.chunks(BATCHES * share) {
-            let batches =
-                some.par_chunks(share).map_init(|| BatchReducer::new(self), |batch, tests| batch.reduce(tests));
-            all.take(batches.collect::<Vec<_>>().into_iter().collect::<Result<_, _>>()?, tests.len());
+    /// [`Reducer::reduce`], of tests that stand anywhere.
+    pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
+        self.reduce_each(tests, &self.replicates(tests)).ordered()
+    }
+
+    /// Which tests are replicates.
+    pub(crate) fn replicates(&self, tests: &[&Test]) -> Replicates {
+        Replicates::of(self.preparer().cell_mask.as_ref(), tests)
+    }
+
+    /// What is found of those tests that `replicates` names.
+    pub(crate) fn reduce_each(&self, tests: &[&Test], replicates: &Replicates) -> ReducedTests {
+        let (mut all, many, alone) = (ReducedTests::default(), replicates.len(), &replicates.alone);
+        let share = share(alone.len(), alone.iter().map(|&number| tests[number].rows()).sum());
+        for some in alone.chunks(BATCHES * share) {
+            let own = |batch: &mut BatchReducer<'_>, numbers: &[usize]| batch.reduce(tests, numbers);
+            all.take(some.par_chunks(share).map_init(|| BatchReducer::new(self), own).collect(), many);
         }
-        Ok(all)
+        for lists in replicates.lists().chunks(LISTS) {
+            let set = |(mut work, mut found): (Workspace, ReducedTests), set: &&[usize]| {
+                self.reduce_replicates((tests, set), &mut work, &mut found);
+                (work, found)
+            };
+            let list = |sets: &Vec<&[usize]>| {
+                let parts = sets.par_iter().fold(|| (self.workspace(), ReducedTests::default()), set);
+                let mut found = ReducedTests::default();
+                found.take(parts.map(|(_, found)| found).collect(), sets.iter().map(|set| set.len()).sum());
+                found.sorted()
+            };
+            all.take(lists.par_iter().map(list).collect(), many);
+        }
+        all
     }
 }
 
 impl<'a> BatchReducer<'a> {
-    pub(crate) fn new(reducer: &'a Reducer) -> BatchReducer<'a> {
-        let work = reducer.workspace();
-        BatchReducer {
-            reducer,
-            work,
-            groups: Vec::new(),
-            latest: 0,
-            oldest: 0,
-            own: Vec::new(),
-            spare: Vec::new(),
-            beside: BatchWorkspace::new(Isa::best(), reducer),
-            found: ReducedTests::default(),
-            faults: Vec::new(),
-        }
+    fn new(reducer: &'a Reducer) -> BatchReducer<'a> {
+        let (work, beside) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
+        BatchReducer { reducer, work, own: Vec::new(), spare: Vec::new(), beside }
     }
 
-    /// The reductions of tests, in their order; of several tests in error, the first one's error.
-    fn reduce(&mut self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
-        self.look(tests);
-        if let Some((_, error)) = self.faults.drain(..).min_by_key(|(number, _)| *number) {
-            return Err(error);
-        }
-        let ReducedTests { reductions, numbers, .. } = &mut self.found;
-        debug_assert_eq!(numbers.len(), tests.len(), "every test was looked at");
-        Ok(std::mem::take(reductions).in_order(numbers))
-    }
-
-    /// Reduces tests.
-    fn look(&mut self, tests: &[&Test]) {
-        self.found = ReducedTests::default();
-        self.faults.clear();
-        for (number, test) in tests.iter().enumerate() {
-            let digest = match self.recognise(tests, test) {
-                Ok(()) if self.seat(tests, number) => continue,
-                Ok(()) => None,
-                Err(digest) => digest,
-            };
-            self.evaluate(tests, number, digest);
-        }
-        (0..self.groups.len()).for_each(|group| self.flush(tests, group));
-        self.side_by_side(tests);
-        for number in std::mem::take(&mut self.found.odd) {
-            let found = self.reducer.one(tests[number], &mut self.work);
-            self.note_alone(number, found);
-        }
-    }
-
-    /// The reduction of each test, and where it ends.
-    pub(crate) fn reduce_to_end(&mut self, tests: &[&Test]) -> Vec<ToEnd> {
-        self.look(tests);
-        let mut all = std::mem::take(&mut self.found).by_number(tests.len());
-        self.faults.drain(..).for_each(|(number, error)| all[number] = Some(Err(error)));
-        all.into_iter().map(|found| found.expect("every test was looked at")).collect()
-    }
-
-    /// Makes the group of the test's design the latest one; else the digest that it is to be known by, if any.
-    fn recognise(&mut self, tests: &[&Test], test: &Test) -> Result<(), Option<u128>> {
-        let looks = self.reducer.preparer().cell_mask.as_ref().ok_or(None)?;
-        if self.groups.get(self.latest).is_some_and(|group| looks.has_cells(test, &group.known.key)) {
-            return Ok(());
-        }
-        // tests with designs of their own mostly differ from the first rows on
-        if !self.reducer.known().is_noted(looks.digest(test, false)) {
-            return Err(None);
-        }
-        let digest = looks.digest(test, true);
-        let known = self.reducer.known().find(digest).map_err(|seen| seen.then_some(digest))?;
-        if !looks.has_cells(test, &known.key) {
-            return Err(None);
-        }
-        let open = self.groups.iter().position(|group| Arc::ptr_eq(&group.known, &known));
-        self.latest = open.unwrap_or_else(|| self.open(tests, known));
-        Ok(())
-    }
-
-    /// A new group.
-    fn open(&mut self, tests: &[&Test], known: Arc<StoreEntry<DesignCells, DesignExemplar>>) -> usize {
-        let group = PendingBatch::new(known);
-        if self.groups.len() < OPEN {
-            self.groups.push(group);
-            return self.groups.len() - 1;
-        }
-        let at = self.oldest;
-        self.oldest = (at + 1) % OPEN;
-        self.flush(tests, at);
-        self.groups[at] = group;
-        at
-    }
-
-    /// Gives a test the next lane of the latest group; false where it must be looked at by itself.
-    fn seat(&mut self, tests: &[&Test], number: usize) -> bool {
-        let (test, group) = (tests[number], &mut self.groups[self.latest]);
-        let covariates = self.reducer.preparer().covariates_of(test, &mut self.work);
-        if covariates.is_err() || !group.take(test) {
-            return false;
-        }
-        group.seats.push((number, self.work.covariates.clone()));
-        if group.seats.len() == group.block.lanes() {
-            self.flush(tests, self.latest);
-        }
-        true
-    }
-
-    /// Reduces the tests of a group.
-    fn flush(&mut self, tests: &[&Test], group: usize) {
-        let PendingBatch { known, block, seats } = &mut self.groups[group];
-        if seats.is_empty() {
-            return;
-        }
-        let known = known.value();
-        let gains = known.class.gains().as_ref().expect("known designs have gains");
-        block.run(known.class.design(), gains, &mut self.work.room);
-        for (lane, (number, covariates)) in seats.drain(..).enumerate() {
-            let outcome = block.outcome(lane, (gains.active, gains.log_determinant), &self.work.room);
-            if outcome.is_finite() {
-                let about = ReductionHeader::new(gains, &covariates, (known.steps, known.digest));
-                self.found.reductions.put(self.reducer.row(tests[number], &outcome, about));
-                self.found.numbers.push(number);
-                self.found.terminals.extend(self.reducer.ending(&known.class, block.last(lane, &self.work.room)));
-            } else {
-                self.found.odd.push(number);
-            }
-        }
-    }
-
-    /// Evaluates a test, or puts it beside others. Others are recognised by it, if it has a digest.
-    fn evaluate(&mut self, tests: &[&Test], number: usize, digest: Option<u128>) {
-        let (test, reducer) = (tests[number], self.reducer);
-        if digest.is_none() {
+    /// What is found of the tests with these numbers, in their order where it is not asked where they end.
+    fn reduce(&mut self, tests: &[&Test], numbers: &[usize]) -> ReducedTests {
+        let mut found = ReducedTests::default();
+        for &number in numbers {
             let mut own = self.spare.pop().unwrap_or_default();
-            if reducer.preparer().skeleton(test, number, &mut self.work, &mut own) {
+            if self.reducer.preparer().skeleton(tests[number], number, &mut self.work, &mut own) {
                 self.own.push(own);
                 if self.own.len() == TOGETHER * Isa::best().lanes() {
-                    self.side_by_side(tests);
+                    self.side_by_side(tests, &mut found);
                 }
-                return;
+            } else {
+                self.spare.push(own);
+                found.odd.push(number);
             }
-            self.spare.push(own);
         }
-        let found = reducer.one(test, &mut self.work);
-        if let (Some(digest), Ok((_, class))) = (digest, &found) {
-            reducer.add_exemplar(test, class, digest, &self.work);
+        self.side_by_side(tests, &mut found);
+        for number in std::mem::take(&mut found.odd) {
+            found.note(number, self.reducer.to_end(tests[number], &mut self.work));
         }
-        self.note_alone(number, found);
+        found.sorted()
     }
 
-    /// Reduces tests with designs of their own.
-    fn side_by_side(&mut self, tests: &[&Test]) {
-        let BatchReducer { reducer, work, own, beside, found, .. } = self;
+    /// Reduces the tests that wait.
+    fn side_by_side(&mut self, tests: &[&Test], found: &mut ReducedTests) {
+        let BatchReducer { reducer, work, own, beside, .. } = self;
         beside.reduce(reducer, (tests, own), &mut work.room, found);
         self.spare.append(&mut self.own);
-    }
-
-    /// Takes what was found of the test in the work space.
-    fn note_alone(&mut self, number: usize, found: Result<(Reduction, DesignClass), ReduceError>) {
-        match found {
-            Ok((reduction, class)) => {
-                self.found.reductions.push(reduction);
-                self.found.numbers.push(number);
-                self.found.terminals.extend(self.reducer.ending(&class, self.work.pass.x.iter().copied()));
-            }
-            Err(error) => self.faults.push((number, error)),
-        }
-    }
-}
-
-impl PendingBatch {
-    fn new(known: Arc<StoreEntry<DesignCells, DesignExemplar>>) -> PendingBatch {
-        let (mut block, own) = (DataBlock::new(Isa::best()), known.value());
-        block.clear(own.start.len(), own.inputs.len(), own.cells.len());
-        (0..block.lanes()).for_each(|lane| block.begin(lane, &own.start, &own.inputs));
-        PendingBatch { known, block, seats: Vec::new() }
-    }
-
-    /// Puts the values of a test into the next lane; false where one is missing or infinite.
-    fn take(&mut self, test: &Test) -> bool {
-        let cells = test.all_numbers();
-        self.block.values(self.seats.len(), self.known.value().cells.iter().map(|&(cell, d)| cells[cell] - d))
     }
 }
 
@@ -285,7 +116,7 @@ mod tests {
     use crate::ensemble::Source;
     use crate::model::by_hand::Lcg;
     use crate::model::{Alpha, Model};
-    use crate::reduce::Path;
+    use crate::reduce::{Path, Reduction};
 
     /// Regressions of several lengths: some share a design, some repeat a row, some lack a value.
     fn tests() -> Vec<Test> {

@@ -25,16 +25,14 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Level};
-use crate::reduce::Reductions;
-use crate::reduce::batch_reducer::{BatchReducer, share};
 use crate::reduce::digest::Digest;
-use crate::reduce::error::ReduceError;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
-use crate::reduce::reducer::Reducer;
+use crate::reduce::reducer::{Reducer, ToEnd};
+use crate::reduce::replicates::Replicates;
 use batch_workspace::by_shape;
 pub(crate) use layout::BatchLayout;
-use reduced::{ReducedTests, TestHeader, ToEnd};
+use reduced::{ReducedTests, TestHeader};
 pub(crate) use values::BatchValues;
 
 /// Bytes of blocks, with their numbers at one α.
@@ -56,8 +54,8 @@ struct CachedBatch {
 #[derive(Debug, Default)]
 pub(crate) struct EnsembleBatches {
     blocks: Vec<CachedBatch>,
-    /// Tests that are in none, by number.
-    pub(crate) others: Vec<usize>,
+    /// Tests that are in none.
+    others: Replicates,
 }
 
 /// Blocks at an α, after their filters.
@@ -70,11 +68,16 @@ pub(crate) struct FilteredBatches {
 
 impl EnsembleBatches {
     /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
-    /// of those.
-    pub(crate) fn new(reducer: &Reducer, tests: &[&Test], numbers: &[usize], shared: &[usize]) -> EnsembleBatches {
+    /// of those. `replicates`: of all tests.
+    pub(crate) fn new(
+        reducer: &Reducer,
+        (tests, replicates): (&[&Test], Replicates),
+        numbers: &[usize],
+        shared: &[usize],
+    ) -> EnsembleBatches {
         let preparer = reducer.preparer();
-        if !preparer.has_columns() {
-            return EnsembleBatches { blocks: Vec::new(), others: (0..tests.len()).collect() };
+        if numbers.is_empty() || !preparer.has_columns() {
+            return EnsembleBatches { blocks: Vec::new(), others: replicates };
         }
         let digest = |number: usize, work: &mut Workspace| {
             preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
@@ -99,48 +102,27 @@ impl EnsembleBatches {
         });
         let blocks: Vec<CachedBatch> =
             groups.into_par_iter().map(|own| CachedBatch::new(reducer, tests, own)).collect();
-        let kept: HashSet<usize> = blocks.iter().flat_map(|block| &block.layout.tests).copied().collect();
-        EnsembleBatches { blocks, others: (0..tests.len()).filter(|number| !kept.contains(number)).collect() }
+        let mut kept = vec![false; tests.len()];
+        blocks.iter().flat_map(|block| &block.layout.tests).for_each(|&number| kept[number] = true);
+        EnsembleBatches { blocks, others: replicates.without(&kept) }
     }
 
-    /// The reductions of all tests at the α of a reducer, in their order.
-    ///
-    /// # Errors
-    /// Of several tests in error, the first one's error.
+    /// What is found of all tests at the α of a reducer.
     pub(crate) fn reduce(
         self: &Arc<EnsembleBatches>,
         reducer: &Reducer,
         tests: &[&Test],
-    ) -> Result<(Reductions, FilteredBatches), ReduceError> {
-        let (filtered, mut found) = self.filter(reducer, tests);
-        let (rest, last) = self.rest(reducer, tests, found.odd)?;
-        found.numbers.extend(last);
-        Ok((Reductions::joined(vec![found.reductions, rest]).in_order(&found.numbers), filtered))
-    }
-
-    /// The same with where each test ends, if that is wanted; what is wrong with a test is said of it alone.
-    pub(crate) fn reduce_to_end(
-        self: &Arc<EnsembleBatches>,
-        reducer: &Reducer,
-        tests: &[&Test],
-    ) -> (Vec<ToEnd>, FilteredBatches) {
+    ) -> (ReducedTests, FilteredBatches) {
         let (filtered, mut found) = self.filter(reducer, tests);
         let odd = std::mem::take(&mut found.odd);
-        let mut all = found.by_number(tests.len());
-        let root = |work: &mut Workspace, &number: &usize| {
-            let found = reducer.reduce_by_root(tests[number], work).or_else(|_| reducer.one(tests[number], work));
-            found.map(|(reduction, class)| (reduction, reducer.ending(&class, work.pass.x.iter().copied())))
+        let root = |work: &mut Workspace, &number: &usize| match reducer.reduce_by_root(tests[number], work) {
+            Ok((reduction, class)) => Ok((reduction, reducer.ending(&class, work.pass.x.iter().copied()))),
+            Err(_) => reducer.to_end(tests[number], work),
         };
         let rooted: Vec<ToEnd> = odd.par_iter().map_init(|| reducer.workspace(), root).collect();
-        let rows = self.others.iter().map(|&number| tests[number].rows()).sum();
-        let rest = |batch: &mut BatchReducer<'_>, numbers: &[usize]| {
-            batch.reduce_to_end(&numbers.iter().map(|&number| tests[number]).collect::<Vec<_>>())
-        };
-        let others = self.others.par_chunks(share(self.others.len(), rows));
-        let rest: Vec<ToEnd> = others.map_init(|| BatchReducer::new(reducer), rest).flatten_iter().collect();
-        let left = odd.iter().chain(&self.others).zip(rooted.into_iter().chain(rest));
-        left.for_each(|(&number, found)| all[number] = Some(found));
-        (all.into_iter().map(|found| found.expect("every test was looked at")).collect(), filtered)
+        odd.into_iter().zip(rooted).for_each(|(number, rooted)| found.note(number, rooted));
+        found.take(vec![reducer.reduce_each(tests, &self.others)], tests.len());
+        (found, filtered)
     }
 
     /// Runs the filters of all blocks at the α of a reducer.
@@ -155,43 +137,15 @@ impl EnsembleBatches {
         };
         let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
             self.blocks.par_chunks(SHARE).map_init(DataWorkspace::default, share).collect();
-        let (mut values, mut all, mut parts) = (Vec::new(), ReducedTests::default(), Vec::new());
-        for (own, found) in shares {
-            values.extend(own);
-            all.numbers.extend(found.numbers);
-            all.terminals.extend(found.terminals);
-            all.odd.extend(found.odd);
-            parts.push(found.reductions);
-        }
-        all.reductions = Reductions::joined(parts);
+        let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = shares.into_iter().unzip();
+        let (values, mut all) = (values.into_iter().flatten().collect(), ReducedTests::default());
+        all.take(parts, tests.len());
         (FilteredBatches { blocks: self.clone(), values }, all)
     }
 
     /// Numbers of the tests that are in blocks.
     pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
         self.blocks.iter().flat_map(|block| &block.layout.tests).copied()
-    }
-
-    /// The reductions of tests that are in no block, and of those that call for square-root arrays, and their numbers.
-    fn rest(
-        &self,
-        reducer: &Reducer,
-        tests: &[&Test],
-        odd: Vec<usize>,
-    ) -> Result<(Reductions, Vec<usize>), ReduceError> {
-        let of = |numbers: &[usize]| numbers.iter().map(|&number| tests[number]).collect::<Vec<&Test>>();
-        let root = |work: &mut _, &number: &usize| Ok(reducer.reduce_by_root(tests[number], work)?.0);
-        let rooted: Result<Reductions, ReduceError> =
-            odd.par_iter().map_init(|| reducer.workspace(), root).collect::<Vec<_>>().into_iter().collect();
-        let mut numbers = self.others.clone();
-        numbers.extend(odd);
-        if let Ok(rooted) = rooted {
-            let rest = reducer.reduce_all(&of(&self.others))?;
-            return Ok((Reductions::joined(vec![rest, rooted]), numbers));
-        }
-        // of all of them the first one in error is to be told of
-        numbers.sort_unstable();
-        Ok((reducer.reduce_all(&of(&numbers))?, numbers))
     }
 }
 

@@ -33,9 +33,9 @@
 //! all phases ── stack ──> Reduction with its Chain       tests of one shape side by side
 //! ```
 //!
-//! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch, [`kalfit_lanes`]). A
-//! test whose cells are those of one before it, measured values apart, is not evaluated (recognise), and tests of one design have one
-//! data pass (lanes); tests of designs of their own are evaluated, filtered and whitened side by side (blocks): their steps are found
+//! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch_reducer, [`kalfit_lanes`]).
+//! Tests that differ in nothing but what was measured are found before (replicates): one of them is evaluated, and all have one data
+//! pass (exemplar, lanes); tests of designs of their own are evaluated, filtered and whitened side by side (blocks): their steps are found
 //! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on what else is in
 //! the batch.
 //!
@@ -45,6 +45,7 @@
 mod batch_reducer;
 mod blocks;
 mod carry;
+mod cell_mask;
 mod chain;
 mod class;
 mod covariance_filter;
@@ -56,6 +57,7 @@ mod digest;
 mod dynamics;
 mod error;
 mod evidence;
+mod exemplar;
 mod flops;
 mod gains;
 mod groups;
@@ -75,15 +77,16 @@ mod plain;
 mod plain_order;
 mod plain_reduction;
 mod prepare;
-mod recognise;
 mod reducer;
 mod reduction;
 mod reductions;
+mod replicates;
 mod root;
 mod scan;
 mod schedule;
 mod semidefinite;
 mod settling;
+mod share;
 mod shared;
 mod split;
 mod stack;
@@ -111,7 +114,6 @@ pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 pub use terminal::Terminal;
 
-pub(crate) use batch_reducer::share;
 pub(crate) use blocks::FilteredBatch;
 pub(crate) use blocks::batch_workspace::{BatchWorkspace, EnteringMoments};
 pub(crate) use carry::Inherits;
@@ -128,12 +130,14 @@ pub(crate) use moment_path::MomentPath;
 pub(crate) use motion::{Evaluated, Filled, MotionPullback, Moves};
 pub(crate) use observe::Unwhitened;
 pub(crate) use part::PhaseReducer;
-pub(crate) use phased::{FilteredPhases, PhasedBatches, PhasedWork};
+pub(crate) use phased::{FilteredPhases, PhaseReplicates, PhasedBatches, PhasedWork};
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
-pub(crate) use reducer::{LongDesignClasses, own_innovations};
+pub(crate) use reducer::own_innovations;
+pub(crate) use replicates::Replicates;
 pub(crate) use scan::{InvariantStep, Scan, moving, with_states};
 pub(crate) use semidefinite::ldl;
 pub(crate) use settling::{SteadyState, SteadyStateMonitor};
+pub(crate) use share::share;
 pub(crate) use shared::SharedStore;
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::GatheredCells;

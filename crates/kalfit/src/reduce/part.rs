@@ -6,11 +6,10 @@ use nalgebra::DMatrix;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Phase};
-use crate::reduce::blocks::reduced::ToEnd;
 use crate::reduce::carry::Inheritance;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::Reducer;
+use crate::reduce::reducer::{Reducer, ToEnd};
 use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{
@@ -141,8 +140,7 @@ impl PhaseReducer {
             let (reduction, class) = self.reducer.designed(rows, work)?;
             return Ok((reduction, self.reducer.ending(&class, std::iter::repeat(0.0))));
         }
-        let (reduction, class) = self.reducer.one(rows, work)?;
-        Ok((reduction, self.reducer.ending(&class, work.pass.x.iter().copied())))
+        self.reducer.to_end(rows, work)
     }
 
     /// The phase of a test whose rows were reduced by themselves.

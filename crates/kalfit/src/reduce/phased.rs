@@ -2,6 +2,7 @@
 
 mod batch;
 mod blocks;
+mod replicates;
 mod whole;
 
 use std::sync::Arc;
@@ -10,22 +11,22 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, PhasedModel, Slots};
-use crate::reduce::blocks::reduced::ToEnd;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{PhasePosition, PhaseReducer, ReducedPhase};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{LongDesignClasses, Reducer, Work};
+use crate::reduce::reducer::{Reducer, ToEnd, Work};
 use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
 
 pub(crate) use blocks::{FilteredPhases, PhasedBatches};
+pub(crate) use replicates::PhaseReplicates;
 
 /// Reduces the tests of a model in phases at α.
 ///
-/// As a [`Reducer`], it keeps what tests share from call to call, and what it returns does not depend on that, nor on threads,
-/// batches or the order of the tests.
+/// As a [`Reducer`], it keeps what tests share from call to call, and what it returns depends as little on that, on threads, batches
+/// or the order of the tests.
 #[derive(Debug)]
 pub struct PhasedReducer {
     phases: Vec<PhaseReducer>,
@@ -97,13 +98,6 @@ impl PhasedReducer {
         }
     }
 
-    /// Takes which long tests are alike, where there is one phase.
-    pub(crate) fn knowing_alike(&mut self, alike: &Arc<LongDesignClasses>) {
-        if let ([phase], false) = (&mut *self.phases, alike.is_empty()) {
-            phase.reducer.set_equal_designs(alike.clone());
-        }
-    }
-
     /// The phases, in order.
     pub(crate) fn phases(&self) -> &[PhaseReducer] {
         &self.phases
@@ -129,7 +123,7 @@ impl PhasedReducer {
         self.phases.iter().fold(Work::default(), add)
     }
 
-    /// The only phase and the rows of all tests, where that is all there is: they are reduced many at a time.
+    /// The only phase and the rows of all tests, where that is all there is.
     fn plain<'a>(&'a self, tests: &'a [PhasedTest]) -> Option<(&'a PhaseReducer, Vec<&'a Test>)> {
         let [phase] = &*self.phases else { return None };
         let rows = |test: &'a PhasedTest| self.rows_of(0, test).filter(|_| test.phases.len() == 1);
@@ -210,14 +204,24 @@ impl PhasedReducer {
     ) -> Result<Vec<ReducedPhase<'a>>, ReduceError> {
         self.check(test)?;
         let part = |((at, evidence), found): ((usize, &'a Evidence), Option<ToEnd>)| {
-            let phase = &self.phases[at];
-            if let (Evidence::Rows(rows), Some(found)) = (evidence, found) {
-                return phase.joined(rows, found, &mut work.cells);
-            }
-            let room = (&mut work.phases[at], &mut work.cells);
-            phase.part((&test.id, evidence), room, (designs, at + 1 < test.phases.len()))
+            self.part((&test.id, at, evidence), found, work, (designs, at + 1 < test.phases.len()))
         };
         let found = found.into_iter().chain(std::iter::repeat_with(|| None));
         test.phases.iter().enumerate().zip(found).map(part).collect()
+    }
+
+    /// One of them: (id of the test, phase, what is known of it).
+    fn part<'a>(
+        &'a self,
+        (id, at, evidence): (&str, usize, &'a Evidence),
+        found: Option<ToEnd>,
+        work: &mut PhasedWork,
+        (designs, linked): (bool, bool),
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
+        let phase = &self.phases[at];
+        match (evidence, found) {
+            (Evidence::Rows(rows), Some(found)) => phase.joined(rows, found, &mut work.cells),
+            _ => phase.part((id, evidence), (&mut work.phases[at], &mut work.cells), (designs, linked)),
+        }
     }
 }

@@ -8,6 +8,7 @@ use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Scope};
+use crate::reduce::cell_mask::CellMask;
 use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::dynamics::Dynamics;
@@ -18,7 +19,6 @@ use crate::reduce::lanes::{DataBlock, DataWorkspace};
 use crate::reduce::motion::{Filled, MotionPlan, Moves};
 use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
-use crate::reduce::recognise::CellMask;
 use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared::SharedStore;
 use crate::reduce::start::{ModelStart, StartMoments};
@@ -65,7 +65,7 @@ pub(crate) struct Preparer {
     columnwise: bool,
     /// The law of x_0, when no test changes it.
     law: Option<StartMoments>,
-    /// How tests of one design are recognised; `None` where they cannot be, as values are mixed.
+    /// Which cells decide all but measured values; `None` where values are mixed.
     pub(crate) cell_mask: Option<CellMask>,
     transitions: SharedStore<Vec<u64>, Result<Moves, Box<Fault>>>,
     /// Steps that were found at another α; `None` where nobody keeps them.

@@ -1,8 +1,5 @@
 //! Tests → reductions.
 
-mod alike;
-mod exemplar;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -19,22 +16,16 @@ use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::lanes::innovations;
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::recognise::DesignCells;
 use crate::reduce::root::{RootError, root_gains};
 use crate::reduce::shared::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::terminal::TerminalState;
-use crate::reduce::{Path, Reduction, ReductionRef, Reductions};
-pub(crate) use alike::LongDesignClasses;
-pub(crate) use exemplar::DesignExemplar;
+use crate::reduce::{Path, Reduction, ReductionRef};
 
 /// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
 const CLASS_BYTES: usize = 256 << 20;
 /// Beyond so many bytes, only those of them that a second test has.
 const EAGER_BYTES: usize = 256 << 10;
-
-/// Bytes of tests that others are recognised by.
-const KNOWN_BYTES: usize = 64 << 20;
 
 /// Reduces the tests of a model at α.
 ///
@@ -44,10 +35,6 @@ const KNOWN_BYTES: usize = 64 << 20;
 pub struct Reducer {
     preparer: Preparer,
     classes: SharedStore<Design, Result<Gains, RootError>>,
-    /// Tests of designs that were seen more than once.
-    known: SharedStore<DesignCells, DesignExemplar>,
-    /// Long tests that are known to be alike; `None` where nobody said so.
-    alike: Option<Arc<LongDesignClasses>>,
     unfrozen: bool,
     /// The last states are wanted.
     ends: bool,
@@ -57,6 +44,9 @@ pub struct Reducer {
     root_runs: AtomicU64,
     data_runs: AtomicU64,
 }
+
+/// A reduction, and where its test ends, if that is wanted.
+pub(crate) type ToEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
 
 /// What a reduction has from its test beside the data.
 #[derive(Debug)]
@@ -139,22 +129,10 @@ impl Reducer {
         self.preparer.steps = Some(steps);
     }
 
-    /// Takes which long tests of one ensemble are alike: it must reduce no other.
-    pub(crate) fn set_equal_designs(&mut self, alike: Arc<LongDesignClasses>) {
-        self.alike = Some(alike);
-    }
-
-    /// Long tests that are known to be alike.
-    pub(crate) fn alike(&self) -> Option<&LongDesignClasses> {
-        self.alike.as_deref()
-    }
-
     fn of(preparer: Preparer, classes: SharedStore<Design, Result<Gains, RootError>>) -> Reducer {
         Reducer {
             preparer,
             classes,
-            known: SharedStore::new(KNOWN_BYTES),
-            alike: None,
             unfrozen: false,
             ends: false,
             paths: false,
@@ -197,11 +175,6 @@ impl Reducer {
     /// Nothing is frozen.
     pub(crate) fn is_unfrozen(&self) -> bool {
         self.unfrozen
-    }
-
-    /// The reductions of tests, in their order; of several tests in error, the first one's error.
-    pub fn reduce(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
-        self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
     /// The reduction of a design and its class: information and covariates as of [`Reducer::one`], from times, inputs and which
@@ -271,6 +244,12 @@ impl Reducer {
         self.with_class(test, (work, false), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
+    /// The same with where the test ends, if that is wanted.
+    pub(crate) fn to_end(&self, test: &Test, work: &mut Workspace) -> ToEnd {
+        let (reduction, class) = self.one(test, work)?;
+        Ok((reduction, self.ending(&class, work.pass.x.iter().copied())))
+    }
+
     /// [`Reducer::one`] of a test whose design is known to call for square-root arrays.
     pub(crate) fn reduce_by_root(
         &self,
@@ -331,23 +310,8 @@ impl Reducer {
         self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
     }
 
-    /// Recognises others by a test, as it is in the work space.
-    pub(crate) fn add_exemplar(&self, test: &Test, class: &DesignClass, digest: u128, work: &Workspace) {
-        let known = DesignExemplar::new(&self.preparer, test, class, work);
-        if let Some((looks, known)) = self.preparer.cell_mask.as_ref().zip(known) {
-            let likeness = looks.design_cells(test);
-            let bytes = likeness.bytes() + known.bytes();
-            self.known.keep(digest, likeness, known, bytes);
-        }
-    }
-
-    /// Tests that others are recognised by.
-    pub(crate) fn known(&self) -> &SharedStore<DesignCells, DesignExemplar> {
-        &self.known
-    }
-
     /// The design class of the test in the work space; `by_root`: its design is known to call for square-root arrays.
-    fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
+    pub(crate) fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
         let Workspace { design, gains, .. } = work;
         let states = self.ends.then_some(&*self.preparer.order.states);
         let make = |design: &Design| {

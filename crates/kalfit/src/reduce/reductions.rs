@@ -145,13 +145,13 @@ impl Reductions {
         numbers.iter().map(|&number| self.get(number)).collect()
     }
 
-    /// The same in the order of the numbers of these tests, from zero on.
+    /// The same in the order of the numbers of these tests.
     pub(crate) fn in_order(self, numbers: &[usize]) -> Reductions {
         if numbers.is_sorted() {
             return self;
         }
-        let mut places = vec![0; numbers.len()];
-        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
+        let mut places: Vec<usize> = (0..numbers.len()).collect();
+        places.sort_by_key(|&place| numbers[place]); // they mostly stand in a few ascending rows
         self.select(&places)
     }
 

@@ -112,28 +112,6 @@ impl<K, V> SharedStore<K, V> {
         self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What is kept of a digest, or else whether it was asked for before.
-    pub(crate) fn find(&self, digest: u128) -> Result<Arc<StoreEntry<K, V>>, bool> {
-        let mut shard = self.shard(digest);
-        match shard.entries.get(&digest) {
-            Some(entry) => Ok(entry.clone()),
-            None => Err(shard.is_known(digest)),
-        }
-    }
-
-    /// Whether a digest was asked for before; it is from now on.
-    pub(crate) fn is_noted(&self, digest: u128) -> bool {
-        self.shard(digest).is_known(digest)
-    }
-
-    /// Keeps a value, if there is room.
-    pub(crate) fn keep(&self, digest: u128, key: K, value: V, bytes: usize) {
-        if self.bytes.fetch_add(bytes, Ordering::Relaxed) < self.limit {
-            let entry = Arc::new(StoreEntry { key, value: value.into() });
-            self.shard(digest).entries.insert(digest, entry);
-        }
-    }
-
     /// The entry of a key, made if need be. `same` tells the key from others of the same digest, `size` is for the key and
     /// its value together.
     pub(crate) fn get(

@@ -4,29 +4,23 @@ use std::sync::{Arc, OnceLock};
 
 use crate::model::{PhasedModel, Slots};
 use crate::reduce::{
-    FilteredPhases, KnownSteps, LongDesignClasses, PhasedBatches, PhasedReducer, PhasedTest, ReduceError, Reductions,
+    FilteredPhases, KnownSteps, PhasedBatches, PhasedReducer, PhasedTest, ReduceError, Reductions, Replicates,
 };
-use crate::score::{PhasedScorer, TestClasses};
+use crate::score::{PhasedScorer, classes_of};
 
 /// Which tests are alike, and which are kept side by side.
 #[derive(Debug, Default)]
 pub(crate) struct Batching {
-    classes: OnceLock<TestClasses>,
-    blocks: OnceLock<Option<PhasedBatches>>,
-    /// Long tests that are alike.
-    alike: OnceLock<Arc<LongDesignClasses>>,
+    classes: OnceLock<Replicates>,
+    batches: OnceLock<PhasedBatches>,
     /// Steps of long records, by phase.
     steps: OnceLock<Vec<Arc<KnownSteps>>>,
 }
 
 impl Batching {
-    /// Which tests are alike.
-    pub(crate) fn classes(&self, reducer: &PhasedReducer, tests: &[PhasedTest]) -> &TestClasses {
-        if self.classes.get().is_none() {
-            // not within the lock: threads that find them may take up other work meanwhile
-            let _ = self.classes.set(TestClasses::of(reducer, tests));
-        }
-        self.classes.get().expect("they were set")
+    /// The classes of tests that are scored together.
+    pub(crate) fn classes(&self, reducer: &PhasedReducer, tests: &[PhasedTest]) -> &Replicates {
+        once(&self.classes, || classes_of(reducer, tests, &reducer.replicates(tests)))
     }
 
     /// Lets a reducer know what steps the tests have, as far as they were found before.
@@ -42,33 +36,26 @@ impl Batching {
         reducer: &mut PhasedReducer,
         tests: &[PhasedTest],
     ) -> Result<(Reductions, Option<FilteredPhases>), ReduceError> {
-        let blocks = self.blocks((model, slots), reducer, tests);
-        reducer.knowing_alike(self.alike.get_or_init(|| {
-            let long = |classes: &TestClasses| classes.long(tests);
-            Arc::new(self.classes.get().map(long).unwrap_or_default())
-        }));
-        match blocks {
-            Some(blocks) => {
-                let (reductions, filtered) = reducer.reduce_blocks(tests, blocks)?;
-                Ok((reductions, Some(filtered)))
-            }
-            None => Ok((reducer.reduce(tests)?, None)),
+        if self.batches.get().is_none() && PhasedScorer::new(model, reducer, slots).is_err() {
+            // where there is no score, which rows count may depend on α
+            return Ok((reducer.reduce(tests)?, None));
         }
+        let batches = once(&self.batches, || {
+            let phases = reducer.replicates(tests);
+            let Replicates { sets, alone } = once(&self.classes, || classes_of(reducer, tests, &phases));
+            let shared: Vec<usize> = sets.iter().map(|set| set[0]).collect();
+            reducer.batches(tests, phases, (alone, &shared))
+        });
+        let (reductions, filtered) = reducer.reduce_batches(tests, batches)?;
+        Ok((reductions, Some(filtered)))
     }
+}
 
-    /// Tests with designs of their own, side by side.
-    fn blocks(
-        &self,
-        (model, slots): (&PhasedModel, &Slots),
-        reducer: &PhasedReducer,
-        tests: &[PhasedTest],
-    ) -> Option<&PhasedBatches> {
-        if self.blocks.get().is_none() {
-            PhasedScorer::new(model, reducer, slots).ok()?; // where there is no score, which rows count may depend on α
-            let TestClasses { classes, alone, .. } = self.classes(reducer, tests);
-            let shared: Vec<usize> = classes.iter().map(|class| class[0]).collect();
-            let _ = self.blocks.set(reducer.blocks(tests, alone, &shared));
-        }
-        self.blocks.get()?.as_ref()
+/// What is found once.
+fn once<T>(found: &OnceLock<T>, find: impl FnOnce() -> T) -> &T {
+    if found.get().is_none() {
+        // not within the lock: threads that find it may take up other work meanwhile
+        let _ = found.set(find());
     }
+    found.get().expect("it was found")
 }

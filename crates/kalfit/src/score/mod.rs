@@ -31,7 +31,7 @@ use smoother::SmoothedPhase;
 
 pub(crate) use backward::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Smoothed};
 pub(crate) use batching::Batching;
-pub(crate) use classes::TestClasses;
+pub(crate) use classes::classes_of;
 pub(crate) use levels::{Levels, carried, dependences};
 pub(crate) use moments::{Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};

@@ -21,7 +21,8 @@ use crate::ensemble::Test;
 use crate::estimate::InitialLaw;
 use crate::model::{EvaluationError, PhasedModel, Slots, Tape};
 use crate::reduce::{
-    Fault, FilteredPhases, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reductions, SharedStore,
+    Fault, FilteredPhases, Inherits, PhasedReducer, PhasedTest, PhasedWork, ReduceError, Reductions, Replicates,
+    SharedStore,
 };
 use crate::score::backward::BackwardWork;
 use crate::score::complete::Complete;
@@ -29,7 +30,7 @@ use crate::score::moments::moments;
 use crate::score::phased::design_classes::{Score, ScoredEnsemble};
 use crate::score::pullback::{Adjoints, Gradient};
 use crate::score::smoother::{InheritanceAdjoint, PhaseLaws, PlanKey, SmoothedPhase, SmootherPlan};
-use crate::score::{Scorer, Smoothed, TestClasses};
+use crate::score::{Scorer, Smoothed};
 
 /// Bytes of smoothers that are kept: tests of one design share one while they fit.
 const PLAN_BYTES: usize = 64 << 20;
@@ -83,16 +84,16 @@ impl<'a> PhasedScorer<'a> {
         tests: &[PhasedTest],
         reductions: &Reductions,
         law: &InitialLaw,
-        (classes, filtered): (&TestClasses, Option<&FilteredPhases>),
+        (classes, filtered): (&Replicates, Option<&FilteredPhases>),
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = SharedStore::new(PLAN_BYTES);
         let of = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered };
         // covariates move the uncertainty of the mean
         let own = law.is_restricted() && reductions.iter().any(|reduction| !reduction.covariates.is_empty());
-        let none = own.then(|| TestClasses::none(tests.len()));
+        let none = own.then(|| Replicates::none(tests.len()));
         let classes = none.as_ref().unwrap_or(classes);
         let one = |room: &mut ScoreWorkspace<'_>, members: &Vec<usize>| self.of_class(of, members, room);
-        let mut scores: Vec<Score> = classes.classes.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
+        let mut scores: Vec<Score> = classes.sets.par_iter().map_init(|| self.room(), one).flatten_iter().collect();
         scores.extend(self.apart(of, &classes.alone));
         scores.sort_unstable_by_key(|(number, _)| *number);
         scores.into_iter().map(|(_, score)| score).collect()

@@ -50,29 +50,12 @@ impl DataBlock {
         self.numbers[self.inputs * lanes..].chunks_exact_mut(lanes).zip(inputs).for_each(|(all, x)| all[lane] = *x);
     }
 
-    /// Puts values into a lane; false where one is not finite.
-    #[inline]
-    pub(crate) fn values(&mut self, lane: usize, values: impl Iterator<Item = f64>) -> bool {
+    /// Puts the values of several tests into the first lanes: cells of their numbers, less what is known of them.
+    pub(crate) fn values_of(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) {
         let lanes = self.isa.lanes();
-        let mut finite = true;
-        for (all, z) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(values) {
-            all[lane] = z;
-            finite &= z.is_finite();
-        }
-        finite
-    }
-
-    /// Puts the values of several tests into the first lanes: cells of their numbers, less what is known of them. Which are finite.
-    pub(crate) fn values_of(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) -> Vec<bool> {
-        let lanes = self.isa.lanes();
-        let mut finite = vec![true; numbers.len()];
         for (all, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
-            for ((all, numbers), finite) in all.iter_mut().zip(numbers).zip(&mut finite) {
-                *all = numbers[cell] - d;
-                *finite &= all.is_finite();
-            }
+            all.iter_mut().zip(numbers).for_each(|(z, numbers)| *z = numbers[cell] - d);
         }
-        finite
     }
 
     /// Runs the data pass of a class.

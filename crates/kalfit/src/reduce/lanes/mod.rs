@@ -21,14 +21,5 @@ pub(crate) use numbers::at;
 pub(crate) use pass::{InnovationObserver, innovations, pass_alone};
 pub(crate) use workspace::DataWorkspace;
 
-use crate::reduce::data::FEW;
-use crate::reduce::design::Design;
-use crate::reduce::gains::Gains;
-
-/// Whether the data pass of a class is one for lanes: square-root arrays have another.
-pub(crate) fn fits(design: &Design, gains: &Gains) -> bool {
-    gains.turns.is_none() && design.rows() > 0 && design.runs.iter().all(|run| run.count <= FEW)
-}
-
 #[cfg(test)]
 mod tests;

@@ -1,19 +1,20 @@
-//! Tests in phases whose phases are kept side by side for all values of α: each phase of each test among the rows of its like.
+//! Tests in phases, each phase of each test among the rows of its like; those that are kept side by side, for all values of α.
 
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::batch_reducer::share;
-use crate::reduce::blocks::reduced::ToEnd;
 use crate::reduce::blocks::{EnsembleBatches, FilteredBatch, FilteredBatches};
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::ReducedPhase;
+use crate::reduce::phased::replicates::PhaseReplicates;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
+use crate::reduce::reducer::ToEnd;
+use crate::reduce::share::share;
 use crate::reduce::{PhaseReduction, PhasedTest, Reduction, Reductions};
 
-/// The phases of tests with designs of their own.
+/// How the phases of tests go together.
 #[derive(Debug)]
 pub(crate) struct PhasedBatches {
     phases: Vec<Members>,
@@ -51,52 +52,57 @@ impl FilteredPhases {
 }
 
 impl PhasedReducer {
-    /// The tests with designs of their own, to be kept side by side: of those with the numbers `alone`. `shared`: some of each kind of
-    /// the others.
-    pub(crate) fn blocks(&self, tests: &[PhasedTest], alone: &[usize], shared: &[usize]) -> Option<PhasedBatches> {
+    /// How the phases of tests go together. Of the tests with the numbers `alone`, those with designs of their own are kept side by
+    /// side; `shared`: some of each kind of the others.
+    pub(crate) fn batches(
+        &self,
+        tests: &[PhasedTest],
+        phases: Vec<PhaseReplicates>,
+        (alone, shared): (&[usize], &[usize]),
+    ) -> PhasedBatches {
         let mut has = vec![false; tests.len()];
-        let mut phase = |at: usize| {
-            let (numbers, rows) = self.members(at, tests);
+        let mut phase = |(at, PhaseReplicates { numbers, replicates }): (usize, PhaseReplicates)| {
+            let rows: Vec<&Test> = numbers.iter().filter_map(|&number| self.rows_of(at, &tests[number])).collect();
             let places = |wanted: &[usize]| -> Vec<usize> {
                 wanted.iter().filter_map(|number| numbers.binary_search(number).ok()).collect()
             };
-            let blocks = EnsembleBatches::new(&self.phases[at].reducer, &rows, &places(alone), &places(shared));
+            let reducer = &self.phases[at].reducer;
+            let blocks = EnsembleBatches::new(reducer, (&rows, replicates), &places(alone), &places(shared));
             blocks.numbers().for_each(|place| has[numbers[place]] = true);
             Members { numbers: Arc::new(numbers), blocks: Arc::new(blocks) }
         };
-        let phases: Vec<Members> = (0..self.phases.len()).map(&mut phase).collect();
-        has.contains(&true).then_some(PhasedBatches { phases, has })
+        let phases = phases.into_iter().enumerate().map(&mut phase).collect();
+        PhasedBatches { phases, has }
     }
 
-    /// The tests, by number, that have rows in a phase for the optimal filter; and these rows.
-    pub(super) fn members<'t>(&self, at: usize, tests: &'t [PhasedTest]) -> (Vec<usize>, Vec<&'t Test>) {
-        let rows = |(number, test): (usize, &'t PhasedTest)| Some((number, self.rows_of(at, test)?));
-        tests.iter().enumerate().filter_map(rows).unzip()
-    }
-
-    /// As [`PhasedReducer::reduce`], phases in their blocks.
-    pub(crate) fn reduce_blocks(
+    /// As [`PhasedReducer::reduce`], phases as they go together.
+    pub(crate) fn reduce_batches(
         &self,
         tests: &[PhasedTest],
-        blocks: &PhasedBatches,
+        batches: &PhasedBatches,
     ) -> Result<(Reductions, FilteredPhases), ReduceError> {
-        if let Some((phase, rows)) = self.plain(tests) {
-            let Members { numbers, blocks } = &blocks.phases[0];
-            let (reductions, filtered) = blocks.reduce(&phase.reducer, &rows)?;
-            return Ok((reductions, FilteredPhases { phases: vec![(numbers.clone(), filtered)], pieces: Vec::new() }));
+        let filter = |at: usize, rows: &[&Test]| {
+            let Members { numbers, blocks } = &batches.phases[at];
+            let (found, filtered) = blocks.reduce(&self.phases[at].reducer, rows);
+            (found, (numbers.clone(), filtered))
+        };
+        if let Some((_, rows)) = self.plain(tests) {
+            let (found, phase) = filter(0, &rows);
+            return Ok((found.ordered()?, FilteredPhases { phases: vec![phase], pieces: Vec::new() }));
         }
         let mut found: Vec<Vec<Option<ToEnd>>> = tests.iter().map(|_| Vec::new()).collect();
         let mut phases = Vec::with_capacity(self.phases.len());
-        for (at, Members { numbers, blocks }) in blocks.phases.iter().enumerate() {
+        for (at, Members { numbers, .. }) in batches.phases.iter().enumerate() {
             let rows = numbers.iter().filter_map(|&number| self.rows_of(at, &tests[number]));
-            let (ends, filtered) = blocks.reduce_to_end(&self.phases[at].reducer, &rows.collect::<Vec<_>>());
+            let (ends, phase) = filter(at, &rows.collect::<Vec<_>>());
             found.iter_mut().for_each(|own| own.push(None));
-            numbers.iter().zip(ends).for_each(|(&number, end)| found[number][at] = Some(end));
-            phases.push((numbers.clone(), filtered));
+            let ends = numbers.iter().zip(ends.by_number(numbers.len()));
+            ends.for_each(|(&number, end)| found[number][at] = Some(end));
+            phases.push(phase);
         }
         let rows = tests.iter().map(PhasedTest::row_count).sum();
         let size = share(tests.len(), rows);
-        let chunks = tests.par_chunks(size).zip(blocks.has.par_chunks(size)).zip(found.into_par_iter().chunks(size));
+        let chunks = tests.par_chunks(size).zip(batches.has.par_chunks(size)).zip(found.into_par_iter().chunks(size));
         let whole = |work: &mut PhasedWork, ((tests, has), found): ((&[PhasedTest], &[bool]), Vec<_>)| {
             let parts: Vec<_> =
                 tests.iter().zip(found).map(|(test, found)| self.parts(test, found, work, false)).collect();

@@ -1,10 +1,10 @@
-//! What tests that look alike are recognised by.
+//! Which cells of a test count, and in how many stretches of equal steps.
 
 use crate::ensemble::Test;
+use crate::reduce::cell_mask::CellMask;
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::observe::Meters;
 use crate::reduce::prepare::Preparer;
-use crate::reduce::recognise::CellMask;
 use crate::reduce::start::ModelStart;
 use crate::reduce::steps::{StepSpan, spans};
 use crate::reduce::subject::{ModelAt, Uses};

@@ -2,10 +2,10 @@
 
 use crate::ensemble::Test;
 use crate::model::Scope;
+use crate::reduce::cell_mask::mix;
 use crate::reduce::data::FEW;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, StartCells, Workspace};
-use crate::reduce::recognise::mix;
 
 /// Numbers of one test that its passes remember: no more than these.
 const MOST_NUMBERS: usize = 1 << 16;

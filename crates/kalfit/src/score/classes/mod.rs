@@ -10,7 +10,7 @@
 //!              └─ their data, in lanes ── u, r ── factors ──> the data's part
 //! ```
 
-mod alike;
+mod classed;
 mod data_backward;
 mod equal;
 
@@ -24,7 +24,7 @@ use crate::score::pullback::{Adjoints, Gradient, add};
 use crate::score::{PullbackSink, Scorer};
 use data_backward::{ClassShared, DataBackward};
 
-pub(crate) use alike::TestClasses;
+pub(crate) use classed::classes_of;
 pub(crate) use data_backward::ClassMember;
 
 /// Numbers that one test passes through one by one and that are remembered: no more than these.
@@ -126,7 +126,7 @@ fn of_data(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradient>
         let own = |number: usize| found[number * slots.len()..][..slots.len()].iter().copied();
         (0..tests.len()).map(|number| slots.iter().copied().zip(own(number)).collect()).collect::<Vec<Gradient>>()
     };
-    let many = if shared.design.rows() < alike::LONG { SHARE } else { Isa::best().lanes() };
+    let many = if shared.design.rows() < classed::LONG { SHARE } else { Isa::best().lanes() };
     match tests.len() <= many {
         true => share(tests),
         false => tests.par_chunks(many).flat_map_iter(share).collect(),

@@ -12,6 +12,7 @@ use crate::model::by_hand::{gauss_markov, parameter};
 use crate::model::{Carry, Expression, Initial, Linear, Model, Motion, Phase, State};
 use crate::reduce::Evidence;
 use crate::score::by_differences::{likelihood, slope};
+use crate::score::classes_of;
 
 pub(super) const TAU: usize = 0;
 pub(super) const DRIFT: usize = 1;
@@ -169,7 +170,7 @@ fn scores_equal_differences_of_the_stacked_likelihood() {
         let law = InitialLaw::known(all.mean_of(&[]).rows(0, p).into_owned(), all.root.rows(0, p).into_owned());
         let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let scores = scorer.scores(&tests, &reductions, &law, (&TestClasses::none(tests.len()), None)).expect("sound");
+        let scores = scorer.scores(&tests, &reductions, &law, (&Replicates::none(tests.len()), None)).expect("sound");
         for (j, score) in scores.iter().enumerate() {
             let pieces = reducer.pieces_of(&tests[j], &mut reducer.workspace()).expect("sound");
             let laws = PhaseLaws::new(&law, &model.ranges(), &[]);
@@ -200,7 +201,7 @@ fn the_expected_likelihood_of_phases_has_the_slope_of_the_likelihood() {
     let law = law();
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let scores = scorer.scores(&tests, &reductions, &law, (&TestClasses::none(tests.len()), None)).expect("sound");
+    let scores = scorer.scores(&tests, &reductions, &law, (&Replicates::none(tests.len()), None)).expect("sound");
     let complete = scorer.all_complete(&tests, &reductions, &law).expect("sound");
     let expected = scorer.all_expected(&tests, &complete).expect("sound").expect("it came about");
     let carried: Vec<usize> = model.phases.iter().flat_map(|phase| crate::score::carried(phase, &slots)).collect();
@@ -221,10 +222,10 @@ fn scores_have_the_same_bits_alone_and_together() {
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let (reducer, reductions) = reduced(&model, &slots, &VALUES, &tests);
     let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-    let together = scorer.scores(&tests, &reductions, &law(), (&TestClasses::none(tests.len()), None)).expect("sound");
+    let together = scorer.scores(&tests, &reductions, &law(), (&Replicates::none(tests.len()), None)).expect("sound");
     for j in 0..tests.len() {
         let alone = scorer
-            .scores(&tests[j..=j], &reductions.select(&[j]), &law(), (&TestClasses::none(1), None))
+            .scores(&tests[j..=j], &reductions.select(&[j]), &law(), (&Replicates::none(1), None))
             .expect("sound");
         assert_eq!(alone[0], together[j], "test {j}");
     }
@@ -269,18 +270,18 @@ fn alike_tests_are_scored_as_one_by_one() {
         }));
         let (reducer, reductions) = reduced(&model, &slots, &values, &many);
         let scorer = PhasedScorer::new(&model, &reducer, &slots).expect("differentiable");
-        let classes = TestClasses::of(&reducer, &many);
-        let sizes: Vec<usize> = classes.classes.iter().map(Vec::len).collect();
+        let classes = classes_of(&reducer, &many, &reducer.replicates(&many));
+        let sizes: Vec<usize> = classes.sets.iter().map(Vec::len).collect();
         assert_eq!((sizes, classes.alone.len()), (vec![37; 4], 4));
         let plans = SharedStore::new(PLAN_BYTES);
         let ensemble =
             ScoredEnsemble { tests: &many, reductions: &reductions, law: &law, plans: &plans, filtered: None };
-        for class in &classes.classes {
+        for class in &classes.sets {
             let found = scorer.together(ensemble, class, &mut scorer.room()).expect("sound");
             assert!(found.is_some(), "they go together");
         }
         let together = scorer.scores(&many, &reductions, &law, (&classes, None)).expect("sound");
-        let alone = scorer.scores(&many, &reductions, &law, (&TestClasses::none(many.len()), None)).expect("sound");
+        let alone = scorer.scores(&many, &reductions, &law, (&Replicates::none(many.len()), None)).expect("sound");
         assert!(alone.iter().any(|score| score.len() > 7), "most values count");
         for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
             let of = |score: &Gradient, slot: usize| score.iter().find(|(s, _)| *s == slot).map(|(_, x)| *x);

@@ -7,10 +7,12 @@ use crate::ensemble::{Label, Labels, Source, Test};
 use crate::estimate::InitialLaw;
 use crate::model::by_hand::{continuous, gauss_markov, minus};
 use crate::model::{Clock, Expression, Initial, Motion, PhasedModel, Slots};
-use crate::reduce::{FilteredPhases, Path, PhasedBatches, PhasedReducer, PhasedTest, Reduction, Reductions};
+use crate::reduce::{
+    FilteredPhases, Path, PhasedBatches, PhasedReducer, PhasedTest, Reduction, Reductions, Replicates,
+};
+use crate::score::Gradient;
 use crate::score::phased::PhasedScorer;
 use crate::score::phased::tests::*;
-use crate::score::{Gradient, TestClasses};
 
 /// A model of one phase with some of all that blocks can hold.
 fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
@@ -108,13 +110,15 @@ impl Case {
 
     fn blocks(&self, tests: &[PhasedTest]) -> PhasedBatches {
         let (reducer, _) = reduced(&self.model, &self.slots, &VALUES, tests);
-        reducer.blocks(tests, &TestClasses::none(tests.len()).alone, &[]).expect("some tests are in blocks")
+        let batches = reducer.batches(tests, reducer.replicates(tests), (&Vec::from_iter(0..tests.len()), &[]));
+        assert!(batches.has.contains(&true), "some tests are in blocks");
+        batches
     }
 
     /// Which tests of one phase went with the others of their block.
     fn in_lanes(&self, values: &[f64], tests: &[PhasedTest], blocks: &PhasedBatches) -> Vec<bool> {
         let (reducer, _) = reduced(&self.model, &self.slots, values, tests);
-        let (_, filtered) = reducer.reduce_blocks(tests, blocks).expect("sound");
+        let (_, filtered) = reducer.reduce_batches(tests, blocks).expect("sound");
         let (numbers, blocks) = filtered.phase(0);
         let mut went = vec![false; tests.len()];
         for block in blocks.collect::<Vec<_>>() {
@@ -128,11 +132,11 @@ impl Case {
         let (reducer, mut reductions): (PhasedReducer, _) = reduced(&self.model, &self.slots, values, tests);
         let mut filtered: Option<FilteredPhases> = None;
         if let Some(blocks) = blocks {
-            let (own, after) = reducer.reduce_blocks(tests, blocks).expect("sound");
+            let (own, after) = reducer.reduce_batches(tests, blocks).expect("sound");
             (reductions, filtered) = (own, Some(after));
         }
         let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
-        let classes = TestClasses::none(tests.len());
+        let classes = Replicates::none(tests.len());
         let scores = scorer.scores(tests, &reductions, &self.law, (&classes, filtered.as_ref())).expect("sound");
         (reductions, scores)
     }
