@@ -17,7 +17,8 @@ pub(crate) fn advance<R: Real>(x: &mut [R], width: usize, transition: &Transitio
     }
     work.clear();
     work.resize(transition.pattern.moved.len() * width, R::splat(0.0));
-    for (row, out) in transition.pattern.moved.iter().zip(work.chunks_exact_mut(width.max(1))) {
+    for (m, row) in transition.pattern.moved.iter().enumerate() {
+        let out = &mut work[m * width..][..width];
         for k in row.start as usize..row.end as usize {
             let from = &x[transition.pattern.columns[k] as usize * width..][..width];
             for (sum, &value) in out.iter_mut().zip(from) {
@@ -25,8 +26,8 @@ pub(crate) fn advance<R: Real>(x: &mut [R], width: usize, transition: &Transitio
             }
         }
     }
-    for (row, out) in transition.pattern.moved.iter().zip(work.chunks_exact(width.max(1))) {
-        x[row.state as usize * width..][..width].copy_from_slice(out);
+    for (m, row) in transition.pattern.moved.iter().enumerate() {
+        x[row.state as usize * width..][..width].copy_from_slice(&work[m * width..][..width]);
     }
 }
 
@@ -74,7 +75,8 @@ fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &
     work.clear();
     work.resize(moved.len() * r, R::splat(0.0));
     // W = φP for the rows that move; the others are P's own.
-    for (row, W) in moved.iter().zip(work.chunks_exact_mut(r.max(1))) {
+    for (m, row) in moved.iter().enumerate() {
+        let W = &mut work[m * r..][..r];
         for k in row.start as usize..row.reach as usize {
             let column = transition.pattern.columns[k] as usize;
             for (j, sum) in W.iter_mut().enumerate() {
@@ -82,10 +84,10 @@ fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &
             }
         }
     }
-    for (row, W) in moved.iter().zip(work.chunks_exact(r.max(1))) {
+    for (m, row) in moved.iter().enumerate() {
         let i = row.state as usize;
         for j in 0..r {
-            P[at(i, j, r)] = W[j];
+            P[at(i, j, r)] = work[m * r + j];
         }
     }
     // Among moved states the other φ' is still to come: overwrite with Wφ'.
@@ -244,8 +246,8 @@ fn joseph<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
 /// Ψ ← Ψ - K T on the reachable states.
 #[inline(always)]
 pub(crate) fn correct<R: Real>(p: usize, K: &[R], T: &[R], Psi: &mut [R]) {
-    for (&K, row) in K.iter().zip(Psi.chunks_exact_mut(p.max(1))) {
-        for (entry, &T) in row.iter_mut().zip(T) {
+    for (i, &K) in K.iter().enumerate() {
+        for (entry, &T) in Psi[i * p..][..p].iter_mut().zip(T) {
             *entry = K.fnma(T, *entry);
         }
     }

@@ -112,14 +112,14 @@ impl<T: Real> Adjoint<T> {
         for upsilon in upsilon.iter_mut() {
             *upsilon = *upsilon * line.weight;
         }
-        for (&K, rho) in line.K.iter().zip(rho.chunks_exact(c.max(1))) {
+        for (i, &K) in line.K.iter().enumerate() {
             for k in 0..c {
-                upsilon[k] = K.fnma(rho[k], upsilon[k]);
+                upsilon[k] = K.fnma(rho[i * c + k], upsilon[k]);
             }
         }
         NK.clear();
-        for row in N.chunks_exact(r.max(1)) {
-            NK.push(dot(row, line.K));
+        for i in 0..r {
+            NK.push(dot(&N[i * r..][..r], line.K));
         }
         dot(NK, line.K)
     }
@@ -206,13 +206,14 @@ impl<T: Real> Adjoint<T> {
             before.extend_from_slice(adjoint);
             before.extend_from_slice(rho);
         }
-        back(adjoint, 1, transition, rows);
-        back(rho, c, transition, rows);
+        let n = adjoint.len();
+        back(adjoint, (n, 1), transition, rows);
+        back(rho, (n, c), transition, rows);
         columns(N, r, transition, rows);
         if let Some(left) = left {
             self.motion_bar(transition, left, (r, c), &mut bar.phi);
         }
-        back(&mut self.N, r, transition, &mut self.rows);
+        back(&mut self.N, (r, r), transition, &mut self.rows);
     }
 
     /// ∂ℓ/∂φ; r and ρ are φ'r and φ'ρ, N is Nφ.
@@ -233,9 +234,9 @@ impl<T: Real> Adjoint<T> {
             smoothed.push(left.x[i] + dot(P, adjoint));
             let row = smoothed.len();
             smoothed.extend_from_slice(&left.Psi[i * c..][..c]);
-            for (&P, rho) in P.iter().zip(rho.chunks_exact(c.max(1))) {
+            for (j, &P) in P.iter().enumerate() {
                 for k in 0..c {
-                    smoothed[row + k] = P.fnma(rho[k], smoothed[row + k]);
+                    smoothed[row + k] = P.fnma(rho[j * c + k], smoothed[row + k]);
                 }
             }
         }
@@ -260,8 +261,7 @@ impl<T: Real> Adjoint<T> {
 
 /// X ← φ'X over the first rows of φ that X has. Shape: `x` rows × width; rows of φ beyond X are left out.
 #[inline(always)]
-fn back<T: Real>(x: &mut [T], width: usize, transition: &Transition<T>, work: &mut Vec<T>) {
-    let rows = x.len().checked_div(width).unwrap_or(0);
+fn back<T: Real>(x: &mut [T], (rows, width): (usize, usize), transition: &Transition<T>, work: &mut Vec<T>) {
     if let Some(factors) = transition.factors() {
         for (state, phi) in factors.take_while(|(state, _)| *state < rows) {
             for x in &mut x[state * width..][..width] {
@@ -278,7 +278,8 @@ fn back<T: Real>(x: &mut [T], width: usize, transition: &Transition<T>, work: &m
         work.extend_from_slice(own);
         own.fill(T::splat(0.0));
     }
-    for (row, own) in moved.iter().zip(work.chunks_exact(width.max(1))) {
+    for (m, row) in moved.iter().enumerate() {
+        let own = &work[m * width..][..width];
         for k in row.start as usize..row.end as usize {
             let column = transition.pattern.columns[k] as usize;
             if column < rows {
@@ -304,7 +305,8 @@ pub(super) fn columns<T: Real>(N: &mut [T], r: usize, transition: &Transition<T>
     }
     let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &transition.pattern.moved[..moved];
-    for line in N.chunks_exact_mut(r.max(1)) {
+    for i in 0..r {
+        let line = &mut N[i * r..][..r];
         work.clear();
         for row in moved {
             work.push(std::mem::replace(&mut line[row.state as usize], T::splat(0.0)));

@@ -41,9 +41,9 @@ impl<T: Real> PosteriorRoot<'_, T> {
         let c = self.columns;
         out.clear();
         out.resize(c, T::splat(0.0));
-        for (&t, root) in row.iter().zip(self.root.chunks_exact(c.max(1))) {
+        for (i, &t) in row.iter().enumerate() {
             for k in 0..c {
-                out[k] = t.fma(root[k], out[k]);
+                out[k] = t.fma(self.root[i * c + k], out[k]);
             }
         }
     }
