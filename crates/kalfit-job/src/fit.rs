@@ -18,8 +18,8 @@ use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, groups, lost, memory, model, reductions, tests};
 
 /// Said of a search that had converged when nobody waited any longer.
-const CUT_SHORT: &str =
-    "it was interrupted after it had converged: other starts, methods and intervals that were asked for may be missing";
+const CUT_SHORT: &str = "it was interrupted after it had converged: other starts, methods, intervals and fits without each test that were asked for may be \
+     missing";
 
 /// Said where the list of tests is empty.
 const NO_TESTS: &str = "what each test says was not asked for";

@@ -111,7 +111,7 @@ impl GainSchedule {
             }
         }
         filter.note(&mut path);
-        self.paths.extend(path);
+        self.paths.extend(path.map(MomentPath::complete));
         self.repeat(frame, stretch.lines.len(), stretch.count - done, filter);
         let piece = GainSpan {
             row: stretch.rows.start,

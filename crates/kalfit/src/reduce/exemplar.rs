@@ -11,7 +11,7 @@ use crate::reduce::reducer::{Reducer, ReductionHeader};
 use crate::reduce::share::share;
 
 /// Most measurements of tests that are reduced so: they and their innovations stand there for each lane.
-const MOST_ROWS: usize = 1 << 23;
+const MOST_ROWS: usize = 1 << 22;
 
 /// Rows that are not worth several threads.
 const FEW_ROWS: usize = 1 << 15;
@@ -105,7 +105,7 @@ impl DesignExemplar {
             work.block.run(class.design(), gains, &mut work.room);
             for (lane, &number) in some.iter().enumerate() {
                 let outcome = work.block.outcome(lane, (gains.active, gains.log_determinant), &work.room);
-                // nor is it where a value is not
+                // a value that is missing or infinite makes it so
                 if !outcome.is_finite() || reducer.preparer().covariates_of(tests[number], work).is_err() {
                     odd.push(number);
                     continue;

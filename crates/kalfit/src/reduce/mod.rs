@@ -17,7 +17,7 @@
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; matrix exponentials once per length and coefficients
 //! Design ── design_pass (lanes, root) ──> Gains          S, K, T, P, J: once per design class
-//! Gains + Data ── lanes (pass, scan) ──> Reduction       e, x̂, y: once per test, a long one in a lane by itself
+//! Gains + Data ── lanes (pass, scan) ──> Reduction       e, x̂, y: once per test
 //! ```
 //!
 //! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for one number and for lanes

@@ -20,10 +20,13 @@ pub(crate) struct MomentPath {
 }
 
 impl MomentPath {
+    /// So many equal steps have none: the way back goes through them one by one.
+    pub(crate) const FEW: usize = 4;
+
     /// How many states move in a stretch, if it is of the kind that may have a path: equal steps of one scalar measurement, without
     /// known inputs.
     pub(crate) fn states(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
-        let plain = stretch.count > 1 && stretch.lines.len() == 1 && design.frame.driven.is_empty();
+        let plain = stretch.count > MomentPath::FEW && stretch.lines.len() == 1 && design.frame.driven.is_empty();
         plain.then(|| moving(design, stretch)).filter(|&states| states <= MOST_MOVING)
     }
 
@@ -47,17 +50,23 @@ impl MomentPath {
         }
     }
 
+    /// The whole path, with no more room than it takes.
+    pub(super) fn complete(mut self) -> MomentPath {
+        self.numbers.shrink_to_fit();
+        self
+    }
+
     /// P, r × r, and Ψ of the states that move, before a step or after the last one.
     #[inline(always)]
     pub(crate) fn before(&self, step: usize) -> (&[f64], &[f64]) {
         let size = self.sizes.0 + self.sizes.1;
-        let last = self.numbers.len() / size.max(1) - 1;
+        let last = (self.numbers.len() / size.max(1)).saturating_sub(1); // there may be nothing to keep
         self.numbers[step.min(last) * size..][..size].split_at(self.sizes.0)
     }
 
     /// Bytes it occupies.
     pub(super) fn bytes(&self) -> usize {
-        8 * self.numbers.len() + 64
+        8 * self.numbers.capacity() + 64
     }
 
     /// That of the stretch with this first row.

@@ -96,7 +96,7 @@ pub(crate) struct Workspace {
     pub(crate) covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
     pub(crate) pass: DataWorkspace,
-    /// For one test by itself.
+    /// For replicates.
     pub(crate) block: DataBlock,
     pub(crate) room: DataWorkspace,
     spans: Vec<StepSpan>,

@@ -109,7 +109,8 @@ impl Reducer {
     /// wanted again by the backward pass.
     pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer { paths: true, ..Reducer::of(preparer, SharedStore::new(CLASS_BYTES)) })
+        let paths = slots.free().contains(&true);
+        Ok(Reducer { paths, ..Reducer::of(preparer, SharedStore::new(CLASS_BYTES)) })
     }
 
     /// The same where no backward pass is to come: what one test alone wants is not kept.

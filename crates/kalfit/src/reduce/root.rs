@@ -79,7 +79,7 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths:
             }
         }
         filter.note(&mut path);
-        gains.paths.extend(path);
+        gains.paths.extend(path.map(MomentPath::complete));
     }
     settle(&mut filter.R, p, UNINFORMED, &mut turns.settle);
     for k in 0..p {

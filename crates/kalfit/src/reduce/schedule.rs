@@ -1,5 +1,5 @@
 //! What a design pass leaves, and its work space.
-#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h")]
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
 
 use std::ops::Range;
 

@@ -17,8 +17,9 @@
 //! After the last step they are zero, or what later phases say of the state there ([`TerminalAdjoint`]).
 //!
 //! What the forward filter passes through is not remembered: its innovations are, and its state every so many steps, from which
-//! the steps between are run again when the way back comes to them. Many equal steps go through kernels of known size (`equal`),
-//! which sum their adjoints and stop renewing N and ρ where these no longer change.
+//! the steps between are run again when the way back comes to them. Many equal steps go through kernels of known size
+//! (`equal_backward`), which sum their adjoints and stop renewing N and ρ where these no longer change; P and Ψ before each of them
+//! are known from the design pass.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
 mod adjoint;

@@ -1,4 +1,4 @@
-//! What goes forth and back through equal steps of one scalar measurement: arrays of known size, for the N states that move and C
+//! What goes back through equal steps of one scalar measurement: arrays of known size, for the N states that move and C
 //! columns of ΨC.
 
 use kalfit_lanes::{Lanes, Real};

@@ -459,18 +459,27 @@ fn long() -> (Design, Data) {
 }
 
 fn totals(cut: SegmentLengths, unfrozen: bool, wanted: AdjointsWanted, takes_sums: bool) -> Totals {
-    let (design, data) = long();
+    totals_of(&long(), &law(), (cut, unfrozen), wanted, takes_sums)
+}
+
+fn totals_of(
+    (design, data): &(Design, Data),
+    law: &InitialLaw,
+    (cut, unfrozen): (SegmentLengths, bool),
+    wanted: AdjointsWanted,
+    takes_sums: bool,
+) -> Totals {
     let mut work = keeping();
     work.settling.off = unfrozen;
-    let gains = information_gains(&design, None, &mut work).expect("well conditioned");
-    let moments = moments(reduction_by(&gains, &design, &data).view(), &law());
-    let run = run((&design, &data, &gains), (&moments, None), wanted);
+    let gains = information_gains(design, None, &mut work).expect("well conditioned");
+    let moments = moments(reduction_by(&gains, design, data).view(), law);
+    let run = run((design, data, &gains), (&moments, None), wanted);
     let mut back = BackwardWork { cut, ..BackwardWork::default() };
     back.set_unfrozen(unfrozen);
-    let mut totals = Totals::new(&design, takes_sums);
+    let mut totals = Totals::new(design, takes_sums);
     let Ok(()) = run.backward(&mut back, &mut totals);
     let first = totals.clone();
-    totals = Totals::new(&design, takes_sums);
+    totals = Totals::new(design, takes_sums);
     let Ok(()) = run.backward(&mut back, &mut totals); // nothing is left of the first time
     assert_eq!(totals, first);
     totals
@@ -506,5 +515,33 @@ fn frozen_equals_unfrozen() {
         let each = totals(SegmentLengths::default(), true, wanted, false);
         totals(SegmentLengths::default(), false, wanted, true).check(&each);
         totals(SegmentLengths::default(), false, wanted, false).check(&each);
+    }
+}
+
+/// Equal steps in which nothing moves and no noise reaches a state: two constants.
+fn still() -> (Design, Data) {
+    let sensitivity = vec![1.0, 0.0, 0.0, 1.0];
+    let frame = StateFrame { n: 2, p: 2, r: 0, rows: vec![DENSE; 2], sensitivity, driven: Vec::new(), digest: 0 };
+    let mut design = Design::new(Arc::new(frame.seal()));
+    for (h, count) in [(0.5, 70), (-1.5, 90)] {
+        design.states.extend([0, 1]);
+        design.h.extend([1.0, h]);
+        design.ends.push(design.states.len());
+        design.noise.push(0.7);
+        design.push_step(None);
+        design.repeat(count - 1);
+    }
+    let values = (0..design.rows()).map(|row| ((row * row) as f64 * 0.618_033_988_749_895).fract() - 0.3).collect();
+    let sizes = vec![1.0; design.rows()];
+    (design, Data { start: vec![0.1, -0.2], inputs: Vec::new(), values, sizes })
+}
+
+#[test]
+fn equal_steps_of_constants_alone_are_the_steps_one_by_one() {
+    let root = DMatrix::from_row_slice(2, 2, &[0.8, 0.1, -0.3, 0.9]);
+    let law = InitialLaw::known(DVector::from_vec(vec![0.3, -0.2]), root);
+    for wanted in [ALL, AdjointsWanted::default()] {
+        let of = |sums| totals_of(&still(), &law, (SegmentLengths::default(), false), wanted, sums);
+        of(true).check(&of(false));
     }
 }

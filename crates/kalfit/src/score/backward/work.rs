@@ -1,6 +1,6 @@
 //! What is remembered of the forward pass, and the parts in which it is gone back through.
 
-use crate::reduce::{Design, DesignStep, SteadyStateMonitor};
+use crate::reduce::{Design, DesignStep, MomentPath, SteadyStateMonitor};
 use crate::score::backward::adjoint::Adjoint;
 use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::run::BackwardInput;
@@ -22,7 +22,7 @@ pub(super) const MOST: usize = 64;
 
 impl Default for SegmentLengths {
     fn default() -> SegmentLengths {
-        SegmentLengths { block: 256, few: 4, short: 64 }
+        SegmentLengths { block: 256, few: MomentPath::FEW, short: 64 }
     }
 }
 
