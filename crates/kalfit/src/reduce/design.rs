@@ -264,6 +264,12 @@ impl Design {
         self.moves.first().map(|transition| &transition.pattern)
     }
 
+    /// States that noise reaches or that move in a stretch: the first ones of the kernels' order.
+    pub(crate) fn moving(&self, stretch: &Stretch<'_>) -> usize {
+        let last = stretch.transition.and_then(|transition| transition.pattern.moved.last());
+        self.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
+    }
+
     /// A transition of zeros, of this pattern.
     #[inline(always)]
     pub(crate) fn blank_transition<R: Real>(&self) -> Transition<R> {

@@ -134,7 +134,7 @@ pub(crate) use phased::{FilteredPhases, PhaseReplicates, PhasedBatches, PhasedWo
 pub(crate) use prepare::{Preparer, Replay, Skeleton, Workspace};
 pub(crate) use reducer::own_innovations;
 pub(crate) use replicates::Replicates;
-pub(crate) use scan::{InvariantStep, Scan, moving, with_states};
+pub(crate) use scan::{InvariantStep, Scan, with_states};
 pub(crate) use semidefinite::ldl;
 pub(crate) use settling::{SteadyState, SteadyStateMonitor};
 pub(crate) use share::share;

@@ -4,7 +4,6 @@
 use kalfit_lanes::Lanes;
 
 use crate::reduce::design::{Design, Stretch};
-use crate::reduce::scan::moving;
 
 /// Most states that move in equal steps that have a path.
 const MOST_MOVING: usize = 4;
@@ -27,7 +26,7 @@ impl MomentPath {
     /// known inputs.
     pub(crate) fn states(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
         let plain = stretch.count > MomentPath::FEW && stretch.lines.len() == 1 && design.frame.driven.is_empty();
-        plain.then(|| moving(design, stretch)).filter(|&states| states <= MOST_MOVING)
+        plain.then(|| design.moving(stretch)).filter(|&states| states <= MOST_MOVING)
     }
 
     /// Of a stretch, if it is of that kind.

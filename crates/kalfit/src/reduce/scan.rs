@@ -60,16 +60,10 @@ pub(crate) use with_states;
 /// Most states that move in a stretch that is scanned.
 const MOST_MOVING: usize = 6;
 
-/// States that noise reaches or that move: the first ones of the kernels' order.
-pub(crate) fn moving(design: &Design, stretch: &Stretch<'_>) -> usize {
-    let last = stretch.transition.and_then(|transition| transition.pattern.moved.last());
-    design.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
-}
-
 /// How many states move in a stretch, if it is of the kind that is scanned.
 pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
     let plain = stretch.count > FEW && stretch.lines.len() == 1 && design.frame.driven.is_empty();
-    plain.then(|| moving(design, stretch)).filter(|&states| states <= MOST_MOVING)
+    plain.then(|| design.moving(stretch)).filter(|&states| states <= MOST_MOVING)
 }
 
 /// [`Scan`] where so many states move.

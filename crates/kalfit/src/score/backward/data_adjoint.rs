@@ -9,7 +9,6 @@
 use kalfit_lanes::{Lanes, Real};
 
 use crate::reduce::{self, Stretch};
-use crate::score::backward::design_sums::one;
 use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 
 /// The coefficients of a step.
@@ -123,4 +122,9 @@ fn smoothed<T: Real, const N: usize>(x: &[T; N], P: &[[f64; N]; N], r: &[T; N]) 
         }
     }
     smoothed
+}
+
+/// The numbers of one test.
+pub(super) fn one<T: Lanes, const M: usize>(numbers: [T; M]) -> [f64; M] {
+    numbers.map(|x| x.lane(0))
 }

@@ -3,7 +3,7 @@
 
 use kalfit_lanes::{Lanes, Real};
 
-use crate::score::backward::data_adjoint::PriorVariances;
+use crate::score::backward::data_adjoint::{PriorVariances, one};
 
 /// P and ΨC before a step and, where ∂ℓ/∂h is wanted, before its measurement.
 #[derive(Debug, Clone, Copy)]
@@ -32,11 +32,6 @@ impl<T: Lanes, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
     pub(super) fn one(&self) -> DesignAdjoint<f64, N, C> {
         DesignAdjoint { rho: self.rho.map(one), N: self.N.map(one) }
     }
-}
-
-/// The numbers of one test.
-pub(super) fn one<T: Lanes, const M: usize>(numbers: [T; M]) -> [f64; M] {
-    numbers.map(|x| x.lane(0))
 }
 
 /// The design's part of the adjoints of the coefficients, summed over steps.

@@ -2,7 +2,7 @@
 
 use kalfit_lanes::{Isa, Kernel, Lanes, Real};
 
-use crate::reduce::{GainSpan, MomentPath, Scan, Stretch, moving};
+use crate::reduce::{GainSpan, MomentPath, Scan, Stretch};
 use crate::score::backward::data_adjoint::{DataAdjoint, PriorVariances};
 use crate::score::backward::design_sums::{Gain, PriorMoments};
 use crate::score::backward::run::BackwardInput;
@@ -29,7 +29,7 @@ impl<'a> EqualStretch<'a> {
         let first = stretch.rows.start;
         let piece = &run.gains.pieces[run.gains.piece(first)];
         let changing = (piece.row + piece.moving()).saturating_sub(first).min(stretch.count);
-        let states = moving(run.design, &stretch);
+        let states = run.design.moving(&stretch);
         let path = run.gains.path(first).filter(|_| run.tracked());
         EqualStretch { run, stretch, piece, moving: changing, states, block, path }
     }
