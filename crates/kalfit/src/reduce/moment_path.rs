@@ -16,6 +16,8 @@ pub(crate) struct MomentPath {
     /// Numbers of P, r × r, both triangles, and of Ψ of the states that move.
     sizes: (usize, usize),
     numbers: Vec<f64>,
+    /// How many times.
+    many: usize,
 }
 
 impl MomentPath {
@@ -33,12 +35,13 @@ impl MomentPath {
     pub(super) fn new(design: &Design, stretch: &Stretch<'_>) -> Option<MomentPath> {
         let states = MomentPath::states(design, stretch)?;
         let sizes = (design.frame.r.pow(2), states * design.frame.p);
-        Some(MomentPath { row: stretch.rows.start, sizes, numbers: Vec::new() })
+        Some(MomentPath { row: stretch.rows.start, sizes, numbers: Vec::new(), many: 0 })
     }
 
     /// Goes on; `P`: r × r, of which the lower triangle counts, `Psi`: of all states.
     #[inline(always)]
     pub(super) fn push<T: Lanes>(&mut self, r: usize, P: &[T], Psi: &[T]) {
+        self.many += 1;
         for i in 0..r {
             for j in 0..r {
                 self.numbers.push(P[i.max(j) * r + i.min(j)].lane(0));
@@ -59,8 +62,7 @@ impl MomentPath {
     #[inline(always)]
     pub(crate) fn before(&self, step: usize) -> (&[f64], &[f64]) {
         let size = self.sizes.0 + self.sizes.1;
-        let last = (self.numbers.len() / size.max(1)).saturating_sub(1); // there may be nothing to keep
-        self.numbers[step.min(last) * size..][..size].split_at(self.sizes.0)
+        self.numbers[step.min(self.many - 1) * size..][..size].split_at(self.sizes.0)
     }
 
     /// Bytes it occupies.

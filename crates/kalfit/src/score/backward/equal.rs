@@ -68,9 +68,9 @@ impl<'a> EqualStretch<'a> {
     #[inline(always)]
     pub(super) fn gain<const N: usize, const C: usize>(&self, step: usize) -> Gain<N, C> {
         let (sensitivity, mut T) = (self.run.gains.sensitive(self.piece, self.row(step)), [0.0; C]);
-        for (sensitivity, root) in sensitivity.iter().zip(self.run.moments.root.chunks_exact(C.max(1))) {
+        for (k, sensitivity) in sensitivity.iter().enumerate() {
             for j in 0..C {
-                T[j] += sensitivity * root[j];
+                T[j] += sensitivity * self.run.moments.root[k * C + j];
             }
         }
         Gain { own: self.weighted(step), T }
@@ -82,8 +82,10 @@ impl<'a> EqualStretch<'a> {
         let r = self.run.design.frame.r;
         let load = |step: usize| {
             let mut P = [[0.0; N]; N];
-            let own = self.path.map_or(&[][..], |path| path.before(step).0);
-            P.iter_mut().zip(own.chunks_exact(r.max(1))).for_each(|(row, own)| row[..r].copy_from_slice(own));
+            if let Some(path) = self.path {
+                let own = path.before(step).0;
+                (0..r).for_each(|i| P[i][..r].copy_from_slice(&own[i * r..][..r]));
+            }
             P
         };
         let left = load(step);
@@ -106,7 +108,7 @@ impl<'a> EqualStretch<'a> {
         let load = |step: usize| {
             let mut Psi = [[0.0; C]; N];
             if let Some(path) = self.path {
-                unknown_part(path.before(step).1, self.run.moments, Psi.as_flattened_mut());
+                unknown_part((path.before(step).1, N), self.run.moments, Psi.as_flattened_mut());
             }
             Psi
         };
@@ -132,7 +134,7 @@ pub(super) fn forward(run: &BackwardInput<'_>, part: &Segment, work: &mut Backwa
     if let Some(path) = steps.path {
         let (P, Psi) = path.before(steps.moving);
         now.P.copy_from_slice(P);
-        unknown_part(Psi, run.moments, &mut now.Psi);
+        unknown_part((Psi, steps.states), run.moments, &mut now.Psi);
     }
     if run.blank {
         e.resize(e.len() + steps.stretch.count, 0.0);
@@ -143,13 +145,13 @@ pub(super) fn forward(run: &BackwardInput<'_>, part: &Segment, work: &mut Backwa
     }
 }
 
-/// ΨC.
-fn unknown_part(Psi: &[f64], moments: &Moments, out: &mut [f64]) {
+/// ΨC of so many states.
+#[inline]
+fn unknown_part((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
     let (c, p) = (moments.columns, moments.mean.len());
-    for (own, Psi) in out.chunks_exact_mut(c.max(1)).zip(Psi.chunks_exact(p.max(1))) {
-        own.fill(0.0);
-        for (Psi, root) in Psi.iter().zip(moments.root.chunks_exact(c.max(1))) {
-            own.iter_mut().zip(root).for_each(|(own, root)| *own += Psi * root);
+    for i in 0..states {
+        for k in 0..c {
+            out[i * c + k] = (0..p).map(|j| Psi[i * p + j] * moments.root[j * c + k]).sum();
         }
     }
 }
