@@ -131,11 +131,17 @@ impl<R: Real> Transition<R> {
 }
 
 impl<R: Real> Transition<R> {
-    /// Takes the numbers of one of the same pattern.
+    /// Becomes another one.
     #[inline(always)]
     pub(crate) fn take(&mut self, other: &Transition) {
-        for (own, &x) in self.phi.iter_mut().zip(&other.phi).chain(self.q.iter_mut().zip(&other.q)) {
-            *own = R::splat(x);
+        if !Arc::ptr_eq(&self.pattern, &other.pattern) {
+            self.pattern = other.pattern.clone();
+        }
+        for (own, others) in [(&mut self.phi, &other.phi), (&mut self.q, &other.q)] {
+            own.clear();
+            for &x in others {
+                own.push(R::splat(x));
+            }
         }
     }
 }
@@ -259,7 +265,7 @@ impl<'a> Stretch<'a> {
 }
 
 impl Design {
-    /// The pattern of the transitions: all have one.
+    /// The pattern of the first transition, which is that of all where they are a model's.
     pub(crate) fn pattern(&self) -> Option<&Arc<Pattern>> {
         self.moves.first().map(|transition| &transition.pattern)
     }
