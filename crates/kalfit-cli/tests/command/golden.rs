@@ -34,7 +34,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xec39_104f_cd16_28d1,
             0xadaa_c1eb_49bd_3987,
-            0xa96e_c586_621f_cb26,
+            0x94ba_5346_7950_2def,
             0x4fe7_9563_2306_5ea2,
             0x3659_7d54_eddc_0dc2,
         ],
@@ -44,7 +44,7 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         [
             0xec39_104f_cd16_28d1,
             0x82c2_e84f_5b54_7bad,
-            0x38c4_f4e4_0adc_b53a,
+            0x62a4_9f4c_219e_095e,
             0x9c68_c22f_7236_e67e,
             0xd114_9b40_35bb_129b,
         ],
