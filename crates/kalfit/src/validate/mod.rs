@@ -4,7 +4,7 @@
 //! tests ──> folds ──> (α, μ, Σ) without a fold ──> log p of the fold, innovations, distances
 //! ```
 //!
-//! What leaves a single test out at a known α is no new fit: [`deletions`] has it exactly.
+//! What leaves a single test out at a known α is no new fit: [`deletions`](crate::infer::deletions) has it exactly.
 
 mod error;
 mod folds;
