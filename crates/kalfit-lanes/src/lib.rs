@@ -194,9 +194,9 @@ mod tests {
         }
     }
 
-    struct Fused;
+    struct OneRounding;
 
-    impl Kernel for Fused {
+    impl Kernel for OneRounding {
         type Output = [f64; 3];
 
         #[inline(always)]
@@ -210,12 +210,12 @@ mod tests {
     #[test]
     fn products_are_added_with_one_rounding_where_the_machine_can() {
         for isa in Isa::all() {
-            let [fma, fnma, sum] = isa.run(Fused);
+            let [fma, fnma, sum] = isa.run(OneRounding);
             let one_rounding = -(2f64.powi(-60));
             assert!(fma == one_rounding || fma == 0.0, "{isa:?}: {fma:e}");
             assert_eq!(fma, -fnma, "{isa:?}");
             assert_eq!(sum, f64::from((1 << isa.lanes()) - 1), "{isa:?}");
-            assert_eq!(isa.run_one(Fused), [fma, fnma, 1.0], "{isa:?}, one by one");
+            assert_eq!(isa.run_one(OneRounding), [fma, fnma, 1.0], "{isa:?}, one by one");
         }
     }
 

@@ -11,14 +11,14 @@ use crate::model::PhasedModel;
 
 /// Progress that threads share.
 pub(crate) struct SharedProgress<'p> {
-    told: Mutex<Told<'p>>,
+    told: Mutex<ToldInterval<'p>>,
     /// Somebody asked for the end: that stays so.
     stopped: AtomicBool,
     /// Names of the elements of μ and Σ.
     names: Vec<String>,
 }
 
-struct Told<'p> {
+struct ToldInterval<'p> {
     progress: &'p mut dyn Progress,
     /// The interval that was begun last, and its end.
     of: String,
@@ -26,16 +26,16 @@ struct Told<'p> {
     filter_runs: usize,
 }
 
-impl Told<'_> {
+impl ToldInterval<'_> {
     fn tell(&mut self) {
-        let Told { of, is_upper, filter_runs, .. } = self;
+        let ToldInterval { of, is_upper, filter_runs, .. } = self;
         self.progress.stage(Stage::Interval { of, is_upper: *is_upper, filter_runs: *filter_runs });
     }
 }
 
 impl<'p> SharedProgress<'p> {
     pub(crate) fn new(progress: &'p mut dyn Progress, model: Option<&PhasedModel>) -> SharedProgress<'p> {
-        let told = Mutex::new(Told { progress, of: String::new(), is_upper: false, filter_runs: 0 });
+        let told = Mutex::new(ToldInterval { progress, of: String::new(), is_upper: false, filter_runs: 0 });
         let names = model.map_or_else(Vec::new, PhasedModel::element_names);
         SharedProgress { told, stopped: AtomicBool::new(false), names }
     }

@@ -28,11 +28,12 @@ use crate::model::{Alpha, Level};
 use crate::reduce::digest::Digest;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
+use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ToEnd};
 use crate::reduce::replicates::Replicates;
 use batch_workspace::by_shape;
 pub(crate) use layout::BatchLayout;
-use reduced::{ReducedTests, TestHeader};
+use reduced::TestHeader;
 pub(crate) use values::BatchValues;
 
 /// Bytes of blocks, with their numbers at one α.

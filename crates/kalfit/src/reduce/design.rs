@@ -276,6 +276,12 @@ impl Design {
         self.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
     }
 
+    /// How many states move in a stretch of more than `few` equal steps of one scalar measurement, without known inputs.
+    pub(crate) fn equal_moving(&self, stretch: &Stretch<'_>, few: usize) -> Option<usize> {
+        let plain = stretch.count > few && stretch.lines.len() == 1 && self.frame.driven.is_empty();
+        plain.then(|| self.moving(stretch))
+    }
+
     /// A transition of zeros, of this pattern.
     #[inline(always)]
     pub(crate) fn blank_transition<R: Real>(&self) -> Transition<R> {

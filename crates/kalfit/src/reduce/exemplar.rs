@@ -4,9 +4,9 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::reduced::ReducedTests;
 use crate::reduce::class::DesignClass;
 use crate::reduce::prepare::Workspace;
+use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
 use crate::reduce::share::share;
 

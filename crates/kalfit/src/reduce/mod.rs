@@ -77,6 +77,7 @@ mod plain;
 mod plain_order;
 mod plain_reduction;
 mod prepare;
+mod reduced_tests;
 mod reducer;
 mod reduction;
 mod reductions;

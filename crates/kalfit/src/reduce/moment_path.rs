@@ -27,8 +27,7 @@ impl MomentPath {
     /// How many states move in a stretch, if it is of the kind that may have a path: equal steps of one scalar measurement, without
     /// known inputs.
     pub(crate) fn states(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
-        let plain = stretch.count > MomentPath::FEW && stretch.lines.len() == 1 && design.frame.driven.is_empty();
-        plain.then(|| design.moving(stretch)).filter(|&states| states <= MOST_MOVING)
+        design.equal_moving(stretch, MomentPath::FEW).filter(|&states| states <= MOST_MOVING)
     }
 
     /// Of a stretch, if it is of that kind.
@@ -41,14 +40,15 @@ impl MomentPath {
     /// Goes on; `P`: r × r, of which the lower triangle counts, `Psi`: of all states.
     #[inline(always)]
     pub(super) fn push<T: Lanes>(&mut self, r: usize, P: &[T], Psi: &[T]) {
-        self.many += 1;
+        let MomentPath { numbers, sizes, many, .. } = self;
+        *many += 1;
         for i in 0..r {
             for j in 0..r {
-                self.numbers.push(P[i.max(j) * r + i.min(j)].lane(0));
+                numbers.push(P[i.max(j) * r + i.min(j)].lane(0));
             }
         }
-        for x in &Psi[..self.sizes.1] {
-            self.numbers.push(x.lane(0));
+        for x in &Psi[..sizes.1] {
+            numbers.push(x.lane(0));
         }
     }
 

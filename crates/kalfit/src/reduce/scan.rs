@@ -62,8 +62,7 @@ const MOST_MOVING: usize = 6;
 
 /// How many states move in a stretch, if it is of the kind that is scanned.
 pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
-    let plain = stretch.count > FEW && stretch.lines.len() == 1 && design.frame.driven.is_empty();
-    plain.then(|| design.moving(stretch)).filter(|&states| states <= MOST_MOVING)
+    design.equal_moving(stretch, FEW).filter(|&states| states <= MOST_MOVING)
 }
 
 /// [`Scan`] where so many states move.

@@ -25,7 +25,7 @@
 mod adjoint;
 mod batch;
 mod data_adjoint;
-mod design_sums;
+mod design_adjoint;
 mod equal;
 mod equal_backward;
 mod filtered;
@@ -35,7 +35,6 @@ mod run;
 mod scalar_measurement;
 mod sink;
 mod smooth;
-mod steady;
 #[cfg(test)]
 mod tests;
 mod work;

@@ -6,12 +6,13 @@ use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
 use crate::reduce::blocks::layout::BatchLayout;
-use crate::reduce::blocks::reduced::{ReducedTests, TestHeader};
+use crate::reduce::blocks::reduced::TestHeader;
 use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
 use crate::reduce::lanes::{BatchColumns, DataWorkspace};
 use crate::reduce::prepare::Skeleton;
+use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::Reducer;
 use crate::reduce::terminal::TerminalState;
 

@@ -112,7 +112,7 @@ impl Kernel for DataPass<'_> {
 }
 
 /// The innovations of one test.
-struct Innovations<'a, L> {
+struct InnovationPass<'a, L> {
     design: &'a Design,
     gains: &'a Gains,
     data: DataView<'a>,
@@ -120,12 +120,12 @@ struct Innovations<'a, L> {
     look: &'a mut L,
 }
 
-impl<L: InnovationObserver> Kernel for Innovations<'_, L> {
+impl<L: InnovationObserver> Kernel for InnovationPass<'_, L> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Innovations { design, gains, data, room, look } = self;
+        let InnovationPass { design, gains, data, room, look } = self;
         innovate::<T, _, _>(design, &SharedDesign::new(design, gains), data, room, look);
     }
 }
@@ -138,7 +138,7 @@ pub(crate) fn innovations<L: InnovationObserver>(
     look: &mut L,
 ) {
     let data = DataView::of(data);
-    Isa::best().run_one(Innovations { design, gains, data, room, look });
+    Isa::best().run_one(InnovationPass { design, gains, data, room, look });
 }
 
 /// The data pass of a test by itself, in the bits that it has in a lane; what it finds is left in `room`.

@@ -10,10 +10,10 @@ use crate::model::{
     State,
 };
 use crate::reduce::blocks::batch_workspace::BatchWorkspace;
-use crate::reduce::blocks::reduced::ReducedTests;
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::prepare::Skeleton;
+use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::Reducer;
 use crate::reduce::{Reduction, Reductions, Work};
 

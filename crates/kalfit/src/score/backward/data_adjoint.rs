@@ -13,10 +13,10 @@ use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 
 /// The coefficients of a step.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct DataAdjoint<T, const N: usize> {
+pub(crate) struct StepCoefficients<T, const N: usize> {
     pub(crate) filter: reduce::InvariantStep<T, N>,
-    wanted: AdjointsWanted,
-    moves: bool,
+    pub(super) wanted: AdjointsWanted,
+    pub(super) moves: bool,
 }
 
 /// P before a step and, where ∂ℓ/∂h is wanted, before its measurement.
@@ -55,12 +55,12 @@ impl<T: Lanes, const N: usize> DataSums<T, N> {
     }
 }
 
-impl<T: Real, const N: usize> DataAdjoint<T, N> {
+impl<T: Real, const N: usize> StepCoefficients<T, N> {
     /// Of a stretch; `x`: the filter before it.
     #[inline(always)]
-    pub(crate) fn new(run: &BackwardInput<'_>, stretch: &Stretch<'_>, x: &[T]) -> DataAdjoint<T, N> {
+    pub(crate) fn new(run: &BackwardInput<'_>, stretch: &Stretch<'_>, x: &[T]) -> StepCoefficients<T, N> {
         let filter = reduce::InvariantStep::new(run.design, stretch, x);
-        DataAdjoint { filter, wanted: run.wanted, moves: stretch.transition.is_some() }
+        StepCoefficients { filter, wanted: run.wanted, moves: stretch.transition.is_some() }
     }
 
     /// Back through one step; x̄ is that before it.

@@ -3,8 +3,8 @@
 use kalfit_lanes::{Isa, Kernel, Lanes, Real};
 
 use crate::reduce::{GainSpan, MomentPath, Scan, Stretch};
-use crate::score::backward::data_adjoint::{DataAdjoint, PriorVariances};
-use crate::score::backward::design_sums::{Gain, PriorMoments};
+use crate::score::backward::data_adjoint::{PriorVariances, StepCoefficients};
+use crate::score::backward::design_adjoint::{Gain, PriorMoments};
 use crate::score::backward::run::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment};
 use crate::score::moments::Moments;
@@ -49,10 +49,10 @@ impl<'a> EqualStretch<'a> {
         (0..count).step_by(block).map(move |from| (from, count.min(from + block)))
     }
 
-    /// The coefficients of other data; `x`: their filter before these steps.
+    /// The coefficients of a step for other data; `x`: their filter before these steps.
     #[inline(always)]
-    pub(crate) fn data_adjoint<T: Real, const N: usize>(&self, x: &[T]) -> DataAdjoint<T, N> {
-        DataAdjoint::new(self.run, &self.stretch, x)
+    pub(crate) fn coefficients<T: Real, const N: usize>(&self, x: &[T]) -> StepCoefficients<T, N> {
+        StepCoefficients::new(self.run, &self.stretch, x)
     }
 
     /// 1/S and K of a step.
@@ -141,7 +141,7 @@ pub(super) fn forward(run: &BackwardInput<'_>, part: &Segment, work: &mut Backwa
     } else {
         let first = e.len();
         e.extend_from_slice(&run.values[steps.stretch.rows.clone()]);
-        Isa::best().run_one(Innovations { steps: &steps, x: &mut now.x, e: &mut e[first..], marks });
+        Isa::best().run_one(EqualForward { steps: &steps, x: &mut now.x, e: &mut e[first..], marks });
     }
 }
 
@@ -156,19 +156,19 @@ fn unknown_part((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f6
     }
 }
 
-struct Innovations<'a> {
+struct EqualForward<'a> {
     steps: &'a EqualStretch<'a>,
     x: &'a mut [f64],
     e: &'a mut [f64],
     marks: &'a mut Vec<f64>,
 }
 
-impl Kernel for Innovations<'_> {
+impl Kernel for EqualForward<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Innovations { steps, x, e, marks } = self;
+        let EqualForward { steps, x, e, marks } = self;
         let (mut own, mut kept) = (lifted::<T>(x), Vec::<T>::new());
         let (run, gains) = (steps.run, (steps.run.gains, steps.piece));
         let blocks = run.tracked().then_some((&mut kept, steps.block));

@@ -4,12 +4,11 @@
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
 use crate::reduce::{MomentPath, SteadyState, SteadyStateMonitor, Stretch};
-use crate::score::backward::data_adjoint::{DataSums, PriorVariances};
-use crate::score::backward::design_sums::{DesignAdjoint, DesignSums, Gain, PriorMoments};
+use crate::score::backward::data_adjoint::{DataSums, PriorVariances, StepCoefficients};
+use crate::score::backward::design_adjoint::{DesignAdjoint, DesignSums, Gain, PriorMoments};
 use crate::score::backward::equal::{EqualStretch, lifted};
 use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::run::BackwardInput;
-use crate::score::backward::steady::StepCoefficients;
 use crate::score::backward::work::{BackwardWork, Segment, SegmentPass};
 
 fn columns<const N: usize>(c: usize) -> Option<SegmentPass> {
@@ -125,7 +124,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         xs.clear();
         for k in from..to {
             xs.push(x);
-            x = self.step.data.filter.state(&x, &steps.weighted(k).1, T::splat(e[k]));
+            x = self.step.filter.state(&x, &steps.weighted(k).1, T::splat(e[k]));
         }
     }
 
@@ -139,7 +138,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
             if let Some((P, _)) = &self.still {
                 let (mut r, mut answers) = (self.r, self.answers);
                 for (&e, x) in e[low..k].iter().zip(&xs[low - from..k - from]).rev() {
-                    self.step.data.back(&mut r, &gain.own, T::splat(e), (x, P), &mut answers);
+                    self.step.back(&mut r, &gain.own, T::splat(e), (x, P), &mut answers);
                 }
                 (self.r, self.answers) = (r, answers);
                 self.rested += k - low;
@@ -154,7 +153,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
             }
             k = until;
             if self.watched && self.looks(steps, count - k, &mut work.settling) {
-                self.still = Some((prior.P, self.step.rested(&self.bars, &gain, &prior)));
+                self.still = Some((prior.P, self.bars.rested(&self.step, &gain, &prior)));
             }
         }
         if from < steps.moving() {
@@ -169,8 +168,8 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
     #[inline(always)]
     fn step(&mut self, gain: &Gain<N, C>, e: f64, (x, prior): (&[T; N], &PriorMoments<N, C>)) {
         let EqualBackward { step, r, bars, answers, sums, .. } = self;
-        step.data.back(r, &gain.own, T::splat(e), (x, &prior.P), answers);
-        step.back(bars, gain, prior, sums);
+        step.back(r, &gain.own, T::splat(e), (x, &prior.P), answers);
+        bars.back(step, gain, prior, sums);
     }
 
     /// Whether N and ρ have come to rest after so many steps.

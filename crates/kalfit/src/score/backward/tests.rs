@@ -518,6 +518,25 @@ fn frozen_equals_unfrozen() {
     }
 }
 
+#[test]
+fn without_paths_equal_steps_go_one_by_one() {
+    let (design, data) = long();
+    let mut gains = information_gains(&design, None, &mut keeping()).expect("well conditioned");
+    let moments = moments(reduction_by(&gains, &design, &data).view(), &law());
+    let of = |gains: &Gains| {
+        let (mut totals, mut back) = (Totals::new(&design, true), BackwardWork::default());
+        let Ok(()) = run((&design, &data, gains), (&moments, None), ALL).backward(&mut back, &mut totals);
+        let is_equal = |part: &&Segment| matches!(part.kind, SegmentKind::Equal(_));
+        (totals, back.parts.iter().filter(is_equal).count())
+    };
+    let (kept, summed) = of(&gains);
+    assert_eq!((gains.paths.len(), summed), (3, 3), "of four long stretches one has two measurements a step");
+    gains.paths.clear();
+    let (each, summed) = of(&gains);
+    assert_eq!(summed, 0);
+    each.check(&kept);
+}
+
 /// Equal steps in which nothing moves and no noise reaches a state: two constants.
 fn still() -> (Design, Data) {
     let sensitivity = vec![1.0, 0.0, 0.0, 1.0];

@@ -22,7 +22,7 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
     #[inline(always)]
     fn run(self) -> DataSums<T, N> {
         let EqualDataBackward { stretch, first, marks, e, r: all } = self;
-        let adjoint = stretch.data_adjoint::<T, N>(first);
+        let adjoint = stretch.coefficients::<T, N>(first);
         let mut r = known(all);
         let (mut answers, mut xs) = (DataSums::none(), Vec::new());
         for (number, (from, to)) in stretch.blocks().enumerate().rev() {

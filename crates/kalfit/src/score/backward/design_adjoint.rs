@@ -1,0 +1,232 @@
+//! The design's part of the way back through equal steps of one scalar measurement, on arrays of known size: N states that move, and C
+//! columns of ΨC. States that rest are constants. The data's part has a file of its own (`data_adjoint`).
+
+use kalfit_lanes::{Lanes, Real};
+
+use crate::score::backward::data_adjoint::{PriorVariances, StepCoefficients, one};
+
+/// P and ΨC before a step and, where ∂ℓ/∂h is wanted, before its measurement.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PriorMoments<const N: usize, const C: usize> {
+    pub(super) P: PriorVariances<N>,
+    pub(super) left: [[f64; C]; N],
+    pub(super) arrived: [[f64; C]; N],
+}
+
+/// 1/S and K, and TC, of a row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Gain<const N: usize, const C: usize> {
+    pub(super) own: (f64, [f64; N]),
+    pub(super) T: [f64; C],
+}
+
+/// ρ, N.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct DesignAdjoint<T, const N: usize, const C: usize> {
+    pub(super) rho: [[T; C]; N],
+    pub(super) N: [[T; N]; N],
+}
+
+impl<T: Lanes, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
+    /// Of one test.
+    pub(super) fn one(&self) -> DesignAdjoint<f64, N, C> {
+        DesignAdjoint { rho: self.rho.map(one), N: self.N.map(one) }
+    }
+}
+
+/// The design's part of the adjoints of the coefficients, summed over steps.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct DesignSums<T, const N: usize, const C: usize> {
+    pub(super) noise: T,
+    pub(super) upsilon: [T; C],
+    pub(super) h: [T; N],
+    pub(super) q: [[T; N]; N],
+    pub(super) phi: [[T; N]; N],
+    /// ρ where the transitions end.
+    pub(super) rho: [[T; C]; N],
+}
+
+impl<T: Real, const N: usize, const C: usize> DesignSums<T, N, C> {
+    #[inline(always)]
+    pub(super) fn none() -> DesignSums<T, N, C> {
+        let zero = T::splat(0.0);
+        let (columns, matrix) = ([zero; C], [[zero; N]; N]);
+        DesignSums { noise: zero, upsilon: columns, h: [zero; N], q: matrix, phi: matrix, rho: [columns; N] }
+    }
+
+    /// Adds so many times what others are.
+    #[inline(always)]
+    pub(super) fn add(&mut self, many: f64, others: &DesignSums<T, N, C>) {
+        let many = T::splat(many);
+        self.noise = many.fma(others.noise, self.noise);
+        add(&mut self.upsilon, many, &others.upsilon);
+        add(&mut self.h, many, &others.h);
+        for i in 0..N {
+            add(&mut self.q[i], many, &others.q[i]);
+            add(&mut self.phi[i], many, &others.phi[i]);
+            add(&mut self.rho[i], many, &others.rho[i]);
+        }
+    }
+}
+
+impl<T: Lanes, const N: usize, const C: usize> DesignSums<T, N, C> {
+    /// Of one test.
+    pub(super) fn one(&self) -> DesignSums<f64, N, C> {
+        DesignSums {
+            noise: self.noise.lane(0),
+            upsilon: one(self.upsilon),
+            h: one(self.h),
+            q: self.q.map(one),
+            phi: self.phi.map(one),
+            rho: self.rho.map(one),
+        }
+    }
+}
+
+#[inline(always)]
+fn add<T: Real, const M: usize>(sum: &mut [T; M], factor: T, others: &[T; M]) {
+    for (sum, &other) in sum.iter_mut().zip(others) {
+        *sum = factor.fma(other, *sum);
+    }
+}
+
+#[inline(always)]
+fn inner<T: Real, const M: usize>(a: &[T; M], b: &[T; M]) -> T {
+    let mut sum = T::splat(0.0);
+    for i in 0..M {
+        sum = a[i].fma(b[i], sum);
+    }
+    sum
+}
+
+/// φ'X.
+#[inline(always)]
+fn transposed<T: Real, const N: usize, const W: usize>(phi: &[[f64; N]; N], x: &[[T; W]; N]) -> [[T; W]; N] {
+    let mut out = [[T::splat(0.0); W]; N];
+    for k in 0..N {
+        for i in 0..N {
+            for j in 0..W {
+                out[i][j] = T::splat(phi[k][i]).fma(x[k][j], out[i][j]);
+            }
+        }
+    }
+    out
+}
+
+/// Nφ.
+#[inline(always)]
+fn product<T: Real, const N: usize>(x: &[[T; N]; N], phi: &[[f64; N]; N]) -> [[T; N]; N] {
+    let mut out = [[T::splat(0.0); N]; N];
+    for i in 0..N {
+        for k in 0..N {
+            for j in 0..N {
+                out[i][j] = T::splat(phi[k][j]).fma(x[i][k], out[i][j]);
+            }
+        }
+    }
+    out
+}
+
+impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
+    /// Back through one step.
+    #[inline(always)]
+    pub(super) fn back(
+        &mut self,
+        step: &StepCoefficients<T, N>,
+        gain: &Gain<N, C>,
+        prior: &PriorMoments<N, C>,
+        sums: &mut DesignSums<T, N, C>,
+    ) {
+        if gain.own.0 != 0.0 {
+            self.measured(step, gain, prior, sums);
+        }
+        if !step.moves {
+            return;
+        }
+        let half = T::splat(0.5);
+        for i in 0..N {
+            for j in 0..=i {
+                sums.q[i][j] = half.fma(inner(&self.rho[i], &self.rho[j]) - self.N[i][j], sums.q[i][j]);
+            }
+            for j in 0..C {
+                sums.rho[i][j] = sums.rho[i][j] + self.rho[i][j];
+            }
+        }
+        let phi = &step.filter.phi;
+        let (Nphi, rho) = (product(&self.N, phi), transposed(phi, &self.rho));
+        if step.wanted.motion {
+            for j in 0..N {
+                let (P, mut B) = (prior.P.left[j].map(T::splat), prior.left[j].map(T::splat));
+                for k in 0..N {
+                    for l in 0..C {
+                        B[l] = P[k].fnma(rho[k][l], B[l]);
+                    }
+                }
+                for i in 0..N {
+                    sums.phi[i][j] = sums.phi[i][j] - (inner(&self.rho[i], &B) + inner(&Nphi[i], &P));
+                }
+            }
+        }
+        *self = DesignAdjoint { rho, N: transposed(phi, &Nphi) };
+    }
+
+    #[inline(always)]
+    fn measured(
+        &mut self,
+        step: &StepCoefficients<T, N>,
+        gain: &Gain<N, C>,
+        prior: &PriorMoments<N, C>,
+        sums: &mut DesignSums<T, N, C>,
+    ) {
+        let (weight, K) = (T::splat(gain.own.0), gain.own.1.map(T::splat));
+        let (h, mut upsilon) = (step.filter.h.map(T::splat), gain.T.map(T::splat));
+        for j in 0..C {
+            upsilon[j] = upsilon[j] * weight;
+            for i in 0..N {
+                upsilon[j] = K[i].fnma(self.rho[i][j], upsilon[j]);
+            }
+        }
+        let mut NK = [T::splat(0.0); N];
+        for i in 0..N {
+            NK[i] = inner(&self.N[i], &K);
+        }
+        let D = weight + inner(&NK, &K);
+        sums.noise = T::splat(0.5).fma(inner(&upsilon, &upsilon) - D, sums.noise);
+        for j in 0..C {
+            sums.upsilon[j] = sums.upsilon[j] + upsilon[j];
+        }
+        for i in 0..N {
+            for j in 0..C {
+                self.rho[i][j] = h[i].fma(upsilon[j], self.rho[i][j]);
+            }
+        }
+        if step.wanted.equation {
+            for i in 0..N {
+                let mut sum = -inner(&upsilon, &prior.arrived[i].map(T::splat));
+                for j in 0..N {
+                    let bar = h[j].fnma(D, inner(&upsilon, &self.rho[j]) + NK[j]);
+                    sum = T::splat(prior.P.arrived[i][j]).fma(bar, sum);
+                }
+                sums.h[i] = sums.h[i] + sum;
+            }
+        }
+        for i in 0..N {
+            for j in 0..N {
+                self.N[i][j] = self.N[i][j] + D.fma(h[i] * h[j], -h[i].fma(NK[j], NK[i] * h[j]));
+            }
+        }
+    }
+
+    /// The design's part of one step where ρ and N rest.
+    #[inline(always)]
+    pub(super) fn rested(
+        &self,
+        step: &StepCoefficients<T, N>,
+        gain: &Gain<N, C>,
+        prior: &PriorMoments<N, C>,
+    ) -> DesignSums<T, N, C> {
+        let mut each = DesignSums::none();
+        self.clone().back(step, gain, prior, &mut each);
+        each
+    }
+}
