@@ -3,7 +3,8 @@
 
 use kalfit_lanes::Lanes;
 
-use crate::reduce::design::{Design, StateFrame, Transition};
+use crate::reduce::design::{StateFrame, TransitionView};
+use crate::reduce::entries::Entries;
 use crate::reduce::kernel::{self, FilterState, ScalarUpdate};
 use crate::reduce::moment_path::MomentPath;
 use crate::reduce::sums::InformationSums;
@@ -15,23 +16,19 @@ pub(super) struct CovarianceFilter<T> {
     G: Vec<T>,
     pub(super) K: Vec<T>,
     pub(super) T: Vec<T>,
-    /// Of the measurement that comes next.
-    pub(super) h: Vec<T>,
-    /// The one that comes next.
-    pub(super) transition: Transition<T>,
     /// Work space of the kernels.
     rows: Vec<T>,
     pub(super) sums: InformationSums<T>,
 }
 
 impl<T: Lanes> CovarianceFilter<T> {
-    /// At the start of a design; `variance`: entries of P0.
+    /// At the start of a design, `variance` its P0.
     #[inline(always)]
-    pub(super) fn new(design: &Design, variance: impl Fn(usize) -> T) -> CovarianceFilter<T> {
-        let (frame, zero) = (&*design.frame, T::splat(0.0));
+    pub(super) fn new<E: Entries<T>>(frame: &StateFrame, variance: E) -> CovarianceFilter<T> {
+        let zero = T::splat(0.0);
         let (mut P, mut Psi) = (vec![zero; frame.r * frame.r], vec![zero; frame.sensitivity.len()]);
         for k in 0..P.len() {
-            P[k] = variance(k);
+            P[k] = variance.entry(k);
         }
         for k in 0..Psi.len() {
             Psi[k] = T::splat(frame.sensitivity[k]);
@@ -42,22 +39,9 @@ impl<T: Lanes> CovarianceFilter<T> {
             G: vec![zero; frame.r],
             K: vec![zero; frame.r],
             T: vec![zero; frame.p],
-            h: Vec::new(),
-            transition: design.blank_transition(),
             rows: Vec::new(),
             sums: InformationSums::new(frame.p),
         }
-    }
-
-    /// Takes the coefficients of a line of a design; its states.
-    #[inline(always)]
-    pub(super) fn take<'d>(&mut self, design: &'d Design, line: usize) -> &'d [u32] {
-        let (states, h) = design.terms(line);
-        self.h.clear();
-        for &h in h {
-            self.h.push(T::splat(h));
-        }
-        states
     }
 
     /// P and Ψ as they are now go to the end of a path, if there is one.
@@ -68,33 +52,33 @@ impl<T: Lanes> CovarianceFilter<T> {
         }
     }
 
-    /// P and Ψ over the transition.
+    /// P and Ψ over a transition.
     #[inline(always)]
-    pub(super) fn predict(&mut self, frame: &StateFrame) {
-        kernel::predict(&mut self.P, frame.r, &self.transition, &mut self.rows);
-        self.advance(frame);
+    pub(super) fn predict<E: Entries<T>>(&mut self, frame: &StateFrame, transition: TransitionView<'_, E>) {
+        kernel::predict(&mut self.P, frame.r, transition, &mut self.rows);
+        self.advance(frame, transition);
     }
 
     /// Ψ alone.
     #[inline(always)]
-    pub(super) fn advance(&mut self, frame: &StateFrame) {
-        kernel::advance(&mut self.Psi, frame.p, &self.transition, &mut self.rows);
+    pub(super) fn advance<E: Entries<T>>(&mut self, frame: &StateFrame, transition: TransitionView<'_, E>) {
+        kernel::advance(&mut self.Psi, frame.p, transition, &mut self.rows);
     }
 
-    /// A scalar measurement of these states: K and T are left.
+    /// A scalar measurement (states, h, R): K and T are left.
     #[inline(always)]
-    pub(super) fn measure(&mut self, frame: &StateFrame, (states, noise): (&[u32], T)) -> ScalarUpdate<T> {
+    pub(super) fn measure<E: Entries<T>>(&mut self, frame: &StateFrame, line: (&[u32], E, T)) -> ScalarUpdate<T> {
         let of = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
-        let update = kernel::measure(frame, (states, &self.h, noise), of, (&mut self.G, &mut self.K, &mut self.T));
+        let update = kernel::measure(frame, line, of, (&mut self.G, &mut self.K, &mut self.T));
         self.sums.count(update.S, update.kept);
         update
     }
 
-    /// A scalar measurement under gains that are known, `weight` being 1/S: T is left.
+    /// A scalar measurement (states, h) under gains that are known, `weight` being 1/S: T is left.
     #[inline(always)]
-    pub(super) fn measure_again(&mut self, frame: &StateFrame, states: &[u32], weight: T) {
-        let CovarianceFilter { Psi, K, T, h, sums, .. } = self;
-        kernel::sensitivity(frame, states, h, Psi, T);
+    pub(super) fn measure_again<E: Entries<T>>(&mut self, frame: &StateFrame, terms: (&[u32], E), weight: T) {
+        let CovarianceFilter { Psi, K, T, sums, .. } = self;
+        kernel::sensitivity(frame, terms, Psi, T);
         kernel::correct(frame.p, K, T, Psi);
         kernel::inform(T, weight, &mut sums.J);
         sums.scale(weight.recip_or_zero());

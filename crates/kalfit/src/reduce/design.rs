@@ -11,7 +11,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::reduce::digest::Digest;
-use kalfit_lanes::Real;
+use crate::reduce::entries::Common;
 use nalgebra::DMatrix;
 
 /// Row of Ψ that is dense.
@@ -116,37 +116,32 @@ impl Pattern {
 
 /// φ and Q of one step.
 #[derive(Debug, Clone)]
-pub(crate) struct Transition<R = f64> {
+pub(crate) struct Transition {
     pub(crate) pattern: Arc<Pattern>,
-    pub(crate) phi: Vec<R>,
-    pub(crate) q: Vec<R>,
+    pub(crate) phi: Vec<f64>,
+    pub(crate) q: Vec<f64>,
 }
 
-impl<R: Real> Transition<R> {
-    /// (state, its factor) of those that move, where φ is diagonal.
-    #[inline(always)]
-    pub(crate) fn factors(&self) -> Option<impl Iterator<Item = (usize, R)>> {
-        Some(self.pattern.diagonal()?.zip(self.phi.iter().copied()))
+/// A transition as kernels read it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct TransitionView<'a, E> {
+    pub(crate) pattern: &'a Pattern,
+    pub(crate) phi: E,
+    pub(crate) q: E,
+}
+
+impl Transition {
+    /// For one number at a time.
+    pub(crate) fn view(&self) -> TransitionView<'_, &[f64]> {
+        TransitionView { pattern: &self.pattern, phi: &self.phi, q: &self.q }
     }
-}
 
-impl<R: Real> Transition<R> {
-    /// Becomes another one.
+    /// For lanes that share it.
     #[inline(always)]
-    pub(crate) fn take(&mut self, other: &Transition) {
-        if !Arc::ptr_eq(&self.pattern, &other.pattern) {
-            self.pattern = other.pattern.clone();
-        }
-        for (own, others) in [(&mut self.phi, &other.phi), (&mut self.q, &other.q)] {
-            own.clear();
-            for &x in others {
-                own.push(R::splat(x));
-            }
-        }
+    pub(crate) fn common(&self) -> TransitionView<'_, Common<'_>> {
+        TransitionView { pattern: &self.pattern, phi: Common(&self.phi), q: Common(&self.q) }
     }
-}
 
-impl Transition<f64> {
     /// (row, column, entry) of φ, of the rows that move.
     pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
         let of = move |row: &TransitionRow| {
@@ -280,14 +275,6 @@ impl Design {
     pub(crate) fn equal_moving(&self, stretch: &Stretch<'_>, few: usize) -> Option<usize> {
         let plain = stretch.count > few && stretch.lines.len() == 1 && self.frame.driven.is_empty();
         plain.then(|| self.moving(stretch))
-    }
-
-    /// A transition of zeros, of this pattern.
-    #[inline(always)]
-    pub(crate) fn blank_transition<R: Real>(&self) -> Transition<R> {
-        let pattern = self.pattern().cloned().unwrap_or_default();
-        let (phi, q) = (vec![R::splat(0.0); pattern.columns.len()], vec![R::splat(0.0); pattern.pairs.len()]);
-        Transition { pattern, phi, q }
     }
 
     pub(crate) fn new(frame: Arc<StateFrame>) -> Design {

@@ -7,6 +7,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes, Real};
 
 use crate::reduce::covariance_filter::CovarianceFilter;
 use crate::reduce::design::{Design, StateFrame, Stretch};
+use crate::reduce::entries::Common;
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel;
 use crate::reduce::moment_path::MomentPath;
@@ -40,7 +41,7 @@ impl Kernel for DesignPass<'_> {
         let DesignPass { design, work } = self;
         let (p, r) = (design.frame.p, design.frame.r);
         work.settling.start(&design.frame.sensitivity);
-        let mut filter = CovarianceFilter::<T>::new(design, |k| T::splat(design.variance[k]));
+        let mut filter = CovarianceFilter::<T>::new(&design.frame, Common(&design.variance));
         let mut out = GainSchedule {
             gains: Vec::with_capacity((1 + r) * design.ends.len()),
             sensitivities: Vec::with_capacity(p * design.ends.len()),
@@ -84,9 +85,6 @@ impl GainSchedule {
     ) {
         let frame = &*design.frame;
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
-        if let Some(transition) = stretch.transition {
-            filter.transition.take(transition);
-        }
         let mut path = work.keeps_paths.then(|| MomentPath::new(design, stretch)).flatten();
         let watched = work.settling.begin(stretch.count);
         let (mut frozen, mut gain_steps, mut done) = (SteadyState::Nothing, 0, 0);
@@ -127,12 +125,12 @@ impl GainSchedule {
     /// A step in full.
     #[inline(always)]
     fn step<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
-        if stretch.transition.is_some() {
-            filter.predict(&design.frame);
+        if let Some(transition) = stretch.transition {
+            filter.predict(&design.frame, transition.common());
         }
         for line in stretch.lines.clone() {
-            let states = filter.take(design, line);
-            let update = filter.measure(&design.frame, (states, T::splat(design.noise[line])));
+            let (states, h) = design.terms(line);
+            let update = filter.measure(&design.frame, (states, Common(h), T::splat(design.noise[line])));
             self.gains.push(update.weight.lane(0));
             for K in &filter.K {
                 self.gains.push(K.lane(0));
@@ -146,17 +144,17 @@ impl GainSchedule {
     /// A step under the gains of the last one.
     #[inline(always)]
     fn sensitivities<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
-        if stretch.transition.is_some() {
-            filter.advance(&design.frame);
+        if let Some(transition) = stretch.transition {
+            filter.advance(&design.frame, transition.common());
         }
         let stride = 1 + design.frame.r;
         let last = self.gains.len() - stride * stretch.lines.len();
         for (gain, line) in self.gains[last..].chunks_exact(stride).zip(stretch.lines.clone()) {
-            let states = filter.take(design, line);
+            let (states, h) = design.terms(line);
             for (K, &gain) in filter.K.iter_mut().zip(&gain[1..]) {
                 *K = T::splat(gain);
             }
-            filter.measure_again(&design.frame, states, T::splat(gain[0]));
+            filter.measure_again(&design.frame, (states, Common(h)), T::splat(gain[0]));
             for T in &filter.T {
                 self.sensitivities.push(T.lane(0));
             }

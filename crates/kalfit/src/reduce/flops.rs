@@ -1,9 +1,7 @@
 //! What the passes of the filter cost, counted as they run.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G, K, T")]
 
-use std::sync::Arc;
-
-use crate::reduce::design::{DENSE, Pattern, StateFrame, Transition};
+use crate::reduce::design::{DENSE, Pattern, StateFrame, TransitionView};
 use crate::reduce::kernel::{FilterState, advance, measure, predict};
 use crate::reduce::sums::InformationSums;
 use kalfit_lanes::{Counted, Flops};
@@ -25,8 +23,9 @@ fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     let mut pattern = Pattern::default();
     (0..r).for_each(|i| pattern.push(i, r, 0..r));
     pattern.pairs.extend((0..r as u32).map(|i| (i, i)));
-    let phi = (0..r * r).map(|at| Counted(0.1 + f64::from(at / r == at % r))).collect();
-    let transition = Transition { pattern: Arc::new(pattern), phi, q: vec![Counted(1.0); r] };
+    let phi: Vec<Counted> = (0..r * r).map(|at| Counted(0.1 + f64::from(at / r == at % r))).collect();
+    let q = vec![Counted(1.0); r];
+    let transition = TransitionView { pattern: &pattern, phi: &*phi, q: &*q };
     let (states, h): (Vec<u32>, Vec<Counted>) = ((0..n as u32).collect(), vec![Counted(1.0); n]);
     let zeros = |count: usize| vec![Counted(0.0); count];
     let mut Psi: Vec<Counted> = frame.sensitivity.iter().map(|&x| Counted(x)).collect();
@@ -34,10 +33,10 @@ fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     let (mut sums, mut work) = (InformationSums::new(p), Vec::new());
     Counted::count(|| {
         for _ in 0..steps {
-            predict(&mut P, r, &transition, &mut work);
-            advance(&mut Psi, p, &transition, &mut work);
+            predict(&mut P, r, transition, &mut work);
+            advance(&mut Psi, p, transition, &mut work);
             let of = FilterState { P: &mut P, Psi: &mut Psi, J: &mut sums.J };
-            let update = measure(&frame, (&states, &h, Counted(1.0)), of, (&mut G, &mut K, &mut T));
+            let update = measure(&frame, (&states, &*h, Counted(1.0)), of, (&mut G, &mut K, &mut T));
             sums.count(update.S, update.kept);
         }
     })

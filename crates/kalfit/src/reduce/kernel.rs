@@ -1,14 +1,22 @@
 //! The steps of the filter on flat arrays, one source for every kind of [`Real`]. (theory §2)
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
-use crate::reduce::design::{DENSE, StateFrame, Transition, ZERO};
+use crate::reduce::design::{DENSE, StateFrame, TransitionView, ZERO};
+use crate::reduce::entries::Entries;
 use kalfit_lanes::Real;
 
 /// X ← φX. Shape: `x` n × width, row-major.
 #[inline(always)]
-pub(crate) fn advance<R: Real>(x: &mut [R], width: usize, transition: &Transition<R>, work: &mut Vec<R>) {
-    if let Some(factors) = transition.factors() {
-        for (state, phi) in factors {
+pub(crate) fn advance<R: Real, E: Entries<R>>(
+    x: &mut [R],
+    width: usize,
+    transition: TransitionView<'_, E>,
+    work: &mut Vec<R>,
+) {
+    let TransitionView { pattern, phi, .. } = transition;
+    if let Some(states) = pattern.diagonal() {
+        for (k, state) in states.enumerate() {
+            let phi = phi.entry(k);
             for x in &mut x[state * width..][..width] {
                 *x = phi * *x;
             }
@@ -16,18 +24,36 @@ pub(crate) fn advance<R: Real>(x: &mut [R], width: usize, transition: &Transitio
         return;
     }
     work.clear();
-    work.resize(transition.pattern.moved.len() * width, R::splat(0.0));
-    for (m, row) in transition.pattern.moved.iter().enumerate() {
+    work.resize(pattern.moved.len() * width, R::splat(0.0));
+    for (m, row) in pattern.moved.iter().enumerate() {
         let out = &mut work[m * width..][..width];
         for k in row.start as usize..row.end as usize {
-            let from = &x[transition.pattern.columns[k] as usize * width..][..width];
+            let (phi, from) = (phi.entry(k), &x[pattern.columns[k] as usize * width..][..width]);
             for (sum, &value) in out.iter_mut().zip(from) {
-                *sum = transition.phi[k].fma(value, *sum);
+                *sum = phi.fma(value, *sum);
             }
         }
     }
-    for (m, row) in transition.pattern.moved.iter().enumerate() {
+    for (m, row) in pattern.moved.iter().enumerate() {
         x[row.state as usize * width..][..width].copy_from_slice(&work[m * width..][..width]);
+    }
+}
+
+/// e = z - h'x. The first states are those that move: what they add is waited for, and comes last.
+#[inline(always)]
+pub(crate) fn innovation<R: Real, E: Entries<R>>(x: &[R], (states, h): (&[u32], E), z: R) -> R {
+    let mut e = z;
+    for (k, &state) in states.iter().enumerate().rev() {
+        e = h.entry(k).fnma(x[state as usize], e);
+    }
+    e
+}
+
+/// x ← x + Ke on the reachable states, which `x` holds.
+#[inline(always)]
+pub(crate) fn correct_mean<R: Real, E: Entries<R>>(K: E, e: R, x: &mut [R]) {
+    for (i, x) in x.iter_mut().enumerate() {
+        *x = K.entry(i).fma(e, *x);
     }
 }
 
@@ -39,10 +65,17 @@ fn at(i: usize, j: usize, r: usize) -> usize {
 
 /// P ← φPφ' + Q, lower triangle. Shape: `P` r × r, row-major.
 #[inline(always)]
-pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &mut Vec<R>) {
-    match transition.factors() {
-        Some(factors) => {
-            for (state, phi) in factors.take_while(|(state, _)| *state < r) {
+pub(crate) fn predict<R: Real, E: Entries<R>>(
+    P: &mut [R],
+    r: usize,
+    transition: TransitionView<'_, E>,
+    work: &mut Vec<R>,
+) {
+    let TransitionView { pattern, phi, q } = transition;
+    match pattern.diagonal() {
+        Some(states) => {
+            for (k, state) in states.take_while(|state| *state < r).enumerate() {
+                let phi = phi.entry(k);
                 for j in 0..r {
                     P[at(state, j, r)] = phi * P[at(state, j, r)];
                 }
@@ -51,9 +84,9 @@ pub(crate) fn predict<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>
         }
         None => congruent(P, r, transition, work),
     }
-    for (&(i, j), &q) in transition.pattern.pairs.iter().zip(&transition.q) {
+    for (k, &(i, j)) in pattern.pairs.iter().enumerate() {
         let entry = &mut P[i as usize * r + j as usize];
-        *entry = *entry + q;
+        *entry = *entry + q.entry(k);
     }
 }
 
@@ -69,18 +102,19 @@ pub(crate) fn mirror<R: Real>(P: &mut [R], r: usize) {
 
 /// P ← φPφ', lower triangle.
 #[inline(always)]
-fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &mut Vec<R>) {
-    let moved = transition.pattern.moved.partition_point(|row| (row.state as usize) < r);
-    let moved = &transition.pattern.moved[..moved];
+fn congruent<R: Real, E: Entries<R>>(P: &mut [R], r: usize, transition: TransitionView<'_, E>, work: &mut Vec<R>) {
+    let TransitionView { pattern, phi, .. } = transition;
+    let moved = pattern.moved.partition_point(|row| (row.state as usize) < r);
+    let moved = &pattern.moved[..moved];
     work.clear();
     work.resize(moved.len() * r, R::splat(0.0));
     // W = φP for the rows that move; the others are P's own.
     for (m, row) in moved.iter().enumerate() {
         let W = &mut work[m * r..][..r];
         for k in row.start as usize..row.reach as usize {
-            let column = transition.pattern.columns[k] as usize;
+            let (column, phi) = (pattern.columns[k] as usize, phi.entry(k));
             for (j, sum) in W.iter_mut().enumerate() {
-                *sum = transition.phi[k].fma(P[at(column, j, r)], *sum);
+                *sum = phi.fma(P[at(column, j, r)], *sum);
             }
         }
     }
@@ -96,7 +130,7 @@ fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &
         for other in &moved[..=m] {
             let mut sum = R::splat(0.0);
             for k in other.start as usize..other.reach as usize {
-                sum = transition.phi[k].fma(work[m * r + transition.pattern.columns[k] as usize], sum);
+                sum = phi.entry(k).fma(work[m * r + pattern.columns[k] as usize], sum);
             }
             P[i * r + other.state as usize] = sum;
         }
@@ -105,18 +139,23 @@ fn congruent<R: Real>(P: &mut [R], r: usize, transition: &Transition<R>, work: &
 
 /// T = h'Ψ. Shapes: `Psi` n × p, row-major; `T` p.
 #[inline(always)]
-pub(crate) fn sensitivity<R: Real>(frame: &StateFrame, states: &[u32], h: &[R], Psi: &[R], T: &mut [R]) {
+pub(crate) fn sensitivity<R: Real, E: Entries<R>>(
+    frame: &StateFrame,
+    (states, h): (&[u32], E),
+    Psi: &[R],
+    T: &mut [R],
+) {
     T.fill(R::splat(0.0));
-    for (&state, &h) in states.iter().zip(h) {
+    for (k, &state) in states.iter().enumerate() {
         match frame.rows[state as usize] {
             ZERO => {}
             DENSE => {
-                let row = &Psi[state as usize * frame.p..][..frame.p];
+                let (h, row) = (h.entry(k), &Psi[state as usize * frame.p..][..frame.p]);
                 for (sum, &value) in T.iter_mut().zip(row) {
                     *sum = h.fma(value, *sum);
                 }
             }
-            column => T[column as usize] = T[column as usize] + h,
+            column => T[column as usize] = T[column as usize] + h.entry(k),
         }
     }
 }
@@ -139,25 +178,23 @@ pub(crate) struct ScalarUpdate<R> {
 
 /// Updates P and finds S and K for z = h'x + v. Shapes: `P` r × r, row-major, lower triangle; `G` (work), `K` r.
 #[inline(always)]
-pub(crate) fn update<R: Real>(
+pub(crate) fn update<R: Real, E: Entries<R>>(
     r: usize,
-    states: &[u32],
-    h: &[R],
+    (states, h): (&[u32], E),
     noise: R,
     P: &mut [R],
-    G: &mut [R],
-    K: &mut [R],
+    (G, K): (&mut [R], &mut [R]),
 ) -> ScalarUpdate<R> {
-    let reach = states.partition_point(|&state| (state as usize) < r);
-    let terms = || states[..reach].iter().map(|&state| state as usize).zip(&h[..reach]);
+    let reached = &states[..states.partition_point(|&state| (state as usize) < r)];
     for (i, sum) in G.iter_mut().enumerate() {
         *sum = R::splat(0.0);
-        for (j, &h) in terms() {
-            *sum = h.fma(P[at(i, j, r)], *sum);
+        for (k, &j) in reached.iter().enumerate() {
+            *sum = h.entry(k).fma(P[at(i, j as usize, r)], *sum);
         }
     }
     let (mut S, mut size) = (noise, noise);
-    for (j, &h) in terms() {
+    for (k, &j) in reached.iter().enumerate() {
+        let (j, h) = (j as usize, h.entry(k));
         S = h.fma(G[j], S);
         size = (h * h).fma(P[j * r + j], size);
     }
@@ -165,7 +202,7 @@ pub(crate) fn update<R: Real>(
     for (K, &G) in K.iter_mut().zip(G.iter()) {
         *K = G * weight;
     }
-    let kept = size.fnma(R::splat(KEPT), S).minimum(joseph(r, terms, (noise, S), P, G, K));
+    let kept = size.fnma(R::splat(KEPT), S).minimum(joseph(r, (reached, h), (noise, S), P, (G, &*K)));
     ScalarUpdate { S, weight, kept }
 }
 
@@ -178,14 +215,14 @@ pub(crate) struct FilterState<'a, R> {
 
 /// A scalar measurement (states, h, R) of a filter: T, K and S, and what they make of P, Ψ and J.
 #[inline(always)]
-pub(crate) fn measure<R: Real>(
+pub(crate) fn measure<R: Real, E: Entries<R>>(
     frame: &StateFrame,
-    (states, h, noise): (&[u32], &[R], R),
+    (states, h, noise): (&[u32], E, R),
     of: FilterState<'_, R>,
     (G, K, T): (&mut [R], &mut [R], &mut [R]),
 ) -> ScalarUpdate<R> {
-    sensitivity(frame, states, h, of.Psi, T);
-    let update = update(frame.r, states, h, noise, of.P, G, K);
+    sensitivity(frame, (states, h), of.Psi, T);
+    let update = update(frame.r, (states, h), noise, of.P, (G, &mut *K));
     correct(frame.p, K, T, of.Psi);
     inform(T, update.weight, of.J);
     update
@@ -193,19 +230,18 @@ pub(crate) fn measure<R: Real>(
 
 /// P ← (I-Kh')P(I-hK') + KRK' with S, G and K of this very P: P - KG', and then its rounding errors E become (I-Kh')E(I-hK'). Of one
 /// state it is P R/S, and no digit is lost, whatever the noise. Below zero is returned where less than [`KEPT`] is left of a
-/// variance.
+/// variance. The states of h are reachable ones.
 #[inline(always)]
-fn joseph<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
+fn joseph<R: Real, E: Entries<R>>(
     r: usize,
-    terms: impl Fn() -> I,
+    (reached, h): (&[u32], E),
     (noise, S): (R, R),
     P: &mut [R],
-    G: &mut [R],
-    K: &[R],
+    (G, K): (&mut [R], &[R]),
 ) -> R {
     let mut kept = R::splat(1.0);
     if r < 2 {
-        if let (Some(P), Some(_)) = (P.first_mut(), terms().next()) {
+        if let (Some(P), Some(_)) = (P.first_mut(), reached.first()) {
             *P = *P * (noise / S.or_one()); // to the bit where h = 0
         }
         return kept;
@@ -223,12 +259,12 @@ fn joseph<'a, R: Real + 'a, I: Iterator<Item = (usize, &'a R)>>(
     let mut c = R::splat(0.0);
     for i in 0..r {
         V[i] = noise * K[i];
-        for (j, &h) in terms() {
-            V[i] = h.fnma(P[at(i, j, r)], V[i]);
+        for (k, &j) in reached.iter().enumerate() {
+            V[i] = h.entry(k).fnma(P[at(i, j as usize, r)], V[i]);
         }
     }
-    for (j, &h) in terms() {
-        c = h.fma(V[j], c);
+    for (k, &j) in reached.iter().enumerate() {
+        c = h.entry(k).fma(V[j as usize], c);
     }
     let half = R::splat(0.5) * c;
     for i in 0..r {

@@ -55,6 +55,7 @@ mod design;
 mod design_pass;
 mod digest;
 mod dynamics;
+mod entries;
 mod error;
 mod evidence;
 mod exemplar;
@@ -119,14 +120,15 @@ pub(crate) use blocks::FilteredBatch;
 pub(crate) use blocks::batch_workspace::{BatchWorkspace, EnteringMoments};
 pub(crate) use carry::Inherits;
 pub(crate) use data::Data;
-pub(crate) use design::{Design, DesignStep, StateFrame, Stretch, Transition, same_bits};
+pub(crate) use design::{Design, DesignStep, Pattern, StateFrame, Stretch, Transition, TransitionView, same_bits};
 pub(crate) use dynamics::{Component, Table};
+pub(crate) use entries::{Common, Entries, SideBySide};
 pub(crate) use error::{of_shape, refuse};
 pub(crate) use gains::{GainSpan, Gains};
 pub(crate) use instances::Instance;
-pub(crate) use kernel::{advance, mirror, predict, update};
+pub(crate) use kernel::{advance, correct_mean, innovation, mirror, predict, update};
 pub(crate) use known_steps::KnownSteps;
-pub(crate) use lanes::{DataBlock, DesignBatch, Interleaved, at};
+pub(crate) use lanes::{DataBlock, DataView, DesignBatch, Numbers, at};
 pub(crate) use moment_path::MomentPath;
 pub(crate) use motion::{Evaluated, Filled, MotionPullback, Moves};
 pub(crate) use observe::Unwhitened;
@@ -145,10 +147,6 @@ pub(crate) use steps::GatheredCells;
 pub(crate) use subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 #[cfg(test)]
 pub(crate) use {
-    data_pass::outcome,
-    design::{DENSE, Pattern},
-    design_pass::information_gains,
-    lanes::DataWorkspace,
-    root::root_gains,
+    data_pass::outcome, design::DENSE, design_pass::information_gains, lanes::DataWorkspace, root::root_gains,
     schedule::GainsWork,
 };

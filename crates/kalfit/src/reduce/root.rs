@@ -118,13 +118,13 @@ impl<'a> RootFilter<'a> {
     /// Folds the rows of [Uφ'; Q^½'] into the new U.
     fn predict(&mut self, transition: &Transition) -> Result<(), RootError> {
         let (p, r) = (self.frame.p, self.frame.r);
-        kernel::advance(&mut self.Psi, p, transition, &mut self.work);
-        kernel::advance(&mut self.open_Psi, p, transition, &mut self.work);
+        kernel::advance(&mut self.Psi, p, transition.view(), &mut self.work);
+        kernel::advance(&mut self.open_Psi, p, transition.view(), &mut self.work);
         let still = transition.pattern.moved.first().is_none_or(|row| row.state as usize >= r);
         if still && transition.pattern.pairs.is_empty() {
             return Ok(());
         }
-        kernel::predict(&mut self.open_P, r, transition, &mut self.work);
+        kernel::predict(&mut self.open_P, r, transition.view(), &mut self.work);
         let mut rows = self.U.clone();
         for (row, old) in rows.chunks_exact_mut(r).zip(self.U.chunks_exact(r)) {
             for moved in transition.pattern.moved.iter().take_while(|moved| (moved.state as usize) < r) {
@@ -156,7 +156,7 @@ impl<'a> RootFilter<'a> {
         let gain = &mut gains.gains[row * (1 + r)..][..1 + r];
         let (weight, K) = gain.split_first_mut().expect("it has a weight");
         let T = &mut gains.sensitivities[row * p..][..p];
-        kernel::sensitivity(self.frame, states, h, &self.Psi, T);
+        kernel::sensitivity(self.frame, (states, h), &self.Psi, T);
         let reach = states.partition_point(|&state| (state as usize) < r);
         let (inner, h_inner) = (&states[..reach], &h[..reach]);
         let spread = |u: &[f64]| inner.iter().zip(h_inner).map(|(&state, h)| h * u[state as usize]).sum::<f64>();

@@ -30,6 +30,7 @@ mod equal;
 mod equal_backward;
 mod filtered;
 mod forward;
+mod kernel;
 mod record_segments;
 mod run;
 mod scalar_measurement;
@@ -47,6 +48,7 @@ pub(crate) use batch::{BatchAdjoints, BatchBackward};
 pub(crate) use data_adjoint::DataSums;
 pub(crate) use equal::EqualStretch;
 pub(crate) use filtered::FilterSnapshot;
+pub(crate) use kernel::{absorb, back, smoothing_error};
 pub(crate) use record_segments::{RecordSegment, RecordSegments};
 pub(crate) use run::{AdjointsWanted, BackwardInput, TerminalAdjoint};
 pub(crate) use sink::{MeasurementAdjoint, Sink, TransitionAdjoint};
@@ -113,7 +115,7 @@ impl BackwardInput<'_> {
                 transitions = transitions.saturating_sub(1);
                 let left =
                     self.wanted.motion.then(|| FilterSnapshot::new(&left[seen(left, transitions)], self.sizes()));
-                adjoint.moved(&self.unknown(), transition, left, moved);
+                adjoint.moved(&self.unknown(), transition.view(), left, moved);
                 sink.moved(k, moved)?;
             }
         }

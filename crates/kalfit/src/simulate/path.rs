@@ -76,7 +76,7 @@ impl DrawWorkspace {
         let (work, mut input) = (&self.work, 0);
         for step in work.design.each_step() {
             if let Some(transition) = step.transition {
-                advance(&mut self.x, 1, transition, &mut self.moved);
+                advance(&mut self.x, 1, transition.view(), &mut self.moved);
                 for &state in &work.design.frame.driven {
                     self.x[state as usize] += work.data.inputs[input];
                     input += 1;

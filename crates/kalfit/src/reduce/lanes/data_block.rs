@@ -76,7 +76,8 @@ impl DataBlock {
         self.side().values
     }
 
-    pub(super) fn side(&self) -> DataView<'_> {
+    /// Starts, inputs and values.
+    pub(crate) fn side(&self) -> DataView<'_> {
         let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
         let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());
         DataView { start, inputs, values }

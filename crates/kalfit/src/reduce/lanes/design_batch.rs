@@ -5,7 +5,8 @@ use kalfit_lanes::{Kernel, Lanes};
 
 use crate::linalg::symmetric::pairs;
 use crate::reduce::covariance_filter::CovarianceFilter;
-use crate::reduce::design::{Design, EqualSteps, Transition};
+use crate::reduce::design::{Design, EqualSteps, TransitionView};
+use crate::reduce::entries::{Entries, SideBySide};
 use crate::reduce::lanes::numbers::{DataView, Numbers, at, put};
 use crate::reduce::lanes::pass::innovate;
 use crate::reduce::lanes::squares;
@@ -22,9 +23,8 @@ pub(crate) struct DesignBatch {
     pub(crate) noise: Vec<f64>,
     pub(crate) phi: Vec<f64>,
     pub(crate) q: Vec<f64>,
-    /// The transition of each run, any if it has none: φ is so many times `terms` numbers; Q likewise.
+    /// The number of the transition of each run, any if it has none.
     moves: Vec<usize>,
-    terms: usize,
     /// 1/S and K, T of each row.
     gains: Vec<f64>,
     sensitivities: Vec<f64>,
@@ -87,7 +87,6 @@ impl DesignBatch {
             column.clear();
             column.resize(numbers * lanes, x);
         }
-        self.terms = terms;
     }
 
     /// The covariance filter.
@@ -101,18 +100,12 @@ impl DesignBatch {
             self.last.0.resize(frame.r * frame.r * T::COUNT, 0.0);
             self.last.1.resize(frame.sensitivity.len() * T::COUNT, 0.0);
         }
-        let mut filter = CovarianceFilter::<T>::new(design, |k| at(&self.variance, k));
+        let mut filter = CovarianceFilter::<T>::new(frame, SideBySide(&self.variance));
         let (mut first, mut row) = (0, 0);
-        let mut now = None;
         for (at_run, run) in design.runs.iter().enumerate() {
-            let number = self.moves[at_run];
-            if run.transition.is_some() && now != Some(number) {
-                self.take(at_run, &mut filter.transition);
-                now = Some(number);
-            }
             for _ in 0..run.count {
-                if run.transition.is_some() {
-                    filter.predict(frame);
+                if let Some(transition) = Numbers::<T>::transition(&*self, design, at_run) {
+                    filter.predict(frame, transition);
                 }
                 for line in first..run.lines {
                     self.measure(&mut filter, design, (line, row));
@@ -134,13 +127,8 @@ impl DesignBatch {
     /// A scalar measurement; what it leaves is kept.
     #[inline(always)]
     fn measure<T: Lanes>(&mut self, filter: &mut CovarianceFilter<T>, design: &Design, (line, row): (usize, usize)) {
-        let (frame, start) = (&*design.frame, if line == 0 { 0 } else { design.ends[line - 1] });
-        filter.h.clear();
-        for term in start..design.ends[line] {
-            filter.h.push(at(&self.h, term));
-        }
-        let (states, noise) = (&design.states[start..design.ends[line]], at(&self.noise, line));
-        let update = filter.measure(frame, (states, noise));
+        let frame = &*design.frame;
+        let update = filter.measure(frame, self.line(design, line));
         let stride = 1 + frame.r;
         put(&mut self.gains, row * stride, update.weight);
         for i in 0..frame.r {
@@ -149,6 +137,14 @@ impl DesignBatch {
         for k in 0..frame.p {
             put(&mut self.sensitivities, row * frame.p + k, filter.T[k]);
         }
+    }
+
+    /// (states, h, R) of a line.
+    #[inline(always)]
+    pub(crate) fn line<'a, T: Lanes>(&'a self, design: &'a Design, line: usize) -> (&'a [u32], SideBySide<'a>, T) {
+        let start = if line == 0 { 0 } else { design.ends[line - 1] };
+        let h = Entries::<T>::skip(SideBySide(&self.h), start);
+        (&design.states[start..design.ends[line]], h, at(&self.noise, line))
     }
 
     /// R and Σ log S of each design.
@@ -175,55 +171,45 @@ impl DesignBatch {
         TerminalRoot::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
-    /// Takes the transition of a run that has one.
-    #[inline(always)]
-    pub(super) fn take<T: Lanes>(&self, run: usize, transition: &mut Transition<T>) {
-        let Transition { phi, q, .. } = transition;
-        let number = self.moves[run];
-        for k in 0..phi.len() {
-            phi[k] = at(&self.phi, number * phi.len() + k);
-        }
-        for k in 0..q.len() {
-            q[k] = at(&self.q, number * q.len() + k);
-        }
-    }
-
     /// 1/S of so many measurements of one design.
     pub(crate) fn weights(&self, (lane, lanes): (usize, usize), rows: usize) -> impl Iterator<Item = f64> + use<'_> {
         self.gains.iter().skip(lane).step_by(lanes * self.stride).take(rows).copied()
     }
 }
 
+/// Of designs whose steps are each a run.
 impl<T: Lanes> Numbers<T> for DesignBatch {
+    type List<'a>
+        = SideBySide<'a>
+    where
+        Self: 'a;
+
     #[inline(always)]
-    fn phi(&self, run: usize, term: usize) -> T {
-        at(&self.phi, self.moves[run] * self.terms + term)
+    fn transition<'a>(&'a self, design: &'a Design, run: usize) -> Option<TransitionView<'a, SideBySide<'a>>> {
+        let pattern = &*design.transition(&design.runs[run])?.pattern;
+        let after = |all, many: usize| Entries::<T>::skip(SideBySide(all), self.moves[run] * many);
+        let (phi, q) = (after(&self.phi, pattern.columns.len()), after(&self.q, pattern.pairs.len()));
+        Some(TransitionView { pattern, phi, q })
     }
 
     #[inline(always)]
-    fn h(&self, term: usize) -> T {
-        at(&self.h, term)
+    fn h(&self) -> SideBySide<'_> {
+        SideBySide(&self.h)
     }
 
     #[inline(always)]
-    fn gains(&self, row: usize) -> &[f64] {
-        let stride = self.stride * T::COUNT;
-        &self.gains[row * stride..][..stride]
+    fn gains(&self, row: usize) -> (T, SideBySide<'_>) {
+        let gains = Entries::<T>::skip(SideBySide(&self.gains), row * self.stride);
+        (gains.entry(0), Entries::<T>::skip(gains, 1))
     }
 
     #[inline(always)]
-    fn sensitivities(&self, row: usize) -> &[f64] {
-        let stride = self.p * T::COUNT;
-        &self.sensitivities[row * stride..][..stride]
+    fn sensitivities(&self, row: usize) -> SideBySide<'_> {
+        Entries::<T>::skip(SideBySide(&self.sensitivities), row * self.p)
     }
 
     #[inline(always)]
-    fn of(row: &[f64], k: usize) -> T {
-        at(row, k)
-    }
-
-    #[inline(always)]
-    fn R(&self, at_: usize) -> T {
-        at(&self.factor, at_)
+    fn R(&self) -> SideBySide<'_> {
+        SideBySide(&self.factor)
     }
 }

@@ -7,7 +7,6 @@
 mod batch_filter;
 mod data_block;
 mod design_batch;
-mod interleaved;
 mod numbers;
 mod pass;
 mod squares;
@@ -16,8 +15,7 @@ mod workspace;
 pub(crate) use batch_filter::{BatchColumns, BatchFilter};
 pub(crate) use data_block::DataBlock;
 pub(crate) use design_batch::DesignBatch;
-pub(crate) use interleaved::Interleaved;
-pub(crate) use numbers::at;
+pub(crate) use numbers::{DataView, Numbers, at};
 pub(crate) use pass::{InnovationObserver, innovations, pass_alone};
 pub(crate) use workspace::DataWorkspace;
 

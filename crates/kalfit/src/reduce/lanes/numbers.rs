@@ -4,22 +4,25 @@
 use kalfit_lanes::Lanes;
 
 use crate::reduce::data::Data;
-use crate::reduce::design::Stretch;
+use crate::reduce::design::{Design, Stretch, TransitionView};
+use crate::reduce::entries::Entries;
 
 /// What a pass takes from the designs of its tests: numbers that are the same in all lanes, or each lane's own.
-pub(super) trait Numbers<T> {
-    /// Entry `term` of φ in a run.
-    fn phi(&self, run: usize, term: usize) -> T;
-    /// Coefficient `term` of the lines.
-    fn h(&self, term: usize) -> T;
-    /// 1/S and K of a row, for [`Numbers::of`].
-    fn gains(&self, row: usize) -> &[f64];
-    /// T of a row, for [`Numbers::of`].
-    fn sensitivities(&self, row: usize) -> &[f64];
-    /// Number `k` of a row.
-    fn of(row: &[f64], k: usize) -> T;
-    /// An entry of R, packed.
-    fn R(&self, at: usize) -> T;
+pub(crate) trait Numbers<T> {
+    /// How they are read.
+    type List<'a>: Entries<T>
+    where
+        Self: 'a;
+    /// The transition of a run.
+    fn transition<'a>(&'a self, design: &'a Design, run: usize) -> Option<TransitionView<'a, Self::List<'a>>>;
+    /// Coefficients of the terms of all lines.
+    fn h(&self) -> Self::List<'_>;
+    /// 1/S and K of a row.
+    fn gains(&self, row: usize) -> (T, Self::List<'_>);
+    /// T of a row.
+    fn sensitivities(&self, row: usize) -> Self::List<'_>;
+    /// R, packed.
+    fn R(&self) -> Self::List<'_>;
     /// Rows from `row` up to `end`, at most, and what repeats among them.
     #[inline(always)]
     fn repeats(&self, _row: usize, end: usize) -> Repeats {
@@ -36,7 +39,7 @@ pub(super) trait Numbers<T> {
 
 /// Rows up to `end`: from `still` on every `width`-th has the same 1/S and T.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Repeats {
+pub(crate) struct Repeats {
     pub(super) still: usize,
     pub(super) end: usize,
     pub(super) width: usize,
@@ -44,10 +47,10 @@ pub(super) struct Repeats {
 
 /// The data of tests, in lanes.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct DataView<'a> {
-    pub(super) start: &'a [f64],
-    pub(super) inputs: &'a [f64],
-    pub(super) values: &'a [f64],
+pub(crate) struct DataView<'a> {
+    pub(crate) start: &'a [f64],
+    pub(crate) inputs: &'a [f64],
+    pub(crate) values: &'a [f64],
 }
 
 impl<'a> DataView<'a> {

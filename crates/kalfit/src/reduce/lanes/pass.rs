@@ -1,12 +1,15 @@
 //! The data pass: innovations of tests under the gains of their designs and what they add up to, a test in each lane.
+#![expect(non_snake_case, reason = "the letters of the theory: K, R")]
 
 use std::cell::Cell;
 
 use kalfit_lanes::{Isa, Kernel, Lanes, Part};
 
 use crate::reduce::data::{Data, FEW};
-use crate::reduce::design::{Design, Pattern, Stretch, TransitionRow};
+use crate::reduce::design::{Design, Stretch, TransitionView};
+use crate::reduce::entries::{Common, Entries};
 use crate::reduce::gains::{GainSpan, Gains};
+use crate::reduce::kernel;
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::squares;
 use crate::reduce::lanes::workspace::DataWorkspace;
@@ -40,36 +43,35 @@ impl<'a> SharedDesign<'a> {
 }
 
 impl<T: Lanes> Numbers<T> for SharedDesign<'_> {
+    type List<'a>
+        = Common<'a>
+    where
+        Self: 'a;
+
     #[inline(always)]
-    fn phi(&self, run: usize, term: usize) -> T {
-        self.design
-            .transition(&self.design.runs[run])
-            .map_or(T::splat(0.0), |transition| T::splat(transition.phi[term]))
+    fn transition<'a>(&'a self, design: &'a Design, run: usize) -> Option<TransitionView<'a, Common<'a>>> {
+        design.transition(&design.runs[run]).map(|transition| transition.common())
     }
 
     #[inline(always)]
-    fn h(&self, term: usize) -> T {
-        T::splat(self.design.h[term])
+    fn h(&self) -> Common<'_> {
+        Common(&self.design.h)
     }
 
     #[inline(always)]
-    fn gains(&self, row: usize) -> &[f64] {
-        self.gains.weighted(self.piece(row).0, row)
+    fn gains(&self, row: usize) -> (T, Common<'_>) {
+        let gains = self.gains.weighted(self.piece(row).0, row);
+        (T::splat(gains[0]), Common(&gains[1..]))
     }
 
     #[inline(always)]
-    fn sensitivities(&self, row: usize) -> &[f64] {
-        self.gains.sensitive(self.piece(row).0, row)
+    fn sensitivities(&self, row: usize) -> Common<'_> {
+        Common(self.gains.sensitive(self.piece(row).0, row))
     }
 
     #[inline(always)]
-    fn of(row: &[f64], k: usize) -> T {
-        T::splat(row[k])
-    }
-
-    #[inline(always)]
-    fn R(&self, at: usize) -> T {
-        T::splat(self.gains.factor[at])
+    fn R(&self) -> Common<'_> {
+        Common(&self.gains.factor)
     }
 
     #[inline(always)]
@@ -166,7 +168,7 @@ impl InnovationObserver for () {
 struct MeanState<T> {
     x: Vec<T>,
     /// Work space of a transition.
-    moved: Vec<T>,
+    work: Vec<T>,
     y: Vec<T>,
     /// e'S⁻¹e.
     square: T,
@@ -203,8 +205,8 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
             }
         }
         for _ in 0..run.count {
-            if let Some(transition) = design.transition(run) {
-                state.advance((numbers, at_run), &transition.pattern);
+            if let Some(transition) = numbers.transition(design, at_run) {
+                kernel::advance(&mut state.x, 1, transition, &mut state.work);
                 for &driven in &frame.driven {
                     state.x[driven as usize] = state.x[driven as usize] + at(data.inputs, input);
                     input += 1;
@@ -265,7 +267,7 @@ impl<T: Lanes> MeanState<T> {
     fn new((n, p): (usize, usize)) -> MeanState<T> {
         let zero = T::splat(0.0);
         let zeros = || vec![zero; p];
-        MeanState { x: vec![zero; n], moved: Vec::new(), y: zeros(), square: zero, y_part: zeros(), square_part: zero }
+        MeanState { x: vec![zero; n], work: Vec::new(), y: zeros(), square: zero, y_part: zeros(), square_part: zero }
     }
 
     /// Takes the parts to the sums.
@@ -278,34 +280,6 @@ impl<T: Lanes> MeanState<T> {
         self.square = self.square + std::mem::replace(&mut self.square_part, zero);
     }
 
-    /// x ← φx.
-    #[inline(always)]
-    fn advance<N: Numbers<T>>(&mut self, (numbers, run): (&N, usize), pattern: &Pattern) {
-        if let Some(states) = pattern.diagonal() {
-            for (term, state) in states.enumerate() {
-                self.x[state] = numbers.phi(run, term) * self.x[state];
-            }
-            return;
-        }
-        self.moved.clear();
-        for row in &pattern.moved {
-            self.moved.push(self.moved((numbers, run), (pattern, row)));
-        }
-        for (k, row) in pattern.moved.iter().enumerate() {
-            self.x[row.state as usize] = self.moved[k];
-        }
-    }
-
-    /// A row of φ, times x.
-    #[inline(always)]
-    fn moved<N: Numbers<T>>(&self, (numbers, run): (&N, usize), (pattern, row): (&Pattern, &TransitionRow)) -> T {
-        let mut sum = T::splat(0.0);
-        for term in row.start as usize..row.end as usize {
-            sum = numbers.phi(run, term).fma(self.x[pattern.columns[term] as usize], sum);
-        }
-        sum
-    }
-
     /// The innovation of a scalar measurement, after which x and the sums have it.
     #[inline(always)]
     fn measure<N: Numbers<T>, L: InnovationObserver>(
@@ -316,18 +290,12 @@ impl<T: Lanes> MeanState<T> {
         look: &mut L,
     ) -> T {
         let (states, first) = (design.terms(line).0, if line == 0 { 0 } else { design.ends[line - 1] });
-        let mut e = value;
-        // states that move come last: what they add is waited for
-        for (k, &state) in states.iter().enumerate().rev() {
-            e = numbers.h(first + k).fnma(self.x[state as usize], e);
-        }
+        let e = kernel::innovation(&self.x, (states, numbers.h().skip(first)), value);
         look.see((row, line), e, &self.x);
-        let gains = numbers.gains(row);
-        for (i, x) in self.x[..design.frame.r].iter_mut().enumerate() {
-            *x = N::of(gains, 1 + i).fma(e, *x);
-        }
-        let weighted = e * N::of(gains, 0);
-        squares::add::<T, N>(numbers.sensitivities(row), weighted, &mut self.y_part);
+        let (weight, K) = numbers.gains(row);
+        kernel::correct_mean(K, e, &mut self.x[..design.frame.r]);
+        let weighted = e * weight;
+        squares::add(numbers.sensitivities(row), weighted, &mut self.y_part);
         self.square_part = e.fma(weighted, self.square_part);
         e
     }

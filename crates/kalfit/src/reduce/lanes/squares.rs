@@ -6,6 +6,7 @@ use std::ops::Range;
 use kalfit_lanes::Lanes;
 
 use crate::reduce::data::REFINE;
+use crate::reduce::entries::Entries;
 use crate::reduce::lanes::numbers::{Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::BLOCK;
@@ -56,7 +57,7 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut DataWorkspa
         let best = at::<T>(&room.best, k);
         for i in 0..=k {
             // d = R ξ + what is left
-            let d = numbers.R(k * (k + 1) / 2 + i).fma(best, at::<T>(&room.refined, i));
+            let d = numbers.R().entry(k * (k + 1) / 2 + i).fma(best, at::<T>(&room.refined, i));
             put(&mut room.refined, i, d);
         }
     }
@@ -90,10 +91,10 @@ fn each<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, (e, xi): (&[f6
         let mut square = zero;
         for row in start..rows.end.min(start + BLOCK) {
             let sensitivities = numbers.sensitivities(row);
-            let left = left::<T, N>(sensitivities, xi, at(e, row));
-            let weighted = left * N::of(numbers.gains(row), 0);
+            let left = left(sensitivities, xi, at(e, row));
+            let weighted = left * numbers.gains(row).0;
             square = left.fma(weighted, square);
-            add::<T, N>(sensitivities, weighted, &mut part);
+            add(sensitivities, weighted, &mut part);
         }
         total = total + square;
         for (sum, &part) in sum.iter_mut().zip(&part) {
@@ -113,10 +114,10 @@ fn equal<T: Lanes, N: Numbers<T>>(
 ) -> T {
     let mut total = T::splat(0.0);
     for row in rows.start..rows.end.min(rows.start + width) {
-        let (weight, sensitivities) = (N::of(numbers.gains(row), 0), numbers.sensitivities(row));
-        let (left, squares) = moments(e, (row..rows.end, width), left::<T, N>(sensitivities, xi, T::splat(0.0)));
+        let (weight, sensitivities) = (numbers.gains(row).0, numbers.sensitivities(row));
+        let (left, squares) = moments(e, (row..rows.end, width), left(sensitivities, xi, T::splat(0.0)));
         total = squares.fma(weight, total);
-        add::<T, N>(sensitivities, left * weight, sum);
+        add(sensitivities, left * weight, sum);
     }
     total
 }
@@ -145,19 +146,19 @@ fn moments<T: Lanes>(e: &[f64], (rows, width): (Range<usize>, usize), t: T) -> (
 
 /// e - Tξ of a row.
 #[inline(always)]
-fn left<T: Lanes, N: Numbers<T>>(sensitivities: &[f64], xi: &[T], e: T) -> T {
+fn left<T: Lanes, E: Entries<T>>(sensitivities: E, xi: &[T], e: T) -> T {
     let mut left = e;
     for (k, &xi) in xi.iter().enumerate() {
-        left = N::of(sensitivities, k).fnma(xi, left);
+        left = sensitivities.entry(k).fnma(xi, left);
     }
     left
 }
 
 /// sum ← sum + T'x, with T of a row.
 #[inline(always)]
-pub(super) fn add<T: Lanes, N: Numbers<T>>(sensitivities: &[f64], x: T, sum: &mut [T]) {
+pub(super) fn add<T: Lanes, E: Entries<T>>(sensitivities: E, x: T, sum: &mut [T]) {
     for (k, sum) in sum.iter_mut().enumerate() {
-        *sum = N::of(sensitivities, k).fma(x, *sum);
+        *sum = sensitivities.entry(k).fma(x, *sum);
     }
 }
 
@@ -177,9 +178,9 @@ fn forward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, d: &mut [f64]) {
     for k in 0..p {
         let mut sum = at::<T>(d, k);
         for i in 0..k {
-            sum = numbers.R(k * (k + 1) / 2 + i).fnma(at::<T>(d, i), sum);
+            sum = numbers.R().entry(k * (k + 1) / 2 + i).fnma(at::<T>(d, i), sum);
         }
-        put(d, k, sum * numbers.R(k * (k + 3) / 2).recip_or_zero());
+        put(d, k, sum * numbers.R().entry(k * (k + 3) / 2).recip_or_zero());
     }
 }
 
@@ -187,10 +188,10 @@ fn forward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, d: &mut [f64]) {
 #[inline(always)]
 fn backward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, x: &mut [f64]) {
     for k in (0..p).rev() {
-        let best = at::<T>(x, k) * numbers.R(k * (k + 3) / 2).recip_or_zero();
+        let best = at::<T>(x, k) * numbers.R().entry(k * (k + 3) / 2).recip_or_zero();
         put(x, k, best);
         for i in 0..k {
-            let left = numbers.R(k * (k + 1) / 2 + i).fnma(best, at::<T>(x, i));
+            let left = numbers.R().entry(k * (k + 1) / 2 + i).fnma(best, at::<T>(x, i));
             put(x, i, left);
         }
     }

@@ -180,14 +180,14 @@ impl FilterRunner {
         let (mut true_input, mut own_input) = (0, 0);
         for (step, own_step) in truth.design.each_step().zip(own.design.each_step()) {
             if let Some(transition) = step.transition {
-                kernel::advance(drift, 1, transition, moved);
+                kernel::advance(drift, 1, transition.view(), moved);
                 for &state in &truth.design.frame.driven {
                     drift[state as usize] += truth.data.inputs[true_input];
                     true_input += 1;
                 }
             }
             if let Some(transition) = own_step.transition {
-                kernel::advance(now, 2, transition, moved);
+                kernel::advance(now, 2, transition.view(), moved);
                 for &state in &own.design.frame.driven {
                     let input = own.data.inputs[own_input];
                     now[2 * state as usize..][..2].iter_mut().for_each(|x| *x += input);

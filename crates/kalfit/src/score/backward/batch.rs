@@ -3,7 +3,7 @@
 
 use kalfit_lanes::{Kernel, Lanes, interleaved};
 
-use crate::reduce::{DataBlock, Design, DesignBatch, Interleaved};
+use crate::reduce::{DataBlock, DataView, Design, DesignBatch, Entries, Numbers, SideBySide, at, innovation};
 use crate::score::backward::adjoint::{Adjoint, ScalarAdjoint};
 use crate::score::backward::filtered::{Begin, FilterSnapshot, FilteredMoments};
 use crate::score::backward::run::{AdjointsWanted, TerminalAdjoint};
@@ -43,7 +43,7 @@ impl Kernel for BatchBackward<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> BatchAdjoints {
-        let numbers = self.block.interleave::<T>(self.longest, self.gained);
+        let numbers = BatchNumbers { shape: self.longest, gained: self.gained, data: self.block.side() };
         let root = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].root);
         let mean = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
@@ -74,15 +74,27 @@ struct Forward<T> {
     stride: usize,
 }
 
-#[inline(always)]
-fn line<'a, T: Lanes>(numbers: &'a Interleaved<'_, T>, (line, row): (usize, usize)) -> ScalarMeasurement<'a, T> {
-    let ((states, h, noise), (weight, K, T)) = (numbers.line(line), numbers.row(row));
-    ScalarMeasurement { states, h, noise, weight, K, T }
+/// What the pass reads of a batch, in lanes. A test that is shorter than the longest goes on with measurements that say nothing, and
+/// transitions that forget everything.
+struct BatchNumbers<'a> {
+    /// Of the longest: its numbers do not count.
+    shape: &'a Design,
+    gained: &'a DesignBatch,
+    data: DataView<'a>,
+}
+
+impl<'a> BatchNumbers<'a> {
+    #[inline(always)]
+    fn line<T: Lanes>(&self, (line, row): (usize, usize)) -> ScalarMeasurement<'a, T, SideBySide<'a>> {
+        let gained = self.gained;
+        let ((states, h, noise), (weight, K)) = (gained.line(self.shape, line), gained.gains(row));
+        ScalarMeasurement { states, h, noise, weight, K, T: Numbers::<T>::sensitivities(gained, row) }
+    }
 }
 
 impl<T: Lanes> Forward<T> {
     #[inline(always)]
-    fn new(numbers: &Interleaved<'_, T>, mean: &[T], unknown: &PosteriorRoot<'_, T>) -> Forward<T> {
+    fn new(numbers: &BatchNumbers<'_>, mean: &[T], unknown: &PosteriorRoot<'_, T>) -> Forward<T> {
         let (design, driven) = (numbers.shape, unknown.frame.driven.len());
         let (n, r) = (unknown.frame.n, unknown.frame.r);
         let stride = n + r * r + n * unknown.columns;
@@ -95,24 +107,25 @@ impl<T: Lanes> Forward<T> {
             stride,
         };
         let mut now = FilteredMoments::<T>::default();
-        now.begin(&Begin { start: &numbers.start, variance: &numbers.variance, mean }, unknown);
-        let (mut input, mut row, mut first) = (0, 0, 0);
-        let mut transition = numbers.transition();
+        let (start, variance) = (SideBySide(numbers.data.start), SideBySide(&numbers.gained.variance));
+        now.begin(&Begin { start, variance, mean }, unknown);
+        let mut inputs = SideBySide(numbers.data.inputs);
+        let (mut row, mut first) = (0, 0);
         for (at_run, run) in design.runs.iter().enumerate() {
             for _ in 0..run.count {
-                if numbers.take(at_run, &mut transition) {
+                if let Some(transition) = Numbers::<T>::transition(numbers.gained, design, at_run) {
                     if unknown.wanted.motion {
                         now.save(&mut forward.left);
                     }
-                    now.advance(&transition, &numbers.inputs[input..input + driven], unknown);
-                    input += driven;
+                    now.advance(transition, inputs, unknown);
+                    inputs = Entries::<T>::skip(inputs, driven);
                 }
                 for number in first..run.lines {
                     if unknown.wanted.equation {
                         now.save(&mut forward.before);
                     }
-                    let line = line(numbers, (number, row));
-                    let e = now.innovation(&line, numbers.values[row]);
+                    let line = numbers.line((number, row));
+                    let e = innovation(&now.x, (line.states, line.h), at(numbers.data.values, row));
                     now.measure(&line, e, unknown);
                     forward.e.push(e);
                     row += 1;
@@ -126,7 +139,7 @@ impl<T: Lanes> Forward<T> {
     #[inline(always)]
     fn back(
         self,
-        numbers: &Interleaved<'_, T>,
+        numbers: &BatchNumbers<'_>,
         unknown: &PosteriorRoot<'_, T>,
         ending: Option<[&[T]; 3]>,
     ) -> BatchAdjoints {
@@ -139,7 +152,7 @@ impl<T: Lanes> Forward<T> {
         let mut rows = vec![0.0; design.rows() * width * T::COUNT];
         let (mut moves, mut kinds) = (Vec::new(), [0; 3]);
         let (mut bar, mut moved) = (vec![zero; width], TransitionAdjoint::<T>::default());
-        let (mut transitions, mut row, mut transition) = (0, design.rows(), numbers.transition());
+        let (mut transitions, mut row) = (0, design.rows());
         for run in &design.runs {
             transitions += if run.transition.is_some() { run.count } else { 0 };
         }
@@ -157,16 +170,14 @@ impl<T: Lanes> Forward<T> {
                             Some((h, FilterSnapshot::new(&self.before[row * self.stride..][..self.stride], sizes)));
                     }
                     let out = ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h: equation };
-                    adjoint.measured(&line(numbers, (number, row)), self.e[row], unknown, out);
+                    adjoint.measured(&numbers.line((number, row)), self.e[row], unknown, out);
                     for k in 0..width {
                         bar[k].store(&mut rows[(row * width + k) * T::COUNT..]);
                     }
                 }
-                if !numbers.take(at_run, &mut transition) {
-                    continue;
-                }
+                let Some(transition) = Numbers::<T>::transition(numbers.gained, design, at_run) else { continue };
                 if moves.is_empty() {
-                    kinds = [transition.phi.len(), transition.q.len(), frame.driven.len()];
+                    kinds = [transition.pattern.columns.len(), transition.pattern.pairs.len(), frame.driven.len()];
                     moves.resize(transitions * kinds.iter().sum::<usize>() * T::COUNT, 0.0);
                 }
                 transitions -= 1;
@@ -174,7 +185,7 @@ impl<T: Lanes> Forward<T> {
                 if wanted.motion {
                     left = Some(FilterSnapshot::new(&self.left[transitions * self.stride..][..self.stride], sizes));
                 }
-                adjoint.moved(unknown, &transition, left, &mut moved);
+                adjoint.moved(unknown, transition, left, &mut moved);
                 let mut at = transitions * kinds.iter().sum::<usize>();
                 for list in [&moved.phi, &moved.q, &moved.input] {
                     for x in list {

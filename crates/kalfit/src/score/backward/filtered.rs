@@ -4,9 +4,9 @@
 use kalfit_lanes::Real;
 use nalgebra::{DMatrix, DMatrixView};
 
-use crate::reduce::{Transition, advance, mirror, predict, update};
+use crate::reduce::{Entries, TransitionView, advance, correct_mean, innovation, mirror, predict, update};
 use crate::score::backward::run::BackwardInput;
-use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement, dot};
+use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 
 /// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
 #[derive(Debug, Clone)]
@@ -69,9 +69,9 @@ impl FilterSnapshot<'_> {
 
 /// x_0 before ξ is known: a (n), and P0 (r × r, the lower triangle counts).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Begin<'a, T = f64> {
-    pub(super) start: &'a [T],
-    pub(super) variance: &'a [T],
+pub(super) struct Begin<'a, T, E> {
+    pub(super) start: E,
+    pub(super) variance: E,
     /// x̂.
     pub(super) mean: &'a [T],
 }
@@ -79,16 +79,18 @@ pub(super) struct Begin<'a, T = f64> {
 impl<T: Real> FilteredMoments<T> {
     /// x_0 = a + Ax̂, P0 and AC.
     #[inline(always)]
-    pub(super) fn begin(&mut self, begin: &Begin<'_, T>, unknown: &PosteriorRoot<'_, T>) {
+    pub(super) fn begin<E: Entries<T>>(&mut self, begin: &Begin<'_, T, E>, unknown: &PosteriorRoot<'_, T>) {
         let frame = unknown.frame;
         let (n, p, r, c) = (frame.n, frame.p, frame.r, unknown.columns);
         self.x.clear();
-        self.x.extend_from_slice(begin.start);
+        for i in 0..n {
+            self.x.push(begin.start.entry(i));
+        }
         self.P.clear();
         self.Psi.clear();
         if unknown.tracked() {
             for ij in 0..r * r {
-                self.P.push(begin.variance[(ij / r).max(ij % r) * r + (ij / r).min(ij % r)]);
+                self.P.push(begin.variance.entry((ij / r).max(ij % r) * r + (ij / r).min(ij % r)));
             }
             self.Psi.resize(n * c, T::splat(0.0));
         }
@@ -122,12 +124,18 @@ impl<T: Real> FilteredMoments<T> {
         out.extend_from_slice(&self.Psi);
     }
 
+    /// Over a transition, with its known inputs.
     #[inline(always)]
-    pub(super) fn advance(&mut self, transition: &Transition<T>, inputs: &[T], unknown: &PosteriorRoot<'_, T>) {
+    pub(super) fn advance<E: Entries<T>>(
+        &mut self,
+        transition: TransitionView<'_, E>,
+        inputs: E,
+        unknown: &PosteriorRoot<'_, T>,
+    ) {
         let (r, c) = (unknown.frame.r, unknown.columns);
         advance(&mut self.x, 1, transition, &mut self.rows);
-        for (&state, &input) in unknown.frame.driven.iter().zip(inputs) {
-            self.x[state as usize] = self.x[state as usize] + input;
+        for (k, &state) in unknown.frame.driven.iter().enumerate() {
+            self.x[state as usize] = self.x[state as usize] + inputs.entry(k);
         }
         if !self.Psi.is_empty() {
             advance(&mut self.Psi, c, transition, &mut self.rows);
@@ -138,28 +146,22 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// ē of a measurement.
-    #[inline(always)]
-    pub(super) fn innovation(&self, line: &ScalarMeasurement<'_, T>, z: T) -> T {
-        let mut e = z;
-        for (&state, &h) in line.states.iter().zip(line.h) {
-            e = h.fnma(self.x[state as usize], e);
-        }
-        e
-    }
-
     /// The update by a measurement.
     #[inline(always)]
-    pub(super) fn measure(&mut self, line: &ScalarMeasurement<'_, T>, e: T, unknown: &PosteriorRoot<'_, T>) {
+    pub(super) fn measure<E: Entries<T>>(
+        &mut self,
+        line: &ScalarMeasurement<'_, T, E>,
+        e: T,
+        unknown: &PosteriorRoot<'_, T>,
+    ) {
         let (r, c) = (unknown.frame.r, unknown.columns);
-        for i in 0..r {
-            self.x[i] = line.K[i].fma(e, self.x[i]);
-        }
+        correct_mean(line.K, e, &mut self.x[..r]);
         if !self.Psi.is_empty() {
             unknown.times_root(line.T, &mut self.T);
             for i in 0..r {
+                let K = line.K.entry(i);
                 for k in 0..c {
-                    self.Psi[i * c + k] = line.K[i].fnma(self.T[k], self.Psi[i * c + k]);
+                    self.Psi[i * c + k] = K.fnma(self.T[k], self.Psi[i * c + k]);
                 }
             }
         }
@@ -171,13 +173,13 @@ impl<T: Real> FilteredMoments<T> {
     /// The update of P, by gains of its own: those of the design may have come from square-root arrays, or be those of other steps
     /// where they rest, and P would leave what is true under any but its own.
     #[inline(always)]
-    fn spread(&mut self, r: usize, line: &ScalarMeasurement<'_, T>) {
+    fn spread<E: Entries<T>>(&mut self, r: usize, line: &ScalarMeasurement<'_, T, E>) {
         let FilteredMoments { P, G, K, .. } = self;
         for own in [&mut *G, &mut *K] {
             own.clear();
             own.resize(r, T::splat(0.0));
         }
-        update(r, line.states, line.h, line.noise, P, G, K);
+        update(r, (line.states, line.h), line.noise, P, (G, K));
         mirror(P, r);
     }
 }
@@ -195,7 +197,7 @@ impl FilteredMoments {
 impl BackwardInput<'_> {
     /// The filter at the start of the test.
     pub(super) fn begin(&self, now: &mut FilteredMoments) {
-        let begin = Begin { start: self.start, variance: &self.design.variance, mean: &self.moments.mean };
+        let begin = Begin { start: self.start, variance: &*self.design.variance, mean: &self.moments.mean };
         now.begin(&begin, &self.unknown());
     }
 
@@ -203,7 +205,7 @@ impl BackwardInput<'_> {
     pub(super) fn measure(&self, now: &mut FilteredMoments, (line, row): (usize, usize), e: &mut Vec<f64>) {
         let line = self.line((line, row));
         if row == e.len() {
-            e.push(now.innovation(&line, self.values[row]));
+            e.push(innovation(&now.x, (line.states, line.h), self.values[row]));
         }
         if line.weight == 0.0 {
             return; // it can only be what it is
@@ -216,10 +218,4 @@ impl BackwardInput<'_> {
         let frame = &self.design.frame;
         (frame.n, frame.r)
     }
-}
-
-/// r_i r_j + (ρρ')_ij.
-#[inline(always)]
-pub(super) fn second<T: Real>(adjoint: &[T], rho: &[T], c: usize, i: usize, j: usize) -> T {
-    adjoint[i].fma(adjoint[j], dot(&rho[i * c..][..c], &rho[j * c..][..c]))
 }

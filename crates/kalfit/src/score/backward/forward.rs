@@ -98,7 +98,7 @@ impl BackwardInput<'_> {
         for step in steps {
             if let Some(transition) = step.transition {
                 tell(FilterPosition::Moves, &step, now);
-                now.advance(transition, &self.inputs[input..input + driven], &self.unknown());
+                now.advance(transition.view(), &self.inputs[input..input + driven], &self.unknown());
                 input += driven;
             }
             tell(FilterPosition::Arrives, &step, now);

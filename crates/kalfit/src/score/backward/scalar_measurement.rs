@@ -3,20 +3,20 @@
 
 use kalfit_lanes::Real;
 
-use crate::reduce::StateFrame;
+use crate::reduce::{Entries, StateFrame};
 use crate::score::backward::run::{AdjointsWanted, BackwardInput};
 
 /// A scalar measurement.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct ScalarMeasurement<'a, T = f64> {
+pub(super) struct ScalarMeasurement<'a, T, E> {
     pub(super) states: &'a [u32],
-    pub(super) h: &'a [T],
+    pub(super) h: E,
     /// R.
     pub(super) noise: T,
     /// 1/S, 0 of one that says nothing: then K and T are zero too.
     pub(super) weight: T,
-    pub(super) K: &'a [T],
-    pub(super) T: &'a [T],
+    pub(super) K: E,
+    pub(super) T: E,
 }
 
 /// The states, and the root C of what is not known of ξ (p × columns, by rows).
@@ -37,11 +37,12 @@ impl<T: Real> PosteriorRoot<'_, T> {
 
     /// TC of a row.
     #[inline(always)]
-    pub(super) fn times_root(&self, row: &[T], out: &mut Vec<T>) {
+    pub(super) fn times_root<E: Entries<T>>(&self, row: E, out: &mut Vec<T>) {
         let c = self.columns;
         out.clear();
         out.resize(c, T::splat(0.0));
-        for (i, &t) in row.iter().enumerate() {
+        for i in 0..self.frame.p {
+            let t = row.entry(i);
             for k in 0..c {
                 out[k] = t.fma(self.root[i * c + k], out[k]);
             }
@@ -51,7 +52,7 @@ impl<T: Real> PosteriorRoot<'_, T> {
 
 impl BackwardInput<'_> {
     /// A scalar measurement of the design.
-    pub(super) fn line(&self, (line, row): (usize, usize)) -> ScalarMeasurement<'_> {
+    pub(super) fn line(&self, (line, row): (usize, usize)) -> ScalarMeasurement<'_, f64, &[f64]> {
         let ((states, h), (weight, K, T)) = (self.design.terms(line), self.gains.row(row));
         ScalarMeasurement { states, h, noise: self.design.noise[line], weight, K, T }
     }
@@ -60,14 +61,4 @@ impl BackwardInput<'_> {
         let BackwardInput { design, moments, wanted, .. } = *self;
         PosteriorRoot { frame: &design.frame, root: &moments.root, columns: moments.columns, wanted }
     }
-}
-
-/// Σ ab.
-#[inline(always)]
-pub(super) fn dot<T: Real>(a: &[T], b: &[T]) -> T {
-    let mut sum = T::splat(0.0);
-    for (&a, &b) in a.iter().zip(b) {
-        sum = a.fma(b, sum);
-    }
-    sum
 }

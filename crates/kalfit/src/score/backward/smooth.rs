@@ -7,11 +7,10 @@
 #![expect(non_snake_case, reason = "the letters of the theory: P, B, N")]
 
 use crate::reduce::{DesignStep, Transition};
-use crate::score::backward::adjoint::columns;
-use crate::score::backward::filtered::{FilterSnapshot, second};
+use crate::score::backward::filtered::FilterSnapshot;
 use crate::score::backward::forward::FilterPosition;
+use crate::score::backward::kernel::{columns, dot, second};
 use crate::score::backward::run::BackwardInput;
-use crate::score::backward::scalar_measurement::dot;
 use crate::score::backward::work::BackwardWork;
 
 /// The moments of a test.
@@ -58,7 +57,7 @@ impl SmoothedNoise {
         let q = transition.noise_of(r, |i| i);
         let q = q.as_slice(); // symmetric
         self.mean.clear();
-        self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], adjoint)));
+        self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], &adjoint[..r])));
         let g: Vec<f64> = (0..r * r).map(|ij| second(adjoint, rho, c, ij / r, ij % r) - N[ij]).collect();
         let qg = product(q, &g, r, r);
         self.second = product(&qg, q, r, r);
@@ -122,7 +121,7 @@ impl FilterSnapshot<'_> {
         out.variance.extend((0..n * n).map(|ij| dot(&B[ij / n * c..][..c], &B[ij % n * c..][..c])));
         let PNP = product(&product(self.P, N, r, r), self.P, r, r);
         for i in 0..r {
-            out.mean[i] += dot(&self.P[i * r..][..r], adjoint);
+            out.mean[i] += dot(&self.P[i * r..][..r], &adjoint[..r]);
             (0..r).for_each(|j| out.variance[i * n + j] += self.P[i * r + j] - PNP[i * r + j]);
         }
     }
@@ -152,9 +151,9 @@ impl BackwardInput<'_> {
             let mut noise = SmoothedNoise::default();
             noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
             let mut turned = adjoint.N.clone();
-            columns(&mut turned, r, transition, &mut Vec::new());
+            columns(&mut turned, r, transition.view(), &mut Vec::new());
             let rho = adjoint.rho.clone();
-            adjoint.moved(&self.unknown(), transition, None, moved);
+            adjoint.moved(&self.unknown(), transition.view(), None, moved);
             noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
             noises[k] = Some(noise);
         }

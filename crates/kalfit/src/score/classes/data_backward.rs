@@ -9,8 +9,12 @@
 use kalfit_lanes::{Kernel, Lanes, MOST};
 
 use crate::ensemble::Test;
-use crate::reduce::{Design, DesignStep, Gains, Scan, Transition, at, with_states};
-use crate::score::backward::{AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments};
+use crate::reduce::{
+    Common, Design, DesignStep, Gains, Scan, Transition, advance, at, correct_mean, innovation, with_states,
+};
+use crate::score::backward::{
+    AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments, absorb, back, smoothing_error,
+};
 use crate::score::classes::equal::EqualDataBackward;
 use crate::score::pullback::{PullbackFactors, ResponseEntry};
 
@@ -72,7 +76,9 @@ impl Kernel for DataBackward<'_> {
 struct DataBackwardState<T> {
     /// x̄ on the way forth, r on the way back.
     x: Vec<T>,
+    /// r where a transition ends, of the states that move.
     moved: Vec<T>,
+    work: Vec<T>,
     /// z - d on the way forth, ē from there on, of each scalar measurement; of the tests beside each other.
     e: Vec<f64>,
     /// x̄ before each transition, and before each measurement, of the steps that stand for all, where P is wanted too.
@@ -108,6 +114,7 @@ impl<T: Lanes> DataBackwardState<T> {
         DataBackwardState {
             x: vec![zero; n],
             moved: vec![zero; n],
+            work: Vec::new(),
             e: vec![0.0; shared.cells.len() * T::COUNT],
             left: vec![zero; wanted(shared.wanted.motion, response.moves.len())],
             before: vec![zero; wanted(shared.wanted.equation, response.rows.len())],
@@ -165,7 +172,7 @@ impl<T: Lanes> DataBackwardState<T> {
             if !self.left.is_empty() {
                 self.left[now.transition * n..][..n].copy_from_slice(&self.x);
             }
-            self.advance(transition);
+            advance(&mut self.x, 1, transition.common(), &mut self.work);
             for &state in &frame.driven {
                 self.x[state as usize] = self.x[state as usize] + T::splat(shared.inputs[*input]);
                 *input += 1;
@@ -177,13 +184,8 @@ impl<T: Lanes> DataBackwardState<T> {
                 self.before[now.row * n..][..n].copy_from_slice(&self.x);
             }
             let ((states, h), (_, K, _)) = (shared.design.terms(line), shared.gains.row(row));
-            let mut e = at::<T>(&self.e, row);
-            for (&state, &h) in states.iter().zip(h) {
-                e = T::splat(h).fnma(self.x[state as usize], e);
-            }
-            for i in 0..r {
-                self.x[i] = T::splat(K[i]).fma(e, self.x[i]);
-            }
+            let e = innovation(&self.x, (states, Common(h)), at::<T>(&self.e, row));
+            correct_mean(Common(K), e, &mut self.x[..r]);
             e.store(&mut self.e[row * T::COUNT..]);
             now.row += 1;
         }
@@ -196,22 +198,6 @@ impl<T: Lanes> DataBackwardState<T> {
         let (stretch, gains) = (&equal.stretch, (shared.gains, equal.piece));
         let e = &mut e[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
         Scan { design: shared.design, stretch, gains, x, e, marks: Some((marks, equal.block)) }.run(equal.states);
-    }
-
-    /// x ← φx.
-    #[inline(always)]
-    fn advance(&mut self, transition: &Transition) {
-        let pattern = &transition.pattern;
-        for (place, row) in pattern.moved.iter().enumerate() {
-            let mut sum = T::splat(0.0);
-            for k in row.start as usize..row.end as usize {
-                sum = T::splat(transition.phi[k]).fma(self.x[pattern.columns[k] as usize], sum);
-            }
-            self.moved[place] = sum;
-        }
-        for (place, row) in pattern.moved.iter().enumerate() {
-            self.x[row.state as usize] = self.moved[place];
-        }
     }
 
     /// From what later phases say of the last state back to x_0.
@@ -320,15 +306,10 @@ impl<T: Lanes> DataBackwardState<T> {
         }
         let (states, h) = shared.design.terms(line);
         let (response, own) = (shared.response, &shared.response.rows[standing]);
-        let mut u = at::<T>(&self.e, row) * T::splat(weight);
-        for (i, &K) in K.iter().enumerate() {
-            u = T::splat(K).fnma(self.x[i], u);
-        }
+        let u = smoothing_error(at(&self.e, row), (T::splat(weight), Common(K)), &self.x[..K.len()]);
         self.add_span(response, own.noise, T::splat(0.5) * u * u);
         self.add_span(response, own.value, -u);
-        for (&state, &h) in states.iter().zip(h) {
-            self.x[state as usize] = T::splat(h).fma(u, self.x[state as usize]);
-        }
+        absorb((states, Common(h)), &[u], &mut self.x);
         let (n, r) = (self.x.len(), K.len());
         for entry in response.entries(&own.h) {
             let P = shared.record.before.get((standing * r + entry.i) * r..).unwrap_or(&[]);
@@ -351,14 +332,8 @@ impl<T: Lanes> DataBackwardState<T> {
         }
         for (place, row) in pattern.moved.iter().enumerate() {
             self.moved[place] = self.x[row.state as usize];
-            self.x[row.state as usize] = T::splat(0.0);
         }
-        for (place, row) in pattern.moved.iter().enumerate() {
-            for k in row.start as usize..row.end as usize {
-                let column = pattern.columns[k] as usize;
-                self.x[column] = T::splat(transition.phi[k]).fma(self.moved[place], self.x[column]);
-            }
-        }
+        back(&mut self.x, (n, 1), transition.common(), &mut self.work);
         for entry in response.entries(&own.phi) {
             let P = shared.record.left.get((number * r + entry.j) * r..).unwrap_or(&[]);
             let smoothed = self.smoothed(self.left[number * n + entry.j], (entry.j < r).then_some(&P[..r]));
