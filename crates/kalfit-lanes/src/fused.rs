@@ -4,7 +4,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::{Lanes, Real};
 
-/// One number. Only kernels that [`crate::Isa::run_one`] runs meet it: elsewhere `mul_add` would be a call of a library.
+/// One number. Only kernels that run [alone](crate::Isa::alone) meet it: elsewhere `mul_add` would be a call of a library.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Fused(f64);
 

@@ -167,7 +167,7 @@ mod tests {
                     assert!(same, "{isa:?}: operation {at} of lane {lane}: {found} {expected}");
                 }
             }
-            assert_eq!(format!("{:?}", isa.run_one(Everything(x, y))), format!("{expected:?}"), "{isa:?}, one by one");
+            assert_eq!(format!("{:?}", isa.alone().run(Everything(x, y))), format!("{expected:?}"), "{isa:?}, one by one");
         }
     }
 
@@ -215,7 +215,7 @@ mod tests {
             assert!(fma == one_rounding || fma == 0.0, "{isa:?}: {fma:e}");
             assert_eq!(fma, -fnma, "{isa:?}");
             assert_eq!(sum, f64::from((1 << isa.lanes()) - 1), "{isa:?}");
-            assert_eq!(isa.run_one(OneRounding), [fma, fnma, 1.0], "{isa:?}, one by one");
+            assert_eq!(isa.alone().run(OneRounding), [fma, fnma, 1.0], "{isa:?}, one by one");
         }
     }
 

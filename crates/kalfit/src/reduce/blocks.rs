@@ -31,7 +31,7 @@ use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ToEnd};
 use crate::reduce::replicates::Replicates;
-use batch_workspace::by_shape;
+use batch_workspace::{by_shape, isa_for, size};
 pub(crate) use layout::BatchLayout;
 use reduced::TestHeader;
 pub(crate) use values::BatchValues;
@@ -96,9 +96,9 @@ impl EnsembleBatches {
         let id = |own: &Skeleton| &tests[own.number].id;
         skeletons.par_sort_unstable_by(|a, b| by_shape(a, b).then_with(|| id(a).cmp(id(b))));
         let mut bytes = 0;
-        let mut groups = groups(&skeletons);
+        let mut groups = groups(preparer, &skeletons);
         groups.retain(|own| {
-            bytes += size(preparer, own);
+            bytes += size(preparer, own, isa_for(own.len()).lanes());
             bytes <= BYTES
         });
         let blocks: Vec<CachedBatch> =
@@ -151,24 +151,14 @@ impl EnsembleBatches {
 }
 
 /// Tests that go together, in order.
-fn groups(skeletons: &[Skeleton]) -> Vec<&[Skeleton]> {
+fn groups<'a>(preparer: &Preparer, skeletons: &'a [Skeleton]) -> Vec<&'a [Skeleton]> {
     let (mut left, mut groups) = (skeletons, Vec::new());
     while !left.is_empty() {
-        let (group, rest) = left.split_at(batch_workspace::together(left, Isa::best().lanes()));
+        let (group, rest) = left.split_at(batch_workspace::together(preparer, left, Isa::best().lanes()));
         groups.push(group);
         left = rest;
     }
     groups
-}
-
-/// Bytes of a block of these tests, about so many.
-fn size(preparer: &Preparer, own: &[Skeleton]) -> usize {
-    let (frame, transition) = (&preparer.order.frame, preparer.plan.blank());
-    let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
-    let of_row = 8 + terms + frame.r + frame.p;
-    let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + 3 * frame.r;
-    let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
-    8 * Isa::best().lanes() * (most(|own| own.instances.len()) * of_row + most(Skeleton::len) * of_step)
 }
 
 /// All values of α.
@@ -187,7 +177,8 @@ fn add_to(digest: &mut Digest, alpha: &Alpha) {
 impl CachedBatch {
     fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> CachedBatch {
         let preparer = reducer.preparer();
-        let (mut layout, mut values) = (BatchLayout::new(Isa::best(), preparer), BatchValues::new(Isa::best()));
+        let isa = isa_for(own.len());
+        let (mut layout, mut values) = (BatchLayout::new(isa, preparer), BatchValues::new(isa));
         layout.take(preparer, tests, own);
         values.take(&layout, (preparer, tests));
         let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
@@ -212,7 +203,7 @@ impl CachedBatch {
         let CachedBatch { layout, own, .. } = self;
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut values = spare.unwrap_or_else(|| {
-            let mut values = BatchValues::new(Isa::best());
+            let mut values = BatchValues::new(isa_for(own.len()));
             values.take(layout, (reducer.preparer(), tests));
             values
         });

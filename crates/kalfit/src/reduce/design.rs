@@ -207,6 +207,13 @@ pub(crate) struct EqualSteps {
     pub(crate) steps: usize,
 }
 
+impl EqualSteps {
+    /// Ends of its lines, rows and steps.
+    fn ends(&self) -> (usize, usize, usize) {
+        (self.lines, self.rows, self.steps)
+    }
+}
+
 /// The design of a test, scalar measurements whitened.
 ///
 /// A *row* is a scalar measurement of the test. Rows of equal steps have one *line*: terms and noise are kept once.
@@ -306,6 +313,19 @@ impl Design {
     pub(crate) fn terms(&self, line: usize) -> (&[u32], &[f64]) {
         let start = if line == 0 { 0 } else { self.ends[line - 1] };
         (&self.states[start..self.ends[line]], &self.h[start..self.ends[line]])
+    }
+
+    /// Where the rows end that are of the same block of so many steps as a row: which rows those are does not depend on tests beside
+    /// this one.
+    pub(crate) fn block_end(&self, row: usize, steps: usize) -> usize {
+        let start = |run: usize| if run == 0 { (0, 0, 0) } else { self.runs[run - 1].ends() };
+        let run = self.runs.partition_point(|run| run.rows <= row);
+        let ((lines, rows, first), own) = (start(run), &self.runs[run]);
+        let step = first + (row - rows) / (own.lines - lines);
+        let last = (step / steps + 1) * steps;
+        let run = self.runs.partition_point(|run| run.steps <= last);
+        let ((lines, rows, first), Some(own)) = (start(run), self.runs.get(run)) else { return self.rows() };
+        rows + (last - first) * (own.lines - lines)
     }
 
     /// The transition of a run.

@@ -20,7 +20,7 @@ use crate::reduce::terminal::TerminalRoot;
 /// model at each place of the kernels, where the last state is wanted.
 pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
     let (p, r) = (design.frame.p, design.frame.r);
-    let mut gains = Isa::best().run_one(DesignPass { design, work }).finish((r, p), design.rows())?;
+    let mut gains = Isa::best().alone().run(DesignPass { design, work }).finish((r, p), design.rows())?;
     if let Some(states) = states {
         gains.end = Some(Arc::new(TerminalRoot::of_covariance(states, &work.Psi, &work.P, r)?));
     }

@@ -6,8 +6,6 @@ mod pull;
 
 use std::sync::Arc;
 
-use kalfit_lanes::Isa;
-
 use crate::linalg::exponential::flow;
 use crate::reduce::design::{Pattern, Transition, TransitionRow};
 use crate::reduce::dynamics::{Component, Dynamics, Recursion, matrices};
@@ -146,26 +144,24 @@ impl MotionPlan {
         (filled, spare): (&mut Filled, Option<Arc<Transition>>),
     ) -> Result<Moves, Box<Fault>> {
         check_noise(dynamics, values)?;
-        let isa = Isa::best();
-        if !self.fill_one((isa, dynamics), values, dt, filled) {
-            return Err(self.overflow(dynamics, filled, isa.lanes()));
+        if !self.fill_one(dynamics, values, dt, filled) {
+            return Err(self.overflow(dynamics, filled));
         }
-        let own = |all: &[f64]| -> Vec<f64> { all.iter().step_by(isa.lanes()).copied().collect() };
         let fresh = || Arc::new(Transition::new(self.pattern.clone(), Vec::new(), Vec::new()));
         let mut made = spare.unwrap_or_else(fresh);
         let transition = Arc::get_mut(&mut made).expect("nobody else has it");
         transition.phi.clear();
-        transition.phi.extend(filled.phi.iter().step_by(isa.lanes()));
+        transition.phi.extend_from_slice(&filled.phi);
         transition.q.clear();
-        transition.q.extend(filled.q.iter().step_by(isa.lanes()));
+        transition.q.extend_from_slice(&filled.q);
         let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
-        Ok(Moves { transition: made, flows: if kept { own(&filled.flows) } else { Vec::new() } })
+        Ok(Moves { transition: made, flows: if kept { filled.flows.clone() } else { Vec::new() } })
     }
 
     /// What of a step is not finite.
-    fn overflow(&self, dynamics: &Dynamics, filled: &Filled, lanes: usize) -> Box<Fault> {
+    fn overflow(&self, dynamics: &Dynamics, filled: &Filled) -> Box<Fault> {
         let is_bad = |&(component, &offset): &(&Component, &usize)| {
-            let numbers = offset * lanes..(offset + 3 * component.states.len().pow(2)) * lanes;
+            let numbers = offset..offset + 3 * component.states.len().pow(2);
             filled.flows[numbers].iter().any(|x| !x.is_finite())
         };
         let bad = dynamics.components.iter().zip(&self.offsets).find(is_bad);

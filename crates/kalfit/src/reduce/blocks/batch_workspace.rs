@@ -11,7 +11,7 @@ use crate::reduce::blocks::values::BatchValues;
 use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
 use crate::reduce::lanes::{BatchColumns, DataWorkspace};
-use crate::reduce::prepare::Skeleton;
+use crate::reduce::prepare::{Preparer, Skeleton};
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::Reducer;
 use crate::reduce::terminal::TerminalState;
@@ -22,16 +22,40 @@ pub(crate) fn by_shape(a: &Skeleton, b: &Skeleton) -> Ordering {
     b.len().cmp(&a.len()).then_with(pattern)
 }
 
+/// Fewer tests than these go one by one: lanes that are empty cost as much as others.
+const FEWEST: usize = 3;
+/// Bytes of a block of several tests: longer tests go one by one.
+const BYTES: usize = 128 << 20;
+
 /// How many of these tests, at least one and in their order, go together in so many lanes.
-pub(super) fn together(own: &[Skeleton], lanes: usize) -> usize {
-    own.iter().take(lanes).take_while(|other| other.goes_with(&own[0])).count()
+pub(super) fn together(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
+    let many = own.iter().take(lanes).take_while(|other| other.goes_with(&own[0])).count();
+    if many < FEWEST || size(preparer, &own[..many], lanes) > BYTES { 1 } else { many }
+}
+
+/// What so many tests together are worked on with.
+pub(super) fn isa_for(tests: usize) -> Isa {
+    if tests == 1 { Isa::best().alone() } else { Isa::best() }
+}
+
+/// Bytes of a block of these tests in so many lanes, about so many.
+pub(super) fn size(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
+    let (frame, transition) = (&preparer.order.frame, preparer.plan.blank());
+    let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
+    let of_row = 8 + terms + frame.r + frame.p;
+    let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + 3 * frame.r;
+    let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
+    8 * lanes * (most(|own| own.instances.len()) * of_row + most(Skeleton::len) * of_step)
 }
 
 /// Work space that evaluates and filters one batch after another.
 #[derive(Debug)]
 pub(crate) struct BatchWorkspace {
+    lanes: usize,
     layout: BatchLayout,
     values: BatchValues,
+    /// Those of one test, where it is several tests that they are of, and the other way round.
+    spare: (BatchLayout, BatchValues),
     own: Vec<TestHeader>,
     identities: Vec<Identity>,
 }
@@ -68,9 +92,13 @@ impl FilteredLane<'_> {
 impl BatchWorkspace {
     /// For tests of a model.
     pub(crate) fn new(isa: Isa, reducer: &Reducer) -> BatchWorkspace {
+        let of = |isa| (BatchLayout::new(isa, reducer.preparer()), BatchValues::new(isa));
+        let (layout, values) = of(isa);
         BatchWorkspace {
-            layout: BatchLayout::new(isa, reducer.preparer()),
-            values: BatchValues::new(isa),
+            lanes: isa.lanes(),
+            layout,
+            values,
+            spare: of(isa.alone()),
             own: Vec::new(),
             identities: Vec::new(),
         }
@@ -84,7 +112,7 @@ impl BatchWorkspace {
         room: &mut DataWorkspace,
         found: &mut ReducedTests,
     ) {
-        each_group(skeletons, self.layout.lanes, |group| {
+        each_group(reducer.preparer(), skeletons, self.lanes, |group| {
             self.take(reducer, tests, group);
             let BatchWorkspace { layout, values, own, .. } = self;
             own.iter()
@@ -104,7 +132,7 @@ impl BatchWorkspace {
         room: &mut DataWorkspace,
         mut show: impl FnMut(&Skeleton, Option<FilteredLane<'_>>),
     ) {
-        each_group(skeletons, self.layout.lanes, |group| {
+        each_group(reducer.preparer(), skeletons, self.lanes, |group| {
             self.take(reducer, tests, group);
             let BatchWorkspace { layout, values, .. } = self;
             let BatchColumns { start, variance, .. } = values.batch_filter.columns();
@@ -125,7 +153,11 @@ impl BatchWorkspace {
 
     /// Takes tests, in place of others.
     fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &mut [Skeleton]) {
-        let BatchWorkspace { layout, values, own, identities } = self;
+        if (self.layout.lanes == 1) != (group.len() == 1) {
+            std::mem::swap(&mut self.layout, &mut self.spare.0);
+            std::mem::swap(&mut self.values, &mut self.spare.1);
+        }
+        let BatchWorkspace { layout, values, own, identities, .. } = self;
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         own.clear();
@@ -142,10 +174,10 @@ impl BatchWorkspace {
 }
 
 /// Shows tests that go together in so many lanes, all of them in turn.
-fn each_group(mut left: &mut [Skeleton], lanes: usize, mut show: impl FnMut(&mut [Skeleton])) {
+fn each_group(preparer: &Preparer, mut left: &mut [Skeleton], lanes: usize, mut show: impl FnMut(&mut [Skeleton])) {
     left.sort_by(by_shape);
     while !left.is_empty() {
-        let (group, rest) = left.split_at_mut(together(left, lanes));
+        let (group, rest) = left.split_at_mut(together(preparer, left, lanes));
         show(group);
         left = rest;
     }

@@ -60,7 +60,7 @@ impl Kernel for DesignPassKernel<'_> {
         let sums = gained.filter::<T>(design);
         gained.finish(&sums, tests);
         let square = innovate::<T, _, _>(design, gained, data, room, &mut ());
-        squares::solve::<T, _>(gained, design.frame.p, square, room);
+        squares::solve::<T, _>((&*gained, design), square, room);
     }
 }
 

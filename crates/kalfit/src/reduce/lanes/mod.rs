@@ -2,7 +2,7 @@
 //! are one too.
 //!
 //! What a lane holds never depends on the others, and a test by itself goes the same way in a lane of its own
-//! ([`Isa::run_one`](kalfit_lanes::Isa::run_one)): it is reduced to the same bits whatever else is in its batch.
+//! ([`Isa::alone`](kalfit_lanes::Isa::alone)): it is reduced to the same bits whatever else is in its batch.
 
 mod batch_filter;
 mod data_block;

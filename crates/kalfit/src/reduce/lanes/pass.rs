@@ -109,7 +109,7 @@ impl Kernel for DataPass<'_> {
         let DataPass { design, gains, data, room } = self;
         let shared = SharedDesign::new(design, gains);
         let square = innovate::<T, _, _>(design, &shared, data, room, &mut ());
-        squares::solve::<T, _>(&shared, design.frame.p, square, room);
+        squares::solve::<T, _>((&shared, design), square, room);
     }
 }
 
@@ -140,12 +140,12 @@ pub(crate) fn innovations<L: InnovationObserver>(
     look: &mut L,
 ) {
     let data = DataView::of(data);
-    Isa::best().run_one(InnovationPass { design, gains, data, room, look });
+    Isa::best().alone().run(InnovationPass { design, gains, data, room, look });
 }
 
 /// The data pass of a test by itself, in the bits that it has in a lane; what it finds is left in `room`.
 pub(crate) fn pass_alone((design, gains): (&Design, &Gains), data: &Data, room: &mut DataWorkspace) {
-    Isa::best().run_one(DataPass { design, gains, data: DataView::of(data), room });
+    Isa::best().alone().run(DataPass { design, gains, data: DataView::of(data), room });
 }
 
 /// Sees innovations on the way.
@@ -193,14 +193,15 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     for i in 0..frame.n {
         state.x[i] = at(data.start, i);
     }
-    let (mut line, mut row, mut input) = (0, 0, 0);
+    let (mut line, mut row, mut input, mut step) = (0, 0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
         if N::SCANS && !L::EACH && run.count > FEW {
             let (x, y) = (&mut *state.x, &mut *state.y);
-            let long = Long { numbers, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut room.e };
+            let long =
+                Long { numbers, design, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut room.e };
             if let Some(square) = T::apart(long) {
                 state.square = state.square + square;
-                (line, row) = (run.lines, run.rows);
+                (line, row, step) = (run.lines, run.rows, run.steps);
                 continue;
             }
         }
@@ -216,9 +217,10 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
                 let e = state.measure((design, line), (numbers, row), at(data.values, row), look);
                 put(&mut room.e, row, e);
                 row += 1;
-                if row % BLOCK == 0 {
-                    state.add_up();
-                }
+            }
+            step += 1;
+            if step % BLOCK == 0 {
+                state.add_up();
             }
         }
         line = run.lines;
@@ -237,6 +239,7 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
 /// A stretch of equal steps, if it is one that is gone over at once: x̂, y and innovations; e'S⁻¹e of it.
 struct Long<'a, T, N> {
     numbers: &'a N,
+    design: &'a Design,
     stretch: Stretch<'a>,
     values: &'a [f64],
     x: &'a mut [T],
@@ -249,7 +252,7 @@ impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
 
     #[inline(always)]
     fn run(self) -> Option<T> {
-        let Long { numbers, stretch, values, x, y, e } = self;
+        let Long { numbers, design, stretch, values, x, y, e } = self;
         let rows = stretch.rows.clone();
         let of = rows.start * T::COUNT..rows.end * T::COUNT;
         e[of.clone()].copy_from_slice(&values[of.clone()]);
@@ -257,7 +260,7 @@ impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
         if !scanned {
             return None;
         }
-        Some(squares::weigh::<T, N>(numbers, rows, e, &[], y))
+        Some(squares::weigh::<T, N>((numbers, design), rows, e, &[], y))
     }
 }
 

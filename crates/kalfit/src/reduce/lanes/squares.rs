@@ -6,6 +6,7 @@ use std::ops::Range;
 use kalfit_lanes::Lanes;
 
 use crate::reduce::data::REFINE;
+use crate::reduce::design::Design;
 use crate::reduce::entries::Entries;
 use crate::reduce::lanes::numbers::{Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
@@ -16,7 +17,8 @@ const SIDE: usize = 8;
 
 /// y → d. Where a test's squares are large, by way of its best ξ.
 #[inline(always)]
-pub(super) fn solve<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, square: T, room: &mut DataWorkspace) {
+pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), square: T, room: &mut DataWorkspace) {
+    let p = design.frame.p;
     forward::<T, N>(numbers, p, &mut room.d);
     room.residual.resize(T::COUNT, 0.0);
     (square - squares::<T>(&room.d, p)).store(&mut room.residual);
@@ -25,7 +27,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, square: T, r
     if square.at_most(T::splat(REFINE)) || p == 0 {
         return;
     }
-    let residual = refine::<T, N>(numbers, p, room);
+    let residual = refine::<T, N>((numbers, design), p, room);
     for lane in 0..T::COUNT {
         let small = square.lane(lane) <= REFINE; // not so where it is not a number
         if !small {
@@ -37,7 +39,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, square: T, r
 
 /// d by way of the best ξ; the residual sum of squares.
 #[inline(always)]
-fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut DataWorkspace) -> T {
+fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, room: &mut DataWorkspace) -> T {
     room.best.clone_from(&room.d);
     backward::<T, N>(numbers, p, &mut room.best);
     room.refined.clear();
@@ -47,7 +49,7 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut DataWorkspa
     for k in 0..p {
         best[k] = at(&room.best, k);
     }
-    let total = weigh::<T, N>(numbers, 0..rows, &room.e, &best, &mut sum);
+    let total = weigh::<T, N>((numbers, design), 0..rows, &room.e, &best, &mut sum);
     for (k, &sum) in sum.iter().enumerate() {
         put(&mut room.refined, k, sum);
     }
@@ -66,12 +68,18 @@ fn refine<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, room: &mut DataWorkspa
 
 /// Σ (e - Tξ)²/S over rows, in blocks; adds Σ T'(e - Tξ)/S to `sum`. Without `xi`, ξ = 0.
 #[inline(always)]
-pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e: &[f64], xi: &[T], sum: &mut [T]) -> T {
+pub(super) fn weigh<T: Lanes, N: Numbers<T>>(
+    (numbers, design): (&N, &Design),
+    rows: Range<usize>,
+    e: &[f64],
+    xi: &[T],
+    sum: &mut [T],
+) -> T {
     let (mut total, mut from) = (T::splat(0.0), rows.start);
     while from < rows.end {
         let Repeats { still, end, width } = numbers.repeats(from, rows.end);
         if from < still {
-            total = total + each::<T, N>(numbers, from..still, (e, xi), sum);
+            total = total + each::<T, N>((numbers, design), from..still, (e, xi), sum);
         }
         if still < end {
             total = total + equal::<T, N>(numbers, (still..end, width), (e, xi), sum);
@@ -83,13 +91,18 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, e:
 
 /// [`weigh`] of rows that have 1/S and T of their own.
 #[inline(always)]
-fn each<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, (e, xi): (&[f64], &[T]), sum: &mut [T]) -> T {
+fn each<T: Lanes, N: Numbers<T>>(
+    (numbers, design): (&N, &Design),
+    rows: Range<usize>,
+    (e, xi): (&[f64], &[T]),
+    sum: &mut [T],
+) -> T {
     let zero = T::splat(0.0);
-    let (mut total, mut part) = (zero, vec![zero; sum.len()]);
-    for start in rows.clone().step_by(BLOCK) {
+    let (mut total, mut part, mut start) = (zero, vec![zero; sum.len()], rows.start);
+    while start < rows.end {
         part.fill(zero);
-        let mut square = zero;
-        for row in start..rows.end.min(start + BLOCK) {
+        let (mut square, end) = (zero, rows.end.min(design.block_end(start, BLOCK)));
+        for row in start..end {
             let sensitivities = numbers.sensitivities(row);
             let left = left(sensitivities, xi, at(e, row));
             let weighted = left * numbers.gains(row).0;
@@ -100,6 +113,7 @@ fn each<T: Lanes, N: Numbers<T>>(numbers: &N, rows: Range<usize>, (e, xi): (&[f6
         for (sum, &part) in sum.iter_mut().zip(&part) {
             *sum = *sum + part;
         }
+        start = end;
     }
     total
 }

@@ -99,7 +99,7 @@ impl<'a> SlotValues<'a> {
     }
 }
 
-/// One transition in the first lane, the others like it: its flows, and its entries of φ and of Q.
+/// One transition: its flows, and its entries of φ and of Q.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Filled {
     step: Transitions,
@@ -130,30 +130,24 @@ impl MotionPlan {
     }
 
     /// φ and Q of one transition, of length `dt`; true where all is finite.
-    pub(super) fn fill_one(
-        &self,
-        (isa, dynamics): (Isa, &Dynamics),
-        values: &[f64],
-        dt: f64,
-        filled: &mut Filled,
-    ) -> bool {
+    pub(super) fn fill_one(&self, dynamics: &Dynamics, values: &[f64], dt: f64, filled: &mut Filled) -> bool {
         let (Filled { step, flows, phi, q }, values) = (filled, SlotValues::steady(values));
-        let numbers = [self.flow_len, self.phi.len(), self.q.len()].map(|numbers| numbers * isa.lanes());
-        for (column, numbers) in [(&mut *flows, numbers[0]), (&mut *phi, numbers[1]), (&mut *q, numbers[2])] {
+        for (column, numbers) in [(&mut *flows, self.flow_len), (&mut *phi, self.phi.len()), (&mut *q, self.q.len())] {
             column.resize(numbers, 0.0);
         }
         for (column, x) in [(&mut step.dt, dt), (&mut step.moving, 1.0)] {
             column.clear();
-            column.resize(isa.lanes(), x);
+            column.push(x);
         }
         self.fill_coupled((dynamics, &values), step, flows);
-        isa.run(TransitionFill { plan: self, steps: step, values, flows, phi, q })[0]
+        let alone = Isa::best().alone();
+        alone.run(TransitionFill { plan: self, steps: step, values, flows, phi, q })[0]
     }
 
     /// Appends b of the driven states, as beside others. `inputs`: values of the dynamics' inputs.
     pub(crate) fn inputs(&self, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
         if !self.drives.is_empty() {
-            Isa::best().run(InputValues { drives: &self.drives, moves, inputs, out });
+            Isa::best().alone().run(InputValues { drives: &self.drives, moves, inputs, out });
         }
     }
 

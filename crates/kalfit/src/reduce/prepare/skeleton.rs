@@ -7,8 +7,8 @@ use crate::reduce::data::FEW;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, StartCells, Workspace};
 
-/// Numbers of one test that its passes remember: no more than these.
-const MOST_NUMBERS: usize = 1 << 16;
+/// Steps and scalar measurements of one test: no more than these.
+const MOST: usize = 1 << 23;
 
 /// The steps of a test, found from its cells alone.
 #[derive(Debug, Default)]
@@ -112,9 +112,7 @@ impl Preparer {
         if !(made.flat || self.dynamics.uses.is_empty()) || !self.has_steps(test, work, made) {
             return false;
         }
-        let frame = &self.order.frame;
-        let kept = (made.steps.len() + made.instances.len()) * (frame.n + frame.r * frame.r + frame.n * frame.p);
-        !made.instances.is_empty() && kept <= MOST_NUMBERS
+        !made.instances.is_empty() && made.steps.len() + made.instances.len() <= MOST
     }
 
     /// Finds the cells that a test has as a whole, and where its steps are; false where something is wrong.

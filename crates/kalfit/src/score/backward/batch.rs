@@ -1,9 +1,13 @@
 //! The backward pass of tests with designs of one shape, a test in each lane.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, N")]
 
+use std::ops::Range;
+
 use kalfit_lanes::{Kernel, Lanes, interleaved};
 
-use crate::reduce::{DataBlock, DataView, Design, DesignBatch, Entries, Numbers, SideBySide, at, innovation};
+use crate::reduce::{
+    DataBlock, DataView, Design, DesignBatch, Entries, Numbers, SideBySide, TransitionView, at as number_at, innovation,
+};
 use crate::score::backward::adjoint::{Adjoint, ScalarAdjoint};
 use crate::score::backward::filtered::{Begin, FilterSnapshot, FilteredMoments};
 use crate::score::backward::run::{AdjointsWanted, TerminalAdjoint};
@@ -48,7 +52,6 @@ impl Kernel for BatchBackward<'_> {
         let mean = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
         let unknown = PosteriorRoot { frame: &self.longest.frame, root: &root, columns, wanted: self.wanted };
-        let forward = Forward::new(&numbers, &mean, &unknown);
         let mut ending = None;
         if let Some(first) = self.endings.first() {
             debug_assert!(first.r.len() == unknown.frame.n, "one for each state");
@@ -60,21 +63,11 @@ impl Kernel for BatchBackward<'_> {
             ]);
         }
         let ending = ending.as_ref().map(|[r, rho, N]| [&**r, &**rho, &**N]);
-        forward.back(&numbers, &unknown, ending)
+        BatchPass::new(numbers, unknown).run(&mean, ending)
     }
 }
 
-/// What the forward filter passed through.
-struct Forward<T> {
-    /// ē of each measurement.
-    e: Vec<T>,
-    /// Before each transition, and before each measurement, as [`FilteredMoments::save`] keeps it.
-    left: Vec<T>,
-    before: Vec<T>,
-    stride: usize,
-}
-
-/// What the pass reads of a batch, in lanes. A test that is shorter than the longest goes on with measurements that say nothing, and
+/// What the pass reads of a batch, in lanes: each step is a run. A test that is shorter than the longest goes on with measurements that say nothing, and
 /// transitions that forget everything.
 struct BatchNumbers<'a> {
     /// Of the longest: its numbers do not count.
@@ -90,115 +83,216 @@ impl<'a> BatchNumbers<'a> {
         let ((states, h, noise), (weight, K)) = (gained.line(self.shape, line), gained.gains(row));
         ScalarMeasurement { states, h, noise, weight, K, T: Numbers::<T>::sensitivities(gained, row) }
     }
+
+    /// The lines of a run.
+    #[inline(always)]
+    fn lines(&self, run: usize) -> Range<usize> {
+        let first = if run == 0 { 0 } else { self.shape.runs[run - 1].lines };
+        first..self.shape.runs[run].lines
+    }
 }
 
-impl<T: Lanes> Forward<T> {
+/// Numbers of a test that are remembered for the way back: of longer ones the filter runs again from places on its way.
+const MOST_KEPT: usize = 1 << 16;
+
+/// The filter on its way over a batch, and what it passed through.
+struct BatchPass<'a, T> {
+    numbers: BatchNumbers<'a>,
+    unknown: PosteriorRoot<'a, T>,
+    now: FilteredMoments<T>,
+    /// ē of each measurement.
+    e: Vec<T>,
+    /// Before each transition of the steps gone over last, and before each measurement, as [`FilteredMoments::save`] keeps it.
+    left: Vec<T>,
+    before: Vec<T>,
+    stride: usize,
+}
+
+/// Where a pass stands: before this run, this row, and this transition of those that there are.
+#[derive(Debug, Clone, Copy, Default)]
+struct BatchPlace {
+    run: usize,
+    row: usize,
+    transition: usize,
+}
+
+impl<'a, T: Lanes> BatchPass<'a, T> {
     #[inline(always)]
-    fn new(numbers: &BatchNumbers<'_>, mean: &[T], unknown: &PosteriorRoot<'_, T>) -> Forward<T> {
-        let (design, driven) = (numbers.shape, unknown.frame.driven.len());
+    fn new(numbers: BatchNumbers<'a>, unknown: PosteriorRoot<'a, T>) -> BatchPass<'a, T> {
         let (n, r) = (unknown.frame.n, unknown.frame.r);
-        let stride = n + r * r + n * unknown.columns;
-        let steps = if unknown.wanted.motion { design.runs.iter().map(|run| run.count).sum() } else { 0 };
-        let rows = if unknown.wanted.equation { design.rows() } else { 0 };
-        let mut forward = Forward {
-            e: Vec::with_capacity(design.rows()),
-            left: Vec::with_capacity(steps * stride),
-            before: Vec::with_capacity(rows * stride),
-            stride,
-        };
-        let mut now = FilteredMoments::<T>::default();
-        let (start, variance) = (SideBySide(numbers.data.start), SideBySide(&numbers.gained.variance));
-        now.begin(&Begin { start, variance, mean }, unknown);
-        let mut inputs = SideBySide(numbers.data.inputs);
-        let (mut row, mut first) = (0, 0);
-        for (at_run, run) in design.runs.iter().enumerate() {
-            for _ in 0..run.count {
-                if let Some(transition) = Numbers::<T>::transition(numbers.gained, design, at_run) {
-                    if unknown.wanted.motion {
-                        now.save(&mut forward.left);
-                    }
-                    now.advance(transition, inputs, unknown);
-                    inputs = Entries::<T>::skip(inputs, driven);
-                }
-                for number in first..run.lines {
-                    if unknown.wanted.equation {
-                        now.save(&mut forward.before);
-                    }
-                    let line = numbers.line((number, row));
-                    let e = innovation(&now.x, (line.states, line.h), at(numbers.data.values, row));
-                    now.measure(&line, e, unknown);
-                    forward.e.push(e);
-                    row += 1;
-                }
+        let (e, stride) = (Vec::with_capacity(numbers.shape.rows()), n + r * r + n * unknown.columns);
+        BatchPass { numbers, unknown, now: FilteredMoments::default(), e, left: Vec::new(), before: Vec::new(), stride }
+    }
+
+    /// Forth over all steps, and back.
+    #[inline(always)]
+    fn run(mut self, mean: &[T], ending: Option<[&[T]; 3]>) -> BatchAdjoints {
+        let (start, variance) = (SideBySide(self.numbers.data.start), SideBySide(&self.numbers.gained.variance));
+        self.now.begin(&Begin { start, variance, mean }, &self.unknown);
+        let (frame, tracked) = (self.unknown.frame, self.unknown.tracked());
+        let (runs, block) = (self.numbers.shape.runs.len(), self.block());
+        let (mut places, mut marks) = (vec![BatchPlace::default()], Vec::new());
+        for first in (0..runs).step_by(block) {
+            if tracked {
+                self.now.save(&mut marks);
             }
-            first = run.lines;
+            places.push(self.forth(places[places.len() - 1], runs.min(first + block)));
         }
-        forward
+        let mut back = BatchBack::new(&self, ending);
+        for part in (1..places.len()).rev() {
+            let (from, to) = (places[part - 1], places[part]);
+            if tracked && to.run < runs {
+                self.now.load(&marks[(part - 1) * self.stride..][..self.stride], (frame.n, frame.r));
+                self.forth(from, to.run);
+            }
+            back.over(&self, from, to);
+        }
+        back.end(&self.unknown)
+    }
+
+    /// How many steps are gone over at a time.
+    fn block(&self) -> usize {
+        let (design, wanted) = (self.numbers.shape, self.unknown.wanted);
+        let rows = if wanted.equation { design.rows().div_ceil(design.runs.len().max(1)) } else { 0 };
+        (MOST_KEPT / self.stride.max(1) / (usize::from(wanted.motion) + rows).max(1)).max(1)
+    }
+
+    /// From a place to the one before run `to`.
+    #[inline(always)]
+    fn forth(&mut self, mut at: BatchPlace, to: usize) -> BatchPlace {
+        let BatchPass { numbers, unknown, now, e, left, before, .. } = self;
+        let (design, driven) = (numbers.shape, unknown.frame.driven.len());
+        left.clear();
+        before.clear();
+        while at.run < to {
+            if let Some(transition) = Numbers::<T>::transition(numbers.gained, design, at.run) {
+                if unknown.wanted.motion {
+                    now.save(left);
+                }
+                let inputs = Entries::<T>::skip(SideBySide(numbers.data.inputs), at.transition * driven);
+                now.advance(transition, inputs, unknown);
+                at.transition += 1;
+            }
+            for number in numbers.lines(at.run) {
+                if unknown.wanted.equation {
+                    now.save(before);
+                }
+                let line = numbers.line((number, at.row));
+                if at.row == e.len() {
+                    e.push(innovation(&now.x, (line.states, line.h), number_at(numbers.data.values, at.row)));
+                }
+                now.measure(&line, e[at.row], unknown);
+                at.row += 1;
+            }
+            at.run += 1;
+        }
+        at
+    }
+}
+
+/// The way back over a batch.
+struct BatchBack<T> {
+    adjoint: Adjoint<T>,
+    /// Of one measurement, and of one transition.
+    bar: Vec<T>,
+    moved: TransitionAdjoint<T>,
+    all: BatchAdjoints,
+}
+
+impl<T: Lanes> BatchBack<T> {
+    #[inline(always)]
+    fn new(pass: &BatchPass<'_, T>, ending: Option<[&[T]; 3]>) -> BatchBack<T> {
+        let (design, frame) = (pass.numbers.shape, pass.unknown.frame);
+        let mut adjoint = Adjoint::<T>::default();
+        adjoint.begin(&pass.unknown, ending);
+        let width = 2 + if pass.unknown.wanted.equation { frame.n } else { 0 };
+        let kinds =
+            design.pattern().map_or([0; 3], |pattern| [pattern.columns.len(), pattern.pairs.len(), frame.driven.len()]);
+        let moves = design.runs.iter().filter(|run| run.transition.is_some()).count() * kinds.iter().sum::<usize>();
+        let all = BatchAdjoints {
+            lanes: T::COUNT,
+            rows: vec![0.0; design.rows() * width * T::COUNT],
+            moves: vec![0.0; moves * T::COUNT],
+            mean: Vec::new(),
+            variance: Vec::new(),
+            sizes: (width, kinds),
+        };
+        BatchBack { adjoint, bar: vec![T::splat(0.0); width], moved: TransitionAdjoint::default(), all }
+    }
+
+    /// Over the steps between two places that the filter has just gone over.
+    #[inline(always)]
+    fn over(&mut self, pass: &BatchPass<'_, T>, from: BatchPlace, to: BatchPlace) {
+        let BatchPass { numbers, unknown, stride, .. } = pass;
+        let (sizes, (mut row, mut transition)) = ((unknown.frame.n, unknown.frame.r), (to.row, to.transition));
+        for run in (from.run..to.run).rev() {
+            for number in numbers.lines(run).rev() {
+                row -= 1;
+                let mut before = None;
+                if unknown.wanted.equation {
+                    before = Some(FilterSnapshot::new(&pass.before[(row - from.row) * stride..][..*stride], sizes));
+                }
+                self.measured(&numbers.line((number, row)), (row, pass.e[row]), unknown, before);
+            }
+            if let Some(of) = Numbers::<T>::transition(numbers.gained, numbers.shape, run) {
+                transition -= 1;
+                let mut left = None;
+                if unknown.wanted.motion {
+                    let kept = &pass.left[(transition - from.transition) * stride..][..*stride];
+                    left = Some(FilterSnapshot::new(kept, sizes));
+                }
+                self.moved(of, transition, unknown, left);
+            }
+        }
     }
 
     #[inline(always)]
-    fn back(
-        self,
-        numbers: &BatchNumbers<'_>,
+    fn measured<E: Entries<T>>(
+        &mut self,
+        line: &ScalarMeasurement<'_, T, E>,
+        (row, e): (usize, T),
         unknown: &PosteriorRoot<'_, T>,
-        ending: Option<[&[T]; 3]>,
-    ) -> BatchAdjoints {
-        let (design, frame, wanted) = (numbers.shape, unknown.frame, unknown.wanted);
-        let (n, zero) = (frame.n, T::splat(0.0));
-        let sizes = (n, frame.r);
-        let mut adjoint = Adjoint::<T>::default();
-        adjoint.begin(unknown, ending);
-        let width = 2 + if wanted.equation { n } else { 0 };
-        let mut rows = vec![0.0; design.rows() * width * T::COUNT];
-        let (mut moves, mut kinds) = (Vec::new(), [0; 3]);
-        let (mut bar, mut moved) = (vec![zero; width], TransitionAdjoint::<T>::default());
-        let (mut transitions, mut row) = (0, design.rows());
-        for run in &design.runs {
-            transitions += if run.transition.is_some() { run.count } else { 0 };
+        before: Option<FilterSnapshot<'_, T>>,
+    ) {
+        let BatchBack { adjoint, bar, all, .. } = self;
+        let (scalars, h) = bar.split_at_mut(2);
+        let (noise, value) = scalars.split_at_mut(1);
+        let mut equation = None;
+        if let Some(before) = before {
+            equation = Some((h, before));
         }
-        for at_run in (0..design.runs.len()).rev() {
-            let run = &design.runs[at_run];
-            let first = if at_run == 0 { 0 } else { design.runs[at_run - 1].lines };
-            for _ in 0..run.count {
-                for number in (first..run.lines).rev() {
-                    row -= 1;
-                    let (scalars, h) = bar.split_at_mut(2);
-                    let (noise, value) = scalars.split_at_mut(1);
-                    let mut equation = None;
-                    if wanted.equation {
-                        equation =
-                            Some((h, FilterSnapshot::new(&self.before[row * self.stride..][..self.stride], sizes)));
-                    }
-                    let out = ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h: equation };
-                    adjoint.measured(&numbers.line((number, row)), self.e[row], unknown, out);
-                    for k in 0..width {
-                        bar[k].store(&mut rows[(row * width + k) * T::COUNT..]);
-                    }
-                }
-                let Some(transition) = Numbers::<T>::transition(numbers.gained, design, at_run) else { continue };
-                if moves.is_empty() {
-                    kinds = [transition.pattern.columns.len(), transition.pattern.pairs.len(), frame.driven.len()];
-                    moves.resize(transitions * kinds.iter().sum::<usize>() * T::COUNT, 0.0);
-                }
-                transitions -= 1;
-                let mut left = None;
-                if wanted.motion {
-                    left = Some(FilterSnapshot::new(&self.left[transitions * self.stride..][..self.stride], sizes));
-                }
-                adjoint.moved(unknown, transition, left, &mut moved);
-                let mut at = transitions * kinds.iter().sum::<usize>();
-                for list in [&moved.phi, &moved.q, &moved.input] {
-                    for x in list {
-                        x.store(&mut moves[at * T::COUNT..]);
-                        at += 1;
-                    }
-                }
+        adjoint.measured(line, e, unknown, ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h: equation });
+        let width = bar.len();
+        for k in 0..width {
+            bar[k].store(&mut all.rows[(row * width + k) * T::COUNT..]);
+        }
+    }
+
+    #[inline(always)]
+    fn moved<E: Entries<T>>(
+        &mut self,
+        transition: TransitionView<'_, E>,
+        number: usize,
+        unknown: &PosteriorRoot<'_, T>,
+        left: Option<FilterSnapshot<'_, T>>,
+    ) {
+        let BatchBack { adjoint, moved, all, .. } = self;
+        adjoint.moved(unknown, transition, left, moved);
+        let mut at = number * all.sizes.1.iter().sum::<usize>();
+        for list in [&moved.phi, &moved.q, &moved.input] {
+            for x in list {
+                x.store(&mut all.moves[at * T::COUNT..]);
+                at += 1;
             }
         }
+    }
+
+    #[inline(always)]
+    fn end(mut self, unknown: &PosteriorRoot<'_, T>) -> BatchAdjoints {
         let mut variance = Vec::new();
-        adjoint.variance(unknown, &mut variance);
-        let (mean, variance) = (apart(&adjoint.r), apart(&variance));
-        BatchAdjoints { lanes: T::COUNT, rows, moves, mean, variance, sizes: (width, kinds) }
+        self.adjoint.variance(unknown, &mut variance);
+        (self.all.mean, self.all.variance) = (apart(&self.adjoint.r), apart(&variance));
+        self.all
     }
 }
 

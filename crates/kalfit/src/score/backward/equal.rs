@@ -141,7 +141,7 @@ pub(super) fn forward(run: &BackwardInput<'_>, part: &Segment, work: &mut Backwa
     } else {
         let first = e.len();
         e.extend_from_slice(&run.values[steps.stretch.rows.clone()]);
-        Isa::best().run_one(EqualForward { steps: &steps, x: &mut now.x, e: &mut e[first..], marks });
+        Isa::best().alone().run(EqualForward { steps: &steps, x: &mut now.x, e: &mut e[first..], marks });
     }
 }
 

@@ -50,7 +50,7 @@ struct EqualBackward<T, const N: usize, const C: usize> {
 
 /// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
 fn backward<const N: usize, const C: usize>(run: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
-    Isa::best().run_one(EqualPass::<N, C> { run, part, work });
+    Isa::best().alone().run(EqualPass::<N, C> { run, part, work });
 }
 
 struct EqualPass<'a, const N: usize, const C: usize> {

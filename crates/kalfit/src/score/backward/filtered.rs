@@ -124,6 +124,16 @@ impl<T: Real> FilteredMoments<T> {
         out.extend_from_slice(&self.Psi);
     }
 
+    /// Takes what [`FilteredMoments::save`] has kept.
+    #[inline(always)]
+    pub(super) fn load(&mut self, kept: &[T], sizes: (usize, usize)) {
+        let seen = FilterSnapshot::new(kept, sizes);
+        for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {
+            own.clear();
+            own.extend_from_slice(seen);
+        }
+    }
+
     /// Over a transition, with its known inputs.
     #[inline(always)]
     pub(super) fn advance<E: Entries<T>>(
@@ -181,16 +191,6 @@ impl<T: Real> FilteredMoments<T> {
         }
         update(r, (line.states, line.h), line.noise, P, (G, K));
         mirror(P, r);
-    }
-}
-
-impl FilteredMoments {
-    pub(super) fn load(&mut self, kept: &[f64], sizes: (usize, usize)) {
-        let seen = FilterSnapshot::new(kept, sizes);
-        for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {
-            own.clear();
-            own.extend_from_slice(seen);
-        }
     }
 }
 

@@ -82,19 +82,20 @@ fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
 
 /// Tests with times of their own, of different lengths, some of whose values are missing.
 fn drawn_tests(random: &mut impl FnMut() -> f64) -> Vec<PhasedTest> {
-    let one = |number: usize| {
-        let (mut test, mut time) = (Test::new(format!("t{number}"), 5, 3), 0.0);
-        let w = 1.0 + 0.1 * (number % 4) as f64;
-        for k in 0..1 + (number * 7) % 12 {
-            let values = [0, 1].map(|_| if random() > 0.3 { f64::NAN } else { 3.0 * random() });
-            let sensor = Label::literal(3 + (k + number) % 2);
-            let texts = [Label::literal(0), sensor, Label::literal(3 + number % 2)];
-            test.push(&[time, values[0], 1.0 + random(), w, values[1]], &texts, Source::default());
-            time += if number.is_multiple_of(3) { 0.5 } else { 0.6 + random() };
-        }
-        PhasedTest::from(test)
-    };
-    (0..37).map(one).collect()
+    (0..37).map(|number| drawn_test(random, number, 1 + (number * 7) % 12)).collect()
+}
+
+fn drawn_test(random: &mut impl FnMut() -> f64, number: usize, rows: usize) -> PhasedTest {
+    let (mut test, mut time) = (Test::new(format!("t{number}"), 5, 3), 0.0);
+    let w = 1.0 + 0.1 * (number % 4) as f64;
+    for k in 0..rows {
+        let values = [0, 1].map(|_| if random() > 0.3 { f64::NAN } else { 3.0 * random() });
+        let sensor = Label::literal(3 + (k + number) % 2);
+        let texts = [Label::literal(0), sensor, Label::literal(3 + number % 2)];
+        test.push(&[time, values[0], 1.0 + random(), w, values[1]], &texts, Source::default());
+        time += if number.is_multiple_of(3) { 0.5 } else { 0.6 + random() };
+    }
+    PhasedTest::from(test)
 }
 
 struct Case {
@@ -201,6 +202,28 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
         }
     }
     assert!(rooted > 100, "{rooted} tests by square-root arrays");
+}
+
+/// So long that the way back goes over them in parts, several side by side and one by itself.
+#[test]
+fn long_tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves() {
+    for seed in [1, 2, 3, 8, 13] {
+        let (case, _) = case(seed);
+        let mut random = random(seed + 100);
+        let tests: Vec<PhasedTest> =
+            [1, 2, 4, 5].map(|number| drawn_test(&mut random, number, 4000 + 100 * number)).into();
+        for tests in [&tests[..], &tests[..1]] {
+            let blocks = case.blocks(tests);
+            let ((found, scores), (expected, by_themselves)) =
+                (case.at(&VALUES, tests, Some(&blocks)), case.at(&VALUES, tests, None));
+            assert_eq!(case.in_lanes(&VALUES, tests, &blocks), vec![true; tests.len()], "seed {seed}");
+            for j in 0..tests.len() {
+                let (own, alone) = (found.get(j), expected.get(j));
+                assert_eq!((own.constant, own.data), (alone.constant, alone.data), "seed {seed}, test {j}, to the bit");
+                near(&format!("seed {seed}, test {j}"), 1e-9, &dense(&scores[j]), &dense(&by_themselves[j]));
+            }
+        }
+    }
 }
 
 /// By differences of the log-density of both measurements, in 60 digits.
