@@ -2,8 +2,6 @@
 
 /// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
 pub(crate) const REFINE: f64 = 1e3;
-/// So many equal steps are not worth a scan.
-pub(crate) const FEW: usize = 64;
 
 /// The data of a test, in kernel order and whitened.
 #[derive(Debug, Clone, Default)]

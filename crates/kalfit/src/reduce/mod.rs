@@ -56,6 +56,7 @@ mod design_pass;
 mod digest;
 mod dynamics;
 mod entries;
+mod equal_steps;
 mod error;
 mod evidence;
 mod exemplar;

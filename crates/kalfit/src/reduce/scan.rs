@@ -1,8 +1,8 @@
 //! The data pass over equal steps of one measurement, for few moving states: a linear scan, of one test or of several side by side.
 #![expect(non_snake_case, reason = "the letters of the theory: K, h, phi, T")]
 
-use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Stretch};
+use crate::reduce::equal_steps::FEW;
 use crate::reduce::gains::{GainSpan, Gains};
 use kalfit_lanes::{Lanes, Part, Real};
 

@@ -4,8 +4,8 @@ use std::ops::Range;
 
 use crate::reduce::blocks::layout::BatchLayout;
 use crate::reduce::blocks::values::BatchValues;
-use crate::reduce::data::FEW;
 use crate::reduce::design::Identity;
+use crate::reduce::equal_steps::EqualStepCount;
 
 impl BatchValues {
     /// The digest of the design of each test; `steps`: how many each has. `identities`: work space.
@@ -49,13 +49,13 @@ impl BatchValues {
         identities.iter_mut().map(Identity::finish).collect()
     }
 
-    /// Whether so many steps on end of the test in a lane, which has so many in all, are equal that they have a pass of their own.
+    /// Whether most steps of the test in a lane, which has so many, are in long stretches of equal ones, which have a pass of their own.
     pub(super) fn is_long(&self, layout: &BatchLayout, lane: usize, steps: usize) -> bool {
         let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
-        let (mut before, mut now, mut alike, mut t) = (Vec::new(), Vec::new(), 0, 0);
+        let (mut before, mut now, mut count, mut t) = (Vec::new(), Vec::new(), EqualStepCount::default(), 0);
         for stretch in design.stretches().take(steps) {
             now.clear();
             if stretch.transition.is_some() {
@@ -69,13 +69,12 @@ impl BatchValues {
                 now.extend(own(&gained.h, layout.terms(line)));
                 now.push(gained.noise[line * lanes + lane].to_bits());
             }
-            alike = if now == before { alike + 1 } else { 1 };
-            if alike > FEW {
+            if count.take(now == before) {
                 return true;
             }
             std::mem::swap(&mut before, &mut now);
         }
-        false
+        count.are_most_long()
     }
 }
 

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use crate::reduce::cell_mask::mix;
-use crate::reduce::data::FEW;
 use crate::reduce::design::{Design, Pattern, StateFrame, Stretch, Transition, same_bits};
 use crate::reduce::digest::Digest;
+use crate::reduce::equal_steps::FEW;
 
 /// Words that are mixed together, about so many: a whole step more where need be.
 const TOGETHER: usize = 1 << 12;

@@ -5,9 +5,10 @@ use std::cell::Cell;
 
 use kalfit_lanes::{Isa, Kernel, Lanes, Part};
 
-use crate::reduce::data::{Data, FEW};
+use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Stretch, TransitionView};
 use crate::reduce::entries::{Common, Entries};
+use crate::reduce::equal_steps::FEW;
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel;
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};

@@ -3,7 +3,7 @@
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::cell_mask::mix;
-use crate::reduce::data::FEW;
+use crate::reduce::equal_steps::{EqualStepCount, FEW};
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, StartCells, Workspace};
 
@@ -96,8 +96,8 @@ impl Skeleton {
 
 impl Preparer {
     /// The steps of a test, in place of those of another. False where something is wrong with it, or where it goes better by itself:
-    /// where cells are gathered from several rows, or equal steps are many. Which way a test goes
-    /// depends on its own cells.
+    /// where cells are gathered from several rows, or most steps are in long stretches of equal
+    /// ones. Which way a test goes depends on its own cells.
     pub(crate) fn skeleton(&self, test: &Test, number: usize, work: &mut Workspace, made: &mut Skeleton) -> bool {
         made.clear();
         made.number = number;
@@ -128,11 +128,12 @@ impl Preparer {
         sound.is_ok() && self.covariates(&at, work).is_ok()
     }
 
-    /// Appends the steps of the test in the work space; false where something is wrong with one, or equal ones are many.
+    /// Appends the steps of the test in the work space; false where something is wrong with one, or most are in long stretches of
+    /// equal ones.
     fn has_steps(&self, test: &Test, work: &Workspace, made: &mut Skeleton) -> bool {
         let at = self.at();
         let unknown = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
-        let (mut before, mut alike) = (0, 0);
+        let (mut before, mut count) = (0, EqualStepCount::default());
         for span in &work.spans {
             if unknown(span.moves, span.dt) {
                 return false;
@@ -151,14 +152,13 @@ impl Preparer {
                 let source = if self.clock_previous() && k > 0 { before } else { rows.start } as u32;
                 made.steps.push(StepCells { moves: span.moves, dt: span.dt, source, end: made.instances.len() });
                 let repeats = span.count > FEW && number > 0 && self.shape.repeat(test, &rows) && made.repeats(k);
-                alike = if repeats { alike + 1 } else { 0 };
-                if alike >= FEW {
+                if count.take(repeats) {
                     return false;
                 }
                 before = rows.start;
             }
         }
-        true
+        !count.are_most_long()
     }
 }
 
