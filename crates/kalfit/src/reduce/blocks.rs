@@ -37,9 +37,10 @@ use reduced::TestHeader;
 pub(crate) use values::BatchValues;
 
 /// Bytes of blocks, with their numbers at one α.
-const BYTES: usize = 512 << 20;
-/// Blocks that one thread takes at a time.
-const SHARE: usize = 8;
+const BYTES: usize = 1 << 30;
+/// So many shares of the blocks for each thread, but no more blocks in one than these: long tests are few.
+const SHARES: usize = 4;
+const MOST: usize = 8;
 
 /// Tests side by side.
 #[derive(Debug)]
@@ -136,8 +137,9 @@ impl EnsembleBatches {
             let values = blocks.iter().map(|block| block.filter((reducer, alpha), tests, room, &mut found)).collect();
             (values, found)
         };
+        let many = (self.blocks.len() / (SHARES * rayon::current_num_threads())).clamp(1, MOST);
         let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
-            self.blocks.par_chunks(SHARE).map_init(DataWorkspace::default, share).collect();
+            self.blocks.par_chunks(many).map_init(DataWorkspace::default, share).collect();
         let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = shares.into_iter().unzip();
         let (values, mut all) = (values.into_iter().flatten().collect(), ReducedTests::default());
         all.take(parts, tests.len());

@@ -22,18 +22,16 @@ pub(crate) fn by_shape(a: &Skeleton, b: &Skeleton) -> Ordering {
     b.len().cmp(&a.len()).then_with(pattern)
 }
 
-/// Fewer tests than these go one by one: lanes that are empty cost as much as others.
-const FEWEST: usize = 3;
 /// Bytes of a block of several tests: longer tests go one by one.
 const BYTES: usize = 128 << 20;
 
 /// How many of these tests, at least one and in their order, go together in so many lanes.
 pub(super) fn together(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
     let many = own.iter().take(lanes).take_while(|other| other.goes_with(&own[0])).count();
-    if many < FEWEST || size(preparer, &own[..many], lanes) > BYTES { 1 } else { many }
+    if size(preparer, &own[..many], lanes) > BYTES { 1 } else { many }
 }
 
-/// What so many tests together are worked on with.
+/// What so many tests together are worked on with: one has no lanes beside it that are empty, and cost as much as others.
 pub(super) fn isa_for(tests: usize) -> Isa {
     if tests == 1 { Isa::best().alone() } else { Isa::best() }
 }
