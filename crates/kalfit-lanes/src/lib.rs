@@ -167,7 +167,11 @@ mod tests {
                     assert!(same, "{isa:?}: operation {at} of lane {lane}: {found} {expected}");
                 }
             }
-            assert_eq!(format!("{:?}", isa.alone().run(Everything(x, y))), format!("{expected:?}"), "{isa:?}, one by one");
+            assert_eq!(
+                format!("{:?}", isa.alone().run(Everything(x, y))),
+                format!("{expected:?}"),
+                "{isa:?}, one by one"
+            );
         }
     }
 

@@ -16,6 +16,8 @@
 //! with r, ρ, N of later steps on the right, one scalar measurement after the other; r, u, ρ, υ are the theory's r̄, ū, ρC, υC.
 //! After the last step they are zero, or what later phases say of the state there ([`TerminalAdjoint`]).
 //!
+//! The steps of flat arrays stand in `kernel`, `filtered` and `adjoint`, for one test and for lanes (`batch`).
+//!
 //! What the forward filter passes through is not remembered: its innovations are, and its state every so many steps, from which
 //! the steps between are run again when the way back comes to them. Many equal steps go through kernels of known size
 //! (`equal_backward`), which sum their adjoints and stop renewing N and ρ where these no longer change; P and Ψ before each of them
