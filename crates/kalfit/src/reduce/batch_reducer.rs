@@ -18,8 +18,9 @@ const BATCHES: usize = 128;
 const LISTS: usize = 32;
 
 /// Tests with designs of their own that are put in order together, for each lane: they fill lanes with their like, and need no room of
-/// their own for long.
+/// their own for long. Long ones are fewer: so many steps.
 const TOGETHER: usize = 4;
+const STEPS: usize = 1 << 18;
 
 /// Reduces batches of tests with designs of their own.
 #[derive(Debug)]
@@ -86,7 +87,8 @@ impl<'a> BatchReducer<'a> {
             let mut own = self.spare.pop().unwrap_or_default();
             if self.reducer.preparer().skeleton(tests[number], number, &mut self.work, &mut own) {
                 self.own.push(own);
-                if self.own.len() == TOGETHER * Isa::best().lanes() {
+                let steps: usize = self.own.iter().map(Skeleton::len).sum();
+                if self.own.len() == TOGETHER * Isa::best().lanes() || steps >= STEPS {
                     self.side_by_side(tests, &mut found);
                 }
             } else {
@@ -105,6 +107,7 @@ impl<'a> BatchReducer<'a> {
     fn side_by_side(&mut self, tests: &[&Test], found: &mut ReducedTests) {
         let BatchReducer { reducer, work, own, beside, .. } = self;
         beside.reduce(reducer, (tests, own), &mut work.room, found);
+        self.own.retain(|own| own.len() < STEPS / TOGETHER);
         self.spare.append(&mut self.own);
     }
 }
@@ -148,6 +151,36 @@ mod tests {
         for (test, found) in all.iter().zip(&together) {
             let alone = reducer().reduce(std::slice::from_ref(test)).expect("sound");
             assert_eq!(found, alone.get(0), "{}", test.id);
+        }
+    }
+
+    /// Equal steps, then steps of their own lengths, or the other way round.
+    fn mixed(id: &str, equal: usize, own: usize, seed: f64) -> Test {
+        let (mut test, mut time) = (Test::new(id, 2, 0), 0.0);
+        for row in 0..equal + own {
+            time += if row < equal { 0.5 } else { 0.3 + 0.2 * (row as f64).sin().abs() };
+            test.push(&[(seed * row as f64).cos(), time], &[], Source::default());
+        }
+        test
+    }
+
+    #[test]
+    fn records_with_some_equal_steps_are_what_they_are_beside_a_replicate() {
+        let y = measurement("y", name("a") + name("d"), 0.5);
+        let model = Model::builder("").time("t").state(constant("a")).state(gauss_markov("d", 3.0, 0.7));
+        let model = model.measurement(y).build().expect("a model");
+        let model = &model.phases[0].model;
+        let columns: Vec<&str> = model.columns.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(columns, ["y", "t"], "the order of the cells of a row");
+        let reducer = || Reducer::new(model, &Alpha::default()).expect("sound");
+        // most steps are in a long stretch, or not
+        for (equal, own) in [(100, 150), (150, 100), (1500, 1600), (64, 10), (70, 69), (70, 70)] {
+            let tests = [mixed("a", equal, own, 0.7), mixed("b", equal, own, 1.3)];
+            let together = reducer().reduce(&tests).expect("sound");
+            for (test, found) in tests.iter().zip(&together) {
+                let alone = reducer().reduce(std::slice::from_ref(test)).expect("sound");
+                assert_eq!(found, alone.get(0), "{equal} equal steps and {own} others, test {}", test.id);
+            }
         }
     }
 

@@ -21,6 +21,7 @@ use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use kalfit_lanes::Isa;
+use rayon::iter::Either;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
@@ -56,7 +57,9 @@ struct CachedBatch {
 #[derive(Debug, Default)]
 pub(crate) struct EnsembleBatches {
     blocks: Vec<CachedBatch>,
-    /// Tests that are in none.
+    /// Tests without replicates that go by themselves, whatever α.
+    apart: Vec<usize>,
+    /// All others that are in no block.
     others: Replicates,
 }
 
@@ -79,7 +82,7 @@ impl EnsembleBatches {
     ) -> EnsembleBatches {
         let preparer = reducer.preparer();
         if numbers.is_empty() || !preparer.has_columns() {
-            return EnsembleBatches { blocks: Vec::new(), others: replicates };
+            return EnsembleBatches { blocks: Vec::new(), apart: Vec::new(), others: replicates };
         }
         let digest = |number: usize, work: &mut Workspace| {
             preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
@@ -90,23 +93,30 @@ impl EnsembleBatches {
             let mut own = Skeleton::default();
             let fits = preparer.skeleton(tests[number], number, work, &mut own);
             let mut is_shared = || digest(number, work).is_none_or(|digest| shared.contains(&digest));
-            (fits && (shared.is_empty() || !is_shared())).then_some(own)
+            let found = if fits { Ok(own) } else { Err(number) };
+            (!fits || shared.is_empty() || !is_shared()).then_some(found)
         };
-        let mut skeletons: Vec<Skeleton> =
-            numbers.par_iter().map_init(|| reducer.workspace(), skeleton).flatten_iter().collect();
+        let found = numbers.par_iter().map_init(|| reducer.workspace(), skeleton).flatten_iter();
+        let (mut skeletons, mut apart): (Vec<Skeleton>, Vec<usize>) =
+            found.partition_map(|found| found.map_or_else(Either::Right, Either::Left));
+        let mut is_alone = vec![false; tests.len()];
+        replicates.alone.iter().for_each(|&number| is_alone[number] = true);
+        apart.retain(|&number| is_alone[number]);
         let id = |own: &Skeleton| &tests[own.number].id;
         skeletons.par_sort_unstable_by(|a, b| by_shape(a, b).then_with(|| id(a).cmp(id(b))));
         let mut bytes = 0;
         let mut groups = groups(preparer, &skeletons);
         groups.retain(|own| {
-            bytes += size(preparer, own, isa_for(own.len()).lanes());
-            bytes <= BYTES
+            let own = size(preparer, own, isa_for(own.len()).lanes());
+            let fits = bytes + own <= BYTES;
+            bytes += if fits { own } else { 0 };
+            fits
         });
         let blocks: Vec<CachedBatch> =
             groups.into_par_iter().map(|own| CachedBatch::new(reducer, tests, own)).collect();
         let mut kept = vec![false; tests.len()];
-        blocks.iter().flat_map(|block| &block.layout.tests).for_each(|&number| kept[number] = true);
-        EnsembleBatches { blocks, others: replicates.without(&kept) }
+        blocks.iter().flat_map(|block| &block.layout.tests).chain(&apart).for_each(|&number| kept[number] = true);
+        EnsembleBatches { blocks, apart, others: replicates.without(&kept) }
     }
 
     /// What is found of all tests at the α of a reducer.
@@ -123,6 +133,9 @@ impl EnsembleBatches {
         };
         let rooted: Vec<ToEnd> = odd.par_iter().map_init(|| reducer.workspace(), root).collect();
         odd.into_iter().zip(rooted).for_each(|(number, rooted)| found.note(number, rooted));
+        let alone = |work: &mut Workspace, &number: &usize| reducer.to_end(tests[number], work);
+        let ends: Vec<ToEnd> = self.apart.par_iter().map_init(|| reducer.workspace(), alone).collect();
+        self.apart.iter().zip(ends).for_each(|(&number, end)| found.note(number, end));
         found.take(vec![reducer.reduce_each(tests, &self.others)], tests.len());
         (found, filtered)
     }

@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use crate::reduce::digest::Digest;
 use crate::reduce::entries::Common;
+use crate::reduce::equal_steps::{FEW, is_most};
 use nalgebra::DMatrix;
 
 /// Row of Ψ that is dense.
@@ -233,6 +234,8 @@ pub(crate) struct Design {
     pub(crate) h: Vec<f64>,
     /// R, one variance for each line.
     pub(crate) noise: Vec<f64>,
+    /// All steps are gone over one by one, as where tests stand side by side: most are in no long stretch of equal ones.
+    pub(crate) stepwise: bool,
 }
 
 /// A run and where it stands.
@@ -295,6 +298,7 @@ impl Design {
             states: Vec::new(),
             h: Vec::new(),
             noise: Vec::new(),
+            stepwise: false,
         }
     }
 
@@ -306,6 +310,19 @@ impl Design {
         self.states.clear();
         self.h.clear();
         self.noise.clear();
+        self.stepwise = false;
+    }
+
+    /// Finds whether it is stepwise, once all steps are there.
+    pub(crate) fn complete(&mut self) {
+        let long = self.runs.iter().map(|run| run.count).filter(|&count| count > FEW).sum();
+        self.stepwise = !is_most(long, self.steps());
+    }
+
+    /// Whether so many equal steps are gone over at once, as far as they are equal.
+    #[inline(always)]
+    pub(crate) fn is_long(&self, count: usize) -> bool {
+        count > FEW && !self.stepwise
     }
 
     /// (states, coefficients) of a line.

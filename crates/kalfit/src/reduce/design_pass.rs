@@ -86,7 +86,7 @@ impl GainSchedule {
         let frame = &*design.frame;
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
         let mut path = work.keeps_paths.then(|| MomentPath::new(design, stretch)).flatten();
-        let watched = work.settling.begin(stretch.count);
+        let watched = design.is_long(stretch.count) && work.settling.begin(stretch.count);
         let (mut frozen, mut gain_steps, mut done) = (SteadyState::Nothing, 0, 0);
         while done < stretch.count && frozen != SteadyState::All {
             let before = done;

@@ -11,7 +11,7 @@ pub(crate) trait Entries<R>: Copy {
     fn skip(self, many: usize) -> Self;
 }
 
-/// Numbers that a kernel has made itself.
+/// Numbers of the kernel's own kind.
 impl<R: Real> Entries<R> for &[R] {
     #[inline(always)]
     fn entry(self, k: usize) -> R {

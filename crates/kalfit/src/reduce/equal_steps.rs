@@ -3,11 +3,8 @@
 /// So many equal steps are not worth a scan.
 pub(crate) const FEW: usize = 64;
 
-/// Steps after which it is looked for the first time, then after twice as many, and so on.
-const FIRST_LOOK: usize = 1024;
-
-/// Counts steps, and those in stretches of more than [`FEW`] equal ones.
-#[derive(Debug, Default)]
+/// Counts those of so many steps that are in stretches of more than [`FEW`] equal ones.
+#[derive(Debug)]
 pub(crate) struct EqualStepCount {
     steps: usize,
     /// Steps on end that are equal, up to the last one.
@@ -16,22 +13,26 @@ pub(crate) struct EqualStepCount {
 }
 
 impl EqualStepCount {
-    /// Takes the next step, which equals the one before or not. True where it is known already that most are in long stretches.
+    /// Of a test with so many steps.
+    pub(crate) fn new(steps: usize) -> EqualStepCount {
+        EqualStepCount { steps, stretch: 0, long: 0 }
+    }
+
+    /// Takes the next step, which equals the one before or not. True as soon as most steps of the test are in long stretches.
     pub(crate) fn take(&mut self, equal: bool) -> bool {
-        self.steps += 1;
         self.stretch = if equal { self.stretch + 1 } else { 1 };
         self.long += match self.stretch {
             stretch if stretch <= FEW => 0,
             stretch if stretch == FEW + 1 => stretch,
             _ => 1,
         };
-        self.steps >= FIRST_LOOK && self.steps.is_power_of_two() && self.are_most_long()
+        is_most(self.long, self.steps)
     }
+}
 
-    /// Most steps are in long stretches.
-    pub(crate) fn are_most_long(&self) -> bool {
-        2 * self.long > self.steps
-    }
+/// So many of so many steps are most of them.
+pub(crate) fn is_most(long: usize, steps: usize) -> bool {
+    2 * long > steps
 }
 
 #[cfg(test)]
@@ -40,20 +41,21 @@ mod tests {
 
     #[test]
     fn most_steps_are_in_long_stretches_or_not() {
-        // stretches of so many equal steps; whether most are in long ones, and after how many steps that is known
-        let cases: [(&[usize], bool, usize); 6] = [
-            (&[64], false, 64),
-            (&[65], true, 65),
-            (&[65, 64, 2], false, 131),
-            (&[65, 64], true, 129),
-            (&[5000], true, 1024),
-            (&[60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 60, 1500], true, 2048),
+        // stretches of so many equal steps, and after how many steps it is known that most are in long ones
+        let cases: [(&[usize], Option<usize>); 7] = [
+            (&[], None),
+            (&[64], None),
+            (&[65], Some(65)),
+            (&[64, 65, 2], None),
+            (&[64, 65], Some(129)),
+            (&[5000], Some(2501)),
+            (&[60, 60, 60, 1500], Some(1021)),
         ];
-        for (stretches, expected, known) in cases {
-            let mut count = EqualStepCount::default();
+        for (stretches, expected) in cases {
+            let mut count = EqualStepCount::new(stretches.iter().sum());
             let mut steps = stretches.iter().flat_map(|&many| (0..many).map(|step| step > 0));
-            let early = steps.by_ref().any(|equal| count.take(equal));
-            assert_eq!((early || count.are_most_long(), count.steps), (expected, known), "{stretches:?}");
+            let known = steps.position(|equal| count.take(equal)).map(|step| step + 1);
+            assert_eq!(known, expected, "{stretches:?}");
         }
     }
 }

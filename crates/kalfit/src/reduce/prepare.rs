@@ -246,6 +246,7 @@ impl Preparer {
             let span = work.spans[at_span].clone();
             source = self.span(&at, test, (&span, source), work)?;
         }
+        work.design.complete();
         Ok(())
     }
 

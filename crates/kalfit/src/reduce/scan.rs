@@ -6,7 +6,7 @@ use crate::reduce::equal_steps::FEW;
 use crate::reduce::gains::{GainSpan, Gains};
 use kalfit_lanes::{Lanes, Part, Real};
 
-/// Terms that are added up before they join the sum: rounding grows with the number of blocks, not of rows.
+/// Terms of so many steps are added up before they join the sum: rounding grows with the number of blocks, not of steps.
 pub(crate) const BLOCK: usize = 512;
 
 /// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d. Tests side by

@@ -31,19 +31,22 @@ pub(super) fn together(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> u
     if size(preparer, &own[..many], lanes) > BYTES { 1 } else { many }
 }
 
-/// What so many tests together are worked on with: one has no lanes beside it that are empty, and cost as much as others.
+/// What so many tests together are worked on with. Lanes that are empty take as long as others: one test has none beside it.
 pub(super) fn isa_for(tests: usize) -> Isa {
     if tests == 1 { Isa::best().alone() } else { Isa::best() }
 }
 
 /// Bytes of a block of these tests in so many lanes, about so many.
 pub(super) fn size(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
-    let (frame, transition) = (&preparer.order.frame, preparer.plan.blank());
+    let (frame, transition, dynamics) = (&preparer.order.frame, preparer.plan.blank(), &preparer.dynamics);
     let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
+    let varying = dynamics.table.varying.len() + dynamics.inputs.varying.len();
     let of_row = 8 + terms + frame.r + frame.p;
-    let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + 3 * frame.r;
+    let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + preparer.plan.flow_len + varying;
     let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
-    8 * lanes * (most(|own| own.instances.len()) * of_row + most(Skeleton::len) * of_step)
+    let (rows, steps) = (most(|own| own.instances.len()), most(Skeleton::len));
+    // the numbers of all lanes, and the shape of their designs
+    8 * (lanes * (rows * of_row + steps * of_step) + rows * (4 + 2 * terms) + steps * 7)
 }
 
 /// Work space that evaluates and filters one batch after another.
@@ -52,7 +55,7 @@ pub(crate) struct BatchWorkspace {
     lanes: usize,
     layout: BatchLayout,
     values: BatchValues,
-    /// Those of one test, where it is several tests that they are of, and the other way round.
+    /// Of blocks of one test, where the others are of blocks of several, and the other way round.
     spare: (BatchLayout, BatchValues),
     own: Vec<TestHeader>,
     identities: Vec<Identity>,

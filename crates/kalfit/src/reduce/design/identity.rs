@@ -5,7 +5,6 @@ use std::sync::Arc;
 use crate::reduce::cell_mask::mix;
 use crate::reduce::design::{Design, Pattern, StateFrame, Stretch, Transition, same_bits};
 use crate::reduce::digest::Digest;
-use crate::reduce::equal_steps::FEW;
 
 /// Words that are mixed together, about so many: a whole step more where need be.
 const TOGETHER: usize = 1 << 12;
@@ -68,12 +67,12 @@ impl Identity {
 }
 
 impl Design {
-    /// Of all numbers. Equal steps on end are told of one by one where they are few, as they are where designs stand side by side.
+    /// Of all numbers. Equal steps on end are told of one by one but in long stretches, as where designs stand side by side.
     pub(crate) fn digest(&self) -> u128 {
         let mut identity = Identity::new();
         identity.begin(&self.frame, self.variance.iter().copied());
         for Stretch { transition, lines, count, .. } in self.stretches() {
-            let (times, many) = if count <= FEW { (count, 1) } else { (1, count) };
+            let (times, many) = if self.is_long(count) { (1, count) } else { (count, 1) };
             for _ in 0..times {
                 if let Some(transition) = transition {
                     identity.moves(&transition.pattern, transition.phi.iter().copied(), transition.q.iter().copied());

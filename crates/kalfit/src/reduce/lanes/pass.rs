@@ -8,7 +8,6 @@ use kalfit_lanes::{Isa, Kernel, Lanes, Part};
 use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Stretch, TransitionView};
 use crate::reduce::entries::{Common, Entries};
-use crate::reduce::equal_steps::FEW;
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel;
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
@@ -196,7 +195,7 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     }
     let (mut line, mut row, mut input, mut step) = (0, 0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
-        if N::SCANS && !L::EACH && run.count > FEW {
+        if N::SCANS && !L::EACH && design.is_long(run.count) {
             let (x, y) = (&mut *state.x, &mut *state.y);
             let long =
                 Long { numbers, design, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut room.e };

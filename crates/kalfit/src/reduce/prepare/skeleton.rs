@@ -3,7 +3,7 @@
 use crate::ensemble::Test;
 use crate::model::Scope;
 use crate::reduce::cell_mask::mix;
-use crate::reduce::equal_steps::{EqualStepCount, FEW};
+use crate::reduce::equal_steps::EqualStepCount;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, StartCells, Workspace};
 
@@ -96,8 +96,8 @@ impl Skeleton {
 
 impl Preparer {
     /// The steps of a test, in place of those of another. False where something is wrong with it, or where it goes better by itself:
-    /// where cells are gathered from several rows, or most steps are in long stretches of equal
-    /// ones. Which way a test goes depends on its own cells.
+    /// where cells are gathered from several rows, or most steps are in long stretches of equal ones. Which way a test goes depends on
+    /// its own cells.
     pub(crate) fn skeleton(&self, test: &Test, number: usize, work: &mut Workspace, made: &mut Skeleton) -> bool {
         made.clear();
         made.number = number;
@@ -133,7 +133,8 @@ impl Preparer {
     fn has_steps(&self, test: &Test, work: &Workspace, made: &mut Skeleton) -> bool {
         let at = self.at();
         let unknown = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
-        let (mut before, mut count) = (0, EqualStepCount::default());
+        let mut count = EqualStepCount::new(work.spans.iter().map(|span| span.count).sum());
+        let mut before = 0;
         for span in &work.spans {
             if unknown(span.moves, span.dt) {
                 return false;
@@ -151,14 +152,15 @@ impl Preparer {
                 made.pattern = mix(made.pattern, u64::MAX);
                 let source = if self.clock_previous() && k > 0 { before } else { rows.start } as u32;
                 made.steps.push(StepCells { moves: span.moves, dt: span.dt, source, end: made.instances.len() });
-                let repeats = span.count > FEW && number > 0 && self.shape.repeat(test, &rows) && made.repeats(k);
+                let may_repeat = k > 0 && (number > 0 || self.plan.is_still());
+                let repeats = may_repeat && self.shape.repeat(test, &rows) && made.repeats(k);
                 if count.take(repeats) {
                     return false;
                 }
                 before = rows.start;
             }
         }
-        !count.are_most_long()
+        true
     }
 }
 
