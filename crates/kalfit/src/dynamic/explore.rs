@@ -29,8 +29,8 @@ const FEWEST: usize = 150;
 /// Most times that a better end is looked around from.
 const ROUNDS: usize = 4;
 /// … more of them where rows are so few that all runs together are of no more than this.
-const MORE_RUNS: usize = 1200;
-const FEW_ROWS: usize = 600_000;
+const MORE_RUNS: usize = 1800;
+const FEW_ROWS: usize = 900_000;
 /// An end that is higher by no more than this is the same maximum, along a direction in which ℓ runs level.
 const LITTLE: f64 = 1e-5;
 
