@@ -67,8 +67,8 @@ impl Kernel for BatchBackward<'_> {
     }
 }
 
-/// What the pass reads of a batch, in lanes: each step is a run. A test that is shorter than the longest goes on with measurements that say nothing, and
-/// transitions that forget everything.
+/// What the pass reads of a batch, in lanes: each step is a run. A test that is shorter than the longest goes on with measurements
+/// that say nothing, and transitions that forget everything.
 struct BatchNumbers<'a> {
     /// Of the longest: its numbers do not count.
     shape: &'a Design,
