@@ -31,9 +31,9 @@ pub struct Isa(IsaKind);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum IsaKind {
-    One,
-    #[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
-    OneFused,
+    One {
+        fused: bool,
+    },
     Portable,
     #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
     Neon,
@@ -71,19 +71,14 @@ impl Isa {
 
     /// One number at a time: to the bit what each lane of this one holds, but for reciprocals that are a rounding or two off.
     pub fn alone(self) -> Isa {
-        match self.0 {
-            IsaKind::One | IsaKind::Portable => Isa(IsaKind::One),
-            #[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
-            _ => Isa(IsaKind::OneFused),
-        }
+        let fused = !matches!(self.0, IsaKind::Portable | IsaKind::One { fused: false });
+        Isa(IsaKind::One { fused })
     }
 
     /// Its word.
     pub fn word(self) -> &'static str {
         match self.0 {
-            IsaKind::One => "one",
-            #[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
-            IsaKind::OneFused => "one",
+            IsaKind::One { .. } => "one",
             IsaKind::Portable => "portable",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => "neon",
@@ -103,9 +98,7 @@ impl Isa {
     /// How many numbers it works on at once.
     pub fn lanes(self) -> usize {
         match self.0 {
-            IsaKind::One => 1,
-            #[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
-            IsaKind::OneFused => 1,
+            IsaKind::One { .. } => 1,
             IsaKind::Portable => 4,
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => 4,
@@ -119,9 +112,7 @@ impl Isa {
     /// Its name.
     pub fn name(self) -> &'static str {
         match self.0 {
-            IsaKind::One => "one number at a time",
-            #[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
-            IsaKind::OneFused => "one number at a time",
+            IsaKind::One { .. } => "one number at a time",
             IsaKind::Portable => "four numbers at a time",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => "NEON, four numbers at a time",
@@ -135,12 +126,12 @@ impl Isa {
     /// Runs a kernel.
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
-            IsaKind::One => kernel.run::<f64>(),
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-            IsaKind::OneFused => kernel.run::<crate::fused::Fused>(),
+            IsaKind::One { fused: true } => kernel.run::<crate::fused::Fused>(),
             // SAFETY: it was made of one that `found` made, so the machine has AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
-            IsaKind::OneFused => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
+            IsaKind::One { fused: true } => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
+            IsaKind::One { .. } => kernel.run::<f64>(),
             IsaKind::Portable => kernel.run::<Four>(),
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => kernel.run::<crate::neon::Neon>(),

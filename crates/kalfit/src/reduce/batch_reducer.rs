@@ -154,7 +154,7 @@ mod tests {
         }
     }
 
-    /// Equal steps, then steps of their own lengths, or the other way round.
+    /// Equal steps, then steps of their own lengths.
     fn mixed(id: &str, equal: usize, own: usize, seed: f64) -> Test {
         let (mut test, mut time) = (Test::new(id, 2, 0), 0.0);
         for row in 0..equal + own {

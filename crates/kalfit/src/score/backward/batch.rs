@@ -257,11 +257,8 @@ impl<T: Lanes> BatchBack<T> {
         let BatchBack { adjoint, bar, all, .. } = self;
         let (scalars, h) = bar.split_at_mut(2);
         let (noise, value) = scalars.split_at_mut(1);
-        let mut equation = None;
-        if let Some(before) = before {
-            equation = Some((h, before));
-        }
-        adjoint.measured(line, e, unknown, ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h: equation });
+        let h = before.map(|before| (h, before));
+        adjoint.measured(line, e, unknown, ScalarAdjoint { noise: &mut noise[0], value: &mut value[0], h });
         let width = bar.len();
         for k in 0..width {
             bar[k].store(&mut all.rows[(row * width + k) * T::COUNT..]);
