@@ -84,7 +84,8 @@ fn findings<'a>(all: &[(&'a str, &'a InnovationRecord)]) -> Vec<ImprobableFigure
         add(InnovationFigure::Whiteness(found), found.whiteness.as_ref().map(|w| w.p_value));
     }
     findings.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.test.cmp(b.test)));
-    let adjusted = holm(&findings.iter().map(|finding| finding.p_value).collect::<Vec<_>>());
+    let p_values: Vec<f64> = findings.iter().map(|finding| finding.p_value).collect();
+    let adjusted = holm(&p_values, p_values.len());
     findings.iter_mut().zip(adjusted).for_each(|(finding, adjusted)| finding.adjusted = adjusted);
     findings
 }

@@ -158,8 +158,9 @@ fn p_values_are_corrected_for_their_number() {
     found[3].nis_p_value = Some(0.0012);
     assert_eq!(kinds(&with(&found)), ("doubtful".to_owned(), vec!["innovations".to_owned()]));
     // Holm (1979): p-values 0.01, 0.02, 0.03, 0.04 of four
-    let adjusted = holm(&[0.01, 0.02, 0.03, 0.04]);
+    let adjusted = holm(&[0.01, 0.02, 0.03, 0.04], 4);
     adjusted.iter().zip([0.04, 0.06, 0.06, 0.06]).for_each(|(a, b)| assert!((a - b).abs() < 1e-15, "{a} {b}"));
+    assert_eq!(holm(&[0.01, 0.02], 4), adjusted[..2], "the least of them alone");
 }
 
 #[test]

@@ -68,18 +68,22 @@ impl Class {
 
 impl ClassRef<'_> {
     /// For each element i, Σ (y - Jμ)_i² - J_ii over the tests and J_ii of one of them.
-    pub(super) fn excess(&self, mean: &[f64]) -> Vec<(f64, f64)> {
+    pub(super) fn excess(&self, mean: &[f64], found: &mut Vec<(f64, f64)>) {
         let p = mean.len();
         let rows = || self.factor.chunks_exact(p.max(1));
-        let dot = |row: &[f64], x: &[f64]| row.iter().zip(x).map(|(r, x)| r * x).sum::<f64>();
-        let left: Vec<f64> = rows().zip(self.mean).map(|(row, d)| d - dot(row, mean)).collect();
-        // R'x at i
-        let at = |i: usize, x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>();
-        let one = |i: usize| {
-            let spread: f64 = self.scatter.chunks_exact(p).map(|x| at(i, x).powi(2)).sum();
-            let own = rows().map(|row| row[i] * row[i]).sum::<f64>();
-            (self.count * (at(i, &left).powi(2) - own) + spread, own)
-        };
-        (0..p).map(one).collect()
+        found.clear();
+        found.resize(p, (0.0, 0.0));
+        for (row, d) in rows().zip(self.mean) {
+            let left = d - row.iter().zip(mean).map(|(r, x)| r * x).sum::<f64>();
+            for ((moment, own), r) in found.iter_mut().zip(row) {
+                *moment += r * left;
+                *own += r * r;
+            }
+        }
+        for (i, (moment, own)) in found.iter_mut().enumerate() {
+            let at = |x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>(); // R'x at i
+            let spread: f64 = self.scatter.chunks_exact(p).map(|x| at(x).powi(2)).sum();
+            *moment = self.count * (moment.powi(2) - *own) + spread;
+        }
     }
 }

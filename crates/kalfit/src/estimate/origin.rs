@@ -54,25 +54,27 @@ impl Classes {
             return units.excess(mean);
         }
         let (mut excess, mut weight) = (DVector::zeros(p), DVector::zeros(p));
-        for (count, each) in self.excesses(mean) {
-            for (i, (own_excess, own)) in each.into_iter().enumerate() {
+        let mut add = |count: f64, each: &[(f64, f64)]| {
+            for (i, (own_excess, own)) in each.iter().enumerate() {
                 excess[i] += own_excess;
                 weight[i] += count * own * own;
+            }
+        };
+        if self.is_chained() {
+            self.chained_excesses(mean).iter().for_each(|(count, each)| add(*count, each));
+        } else {
+            let (mut room, mut each) = (Class::default(), Vec::new());
+            for number in 0..self.len() {
+                let class = self.get(number, &mut room);
+                class.excess(mean.as_slice(), &mut each);
+                add(class.count, &each);
             }
         }
         (excess, weight)
     }
 
-    /// Of each class, in their order.
-    fn excesses(&self, mean: &DVector<f64>) -> Vec<Excess> {
-        if !self.is_chained() {
-            let mut room = Class::default();
-            let mut told = |number: usize| {
-                let class = self.get(number, &mut room);
-                (class.count, class.excess(mean.as_slice()))
-            };
-            return (0..self.len()).map(&mut told).collect();
-        }
+    /// Of each class, in their order, where some are kept phase by phase.
+    fn chained_excesses(&self, mean: &DVector<f64>) -> Vec<Excess> {
         let p = mean.len();
         let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
         let of = |told: &mut Vec<(usize, Excess)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {

@@ -32,14 +32,14 @@ impl Counts {
             let survey = remote.ask(Question::Survey).unwrap_or_default();
             return survey.first_chunk().map_or_else(Counts::default, |head| Counts::read(*head));
         }
-        let mut designs: Vec<u128> = reductions.iter().map(|r| r.design).collect();
+        let mut designs = reductions.designs().to_vec();
         designs.par_sort_unstable();
         designs.dedup();
         Counts {
             tests: reductions.len(),
-            steps: reductions.iter().map(|r| r.steps).sum(),
-            observations: reductions.iter().map(|r| r.observations).sum(),
-            square_root_tests: reductions.iter().filter(|r| r.path == Path::SquareRoot).count(),
+            steps: reductions.steps().iter().sum(),
+            observations: reductions.observations().iter().sum(),
+            square_root_tests: reductions.paths().iter().filter(|path| **path == Path::SquareRoot).count(),
             designs: designs.len(),
         }
     }

@@ -202,7 +202,11 @@ impl PhaseBatch<'_> {
 fn note(track: &mut Option<Track>, found: Option<Left>) {
     match (track.as_mut(), found) {
         (Some(track), Some((found, terminal))) => {
-            track.series.extend(found);
+            if track.series.is_empty() {
+                track.series = found
+            } else {
+                track.series.extend(found)
+            }
             track.before = terminal;
         }
         _ => *track = None,

@@ -37,7 +37,7 @@ pub(crate) fn listed(
     measured: impl Iterator<Item = (usize, Instance)>,
     each: impl Iterator<Item = Option<Figures>>,
 ) -> Vec<Innovation> {
-    let mut series = Vec::with_capacity(measured.size_hint().0);
+    let mut series = Vec::with_capacity(each.size_hint().1.unwrap_or(0));
     for ((step, instance), figures) in measured.zip(each) {
         if let Some(Figures { value, variance, standardised }) = figures {
             let time = time.map(|column| rows.numbers(instance.row)[column]);

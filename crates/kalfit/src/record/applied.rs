@@ -264,7 +264,7 @@ fn outlying_groups(
     let mut all: Vec<FarGroupRecord> = said.groups.iter().enumerate().flat_map(of_level).collect();
     all.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.id.cmp(&b.id)));
     let p_values: Vec<f64> = all.iter().map(|one| one.p_value).collect();
-    all.iter_mut().zip(holm(&p_values)).for_each(|(one, corrected)| one.p_corrected = corrected);
+    all.iter_mut().zip(holm(&p_values, p_values.len())).for_each(|(one, corrected)| one.p_corrected = corrected);
     all.retain(|one| one.p_corrected < LEVEL);
     all
 }
@@ -278,6 +278,6 @@ fn ranked(tests: &[PhasedTest], squares: impl Iterator<Item = (f64, usize, Optio
     let mut all: Vec<FarRecord> = tests.iter().zip(squares).filter_map(one).collect();
     all.sort_by(|a, b| a.p_value.total_cmp(&b.p_value).then_with(|| a.test.cmp(&b.test)));
     let p_values: Vec<f64> = all.iter().map(|one| one.p_value).collect();
-    all.iter_mut().zip(holm(&p_values)).for_each(|(one, corrected)| one.p_corrected = corrected);
+    all.iter_mut().zip(holm(&p_values, p_values.len())).for_each(|(one, corrected)| one.p_corrected = corrected);
     all
 }

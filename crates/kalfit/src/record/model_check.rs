@@ -43,7 +43,8 @@ impl ModelCheckRecord {
     /// Of the figures of a record, which hold what was asked for: without the tests' figures nothing is checked, nor where the
     /// search did not converge.
     pub fn of(record: &FitRecord) -> ModelCheckRecord {
-        let looked_at = !innovation_p_values(record).is_empty() || record.tests.iter().any(|t| t.p_value.is_some());
+        let looked_at =
+            innovation_p_values(record).next().is_some() || record.tests.iter().any(|t| t.p_value.is_some());
         if !record.converged || !looked_at {
             return ModelCheckRecord { verdict: "not checked".to_owned(), findings: vec![], remarks: vec![] };
         }
@@ -72,9 +73,9 @@ impl FitRecord {
     }
 }
 
-/// Holm's (1979) adjusted p-values of p-values in ascending order.
-pub fn holm(ascending: &[f64]) -> Vec<f64> {
-    let (all, mut largest) = (ascending.len(), 0.0_f64);
+/// Holm's (1979) adjusted p-values of the least of `all` p-values, in ascending order.
+pub fn holm(ascending: &[f64], all: usize) -> Vec<f64> {
+    let mut largest = 0.0_f64;
     let adjusted = |(k, p): (usize, &f64)| {
         largest = largest.max(p * (all - k) as f64).min(1.0);
         largest
@@ -106,16 +107,13 @@ fn innovations_of(record: &FitRecord) -> impl Iterator<Item = (&TestRecord, &Inn
     record.tests.iter().filter_map(|test| Some((test, test.innovations.as_ref()?)))
 }
 
-/// p-values of the innovations of tests with whether they are of their correlation, in ascending order.
-fn innovation_p_values(record: &FitRecord) -> Vec<(f64, &str, bool)> {
-    let mut found = Vec::new();
-    for (test, figures) in innovations_of(record) {
+/// p-values of the innovations of tests with whether they are of their correlation.
+fn innovation_p_values(record: &FitRecord) -> impl Iterator<Item = (f64, &str, bool)> {
+    innovations_of(record).flat_map(|(test, figures)| {
         let white = figures.whiteness.as_ref().map(|w| w.p_value);
         let both = [(figures.nis_p_value, false), (white, true)];
-        found.extend(both.into_iter().filter_map(|(p, white)| Some((p.filter(|p| p.is_finite())?, &*test.id, white))));
-    }
-    found.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(b.1)));
-    found
+        both.into_iter().filter_map(|(p, white)| Some((p.filter(|p| p.is_finite())?, &*test.id, white)))
+    })
 }
 
 fn mean_square(record: &FitRecord) -> Option<String> {
@@ -129,9 +127,11 @@ fn mean_square(record: &FitRecord) -> Option<String> {
 }
 
 fn innovations(record: &FitRecord) -> Option<String> {
-    let found = innovation_p_values(record);
-    let adjusted = holm(&found.iter().map(|one| one.0).collect::<Vec<_>>());
-    let improbable = &found[..adjusted.iter().take_while(|p| **p < SEARCH_LEVEL).count()];
+    let all = innovation_p_values(record).count();
+    let mut least: Vec<(f64, &str, bool)> = innovation_p_values(record).filter(|one| one.0 < SEARCH_LEVEL).collect();
+    least.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(b.1)));
+    let adjusted = holm(&least.iter().map(|one| one.0).collect::<Vec<_>>(), all);
+    let improbable = &least[..adjusted.iter().take_while(|p| **p < SEARCH_LEVEL).count()];
     let mut tests: Vec<&str> = improbable.iter().map(|one| one.1).collect();
     tests.sort_unstable();
     tests.dedup();

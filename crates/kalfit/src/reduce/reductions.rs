@@ -223,9 +223,29 @@ impl Reductions {
         self.constants[number]
     }
 
-    /// Which arithmetic made it.
+    /// Which arithmetic made a test.
     pub(crate) fn path(&self, number: usize) -> Path {
         self.paths[number]
+    }
+
+    /// The same of each test.
+    pub(crate) fn paths(&self) -> &[Path] {
+        &self.paths
+    }
+
+    /// Number of steps of each test.
+    pub(crate) fn steps(&self) -> &[usize] {
+        &self.steps
+    }
+
+    /// Number of scalar measurements of each test that were used.
+    pub(crate) fn observations(&self) -> &[usize] {
+        &self.observations
+    }
+
+    /// Digest of the design of each test.
+    pub(crate) fn designs(&self) -> &[u128] {
+        &self.designs
     }
 
     /// The sum of squares that is left of a test, if it is known, and how many measurements it has.

@@ -115,6 +115,7 @@ impl BatchWorkspace {
     ) {
         each_group(reducer.preparer(), skeletons, self.lanes, |group| {
             self.take(reducer, tests, group);
+            self.name(group);
             let BatchWorkspace { layout, values, own, .. } = self;
             own.iter()
                 .zip(values.sound)
@@ -153,20 +154,27 @@ impl BatchWorkspace {
     }
 
     /// Takes tests, in place of others.
-    fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &mut [Skeleton]) {
+    fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &[Skeleton]) {
         if (self.layout.lanes == 1) != (group.len() == 1) {
             std::mem::swap(&mut self.layout, &mut self.spare.0);
             std::mem::swap(&mut self.values, &mut self.spare.1);
         }
-        let BatchWorkspace { layout, values, own, identities, .. } = self;
+        let BatchWorkspace { layout, values, .. } = self;
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
+        for (lane, skeleton) in group.iter().enumerate() {
+            // so many equal steps have a pass of their own
+            values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());
+        }
+    }
+
+    /// What the reductions of these tests have from their cells, and the digests of their designs.
+    fn name(&mut self, group: &mut [Skeleton]) {
+        let BatchWorkspace { layout, values, own, identities, .. } = self;
         own.clear();
         let steps: Vec<usize> = group.iter().map(Skeleton::len).collect();
         let digests = values.identities(layout, &steps, identities);
-        for (lane, (skeleton, digest)) in group.iter_mut().zip(digests).enumerate() {
-            // so many equal steps have a pass of their own
-            values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());
+        for (skeleton, digest) in group.iter_mut().zip(digests) {
             let covariates = std::mem::take(&mut skeleton.covariates);
             let (steps, observations) = (skeleton.len(), skeleton.instances.len());
             own.push(TestHeader { digest, covariates, steps, observations });
