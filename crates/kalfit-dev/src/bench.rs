@@ -162,7 +162,7 @@ fn reduction(states: usize, shared: bool, peak: f64) {
     let model = bench_model(states);
     let mut design_runs = 0;
     let seconds = best(5, || {
-        let mut reducer = Reducer::new(&model, &Alpha::default()).expect("the benchmark's model is sound");
+        let reducer = Reducer::new(&model, &Alpha::default()).expect("the benchmark's model is sound");
         black_box(reducer.reduce(&tests).expect("the benchmark's data are sound"));
         design_runs = reducer.work().design_runs;
     });

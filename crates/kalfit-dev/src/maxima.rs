@@ -199,7 +199,7 @@ fn probe(drawn: &DrawnModel, end: &DynamicFit, directions: usize, random: &mut C
     let parameters = &drawn.model.shared().parameters;
     let value = |values: &[f64]| -> Option<f64> {
         let alpha = Alpha { values: values.iter().map(|value| Level::Common(*value)).collect() };
-        let mut reducer = PhasedReducer::new(&drawn.model, &alpha).ok()?;
+        let reducer = PhasedReducer::new(&drawn.model, &alpha).ok()?;
         let reductions = reducer.reduce(&drawn.tests).ok()?;
         let structure = Structure::of(&drawn.model, &alpha, None);
         let fit = estimate::fit_from(&reductions, &structure, &near, &estimate::Settings::default(), &mut Silent);

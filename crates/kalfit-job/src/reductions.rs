@@ -125,7 +125,7 @@ pub(crate) fn of_all(
     work: &mut JobWork<'_>,
 ) -> Result<Reductions, Failure> {
     let failed = |error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) };
-    let mut reducer = PhasedReducer::new(model, alpha).map_err(failed)?;
+    let reducer = PhasedReducer::new(model, alpha).map_err(failed)?;
     let mut reductions = Reductions::new();
     for batch in tests.chunks(BATCH) {
         work.go_on()?;
@@ -144,6 +144,6 @@ pub(crate) fn of(
     reading: &DataReading,
 ) -> Result<Reductions, Failure> {
     PhasedReducer::new(model, alpha)
-        .and_then(|mut reducer| reducer.reduce(tests))
+        .and_then(|reducer| reducer.reduce(tests))
         .map_err(|error| Failure::Reduce { error, reading: Some(Box::new(reading.clone())) })
 }

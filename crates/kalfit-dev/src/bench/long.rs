@@ -32,7 +32,7 @@ fn time(model: &Model, test: &Test, off: bool, runs: usize) -> f64 {
     let tests = std::slice::from_ref(test);
     let seconds = best(runs, || {
         let reducer = Reducer::new(model, &Alpha::default()).expect("the benchmark's model is sound");
-        let mut reducer = if off { reducer.unfrozen() } else { reducer };
+        let reducer = if off { reducer.unfrozen() } else { reducer };
         black_box(reducer.reduce(tests).expect("the benchmark's data are sound"));
     });
     seconds * 1e9 / f64::from(ROWS)

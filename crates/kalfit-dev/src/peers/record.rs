@@ -93,7 +93,7 @@ fn model() -> Result<Model, String> {
 }
 
 fn value(model: &Model, test: &Test) -> Result<f64, String> {
-    let mut reducer = Reducer::new(model, &Alpha::default()).map_err(|error| error.to_string())?;
+    let reducer = Reducer::new(model, &Alpha::default()).map_err(|error| error.to_string())?;
     let reductions = reducer.reduce(std::slice::from_ref(test)).map_err(|error| error.to_string())?;
     Ok(reductions.get(0).constant)
 }

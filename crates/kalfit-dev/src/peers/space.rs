@@ -74,7 +74,7 @@ impl SpaceEnsemble {
         let (model, tests) = (bench_model(STATES), self.tests());
         let p = STATES - 1;
         let value = || {
-            let mut reducer = Reducer::new(&model, &Alpha::default()).map_err(|error| error.to_string())?;
+            let reducer = Reducer::new(&model, &Alpha::default()).map_err(|error| error.to_string())?;
             let reductions = reducer.reduce(&tests).map_err(|error| error.to_string())?;
             let likelihood = Likelihood::new(&reductions, p);
             Ok::<f64, String>(likelihood.at(&vec![0.0; p], &DMatrix::identity(p, p), Derivatives::First).log_likelihood)

@@ -54,7 +54,7 @@ fn filtered(
     let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
     let run = BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());
-    run.forth(backward, &work.pass.e, |step, measured, seen| {
+    run.filtered_states(backward, &work.pass.e, |step, measured, seen| {
         if measured {
             for row in step.rows.clone() {
                 let (weight, _, sensitivity) = gains.row(row);

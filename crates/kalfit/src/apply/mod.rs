@@ -89,7 +89,7 @@ impl<'a> Applied<'a> {
         }
         population.check(model)?;
         let slots = Slots::none(model.shared());
-        let mut reducer = PhasedReducer::scoring(model, alpha, &slots)?;
+        let reducer = PhasedReducer::scoring(model, alpha, &slots)?;
         let reductions = reducer.reduce(tests)?;
         let grouping = grouping(model, tests)?.map(Arc::new);
         // values are taken as they are: no structure may change them

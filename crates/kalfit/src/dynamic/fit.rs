@@ -31,12 +31,7 @@ pub fn fit(
     let slots = Slots::in_phases(model, labels, tests);
     refuse(model, tests, &slots, settings)?;
     let objective = ProfileLikelihood::new(model, tests, &slots, settings);
-    let (mut ends, first_error) = searched(&objective, progress)?;
-    let explored = match progress.stops() {
-        true => Explored::No,
-        false => explore::explore(&objective, &mut ends, start::all_given(&objective), progress)?,
-    };
-    take_up_again(&objective, &mut ends, progress);
+    let (mut ends, explored, first_error) = all_ends(&objective, progress)?;
     let Some(at) = chosen(&ends) else {
         return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
     };
@@ -66,9 +61,24 @@ pub(crate) fn fit_remote(
     finished(&objective, end, (Vec::new(), Explored::No, Vec::new()))
 }
 
+/// Where the searches end: from all starts, beyond them where that was looked for, and once more from what may lead on; with the first
+/// error of a start.
+fn all_ends(
+    objective: &ProfileLikelihood<'_>,
+    progress: &mut dyn Progress,
+) -> Result<(Vec<SearchEnd>, Explored, Option<DynamicError>), DynamicError> {
+    let (mut ends, first_error) = searched(objective, progress)?;
+    let explored = match progress.stops() {
+        true => Explored::No,
+        false => explore::explore(objective, &mut ends, start::all_given(objective), progress)?,
+    };
+    search_higher_again(objective, &mut ends, progress);
+    Ok((ends, explored, first_error))
+}
+
 /// Where an end without a certificate is higher than the best one with it, another search begins: steps that failed on the way there,
 /// or runs that were used up, may lead on from a fresh start. If they do not, all stays as it was.
-fn take_up_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
+fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
     if progress.stops() {
         return;
     }
@@ -116,9 +126,7 @@ fn finished(
 
 /// The best end of all searches as a start elsewhere; `None` where they all fail.
 pub(crate) fn best(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
-    let (mut ends, _) = searched(objective, progress).ok()?;
-    explore::explore(objective, &mut ends, start::all_given(objective), progress).ok()?;
-    take_up_again(objective, &mut ends, progress);
+    let (ends, ..) = all_ends(objective, progress).ok()?;
     chosen(&ends).map(|at| ends[at].restart())
 }
 

@@ -316,7 +316,7 @@ impl<'a> ProfileLikelihood<'a> {
         // where one value scales all noise, scores are known without a backward pass
         let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
         let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
-        self.batching.tell_steps(&mut reducer);
+        self.batching.share_steps(&mut reducer);
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         let (reductions, filtered) = match self.scale {
             Some(_) => (reducer.reduce(self.tests).map_err(Box::new)?, None), // the filters hardly run

@@ -69,8 +69,8 @@ fn counts(problem: &Problem) -> DVector<f64> {
     DVector::from_fn(p, |i, _| classes.present[classes.elements.block_of(i)].max(1.0))
 }
 
-/// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + δ: with x̂ = μ + Σr and V = Σ - ΣWΣ of each test that is
-/// Σ - Σ(ΣW - Σrr')Σ/n - sδ' - δs' + δδ', s = mean (x̂_j - old μ).
+/// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + δ, (9): as x̂_j = old μ + Σr_j and V_j = Σ - ΣW_jΣ, that is
+/// Σ - Σ (∑_j (W_j - r_j r_j')) Σ / n - sδ' - δs' + δδ', where ∑ adds over tests and s = mean (x̂_j - old μ).
 fn second_moment(
     sigma: &DMatrix<f64>,
     sums: &Sums,

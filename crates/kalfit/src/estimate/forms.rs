@@ -9,16 +9,16 @@ use nalgebra::DMatrix;
 use crate::estimate::chained::{ChainDetail, ChainTerms, Packed, Root};
 use crate::estimate::class::ClassRef;
 use crate::estimate::classes::Classes;
+use crate::estimate::each_class::map_classes_and_packed;
 use crate::estimate::listed::Listed;
 use crate::estimate::point::{Point, Regressors};
 use crate::estimate::terms::ClassTerms;
-use crate::estimate::together::in_pieces;
 use crate::linalg::parts::{ColumnWork, in_parts};
 use crate::linalg::rows::Rows;
 
 /// What `of` makes of each class and of its W: u'Wu for every column u of `directions`. Some classes by themselves, as
-/// [`in_parts`](crate::estimate::in_parts).
-pub(crate) fn forms_in_parts<T: Send>(
+/// [`in_parts`](crate::estimate::map_classes).
+pub(crate) fn map_forms<T: Send>(
     classes: &Classes,
     (regressors, point): (&Regressors, &Point),
     directions: &DMatrix<f64>,
@@ -35,7 +35,7 @@ pub(crate) fn forms_in_parts<T: Send>(
         forms.extend(directions.as_slice().chunks_exact(p.max(1)).map(form));
     };
     let root = &Root::of(&point.root);
-    let parts = in_pieces(
+    let parts = map_classes_and_packed(
         classes,
         &|| (start(), ClassTerms::new(point, regressors), Vec::new()),
         &|(made, terms, forms), k, class| {
@@ -145,7 +145,7 @@ impl<T: Lanes> OfDirections<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::in_parts as tell_in_parts;
+    use crate::estimate::map_classes as tell_in_parts;
     use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
     use nalgebra::DVector;
 
@@ -205,7 +205,7 @@ mod tests {
         let regressors: &Regressors = &[];
         let directions = DMatrix::from_fn(6, 5, |i, k| wave(8, 5 * i + k));
         let none = || Vec::new();
-        let found = forms_in_parts(&classes, (regressors, &point), &directions, &none, &|all, k, forms| {
+        let found = map_forms(&classes, (regressors, &point), &directions, &none, &|all, k, forms| {
             all.push((k, forms.to_vec()));
         });
         let expected = tell_in_parts(&classes, regressors, &point, ChainDetail::Between, &none, &|all, k, _, terms| {

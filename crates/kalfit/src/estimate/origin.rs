@@ -5,12 +5,12 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::chained::ChainDetail;
 use crate::estimate::class::{Class, ClassRef};
 use crate::estimate::classes::Classes;
+use crate::estimate::each_class::map_classes;
 use crate::estimate::order::Order;
 use crate::estimate::pass::pass;
 use crate::estimate::point::Point;
 use crate::estimate::remote;
 use crate::estimate::terms::ClassTerms;
-use crate::estimate::together::in_parts;
 
 /// Of a class its number of tests and, for each element i, Σ (y - Jμ)_i² - J_ii over them, which has the mean Σ (JΣJ)_ii, and J_ii of
 /// one of them.
@@ -81,7 +81,7 @@ impl Classes {
             let one = |at: usize| (terms.outer[at] - class.count * terms.W[at], terms.W[at]);
             told.push((k, (class.count, (0..p).map(|i| one(i * p + i)).collect())));
         };
-        let parts = in_parts(self, &[], &point, ChainDetail::Phases, &Vec::new, &of);
+        let parts = map_classes(self, &[], &point, ChainDetail::Phases, &Vec::new, &of);
         let mut told: Vec<(usize, Excess)> = parts.into_iter().flatten().collect();
         told.sort_unstable_by_key(|(k, _)| *k);
         told.into_iter().map(|(_, told)| told).collect()

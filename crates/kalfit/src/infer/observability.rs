@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use crate::estimate::{Classes, CoordinateForm, PhaseForm, Point, Problem, Summed, forms_in_parts};
+use crate::estimate::{Classes, CoordinateForm, PhaseForm, Point, Problem, Summed, map_forms};
 use crate::infer::direction::{NONE, unit};
 use crate::infer::observed::{PART, column_norm, observe};
 use crate::linalg::symmetric;
@@ -300,7 +300,7 @@ impl Shares<'_> {
         let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
         let (regressors, point) = (&self.problem.mean.regressors, self.point);
         let none = || Parts::none(directions.ncols());
-        let parts = forms_in_parts(classes, (regressors, point), &directions, &none, &|parts, k, forms| {
+        let parts = map_forms(classes, (regressors, point), &directions, &none, &|parts, k, forms| {
             let tests = classes.tests_of(k);
             for (c, &own) in forms.iter().enumerate() {
                 parts.totals[c] += own * tests.len() as f64;

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, in_parts};
+use crate::estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, map_classes};
 use crate::linalg::{posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
 
@@ -62,7 +62,7 @@ fn of_classes(
         let test = classes.tests_of(k)[0];
         found.push((test, posterior((problem, point, &sigma), terms, class, reductions.get(test))));
     };
-    in_parts(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &Vec::new, &told)
+    map_classes(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &Vec::new, &told)
         .into_iter()
         .flatten()
         .collect()

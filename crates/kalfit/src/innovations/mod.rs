@@ -35,7 +35,7 @@ pub(crate) use chained::ChainedFilter;
 pub(crate) use law::EnteringLaw;
 
 use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{PhasedTest, ReduceError, of_shape, refuse, share};
+use crate::reduce::{PhasedTest, ReduceError, chunk_size, of_shape, refuse};
 
 /// Innovations of all tests, in their order; `None` of a test all of whose phases are given by estimates or reductions: what was
 /// measured is no longer known there. Neither is what was measured in a phase with a filter of its own, whose estimates are
@@ -75,7 +75,7 @@ impl InnovationFilter {
         let Some(filter) = &self.0 else { return tests.iter().map(|_| Ok(None)).collect() };
         let rows = tests.iter().map(PhasedTest::row_count).sum();
         let batches: Vec<Vec<Result<Option<Innovations>, ReduceError>>> = tests
-            .par_chunks(share(tests.len(), rows))
+            .par_chunks(chunk_size(tests.len(), rows))
             .map_init(|| filter.workspace(), |room, tests| filter.innovations(tests, room))
             .collect();
         batches.into_iter().flatten().collect()

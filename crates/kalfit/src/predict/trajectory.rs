@@ -113,7 +113,7 @@ impl Propagator {
                 BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
             let mut steps = forms.into_iter();
             let mut trajectory = Vec::with_capacity(work.design.steps());
-            run.forth(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
+            run.filtered_states(&mut BackwardWork::default(), &work.pass.e, |_, measured, seen| {
                 if !measured && let Some((rows, time, forms)) = steps.next() {
                     let state = Reached::new(seen, &entering);
                     let values = forms.iter().map(|(subject, form)| state.value((*subject, rows.start), form));

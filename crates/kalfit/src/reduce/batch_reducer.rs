@@ -5,21 +5,23 @@ use rayon::prelude::*;
 
 use crate::ensemble::Test;
 use crate::reduce::Reductions;
-use crate::reduce::blocks::batch_workspace::BatchWorkspace;
+use crate::reduce::batches::batch_workspace::BatchWorkspace;
+use crate::reduce::chunk_size::chunk_size;
 use crate::reduce::error::ReduceError;
 use crate::reduce::prepare::{Skeleton, Workspace};
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::Reducer;
 use crate::reduce::replicates::Replicates;
-use crate::reduce::share::share;
 
-/// Batches that are reduced before what they say goes where all is: there is never much of it twice.
+/// Chunks of tests that are reduced before what they say goes where all is: there is never much of it twice.
 const BATCHES: usize = 128;
+/// The same of lists of replicates.
 const LISTS: usize = 32;
 
 /// Tests with designs of their own that are put in order together, for each lane: they fill lanes with their like, and need no room of
-/// their own for long. Long ones are fewer: so many steps.
+/// their own for long.
 const TOGETHER: usize = 4;
+/// Fewer, where they have so many steps.
 const STEPS: usize = 1 << 18;
 
 /// Reduces batches of tests with designs of their own.
@@ -35,7 +37,7 @@ struct BatchReducer<'a> {
 
 impl Reducer {
     /// The reductions of tests, in their order; of several tests in error, the first one's error.
-    pub fn reduce(&mut self, tests: &[Test]) -> Result<Reductions, ReduceError> {
+    pub fn reduce(&self, tests: &[Test]) -> Result<Reductions, ReduceError> {
         self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
@@ -52,10 +54,10 @@ impl Reducer {
     /// What is found of those tests that `replicates` names.
     pub(crate) fn reduce_each(&self, tests: &[&Test], replicates: &Replicates) -> ReducedTests {
         let (mut all, many, alone) = (ReducedTests::default(), replicates.len(), &replicates.alone);
-        let share = share(alone.len(), alone.iter().map(|&number| tests[number].rows()).sum());
-        for some in alone.chunks(BATCHES * share) {
+        let size = chunk_size(alone.len(), alone.iter().map(|&number| tests[number].rows()).sum());
+        for some in alone.chunks(BATCHES * size) {
             let own = |batch: &mut BatchReducer<'_>, numbers: &[usize]| batch.reduce(tests, numbers);
-            all.take(some.par_chunks(share).map_init(|| BatchReducer::new(self), own).collect(), many);
+            all.take(some.par_chunks(size).map_init(|| BatchReducer::new(self), own).collect(), many);
         }
         for lists in replicates.lists().chunks(LISTS) {
             let set = |(mut work, mut found): (Workspace, ReducedTests), set: &&[usize]| {
@@ -217,7 +219,7 @@ mod tests {
                 let row: Vec<f64> = model.columns.iter().map(|column| &*column.name).map(cell).collect();
                 test.push(&row, &[], Source::default());
             }
-            let mut reducer = Reducer::new(&model, &Alpha::default()).expect("sound");
+            let reducer = Reducer::new(&model, &Alpha::default()).expect("sound");
             let found: Reduction = reducer.reduce(std::slice::from_ref(&test)).expect("sound").get(0).into();
             if found.path == Path::SquareRoot {
                 continue;

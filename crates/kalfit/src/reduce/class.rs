@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::reduce::design::Design;
 use crate::reduce::gains::Gains;
 use crate::reduce::root::RootError;
-use crate::reduce::shared::StoreEntry;
+use crate::reduce::shared_store::StoreEntry;
 use crate::reduce::terminal::TerminalRoot;
 
 /// A design class: a design with its gains, as they are kept.

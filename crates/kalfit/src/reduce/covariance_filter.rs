@@ -81,6 +81,6 @@ impl<T: Lanes> CovarianceFilter<T> {
         kernel::sensitivity(frame, terms, Psi, T);
         kernel::correct(frame.p, K, T, Psi);
         kernel::inform(T, weight, &mut sums.J);
-        sums.scale(weight.recip_or_zero());
+        sums.times_determinant(weight.recip_or_zero());
     }
 }

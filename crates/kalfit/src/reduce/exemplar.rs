@@ -4,11 +4,11 @@ use kalfit_lanes::Isa;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
+use crate::reduce::chunk_size::chunk_size;
 use crate::reduce::class::DesignClass;
 use crate::reduce::prepare::Workspace;
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
-use crate::reduce::share::share;
 
 /// Most measurements of tests that are reduced so: they and their innovations stand there for each lane.
 const MOST_ROWS: usize = 1 << 22;
@@ -16,7 +16,7 @@ const MOST_ROWS: usize = 1 << 22;
 /// Rows that are not worth several threads.
 const FEW_ROWS: usize = 1 << 15;
 
-/// What replicates share.
+/// What replicates size.
 #[derive(Debug)]
 struct DesignExemplar {
     class: DesignClass,
@@ -46,12 +46,12 @@ impl Reducer {
             odd.into_iter().for_each(|number| found.note(number, self.to_end(tests[number], work)));
         };
         let rows = set.len() * first.rows();
-        let share = match exemplar {
+        let size = match exemplar {
             Some(_) if rows <= FEW_ROWS => set.len(),
-            Some(_) => share(set.len(), rows).next_multiple_of(lanes),
-            None => share(set.len(), rows),
+            Some(_) => chunk_size(set.len(), rows).next_multiple_of(lanes),
+            None => chunk_size(set.len(), rows),
         };
-        if set.len() <= share {
+        if set.len() <= size {
             return some(work, set, found);
         }
         let part = |work: &mut Workspace, numbers: &[usize]| {
@@ -59,7 +59,7 @@ impl Reducer {
             some(work, numbers, &mut found);
             found
         };
-        let parts = set.par_chunks(share).map_init(|| self.workspace(), part).collect();
+        let parts = set.par_chunks(size).map_init(|| self.workspace(), part).collect();
         found.take(parts, found.numbers.len() + set.len());
     }
 }
@@ -111,7 +111,7 @@ impl DesignExemplar {
                     continue;
                 }
                 let about = ReductionHeader::new(gains, &work.covariates, (self.steps, self.digest));
-                found.reductions.put(reducer.row(tests[number], &outcome, about));
+                found.reductions.put(reducer.counted_reduction(tests[number], &outcome, about));
                 found.numbers.push(number);
                 found.terminals.extend(reducer.ending(class, work.block.last(lane, &work.room)));
             }
@@ -153,7 +153,7 @@ mod tests {
         let columns: Vec<&str> = model.columns.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(columns, ["z", "t"], "the order of the cells of a row");
         let mut tests: Vec<Test> = (0..13).map(record).collect();
-        let mut reducer = Reducer::new(model, &Alpha::default()).expect("sound");
+        let reducer = Reducer::new(model, &Alpha::default()).expect("sound");
         let one = |test: &Test| reducer.reduce(std::slice::from_ref(test)).expect("sound");
         let alone = Reductions::joined(tests.iter().map(one).collect());
         let together = reducer.reduce(&tests).expect("sound");

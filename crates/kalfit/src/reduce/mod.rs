@@ -16,14 +16,14 @@
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
 //! Test ── prepare ──> Design + Data                      steps; matrix exponentials once per length and coefficients
-//! Design ── design_pass (lanes, root) ──> Gains          S, K, T, P, J: once per design class
-//! Gains + Data ── lanes (pass, scan) ──> Reduction       e, x̂, y: once per test
+//! Design ── design_pass, else root ──> Gains             S, K, T, P, J: once per design class
+//! Gains + Data ── lanes (pass, least_squares) ──> Reduction    e, x̂, y, then d: once per test
 //! ```
 //!
 //! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for one number and for lanes
-//! (`root`, of square roots, has its own), and go over the steps in a `covariance_filter`: of one design in `design_pass`, of designs of
-//! one shape side by side in `lanes`. Innovations, x̂ and y are in `lanes`, of one test or of many. One test has the bits that it has in
-//! a lane. Designs that covariances lose digits of go through `root`.
+//! (`root`, of square roots, has its own for P and J), and go over the steps in a `covariance_filter`: of one design in `design_pass`, of
+//! designs of one shape side by side in `lanes` (`design_batch`). Innovations, x̂ and y are in `lanes`, of one test or of many; equal
+//! steps go through a `scan`. One test has the bits that it has in a lane. Designs that covariances lose digits of go through `root`.
 //!
 //! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
 //!
@@ -35,7 +35,7 @@
 //!
 //! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch_reducer, [`kalfit_lanes`]).
 //! Tests that differ in nothing but what was measured are found before (replicates): one of them is evaluated, and all have one data
-//! pass (exemplar, lanes); tests of designs of their own are evaluated, filtered and whitened side by side (blocks): their steps are found
+//! pass (exemplar, lanes); tests of designs of their own are evaluated, filtered and whitened side by side (batches): their steps are found
 //! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on what else is in
 //! the batch.
 //!
@@ -43,14 +43,14 @@
 //! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
 
 mod batch_reducer;
-mod blocks;
+mod batches;
 mod carry;
 mod cell_mask;
 mod chain;
+mod chunk_size;
 mod class;
 mod covariance_filter;
 mod data;
-mod data_pass;
 mod design;
 mod design_pass;
 mod digest;
@@ -71,6 +71,7 @@ mod moment_path;
 mod motion;
 mod observe;
 mod order;
+mod outcome;
 mod part;
 mod path;
 mod phased;
@@ -89,8 +90,7 @@ mod scan;
 mod schedule;
 mod semidefinite;
 mod settling;
-mod share;
-mod shared;
+mod shared_store;
 mod split;
 mod stack;
 mod start;
@@ -117,9 +117,10 @@ pub use split::SplitError;
 pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 pub use terminal::Terminal;
 
-pub(crate) use blocks::FilteredBatch;
-pub(crate) use blocks::batch_workspace::{BatchWorkspace, EnteringMoments};
+pub(crate) use batches::FilteredBatch;
+pub(crate) use batches::batch_workspace::{BatchWorkspace, EnteringMoments};
 pub(crate) use carry::Inherits;
+pub(crate) use chunk_size::chunk_size;
 pub(crate) use data::Data;
 pub(crate) use design::{Design, DesignStep, Pattern, StateFrame, Stretch, Transition, TransitionView, same_bits};
 pub(crate) use dynamics::{Component, Table};
@@ -141,13 +142,12 @@ pub(crate) use replicates::Replicates;
 pub(crate) use scan::{InvariantStep, Scan, with_states};
 pub(crate) use semidefinite::ldl;
 pub(crate) use settling::{SteadyState, SteadyStateMonitor};
-pub(crate) use share::share;
-pub(crate) use shared::SharedStore;
+pub(crate) use shared_store::SharedStore;
 pub(crate) use start::{LawAdjoint, StartAdjoint};
 pub(crate) use steps::GatheredCells;
 pub(crate) use subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 #[cfg(test)]
 pub(crate) use {
-    data_pass::outcome, design::DENSE, design_pass::information_gains, lanes::DataWorkspace, root::root_gains,
+    design::DENSE, design_pass::information_gains, lanes::DataWorkspace, outcome::outcome, root::root_gains,
     schedule::GainsWork,
 };

@@ -1,7 +1,7 @@
 //! Tests in phases → reductions: each phase by its own filter, then all of them together (theory §7).
 
-mod batch;
-mod blocks;
+mod batches;
+mod reduce;
 mod replicates;
 mod whole;
 
@@ -20,7 +20,7 @@ use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{Evidence, PhaseReduction, PhasedTest, Reductions};
 
-pub(crate) use blocks::{FilteredPhases, PhasedBatches};
+pub(crate) use batches::{FilteredPhases, PhasedBatches};
 pub(crate) use replicates::PhaseReplicates;
 
 /// Reduces the tests of a model in phases at α.
@@ -92,7 +92,7 @@ impl PhasedReducer {
     }
 
     /// Takes the steps that are known of the tests of each phase, and leaves what it finds with them.
-    pub(crate) fn knowing(&mut self, steps: &[Arc<KnownSteps>]) {
+    pub(crate) fn share_steps(&mut self, steps: &[Arc<KnownSteps>]) {
         for (phase, steps) in self.phases.iter_mut().zip(steps) {
             phase.reducer.share_steps(steps.clone());
         }
@@ -142,7 +142,7 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// As [`PhasedReducer::reduce`].
-    pub fn pieces(&mut self, tests: &[PhasedTest]) -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
+    pub fn pieces(&self, tests: &[PhasedTest]) -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
         self.each(tests, &|test, work| self.pieces_of(test, work))
     }
 
@@ -160,7 +160,7 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// As [`PhasedReducer::reduce`].
-    pub fn reduce_designs(&mut self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
+    pub fn reduce_designs(&self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
         let all = self.each(tests, &|test, work| {
             let mut reduction = self.whole(test, self.parts(test, Vec::new(), work, true))?;
             reduction.constant = 0.0;

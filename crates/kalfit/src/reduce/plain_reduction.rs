@@ -5,13 +5,13 @@ use std::sync::Arc;
 use nalgebra::DMatrix;
 
 use crate::reduce::data::Data;
-use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::information_gains;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::observe::whiten;
+use crate::reduce::outcome::outcome;
 use crate::reduce::path::Path;
 use crate::reduce::plain::Plain;
 use crate::reduce::plain_order::PlainOrder;
@@ -121,8 +121,7 @@ impl Plain {
                 }
                 design.ends.push(design.states.len());
                 design.noise.push(step.noise[(i, i)]);
-                data.values.push(step.values[i] - step.constant[i]);
-                data.sizes.push(step.values[i].abs() + step.constant[i].abs());
+                data.take(step.values[i], step.constant[i]);
                 rows.push(k);
             }
             let covariances: Vec<(usize, usize, f64)> = (0..kept.len())

@@ -20,7 +20,7 @@ use crate::reduce::motion::{Filled, MotionPlan, Moves};
 use crate::reduce::observe::{Meters, Observed};
 use crate::reduce::order::Order;
 use crate::reduce::schedule::GainsWork;
-use crate::reduce::shared::SharedStore;
+use crate::reduce::shared_store::SharedStore;
 use crate::reduce::start::{ModelStart, StartMoments};
 use crate::reduce::steps::{GatheredCells, StepSpan, spans};
 use crate::reduce::subject::{Fault, ModelAt, Subject, Uses};
@@ -95,8 +95,9 @@ pub(crate) struct Workspace {
     /// whitened.
     pub(crate) covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
+    /// Of this test by itself.
     pub(crate) pass: DataWorkspace,
-    /// For replicates.
+    /// Of replicates, and of any tests side by side.
     pub(crate) block: DataBlock,
     pub(crate) room: DataWorkspace,
     spans: Vec<StepSpan>,

@@ -7,7 +7,6 @@ use crate::ensemble::Test;
 use crate::model::{Alpha, Model, Slots};
 use crate::reduce::class::{DesignClass, class_bytes};
 use crate::reduce::data::{Data, Miss, Outcome};
-use crate::reduce::data_pass::outcome;
 use crate::reduce::design::Design;
 use crate::reduce::design_pass::information_gains;
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
@@ -15,9 +14,10 @@ use crate::reduce::gains::Gains;
 use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::lanes::innovations;
+use crate::reduce::outcome::outcome;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::root::{RootError, root_gains};
-use crate::reduce::shared::SharedStore;
+use crate::reduce::shared_store::SharedStore;
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::terminal::TerminalState;
 use crate::reduce::{Path, Reduction, ReductionRef};
@@ -68,7 +68,7 @@ impl<'a> ReductionHeader<'a> {
     }
 
     /// The reduction of a test.
-    fn row(self, test: &'a Test, outcome: &'a Outcome) -> ReductionRef<'a> {
+    fn reduction(self, test: &'a Test, outcome: &'a Outcome) -> ReductionRef<'a> {
         ReductionRef {
             test: &test.id,
             constant: outcome.constant,
@@ -90,7 +90,7 @@ impl<'a> ReductionHeader<'a> {
 pub struct Work {
     /// Designs whose covariance filter was run.
     pub design_runs: u64,
-    /// Those of them that were run again in square-root arrays.
+    /// Runs in square-root arrays; a design that is not kept may be run more than once.
     pub root_runs: u64,
     /// Data recursions run: one for each test.
     pub data_runs: u64,
@@ -178,7 +178,7 @@ impl Reducer {
         self.unfrozen
     }
 
-    /// The reduction of a design and its class: information and covariates as of [`Reducer::one`], from times, inputs and which
+    /// The reduction of a design and its class: information and covariates as of [`Reducer::reduce_one`], from times, inputs and which
     /// values are missing. What was measured is not looked at, and `data` and `constant` are zero.
     pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
         self.with_class(test, (work, false), |digest, gains, work| {
@@ -187,7 +187,7 @@ impl Reducer {
             }
             let outcome = Outcome { data: vec![0.0; work.design.frame.p], ..Outcome::default() };
             let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
-            Ok(Reduction { residual: None, ..about.row(test, &outcome).into() })
+            Ok(Reduction { residual: None, ..about.reduction(test, &outcome).into() })
         })
     }
 
@@ -241,17 +241,21 @@ impl Reducer {
     }
 
     /// The reduction of a test, and its class; x̂_K is left in the work space.
-    pub(crate) fn one(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
+    pub(crate) fn reduce_one(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+    ) -> Result<(Reduction, DesignClass), ReduceError> {
         self.with_class(test, (work, false), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
     /// The same with where the test ends, if that is wanted.
     pub(crate) fn to_end(&self, test: &Test, work: &mut Workspace) -> ToEnd {
-        let (reduction, class) = self.one(test, work)?;
+        let (reduction, class) = self.reduce_one(test, work)?;
         Ok((reduction, self.ending(&class, work.pass.x.iter().copied())))
     }
 
-    /// [`Reducer::one`] of a test whose design is known to call for square-root arrays.
+    /// [`Reducer::reduce_one`] of a test whose design is known to call for square-root arrays.
     pub(crate) fn reduce_by_root(
         &self,
         test: &Test,
@@ -291,13 +295,18 @@ impl Reducer {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
         let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
-        Ok(self.row(test, &outcome, about).into())
+        Ok(self.counted_reduction(test, &outcome, about).into())
     }
 
-    /// The reduction of a test.
-    pub(crate) fn row<'a>(&self, test: &'a Test, outcome: &'a Outcome, about: ReductionHeader<'a>) -> ReductionRef<'a> {
+    /// The reduction of a test; counts its data run.
+    pub(crate) fn counted_reduction<'a>(
+        &self,
+        test: &'a Test,
+        outcome: &'a Outcome,
+        about: ReductionHeader<'a>,
+    ) -> ReductionRef<'a> {
         self.data_runs.fetch_add(1, Ordering::Relaxed);
-        about.row(test, outcome)
+        about.reduction(test, outcome)
     }
 
     /// A fault of a test, with names.

@@ -34,11 +34,11 @@ impl<R: Real> InformationSums<R> {
     pub(crate) fn count(&mut self, S: R, kept: R) {
         self.kept = self.kept.minimum(kept);
         self.least = self.least.minimum(S);
-        self.scale(S);
+        self.times_determinant(S);
     }
 
     #[inline(always)]
-    pub(super) fn scale(&mut self, S: R) {
+    pub(super) fn times_determinant(&mut self, S: R) {
         let (mantissa, exponent) = (self.mantissa * S.or_one()).split();
         (self.mantissa, self.exponent) = (mantissa, self.exponent + exponent);
     }

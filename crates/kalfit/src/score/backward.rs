@@ -6,14 +6,16 @@
 //! ```text
 //! u = ē/S - K'r        υ = TC/S - K'ρ        D = 1/S + K'NK
 //! ∂ℓ/∂R = ½(u² + υυ' - D)        ∂ℓ/∂d = u
+//! r ← r + hu        ρ ← ρ + hυ
 //! ∂ℓ/∂h = u (x̄⁻ + P⁻r) - (Ψ⁻C - P⁻ρ)υ' - P⁻(h/S - (I-Kh')'NK)
-//! r ← r + hu        ρ ← ρ + hυ        N ← hh'/S + (I-Kh')'N(I-Kh')
+//! N ← hh'/S + (I-Kh')'N(I-Kh')
 //! ∂ℓ/∂Q = ½(rr' + ρρ' - N)        ∂ℓ/∂b = r
 //! ∂ℓ/∂φ = r (x̄ + Pφ'r)' - ρ(ΨC - Pφ'ρ)' - NφP
 //! r ← φ'r        ρ ← φ'ρ        N ← φ'Nφ
 //! ```
 //!
-//! with r, ρ, N of later steps on the right, one scalar measurement after the other; r, u, ρ, υ are the theory's r̄, ū, ρC, υC.
+//! line by line from the top, beginning with the r, ρ, N of later steps, one scalar measurement after the other, the last one first
+//! (in the line of ∂ℓ/∂φ, r and ρ are those before φ'r and φ'ρ); r, u, ρ, υ are the theory's r̄, ū, ρC, υC.
 //! After the last step they are zero, or what later phases say of the state there ([`TerminalAdjoint`]).
 //!
 //! The steps of flat arrays stand in `kernel`, `filtered` and `adjoint`, for one test and for lanes (`batch`).
@@ -32,9 +34,9 @@ mod equal;
 mod equal_backward;
 mod filtered;
 mod forward;
+mod input;
 mod kernel;
 mod record_segments;
-mod run;
 mod scalar_measurement;
 mod sink;
 mod smooth;
@@ -50,9 +52,9 @@ pub(crate) use batch::{BatchAdjoints, BatchBackward};
 pub(crate) use data_adjoint::DataSums;
 pub(crate) use equal::EqualStretch;
 pub(crate) use filtered::FilterSnapshot;
-pub(crate) use kernel::{absorb, back, smoothing_error};
+pub(crate) use input::{AdjointsWanted, BackwardInput, TerminalAdjoint};
+pub(crate) use kernel::{absorb, advance_transposed, smoothing_error};
 pub(crate) use record_segments::{RecordSegment, RecordSegments};
-pub(crate) use run::{AdjointsWanted, BackwardInput, TerminalAdjoint};
 pub(crate) use sink::{MeasurementAdjoint, Sink, TransitionAdjoint};
 pub(crate) use smooth::{Smoothed, SmoothedNoise, SmoothedTest};
 pub(crate) use work::BackwardWork;
@@ -83,7 +85,7 @@ impl BackwardInput<'_> {
                 SegmentKind::Steps => self.steps_back(&part, at + 1 < work.parts.len(), work, sink)?,
             }
         }
-        work.adjoint.variance(&self.unknown(), &mut work.variance);
+        work.adjoint.start_covariance_adjoint(&self.unknown(), &mut work.variance);
         sink.started(&work.adjoint.r, &work.variance)
     }
 
@@ -97,7 +99,7 @@ impl BackwardInput<'_> {
     ) -> Result<(), S::Error> {
         if again && self.tracked() {
             work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
-            self.steps_forth(part, work);
+            self.forward_steps(part, work);
         }
         let BackwardWork { e, left, before, adjoint, measured, moved, .. } = work;
         let stride = self.stride();

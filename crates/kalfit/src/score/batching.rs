@@ -24,12 +24,12 @@ impl Batching {
     }
 
     /// Lets a reducer know what steps the tests have, as far as they were found before.
-    pub(crate) fn tell_steps(&self, reducer: &mut PhasedReducer) {
+    pub(crate) fn share_steps(&self, reducer: &mut PhasedReducer) {
         let phases = reducer.phases().len();
-        reducer.knowing(self.steps.get_or_init(|| (0..phases).map(|_| Arc::default()).collect()));
+        reducer.share_steps(self.steps.get_or_init(|| (0..phases).map(|_| Arc::default()).collect()));
     }
 
-    /// The reductions at the α of a reducer that knows the slots, and what the scores of tests in blocks go back over.
+    /// The reductions at the α of a reducer that knows the slots, and what the scores of tests in batches go back over.
     pub(crate) fn reduce(
         &self,
         (model, slots): (&PhasedModel, &Slots),

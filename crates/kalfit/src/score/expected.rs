@@ -6,7 +6,7 @@
 //! ```
 //!
 //! up to a constant. Where a covariance is singular its range counts, and the noise must lie in it: what the complete data
-//! determine cannot move. The gradient goes through the same chain as that of ℓ.
+//! determine cannot move. The gradient goes through the same pullback as that of ℓ.
 
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! dℓ/dα of a test, exactly, by one backward pass (theory §6), whatever the number of parameters.
 //!
 //! ```text
-//! Test at α, moments (x̂, V) of ξ ── backward ──> adjoints of φ, Q, M, R, b, d, a, P0 ── chain ──> dℓ/dα
+//! Test at α, moments (x̂, V) of ξ ── backward ──> adjoints of φ, Q, M, R, b, d, a, P0 ── pullback ──> dℓ/dα
 //! ```
 
 mod backward;
@@ -42,15 +42,15 @@ pub(crate) use smoother::{PhaseLaws, SmootherPlan};
 #[derive(Debug)]
 pub(crate) struct Scorer<'a> {
     reducer: &'a Reducer,
-    chain: Pullback<'a>,
+    pullback: Pullback<'a>,
 }
 
 impl<'a> Scorer<'a> {
     /// `reducer` must know the slots ([`Reducer::scoring`]).
     pub(crate) fn new(reducer: &'a Reducer, slots: &'a Slots) -> Result<Scorer<'a>, ReduceError> {
-        let chain =
+        let pullback =
             Pullback::new(reducer.preparer(), slots).map_err(|fault| fault.name(&reducer.preparer().model, None))?;
-        Ok(Scorer { reducer, chain })
+        Ok(Scorer { reducer, pullback })
     }
 
     /// What a phase's later ones say of its last state, where there are any.
@@ -74,9 +74,9 @@ impl<'a> Scorer<'a> {
         ending
     }
 
-    /// What the chain rule asks of a backward pass.
+    /// What the pullback asks of a backward pass.
     fn wanted(&self) -> AdjointsWanted {
-        AdjointsWanted { motion: self.chain.needs_rates(), equation: self.chain.needs_equation() }
+        AdjointsWanted { motion: self.pullback.needs_rates(), equation: self.pullback.needs_equation() }
     }
 
     /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
@@ -88,8 +88,8 @@ impl<'a> Scorer<'a> {
     ) -> Result<Gradient, ReduceError> {
         backward.set_unfrozen(self.reducer.is_unfrozen());
         let result = self.reducer.with_gains(test, work, |gains, work| {
-            let run = BackwardInput::of((work, gains), (moments, ending), self.wanted());
-            let done = run.backward(backward, &mut PullbackSink { adjoints, test, work });
+            let input = BackwardInput::of((work, gains), (moments, ending), self.wanted());
+            let done = input.backward(backward, &mut PullbackSink { adjoints, test, work });
             adjoints.finished(done, test, work)
         })?;
         result.map_err(|fault| self.reducer.named(*fault, test))
@@ -106,7 +106,7 @@ struct PullbackSink<'a, 'b> {
 impl Sink for PullbackSink<'_, '_> {
     type Error = Box<Fault>;
 
-    fn sums(&mut self, steps: Range<usize>) -> bool {
+    fn accepts_sums(&mut self, steps: Range<usize>) -> bool {
         self.adjoints.uniform(self.test, steps, self.work)
     }
 

@@ -7,7 +7,7 @@
 //!
 //! Phases that are known by estimates or by a reduction have no part in it.
 
-mod blocks;
+mod batches;
 mod design_classes;
 #[cfg(test)]
 mod tests;
@@ -151,7 +151,7 @@ impl<'a> PhasedScorer<'a> {
         ScoreWorkspace {
             work: self.reducer.workspace(),
             backward: BackwardWork::default(),
-            adjoints: self.phases.iter().map(|phase| phase.chain.adjoints()).collect(),
+            adjoints: self.phases.iter().map(|phase| phase.pullback.adjoints()).collect(),
             tape: Tape::default(),
         }
     }

@@ -100,7 +100,7 @@ impl<'a> Pullback<'a> {
         let reads: BTreeSet<CellRead> = values.iter().flatten().flat_map(|&tap| taps.reads(tap)).copied().collect();
         let free = values.iter().map(Option::is_some).collect();
         let cells = taps.all_reads();
-        let mut chain = Pullback {
+        let mut pullback = Pullback {
             preparer,
             slots,
             taps,
@@ -114,8 +114,8 @@ impl<'a> Pullback<'a> {
             start,
             needs: Needs::default(),
         };
-        chain.needs = chain.find_needs();
-        Ok(chain)
+        pullback.needs = pullback.find_needs();
+        Ok(pullback)
     }
 
     fn find_needs(&self) -> Needs {

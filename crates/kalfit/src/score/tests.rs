@@ -61,7 +61,7 @@ fn law() -> InitialLaw {
 impl Scorer<'_> {
     /// dℓ_j/dα of each test, one by one, with the moments of its ξ.
     fn scores(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Gradient>, ReduceError> {
-        let room = || (self.reducer.workspace(), BackwardWork::default(), self.chain.adjoints());
+        let room = || (self.reducer.workspace(), BackwardWork::default(), self.pullback.adjoints());
         let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {
             let (work, backward, adjoints) = room;
             self.alone(test, (moments, None), (work, backward, adjoints))
@@ -72,7 +72,7 @@ impl Scorer<'_> {
 
 fn at(model: &Model, slots: &Slots, values: &[f64], test: &Test, unfrozen: bool) -> (f64, Gradient) {
     let reducer = Reducer::scoring(model, &slots.alpha(model, values), slots).expect("sound");
-    let mut reducer = if unfrozen { reducer.unfrozen() } else { reducer };
+    let reducer = if unfrozen { reducer.unfrozen() } else { reducer };
     let tests = std::slice::from_ref(test);
     let reductions = reducer.reduce(tests).expect("sound");
     let moments = vec![moments(reductions.get(0), &law())];
@@ -158,7 +158,7 @@ fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
     let tests: Vec<Test> = (0..4).map(|k| record(3000 + 700 * k)).collect();
     let model = model(6);
     let slots = Slots::new(&model, &Labels::default(), &tests);
-    let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES), &slots).expect("sound");
+    let reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES), &slots).expect("sound");
     let reductions = reducer.reduce(&tests).expect("sound");
     let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
     let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
@@ -199,7 +199,7 @@ fn long_records_that_are_alike_are_scored_as_one_by_one() {
     let models = [1, 4, 6].into_iter().map(|free| (free, model(free), VALUES)).chain([(1, decaying(), [20.0; 6])]);
     for (free, model, values) in models {
         let slots = Slots::new(&model, &Labels::default(), &tests);
-        let mut reducer = Reducer::scoring(&model, &slots.alpha(&model, &values[..free]), &slots).expect("sound");
+        let reducer = Reducer::scoring(&model, &slots.alpha(&model, &values[..free]), &slots).expect("sound");
         let reductions = reducer.reduce(&tests).expect("sound");
         let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
         let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
@@ -207,7 +207,7 @@ fn long_records_that_are_alike_are_scored_as_one_by_one() {
             |(test, moments): (_, &Moments)| ClassMember { test, mean: moments.mean.clone(), ending: Vec::new() };
         let told: Vec<ClassMember<'_>> = tests.iter().zip(&moments).map(told).collect();
         let (mut work, mut backward, mut adjoints) =
-            (reducer.workspace(), BackwardWork::default(), scorer.chain.adjoints());
+            (reducer.workspace(), BackwardWork::default(), scorer.pullback.adjoints());
         let room = (&mut work, &mut backward, &mut adjoints);
         let together = scorer.of_class(&told, (&moments[0], None), room).expect("sound").expect("they are alike");
         let alone = scorer.scores(&tests, &moments).expect("sound");

@@ -464,7 +464,7 @@ fn threads_batches_and_the_order_of_tests_change_no_bit() {
     let mut tests: Vec<PhasedTest> = (0..60).map(|id| another(&journey, id, &mut rng)).collect();
     tests[7].phases.truncate(1);
     let expected = reduce_all(&journey.model, &tests);
-    let mut reducer = reducer(&journey.model);
+    let reducer = reducer(&journey.model);
     let mut one_by_one = Reductions::new();
     for test in tests.iter().rev() {
         one_by_one.append(reducer.reduce(std::slice::from_ref(test)).expect("sound"));

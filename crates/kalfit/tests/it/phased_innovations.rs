@@ -57,7 +57,7 @@ fn their_densities_add_up_to_the_likelihood_of_the_test() {
     for seed in 0..8 {
         let initial = Population { coefficients: Vec::new(), ..population(roots(seed)) };
         let tests = drawn(seed, 4);
-        let mut reducer = PhasedReducer::new(&model, &Alpha::default()).expect("sound");
+        let reducer = PhasedReducer::new(&model, &Alpha::default()).expect("sound");
         let reductions = reducer.reduce(&tests).expect("sound");
         let found = innovations(&model, &Alpha::default(), &initial, &tests).expect("sound");
         for (reduction, one) in reductions.iter().zip(found) {
@@ -109,7 +109,7 @@ fn company_order_and_threads_change_no_bit() {
         assert_eq!(reduce(alone).get(0), reduced.get(j), "test {j} by itself");
         assert_eq!(run(&initial, alone)[0], found[j], "innovations of test {j} by itself");
     }
-    let mut reducer = PhasedReducer::new(&model, &Alpha::default()).expect("sound");
+    let reducer = PhasedReducer::new(&model, &Alpha::default()).expect("sound");
     let pieces = reducer.pieces(&tests).expect("sound");
     let known = tests.iter().zip(pieces).map(|(test, pieces)| PhasedTest {
         id: test.id.clone(),
@@ -124,7 +124,7 @@ fn company_order_and_threads_change_no_bit() {
 fn a_phase_that_is_reduced_has_no_innovations_and_is_known_to_the_others() {
     let (tests, initial) = (drawn(0, 2), population(roots(0)));
     let whole = run(&initial, &tests);
-    let mut reducer = PhasedReducer::new(&model(), &Alpha::default()).expect("sound");
+    let reducer = PhasedReducer::new(&model(), &Alpha::default()).expect("sound");
     let pieces = reducer.pieces(&tests).expect("sound");
     for reduced in 0..3 {
         let mut mixed = tests.clone();

@@ -61,7 +61,7 @@ fn only_rows_can_be_drawn_for() {
     none.phases.truncate(0);
     assert_eq!(refusal(none), SimulateError::Phases { test: "a".into(), found: 0, expected: 3 });
     let mut reduced = test("a", &rows());
-    let mut reducer = kalfit::reduce::PhasedReducer::new(&model(), &Alpha::default()).expect("sound");
+    let reducer = kalfit::reduce::PhasedReducer::new(&model(), &Alpha::default()).expect("sound");
     let pieces = reducer.pieces(&[reduced.clone()]).expect("sound").remove(0);
     reduced.phases[1] = Evidence::Reduced(Box::new(pieces[1].clone()));
     let expected =

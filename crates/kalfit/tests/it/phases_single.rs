@@ -214,7 +214,7 @@ fn reductions_made_before_must_have_the_shape_of_their_phase() {
     let model = model();
     let sound = split(&model, &ROWS);
     let alpha = Alpha::fixed(&model.shared().parameters).expect("all is fixed");
-    let mut reducer = PhasedReducer::new(&model, &alpha).expect("sound");
+    let reducer = PhasedReducer::new(&model, &alpha).expect("sound");
     let pieces = reducer.pieces(std::slice::from_ref(&sound)).expect("sound").remove(0);
     let refused = |at: usize, change: &dyn Fn(&mut PhaseReduction)| {
         let mut pieces = pieces.clone();

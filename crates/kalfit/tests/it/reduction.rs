@@ -429,8 +429,8 @@ fn a_value_that_cannot_be_is_seen_among_many_equal_steps() {
         .state(constant("offset"))
         .measurement(measurement("z", name("level") + name("offset"), 0.0));
     let model = model.build().expect("sound").phases.remove(0).model;
-    let mut reducer = Reducer::new(&model, &Alpha::default()).expect("sound");
-    let mut reduce = |wrong: Option<usize>| {
+    let reducer = Reducer::new(&model, &Alpha::default()).expect("sound");
+    let reduce = |wrong: Option<usize>| {
         let mut test = Test::new("one", model.columns.len(), 0);
         for row in 0..200 {
             let level = if Some(row) == wrong { 1.6 } else { 1.5 };

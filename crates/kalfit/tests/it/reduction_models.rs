@@ -453,7 +453,7 @@ fn many() -> Vec<Test> {
 /// `transitions`: how many there are to compute for all tests of [`many`].
 fn sharing_changes_no_bit(model: &Model, transitions: u64) {
     let (tests, alpha) = (many(), Alpha::default());
-    let mut reducer = Reducer::new(model, &alpha).expect("sound");
+    let reducer = Reducer::new(model, &alpha).expect("sound");
     let together = reducer.reduce(&tests).expect("sound");
     assert_eq!(reducer.work(), Work { design_runs: 2, root_runs: 0, data_runs: 200, transitions });
     for (test, shared) in tests.iter().zip(&together) {
@@ -497,7 +497,7 @@ fn parameters_have_their_level() {
     });
     let values = BTreeMap::from([(Label::literal(0), 0.5)]);
     let alpha = Alpha { values: vec![Level::Each { column: 0, values, other: None }] };
-    let mut reducer = Reducer::new(&model, &alpha).expect("sound");
+    let reducer = Reducer::new(&model, &alpha).expect("sound");
     let found = reducer.reduce(&[labelled("t", &[(ROWS[0], 0)])]).expect("sound");
     let found = found.get(0);
     assert!((found.factor[0] - 2f64.sqrt()).abs() < 1e-15, "{}", found.factor[0]);

@@ -4,7 +4,7 @@ use kalfit_lanes::Isa;
 
 use crate::reduce::design::Design;
 use crate::reduce::lanes::data_block::DataBlock;
-use crate::reduce::lanes::design_batch::{DesignBatch, DesignPassKernel};
+use crate::reduce::lanes::design_batch::{BatchPasses, DesignBatch};
 use crate::reduce::lanes::workspace::DataWorkspace;
 
 /// A test in each lane: design and data, and what their filters leave. All tests have the steps and the measurements of one
@@ -54,8 +54,8 @@ impl BatchFilter {
     }
 
     /// Runs the filters of so many tests, and their data passes.
-    pub(crate) fn filter(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
-        let BatchFilter { block, design_batch: gained } = self;
-        block.isa().run(DesignPassKernel { design, tests, data: block.side(), gained, room });
+    pub(crate) fn run(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
+        let BatchFilter { block, design_batch: designs } = self;
+        block.isa().run(BatchPasses { design, tests, data: block.view(), designs, room });
     }
 }

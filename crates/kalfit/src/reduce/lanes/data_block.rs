@@ -1,4 +1,4 @@
-//! The data of tests of one design, a test in each lane, and what their pass finds.
+//! The data of tests side by side, a test in each lane.
 
 use kalfit_lanes::Isa;
 
@@ -60,7 +60,7 @@ impl DataBlock {
 
     /// Runs the data pass of a class.
     pub(crate) fn run(&self, design: &Design, gains: &Gains, room: &mut DataWorkspace) {
-        self.isa.run(DataPass { design, gains, data: self.side(), room });
+        self.isa.run(DataPass { design, gains, data: self.view(), room });
     }
 
     /// Starts, inputs and values, to be changed.
@@ -73,11 +73,11 @@ impl DataBlock {
 
     /// z - d of the tests, in lanes.
     pub(crate) fn measured(&self) -> &[f64] {
-        self.side().values
+        self.view().values
     }
 
     /// Starts, inputs and values.
-    pub(crate) fn side(&self) -> DataView<'_> {
+    pub(crate) fn view(&self) -> DataView<'_> {
         let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
         let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());
         DataView { start, inputs, values }

@@ -7,9 +7,9 @@ use crate::linalg::symmetric::pairs;
 use crate::reduce::covariance_filter::CovarianceFilter;
 use crate::reduce::design::{Design, EqualSteps, TransitionView};
 use crate::reduce::entries::{Entries, SideBySide};
+use crate::reduce::lanes::least_squares;
 use crate::reduce::lanes::numbers::{DataView, Numbers, at, put};
 use crate::reduce::lanes::pass::innovate;
-use crate::reduce::lanes::squares;
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
@@ -43,24 +43,24 @@ pub(crate) struct DesignBatch {
 }
 
 /// The design pass over designs whose numbers are in lanes, so many of them and of the shape of `design`; then the data pass.
-pub(super) struct DesignPassKernel<'a> {
+pub(super) struct BatchPasses<'a> {
     pub(super) design: &'a Design,
     pub(super) tests: usize,
     pub(super) data: DataView<'a>,
-    pub(super) gained: &'a mut DesignBatch,
+    pub(super) designs: &'a mut DesignBatch,
     pub(super) room: &'a mut DataWorkspace,
 }
 
-impl Kernel for DesignPassKernel<'_> {
+impl Kernel for BatchPasses<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let DesignPassKernel { design, tests, data, gained, room } = self;
-        let sums = gained.filter::<T>(design);
-        gained.finish(&sums, tests);
-        let square = innovate::<T, _, _>(design, gained, data, room, &mut ());
-        squares::solve::<T, _>((&*gained, design), square, room);
+        let BatchPasses { design, tests, data, designs, room } = self;
+        let sums = designs.covariance_pass::<T>(design);
+        designs.finish(&sums, tests);
+        let square = innovate::<T, _, _>(design, designs, data, room, &mut ());
+        least_squares::solve::<T, _>((&*designs, design), square, room);
     }
 }
 
@@ -91,7 +91,7 @@ impl DesignBatch {
 
     /// The covariance filter.
     #[inline(always)]
-    fn filter<T: Lanes>(&mut self, design: &Design) -> InformationSums<T> {
+    fn covariance_pass<T: Lanes>(&mut self, design: &Design) -> InformationSums<T> {
         let frame = &*design.frame;
         (self.p, self.stride) = (frame.p, 1 + frame.r);
         self.gains.resize(design.rows() * self.stride * T::COUNT, 0.0);

@@ -7,9 +7,9 @@
 mod batch_filter;
 mod data_block;
 mod design_batch;
+mod least_squares;
 mod numbers;
 mod pass;
-mod squares;
 mod workspace;
 
 pub(crate) use batch_filter::{BatchColumns, BatchFilter};

@@ -10,8 +10,8 @@ use crate::reduce::design::{Design, Stretch, TransitionView};
 use crate::reduce::entries::{Common, Entries};
 use crate::reduce::gains::{GainSpan, Gains};
 use crate::reduce::kernel;
+use crate::reduce::lanes::least_squares;
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
-use crate::reduce::lanes::squares;
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::{BLOCK, Scan, scanned};
 
@@ -109,7 +109,7 @@ impl Kernel for DataPass<'_> {
         let DataPass { design, gains, data, room } = self;
         let shared = SharedDesign::new(design, gains);
         let square = innovate::<T, _, _>(design, &shared, data, room, &mut ());
-        squares::solve::<T, _>((&shared, design), square, room);
+        least_squares::solve::<T, _>((&shared, design), square, room);
     }
 }
 
@@ -260,7 +260,7 @@ impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
         if !scanned {
             return None;
         }
-        Some(squares::weigh::<T, N>((numbers, design), rows, e, &[], y))
+        Some(least_squares::weigh::<T, N>((numbers, design), rows, e, &[], y))
     }
 }
 
@@ -298,7 +298,7 @@ impl<T: Lanes> MeanState<T> {
         let (weight, K) = numbers.gains(row);
         kernel::correct_mean(K, e, &mut self.x[..design.frame.r]);
         let weighted = e * weight;
-        squares::add(numbers.sensitivities(row), weighted, &mut self.y_part);
+        least_squares::add(numbers.sensitivities(row), weighted, &mut self.y_part);
         self.square_part = e.fma(weighted, self.square_part);
         e
     }

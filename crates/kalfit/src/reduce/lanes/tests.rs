@@ -9,7 +9,7 @@ use crate::model::{
     Alpha, Clock, Column, CovarianceStructure, Expression, Initial, Linear, MeanStructure, Measurement, Model, Motion,
     State,
 };
-use crate::reduce::blocks::batch_workspace::BatchWorkspace;
+use crate::reduce::batches::batch_workspace::BatchWorkspace;
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
 use crate::reduce::prepare::Skeleton;
@@ -176,7 +176,7 @@ fn a_test_in_a_lane_has_the_bits_it_has_by_itself() {
     let found = side_by_side(Isa::best(), &reducer, &all);
     assert_eq!(found.numbers.len(), all.len());
     for (row, &number) in found.reductions.iter().zip(&found.numbers) {
-        let (alone, _) = reducer.one(&all[number], &mut reducer.workspace()).expect("sound");
+        let (alone, _) = reducer.reduce_one(&all[number], &mut reducer.workspace()).expect("sound");
         assert_eq!(Reduction::from(row), alone, "test {number}, its digest too");
     }
 }
@@ -199,7 +199,7 @@ fn each_by_itself(tests: &[Test]) -> Reductions {
 fn company_order_threads_and_what_is_known_change_no_bit() {
     let all = mixed();
     let alone = each_by_itself(&all);
-    let mut one = reducer();
+    let one = reducer();
     assert_eq!(one.reduce(&all).expect("sound"), alone);
     assert_eq!(one.reduce(&all).expect("sound"), alone, "all known by now");
     let backwards: Vec<Test> = all.iter().rev().cloned().collect();
@@ -213,7 +213,7 @@ fn company_order_threads_and_what_is_known_change_no_bit() {
 #[test]
 fn tests_that_look_alike_are_not_evaluated_again() {
     let all = tests(&[4; 100], 1.0);
-    let mut reducer = reducer();
+    let reducer = reducer();
     let found = reducer.reduce(&all).expect("sound");
     assert_eq!(reducer.work(), Work { design_runs: 1, root_runs: 0, data_runs: 100, transitions: 0 });
     assert_eq!(found, each_by_itself(&all));

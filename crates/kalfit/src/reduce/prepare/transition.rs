@@ -9,7 +9,7 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::motion::Moves;
 use crate::reduce::prepare::{Preparer, StepRows, Workspace};
-use crate::reduce::shared::StoreEntry;
+use crate::reduce::shared_store::StoreEntry;
 use crate::reduce::subject::{Fault, ModelAt, Subject};
 
 /// Transitions whose memory is kept for others.

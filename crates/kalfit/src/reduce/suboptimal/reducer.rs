@@ -11,7 +11,7 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::root;
-use crate::reduce::shared::{SharedStore, StoreEntry as Known};
+use crate::reduce::shared_store::{SharedStore, StoreEntry as Known};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::conditioned::{Conditioned, EstimateStart, ExactCombination};
 use crate::reduce::suboptimal::folded::FoldedEstimates;

@@ -12,7 +12,7 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::kernel;
 use crate::reduce::prepare::{Preparer, Workspace};
-use crate::reduce::shared::{SharedStore, StoreEntry};
+use crate::reduce::shared_store::{SharedStore, StoreEntry};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::joint::{self, FilterDesign};
 use crate::reduce::suboptimal::known::{check, constants, without_start};

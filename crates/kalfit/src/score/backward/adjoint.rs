@@ -5,7 +5,7 @@ use kalfit_lanes::Real;
 
 use crate::reduce::{Entries, Pattern, TransitionView};
 use crate::score::backward::filtered::FilterSnapshot;
-use crate::score::backward::kernel::{absorb, back, columns, dot, second, smoothing_error};
+use crate::score::backward::kernel::{absorb, advance_transposed, dot, outer_entry, smoothing_error, times_phi};
 use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 use crate::score::backward::sink::TransitionAdjoint;
 
@@ -75,11 +75,11 @@ impl<T: Real> Adjoint<T> {
 
     /// ∂ℓ/∂P0, each place by itself.
     #[inline(always)]
-    pub(super) fn variance(&self, unknown: &PosteriorRoot<'_, T>, out: &mut Vec<T>) {
+    pub(super) fn start_covariance_adjoint(&self, unknown: &PosteriorRoot<'_, T>, out: &mut Vec<T>) {
         let (r, c, half) = (unknown.frame.r, unknown.columns, T::splat(0.5));
         out.clear();
         for ij in 0..r * r {
-            out.push(half * second(&self.r, &self.rho, c, ij / r, ij % r) - half * self.N[ij]);
+            out.push(half * outer_entry(&self.r, &self.rho, c, ij / r, ij % r) - half * self.N[ij]);
         }
     }
 
@@ -92,7 +92,7 @@ impl<T: Real> Adjoint<T> {
         unknown: &PosteriorRoot<'_, T>,
         bar: ScalarAdjoint<'_, T>,
     ) {
-        let KNK = self.innovation(line, unknown);
+        let KNK = self.gain_terms(line, unknown);
         let u = smoothing_error(e, (line.weight, line.K), &self.r[..unknown.frame.r]);
         let scalar = Scalar { u, states: line.states, h: line.h, D: line.weight + KNK };
         *bar.noise = T::splat(0.5) * (u.fma(u, dot(&*self.upsilon, &self.upsilon)) - scalar.D);
@@ -107,7 +107,7 @@ impl<T: Real> Adjoint<T> {
 
     /// υ and NK of a measurement; returns K'NK.
     #[inline(always)]
-    fn innovation<E: Entries<T>>(&mut self, line: &ScalarMeasurement<'_, T, E>, unknown: &PosteriorRoot<'_, T>) -> T {
+    fn gain_terms<E: Entries<T>>(&mut self, line: &ScalarMeasurement<'_, T, E>, unknown: &PosteriorRoot<'_, T>) -> T {
         let (r, c) = (unknown.frame.r, unknown.columns);
         let Adjoint { rho, N, NK, upsilon, .. } = self;
         unknown.times_root(line.T, upsilon);
@@ -146,7 +146,7 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// ∂ℓ/∂h; r and ρ are those after the line.
+    /// ∂ℓ/∂h; r and ρ already have this measurement, N does not.
     #[inline(always)]
     fn equation_bar<E: Entries<T>>(&mut self, scalar: &Scalar<'_, T, E>, before: FilterSnapshot<'_, T>, bar: &mut [T]) {
         let Adjoint { r: adjoint, rho, NK, upsilon, smoothed, .. } = self;
@@ -186,7 +186,7 @@ impl<T: Real> Adjoint<T> {
         bar.q.clear();
         for &(i, j) in &pattern.pairs {
             let (i, j) = (i as usize, j as usize);
-            let both = second(adjoint, rho, c, i, j) - N[i * r + j];
+            let both = outer_entry(adjoint, rho, c, i, j) - N[i * r + j];
             bar.q.push(if i == j { T::splat(0.5) * both } else { both });
         }
         bar.phi.clear();
@@ -197,13 +197,13 @@ impl<T: Real> Adjoint<T> {
             before.extend_from_slice(rho);
         }
         let n = adjoint.len();
-        back(adjoint, (n, 1), transition, rows);
-        back(rho, (n, c), transition, rows);
-        columns(N, r, transition, rows);
+        advance_transposed(adjoint, (n, 1), transition, rows);
+        advance_transposed(rho, (n, c), transition, rows);
+        times_phi(N, r, transition, rows);
         if let Some(left) = left {
             self.motion_bar(pattern, left, (r, c), &mut bar.phi);
         }
-        back(&mut self.N, (r, r), transition, &mut self.rows);
+        advance_transposed(&mut self.N, (r, r), transition, &mut self.rows);
     }
 
     /// ∂ℓ/∂φ; r and ρ are φ'r and φ'ρ, N is Nφ.

@@ -10,7 +10,7 @@ use crate::reduce::{
 };
 use crate::score::backward::adjoint::{Adjoint, ScalarAdjoint};
 use crate::score::backward::filtered::{Begin, FilterSnapshot, FilteredMoments};
-use crate::score::backward::run::{AdjointsWanted, TerminalAdjoint};
+use crate::score::backward::input::{AdjointsWanted, TerminalAdjoint};
 use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 use crate::score::backward::sink::TransitionAdjoint;
 use crate::score::moments::Moments;
@@ -19,8 +19,8 @@ use crate::score::moments::Moments;
 #[derive(Debug)]
 pub(crate) struct BatchBackward<'a> {
     pub(crate) block: &'a DataBlock,
-    pub(crate) gained: &'a DesignBatch,
-    pub(crate) longest: &'a Design,
+    pub(crate) designs: &'a DesignBatch,
+    pub(crate) shape: &'a Design,
     /// One for each test, with as many columns.
     pub(crate) moments: &'a [&'a Moments],
     /// One for each test, or none.
@@ -47,11 +47,11 @@ impl Kernel for BatchBackward<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> BatchAdjoints {
-        let numbers = BatchNumbers { shape: self.longest, gained: self.gained, data: self.block.side() };
+        let numbers = BatchNumbers { shape: self.shape, designs: self.designs, data: self.block.view() };
         let root = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].root);
         let mean = interleaved::<T>(self.moments.len(), |lane| &self.moments[lane].mean);
         let columns = self.moments[0].columns;
-        let unknown = PosteriorRoot { frame: &self.longest.frame, root: &root, columns, wanted: self.wanted };
+        let unknown = PosteriorRoot { frame: &self.shape.frame, root: &root, columns, wanted: self.wanted };
         let mut ending = None;
         if let Some(first) = self.endings.first() {
             debug_assert!(first.r.len() == unknown.frame.n, "one for each state");
@@ -67,21 +67,21 @@ impl Kernel for BatchBackward<'_> {
     }
 }
 
-/// What the pass reads of a batch, in lanes: each step is a run. A test that is shorter than the longest goes on with measurements
-/// that say nothing, and transitions that forget everything.
+/// What the pass reads of a batch, in lanes: each step is a run. A step or a measurement that a test lacks changes nothing: φ = I,
+/// Q = 0, h = 0, R = 1.
 struct BatchNumbers<'a> {
-    /// Of the longest: its numbers do not count.
+    /// Of all of them together: its numbers do not count.
     shape: &'a Design,
-    gained: &'a DesignBatch,
+    designs: &'a DesignBatch,
     data: DataView<'a>,
 }
 
 impl<'a> BatchNumbers<'a> {
     #[inline(always)]
     fn line<T: Lanes>(&self, (line, row): (usize, usize)) -> ScalarMeasurement<'a, T, SideBySide<'a>> {
-        let gained = self.gained;
-        let ((states, h, noise), (weight, K)) = (gained.line(self.shape, line), gained.gains(row));
-        ScalarMeasurement { states, h, noise, weight, K, T: Numbers::<T>::sensitivities(gained, row) }
+        let designs = self.designs;
+        let ((states, h, noise), (weight, K)) = (designs.line(self.shape, line), designs.gains(row));
+        ScalarMeasurement { states, h, noise, weight, K, T: Numbers::<T>::sensitivities(designs, row) }
     }
 
     /// The lines of a run.
@@ -127,7 +127,7 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
     /// Forth over all steps, and back.
     #[inline(always)]
     fn run(mut self, mean: &[T], ending: Option<[&[T]; 3]>) -> BatchAdjoints {
-        let (start, variance) = (SideBySide(self.numbers.data.start), SideBySide(&self.numbers.gained.variance));
+        let (start, variance) = (SideBySide(self.numbers.data.start), SideBySide(&self.numbers.designs.variance));
         self.now.begin(&Begin { start, variance, mean }, &self.unknown);
         let (frame, tracked) = (self.unknown.frame, self.unknown.tracked());
         let (runs, block) = (self.numbers.shape.runs.len(), self.block());
@@ -165,7 +165,7 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
         left.clear();
         before.clear();
         while at.run < to {
-            if let Some(transition) = Numbers::<T>::transition(numbers.gained, design, at.run) {
+            if let Some(transition) = Numbers::<T>::transition(numbers.designs, design, at.run) {
                 if unknown.wanted.motion {
                     now.save(left);
                 }
@@ -234,7 +234,7 @@ impl<T: Lanes> BatchBack<T> {
                 }
                 self.measured(&numbers.line((number, row)), (row, pass.e[row]), unknown, before);
             }
-            if let Some(of) = Numbers::<T>::transition(numbers.gained, numbers.shape, run) {
+            if let Some(of) = Numbers::<T>::transition(numbers.designs, numbers.shape, run) {
                 transition -= 1;
                 let mut left = None;
                 if unknown.wanted.motion {
@@ -287,7 +287,7 @@ impl<T: Lanes> BatchBack<T> {
     #[inline(always)]
     fn end(mut self, unknown: &PosteriorRoot<'_, T>) -> BatchAdjoints {
         let mut variance = Vec::new();
-        self.adjoint.variance(unknown, &mut variance);
+        self.adjoint.start_covariance_adjoint(unknown, &mut variance);
         (self.all.mean, self.all.variance) = (apart(&self.adjoint.r), apart(&variance));
         self.all
     }

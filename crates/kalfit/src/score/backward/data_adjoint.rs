@@ -3,13 +3,13 @@
 //!
 //! ```text
 //! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
-//! ∂ℓ/∂Q: ½rr'        ∂ℓ/∂b: r        r ← φ'r        ∂ℓ/∂φ: r (x̄ + Pφ'r)'
+//! ∂ℓ/∂Q: ½rr'        ∂ℓ/∂b: r        ∂ℓ/∂φ: r (x̄ + Pφ'r)'        r ← φ'r
 //! ```
 
 use kalfit_lanes::{Lanes, Real};
 
 use crate::reduce::{self, Stretch};
-use crate::score::backward::run::{AdjointsWanted, BackwardInput};
+use crate::score::backward::input::{AdjointsWanted, BackwardInput};
 
 /// The coefficients of a step.
 #[derive(Debug, Clone, Copy)]
@@ -58,9 +58,9 @@ impl<T: Lanes, const N: usize> DataSums<T, N> {
 impl<T: Real, const N: usize> StepCoefficients<T, N> {
     /// Of a stretch; `x`: the filter before it.
     #[inline(always)]
-    pub(crate) fn new(run: &BackwardInput<'_>, stretch: &Stretch<'_>, x: &[T]) -> StepCoefficients<T, N> {
-        let filter = reduce::InvariantStep::new(run.design, stretch, x);
-        StepCoefficients { filter, wanted: run.wanted, moves: stretch.transition.is_some() }
+    pub(crate) fn new(input: &BackwardInput<'_>, stretch: &Stretch<'_>, x: &[T]) -> StepCoefficients<T, N> {
+        let filter = reduce::InvariantStep::new(input.design, stretch, x);
+        StepCoefficients { filter, wanted: input.wanted, moves: stretch.transition.is_some() }
     }
 
     /// Back through one step; x̄ is that before it.

@@ -5,14 +5,14 @@ use kalfit_lanes::{Isa, Kernel, Lanes, Real};
 use crate::reduce::{GainSpan, MomentPath, Scan, Stretch};
 use crate::score::backward::data_adjoint::{PriorVariances, StepCoefficients};
 use crate::score::backward::design_adjoint::{Gain, PriorMoments};
-use crate::score::backward::run::BackwardInput;
+use crate::score::backward::input::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment};
 use crate::score::moments::Moments;
 
 /// A stretch with its gains: from `moving` steps on nothing changes.
 #[derive(Debug)]
 pub(crate) struct EqualStretch<'a> {
-    pub(super) run: &'a BackwardInput<'a>,
+    pub(super) input: &'a BackwardInput<'a>,
     pub(crate) stretch: Stretch<'a>,
     pub(crate) piece: &'a GainSpan,
     moving: usize,
@@ -24,14 +24,14 @@ pub(crate) struct EqualStretch<'a> {
 }
 
 impl<'a> EqualStretch<'a> {
-    pub(super) fn new(run: &'a BackwardInput<'a>, part: &Segment, block: usize) -> EqualStretch<'a> {
-        let stretch = run.design.stretch(part.stretch);
+    pub(super) fn new(input: &'a BackwardInput<'a>, part: &Segment, block: usize) -> EqualStretch<'a> {
+        let stretch = input.design.stretch(part.stretch);
         let first = stretch.rows.start;
-        let piece = &run.gains.pieces[run.gains.piece(first)];
+        let piece = &input.gains.pieces[input.gains.piece(first)];
         let changing = (piece.row + piece.moving()).saturating_sub(first).min(stretch.count);
-        let states = run.design.moving(&stretch);
-        let path = run.gains.path(first).filter(|_| run.tracked());
-        EqualStretch { run, stretch, piece, moving: changing, states, block, path }
+        let states = input.design.moving(&stretch);
+        let path = input.gains.path(first).filter(|_| input.tracked());
+        EqualStretch { input, stretch, piece, moving: changing, states, block, path }
     }
 
     fn row(&self, step: usize) -> usize {
@@ -52,13 +52,13 @@ impl<'a> EqualStretch<'a> {
     /// The coefficients of a step for other data; `x`: their filter before these steps.
     #[inline(always)]
     pub(crate) fn coefficients<T: Real, const N: usize>(&self, x: &[T]) -> StepCoefficients<T, N> {
-        StepCoefficients::new(self.run, &self.stretch, x)
+        StepCoefficients::new(self.input, &self.stretch, x)
     }
 
     /// 1/S and K of a step.
     #[inline(always)]
     pub(crate) fn weighted<const N: usize>(&self, step: usize) -> (f64, [f64; N]) {
-        let (weight, own, _) = self.run.gains.of(self.piece, self.row(step));
+        let (weight, own, _) = self.input.gains.of(self.piece, self.row(step));
         let mut K = [0.0; N];
         K[..own.len()].copy_from_slice(own);
         (weight, K)
@@ -67,10 +67,10 @@ impl<'a> EqualStretch<'a> {
     /// 1/S, K and TC of a step.
     #[inline(always)]
     pub(super) fn gain<const N: usize, const C: usize>(&self, step: usize) -> Gain<N, C> {
-        let (sensitivity, mut T) = (self.run.gains.sensitive(self.piece, self.row(step)), [0.0; C]);
+        let (sensitivity, mut T) = (self.input.gains.sensitive(self.piece, self.row(step)), [0.0; C]);
         for (k, sensitivity) in sensitivity.iter().enumerate() {
             for j in 0..C {
-                T[j] += sensitivity * self.run.moments.root[k * C + j];
+                T[j] += sensitivity * self.input.moments.root[k * C + j];
             }
         }
         Gain { own: self.weighted(step), T }
@@ -79,7 +79,7 @@ impl<'a> EqualStretch<'a> {
     /// P before a step, and before its measurement.
     #[inline(always)]
     pub(crate) fn variances<const N: usize>(&self, step: usize, (weight, K): &(f64, [f64; N])) -> PriorVariances<N> {
-        let r = self.run.design.frame.r;
+        let r = self.input.design.frame.r;
         let load = |step: usize| {
             let mut P = [[0.0; N]; N];
             if let Some(path) = self.path {
@@ -89,7 +89,7 @@ impl<'a> EqualStretch<'a> {
             P
         };
         let left = load(step);
-        if !self.run.wanted.equation || *weight == 0.0 {
+        if !self.input.wanted.equation || *weight == 0.0 {
             return PriorVariances { left, arrived: left };
         }
         // what the measurement has taken from it is KSK'
@@ -108,12 +108,12 @@ impl<'a> EqualStretch<'a> {
         let load = |step: usize| {
             let mut Psi = [[0.0; C]; N];
             if let Some(path) = self.path {
-                unknown_part((path.before(step).1, N), self.run.moments, Psi.as_flattened_mut());
+                psi_root((path.before(step).1, N), self.input.moments, Psi.as_flattened_mut());
             }
             Psi
         };
         let (P, left) = (self.variances(step, &gain.own), load(step));
-        if !self.run.wanted.equation {
+        if !self.input.wanted.equation {
             return PriorMoments { P, left, arrived: left };
         }
         // what the measurement has taken from it is KT
@@ -128,26 +128,26 @@ impl<'a> EqualStretch<'a> {
 }
 
 /// Forth over a stretch: its innovations, and x̄ at the beginning of every block.
-pub(super) fn forward(run: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
-    let steps = EqualStretch::new(run, part, work.cut.block);
+pub(super) fn forward(input: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
+    let steps = EqualStretch::new(input, part, work.cut.block);
     let BackwardWork { e, marks, now, .. } = work;
     if let Some(path) = steps.path {
         let (P, Psi) = path.before(steps.moving);
         now.P.copy_from_slice(P);
-        unknown_part((Psi, steps.states), run.moments, &mut now.Psi);
+        psi_root((Psi, steps.states), input.moments, &mut now.Psi);
     }
-    if run.blank {
+    if input.blank {
         e.resize(e.len() + steps.stretch.count, 0.0);
     } else {
         let first = e.len();
-        e.extend_from_slice(&run.values[steps.stretch.rows.clone()]);
+        e.extend_from_slice(&input.values[steps.stretch.rows.clone()]);
         Isa::best().alone().run(EqualForward { steps: &steps, x: &mut now.x, e: &mut e[first..], marks });
     }
 }
 
 /// ΨC of so many states.
 #[inline]
-fn unknown_part((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
+fn psi_root((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
     let (c, p) = (moments.columns, moments.mean.len());
     for i in 0..states {
         for k in 0..c {
@@ -170,9 +170,9 @@ impl Kernel for EqualForward<'_> {
     fn run<T: Lanes>(self) {
         let EqualForward { steps, x, e, marks } = self;
         let (mut own, mut kept) = (lifted::<T>(x), Vec::<T>::new());
-        let (run, gains) = (steps.run, (steps.run.gains, steps.piece));
-        let blocks = run.tracked().then_some((&mut kept, steps.block));
-        Scan { design: run.design, stretch: &steps.stretch, gains, x: &mut own, e, marks: blocks }.run(steps.states);
+        let (input, gains) = (steps.input, (steps.input.gains, steps.piece));
+        let blocks = input.tracked().then_some((&mut kept, steps.block));
+        Scan { design: input.design, stretch: &steps.stretch, gains, x: &mut own, e, marks: blocks }.run(steps.states);
         for x in &kept {
             marks.push(x.lane(0));
         }

@@ -8,7 +8,7 @@ use crate::score::backward::data_adjoint::{DataSums, PriorVariances, StepCoeffic
 use crate::score::backward::design_adjoint::{DesignAdjoint, DesignSums, Gain, PriorMoments};
 use crate::score::backward::equal::{EqualStretch, lifted};
 use crate::score::backward::filtered::FilteredMoments;
-use crate::score::backward::run::BackwardInput;
+use crate::score::backward::input::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment, SegmentPass};
 
 fn columns<const N: usize>(c: usize) -> Option<SegmentPass> {
@@ -22,10 +22,10 @@ fn columns<const N: usize>(c: usize) -> Option<SegmentPass> {
 }
 
 /// The way back over a stretch, if there is one of known size.
-pub(super) fn kernel(run: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option<SegmentPass> {
-    let c = run.moments.columns;
-    let known = !run.tracked() || run.gains.path(stretch.rows.start).is_some();
-    match MomentPath::states(run.design, stretch).filter(|_| known)? {
+pub(super) fn kernel(input: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option<SegmentPass> {
+    let c = input.moments.columns;
+    let known = !input.tracked() || input.gains.path(stretch.rows.start).is_some();
+    match MomentPath::states(input.design, stretch).filter(|_| known)? {
         0 => columns::<0>(c),
         1 => columns::<1>(c),
         2 => columns::<2>(c),
@@ -40,21 +40,22 @@ struct EqualBackward<T, const N: usize, const C: usize> {
     step: StepCoefficients<T, N>,
     r: [T; N],
     bars: DesignAdjoint<T, N, C>,
-    answers: DataSums<T, N>,
+    data: DataSums<T, N>,
     sums: DesignSums<T, N, C>,
-    /// P where it rests, and what each step adds to the sums while N and ρ rest too: so many steps so far.
+    /// P where it rests, and what each step adds to the sums while N and ρ rest too.
     still: Option<(PriorVariances<N>, DesignSums<T, N, C>)>,
+    /// So many steps of it so far.
     rested: usize,
     watched: bool,
 }
 
 /// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
-fn backward<const N: usize, const C: usize>(run: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
-    Isa::best().alone().run(EqualPass::<N, C> { run, part, work });
+fn backward<const N: usize, const C: usize>(input: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
+    Isa::best().alone().run(EqualPass::<N, C> { input, part, work });
 }
 
 struct EqualPass<'a, const N: usize, const C: usize> {
-    run: &'a BackwardInput<'a>,
+    input: &'a BackwardInput<'a>,
     part: &'a Segment,
     work: &'a mut BackwardWork,
 }
@@ -64,17 +65,17 @@ impl<const N: usize, const C: usize> Kernel for EqualPass<'_, N, C> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let EqualPass { run, part, work } = self;
-        let steps = EqualStretch::new(run, part, work.cut.block);
+        let EqualPass { input, part, work } = self;
+        let steps = EqualStretch::new(input, part, work.cut.block);
         let mut back = EqualBackward::<T, N, C>::new(&steps, work);
         let mut xs = vec![[T::splat(0.0); N]; steps.block.min(steps.stretch.count)];
         for (from, to) in steps.blocks().rev() {
-            if run.blank && back.still.is_some() && from >= steps.moving() {
+            if input.blank && back.still.is_some() && from >= steps.moving() {
                 back.rested += to - from;
                 continue;
             }
-            if run.tracked() && !run.blank {
-                let mark = part.mark + run.stride() + from / steps.block * N;
+            if input.tracked() && !input.blank {
+                let mark = part.mark + input.stride() + from / steps.block * N;
                 let first = std::array::from_fn(|i| T::splat(work.marks[mark + i]));
                 let e = &work.e[steps.stretch.rows.clone()];
                 back.again(&steps, first, (from, to), (e, &mut xs));
@@ -89,7 +90,7 @@ impl<const N: usize, const C: usize> Kernel for EqualPass<'_, N, C> {
 impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
     #[inline(always)]
     fn new(steps: &EqualStretch<'_>, work: &mut BackwardWork) -> EqualBackward<T, N, C> {
-        let (zero, r, adjoint) = (T::splat(0.0), steps.run.design.frame.r, &work.adjoint);
+        let (zero, r, adjoint) = (T::splat(0.0), steps.input.design.frame.r, &work.adjoint);
         let mut bars = DesignAdjoint { rho: [[zero; C]; N], N: [[zero; N]; N] };
         for i in 0..N {
             for j in 0..C {
@@ -101,10 +102,10 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         }
         work.settling.start(&adjoint.rho[..N * C]);
         EqualBackward {
-            step: StepCoefficients::new(steps.run, &steps.stretch, &lifted(&work.now.x)),
+            step: StepCoefficients::new(steps.input, &steps.stretch, &lifted(&work.now.x)),
             r: std::array::from_fn(|i| T::splat(adjoint.r[i])),
             bars,
-            answers: DataSums::none(),
+            data: DataSums::none(),
             sums: DesignSums::none(),
             still: None,
             rested: 0,
@@ -136,11 +137,11 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         while k > low {
             let gain = steps.gain::<N, C>(k - 1);
             if let Some((P, _)) = &self.still {
-                let (mut r, mut answers) = (self.r, self.answers);
+                let (mut r, mut data) = (self.r, self.data);
                 for (&e, x) in e[low..k].iter().zip(&xs[low - from..k - from]).rev() {
-                    self.step.back(&mut r, &gain.own, T::splat(e), (x, P), &mut answers);
+                    self.step.back(&mut r, &gain.own, T::splat(e), (x, P), &mut data);
                 }
-                (self.r, self.answers) = (r, answers);
+                (self.r, self.data) = (r, data);
                 self.rested += k - low;
                 k = low;
                 continue;
@@ -167,8 +168,8 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
 
     #[inline(always)]
     fn step(&mut self, gain: &Gain<N, C>, e: f64, (x, prior): (&[T; N], &PriorMoments<N, C>)) {
-        let EqualBackward { step, r, bars, answers, sums, .. } = self;
-        step.back(r, &gain.own, T::splat(e), (x, &prior.P), answers);
+        let EqualBackward { step, r, bars, data, sums, .. } = self;
+        step.back(r, &gain.own, T::splat(e), (x, &prior.P), data);
         bars.back(step, gain, prior, sums);
     }
 
@@ -177,7 +178,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         if done < settling.next_look() {
             return false;
         }
-        let (r, bars) = (steps.run.design.frame.r, self.bars.one());
+        let (r, bars) = (steps.input.design.frame.r, self.bars.one());
         let mut information = [0.0; 16];
         for i in 0..r {
             information[i * r..][..r].copy_from_slice(&bars.N[i][..r]);
@@ -196,8 +197,8 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
 
     /// The adjoints of the states before the stretch, and of its coefficients.
     fn finish(&self, steps: &EqualStretch<'_>, work: &mut BackwardWork) {
-        let (run, sums, answers, bars) = (steps.run, self.sums.one(), self.answers.one(), self.bars.one());
-        let r = run.design.frame.r;
+        let (input, sums, data, bars) = (steps.input, self.sums.one(), self.data.one(), self.bars.one());
+        let r = input.design.frame.r;
         let adjoint = &mut work.adjoint;
         (0..N).for_each(|i| adjoint.r[i] = self.r[i].lane(0));
         adjoint.rho[..N * C].copy_from_slice(bars.rho.as_flattened());
@@ -206,26 +207,26 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
             adjoint.r[state] += factor * u;
             (0..C).for_each(|j| adjoint.rho[state * C + j] += factor * upsilon[j]);
         };
-        let (states, h) = run.design.terms(steps.stretch.lines.start);
+        let (states, h) = input.design.terms(steps.stretch.lines.start);
         for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
-            add(state as usize, h, answers.u, &sums.upsilon);
+            add(state as usize, h, data.u, &sums.upsilon);
         }
         let bar = &mut work.measured;
         bar.noise.clear();
-        bar.noise.push(sums.noise + 0.5 * answers.uu);
+        bar.noise.push(sums.noise + 0.5 * data.uu);
         bar.value.clear();
-        bar.value.push(-answers.u);
+        bar.value.push(-data.u);
         bar.h.clear();
-        if run.wanted.equation {
-            bar.h.extend(sums.h.iter().zip(&answers.h).map(|(design, data)| design + data));
-            bar.h.extend((N..run.design.frame.n).map(|s| resting(&work.now, s, answers.u, &sums.upsilon)));
+        if input.wanted.equation {
+            bar.h.extend(sums.h.iter().zip(&data.h).map(|(design, data)| design + data));
+            bar.h.extend((N..input.design.frame.n).map(|s| resting(&work.now, s, data.u, &sums.upsilon)));
         }
         let Some(transition) = steps.stretch.transition else { return };
         let (pattern, bar) = (&transition.pattern, &mut work.moved);
         bar.input.clear();
         bar.q.clear();
         bar.q.extend(pattern.pairs.iter().map(|&(i, j)| {
-            let one = sums.q[i as usize][j as usize] + 0.5 * answers.rr[i as usize][j as usize];
+            let one = sums.q[i as usize][j as usize] + 0.5 * data.rr[i as usize][j as usize];
             if i == j { one } else { 2.0 * one }
         }));
         bar.phi.clear();
@@ -235,11 +236,11 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
             for k in row.start as usize..row.end as usize {
                 let j = pattern.columns[k] as usize;
                 if j >= N {
-                    add(j, transition.phi[k], answers.r[i], &sums.rho[i]);
+                    add(j, transition.phi[k], data.r[i], &sums.rho[i]);
                 }
-                if run.wanted.motion {
-                    let rests = || resting(&work.now, j, answers.r[i], &sums.rho[i]);
-                    bar.phi[k] = if j < N { sums.phi[i][j] + answers.phi[i][j] } else { rests() };
+                if input.wanted.motion {
+                    let rests = || resting(&work.now, j, data.r[i], &sums.rho[i]);
+                    bar.phi[k] = if j < N { sums.phi[i][j] + data.phi[i][j] } else { rests() };
                 }
             }
         }

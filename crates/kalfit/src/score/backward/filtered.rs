@@ -5,7 +5,7 @@ use kalfit_lanes::Real;
 use nalgebra::{DMatrix, DMatrixView};
 
 use crate::reduce::{Entries, TransitionView, advance, correct_mean, innovation, mirror, predict, update};
-use crate::score::backward::run::BackwardInput;
+use crate::score::backward::input::BackwardInput;
 use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 
 /// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
@@ -213,7 +213,7 @@ impl BackwardInput<'_> {
         now.measure(&line, e[row], &self.unknown());
     }
 
-    /// x̄, P, ΨC of a state kept as [`FilteredMoments::save`] does.
+    /// (n, r): what [`FilterSnapshot::new`] needs to read a kept state.
     pub(super) fn sizes(&self) -> (usize, usize) {
         let frame = &self.design.frame;
         (frame.n, frame.r)

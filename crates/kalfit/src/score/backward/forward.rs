@@ -2,9 +2,9 @@
 
 use crate::reduce::DesignStep;
 use crate::score::backward::filtered::FilteredMoments;
-use crate::score::backward::run::BackwardInput;
+use crate::score::backward::input::BackwardInput;
 use crate::score::backward::sink::Sink;
-use crate::score::backward::work::{BackwardWork, MOST, Segment, SegmentKind};
+use crate::score::backward::work::{BackwardWork, MOST_SHORT_STRETCHES, Segment, SegmentKind};
 use crate::score::backward::{equal, equal_backward};
 
 impl BackwardInput<'_> {
@@ -28,7 +28,7 @@ impl BackwardInput<'_> {
             }
             let part = work.parts[at];
             match part.kind {
-                SegmentKind::Steps => self.steps_forth(&part, work),
+                SegmentKind::Steps => self.forward_steps(&part, work),
                 SegmentKind::Equal(_) => equal::forward(self, &part, work),
             }
         }
@@ -42,9 +42,9 @@ impl BackwardInput<'_> {
         for (at, stretch) in self.design.stretches().enumerate() {
             let inputs = if stretch.transition.is_some() { driven } else { 0 };
             let steps = (step, step + stretch.count);
-            let few = if many < MOST { cut.few } else { cut.few.max(cut.short) };
+            let few = if many < MOST_SHORT_STRETCHES { cut.few } else { cut.few.max(cut.short) };
             let long = stretch.count > few;
-            let summed = || equal_backward::kernel(self, &stretch).filter(|_| sink.sums(steps.0..steps.1));
+            let summed = || equal_backward::kernel(self, &stretch).filter(|_| sink.accepts_sums(steps.0..steps.1));
             let begun = |kind, steps, skip, input| Segment { kind, steps, stretch: at, skip, input, mark: 0 };
             if let Some(pass) = long.then(summed).flatten() {
                 many += 1;
@@ -74,11 +74,11 @@ impl BackwardInput<'_> {
     }
 
     /// Over the steps of a part, one by one; what the filter passes through is kept for the way back.
-    pub(super) fn steps_forth(&self, part: &Segment, work: &mut BackwardWork) {
+    pub(super) fn forward_steps(&self, part: &Segment, work: &mut BackwardWork) {
         let BackwardWork { e, left, before, now, .. } = work;
         left.clear();
         before.clear();
-        self.through(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
+        self.each_position(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
             FilterPosition::Moves if self.wanted.motion => now.save(left),
             FilterPosition::Measures if self.wanted.equation => now.save(before),
             _ => {}
@@ -87,7 +87,7 @@ impl BackwardInput<'_> {
 
     /// Over some steps from where the filter stands, `input` their first known input; `e`: innovations that are known, others are
     /// appended.
-    pub(super) fn through<'s>(
+    pub(super) fn each_position<'s>(
         &self,
         steps: impl Iterator<Item = DesignStep<'s>>,
         mut input: usize,

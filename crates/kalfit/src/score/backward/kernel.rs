@@ -7,7 +7,7 @@ use crate::reduce::{Entries, TransitionView};
 
 /// X ← φ'X over the first rows of φ that X has. Shape: `x` rows × width; rows of φ beyond X are left out.
 #[inline(always)]
-pub(crate) fn back<T: Real, E: Entries<T>>(
+pub(crate) fn advance_transposed<T: Real, E: Entries<T>>(
     x: &mut [T],
     (rows, width): (usize, usize),
     transition: TransitionView<'_, E>,
@@ -47,7 +47,7 @@ pub(crate) fn back<T: Real, E: Entries<T>>(
 
 /// N ← Nφ on the r noisy states.
 #[inline(always)]
-pub(super) fn columns<T: Real, E: Entries<T>>(
+pub(super) fn times_phi<T: Real, E: Entries<T>>(
     N: &mut [T],
     r: usize,
     transition: TransitionView<'_, E>,
@@ -103,7 +103,7 @@ pub(crate) fn absorb<T: Real, E: Entries<T>>((states, h): (&[u32], E), u: &[T], 
 
 /// r_i r_j + (ρρ')_ij.
 #[inline(always)]
-pub(super) fn second<T: Real>(adjoint: &[T], rho: &[T], c: usize, i: usize, j: usize) -> T {
+pub(super) fn outer_entry<T: Real>(adjoint: &[T], rho: &[T], c: usize, i: usize, j: usize) -> T {
     adjoint[i].fma(adjoint[j], dot(&rho[i * c..][..c], &rho[j * c..][..c]))
 }
 

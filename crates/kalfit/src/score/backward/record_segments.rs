@@ -3,7 +3,7 @@
 use crate::reduce::DesignStep;
 use crate::score::backward::equal::EqualStretch;
 use crate::score::backward::forward::FilterPosition;
-use crate::score::backward::run::BackwardInput;
+use crate::score::backward::input::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment, SegmentKind};
 
 /// Steps that are gone through together.
@@ -43,7 +43,7 @@ impl<'a> BackwardInput<'a> {
         if self.tracked() {
             work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
             let BackwardWork { e, now, .. } = work;
-            self.through(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
+            self.each_position(part.steps(self.design), part.input, (now, e), |at, _, now| match at {
                 FilterPosition::Moves if self.wanted.motion => left.extend_from_slice(&now.P),
                 FilterPosition::Measures if self.wanted.equation => before.extend_from_slice(&now.P),
                 _ => {}

@@ -4,7 +4,7 @@
 use kalfit_lanes::Real;
 
 use crate::reduce::{Entries, StateFrame};
-use crate::score::backward::run::{AdjointsWanted, BackwardInput};
+use crate::score::backward::input::{AdjointsWanted, BackwardInput};
 
 /// A scalar measurement.
 #[derive(Debug, Clone, Copy)]

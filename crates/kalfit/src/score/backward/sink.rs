@@ -35,7 +35,7 @@ pub(crate) trait Sink {
     /// Why it cannot go on.
     type Error;
     /// Whether the sums of the adjoints over these equal steps will do; they are then given as those of the first of them.
-    fn sums(&mut self, steps: Range<usize>) -> bool;
+    fn accepts_sums(&mut self, steps: Range<usize>) -> bool;
     /// Of the measurements of step `k`.
     fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error>;
     /// Of the transition to step `k`.

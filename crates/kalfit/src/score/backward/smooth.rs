@@ -9,8 +9,8 @@
 use crate::reduce::{DesignStep, Transition};
 use crate::score::backward::filtered::FilterSnapshot;
 use crate::score::backward::forward::FilterPosition;
-use crate::score::backward::kernel::{columns, dot, second};
-use crate::score::backward::run::BackwardInput;
+use crate::score::backward::input::BackwardInput;
+use crate::score::backward::kernel::{dot, outer_entry, times_phi};
 use crate::score::backward::work::BackwardWork;
 
 /// The moments of a test.
@@ -58,7 +58,7 @@ impl SmoothedNoise {
         let q = q.as_slice(); // symmetric
         self.mean.clear();
         self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], &adjoint[..r])));
-        let g: Vec<f64> = (0..r * r).map(|ij| second(adjoint, rho, c, ij / r, ij % r) - N[ij]).collect();
+        let g: Vec<f64> = (0..r * r).map(|ij| outer_entry(adjoint, rho, c, ij / r, ij % r) - N[ij]).collect();
         let qg = product(q, &g, r, r);
         self.second = product(&qg, q, r, r);
         self.second.iter_mut().zip(q).for_each(|(second, q)| *second += q);
@@ -73,7 +73,7 @@ impl SmoothedNoise {
         (N, r, c): (&[f64], usize, usize),
     ) {
         let n = left.x.len();
-        let B = left.unknown_part(rho, r, c);
+        let B = left.smoothed_sensitivity(rho, r, c);
         let mut inner = vec![0.0; r * n];
         for i in 0..r {
             for j in 0..n {
@@ -100,7 +100,7 @@ fn product(a: &[f64], b: &[f64], r: usize, n: usize) -> Vec<f64> {
 
 impl FilterSnapshot<'_> {
     /// ΨC - Pρ (n × c): what the smoothed state owes to ξ.
-    fn unknown_part(&self, rho: &[f64], r: usize, c: usize) -> Vec<f64> {
+    fn smoothed_sensitivity(&self, rho: &[f64], r: usize, c: usize) -> Vec<f64> {
         let mut B = self.Psi.to_vec();
         for i in 0..r {
             for j in 0..r {
@@ -114,7 +114,7 @@ impl FilterSnapshot<'_> {
     /// The state given all data: x̄ + Pr, and P - PNP + BB'.
     pub(super) fn smooth(&self, adjoint: &[f64], rho: &[f64], (N, r, c): (&[f64], usize, usize), out: &mut Smoothed) {
         let n = self.x.len();
-        let B = self.unknown_part(rho, r, c);
+        let B = self.smoothed_sensitivity(rho, r, c);
         out.mean.clear();
         out.mean.extend_from_slice(self.x);
         out.variance.clear();
@@ -134,7 +134,7 @@ impl BackwardInput<'_> {
         let (r, c) = (self.design.frame.r, self.moments.columns);
         let stride = self.stride();
         let (mut ends, mut left) = (Vec::new(), Vec::new());
-        self.forward_all(work, &mut ends, &mut left);
+        self.forward_keeping_all(work, &mut ends, &mut left);
         let BackwardWork { e, adjoint, measured, moved, variance, .. } = work;
         adjoint.begin(&self.unknown(), self.after());
         let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
@@ -151,7 +151,7 @@ impl BackwardInput<'_> {
             let mut noise = SmoothedNoise::default();
             noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
             let mut turned = adjoint.N.clone();
-            columns(&mut turned, r, transition.view(), &mut Vec::new());
+            times_phi(&mut turned, r, transition.view(), &mut Vec::new());
             let rho = adjoint.rho.clone();
             adjoint.moved(&self.unknown(), transition.view(), None, moved);
             noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
@@ -159,13 +159,13 @@ impl BackwardInput<'_> {
         }
         let start = FilterSnapshot::new(&ends[seen(&ends, 0)], self.sizes());
         start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[0]);
-        adjoint.variance(&self.unknown(), variance);
+        adjoint.start_covariance_adjoint(&self.unknown(), variance);
         SmoothedTest { states, noises, mean: adjoint.r.clone(), variance: variance.clone() }
     }
 
     /// The filter at ξ = x̂, step by step: tells its state before the measurements of a step (`measured` false) and after them. `e`: what
     /// the data pass left. `wanted.motion` must be set.
-    pub(crate) fn forth(
+    pub(crate) fn filtered_states(
         &self,
         work: &mut BackwardWork,
         e: &[f64],
@@ -173,7 +173,7 @@ impl BackwardInput<'_> {
     ) {
         let BackwardWork { now, .. } = work;
         self.begin(now);
-        self.through(self.design.each_step(), 0, (now, &mut e.to_vec()), |at, step, now| match at {
+        self.each_position(self.design.each_step(), 0, (now, &mut e.to_vec()), |at, step, now| match at {
             FilterPosition::Arrives => tell(step, false, now.seen()),
             FilterPosition::Ends => tell(step, true, now.seen()),
             FilterPosition::Moves | FilterPosition::Measures => {}
@@ -181,12 +181,12 @@ impl BackwardInput<'_> {
     }
 
     /// The filter at ξ = x̂: its state at the start and after each step, and before each transition.
-    fn forward_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
+    fn forward_keeping_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
         let BackwardWork { e, now, .. } = work;
         e.clear();
         self.begin(now);
         now.save(ends);
-        self.through(self.design.each_step(), 0, (now, e), |at, _, now| match at {
+        self.each_position(self.design.each_step(), 0, (now, e), |at, _, now| match at {
             FilterPosition::Moves => now.save(left),
             FilterPosition::Ends => now.save(ends),
             FilterPosition::Arrives | FilterPosition::Measures => {}

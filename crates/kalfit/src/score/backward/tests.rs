@@ -128,7 +128,7 @@ struct Kept {
 
 impl Sink for Kept {
     type Error = std::convert::Infallible;
-    fn sums(&mut self, _: Range<usize>) -> bool {
+    fn accepts_sums(&mut self, _: Range<usize>) -> bool {
         false
     }
     fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error> {
@@ -402,7 +402,7 @@ impl Totals {
 
 impl Sink for Totals {
     type Error = std::convert::Infallible;
-    fn sums(&mut self, _: Range<usize>) -> bool {
+    fn accepts_sums(&mut self, _: Range<usize>) -> bool {
         self.takes_sums
     }
     fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error> {

@@ -3,7 +3,7 @@
 use crate::reduce::{Design, DesignStep, MomentPath, SteadyStateMonitor};
 use crate::score::backward::adjoint::Adjoint;
 use crate::score::backward::filtered::FilteredMoments;
-use crate::score::backward::run::BackwardInput;
+use crate::score::backward::input::BackwardInput;
 use crate::score::backward::sink::{MeasurementAdjoint, TransitionAdjoint};
 
 /// How long records are cut.
@@ -13,12 +13,12 @@ pub(super) struct SegmentLengths {
     pub(super) block: usize,
     /// So many equal steps are not worth a kernel of their own,
     pub(super) few: usize,
-    /// nor so many after the first [`MOST`] times: the state of the filter is kept each time.
+    /// nor so many after the first [`MOST_SHORT_STRETCHES`]: the state of the filter is kept each time.
     pub(super) short: usize,
 }
 
-/// Short stretches that are gone back through by themselves.
-pub(super) const MOST: usize = 64;
+/// So many stretches, the first ones, are gone back through by themselves though they are short.
+pub(super) const MOST_SHORT_STRETCHES: usize = 64;
 
 impl Default for SegmentLengths {
     fn default() -> SegmentLengths {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
-//! ∂ℓ/∂Q: ½rr'        ∂ℓ/∂b: r        r ← φ'r        ∂ℓ/∂φ: r (x̄ + Pφ'r)'
+//! ∂ℓ/∂Q: ½rr'        ∂ℓ/∂b: r        ∂ℓ/∂φ: r (x̄ + Pφ'r)'        r ← φ'r
 //! ```
 #![expect(non_snake_case, reason = "the letters of the theory: P, K")]
 
@@ -13,7 +13,7 @@ use crate::reduce::{
     Common, Design, DesignStep, Gains, Scan, Transition, advance, at, correct_mean, innovation, with_states,
 };
 use crate::score::backward::{
-    AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments, absorb, back, smoothing_error,
+    AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments, absorb, advance_transposed, smoothing_error,
 };
 use crate::score::classes::equal::EqualDataBackward;
 use crate::score::pullback::{PullbackFactors, ResponseEntry};
@@ -333,7 +333,7 @@ impl<T: Lanes> DataBackwardState<T> {
         for (place, row) in pattern.moved.iter().enumerate() {
             self.moved[place] = self.x[row.state as usize];
         }
-        back(&mut self.x, (n, 1), transition.common(), &mut self.work);
+        advance_transposed(&mut self.x, (n, 1), transition.common(), &mut self.work);
         for entry in response.entries(&own.phi) {
             let P = shared.record.left.get((number * r + entry.j) * r..).unwrap_or(&[]);
             let smoothed = self.smoothed(self.left[number * n + entry.j], (entry.j < r).then_some(&P[..r]));

@@ -5,8 +5,8 @@
 //! is the pass of its data: x̄ forth, u and r back, tests side by side.
 //!
 //! ```text
-//! alike tests ─┬─ one of them, data zero ── backward ── chain ──> the design's part of dℓ/dα
-//!              ├─ one of them ── chain, adjoint by adjoint ──> factors
+//! alike tests ─┬─ one of them, data zero ── backward ── pullback ──> the design's part of dℓ/dα
+//!              ├─ one of them ── pullback, adjoint by adjoint ──> factors
 //!              └─ their data, in lanes ── u, r ── factors ──> the data's part
 //! ```
 
@@ -51,16 +51,16 @@ impl Scorer<'_> {
         let found: Result<_, Box<Fault>> = self.reducer.with_gains(first, work, |gains, work| {
             let cells = self.reducer.preparer().measured_cells(first, work)?;
             let blank = ZeroData::new(work, shared);
-            let run = blank.run((&work.design, gains), wanted);
-            run.cut(backward, &mut PullbackSink { adjoints, test: first, work });
+            let input = blank.input((&work.design, gains), wanted);
+            input.cut(backward, &mut PullbackSink { adjoints, test: first, work });
             let standing: Vec<usize> = backward.standing().collect();
             let worth = adjoints.adjoint_count(work) * standing.len() <= tests.len() * work.design.steps();
             if !worth || !is_small(&work.design, &standing, wanted) {
                 return Ok(None);
             }
             let response = adjoints.response((first, work), standing.into_iter())?;
-            run.forward(backward, &mut PullbackSink { adjoints, test: first, work });
-            let segments = run.segments(backward);
+            input.forward(backward, &mut PullbackSink { adjoints, test: first, work });
+            let segments = input.segments(backward);
             let shared = ClassShared {
                 design: &work.design,
                 gains,
@@ -72,7 +72,7 @@ impl Scorer<'_> {
                 response: &response,
             };
             let design = || {
-                let done = run.back(backward, &mut PullbackSink { adjoints, test: first, work });
+                let done = input.back(backward, &mut PullbackSink { adjoints, test: first, work });
                 adjoints.finished(done, first, work)
             };
             let (design, data) = rayon::join(design, || of_data(&shared, tests));
@@ -112,7 +112,7 @@ impl ZeroData {
         }
     }
 
-    fn run<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: AdjointsWanted) -> BackwardInput<'a> {
+    fn input<'a>(&'a self, (design, gains): (&'a Design, &'a Gains), wanted: AdjointsWanted) -> BackwardInput<'a> {
         let ZeroData { start, inputs, values, moments, ending } = self;
         BackwardInput { design, gains, start, inputs, values, blank: true, moments, ending: ending.as_ref(), wanted }
     }

@@ -145,7 +145,7 @@ pub(super) fn reduced(
     tests: &[PhasedTest],
 ) -> (PhasedReducer, Reductions) {
     let alpha = slots.alpha(model.shared(), values);
-    let mut reducer = PhasedReducer::scoring(model, &alpha, slots).expect("sound");
+    let reducer = PhasedReducer::scoring(model, &alpha, slots).expect("sound");
     let reductions = reducer.reduce(tests).expect("sound");
     (reducer, reductions)
 }

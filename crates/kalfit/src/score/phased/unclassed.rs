@@ -1,4 +1,4 @@
-//! Scores of tests that are in no class: phase by phase, those in blocks side by side.
+//! Scores of tests that are in no class: phase by phase, those in batches side by side.
 
 use rayon::prelude::*;
 
@@ -45,7 +45,7 @@ impl PhasedScorer<'_> {
         let mut known: Vec<TestScore> = numbers.par_iter().map_init(|| self.room(), begin).collect();
         for at in 0..self.phases.len() {
             let mut left: Vec<bool> = known.iter().map(|known| known.error.is_none()).collect();
-            for (place, gradient) in self.in_blocks(at, of, numbers, &known) {
+            for (place, gradient) in self.in_batches(at, of, numbers, &known) {
                 left[place] = false;
                 known[place].parts[at] = gradient;
             }

@@ -13,7 +13,7 @@ use crate::score::pullback::taps::{CellRead, Gradient, Pending};
 /// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
 #[derive(Debug)]
 pub(crate) struct Adjoints<'a> {
-    pub(super) chain: &'a Pullback<'a>,
+    pub(super) pullback: &'a Pullback<'a>,
     pub(super) pending: Pending,
     pub(super) moving: Moving,
     pub(super) measuring: Measuring,
@@ -44,12 +44,12 @@ pub(super) struct Measuring {
 }
 
 impl Moving {
-    pub(super) fn new(chain: &Pullback<'_>) -> Moving {
-        let preparer = chain.preparer;
+    pub(super) fn new(pullback: &Pullback<'_>) -> Moving {
+        let preparer = pullback.preparer;
         let (phi, q) = preparer.plan.entries();
         let flows = preparer.plan.flow_len;
         Moving {
-            groups: Groups::new(phi + q + flows, if chain.needs.inputs { flows } else { 0 }),
+            groups: Groups::new(phi + q + flows, if pullback.needs.inputs { flows } else { 0 }),
             entries: (phi, q),
             cells: GatheredCells::default(),
             sums: Vec::new(),
@@ -63,7 +63,7 @@ impl Pullback<'_> {
     /// An accumulator, for one test after the other.
     pub(crate) fn adjoints(&self) -> Adjoints<'_> {
         Adjoints {
-            chain: self,
+            pullback: self,
             pending: Pending::new(&self.taps, &self.preparer.at(), self.slots),
             moving: Moving::new(self),
             measuring: Measuring::default(),
@@ -77,16 +77,16 @@ impl Adjoints<'_> {
     /// True when equal steps of one measurement each have coefficients that depend on the free values in the same way, so that
     /// the sums of their adjoints, as those of the first of them, give the same gradient.
     pub(crate) fn uniform(&self, test: &Test, steps: Range<usize>, work: &Workspace) -> bool {
-        let chain = self.chain;
+        let pullback = self.pullback;
         let (first, last) = (work.design.step(steps.start).rows, work.design.step(steps.end - 1).rows);
         if first.is_empty() || !work.instances.uniform(first.start..last.end) {
             return false;
         }
-        let Some(reads) = &chain.cells else { return true };
+        let Some(reads) = &pullback.cells else { return true };
         if !work.same_dt(&steps) {
             return false;
         }
-        let rows = work.rows_of(&steps, chain.preparer.clock_previous());
+        let rows = work.rows_of(&steps, pullback.preparer.clock_previous());
         let (numbers, texts) = (test.numbers(rows.start), test.texts(rows.start));
         reads.iter().all(|read| match *read {
             CellRead::Step => true,
@@ -106,14 +106,14 @@ impl Adjoints<'_> {
         mean: &[f64],
         variance: &[f64],
     ) -> Result<(), Box<Fault>> {
-        let chain = self.chain;
-        if !chain.needs.start {
+        let pullback = self.pullback;
+        if !pullback.needs.start {
             return Ok(());
         }
         let mut cells = std::mem::take(&mut self.moving.cells);
-        let starting = chain.preparer.starting(work);
-        if chain.preparer.start.settles() {
-            let settled = chain.preparer.settled(test, work, &mut cells)?;
+        let starting = pullback.preparer.starting(work);
+        if pullback.preparer.start.settles() {
+            let settled = pullback.preparer.settled(test, work, &mut cells)?;
             self.started_at((&settled, &starting), mean, variance)?;
         } else {
             self.started_at((&starting, &starting), mean, variance)?;
@@ -129,25 +129,25 @@ impl Adjoints<'_> {
         mean: &[f64],
         variance: &[f64],
     ) -> Result<(), Box<Fault>> {
-        let Adjoints { chain, pending, replay, start: out, .. } = self;
-        if !chain.needs.start {
+        let Adjoints { pullback, pending, replay, start: out, .. } = self;
+        if !pullback.needs.start {
             return Ok(());
         }
-        let (preparer, context) = (chain.preparer, chain.context());
+        let (preparer, context) = (pullback.preparer, pullback.context());
         let law = LawAdjoint { place: &preparer.order.place, r: preparer.order.frame.r, mean, variance };
         if !preparer.start.settles() {
             preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
         } else {
             preparer.settling(settled, replay)?;
             preparer.start.backward(&context.at, (&replay.values, &replay.inputs), &law, out)?;
-            let slots = chain.values.iter().zip(&out.values).chain(chain.inputs.iter().zip(&out.inputs));
+            let slots = pullback.values.iter().zip(&out.values).chain(pullback.inputs.iter().zip(&out.inputs));
             for (tap, &bar) in slots {
                 if let Some(tap) = *tap {
                     pending.add(&context, tap, bar, settled)?;
                 }
             }
         }
-        for (tap, &bar) in chain.start.iter().zip(&out.coefficients) {
+        for (tap, &bar) in pullback.start.iter().zip(&out.coefficients) {
             if let Some(tap) = *tap {
                 pending.add(&context, tap, bar, starting)?;
             }
@@ -157,7 +157,7 @@ impl Adjoints<'_> {
 
     /// The gradient of the test; the next one can begin.
     pub(crate) fn finish(&mut self, test: &Test, work: &Workspace) -> Result<Gradient, Box<Fault>> {
-        let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.chain.context()));
+        let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.pullback.context()));
         self.clear();
         result
     }

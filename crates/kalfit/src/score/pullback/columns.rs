@@ -24,7 +24,7 @@ pub(crate) struct Pulled {
 }
 
 struct Pull<'a> {
-    chain: &'a Pullback<'a>,
+    pullback: &'a Pullback<'a>,
     block: FilteredBatch<'a>,
     back: MotionPullback<'a>,
     bars: &'a BatchAdjoints,
@@ -37,7 +37,7 @@ impl Pullback<'_> {
         let pairs = if self.pairs.is_empty() { Vec::new() } else { self.unwhiten(block, tests, bars) };
         let steps = (&block.layout.transitions, &block.values.motion);
         let back = self.preparer.plan.back(&self.preparer.dynamics, steps, &self.free);
-        let pulled = block.values.batch_filter.block.isa().run(Pull { chain: self, block, back, bars });
+        let pulled = block.values.batch_filter.block.isa().run(Pull { pullback: self, block, back, bars });
         Pulled { pairs, ..pulled }
     }
 
@@ -56,13 +56,13 @@ impl Kernel for Pull<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) -> Pulled {
-        let Pull { chain, block, .. } = &self;
-        let mut sums = vec![T::splat(0.0); chain.taps.len()];
+        let Pull { pullback, block, .. } = &self;
+        let mut sums = vec![T::splat(0.0); pullback.taps.len()];
         self.measured(&mut sums);
         let room = |taps: &[Option<usize>]| -> Vec<(usize, Vec<f64>)> {
-            chain.columns(taps).map(|(slot, _)| (slot, vec![0.0; block.layout.transitions.dt.len()])).collect()
+            pullback.columns(taps).map(|(slot, _)| (slot, vec![0.0; block.layout.transitions.dt.len()])).collect()
         };
-        let (mut values, mut inputs) = (room(&chain.values), room(&chain.inputs));
+        let (mut values, mut inputs) = (room(&pullback.values), room(&pullback.inputs));
         let (moves, width) = self.bars.moves();
         let mut bars = self.back.zero::<T>();
         for (t, own) in moves.chunks_exact((width * T::COUNT).max(1)).enumerate() {
@@ -77,7 +77,7 @@ impl Kernel for Pull<'_> {
             }
         }
         self.back.finish(&mut bars);
-        for (taps, bars) in [(&chain.values, &bars.values), (&chain.inputs, &bars.inputs)] {
+        for (taps, bars) in [(&pullback.values, &bars.values), (&pullback.inputs, &bars.inputs)] {
             for (tap, &bar) in taps.iter().zip(bars) {
                 if let Some(tap) = *tap {
                     sums[tap] = sums[tap] + bar;
@@ -98,7 +98,7 @@ impl Pull<'_> {
     fn measured<T: Lanes>(&self, sums: &mut [T]) {
         let (layout, (rows, width)) = (self.block.layout, self.bars.rows());
         for (row, &meter) in layout.meters.iter().enumerate() {
-            let MeterTaps { noise, constant, terms } = &self.chain.meters[meter];
+            let MeterTaps { noise, constant, terms } = &self.pullback.meters[meter];
             let here = T::load(&layout.measured[row * T::COUNT..]);
             let bars = &rows[row * width * T::COUNT..][..width * T::COUNT];
             if let Some(tap) = *noise {
@@ -125,8 +125,8 @@ impl Adjoints<'_> {
     ) -> Result<Gradient, Box<Fault>> {
         let test = tests[block.layout.tests[lane]];
         let found = self.gather((block, bars, pulled), lane, tests).and_then(|()| {
-            let chain = self.chain;
-            let ([mean, variance], alpha) = (bars.start(lane), chain.context().at.alpha);
+            let pullback = self.pullback;
+            let ([mean, variance], alpha) = (bars.start(lane), pullback.context().at.alpha);
             let nothing = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
             match block.layout.openings.get(lane) {
                 None => self.started_at((&nothing, &nothing), &mean, &variance),
@@ -144,13 +144,13 @@ impl Adjoints<'_> {
         lane: usize,
         tests: &[&Test],
     ) -> Result<(), Box<Fault>> {
-        let (chain, lanes, layout) = (self.chain, block.layout.lanes, block.layout);
-        let context = chain.context();
+        let (pullback, lanes, layout) = (self.pullback, block.layout.lanes, block.layout);
+        let context = pullback.context();
         let nothing = Scope { numbers: &[], texts: &[], step: 0.0, alpha: context.at.alpha };
-        for tap in (0..chain.taps.len()).filter(|&tap| !chain.reads(tap)) {
+        for tap in (0..pullback.taps.len()).filter(|&tap| !pullback.reads(tap)) {
             self.pending.add(&context, tap, pulled.sums[tap * lanes + lane], &nothing)?;
         }
-        if chain.meters.iter().any(|meter| meter.taps().any(|tap| chain.reads(tap))) {
+        if pullback.meters.iter().any(|meter| meter.taps().any(|tap| pullback.reads(tap))) {
             self.rows((block, bars), lane, tests)?;
         }
         for pair in pulled.pairs.iter().filter(|pair| pair.lane == lane) {
@@ -159,7 +159,7 @@ impl Adjoints<'_> {
             let scope = Scope { numbers, texts, step: pair.dt, alpha: context.at.alpha };
             self.pending.add(&context, pair.tap, pair.bar, &scope)?;
         }
-        let tables = [(&chain.values, &pulled.values), (&chain.inputs, &pulled.inputs)];
+        let tables = [(&pullback.values, &pulled.values), (&pullback.inputs, &pulled.inputs)];
         for ((slot, column), taps) in tables.iter().flat_map(|(taps, all)| all.iter().map(move |own| (own, *taps))) {
             let tap = taps[*slot].expect("only those with a tap have a column");
             for place in (lane..column.len()).step_by(lanes).filter(|&place| layout.transitions.moving[place] != 0.0) {
@@ -177,19 +177,19 @@ impl Adjoints<'_> {
         lane: usize,
         tests: &[&Test],
     ) -> Result<(), Box<Fault>> {
-        let (chain, lanes, layout, (rows, width)) = (self.chain, block.layout.lanes, block.layout, bars.rows());
-        let context = chain.context();
+        let (pullback, lanes, layout, (rows, width)) = (self.pullback, block.layout.lanes, block.layout, bars.rows());
+        let context = pullback.context();
         for (row, &meter) in layout.meters.iter().enumerate() {
             let place = row * lanes + lane;
             if layout.measured[place] == 0.0 {
                 continue;
             }
-            let (taps, scope) = (&chain.meters[meter], layout.scope(&context.at, tests, (place, lane)));
+            let (taps, scope) = (&pullback.meters[meter], layout.scope(&context.at, tests, (place, lane)));
             let bar = |k: usize| rows[(row * width + k) * lanes + lane];
             let noise = taps.noise.map(|tap| (tap, bar(0)));
             let constant = taps.constant.map(|tap| (tap, -bar(1)));
             let terms = taps.terms.iter().map(|&(state, tap)| (tap, bar(2 + state)));
-            for (tap, seed) in noise.into_iter().chain(constant).chain(terms).filter(|&(tap, _)| chain.reads(tap)) {
+            for (tap, seed) in noise.into_iter().chain(constant).chain(terms).filter(|&(tap, _)| pullback.reads(tap)) {
                 self.pending.add(&context, tap, seed, &scope)?;
             }
         }

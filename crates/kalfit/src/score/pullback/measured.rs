@@ -18,11 +18,11 @@ impl Adjoints<'_> {
         work: &Workspace,
         bars: &MeasurementAdjoint,
     ) -> Result<(), Box<Fault>> {
-        if !self.chain.needs.measurements {
+        if !self.pullback.needs.measurements {
             return Ok(());
         }
         let rows = work.design.step(k).rows;
-        if rows.len() < 2 || self.chain.pairs.is_empty() || !self.correlated(test, k, rows.clone(), work, bars)? {
+        if rows.len() < 2 || self.pullback.pairs.is_empty() || !self.correlated(test, k, rows.clone(), work, bars)? {
             return self.scalars(test, k, rows, work, bars);
         }
         let own = std::mem::take(&mut self.measuring.bars);
@@ -40,10 +40,10 @@ impl Adjoints<'_> {
         work: &Workspace,
         bars: &MeasurementAdjoint,
     ) -> Result<(), Box<Fault>> {
-        let Adjoints { chain, pending, .. } = self;
-        let (context, n, step) = (chain.context(), work.design.frame.n, work.dt(k));
+        let Adjoints { pullback, pending, .. } = self;
+        let (context, n, step) = (pullback.context(), work.design.frame.n, work.dt(k));
         for (i, instance) in rows.map(|row| work.instances.get(row)).enumerate() {
-            let (meter, row) = (&chain.meters[instance.meter], instance.row);
+            let (meter, row) = (&pullback.meters[instance.meter], instance.row);
             let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step, alpha: context.at.alpha };
             if let Some(tap) = meter.noise {
                 pending.add(&context, tap, bars.noise[i], &scope)?;
@@ -67,8 +67,8 @@ impl Adjoints<'_> {
         work: &Workspace,
         bars: &MeasurementAdjoint,
     ) -> Result<bool, Box<Fault>> {
-        let Adjoints { chain, pending, measuring: Measuring { raw, back, bars: own }, .. } = self;
-        let (context, meters, dt, m) = (chain.context(), &chain.preparer.meters, work.dt(k), rows.len());
+        let Adjoints { pullback, pending, measuring: Measuring { raw, back, bars: own }, .. } = self;
+        let (context, meters, dt, m) = (pullback.context(), &pullback.preparer.meters, work.dt(k), rows.len());
         let instances = &work.instances.of(rows.clone());
         let found = meters.covariances(&context.at, test, dt, instances)?;
         if found.is_empty() {
@@ -84,7 +84,7 @@ impl Adjoints<'_> {
         }
         back.set((&h, &work.data.values[rows], n), (raw, &found), whitened);
         for c in &found {
-            if let Some(tap) = chain.pairs[c.pair] {
+            if let Some(tap) = pullback.pairs[c.pair] {
                 let scope =
                     Scope { numbers: test.numbers(c.row), texts: test.texts(c.row), step: dt, alpha: context.at.alpha };
                 pending.add(&context, tap, back.noise[c.i * m + c.j] + back.noise[c.j * m + c.i], &scope)?;

@@ -18,7 +18,7 @@ impl Adjoints<'_> {
         work: &Workspace,
         bars: &TransitionAdjoint,
     ) -> Result<(), Box<Fault>> {
-        let needs = self.chain.needs;
+        let needs = self.pullback.needs;
         if !(needs.rates || needs.noise || needs.inputs) {
             return Ok(());
         }
@@ -47,22 +47,22 @@ impl Adjoints<'_> {
         k: usize,
         work: &Workspace,
     ) -> Result<Option<usize>, Box<Fault>> {
-        let Adjoints { chain, moving, .. } = self;
-        if chain.reads.is_empty() {
+        let Adjoints { pullback, moving, .. } = self;
+        if pullback.reads.is_empty() {
             return Ok(moving.groups.again(transition, &[], None));
         }
-        let scope = chain.preparer.moving(test, k, work, &mut moving.cells)?;
-        Ok(moving.groups.again(transition, &chain.reads, Some(&scope)))
+        let scope = pullback.preparer.moving(test, k, work, &mut moving.cells)?;
+        Ok(moving.groups.again(transition, &pullback.reads, Some(&scope)))
     }
 
     /// The cells that coefficients with free values read for the transition to step `k`.
     pub(super) fn cells(&mut self, test: &Test, k: usize, work: &Workspace) -> Result<Vec<u64>, Box<Fault>> {
-        let Adjoints { chain, moving, .. } = self;
-        if chain.reads.is_empty() {
+        let Adjoints { pullback, moving, .. } = self;
+        if pullback.reads.is_empty() {
             return Ok(Vec::new());
         }
-        let scope = chain.preparer.moving(test, k, work, &mut moving.cells)?;
-        Ok(chain.reads.iter().map(|read| read.bits(&scope)).collect())
+        let scope = pullback.preparer.moving(test, k, work, &mut moving.cells)?;
+        Ok(pullback.reads.iter().map(|read| read.bits(&scope)).collect())
     }
 
     /// The group of the step, new or known.
@@ -76,15 +76,15 @@ impl Adjoints<'_> {
         if self.moving.groups.full() {
             self.settle(test, work)?;
         }
-        let Adjoints { chain, moving, replay, .. } = self;
-        let preparer = chain.preparer;
+        let Adjoints { pullback, moving, replay, .. } = self;
+        let preparer = pullback.preparer;
         let scope = preparer.moving(test, k, work, &mut moving.cells)?;
         preparer.values(&scope, replay)?;
         let dt = if preparer.dynamics.components.is_empty() { 0.0 } else { scope.step };
         let varying = preparer.dynamics.table.varying.iter().map(|(slot, ..)| replay.values[*slot]);
         let made = std::iter::once(dt).chain(varying);
-        let (group, new) = moving.groups.find((transition, k), (&chain.reads, &scope), made);
-        if new && chain.needs.inputs {
+        let (group, new) = moving.groups.find((transition, k), (&pullback.reads, &scope), made);
+        if new && pullback.needs.inputs {
             preparer.plan.flows(&preparer.dynamics, &replay.values, scope.step, &mut moving.flows)?;
             moving.groups.flows(group).copy_from_slice(&moving.flows);
         }
@@ -100,8 +100,8 @@ impl Adjoints<'_> {
         group: usize,
         bars: &[f64],
     ) -> Result<(), Box<Fault>> {
-        let Adjoints { chain, moving, pending, replay, .. } = self;
-        let (preparer, context) = (chain.preparer, chain.context());
+        let Adjoints { pullback, moving, pending, replay, .. } = self;
+        let (preparer, context) = (pullback.preparer, pullback.context());
         let Moving { groups, entries: (phi, q), cells, .. } = moving;
         let inputs = &preparer.dynamics.inputs;
         let scope = if inputs.varying.is_empty() {
@@ -109,7 +109,7 @@ impl Adjoints<'_> {
         } else {
             preparer.moving(test, k, work, cells)?
         };
-        if chain.needs.rates {
+        if pullback.needs.rates {
             let values = if inputs.varying.is_empty() {
                 &inputs.fixed
             } else {
@@ -118,8 +118,8 @@ impl Adjoints<'_> {
             };
             preparer.plan.drive_flows(bars, values, &mut groups.sums(group)[*phi + *q..]);
         }
-        if chain.needs.inputs {
-            preparer.plan.drive_inputs(bars, groups.flows(group), |slot, bar| match chain.inputs[slot] {
+        if pullback.needs.inputs {
+            preparer.plan.drive_inputs(bars, groups.flows(group), |slot, bar| match pullback.inputs[slot] {
                 Some(tap) => pending.add(&context, tap, bar, &scope),
                 None => Ok(()),
             })?;
@@ -129,14 +129,14 @@ impl Adjoints<'_> {
 
     /// Sends what the groups have summed on to the coefficients.
     pub(super) fn settle(&mut self, test: &Test, work: &Workspace) -> Result<(), Box<Fault>> {
-        let Adjoints { chain, moving, pending, replay, .. } = self;
-        let (preparer, context) = (chain.preparer, chain.context());
+        let Adjoints { pullback, moving, pending, replay, .. } = self;
+        let (preparer, context) = (pullback.preparer, pullback.context());
         let Moving { groups, entries: (phi, q), cells, sums, bars, flows, .. } = moving;
         for group in 0..groups.steps.len() {
             let k = groups.steps[group];
             let scope = preparer.moving(test, k, work, cells)?;
             preparer.values(&scope, replay)?;
-            if chain.needs.inputs {
+            if pullback.needs.inputs {
                 flows.clear();
                 flows.extend_from_slice(groups.flows(group));
             } else if preparer.plan.holds() {
@@ -150,8 +150,8 @@ impl Adjoints<'_> {
             let (q_bar, flow_bar) = rest.split_at_mut(*q);
             let step = Evaluated { values: &replay.values, dt: scope.step, flows };
             let adjoints = (&*phi_bar, &*q_bar, flow_bar);
-            preparer.plan.backward(&preparer.dynamics, &step, adjoints, &chain.free, bars)?;
-            for (tap, &bar) in chain.values.iter().zip(&*bars) {
+            preparer.plan.backward(&preparer.dynamics, &step, adjoints, &pullback.free, bars)?;
+            for (tap, &bar) in pullback.values.iter().zip(&*bars) {
                 if let Some(tap) = *tap {
                     pending.add(&context, tap, bar, &scope)?;
                 }

@@ -126,8 +126,8 @@ impl Adjoints<'_> {
 
     /// How many adjoints one transition is asked about.
     pub(crate) fn adjoint_count(&self, work: &Workspace) -> usize {
-        let (needs, frame) = (self.chain.needs, &work.design.frame);
-        let (phi, q) = self.chain.preparer.plan.entries();
+        let (needs, frame) = (self.pullback.needs, &work.design.frame);
+        let (phi, q) = self.pullback.preparer.plan.entries();
         let inputs = needs.rates || needs.inputs;
         usize::from(needs.rates) * phi + usize::from(needs.noise) * q + usize::from(inputs) * frame.driven.len()
     }
@@ -169,7 +169,7 @@ impl Asking<'_, '_> {
 
     fn transition(&mut self, k: usize, which: usize) -> Result<MoveResponse, Box<Fault>> {
         let work = self.work;
-        let (needs, frame) = (self.adjoints.chain.needs, &work.design.frame);
+        let (needs, frame) = (self.adjoints.pullback.needs, &work.design.frame);
         if !(needs.rates || needs.noise || needs.inputs) {
             return Ok(MoveResponse::default());
         }
@@ -223,8 +223,8 @@ impl Asking<'_, '_> {
     /// A scalar measurement: the one at a place of `many` of step `k`.
     fn measurement(&mut self, k: usize, place: usize, many: usize, row: usize) -> Result<RowResponse, Box<Fault>> {
         let n = self.work.design.frame.n;
-        let chain = self.adjoints.chain;
-        let taps = &chain.meters[self.work.instances.get(row).meter];
+        let pullback = self.adjoints.pullback;
+        let taps = &pullback.meters[self.work.instances.get(row).meter];
         let mut own = RowResponse::default();
         let mut bar = MeasurementAdjoint { noise: vec![0.0; many], value: vec![0.0; many], h: vec![0.0; many * n] };
         let mut ask = |asking: &mut Self, list: fn(&mut MeasurementAdjoint) -> &mut Vec<f64>, at: usize| {
@@ -254,7 +254,7 @@ impl Asking<'_, '_> {
         let (n, r) = (self.work.design.frame.n, self.work.design.frame.r);
         let from = self.response.entries.len();
         (self.response.mean, self.response.variance) = (from..from, from..from);
-        if !self.adjoints.chain.needs.start {
+        if !self.adjoints.pullback.needs.start {
             return Ok(());
         }
         let (mut mean, mut variance) = (vec![0.0; n], vec![0.0; r * r]);

@@ -94,14 +94,14 @@ fn functional(work: &Workspace) -> f64 {
 }
 
 fn gradient(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Gradient {
-    let chain = Pullback::new(preparer, slots).expect("differentiable");
-    let mut adjoints = chain.adjoints();
+    let pullback = Pullback::new(preparer, slots).expect("differentiable");
+    let mut adjoints = pullback.adjoints();
     // The second time shows that nothing is left of the first.
-    pass(&chain, &mut adjoints, work, test);
-    pass(&chain, &mut adjoints, work, test)
+    pass(&pullback, &mut adjoints, work, test);
+    pass(&pullback, &mut adjoints, work, test)
 }
 
-fn pass(chain: &Pullback<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: &Test) -> Gradient {
+fn pass(pullback: &Pullback<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, test: &Test) -> Gradient {
     let design = &work.design;
     let (n, r, driven) = (design.frame.n, design.frame.r, design.frame.driven.len());
     let when = |needed: bool, bars: Vec<f64>| if needed { bars } else { Vec::new() };
@@ -110,12 +110,12 @@ fn pass(chain: &Pullback<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, tes
         let step = design.step(k);
         let (first, m) = (step.rows.start, step.rows.len());
         let (noise, value) = (weights(3, first, m), weights(2, first, m));
-        let h = when(chain.needs_equation(), weights(7, first * n, m * n));
+        let h = when(pullback.needs_equation(), weights(7, first * n, m * n));
         adjoints.step_measured(test, k, work, &MeasurementAdjoint { noise, value, h }).expect("finite");
         if let Some(transition) = step.transition {
-            let phi = when(chain.needs_motion(), weights(5, k * 100, transition.phi.len()));
-            let q = when(chain.needs_noise(), weights(6, k * 100, transition.q.len()));
-            let input = when(chain.needs_motion(), weights(1, moves(k) * driven, driven));
+            let phi = when(pullback.needs_motion(), weights(5, k * 100, transition.phi.len()));
+            let q = when(pullback.needs_noise(), weights(6, k * 100, transition.q.len()));
+            let input = when(pullback.needs_motion(), weights(1, moves(k) * driven, driven));
             adjoints.step_moved(test, k, work, &TransitionAdjoint { phi, q, input }).expect("finite");
         }
     }
@@ -127,7 +127,7 @@ fn pass(chain: &Pullback<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, tes
             variance[j * r + i] = half * weight(4, i * r + j);
         }
     }
-    if chain.needs_start() {
+    if pullback.needs_start() {
         adjoints.started(test, work, &weights(0, 0, n), &variance).expect("finite");
     }
     adjoints.finish(test, work).expect("finite")
@@ -135,8 +135,8 @@ fn pass(chain: &Pullback<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, tes
 
 /// The same from the answers to each adjoint.
 fn answered(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Vec<f64> {
-    let chain = Pullback::new(preparer, slots).expect("differentiable");
-    let response = chain.adjoints().response((test, work), 0..work.design.steps()).expect("finite");
+    let pullback = Pullback::new(preparer, slots).expect("differentiable");
+    let response = pullback.adjoints().response((test, work), 0..work.design.steps()).expect("finite");
     let design = &work.design;
     let (n, r, driven) = (design.frame.n, design.frame.r, &design.frame.driven);
     let mut sums = vec![0.0; slots.len()];
@@ -430,8 +430,8 @@ fn an_infinite_slope_is_refused() {
     let mut values = GYRO;
     values[11] = 0.0;
     let (preparer, work) = prepared(&model, &slots, &values, &test()).expect("sound");
-    let chain = Pullback::new(&preparer, &slots).expect("differentiable elsewhere");
-    let mut adjoints = chain.adjoints();
+    let pullback = Pullback::new(&preparer, &slots).expect("differentiable elsewhere");
+    let mut adjoints = pullback.adjoints();
     let ones = || vec![1.0; 4];
     let bar = MeasurementAdjoint { noise: ones(), value: ones(), h: ones() };
     adjoints.step_measured(&test(), 0, &work, &bar).expect("waits");

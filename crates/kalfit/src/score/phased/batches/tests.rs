@@ -14,7 +14,7 @@ use crate::score::Gradient;
 use crate::score::phased::PhasedScorer;
 use crate::score::phased::tests::*;
 
-/// A model of one phase with some of all that blocks can hold.
+/// A model of one phase with some of all that batches can hold.
 fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
     let mut flip = || random() > 0.0;
     let mut states = vec![state("bias", Motion::Constant, Initial::Estimated)];
@@ -109,31 +109,31 @@ impl Case {
         reduced(&self.model, &self.slots, &VALUES, tests).1.get(0).into()
     }
 
-    fn blocks(&self, tests: &[PhasedTest]) -> PhasedBatches {
+    fn batches(&self, tests: &[PhasedTest]) -> PhasedBatches {
         let (reducer, _) = reduced(&self.model, &self.slots, &VALUES, tests);
         let batches = reducer.batches(tests, reducer.replicates(tests), (&Vec::from_iter(0..tests.len()), &[]));
-        assert!(batches.has.contains(&true), "some tests are in blocks");
+        assert!(batches.has.contains(&true), "some tests are in batches");
         batches
     }
 
-    /// Which tests of one phase went with the others of their block.
-    fn in_lanes(&self, values: &[f64], tests: &[PhasedTest], blocks: &PhasedBatches) -> Vec<bool> {
+    /// Which tests of one phase went with the others of their batch.
+    fn in_lanes(&self, values: &[f64], tests: &[PhasedTest], batches: &PhasedBatches) -> Vec<bool> {
         let (reducer, _) = reduced(&self.model, &self.slots, values, tests);
-        let (_, filtered) = reducer.reduce_batches(tests, blocks).expect("sound");
-        let (numbers, blocks) = filtered.phase(0);
+        let (_, filtered) = reducer.reduce_batches(tests, batches).expect("sound");
+        let (numbers, batches) = filtered.phase(0);
         let mut went = vec![false; tests.len()];
-        for block in blocks.collect::<Vec<_>>() {
-            block.tests().for_each(|(_, number)| went[numbers[number]] = true);
+        for batch in batches.collect::<Vec<_>>() {
+            batch.tests().for_each(|(_, number)| went[numbers[number]] = true);
         }
         went
     }
 
-    /// Reductions and scores, in blocks where there are some.
-    fn at(&self, values: &[f64], tests: &[PhasedTest], blocks: Option<&PhasedBatches>) -> (Reductions, Vec<Gradient>) {
+    /// Reductions and scores, in batches where there are some.
+    fn at(&self, values: &[f64], tests: &[PhasedTest], batches: Option<&PhasedBatches>) -> (Reductions, Vec<Gradient>) {
         let (reducer, mut reductions): (PhasedReducer, _) = reduced(&self.model, &self.slots, values, tests);
         let mut filtered: Option<FilteredPhases> = None;
-        if let Some(blocks) = blocks {
-            let (own, after) = reducer.reduce_batches(tests, blocks).expect("sound");
+        if let Some(batches) = batches {
+            let (own, after) = reducer.reduce_batches(tests, batches).expect("sound");
             (reductions, filtered) = (own, Some(after));
         }
         let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots).expect("differentiable");
@@ -177,13 +177,17 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
     let mut rooted = 0;
     for seed in 1..=60 {
         let (case, tests) = case(seed);
-        let blocks = case.blocks(&tests);
+        let batches = case.batches(&tests);
         let silent = |&number: &usize| case.reduced(&tests[number..=number]).observations == 0;
-        assert!((0..tests.len()).all(|j| blocks.has[j] || silent(&j)), "seed {seed}: {:?} are in blocks", blocks.has);
+        assert!(
+            (0..tests.len()).all(|j| batches.has[j] || silent(&j)),
+            "seed {seed}: {:?} are in batches",
+            batches.has
+        );
         for values in [&VALUES, &moved, &sharp, &VALUES] {
-            let (found, scores) = case.at(values, &tests, Some(&blocks));
+            let (found, scores) = case.at(values, &tests, Some(&batches));
             let (expected, by_themselves) = case.at(values, &tests, None);
-            let in_lanes = case.in_lanes(values, &tests, &blocks);
+            let in_lanes = case.in_lanes(values, &tests, &batches);
             for j in 0..tests.len() {
                 let (own, alone) = (found.get(j), expected.get(j));
                 let what = format!("seed {seed}, {}", alone.test);
@@ -192,7 +196,7 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
                 let tolerance = if values == &sharp { 1e-6 } else { 1e-10 };
                 rooted += usize::from(own.path == Path::SquareRoot);
                 // numbers that go wrong in a lane are found by another way, and nobody would know
-                let kept = values == &sharp || in_lanes[j] || alone.path == Path::SquareRoot || !blocks.has[j];
+                let kept = values == &sharp || in_lanes[j] || alone.path == Path::SquareRoot || !batches.has[j];
                 assert!(kept, "{what} was left out of its lane");
                 assert_eq!((own.test, own.steps, own.observations), (alone.test, alone.steps, alone.observations));
                 assert_eq!(own.constant, alone.constant, "{what}, to the bit");
@@ -213,10 +217,10 @@ fn long_tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themsel
         let tests: Vec<PhasedTest> =
             [1, 2, 4, 5].map(|number| drawn_test(&mut random, number, 4000 + 100 * number)).into();
         for tests in [&tests[..], &tests[..1]] {
-            let blocks = case.blocks(tests);
+            let batches = case.batches(tests);
             let ((found, scores), (expected, by_themselves)) =
-                (case.at(&VALUES, tests, Some(&blocks)), case.at(&VALUES, tests, None));
-            assert_eq!(case.in_lanes(&VALUES, tests, &blocks), vec![true; tests.len()], "seed {seed}");
+                (case.at(&VALUES, tests, Some(&batches)), case.at(&VALUES, tests, None));
+            assert_eq!(case.in_lanes(&VALUES, tests, &batches), vec![true; tests.len()], "seed {seed}");
             for j in 0..tests.len() {
                 let (own, alone) = (found.get(j), expected.get(j));
                 assert_eq!((own.constant, own.data), (alone.constant, alone.data), "seed {seed}, test {j}, to the bit");
@@ -232,7 +236,7 @@ fn the_score_of_small_correlated_noise_is_that_of_exact_arithmetic() {
     let mut sharp = VALUES;
     (sharp[NOISE], sharp[NOISE + 1]) = (1e-5, 2e-5);
     let (case, tests) = case(6);
-    let (_, scores) = case.at(&sharp, &tests[..1], Some(&case.blocks(&tests[..1])));
+    let (_, scores) = case.at(&sharp, &tests[..1], Some(&case.batches(&tests[..1])));
     let exact = [
         -0.00179490939443764,
         -0.0273711752517198,
@@ -249,10 +253,10 @@ fn the_score_of_small_correlated_noise_is_that_of_exact_arithmetic() {
 #[test]
 fn blocks_do_not_depend_on_the_order_of_tests() {
     let (case, tests) = case(3);
-    let (reductions, scores) = case.at(&VALUES, &tests, Some(&case.blocks(&tests)));
+    let (reductions, scores) = case.at(&VALUES, &tests, Some(&case.batches(&tests)));
     let mut other: Vec<PhasedTest> = tests.clone();
     other.reverse();
-    let (turned, turned_scores) = case.at(&VALUES, &other, Some(&case.blocks(&other)));
+    let (turned, turned_scores) = case.at(&VALUES, &other, Some(&case.batches(&other)));
     for j in 0..tests.len() {
         let k = tests.len() - 1 - j;
         assert_eq!(reductions.get(j), turned.get(k));
@@ -272,10 +276,10 @@ fn phases_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves(
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
     let mut rooted = 0;
     let case = Case { model, slots, law: law() };
-    let blocks = case.blocks(&tests);
-    assert!(blocks.has.iter().all(|&has| has), "all tests are in blocks: {:?}", blocks.has);
+    let batches = case.batches(&tests);
+    assert!(batches.has.iter().all(|&has| has), "all tests are in batches: {:?}", batches.has);
     for values in [&VALUES, &moved, &sharp, &VALUES] {
-        let (found, scores) = case.at(values, &tests, Some(&blocks));
+        let (found, scores) = case.at(values, &tests, Some(&batches));
         let (expected, by_themselves) = case.at(values, &tests, None);
         let tolerance = if values == &sharp { 1e-8 } else { 1e-11 };
         for j in 0..tests.len() {

@@ -3,7 +3,7 @@
 //! ```text
 //! once:        cells ── Skeleton ──> BatchLayout steps, measurements and lengths of steps, a test in each lane
 //! at an α:     coefficients ── BatchValues ──> h, R, z - d, φ, Q, b, a, P0 in place ── filters ──> reductions
-//! its score:   BatchValues ── backward, pulled back column by column (score/phased/blocks) ──> dℓ/dα
+//! its score:   BatchValues ── backward, pulled back column by column (score/phased/batches) ──> dℓ/dα
 //! ```
 //!
 //! Which tests share a shape, which cells each step reads and what is measured depends on the cells of the data alone, so it is
@@ -37,10 +37,11 @@ pub(crate) use layout::BatchLayout;
 use reduced::TestHeader;
 pub(crate) use values::BatchValues;
 
-/// Bytes of blocks, with their numbers at one α.
+/// Bytes of batches, with their numbers at one α.
 const BYTES: usize = 1 << 30;
-/// So many shares of the blocks for each thread, but no more blocks in one than these: long tests are few.
+/// Chunks of batches for each thread.
 const SHARES: usize = 4;
+/// Most batches of a chunk: long tests are few.
 const MOST: usize = 8;
 
 /// Tests side by side.
@@ -56,18 +57,18 @@ struct CachedBatch {
 /// order of its tests.
 #[derive(Debug, Default)]
 pub(crate) struct EnsembleBatches {
-    blocks: Vec<CachedBatch>,
+    batches: Vec<CachedBatch>,
     /// Tests without replicates that go by themselves, whatever α.
     apart: Vec<usize>,
-    /// All others that are in no block.
+    /// All others that are in no batch.
     others: Replicates,
 }
 
-/// Blocks at an α, after their filters.
+/// Batches at an α, after their filters.
 #[derive(Debug)]
 pub(crate) struct FilteredBatches {
-    blocks: Arc<EnsembleBatches>,
-    /// By block.
+    of: Arc<EnsembleBatches>,
+    /// By batch.
     values: Vec<BatchValues>,
 }
 
@@ -82,7 +83,7 @@ impl EnsembleBatches {
     ) -> EnsembleBatches {
         let preparer = reducer.preparer();
         if numbers.is_empty() || !preparer.has_columns() {
-            return EnsembleBatches { blocks: Vec::new(), apart: Vec::new(), others: replicates };
+            return EnsembleBatches { batches: Vec::new(), apart: Vec::new(), others: replicates };
         }
         let digest = |number: usize, work: &mut Workspace| {
             preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
@@ -112,11 +113,11 @@ impl EnsembleBatches {
             bytes += if fits { own } else { 0 };
             fits
         });
-        let blocks: Vec<CachedBatch> =
+        let batches: Vec<CachedBatch> =
             groups.into_par_iter().map(|own| CachedBatch::new(reducer, tests, own)).collect();
         let mut kept = vec![false; tests.len()];
-        blocks.iter().flat_map(|block| &block.layout.tests).chain(&apart).for_each(|&number| kept[number] = true);
-        EnsembleBatches { blocks, apart, others: replicates.without(&kept) }
+        batches.iter().flat_map(|batch| &batch.layout.tests).chain(&apart).for_each(|&number| kept[number] = true);
+        EnsembleBatches { batches, apart, others: replicates.without(&kept) }
     }
 
     /// What is found of all tests at the α of a reducer.
@@ -125,7 +126,7 @@ impl EnsembleBatches {
         reducer: &Reducer,
         tests: &[&Test],
     ) -> (ReducedTests, FilteredBatches) {
-        let (filtered, mut found) = self.filter(reducer, tests);
+        let (filtered, mut found) = self.filter_all(reducer, tests);
         let odd = std::mem::take(&mut found.odd);
         let root = |work: &mut Workspace, &number: &usize| match reducer.reduce_by_root(tests[number], work) {
             Ok((reduction, class)) => Ok((reduction, reducer.ending(&class, work.pass.x.iter().copied()))),
@@ -140,28 +141,31 @@ impl EnsembleBatches {
         (found, filtered)
     }
 
-    /// Runs the filters of all blocks at the α of a reducer.
-    fn filter(self: &Arc<EnsembleBatches>, reducer: &Reducer, tests: &[&Test]) -> (FilteredBatches, ReducedTests) {
+    /// Runs the filters of all batches at the α of a reducer.
+    fn filter_all(self: &Arc<EnsembleBatches>, reducer: &Reducer, tests: &[&Test]) -> (FilteredBatches, ReducedTests) {
         let mut alpha = Digest::new();
         add_to(&mut alpha, reducer.preparer().at().alpha);
         let alpha = alpha.finish();
-        let share = |room: &mut DataWorkspace, blocks: &[CachedBatch]| {
+        let share = |room: &mut DataWorkspace, batches: &[CachedBatch]| {
             let mut found = ReducedTests::default();
-            let values = blocks.iter().map(|block| block.filter((reducer, alpha), tests, room, &mut found)).collect();
+            let values = batches
+                .iter()
+                .map(|batch| batch.evaluate_and_filter((reducer, alpha), tests, room, &mut found))
+                .collect();
             (values, found)
         };
-        let many = (self.blocks.len() / (SHARES * rayon::current_num_threads())).clamp(1, MOST);
+        let many = (self.batches.len() / (SHARES * rayon::current_num_threads())).clamp(1, MOST);
         let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
-            self.blocks.par_chunks(many).map_init(DataWorkspace::default, share).collect();
+            self.batches.par_chunks(many).map_init(DataWorkspace::default, share).collect();
         let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = shares.into_iter().unzip();
         let (values, mut all) = (values.into_iter().flatten().collect(), ReducedTests::default());
         all.take(parts, tests.len());
-        (FilteredBatches { blocks: self.clone(), values }, all)
+        (FilteredBatches { of: self.clone(), values }, all)
     }
 
-    /// Numbers of the tests that are in blocks.
+    /// Numbers of the tests that are in batches.
     pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
-        self.blocks.iter().flat_map(|block| &block.layout.tests).copied()
+        self.batches.iter().flat_map(|batch| &batch.layout.tests).copied()
     }
 }
 
@@ -208,7 +212,7 @@ impl CachedBatch {
     }
 
     /// Evaluates the tests at the α of a reducer, whose digest this is, and runs their filters.
-    fn filter(
+    fn evaluate_and_filter(
         &self,
         (reducer, alpha): (&Reducer, u128),
         tests: &[&Test],
@@ -229,12 +233,12 @@ impl CachedBatch {
             digest.wide(alpha);
             digest.finish()
         };
-        values.filter((layout, own), (reducer, digest), tests, room, found);
+        values.reduce((layout, own), (reducer, digest), tests, room, found);
         values
     }
 }
 
-/// One block at an α, after its filters.
+/// One batch at an α, after its filters.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FilteredBatch<'a> {
     pub(crate) layout: &'a BatchLayout,
@@ -249,17 +253,17 @@ impl FilteredBatch<'_> {
 }
 
 impl FilteredBatches {
-    /// The blocks, for several threads.
-    pub(crate) fn blocks(&self) -> impl IndexedParallelIterator<Item = FilteredBatch<'_>> {
-        let both = self.blocks.blocks.par_iter().zip(&self.values);
-        both.map(|(block, values)| FilteredBatch { layout: &block.layout, values })
+    /// The batches, for several threads.
+    pub(crate) fn batches(&self) -> impl IndexedParallelIterator<Item = FilteredBatch<'_>> {
+        let both = self.of.batches.par_iter().zip(&self.values);
+        both.map(|(batch, values)| FilteredBatch { layout: &batch.layout, values })
     }
 }
 
 impl Drop for FilteredBatches {
     fn drop(&mut self) {
-        for (block, values) in self.blocks.blocks.iter().zip(self.values.drain(..)) {
-            block.spare.lock().unwrap_or_else(PoisonError::into_inner).push(values);
+        for (batch, values) in self.of.batches.iter().zip(self.values.drain(..)) {
+            batch.spare.lock().unwrap_or_else(PoisonError::into_inner).push(values);
         }
     }
 }

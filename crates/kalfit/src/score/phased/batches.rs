@@ -1,4 +1,4 @@
-//! Scores of tests that are kept side by side.
+//! Scores of tests that are filter side by side.
 
 #[cfg(test)]
 mod tests;
@@ -23,9 +23,9 @@ const NONE: usize = usize::MAX;
 type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
 
 impl PhasedScorer<'_> {
-    /// What a phase says of the tests with these numbers that are in its blocks, by their places among them; those with which
+    /// What a phase says of the tests with these numbers that are in its batches, by their places among them; those with which
     /// something is wrong are left out.
-    pub(super) fn in_blocks(
+    pub(super) fn in_batches(
         &self,
         at: usize,
         of: ScoredEnsemble<'_>,
@@ -33,7 +33,7 @@ impl PhasedScorer<'_> {
         known: &[TestScore],
     ) -> Vec<(usize, Gradient)> {
         let Some(filtered) = of.filtered else { return Vec::new() };
-        let (members, blocks) = filtered.phase(at);
+        let (members, batches) = filtered.phase(at);
         let rows = |&number: &usize| self.reducer.rows_of(at, &of.tests[number]).expect("members have rows");
         let rows: Vec<&Test> = members.iter().map(rows).collect();
         let mut places = vec![NONE; of.tests.len()];
@@ -42,20 +42,20 @@ impl PhasedScorer<'_> {
             let place = places[members[member]];
             Some((lane, place, known.get(place)?.phases.get(at)?))
         };
-        let block = |room: &mut ScoreWorkspace<'_>, block: FilteredBatch<'_>| {
-            let own: Vec<LaneStart<'_>> = block.tests().filter_map(lane).collect();
-            self.phases[at].block(at, (&own, &rows), block, room)
+        let batch = |room: &mut ScoreWorkspace<'_>, batch: FilteredBatch<'_>| {
+            let own: Vec<LaneStart<'_>> = batch.tests().filter_map(lane).collect();
+            self.phases[at].batch(at, (&own, &rows), batch, room)
         };
-        blocks.map_init(|| self.room(), block).flatten_iter().collect()
+        batches.map_init(|| self.room(), batch).flatten_iter().collect()
     }
 }
 
 impl Scorer<'_> {
-    fn block(
+    fn batch(
         &self,
         at: usize,
         (own, rows): (&[LaneStart<'_>], &[&Test]),
-        block: FilteredBatch<'_>,
+        batch: FilteredBatch<'_>,
         room: &mut ScoreWorkspace<'_>,
     ) -> Vec<(usize, Gradient)> {
         let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
@@ -65,18 +65,19 @@ impl Scorer<'_> {
             false => Vec::new(),
         };
         // lanes of other tests are not looked at
-        let mut moments: Vec<&Moments> = vec![&told[0]; block.layout.tests.len()];
+        let mut moments: Vec<&Moments> = vec![&told[0]; batch.layout.tests.len()];
         own.iter().zip(&told).for_each(|(&(lane, ..), told)| moments[lane] = told);
         let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
         own.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
-        let (kept, longest, wanted) = (&block.values.batch_filter, &block.layout.design, self.wanted());
+        let (filter, shape, wanted) = (&batch.values.batch_filter, &batch.layout.design, self.wanted());
         let (moments, endings) = (&*moments, &*endings);
-        let pass = BatchBackward { block: &kept.block, gained: &kept.design_batch, longest, moments, endings, wanted };
-        let mut bars = kept.block.isa().run(pass);
-        let pulled = self.chain.pull(block, rows, &mut bars);
+        let pass =
+            BatchBackward { block: &filter.block, designs: &filter.design_batch, shape, moments, endings, wanted };
+        let mut bars = filter.block.isa().run(pass);
+        let pulled = self.pullback.pull(batch, rows, &mut bars);
         let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);
         let score = |&(lane, place, _): &LaneStart<'_>| {
-            Some((place, adjoints.of_lane((block, &bars, &pulled), lane, rows, work).ok()?))
+            Some((place, adjoints.of_lane((batch, &bars, &pulled), lane, rows, work).ok()?))
         };
         own.iter().filter_map(score).collect()
     }

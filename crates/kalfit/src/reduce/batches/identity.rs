@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use crate::reduce::blocks::layout::BatchLayout;
-use crate::reduce::blocks::values::BatchValues;
+use crate::reduce::batches::layout::BatchLayout;
+use crate::reduce::batches::values::BatchValues;
 use crate::reduce::design::Identity;
 use crate::reduce::equal_steps::EqualStepCount;
 
@@ -15,22 +15,22 @@ impl BatchValues {
         steps: &[usize],
         identities: &mut Vec<Identity>,
     ) -> Vec<u128> {
-        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.batch_filter.design_batch);
+        let (BatchLayout { lanes, design, transitions, .. }, designs) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers, lane| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
-        let (coefficients, noise) = (&gained.h, &gained.noise);
+        let (coefficients, noise) = (&designs.h, &designs.noise);
         identities.resize_with(steps.len(), Identity::new);
         for (lane, identity) in identities.iter_mut().enumerate() {
-            identity.begin(&design.frame, own(&gained.variance, 0..design.variance.len(), lane));
+            identity.begin(&design.frame, own(&designs.variance, 0..design.variance.len(), lane));
         }
         let mut t = 0;
         for (k, stretch) in design.stretches().enumerate() {
             if stretch.transition.is_some() {
                 for (lane, identity) in identities.iter_mut().enumerate() {
                     if transitions.moving[t * lanes + lane] != 0.0 {
-                        let phi = own(&gained.phi, t * terms..(t + 1) * terms, lane);
-                        identity.moves(pattern, phi, own(&gained.q, t * pairs..(t + 1) * pairs, lane));
+                        let phi = own(&designs.phi, t * terms..(t + 1) * terms, lane);
+                        identity.moves(pattern, phi, own(&designs.q, t * pairs..(t + 1) * pairs, lane));
                     }
                 }
                 t += 1;
@@ -51,7 +51,7 @@ impl BatchValues {
 
     /// Whether most steps of the test in a lane, which has so many, are in long stretches of equal ones, which have a pass of their own.
     pub(super) fn is_long(&self, layout: &BatchLayout, lane: usize, steps: usize) -> bool {
-        let (BatchLayout { lanes, design, transitions, .. }, gained) = (layout, &self.batch_filter.design_batch);
+        let (BatchLayout { lanes, design, transitions, .. }, designs) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
@@ -60,14 +60,14 @@ impl BatchValues {
             now.clear();
             if stretch.transition.is_some() {
                 now.push(transitions.moving[t * lanes + lane].to_bits());
-                now.extend(own(&gained.phi, t * terms..(t + 1) * terms));
-                now.extend(own(&gained.q, t * pairs..(t + 1) * pairs));
+                now.extend(own(&designs.phi, t * terms..(t + 1) * terms));
+                now.extend(own(&designs.q, t * pairs..(t + 1) * pairs));
                 t += 1;
             }
             for line in layout.rows_of(lane, stretch.lines) {
                 now.extend(design.terms(line).0.iter().map(|&state| u64::from(state)));
-                now.extend(own(&gained.h, layout.terms(line)));
-                now.push(gained.noise[line * lanes + lane].to_bits());
+                now.extend(own(&designs.h, layout.terms(line)));
+                now.push(designs.noise[line * lanes + lane].to_bits());
             }
             if count.take(now == before) {
                 return true;

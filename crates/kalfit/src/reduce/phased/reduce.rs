@@ -17,7 +17,7 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// Of several tests in error, the first one's error; of several phases, the first one's.
-    pub fn reduce(&mut self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
+    pub fn reduce(&self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
         if let Some((phase, rows)) = self.plain(tests) {
             return phase.reducer.reduce_all(&rows);
         }
@@ -32,7 +32,7 @@ impl PhasedReducer {
     ///
     /// # Errors
     /// Of several in error, the first one's error.
-    pub fn each_piece(&mut self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
+    pub fn each_piece(&self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
         let mut found: Vec<Option<ToEnd>> = phases.iter().map(|_| None).collect();
         for (at, phase) in self.phases.iter().enumerate().filter(|(_, phase)| phase.is_optimal()) {
             let own = phases.iter().enumerate().filter_map(|(number, &(_, of, evidence))| match evidence {

@@ -1,8 +1,8 @@
 //! Correlated measurements of tests in lanes, whitened step by step.
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::layout::BatchLayout;
-use crate::reduce::blocks::values::BatchValues;
+use crate::reduce::batches::layout::BatchLayout;
+use crate::reduce::batches::values::BatchValues;
 use crate::reduce::lanes::BatchColumns;
 use crate::reduce::observe::Whitening;
 use crate::reduce::prepare::Preparer;

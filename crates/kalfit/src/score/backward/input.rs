@@ -1,10 +1,10 @@
-//! One test as the backward pass sees it.
+//! What the backward pass of a test begins with.
 #![expect(non_snake_case, reason = "the letters of the theory: N")]
 
 use crate::reduce::{Design, Gains, Workspace};
 use crate::score::moments::Moments;
 
-/// What the chain rule asks of a backward pass.
+/// What the pullback asks of a backward pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct AdjointsWanted {
     /// ∂ℓ/∂φ.

@@ -4,15 +4,15 @@ use std::sync::Arc;
 
 use crate::ensemble::Test;
 use crate::reduce::Path;
-use crate::reduce::blocks::layout::BatchLayout;
-use crate::reduce::blocks::values::BatchValues;
+use crate::reduce::batches::layout::BatchLayout;
+use crate::reduce::batches::values::BatchValues;
 use crate::reduce::data::Outcome;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
 use crate::reduce::terminal::TerminalState;
 
-/// What a reduction has from its test, whatever α.
+/// What a reduction has beside what its filter found; `digest`: of its design at the α where it was taken.
 #[derive(Debug)]
 pub(super) struct TestHeader {
     pub(super) digest: u128,
@@ -22,8 +22,8 @@ pub(super) struct TestHeader {
 }
 
 impl BatchValues {
-    /// Runs the filters of tests that were evaluated. `digest`: of a design.
-    pub(super) fn filter(
+    /// Runs the filters of tests that were evaluated; their reductions go to `found`. `digest`: of a design.
+    pub(super) fn reduce(
         &mut self,
         (layout, own): (&BatchLayout, &[TestHeader]),
         (reducer, digest): (&Reducer, impl Fn(&TestHeader) -> u128),
@@ -32,9 +32,9 @@ impl BatchValues {
         found: &mut ReducedTests,
     ) {
         self.batch_filter.design_batch.with_ends = reducer.wants_ends();
-        self.batch_filter.filter(&layout.design, own.len(), room);
+        self.batch_filter.run(&layout.design, own.len(), room);
         for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
-            let Some((factor, outcome, end)) = self.of(lane, (layout, own.observations), reducer, room) else {
+            let Some((factor, outcome, end)) = self.lane_result(lane, (layout, own.observations), reducer, room) else {
                 self.sound[lane] = false;
                 found.odd.push(number);
                 continue;
@@ -47,7 +47,7 @@ impl BatchValues {
                 path: Path::Information,
                 digest: digest(own),
             };
-            found.reductions.put(reducer.row(tests[number], &outcome, about));
+            found.reductions.put(reducer.counted_reduction(tests[number], &outcome, about));
             found.numbers.push(number);
             found.terminals.extend(end);
         }
@@ -55,7 +55,7 @@ impl BatchValues {
 
     /// R and what the filter found of the test in a lane, and where it ends, if that is wanted; `None` where square-root arrays are
     /// called for or something is not finite.
-    pub(super) fn of(
+    pub(super) fn lane_result(
         &self,
         lane: usize,
         (layout, observations): (&BatchLayout, usize),

@@ -19,9 +19,9 @@ const SIDE: usize = 8;
 #[inline(always)]
 pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), square: T, room: &mut DataWorkspace) {
     let p = design.frame.p;
-    forward::<T, N>(numbers, p, &mut room.d);
+    solve_lower::<T, N>(numbers, p, &mut room.d);
     room.residual.resize(T::COUNT, 0.0);
-    (square - squares::<T>(&room.d, p)).store(&mut room.residual);
+    (square - sum_of_squares::<T>(&room.d, p)).store(&mut room.residual);
     room.is_refined.clear();
     room.is_refined.resize(T::COUNT, false);
     if square.at_most(T::splat(REFINE)) || p == 0 {
@@ -41,7 +41,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), s
 #[inline(always)]
 fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, room: &mut DataWorkspace) -> T {
     room.best.clone_from(&room.d);
-    backward::<T, N>(numbers, p, &mut room.best);
+    solve_upper::<T, N>(numbers, p, &mut room.best);
     room.refined.clear();
     room.refined.resize(p * T::COUNT, 0.0);
     let (zero, rows) = (T::splat(0.0), room.e.len() / T::COUNT);
@@ -53,8 +53,8 @@ fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, r
     for (k, &sum) in sum.iter().enumerate() {
         put(&mut room.refined, k, sum);
     }
-    forward::<T, N>(numbers, p, &mut room.refined);
-    let residual = total - squares::<T>(&room.refined, p);
+    solve_lower::<T, N>(numbers, p, &mut room.refined);
+    let residual = total - sum_of_squares::<T>(&room.refined, p);
     for k in 0..p {
         let best = at::<T>(&room.best, k);
         for i in 0..=k {
@@ -129,7 +129,7 @@ fn equal<T: Lanes, N: Numbers<T>>(
     let mut total = T::splat(0.0);
     for row in rows.start..rows.end.min(rows.start + width) {
         let (weight, sensitivities) = (numbers.gains(row).0, numbers.sensitivities(row));
-        let (left, squares) = moments(e, (row..rows.end, width), left(sensitivities, xi, T::splat(0.0)));
+        let (left, squares) = sum_and_squares(e, (row..rows.end, width), left(sensitivities, xi, T::splat(0.0)));
         total = squares.fma(weight, total);
         add(sensitivities, left * weight, sum);
     }
@@ -138,7 +138,7 @@ fn equal<T: Lanes, N: Numbers<T>>(
 
 /// Σ (e + t) and Σ (e + t)² over every `width`-th row, in blocks.
 #[inline(always)]
-fn moments<T: Lanes>(e: &[f64], (rows, width): (Range<usize>, usize), t: T) -> (T, T) {
+fn sum_and_squares<T: Lanes>(e: &[f64], (rows, width): (Range<usize>, usize), t: T) -> (T, T) {
     let zero = T::splat(0.0);
     let (mut sum, mut squares) = (zero, zero);
     for start in rows.clone().step_by(BLOCK * width) {
@@ -178,7 +178,7 @@ pub(super) fn add<T: Lanes, E: Entries<T>>(sensitivities: E, x: T, sum: &mut [T]
 
 /// Σ x².
 #[inline(always)]
-fn squares<T: Lanes>(x: &[f64], p: usize) -> T {
+fn sum_of_squares<T: Lanes>(x: &[f64], p: usize) -> T {
     let mut sum = T::splat(0.0);
     for k in 0..p {
         sum = at::<T>(x, k).fma(at::<T>(x, k), sum);
@@ -188,7 +188,7 @@ fn squares<T: Lanes>(x: &[f64], p: usize) -> T {
 
 /// d ← R'⁻¹ d, zero for zero rows of R.
 #[inline(always)]
-fn forward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, d: &mut [f64]) {
+fn solve_lower<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, d: &mut [f64]) {
     for k in 0..p {
         let mut sum = at::<T>(d, k);
         for i in 0..k {
@@ -200,7 +200,7 @@ fn forward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, d: &mut [f64]) {
 
 /// ξ ← R⁻¹ ξ, zero for zero rows of R.
 #[inline(always)]
-fn backward<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, x: &mut [f64]) {
+fn solve_upper<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, x: &mut [f64]) {
     for k in (0..p).rev() {
         let best = at::<T>(x, k) * numbers.R().entry(k * (k + 3) / 2).recip_or_zero();
         put(x, k, best);

@@ -18,8 +18,9 @@ const CHUNK: usize = 256;
 /// Classes by their numbers.
 type Numbered<'a, 'c> = &'a (dyn Fn(usize) -> ClassRef<'c> + Sync);
 
-/// What `of` makes of each class and what it says, beginning with `start`: some classes by themselves, whatever thread they are on.
-pub(crate) fn in_parts<T: Send>(
+/// Evaluates every class at a point and folds what each says, by `of`, into parts that begin as `start()`. Which classes make a part does
+/// not depend on threads.
+pub(crate) fn map_classes<T: Send>(
     classes: &Classes,
     regressors: &Regressors,
     point: &Point,
@@ -29,7 +30,7 @@ pub(crate) fn in_parts<T: Send>(
 ) -> Vec<T> {
     let (isa, class) = (classes.blocks.isa(), &|k: usize| classes.listed.get(k));
     let root = &Root::of(&point.root);
-    let parts = in_pieces(
+    let parts = map_classes_and_packed(
         classes,
         &|| (start(), ClassTerms::new(point, regressors)),
         &|(made, terms), k, class| {
@@ -38,7 +39,7 @@ pub(crate) fn in_parts<T: Send>(
         },
         &|(made, terms), packed| {
             let of: &mut dyn FnMut(usize, &ClassTerms<'_>) = &mut |k, terms| of(made, k, class(k), terms);
-            isa.run(Tell { packed, class, regressors, point, root, detail, terms, of });
+            isa.run(PackedTerms { packed, class, regressors, point, root, detail, terms, of });
         },
     );
     parts.into_iter().map(|(made, _)| made).collect()
@@ -46,7 +47,7 @@ pub(crate) fn in_parts<T: Send>(
 
 /// Classes by themselves are given to `one`, with their numbers, and those that are packed to `several`; what they make begins with
 /// `start`, whatever thread they are on.
-pub(super) fn in_pieces<T: Send>(
+pub(super) fn map_classes_and_packed<T: Send>(
     classes: &Classes,
     start: &(dyn Fn() -> T + Sync),
     one: &(dyn Fn(&mut T, usize, ClassRef<'_>) + Sync),
@@ -70,7 +71,7 @@ pub(super) fn in_pieces<T: Send>(
     parts
 }
 
-struct Tell<'a, 'b, 'c> {
+struct PackedTerms<'a, 'b, 'c> {
     packed: &'b Packed,
     class: Numbered<'b, 'c>,
     regressors: &'a Regressors,
@@ -81,12 +82,12 @@ struct Tell<'a, 'b, 'c> {
     of: &'b mut dyn FnMut(usize, &ClassTerms<'_>),
 }
 
-impl Kernel for Tell<'_, '_, '_> {
+impl Kernel for PackedTerms<'_, '_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Tell { packed, class, regressors, point, root, detail, terms, of } = self;
+        let PackedTerms { packed, class, regressors, point, root, detail, terms, of } = self;
         let covariates = packed.covariates::<T>(class, regressors.len());
         let mean = packed.means(&covariates, point, regressors);
         let said = packed.said::<T>(&mean, root, detail);

@@ -103,7 +103,7 @@ impl<K, V> SharedStore<K, V> {
         SharedStore { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
     }
 
-    /// True where a key is told of for the first time, whether it is kept or not.
+    /// True where a key was not told of lately, whether it is kept or not: a shard forgets beyond [`NOTED`].
     pub(crate) fn is_new(&self, digest: u128) -> bool {
         note(&mut self.shard(digest).told, digest)
     }

@@ -31,7 +31,7 @@ pub(crate) struct BatchLayout {
     /// 1 where a test has the measurement of a row, else 0.
     pub(crate) measured: Vec<f64>,
     /// The row of the test that it is read from.
-    pub(super) cells: Vec<u32>,
+    pub(super) sources: Vec<u32>,
     /// The length of its step.
     pub(super) dt: Vec<f64>,
     /// What was measured.
@@ -52,7 +52,7 @@ impl BatchLayout {
             shapes: preparer.meters.shapes(),
             meters: Vec::new(),
             measured: Vec::new(),
-            cells: Vec::new(),
+            sources: Vec::new(),
             dt: Vec::new(),
             z: Vec::new(),
             transitions: Transitions::default(),
@@ -82,8 +82,8 @@ impl BatchLayout {
             }
         }
         let places = self.meters.len() * self.lanes;
-        self.cells.clear();
-        self.cells.resize(places, NONE);
+        self.sources.clear();
+        self.sources.resize(places, NONE);
         for column in [&mut self.measured, &mut self.dt, &mut self.z] {
             column.clear();
             column.resize(places, 0.0);
@@ -143,7 +143,7 @@ impl BatchLayout {
                     line += 1;
                 }
                 let place = line * self.lanes + lane;
-                self.cells[place] = row as u32;
+                self.sources[place] = row as u32;
                 self.measured[place] = 1.0;
                 self.dt[place] = step.dt;
                 self.z[place] = test.numbers(row)[preparer.meters.column(meter)];
@@ -167,7 +167,7 @@ impl BatchLayout {
     /// What these lines of one step are, at least one, and the length of the step.
     pub(crate) fn instances_of(&self, lane: usize, rows: &[usize]) -> (Vec<Instance>, f64) {
         let place = |row: usize| row * self.lanes + lane;
-        let instance = |&row: &usize| Instance { meter: self.meters[row], row: self.cells[place(row)] as usize };
+        let instance = |&row: &usize| Instance { meter: self.meters[row], row: self.sources[place(row)] as usize };
         (rows.iter().map(instance).collect(), self.dt[place(rows[0])])
     }
 

@@ -6,7 +6,7 @@ use kalfit_lanes::{Isa, MOST};
 
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::blocks::layout::BatchLayout;
+use crate::reduce::batches::layout::BatchLayout;
 use crate::reduce::dynamics::Table;
 use crate::reduce::lanes::{BatchColumns, BatchFilter};
 use crate::reduce::motion::MotionColumns;
@@ -23,7 +23,7 @@ pub(crate) struct BatchValues {
 }
 
 /// What is to be done about a coefficient.
-enum Rate<'a> {
+enum Refresh<'a> {
     /// Nothing: it is what it was.
     Kept,
     Same(f64),
@@ -31,15 +31,15 @@ enum Rate<'a> {
     Row(&'a Coefficient),
 }
 
-impl<'a> Rate<'a> {
+impl<'a> Refresh<'a> {
     /// `fresh`: nothing was evaluated before.
-    fn of(at: &ModelAt<'_>, coefficient: &'a Coefficient, fresh: bool) -> Rate<'a> {
+    fn of(at: &ModelAt<'_>, coefficient: &'a Coefficient, fresh: bool) -> Refresh<'a> {
         match coefficient {
-            Coefficient::Fixed(x) if fresh => Rate::Same(*x),
-            Coefficient::Fixed(_) => Rate::Kept,
-            Coefficient::Free(x, ..) => Rate::Same(*x),
-            Coefficient::Varying(expression, _) if fresh || at.depends(expression) => Rate::Row(coefficient),
-            Coefficient::Varying(..) => Rate::Kept,
+            Coefficient::Fixed(x) if fresh => Refresh::Same(*x),
+            Coefficient::Fixed(_) => Refresh::Kept,
+            Coefficient::Free(x, ..) => Refresh::Same(*x),
+            Coefficient::Varying(expression, _) if fresh || at.depends(expression) => Refresh::Row(coefficient),
+            Coefficient::Varying(..) => Refresh::Kept,
         }
     }
 
@@ -53,9 +53,9 @@ impl<'a> Rate<'a> {
     ) {
         for lane in (0..here.len()).filter(|&lane| here[lane] != 0.0) {
             match self {
-                Rate::Kept => return,
-                Rate::Same(x) => put(lane, *x),
-                Rate::Row(coefficient) => match value(lane, coefficient) {
+                Refresh::Kept => return,
+                Refresh::Same(x) => put(lane, *x),
+                Refresh::Row(coefficient) => match value(lane, coefficient) {
                     Ok(x) => put(lane, x),
                     Err(_) => sound[lane] = false,
                 },
@@ -65,10 +65,10 @@ impl<'a> Rate<'a> {
 }
 
 /// Noise, constant and terms of a measurement.
-struct Rates<'a> {
-    noise: Rate<'a>,
-    constant: Rate<'a>,
-    terms: Vec<Rate<'a>>,
+struct MeasurementRefresh<'a> {
+    noise: Refresh<'a>,
+    constant: Refresh<'a>,
+    terms: Vec<Refresh<'a>>,
 }
 
 impl BatchValues {
@@ -103,8 +103,8 @@ impl BatchValues {
     /// a and P0.
     fn start(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
-        let BatchValues { batch_filter: kept, sound, .. } = self;
-        let BatchColumns { start, variance, .. } = kept.columns();
+        let BatchValues { batch_filter, sound, .. } = self;
+        let BatchColumns { start, variance, .. } = batch_filter.columns();
         let mut replay = Replay::default();
         variance.fill(0.0);
         for (lane, &number) in layout.tests.iter().enumerate() {
@@ -135,21 +135,22 @@ impl BatchValues {
     fn measure(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         let (at, lanes) = (preparer.at(), layout.lanes);
         let mixed = !preparer.meters.can_repeat();
-        let rate = |coefficient| Rate::of(&at, coefficient, fresh || mixed);
-        let rates = preparer.meters.parts().map(|(noise, constant, terms)| Rates {
-            noise: rate(noise),
-            constant: rate(constant),
-            terms: terms.iter().map(|(_, h)| rate(h)).collect(),
+        let refresh = |coefficient| Refresh::of(&at, coefficient, fresh || mixed);
+        let refreshes = preparer.meters.parts().map(|(noise, constant, terms)| MeasurementRefresh {
+            noise: refresh(noise),
+            constant: refresh(constant),
+            terms: terms.iter().map(|(_, h)| refresh(h)).collect(),
         });
-        let rates: Vec<Rates<'_>> = rates.collect();
-        let BatchValues { batch_filter: kept, sound, .. } = self;
-        let BatchColumns { h, noise, values, .. } = kept.columns();
+        let refreshes: Vec<MeasurementRefresh<'_>> = refreshes.collect();
+        let BatchValues { batch_filter, sound, .. } = self;
+        let BatchColumns { h, noise, values, .. } = batch_filter.columns();
         if mixed {
             h.fill(0.0);
         }
         let mut first = 0;
         for (row, &meter) in layout.meters.iter().enumerate() {
-            let (Rates { noise: variance, constant, terms }, places) = (&rates[meter], row * lanes..(row + 1) * lanes);
+            let (MeasurementRefresh { noise: variance, constant, terms }, places) =
+                (&refreshes[meter], row * lanes..(row + 1) * lanes);
             let here = &layout.measured[places.clone()];
             let scope = |lane: usize| layout.scope(&at, tests, (places.start + lane, lane));
             let out = &mut noise[places.clone()];
@@ -173,7 +174,7 @@ impl BatchValues {
 impl BatchLayout {
     /// What a measurement is evaluated on.
     pub(crate) fn scope<'a>(&self, at: &ModelAt<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
-        let (test, row) = (tests[self.tests[lane]], self.cells[place] as usize);
+        let (test, row) = (tests[self.tests[lane]], self.sources[place] as usize);
         Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.dt[place], alpha: at.alpha }
     }
 
@@ -194,14 +195,14 @@ fn table(
 ) {
     let (lanes, steps) = (layout.lanes, &layout.transitions);
     for ((_, coefficient, variance), column) in table.varying.iter().zip(columns) {
-        let rate = Rate::of(at, coefficient, fresh);
+        let refresh = Refresh::of(at, coefficient, fresh);
         for (t, out) in column.chunks_exact_mut(lanes).enumerate() {
             let places: Range<usize> = t * lanes..(t + 1) * lanes;
             let value = |lane: usize, c: &Coefficient| {
                 let scope = layout.moving(at, tests, (places.start + lane, lane));
                 if *variance { at.variance_value(c, &scope) } else { at.value(c, &scope) }
             };
-            rate.each(&steps.moving[places.clone()], value, sound, |lane, x| out[lane] = x);
+            refresh.each(&steps.moving[places.clone()], value, sound, |lane, x| out[lane] = x);
         }
     }
 }

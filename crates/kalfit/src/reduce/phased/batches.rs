@@ -5,20 +5,20 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::{EnsembleBatches, FilteredBatch, FilteredBatches};
+use crate::reduce::batches::{EnsembleBatches, FilteredBatch, FilteredBatches};
+use crate::reduce::chunk_size::chunk_size;
 use crate::reduce::error::ReduceError;
 use crate::reduce::part::ReducedPhase;
 use crate::reduce::phased::replicates::PhaseReplicates;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
 use crate::reduce::reducer::ToEnd;
-use crate::reduce::share::share;
 use crate::reduce::{PhaseReduction, PhasedTest, Reduction, Reductions};
 
 /// How the phases of tests go together.
 #[derive(Debug)]
 pub(crate) struct PhasedBatches {
     phases: Vec<Members>,
-    /// Whether a phase of a test is in a block.
+    /// Whether a phase of a test is in a batch.
     pub(crate) has: Vec<bool>,
 }
 
@@ -27,14 +27,14 @@ pub(crate) struct PhasedBatches {
 struct Members {
     /// By number, ascending.
     numbers: Arc<Vec<usize>>,
-    blocks: Arc<EnsembleBatches>,
+    batches: Arc<EnsembleBatches>,
 }
 
 /// Tests in phases at an α, after their filters.
 #[derive(Debug)]
 pub(crate) struct FilteredPhases {
     phases: Vec<(Arc<Vec<usize>>, FilteredBatches)>,
-    /// By test, the phases of those that are in blocks; empty where there is one phase.
+    /// By test, the phases of those that are in batches; empty where there is one phase.
     pieces: Vec<Option<Vec<PhaseReduction>>>,
 }
 
@@ -44,10 +44,10 @@ impl FilteredPhases {
         self.pieces.get(number)?.as_deref()
     }
 
-    /// The numbers of the tests that have rows in a phase, and the blocks of these, for several threads.
+    /// The numbers of the tests that have rows in a phase, and the batches of these, for several threads.
     pub(crate) fn phase(&self, at: usize) -> (&[usize], impl IndexedParallelIterator<Item = FilteredBatch<'_>>) {
         let (numbers, filtered) = &self.phases[at];
-        (numbers, filtered.blocks())
+        (numbers, filtered.batches())
     }
 }
 
@@ -67,9 +67,9 @@ impl PhasedReducer {
                 wanted.iter().filter_map(|number| numbers.binary_search(number).ok()).collect()
             };
             let reducer = &self.phases[at].reducer;
-            let blocks = EnsembleBatches::new(reducer, (&rows, replicates), &places(alone), &places(shared));
-            blocks.numbers().for_each(|place| has[numbers[place]] = true);
-            Members { numbers: Arc::new(numbers), blocks: Arc::new(blocks) }
+            let batches = EnsembleBatches::new(reducer, (&rows, replicates), &places(alone), &places(shared));
+            batches.numbers().for_each(|place| has[numbers[place]] = true);
+            Members { numbers: Arc::new(numbers), batches: Arc::new(batches) }
         };
         let phases = phases.into_iter().enumerate().map(&mut phase).collect();
         PhasedBatches { phases, has }
@@ -82,8 +82,8 @@ impl PhasedReducer {
         batches: &PhasedBatches,
     ) -> Result<(Reductions, FilteredPhases), ReduceError> {
         let filter = |at: usize, rows: &[&Test]| {
-            let Members { numbers, blocks } = &batches.phases[at];
-            let (found, filtered) = blocks.reduce(&self.phases[at].reducer, rows);
+            let Members { numbers, batches: own } = &batches.phases[at];
+            let (found, filtered) = own.reduce(&self.phases[at].reducer, rows);
             (found, (numbers.clone(), filtered))
         };
         if let Some((_, rows)) = self.plain(tests) {
@@ -101,7 +101,7 @@ impl PhasedReducer {
             phases.push(phase);
         }
         let rows = tests.iter().map(PhasedTest::row_count).sum();
-        let size = share(tests.len(), rows);
+        let size = chunk_size(tests.len(), rows);
         let chunks = tests.par_chunks(size).zip(batches.has.par_chunks(size)).zip(found.into_par_iter().chunks(size));
         let whole = |work: &mut PhasedWork, ((tests, has), found): ((&[PhasedTest], &[bool]), Vec<_>)| {
             let parts: Vec<_> =

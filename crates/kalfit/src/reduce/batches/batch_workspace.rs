@@ -5,9 +5,9 @@ use std::cmp::Ordering;
 use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
-use crate::reduce::blocks::layout::BatchLayout;
-use crate::reduce::blocks::reduced::TestHeader;
-use crate::reduce::blocks::values::BatchValues;
+use crate::reduce::batches::layout::BatchLayout;
+use crate::reduce::batches::reduced::TestHeader;
+use crate::reduce::batches::values::BatchValues;
 use crate::reduce::design::Identity;
 use crate::reduce::equal_steps::FEW;
 use crate::reduce::lanes::{BatchColumns, DataWorkspace};
@@ -22,7 +22,7 @@ pub(crate) fn by_shape(a: &Skeleton, b: &Skeleton) -> Ordering {
     b.len().cmp(&a.len()).then_with(pattern)
 }
 
-/// Bytes of a block of several tests: longer tests go one by one.
+/// Bytes of a batch of several tests: longer tests go one by one.
 const BYTES: usize = 128 << 20;
 
 /// How many of these tests, at least one and in their order, go together in so many lanes.
@@ -36,7 +36,7 @@ pub(super) fn isa_for(tests: usize) -> Isa {
     if tests == 1 { Isa::best().alone() } else { Isa::best() }
 }
 
-/// Bytes of a block of these tests in so many lanes, about so many.
+/// Bytes of a batch of these tests in so many lanes, about so many.
 pub(super) fn size(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
     let (frame, transition, dynamics) = (&preparer.order.frame, preparer.plan.blank(), &preparer.dynamics);
     let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
@@ -55,7 +55,7 @@ pub(crate) struct BatchWorkspace {
     lanes: usize,
     layout: BatchLayout,
     values: BatchValues,
-    /// Of blocks of one test, where the others are of blocks of several, and the other way round.
+    /// Of batches of one test, where the others are of batches of several, and the other way round.
     spare: (BatchLayout, BatchValues),
     own: Vec<TestHeader>,
     identities: Vec<Identity>,
@@ -82,10 +82,10 @@ impl FilteredLane<'_> {
     /// e and 1/S of each of its measurements.
     pub(crate) fn innovations(&self) -> impl Iterator<Item = (f64, f64)> {
         let BatchLayout { lanes, measured, design, .. } = &self.beside.layout;
-        let kept = &self.beside.values.batch_filter;
-        let weights = kept.design_batch.weights((self.lane, *lanes), design.rows());
+        let filter = &self.beside.values.batch_filter;
+        let weights = filter.design_batch.weights((self.lane, *lanes), design.rows());
         let has = measured.iter().skip(self.lane).step_by(*lanes);
-        let all = kept.block.innovations(self.lane, self.room).zip(weights).zip(has);
+        let all = filter.block.innovations(self.lane, self.room).zip(weights).zip(has);
         all.filter(|(_, has)| **has != 0.0).map(|(found, _)| found)
     }
 }
@@ -121,7 +121,7 @@ impl BatchWorkspace {
                 .zip(values.sound)
                 .filter(|(_, sound)| *sound)
                 .for_each(|(own, _)| reducer.count_design_run(own.digest));
-            values.filter((layout, own), (reducer, |own: &TestHeader| own.digest), tests, room, found);
+            values.reduce((layout, own), (reducer, |own: &TestHeader| own.digest), tests, room, found);
         });
     }
 
@@ -144,9 +144,9 @@ impl BatchWorkspace {
                 own.iter().for_each(|&(place, x)| variance[place * layout.lanes + lane] += x);
             }
             values.batch_filter.design_batch.with_ends = reducer.wants_ends();
-            values.batch_filter.filter(&layout.design, group.len(), room);
+            values.batch_filter.run(&layout.design, group.len(), room);
             for (lane, own) in group.iter().enumerate() {
-                let found = self.values.of(lane, (&self.layout, own.instances.len()), reducer, room);
+                let found = self.values.lane_result(lane, (&self.layout, own.instances.len()), reducer, room);
                 let end = found.map(|(.., end)| end);
                 show(own, end.map(|end| FilteredLane { beside: self, lane, room, end }));
             }
