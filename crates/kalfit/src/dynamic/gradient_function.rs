@@ -15,9 +15,11 @@ const TRACE: f64 = 1e-7;
 const FELT: f64 = 0.3;
 /// A derivative at zero counts when the variance that was would gain this by it.
 const GAIN: f64 = 1e-7;
-/// Sizes at which a level may return: powers of this part of the variance it had.
+/// Sizes at which a level may return: powers of this part of the variance it had; so many, and more, where smaller ones still promise a
+/// rise.
 const SMALLER: f64 = 0.125;
 const SIZES: i32 = 8;
+const MOST_SIZES: i32 = 24;
 /// Parts of what a covariance may be.
 const PARTS: [f64; 4] = [-1.0, 1.0, -0.4, 0.4];
 /// Slopes below this are none.
@@ -55,7 +57,7 @@ impl SearchState<'_, '_> {
         let mut promising: Vec<Derivative> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
         promising.retain(|(gain, ..)| *gain > GAIN);
         promising.sort_by(|a, b| b.0.total_cmp(&a.0));
-        promising.into_iter().any(|(_, s, shape)| self.returns(s, &shape)) || self.crosses_back(&zeros)
+        promising.into_iter().any(|(gain, s, shape)| self.returns(s, gain, &shape)) || self.crosses_back(&zeros)
     }
 
     /// A noise with a free covariance to another returns together with it: the covariance grows as the level itself, so that ℓ has a
@@ -66,13 +68,15 @@ impl SearchState<'_, '_> {
             self.objective.edges.beside(parameter).into_iter().flat_map(move |t| PARTS.map(|part| (s, vec![(t, part)])))
         };
         let ways: Vec<(usize, ChangedValues)> = zeros.iter().flat_map(crossed).collect();
-        ways.into_iter().any(|(s, shape)| self.returns(s, &shape))
+        ways.into_iter().any(|(s, shape)| self.returns(s, 0.0, &shape))
     }
 
-    /// Back from zero at the largest size at which ℓ is higher than at zero.
-    fn returns(&mut self, s: usize, shape: &ChangedValues) -> bool {
+    /// Back from zero at the largest size at which ℓ is higher than at zero. `gain`: what the derivative promises of the variance it had,
+    /// of a smaller one as much less.
+    fn returns(&mut self, s: usize, gain: f64, shape: &ChangedValues) -> bool {
         let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
-        for size in 0..SIZES {
+        let is_worth = |size: &i32| *size < SIZES || gain * SMALLER.powi(*size) > RISE;
+        for size in (0..MOST_SIZES).take_while(is_worth) {
             let mut values = self.home.values.clone();
             shape.iter().for_each(|&(t, value)| values[t] = value);
             let value = self.before_zero[s] * SMALLER.powi(size).powf(exponent.recip());

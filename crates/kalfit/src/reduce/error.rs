@@ -132,6 +132,18 @@ pub enum ReduceErrorKind {
         /// Time of the row.
         time: f64,
     },
+    /// Times are so large that they do not tell the steps between them.
+    #[error(
+        "times as large as {time} are known to {grid:.3e}, which is no small part of a step ({step:.3e} on average)"
+    )]
+    TimesTooLarge {
+        /// The last time.
+        time: f64,
+        /// How far apart numbers of its size are.
+        grid: f64,
+        /// Mean length of a step.
+        step: f64,
+    },
     /// A column that belongs to the test as a whole varies within it.
     #[error("column `{column}` varies within the test: {first} and {second}")]
     Varies {
@@ -300,6 +312,9 @@ impl ReduceError {
             ReduceErrorKind::InitialTimeWithoutTime => "give `time` in [data], or leave out `initial_time`",
             ReduceErrorKind::UnknownFirstStep => "give `initial_time` in [data]",
             ReduceErrorKind::TimeBackwards { .. } => "sort the rows of each test by time",
+            ReduceErrorKind::TimesTooLarge { .. } => {
+                "count times from the start of each test: subtract its first time before the data are written"
+            }
             ReduceErrorKind::Varies { .. } => "such a column must have one value per test",
             ReduceErrorKind::StepConflict { .. } => {
                 "rows of equal time are one step: give the value in one of them, or the same value in each"

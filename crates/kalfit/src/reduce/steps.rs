@@ -40,6 +40,8 @@ impl StepSpan {
 const ROUNDING: f64 = 2.0 * f64::EPSILON;
 /// Rounding that is a larger part of a step than this says nothing about equality.
 const COARSE: f64 = 1e-3;
+/// A mean step of fewer units in the last place of the times than these is not known well enough to be used.
+const FEWEST_UNITS: f64 = 16.0;
 
 /// Steps that are equal to within the rounding of the times: some length lies within all their bounds.
 #[derive(Debug, Clone, Copy)]
@@ -112,6 +114,7 @@ pub(crate) fn spans(
     let mut next = time(at, test, column, 0)?;
     out.push(first_span(clock.step_first, initial, next)?);
     let mut uniform: Option<Uniform> = None;
+    let (start, mut steps) = (next, 0);
     let (mut row, mut previous) = (0, f64::NAN);
     while row < test.rows() {
         let (first, now) = (row, next);
@@ -124,6 +127,7 @@ pub(crate) fn spans(
             out[0].rows = 0..row;
         } else {
             append(first..row, (previous, now), &mut uniform, out);
+            steps += 1;
         }
         if row < test.rows() && next < now {
             let kind = ReduceErrorKind::TimeBackwards { previous: now, time: next };
@@ -132,7 +136,16 @@ pub(crate) fn spans(
         previous = now;
     }
     settle(uniform, out);
-    Ok(())
+    told_by(start, previous, steps)
+}
+
+/// Times from start to end tell so many steps.
+fn told_by(start: f64, end: f64, steps: usize) -> Result<(), Box<Fault>> {
+    let (step, grid) = ((end - start) / steps as f64, f64::EPSILON * start.abs().max(end.abs()));
+    if steps == 0 || step >= FEWEST_UNITS * grid {
+        return Ok(());
+    }
+    Err(Fault::new(Subject::Time, ReduceErrorKind::TimesTooLarge { time: end, grid, step }).on(0))
 }
 
 /// Appends a step from one time to another.
@@ -260,6 +273,17 @@ mod tests {
                 assert!(off < 4e-16, "{count} steps of {length} against {whole}: {off:e}");
             }
         }
+    }
+
+    #[test]
+    fn times_that_do_not_tell_their_steps_are_refused() {
+        // nanoseconds since 1970: numbers of their size are 256 apart
+        assert!(told_by(1.7e18, 1.7e18 + 119e9, 119).is_ok(), "steps of a second");
+        let (start, end): (f64, f64) = (1.7e18, 1.7e18 + 12e3);
+        let refused = told_by(start, end, 47).expect_err("steps of 100 ns");
+        let kind = ReduceErrorKind::TimesTooLarge { time: end, grid: end * f64::EPSILON, step: (end - start) / 47.0 };
+        assert_eq!(format!("{refused:?}"), format!("{:?}", Fault::new(Subject::Time, kind).on(0)));
+        assert!(told_by(1e18, 1e18, 0).is_ok(), "one step has no length");
     }
 
     #[test]
