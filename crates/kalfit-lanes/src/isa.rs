@@ -11,7 +11,7 @@
 
 use std::sync::OnceLock;
 
-use crate::Lanes;
+use crate::{Four, Lanes};
 
 /// Work that is written once for all kinds of numbers. `run` must be `#[inline(always)]`.
 pub trait Kernel {
@@ -34,6 +34,7 @@ enum IsaKind {
     One {
         fused: bool,
     },
+    Portable,
     #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
     Neon,
     #[cfg(target_arch = "x86_64")]
@@ -43,8 +44,8 @@ enum IsaKind {
 }
 
 impl Isa {
-    /// One number at a time, by what every machine can do.
-    pub const PORTABLE: Isa = Isa(IsaKind::One { fused: false });
+    /// Four at a time by plain arrays, which a compiler may or may not put into registers.
+    pub const PORTABLE: Isa = Isa(IsaKind::Portable);
 
     /// The best one, or the one that is fixed.
     pub fn best() -> Isa {
@@ -70,14 +71,15 @@ impl Isa {
 
     /// One number at a time: to the bit what each lane of this one holds, but for reciprocals that are a rounding or two off.
     pub fn alone(self) -> Isa {
-        Isa(IsaKind::One { fused: self != Isa::PORTABLE })
+        let fused = !matches!(self.0, IsaKind::Portable | IsaKind::One { fused: false });
+        Isa(IsaKind::One { fused })
     }
 
     /// Its word.
     pub fn word(self) -> &'static str {
         match self.0 {
-            IsaKind::One { fused: true } => "one",
-            IsaKind::One { fused: false } => "portable",
+            IsaKind::One { .. } => "one",
+            IsaKind::Portable => "portable",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => "neon",
             #[cfg(target_arch = "x86_64")]
@@ -97,6 +99,7 @@ impl Isa {
     pub fn lanes(self) -> usize {
         match self.0 {
             IsaKind::One { .. } => 1,
+            IsaKind::Portable => 4,
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => 4,
             #[cfg(target_arch = "x86_64")]
@@ -110,6 +113,7 @@ impl Isa {
     pub fn name(self) -> &'static str {
         match self.0 {
             IsaKind::One { .. } => "one number at a time",
+            IsaKind::Portable => "four numbers at a time",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => "NEON, four numbers at a time",
             #[cfg(target_arch = "x86_64")]
@@ -128,6 +132,7 @@ impl Isa {
             #[cfg(target_arch = "x86_64")]
             IsaKind::One { fused: true } => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
             IsaKind::One { .. } => kernel.run::<f64>(),
+            IsaKind::Portable => kernel.run::<Four>(),
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => kernel.run::<crate::neon::Neon>(),
             // SAFETY: `found` made this value, so the machine has AVX2 and FMA.
@@ -144,7 +149,7 @@ impl Isa {
 fn found() -> Vec<Isa> {
     let avx2 = std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma");
     let avx512 = avx2 && std::is_x86_feature_detected!("avx512f");
-    let some = [(true, Isa::PORTABLE.0), (avx2, IsaKind::Avx2), (avx512, IsaKind::Avx512)];
+    let some = [(true, IsaKind::Portable), (avx2, IsaKind::Avx2), (avx512, IsaKind::Avx512)];
     some.into_iter().filter(|(has, _)| *has).map(|(_, kind)| Isa(kind)).collect()
 }
 

@@ -12,9 +12,11 @@ mod fused;
 mod isa;
 #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
 mod neon;
+mod portable;
 mod real;
 
 pub use isa::{Isa, Kernel};
+pub use portable::Four;
 pub use real::{Counted, Flops, Part, Real};
 
 /// Several numbers side by side, which are read from and written to memory together.

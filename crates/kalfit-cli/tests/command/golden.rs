@@ -23,10 +23,10 @@ const DIGESTS: [(&str, [u64; 5]); 3] = [
         "portable",
         [
             0xd5e5_9f68_0fba_4d23,
-            0x1613_3487_32a7_e46e,
-            0xd0af_e699_78f4_32f0,
-            0x8cef_6f5a_aa61_f0e6,
-            0xca5f_75b2_310f_8e97,
+            0xb535_8cd6_5aa9_58fa,
+            0x50a4_1653_2275_48cb,
+            0x509f_ae5a_fe31_5c81,
+            0x8862_1a4b_48fb_d9a0,
         ],
     ),
     (

@@ -267,11 +267,11 @@ mod tests {
                 _ => 0.0,
             });
             for isa in Isa::all() {
-                let (shape, members) = (chained.shape.clone(), (0..isa.lanes().min(3)).collect::<Vec<_>>());
+                let (shape, members) = (chained.shape.clone(), vec![0, 1, 2]);
                 let of = |_| std::borrow::Cow::Borrowed(&chained);
                 let packed = Packed::new(shape.clone(), members.clone(), isa.lanes(), of);
                 assert_eq!(
-                    format!("{:?}", packed.chained(members.len() / 2)),
+                    format!("{:?}", packed.chained(1)),
                     format!("{chained:?}"),
                     "a lane is what it was made from"
                 );
@@ -308,7 +308,7 @@ mod tests {
         fn run<T: Lanes>(self) -> Vec<f64> {
             let mean: Vec<T> = self.1.iter().map(|x| T::splat(*x)).collect();
             let said = self.0.said::<T>(&mean, &Root::of(self.2), self.3).expect("of common size");
-            figures(&said, |x| x.lane(T::COUNT.min(3) - 1))
+            figures(&said, |x| x.lane(2))
         }
     }
 }
