@@ -17,7 +17,7 @@ use crate::linalg::parts::{ColumnWork, in_parts};
 use crate::linalg::rows::Rows;
 
 /// What `of` makes of each class and of its W: u'Wu for every column u of `directions`. Some classes by themselves, as
-/// [`in_parts`](crate::estimate::map_classes).
+/// [`map_classes`](crate::estimate::map_classes).
 pub(crate) fn map_forms<T: Send>(
     classes: &Classes,
     (regressors, point): (&Regressors, &Point),
@@ -145,7 +145,7 @@ impl<T: Lanes> OfDirections<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::map_classes as tell_in_parts;
+    use crate::estimate::map_classes;
     use crate::reduce::{Chain, ChainPhase, Link, Path, Reduction, Reductions};
     use nalgebra::DVector;
 
@@ -208,7 +208,7 @@ mod tests {
         let found = map_forms(&classes, (regressors, &point), &directions, &none, &|all, k, forms| {
             all.push((k, forms.to_vec()));
         });
-        let expected = tell_in_parts(&classes, regressors, &point, ChainDetail::Between, &none, &|all, k, _, terms| {
+        let expected = map_classes(&classes, regressors, &point, ChainDetail::Between, &none, &|all, k, _, terms| {
             let W = DMatrix::from_column_slice(6, 6, &terms.W);
             let form = |u: nalgebra::DVectorView<'_, f64>| (u.transpose() * &W * u)[0];
             all.push((k, directions.column_iter().map(form).collect::<Vec<f64>>()));

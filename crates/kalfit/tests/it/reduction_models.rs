@@ -354,6 +354,18 @@ fn initial_time_puts_a_step_before_the_first_row_unless_it_is_that_row() {
 }
 
 #[test]
+fn times_that_lose_their_steps_are_refused_and_the_same_from_their_start_are_not() {
+    let model =
+        model(vec![state("walk", continuous(&[], 0.3), Initial::Estimated)], vec![meter("z", 1, &[(0, 1.0)], 0.01)]);
+    // steps of 100 ns: numbers as large as nanoseconds since 1970 are 256 apart
+    let rows = |start: f64| (0..6).map(|k| [start + 100.0 * f64::from(k), 0.1, 0.0, 0.0]).collect::<Vec<_>>();
+    let error = refusal(&model, &test(&rows(1.7e18)));
+    assert!(matches!(*error.kind, ReduceErrorKind::TimesTooLarge { time, .. } if time > 1.7e18), "{error}");
+    assert!(error.hint().is_some_and(|hint| hint.starts_with("count times from the start")), "{error}");
+    assert_eq!(reduce(&model, &test(&rows(0.0))).steps, 6);
+}
+
+#[test]
 fn rows_of_equal_time_are_one_step_and_where_chooses_rows() {
     let mut model = model(
         vec![state("walk", continuous(&[], 0.3), Initial::Estimated), constant("b")],

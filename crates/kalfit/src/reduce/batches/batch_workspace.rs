@@ -115,7 +115,7 @@ impl BatchWorkspace {
     ) {
         each_group(reducer.preparer(), skeletons, self.lanes, |group| {
             self.take(reducer, tests, group);
-            self.name(group);
+            self.take_headers(group);
             let BatchWorkspace { layout, values, own, .. } = self;
             own.iter()
                 .zip(values.sound)
@@ -169,7 +169,7 @@ impl BatchWorkspace {
     }
 
     /// What the reductions of these tests have from their cells, and the digests of their designs.
-    fn name(&mut self, group: &mut [Skeleton]) {
+    fn take_headers(&mut self, group: &mut [Skeleton]) {
         let BatchWorkspace { layout, values, own, identities, .. } = self;
         own.clear();
         let steps: Vec<usize> = group.iter().map(Skeleton::len).collect();
