@@ -4,23 +4,17 @@ use std::sync::Arc;
 
 use nalgebra::DMatrix;
 
-use crate::reduce::design::{DENSE, Pattern, StateFrame, Transition, ZERO};
+use crate::reduce::design::{Pattern, Transition};
+use crate::reduce::order::{Order, StateTraits};
 use crate::reduce::plain::{Plain, StepMatrices};
 
-/// Kernel order of a test's states.
-pub(crate) struct PlainOrder {
-    /// State of the test at each place of the kernels.
-    pub(crate) states: Vec<usize>,
-    pub(crate) frame: Arc<StateFrame>,
-}
-
-impl PlainOrder {
-    pub(crate) fn new(test: &Plain) -> PlainOrder {
+impl Order {
+    /// Of the states of a test given in matrices.
+    pub(super) fn of_matrices(test: &Plain) -> Order {
         let (n, p) = (test.offset.len(), test.sensitivity.ncols());
         let noises = || test.steps.iter().filter_map(|step| step.process_noise.as_ref()).chain([&test.covariance]);
         let mut noisy: Vec<bool> = (0..n).map(|i| noises().any(|q| q[(i, i)] != 0.0)).collect();
-        let mut moving = vec![false; n];
-        let mut driven = vec![false; n];
+        let (mut moving, mut driven) = (vec![false; n], vec![false; n]);
         let mut depends = DMatrix::from_element(n, n, false);
         for step in &test.steps {
             for i in 0..n {
@@ -36,31 +30,12 @@ impl PlainOrder {
                 noisy[i] |= (0..n).any(|j| depends[(i, j)] && noisy[j]);
             }
         }
-        let mut states: Vec<usize> = (0..n).collect();
-        states.sort_by_key(|&i| (!noisy[i], !moving[i], i));
-        let row = |&state: &usize| {
-            let row: Vec<f64> = test.sensitivity.row(state).iter().copied().collect();
-            let unit = row.iter().position(|&x| x != 0.0);
-            match unit {
-                _ if noisy[state] || moving[state] => DENSE,
-                None => ZERO,
-                Some(c) if row[c] == 1.0 && row[c + 1..].iter().all(|&x| x == 0.0) => c as u32,
-                Some(_) => DENSE,
-            }
-        };
-        let frame = StateFrame {
-            n,
-            p,
-            r: noisy.iter().filter(|&&noisy| noisy).count(),
-            rows: states.iter().map(row).collect(),
-            sensitivity: states.iter().flat_map(|&state| (0..p).map(move |c| test.sensitivity[(state, c)])).collect(),
-            driven: (0..n).filter(|&place| driven[states[place]]).map(|place| place as u32).collect(),
-            digest: 0,
-        };
-        PlainOrder { states, frame: Arc::new(frame.seal()) }
+        // by columns, the transpose of A is A by rows
+        Order::of(&StateTraits { noisy, moving, driven }, test.sensitivity.transpose().as_slice(), p)
     }
 
-    pub(crate) fn transition(&self, step: &StepMatrices) -> Option<Transition> {
+    /// φ and Q of a step in this order; `None` where nothing moves.
+    pub(super) fn transition(&self, step: &StepMatrices) -> Option<Transition> {
         if step.transition.is_none() && step.process_noise.is_none() && step.input.is_none() {
             return None;
         }

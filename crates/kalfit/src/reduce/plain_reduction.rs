@@ -11,10 +11,10 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refus
 use crate::reduce::gains::Gains;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::observe::whiten;
+use crate::reduce::order::Order;
 use crate::reduce::outcome::outcome;
 use crate::reduce::path::Path;
 use crate::reduce::plain::Plain;
-use crate::reduce::plain_order::PlainOrder;
 use crate::reduce::reducer::impossible;
 use crate::reduce::reduction::Reduction;
 use crate::reduce::root::{RootError, root_gains};
@@ -43,7 +43,7 @@ impl Plain {
     /// `ends`: the state after the last step is wanted.
     fn solve(&self, square_root: bool, ends: bool) -> Result<(Reduction, Option<Terminal>), ReduceError> {
         self.check()?;
-        let order = PlainOrder::new(self);
+        let order = Order::of_matrices(self);
         let (mut design, mut data, mut rows) = (Design::new(order.frame.clone()), Data::default(), Vec::new());
         self.fill(&order, &mut design, &mut data, &mut rows)?;
         let states = ends.then_some(&*order.states);
@@ -90,7 +90,7 @@ impl Plain {
 
     fn fill(
         &self,
-        order: &PlainOrder,
+        order: &Order,
         design: &mut Design,
         data: &mut Data,
         rows: &mut Vec<usize>,
