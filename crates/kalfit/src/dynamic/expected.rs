@@ -14,26 +14,32 @@ use crate::dynamic::stepwise::{
 };
 use crate::dynamic::{DynamicError, DynamicFit};
 use crate::estimate::InitialLaw;
+use crate::infer::SharedProgress;
 use crate::model::Alpha;
 use crate::reduce::{Evidence, ReduceError};
 
 /// Step of a coordinate of α, and of the tangent basis in standard errors, for differences of coefficients.
 const STEP: f64 = 1e-4;
+/// After so many moments of a record it is asked whether somebody still waits.
+const ASKED: usize = 4096;
 
-/// Covariances from the expected information; `None` where values of single tests are free, and where some side is not defined.
+/// Covariances from the expected information; `None` where values of single tests are free, where some side is not defined, and when
+/// nobody waits any longer.
 pub(super) fn expected(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
+    progress: &SharedProgress<'_>,
 ) -> Result<Option<ValueCovariances>, DynamicError> {
     let shared = fit.joint.shared();
     let Some(directions) = Directions::of(objective, fit, shared)? else { return Ok(None) };
-    let one = |unit: &Vec<GroupedTest<'_>>| -> Result<DMatrix<f64>, DynamicError> {
-        directions.information(unit).map_err(|error| DynamicError::Reduce(Box::new(error)))
+    let units = units(objective);
+    let one = |k: usize| -> Result<DMatrix<f64>, DynamicError> {
+        directions.information(&units[k], progress).map_err(|error| DynamicError::Reduce(Box::new(error)))
     };
-    let all: Vec<Result<DMatrix<f64>, DynamicError>> = units(objective).par_iter().map(one).collect();
+    let Some(all) = progress.each(units.len(), one) else { return Ok(None) };
     let n = directions.all.len();
     let sum = all.into_iter().try_fold(DMatrix::zeros(n, n), |sum, one| one.map(|one| sum + one))?;
-    Ok(fit.joint.covariances_of(&sum))
+    Ok(if progress.stops() { None } else { fit.joint.covariances_of(&sum) })
 }
 
 /// Tests are rows, which the optimal filter runs over: those of which it is worked out.
@@ -114,14 +120,18 @@ impl Directions {
         Ok(Some(Directions { home: place(&fit.alpha, state.law())?, all }))
     }
 
-    /// What tests that know of each other are expected to say.
-    fn information(&self, unit: &[GroupedTest<'_>]) -> Result<DMatrix<f64>, ReduceError> {
+    /// What tests that know of each other are expected to say; only a part of it when nobody waits any longer.
+    fn information(
+        &self,
+        unit: &[GroupedTest<'_>],
+        progress: &SharedProgress<'_>,
+    ) -> Result<DMatrix<f64>, ReduceError> {
         let home = self.home.record(unit)?;
         let sides = |([up, down], width): &([RecordPoint; 2], f64)| -> Result<RecordPair, ReduceError> {
             Ok(RecordPair { up: up.record(unit)?, down: down.record(unit)?, width: *width })
         };
         let pairs: Vec<RecordPair> = self.all.iter().map(sides).collect::<Result<_, _>>()?;
-        Ok(Carried::new(pairs.len()).over(&home, &pairs))
+        Ok(Carried::new(pairs.len()).over(&home, &pairs, progress))
     }
 }
 
@@ -183,11 +193,14 @@ impl Carried {
         }
     }
 
-    /// All moments of a record.
-    fn over(mut self, home: &RecordMoments, pairs: &[RecordPair]) -> DMatrix<f64> {
+    /// All moments of a record, as long as somebody waits.
+    fn over(mut self, home: &RecordMoments, pairs: &[RecordPair], progress: &SharedProgress<'_>) -> DMatrix<f64> {
         let mut beside: Vec<[TimeSteps<'_>; 2]> =
             pairs.iter().map(|pair| [pair.up.moments(), pair.down.moments()]).collect();
-        for own in home.moments() {
+        for (number, own) in home.moments().enumerate() {
+            if number % ASKED == ASKED - 1 && progress.stops() {
+                break;
+            }
             let sides = pairs.iter().zip(&mut beside);
             let slopes: Option<Vec<TimeStep>> =
                 sides.map(|(pair, [up, down])| Some(pair.moment(&own, up.next()?, down.next()?))).collect();

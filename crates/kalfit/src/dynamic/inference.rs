@@ -17,7 +17,8 @@ use crate::reduce::PhasedTest;
 const UNDETERMINED: f64 = 10.0;
 
 /// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α. Whoever waits hears which
-/// interval is sought; once nobody does, intervals are those from standard errors, and fits without each test are left out.
+/// interval is sought; once nobody does, intervals are those from standard errors, these from the observed information where the
+/// expected one is not complete, and fits without each test are left out.
 pub fn infer(
     model: &PhasedModel,
     (labels, tests): (&Labels, &[PhasedTest]),
@@ -36,12 +37,15 @@ pub fn infer(
     let spread = |covariances: ValueCovariances| spread(&objective, fit, covariances);
     let (estimate, observed) = with_law(&objective, fit);
     // by profiles only once the maximum is certain
-    let wald = Choices { intervals: IntervalKind::Wald, ..choices };
+    let mut wald = Choices { intervals: IntervalKind::Wald, ..choices };
     let asked = match choices.std_errors {
         StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&objective, fit, &observed)?)),
-        StdErrors::Expected if ml => Some(spread(of_expectation(&objective, fit)?)),
+        StdErrors::Expected if ml => of_expectation(&objective, fit, progress)?.map(spread),
         _ => None,
     };
+    if asked.is_none() {
+        wald.std_errors = StdErrors::Observed;
+    }
     let (mut inference, mut parameters) = match &asked {
         Some(asked) => {
             let mut other = fit.estimate.clone();
@@ -102,13 +106,18 @@ fn spread(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, mut covariances: 
     covariances
 }
 
-/// Covariances from the expected information, where it is worked out.
-fn of_expectation(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Result<ValueCovariances, DynamicError> {
-    let found = if expected::is_possible(objective) { expected::expected(objective, fit)? } else { None };
-    found.ok_or_else(|| {
+/// Covariances from the expected information, where it is worked out; `None` when nobody waits any longer.
+fn of_expectation(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    progress: &SharedProgress<'_>,
+) -> Result<Option<ValueCovariances>, DynamicError> {
+    let found = if expected::is_possible(objective) { expected::expected(objective, fit, progress)? } else { None };
+    if found.is_none() && !progress.stops() {
         let parameter = fit.slots.slots().first().map_or(0, |slot| slot.parameter);
-        DynamicError::Expected { parameter: objective.model.shared().parameters[parameter].name.clone() }
-    })
+        return Err(DynamicError::Expected { parameter: objective.model.shared().parameters[parameter].name.clone() });
+    }
+    Ok(found)
 }
 
 /// Standard errors by the delta method; intervals by Wald in the coordinate, so that those of positive values are positive.

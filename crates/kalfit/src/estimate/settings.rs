@@ -121,8 +121,8 @@ pub trait Progress: Send {
     fn step(&mut self, step: Step);
 
     /// True once the search is to end where it is, with [`Stop::Interrupted`](crate::estimate::Stop::Interrupted). It is asked
-    /// between steps; and while intervals by profile likelihood are sought, before each run of the filters: those from standard errors
-    /// stand for them then.
+    /// between steps; while intervals by profile likelihood are sought, before each run of the filters: those from standard errors
+    /// stand for them then; and while the expected information is worked out, for which the observed one stands then.
     fn stops(&self) -> bool {
         false
     }

@@ -1,7 +1,7 @@
 //! Standard errors from the expected information beside free parameters, against the dense law of the data.
 
 use kalfit::build::{Columns, ModelBuilder, constant, free, gauss_markov, measurement, name, phase, random_walk};
-use kalfit::estimate::Silent;
+use kalfit::estimate::{Progress, Silent, Step};
 use kalfit::infer::{Choices, StdErrors};
 use kalfit::model::{Column, CovarianceStructure, GroupLevel, Model};
 use kalfit::{Ensemble, Figure, Fit, Options, PhasedModel};
@@ -354,4 +354,40 @@ fn expected_errors_beside_values_of_many_single_tests_are_refused() {
     let choices = Choices { std_errors: StdErrors::Expected, ..Choices::default() };
     let error = ensemble.fit_with(&Options { choices, ..Options::default() }, &mut Silent).expect_err("refused");
     assert!(error.to_string().contains("(`r`)"), "{error}");
+}
+
+/// Asks for the end at once.
+struct Impatient;
+
+impl Progress for Impatient {
+    fn step(&mut self, _: Step) {}
+
+    fn stops(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn errors_are_from_the_observed_information_where_nobody_waits_for_the_expected_one() {
+    let model = Model::builder("drift")
+        .time("t")
+        .state(constant("bias"))
+        .state(gauss_markov("drift", "tau", "s"))
+        .measurement(measurement("y", name("bias") + name("drift"), "r"));
+    let model = ["tau", "s", "r"].into_iter().fold(model, |model, name| model.parameter(free(name)));
+    let columns: Vec<Columns> = drawn()
+        .iter()
+        .enumerate()
+        .map(|(j, test)| {
+            let [t, y] = [&test.times, &test.values].map(|column| column.iter().copied());
+            Columns::new(format!("t{j:02}")).numbers("t", t).numbers("y", y)
+        })
+        .collect();
+    let ensemble = Ensemble::new(&model.build().expect("a model"), &columns).expect("columns of the model");
+    let choices = Choices { std_errors: StdErrors::Expected, ..Choices::default() };
+    let options = Options { choices, innovations: false, ..Options::default() };
+    let of = |progress: &mut dyn Progress| ensemble.fit_with(&options, progress).expect("a fit").record;
+    let (waited, ended) = (of(&mut Silent), of(&mut Impatient));
+    assert_eq!([&*waited.std_errors, &*ended.std_errors], ["expected", "observed"]);
+    assert!(!ended.converged, "{}", ended.reason);
 }
