@@ -5,7 +5,6 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;

@@ -32,7 +32,7 @@ use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ToEnd};
 use crate::reduce::replicates::Replicates;
-use batch_workspace::{by_shape, isa_for, size};
+use batch_workspace::{isa_for, size};
 pub(crate) use layout::BatchLayout;
 use reduced::TestHeader;
 pub(crate) use values::BatchValues;
@@ -104,7 +104,7 @@ impl EnsembleBatches {
         replicates.alone.iter().for_each(|&number| is_alone[number] = true);
         apart.retain(|&number| is_alone[number]);
         let id = |own: &Skeleton| &tests[own.number].id;
-        skeletons.par_sort_unstable_by(|a, b| by_shape(a, b).then_with(|| id(a).cmp(id(b))));
+        skeletons.par_sort_unstable_by(|a, b| a.by_shape(b).then_with(|| id(a).cmp(id(b))));
         let mut bytes = 0;
         let mut groups = groups(preparer, &skeletons);
         groups.retain(|own| {

@@ -174,6 +174,11 @@ impl Meters {
         self.meters.iter().map(shape).collect()
     }
 
+    /// How many measurements the model has.
+    pub(crate) fn count(&self) -> usize {
+        self.meters.len()
+    }
+
     /// The column of a measurement.
     pub(crate) fn column(&self, meter: usize) -> usize {
         self.meters[meter].column

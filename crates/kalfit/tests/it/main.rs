@@ -6,6 +6,7 @@ mod chains;
 mod dense;
 mod dynamic_record;
 mod expected_errors;
+mod gaps;
 mod inference;
 mod innovations;
 mod joint_errors;

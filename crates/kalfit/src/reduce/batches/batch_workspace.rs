@@ -1,7 +1,5 @@
 //! Tests that are evaluated once, at one α, side by side.
 
-use std::cmp::Ordering;
-
 use kalfit_lanes::Isa;
 
 use crate::ensemble::Test;
@@ -15,12 +13,6 @@ use crate::reduce::prepare::{Preparer, Skeleton};
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::Reducer;
 use crate::reduce::terminal::TerminalState;
-
-/// The order in which tests go together: by length, then by what they measure.
-pub(crate) fn by_shape(a: &Skeleton, b: &Skeleton) -> Ordering {
-    let pattern = || if a.pattern == b.pattern { Ordering::Equal } else { a.pattern().cmp(b.pattern()) };
-    b.len().cmp(&a.len()).then_with(pattern)
-}
 
 /// Bytes of a batch of several tests: longer tests go one by one.
 const BYTES: usize = 128 << 20;
@@ -184,7 +176,7 @@ impl BatchWorkspace {
 
 /// Shows tests that go together in so many lanes, all of them in turn.
 fn each_group(preparer: &Preparer, mut left: &mut [Skeleton], lanes: usize, mut show: impl FnMut(&mut [Skeleton])) {
-    left.sort_by(by_shape);
+    left.sort_by(Skeleton::by_shape);
     while !left.is_empty() {
         let (group, rest) = left.split_at_mut(together(preparer, left, lanes));
         show(group);

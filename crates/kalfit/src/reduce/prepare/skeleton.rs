@@ -1,8 +1,9 @@
 //! What of a test does not depend on α: its steps, and which of its cells each of them reads.
 
+use std::cmp::Ordering;
+
 use crate::ensemble::Test;
 use crate::model::Scope;
-use crate::reduce::cell_mask::mix;
 use crate::reduce::equal_steps::EqualStepCount;
 use crate::reduce::instances::Instance;
 use crate::reduce::prepare::{Preparer, StartCells, Workspace};
@@ -23,8 +24,8 @@ pub(crate) struct Skeleton {
     pub(crate) opening: Option<StartCells>,
     /// Each step is one row.
     flat: bool,
-    /// A hash of which measurements its steps have.
-    pub(crate) pattern: u64,
+    /// Which measurements its steps have: a bit for each of those of the model in each step, the first bits first.
+    pattern: Vec<u64>,
 }
 
 /// A step.
@@ -61,9 +62,9 @@ impl Skeleton {
         (0..self.steps.len()).flat_map(|k| self.of(k).iter().map(move |&instance| (k, instance)))
     }
 
-    /// Which measurements its steps have.
-    pub(crate) fn pattern(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.measured().map(|(k, instance)| (k, instance.meter))
+    /// The order in which tests go together: by length, then by what they measure.
+    pub(crate) fn by_shape(&self, other: &Skeleton) -> Ordering {
+        other.len().cmp(&self.len()).then_with(|| other.pattern.cmp(&self.pattern))
     }
 
     /// Whether its steps have transitions and measurements as those of another one.
@@ -90,7 +91,8 @@ impl Skeleton {
         covariates.clear();
         steps.clear();
         instances.clear();
-        (*opening, *pattern) = (None, 0);
+        pattern.clear();
+        *opening = None;
     }
 }
 
@@ -134,7 +136,7 @@ impl Preparer {
         let at = self.at();
         let unknown = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
         let mut count = EqualStepCount::new(work.spans.iter().map(|span| span.count).sum());
-        let mut before = 0;
+        let mut before = 0..0;
         for span in &work.spans {
             if unknown(span.moves, span.dt) {
                 return false;
@@ -147,21 +149,29 @@ impl Preparer {
                     }
                 }
                 for instance in &made.instances[first..] {
-                    made.pattern = mix(made.pattern, instance.meter as u64);
+                    note(&mut made.pattern, k * self.meters.count() + instance.meter);
                 }
-                made.pattern = mix(made.pattern, u64::MAX);
-                let source = if self.clock_previous() && k > 0 { before } else { rows.start } as u32;
+                let source = if self.clock_previous() && k > 0 { before.start } else { rows.start } as u32;
                 made.steps.push(StepCells { moves: span.moves, dt: span.dt, source, end: made.instances.len() });
-                let may_repeat = k > 0 && (number > 0 || self.plan.is_still());
+                let may_repeat = (number > 0 || self.plan.is_still()) && rows.len() == before.len();
                 let repeats = may_repeat && self.shape.repeat(test, &rows) && made.repeats(k);
                 if count.take(repeats) {
                     return false;
                 }
-                before = rows.start;
+                before = rows;
             }
         }
         true
     }
+}
+
+/// Sets a bit.
+fn note(pattern: &mut Vec<u64>, bit: usize) {
+    let word = bit / 64;
+    if pattern.len() <= word {
+        pattern.resize(word + 1, 0);
+    }
+    pattern[word] |= 1 << (63 - bit % 64);
 }
 
 impl Skeleton {
