@@ -140,11 +140,14 @@ fn go_on(
     }
 }
 
-/// Of sums of some tests that are there before, the first, and where they were. Counts may well be alike.
+/// Of sums of some tests that are there before, the first, and where they were. Counts may well be alike, and so are all answers
+/// where what was asked for is not defined.
 fn twice(sums: &[SiteSums]) -> Option<(usize, usize)> {
-    let counts = |asked: &Asked| matches!(asked.question, Question::Observability { .. });
-    let same = |one: &SiteSums, other: &SiteSums| one.tests > 0 && one == other && !one.theta.ask.iter().all(counts);
-    let before = |at: usize| sums[..at].iter().position(|other| same(other, &sums[at]));
+    let tells = |(asked, answer): (&Asked, &Answer)| {
+        answer.is_some() && !matches!(asked.question, Question::Observability { .. })
+    };
+    let is_told = |sums: &SiteSums| sums.tests > 0 && sums.theta.ask.iter().zip(&sums.answers).any(tells);
+    let before = |at: usize| sums[..at].iter().position(|other| is_told(other) && *other == sums[at]);
     (0..sums.len()).find_map(|at| Some((at, before(at)?)))
 }
 
@@ -196,4 +199,26 @@ fn together(theta: Theta, sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<The
         known.push((asked, sum(&answers).ok_or(SumsError::Answers { file })?));
     }
     Ok(Theta { round: theta.round + 1, places: Some(found), ask: Vec::new(), known, ..theta })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(answers: &str) -> SiteSums {
+        let asked = r#"{"values": [0.0], "question": "survey"}"#;
+        let theta = format!(
+            r#"{{"schema": "kalfit-theta/1", "kalfit_version": "0.2.0", "model_digest": "sha256:0", "parameters": [], "round": 1, "places": [2, 14], "ask": [{asked}], "known": []}}"#
+        );
+        let text = format!(r#"{{"schema": "kalfit-sums/1", "tests": 7, "answers": [{answers}], "theta": {theta}}}"#);
+        SiteSums::of_text("place", &text).expect("sums")
+    }
+
+    #[test]
+    fn two_places_of_which_nothing_is_defined_are_not_one_place() {
+        let places = |answers: [&str; 2]| answers.map(place);
+        assert_eq!(twice(&places(["[1.5, 2.0]", "[1.5, 2.0]"])), Some((1, 0)));
+        assert_eq!(twice(&places(["[1.5, 2.0]", "[1.5, 2.5]"])), None);
+        assert_eq!(twice(&places(["null", "null"])), None);
+    }
 }
