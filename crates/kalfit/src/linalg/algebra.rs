@@ -40,6 +40,8 @@ pub(crate) trait Algebra {
     /// Folds [A | b] into [R | d], R upper triangular with a diagonal that is not negative: what is left of b.
     fn absorb(upper: &mut Self::Matrix, data: &mut Self::Data, rows: Self::Matrix, rows_data: Self::Data)
     -> Self::Data;
+    /// U with U'U = I + A'A, and U⁻ᵀA'd: [A | d] folded into [I | 0]. However large A is no digits are lost.
+    fn identity_absorbing(rows: Self::Matrix, rows_data: Self::Data) -> (Self::Factor, Self::Data);
     /// Folds rows into R alone.
     fn absorb_rows(upper: &mut Self::Matrix, rows: Self::Matrix);
 
@@ -148,6 +150,13 @@ impl<F: Factors> Algebra for F {
         *upper = both.first_columns(q);
         *data = both.last_columns(columns);
         left.last_columns(columns)
+    }
+
+    #[inline(always)]
+    fn identity_absorbing(rows: Self::Matrix, rows_data: Self::Data) -> (Self::Factor, Self::Data) {
+        let (mut upper, mut data) = (Rows::identity(rows.ncols()), Rows::zeros(rows.ncols(), rows_data.ncols()));
+        <F as Algebra>::absorb(&mut upper, &mut data, rows, rows_data);
+        (upper, data)
     }
 
     #[inline(always)]

@@ -28,6 +28,22 @@ pub(crate) struct Pivoted<T, const N: usize> {
     inverse: [T; N],
 }
 
+impl<T: Real, const N: usize> Pivoted<T, N> {
+    /// From U itself, upper triangular.
+    #[inline(always)]
+    fn of(upper: Square<T, N>) -> Pivoted<T, N> {
+        let mut factor = Pivoted { unit: upper, root: [T::splat(0.0); N], inverse: [T::splat(0.0); N] };
+        for k in 0..N {
+            factor.root[k] = upper[k][k];
+            factor.inverse[k] = T::splat(1.0) / upper[k][k];
+            for j in k + 1..N {
+                factor.unit[k][j] = upper[k][j] * factor.inverse[k];
+            }
+        }
+        factor
+    }
+}
+
 impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     type Number = T;
     type Matrix = Square<T, N>;
@@ -87,6 +103,13 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     fn absorb(upper: &mut Square<T, N>, data: &mut [T; N], mut rows: Square<T, N>, mut rows_data: [T; N]) -> [T; N] {
         T::apart(Absorb { upper, data, rows: &mut rows, rows_data: &mut rows_data });
         rows_data
+    }
+
+    #[inline(always)]
+    fn identity_absorbing(rows: Square<T, N>, rows_data: [T; N]) -> (Pivoted<T, N>, [T; N]) {
+        let (mut upper, mut data) = (Self::identity_less(&Self::zeros(N, N)), [T::splat(0.0); N]);
+        Self::absorb(&mut upper, &mut data, rows, rows_data);
+        (Pivoted::of(upper), data)
     }
 
     #[inline(always)]

@@ -12,8 +12,12 @@
 //! the phases before it, C_i a root of (P⁻⁻¹ + J_i)⁻¹ = B_i(I + B_i'J_iB_i)⁻¹B_i':
 //!
 //! ```text
-//! m_i = m_i⁻ + C_iC_i'R_i'(d_i - R_i m_i⁻)      m_{i+1}⁻ = Eμ + G m_i      B_{i+1} = [EF | G C_i | C]
+//! [U u] = what QR leaves of [I 0] above [R_iB_i  d_i - R_i m_i⁻]      C_i = B_iU⁻¹
+//! m_i = m_i⁻ + C_iu      m_{i+1}⁻ = Eμ + G m_i      B_{i+1} = [EF | G C_i | C]
 //! ```
+//!
+//! u is U⁻ᵀB_i'R_i'(d_i - R_i m_i⁻), but as a product of these it would lose digits with the square of R_i: all of them where a
+//! measurement is very exact.
 //!
 //! R̃_i, d̃_i say what this phase and all later ones know of σ_i, B_i and m_i⁻ what the earlier ones do, so with S = I + R̃BB'R̃'
 //! the formulas of one phase hold: r_i = R̃'S⁻¹(d̃ - R̃m⁻) and N_i = R̃'S⁻¹R̃. The blocks of W are W_ii = E'N_iE and W_ki =
@@ -130,8 +134,8 @@ impl<A: Algebra> ChainPhases<'_, A> {
             }
             let Some(next) = next else { continue };
             let link = next.link.as_ref().expect("later phases have links");
-            let step = PhaseUpdate::<A>::new(phase, &B, &mut borne);
-            m = A::plus(A::apply(&link.sensitivity, &step.mean(phase, m)), &prior.mean::<A>(next));
+            let step = PhaseUpdate::<A>::new(phase, (B, m));
+            m = A::plus(A::apply(&link.sensitivity, &step.mean), &prior.mean::<A>(next));
             if detail == ChainDetail::Between {
                 carried.push(A::times(&link.sensitivity, &step.left(phase)));
             }
@@ -243,30 +247,27 @@ impl<T: Real> Prior<'_, T> {
 struct PhaseUpdate<A: Algebra> {
     /// C', by rows.
     root: A::Matrix,
-    /// C'R'.
-    seen: A::Matrix,
+    /// m.
+    mean: A::Data,
 }
 
 impl<A: Algebra> PhaseUpdate<A> {
+    /// From the prior of σ_i: B' and m⁻.
     #[inline(always)]
-    fn new(phase: &PhaseView<A::Matrix, A::Data>, B: &A::Matrix, borne: &mut bool) -> PhaseUpdate<A> {
-        let rows = A::transposed(&A::times_upper_transpose(B, &phase.factor));
-        let root = A::solved(&A::identity_plus(&[&rows], borne), B.clone());
-        let seen = A::times_upper_transpose(&root, &phase.factor);
-        PhaseUpdate { root, seen }
-    }
-
-    /// m = m⁻ + CC'R'(d - Rm⁻).
-    #[inline(always)]
-    fn mean(&self, phase: &PhaseView<A::Matrix, A::Data>, prior: A::Data) -> A::Data {
+    fn new(phase: &PhaseView<A::Matrix, A::Data>, (B, prior): (A::Matrix, A::Data)) -> PhaseUpdate<A> {
+        let rows = A::transposed(&A::times_upper_transpose(&B, &phase.factor));
         let residual = A::less(phase.data.clone(), &A::apply(&phase.factor, &prior));
-        A::plus(prior, &A::apply_transpose(&self.root, &A::apply(&self.seen, &residual)))
+        let (upper, told) = A::identity_absorbing(rows, residual);
+        let root = A::solved(&upper, B);
+        let mean = A::plus(prior, &A::apply_transpose(&root, &told));
+        PhaseUpdate { root, mean }
     }
 
     /// I - CC'J.
     #[inline(always)]
     fn left(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
-        A::identity_less(&A::transpose_times(&self.root, &A::times(&self.seen, &phase.factor)))
+        let seen = A::times_upper_transpose(&self.root, &phase.factor);
+        A::identity_less(&A::transpose_times(&self.root, &A::times(&seen, &phase.factor)))
     }
 }
 

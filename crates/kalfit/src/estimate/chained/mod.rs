@@ -254,6 +254,43 @@ mod tests {
         }
     }
 
+    /// Two states of law N(0, I), their sum measured by σ and the second by 1; then the first by 1, which r is of.
+    #[test]
+    fn however_exact_a_phase_is_the_next_one_begins_from_its_mean() {
+        for sigma in [1e-2, 1e-4, 1e-6, 1e-8] {
+            let (sum, second, first) = (0.7, -0.4, 1.9);
+            let phase = |data: [f64; 2], factor: [f64; 3], link: Option<crate::reduce::Link>| ChainPhase {
+                own: 2,
+                constant: 0.0,
+                data: data.to_vec(),
+                factor: factor.to_vec(),
+                path: Path::Information,
+                link,
+            };
+            let link = crate::reduce::Link {
+                mean: DVector::zeros(2),
+                sensitivity: DMatrix::identity(2, 2),
+                root: DMatrix::zeros(2, 1),
+            };
+            let phases = vec![
+                phase([sum / sigma, second], [sigma.recip(), sigma.recip(), 1.0], None),
+                phase([first, 0.0], [1.0, 0.0, 0.0], Some(link)),
+            ];
+            let ranges = [0..2, 2..4];
+            let frame = Frame { centre: vec![0.0; 4], scale: vec![1.0; 4], covariate_scale: Vec::new() };
+            let chained = ChainedClass::new(&[&Chain { phases }], &ranges, &frame);
+            let mut root = DMatrix::zeros(4, 4);
+            root.view_mut((0, 0), (2, 2)).fill_with_identity();
+            let said = chained.at(&[0.0; 4], &Root::of(&root), ChainDetail::Phases);
+            // one measurement after the other: the second state from N(0, 1) to N(-0.2, 1/2), then the sum, with gain K
+            let (mean, variance) = (0.5 * second, 0.5);
+            let total = 1.0 + variance + sigma * sigma;
+            let (posterior, left) = ((sum - mean) / total, (variance + sigma * sigma) / total);
+            let (found, expected) = (said.r[1][(0, 0)], (first - posterior) / (1.0 + left));
+            assert!((found / expected - 1.0).abs() < 1e-15 / sigma + 1e-14, "{sigma}: {found} {expected}");
+        }
+    }
+
     #[test]
     fn tests_side_by_side_say_what_they_say_alone_whatever_their_size() {
         for (q, p) in [(1, 1), (2, 1), (3, 3), (4, 2), (5, 5), (6, 3), (7, 7), (8, 8), (9, 4)] {
