@@ -201,6 +201,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
                 Method::Innovations => self.stepped(&values, &step, fine),
                 Method::Hybrid | Method::Em => self.at(&values),
             };
+            let bottom = self.bottom.clone();
             let Some(next) = next.or_else(|| self.above_zero(&values)) else {
                 self.damping = (1.6 * self.damping).max(0.02); // farther than a step that only fails
                 continue;
@@ -208,6 +209,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
             if self.accept(next, (joint, &levels), (&step, decrement)) {
                 return true;
             }
+            self.bottom = bottom; // a step that is not taken says nothing of how low levels may go
             self.damping = (5.0 * self.damping).max(0.05);
         }
         self.damping = 0.0;
