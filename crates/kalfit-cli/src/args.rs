@@ -389,8 +389,8 @@ pub(crate) struct SimulateArgs {
     #[arg(short, long, value_name = "FILE", help_heading = OUTPUT)]
     pub(crate) out: PathBuf,
 
-    /// CSV file for the true initial state of each test
-    #[arg(long = "truth", value_name = "FILE.csv")]
+    /// File for the true initial state of each test: `.csv`, `.tsv`, `.parquet` or `.arrow`
+    #[arg(long = "truth", value_name = "FILE")]
     pub(crate) states: Option<PathBuf>,
 }
 

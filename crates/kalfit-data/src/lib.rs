@@ -71,6 +71,4 @@ pub use reading::{SINGLE_TEST, read, read_from};
 pub use room::{bytes_in_words, memory_left};
 pub use sink::{DataReading, ReadError, TestSink};
 pub use table::guard::keep_quiet_of_broken_files;
-pub use write::{
-    CellKind, StateWriter, TableCell, TableFormat, TableWriter, TestWriter, WriteError, WrittenIds, added_id_column,
-};
+pub use write::{CellKind, TableCell, TableFormat, TableWriter, TestWriter, WriteError, WrittenIds, added_id_column};

@@ -2,11 +2,15 @@
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
+use std::path::PathBuf;
 
 use kalfit::Test;
 use kalfit::reduce::Evidence;
 use kalfit::simulate::{Designs, Drawn, Simulator};
-use kalfit_data::{DataReading, Input, StateWriter, TableFormat, TestWriter, WriteError, WrittenIds, added_id_column};
+use kalfit_data::{
+    CellKind, DataReading, Input, TableCell, TableFormat, TableWriter, TestWriter, WriteError, WrittenIds,
+    added_id_column,
+};
 use kalfit_spec::Spec;
 
 use crate::evidence::CommandInputs;
@@ -27,12 +31,11 @@ const BATCH_ROWS: u64 = 200_000;
 pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<SimulatedEnsemble>, Failure> {
     let (spec, truth) = truth::load(&job.model, &job.from)?;
     let inputs = Input::expand(&job.design).map_err(|error| Failure::data(error, &spec))?;
-    let format = match &job.out {
-        Some(path) => TableFormat::of(path).map_err(|error| failed(error, path.display().to_string()))?,
-        None => TableFormat::Arrow,
-    };
+    let format_of = |path: &PathBuf| TableFormat::of(path).map_err(|error| failed(error, path.display().to_string()));
+    let format = job.out.as_ref().map_or(Ok(TableFormat::Arrow), format_of)?;
     let used = files(&[&job.model.document, &job.from], &inputs);
     let output = OutputTarget::prepare(job.out.as_deref(), &used)?;
+    let states_format = job.states.as_ref().map_or(Ok(TableFormat::Csv), format_of)?;
     let states = job.states.as_deref().map(|path| OutputFile::prepare(path, &used)).transpose()?;
     output.refuse_same(states.as_ref())?;
     let mut work = JobWork::new(watch);
@@ -46,7 +49,8 @@ pub fn simulate(job: &SimulateJob, watch: &mut dyn JobWatch) -> Result<JobDone<S
         return Err(Failure::MoreThanDesign { found: count, expected: designs.tests().len() as u64 });
     }
     let ids = if count > designs.tests().len() as u64 { WrittenIds::New } else { WrittenIds::Same };
-    let task = SimulationTask { spec: &spec, simulator: &simulator, designs: &designs, reading: &reading, count, ids };
+    let (simulator, designs, reading) = (&simulator, &designs, &reading);
+    let task = SimulationTask { spec: &spec, simulator, designs, reading, count, ids, states_format };
     let WrittenEnsemble { rows, table, initial } = task.write((&output, format), states.as_ref(), &mut work)?;
     let added = added_id_column(spec.model.shared(), &spec.layout, ids);
     let states = states.map(|states| states.name());
@@ -74,6 +78,7 @@ struct SimulationTask<'a> {
     /// Number of tests.
     count: u64,
     ids: WrittenIds,
+    states_format: TableFormat,
 }
 
 impl SimulationTask<'_> {
@@ -105,7 +110,7 @@ impl SimulationTask<'_> {
         let sink = BufWriter::new(data.file());
         let mut table = TestWriter::new(spec.model.shared(), &spec.layout, self.ids, format, sink).map_err(in_data)?;
         let names = spec.model.estimated_names();
-        let begin = |pending| StateTable::new(pending, &names);
+        let begin = |pending| StateTable::new(pending, self.states_format, &names);
         let mut truths = states.map(begin).transpose()?;
         let (mut rows, mut done) = (0, 0);
         while done < self.count {
@@ -152,29 +157,34 @@ impl SimulationTask<'_> {
 
 /// The file of true initial states.
 struct StateTable<'a> {
-    writer: StateWriter<BufWriter<&'a File>>,
+    writer: TableWriter<BufWriter<&'a File>>,
     path: String,
     /// Columns of states.
     width: usize,
 }
 
 impl<'a> StateTable<'a> {
-    fn new(pending: &'a PendingFile<'_>, states: &[String]) -> Result<StateTable<'a>, Failure> {
+    /// The ids stand in column `test`, or in `test_2` and so on beside a state of that name.
+    fn new(pending: &'a PendingFile<'_>, format: TableFormat, states: &[String]) -> Result<StateTable<'a>, Failure> {
         let path = pending.name();
-        let writer = StateWriter::new(BufWriter::new(pending.file()), states);
+        let mut names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
+        let id = names.find(|name| !states.contains(name)).expect("one of so many names is free");
+        let numbers = states.iter().map(|state| (state.clone(), CellKind::Number));
+        let columns: Vec<(String, CellKind)> = std::iter::once((id, CellKind::Text)).chain(numbers).collect();
+        let writer = TableWriter::new(&columns, format, BufWriter::new(pending.file()));
         let writer = writer.map_err(|error| failed(error, path.clone()))?;
         Ok(StateTable { writer, path, width: states.len() })
     }
 
     fn write(&mut self, drawn: &[Drawn]) -> Result<(), Failure> {
-        let width = self.width;
-        let mut write = |drawn: &Drawn| {
-            let mut initial = drawn.initial.clone();
-            initial.resize(width, f64::NAN); // empty cells for phases that the test lacks
-            self.writer.write(&drawn.test.id, &initial)
-        };
-        let written = drawn.iter().try_for_each(&mut write);
-        written.map_err(|error| failed(error, self.path.clone()))
+        for Drawn { test, initial } in drawn {
+            // no cells for phases that the test lacks
+            let missing = std::iter::repeat_n(TableCell::Missing, self.width - initial.len());
+            let states = initial.iter().map(|x| TableCell::Number(*x)).chain(missing);
+            let written = self.writer.write(std::iter::once(TableCell::Text(&test.id)).chain(states));
+            written.map_err(|error| failed(error, self.path.clone()))?;
+        }
+        Ok(())
     }
 
     fn finish(self) -> Result<(), Failure> {

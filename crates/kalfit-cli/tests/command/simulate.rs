@@ -89,6 +89,8 @@ fn the_file_has_the_rows_of_the_design() {
     assert_eq!(ids("more.csv"), ["007", "b", "007#2", "b#2", "007#3"]);
     assert_eq!(ids("xi.csv"), ids("more.csv"));
     assert_eq!(cells("xi.csv")[0], ["test", "level", "slope"]);
+    done(&folder, "simulate m.toml --from t.toml --design d.csv --seed 1 --tests 5 --out more.csv --truth xi.parquet");
+    assert!(std::fs::read(folder.path("xi.parquet")).expect("written").starts_with(b"PAR1"), "as its name says");
     assert_eq!(cells("more.csv")[1..5], drawn[1..5], "a longer ensemble begins with the shorter one");
     // x = 0 measures the level with a noise of 0.1
     for (row, xi) in [(1, 1), (4, 2)] {

@@ -37,44 +37,6 @@ impl<W: Write> CsvTestWriter<W> {
     }
 }
 
-/// Writes the true initial states of drawn tests as CSV: a column of ids, and one for each estimated state.
-pub struct StateWriter<W: Write> {
-    writer: csv::Writer<W>,
-}
-
-impl<W: Write> StateWriter<W> {
-    /// Begins a table. The ids stand in column `test`, or in `test_2` and so on beside a state of that name.
-    ///
-    /// # Errors
-    /// A sink that cannot be written to.
-    pub fn new(mut sink: W, states: &[String]) -> Result<StateWriter<W>, WriteError> {
-        let mut names = std::iter::once("test".to_owned()).chain((2_u32..).map(|k| format!("test_{k}")));
-        let id = names.find(|name| !states.contains(name)).expect("one of so many names is free");
-        header(&mut sink, b',', std::iter::once(id.as_str()).chain(states.iter().map(String::as_str)))?;
-        Ok(StateWriter { writer: csv::Writer::from_writer(sink) })
-    }
-
-    /// Appends a test: its id and its initial state.
-    ///
-    /// # Errors
-    /// A sink that cannot be written to.
-    pub fn write(&mut self, id: &str, initial: &[f64]) -> Result<(), WriteError> {
-        self.writer.write_field(id).map_err(failed)?;
-        for &value in initial {
-            self.writer.write_field(number(value)).map_err(failed)?;
-        }
-        self.writer.write_record(None::<&[u8]>).map_err(failed)
-    }
-
-    /// Ends the table.
-    ///
-    /// # Errors
-    /// A sink that cannot be written to.
-    pub fn finish(self) -> Result<W, WriteError> {
-        self.writer.into_inner().map_err(|error| WriteError::Io(error.into_error()))
-    }
-}
-
 /// The reader takes the most frequent delimiter outside quotes: a name with any delimiter in it needs quotes.
 pub(super) fn header<'a>(
     sink: &mut impl Write,

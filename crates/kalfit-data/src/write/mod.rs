@@ -14,7 +14,6 @@ use kalfit::{Labels, Layout, Model, Test};
 use self::batches::BatchTestWriter;
 use self::columns::{OutColumn, columns, id_column, refuse_id_in_use};
 use self::csv::CsvTestWriter;
-pub use self::csv::StateWriter;
 pub use self::error::WriteError;
 pub use self::format::TableFormat;
 pub use self::table::{CellKind, TableCell, TableWriter};

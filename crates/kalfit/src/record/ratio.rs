@@ -273,7 +273,8 @@ pub(super) fn add_doubts(
     let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
     if declared != ratio.degrees_of_freedom {
         notes.push(format!(
-            "the hypothesis removes {declared} free quantities; the data identify {} of them",
+            "the hypothesis removes {declared} free {}; the data identify {} of them",
+            if declared == 1 { "quantity" } else { "quantities" },
             ratio.degrees_of_freedom
         ));
     }
