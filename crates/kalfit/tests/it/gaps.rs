@@ -16,7 +16,7 @@ fn rows(test: u32, equal: bool) -> Vec<Row> {
     let (mut time, gaps) = (0.0, 7 * test % 32);
     let row = |k: u32| {
         let wave = f64::from(test * 5 + k);
-        time += if equal && (test / 32 + k) % 3 == 0 && k > 0 { 0.0 } else { 0.4 + 0.1 * f64::from(k) };
+        time += if equal && (test / 32 + k).is_multiple_of(3) && k > 0 { 0.0 } else { 0.4 + 0.1 * f64::from(k) };
         let is_measured = (gaps >> k) & 1 == 0 || k == 4 - test % 2;
         (time, (1.7 * wave).sin(), is_measured.then(|| 0.8 + (2.3 * wave).cos()))
     };
