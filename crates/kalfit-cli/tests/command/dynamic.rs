@@ -412,6 +412,28 @@ fn several_quantities_on_their_boundary_have_a_bound_for_a_law() {
     assert!(text.contains("several quantities on their boundary"), "{text}");
 }
 
+/// States and measurements of two instruments that see a bias and a motion, one of them all but exact.
+fn exact_instrument(next: &str, step_noise: u32) -> String {
+    format!(
+        r#"[states.b]
+[states.x]
+next = "{next}"
+step_noise = {step_noise}
+initial = {{ mean = 0, sigma = 0 }}
+[measurements.y1]
+column = "y1"
+equation = "x"
+noise = 0.0001
+[measurements.y3]
+column = "y3"
+equation = "c * b + x"
+noise = "r"
+[parameters]
+r = {{}}
+"#
+    )
+}
+
 /// Two instruments, one all but exact, see what moves 300 000 times as much as its noise.
 const QUIET: &str = "id,c,y1,y3\na,1.0,53.2944837853,54.4000368935\na,0.955,30.4117174858,31.467220205\n\
     a,0.825,44.9135645734,45.8254727541\na,0.622,5.36202324124,6.04954976415\n\
@@ -427,29 +449,7 @@ const QUIET: &str = "id,c,y1,y3\na,1.0,53.2944837853,54.4000368935\na,0.955,30.4
 #[test]
 fn a_level_far_below_all_else_returns_from_zero_where_it_is_no_maximum() {
     let folder = Folder::new(&[("d.csv", QUIET.as_bytes())]);
-    let model = r#"[data]
-test = "id"
-step_first = true
-
-[states.b]
-[states.x]
-next = "0"
-step_noise = 30.0
-initial = { mean = 0, sigma = 0 }
-
-[measurements.y1]
-column = "y1"
-equation = "x"
-noise = 0.0001
-
-[measurements.y3]
-column = "y3"
-equation = "c * b + x"
-noise = "r"
-
-[parameters]
-r = {}
-"#;
+    let model = format!("[data]\ntest = \"id\"\nstep_first = true\n{}", exact_instrument("0", 30));
     folder.write("m.toml", model.as_bytes());
     folder.run("fit m.toml d.csv --quiet --out fit.json");
     let fit = json(&folder, "fit.json");
@@ -471,28 +471,7 @@ const QUIETER: &str = "id,c,y1,y3\na,1,0.000034,1.134958\na,0.96,-56.125781,-55.
 #[test]
 fn a_step_that_is_not_taken_does_not_hold_a_level_above_its_maximum() {
     let folder = Folder::new(&[("d.csv", QUIETER.as_bytes())]);
-    let model = r#"[data]
-test = "id"
-
-[states.b]
-[states.x]
-next = "-0.5 * x"
-step_noise = 300.0
-initial = { mean = 0, sigma = 0 }
-
-[measurements.y1]
-column = "y1"
-equation = "x"
-noise = 0.0001
-
-[measurements.y3]
-column = "y3"
-equation = "c * b + x"
-noise = "r"
-
-[parameters]
-r = {}
-"#;
+    let model = format!("[data]\ntest = \"id\"\n{}", exact_instrument("-0.5 * x", 300));
     folder.write("m.toml", model.as_bytes());
     for method in ["hybrid", "innovations", "em"] {
         folder.run(&format!("fit m.toml d.csv --quiet --method {method} --out fit.json"));
