@@ -103,6 +103,7 @@ fn random_reductions(p: usize, tests: usize) -> Reductions {
         path: Path::Information,
         design: j as u128,
         chain: None,
+        exact: None,
     };
     (0..tests).map(reduction).collect()
 }

@@ -636,6 +636,7 @@ fn fit_hint(error: &FitError) -> Option<&'static str> {
         FitError::NotMonotone { .. } => Some("choose units in which the states are of comparable size"),
         FitError::NoPhases { .. } | FitError::RestrictedMarginal => Some("use `--phases chain`"),
         FitError::Ungrouped { .. } => Some("give the rows of the test, which name its groups"),
+        FitError::ExactInGroups { .. } => Some("give the measurement some noise"),
         FitError::NoTests | FitError::Structure(_) => None,
     }
 }

@@ -47,6 +47,7 @@ fn tests(count: usize) -> Reductions {
             path: Path::Information,
             design: design as u128,
             chain: None,
+            exact: None,
         }
     };
     (0..count).map(test).collect()

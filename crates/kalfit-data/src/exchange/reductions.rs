@@ -262,6 +262,7 @@ fn reduction(row: SheetRow<'_>, q: usize, covariates: usize, test: &str) -> Resu
         path: path(row)?,
         design: design(row)?,
         chain: None,
+        exact: None,
     })
 }
 

@@ -233,6 +233,9 @@ impl<W: Write + Send> ReductionWriter<W> {
     ) -> Result<(), WriteError> {
         let names = &self.phases[phase];
         let reduction = &piece.reduction;
+        if reduction.exact.is_some() {
+            return Err(WriteError::Exact { test: test.to_owned() });
+        }
         let design = format!("{:032x}", reduction.design);
         let (terminal, inherited) = (piece.terminal.as_ref(), piece.inherited.as_ref());
         self.table.push(vec![

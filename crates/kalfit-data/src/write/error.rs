@@ -25,6 +25,14 @@ pub enum WriteError {
     /// A model with levels of groups, for a file of estimates.
     #[error("the model has levels of groups, and files of estimates do not say the groups of tests")]
     Levels,
+    /// A test that measures estimated states without noise, for a file of reductions.
+    #[error(
+        "test `{test}` measures a combination of estimated states without any noise, which files of reductions do not hold"
+    )]
+    Exact {
+        /// Its id.
+        test: String,
+    },
     /// The system could not write.
     #[error("{0}")]
     Io(#[from] std::io::Error),

@@ -89,6 +89,7 @@ fn reduction(test: &str, q: usize, salt: usize) -> Reduction {
         path: if salt.is_multiple_of(2) { Arithmetic::Information } else { Arithmetic::SquareRoot },
         design: u128::MAX / 3 + salt as u128,
         chain: None,
+        exact: None,
     }
 }
 

@@ -47,6 +47,24 @@ pub(super) struct Weights {
 /// How means that were estimated enter a test: p × means.
 pub(super) type Effect<'a> = dyn Fn(ReductionRef<'_>) -> DMatrix<f64> + Sync + 'a;
 
+/// What is measured exactly counts as known to this part of what the population knows of it: weights need no more digits.
+const KNOWN: f64 = 1e-3;
+
+/// R, with rows for what is measured exactly.
+fn told(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+    let p = sigma.nrows();
+    let root = unpack(reduction.factor, p);
+    let Some(exact) = reduction.exact else { return root };
+    let mut all = root.insert_rows(p, exact.values.len(), 0.0);
+    for (i, row) in exact.matrix(p).row_iter().enumerate() {
+        let deviation = (&row * sigma * row.transpose())[(0, 0)].sqrt();
+        if deviation > 0.0 {
+            all.set_row(p + i, &(row / (KNOWN * deviation)));
+        }
+    }
+    all
+}
+
 impl TestTree {
     pub(super) fn new(
         (reductions, p): (&Reductions, usize),
@@ -59,7 +77,7 @@ impl TestTree {
         let sigmas: Vec<DMatrix<f64>> = (0..=depth).map(sigma).collect();
         let test = |reduction: ReductionRef<'_>| {
             // of tests in groups what each level adds stands after what is a test's own
-            let root = unpack(reduction.factor, p);
+            let root = told(reduction, &sigmas[0]);
             let information = root.transpose() * &root;
             let shift = &information * effect(reduction);
             TreeNode { weight: weight(&root, &sigmas[0]), information, shift }
@@ -285,6 +303,7 @@ mod tests {
                         path: Path::Information,
                         design: number as u128,
                         chain: None,
+                        exact: None,
                     });
                     paths.push((id, vec![Label::literal(lot), Label::literal(10 * lot + unit)]));
                 }

@@ -17,7 +17,8 @@ const STEP: f64 = 2e-3;
 const TRIES: usize = 4;
 const SHORTER: f64 = 0.1;
 /// Weights of ℓ at -2, -1, 1 and 2 steps.
-const WEIGHTS: [(f64, f64); 4] = [(-2.0, 1.0 / 12.0), (-1.0, -8.0 / 12.0), (1.0, 8.0 / 12.0), (2.0, -1.0 / 12.0)];
+pub(super) const WEIGHTS: [(f64, f64); 4] =
+    [(-2.0, 1.0 / 12.0), (-1.0, -8.0 / 12.0), (1.0, 8.0 / 12.0), (2.0, -1.0 / 12.0)];
 
 /// An ensemble, and α where some values are sought.
 pub(crate) struct Around<'a> {
@@ -84,7 +85,7 @@ impl Indirect {
             let touched: Vec<(usize, usize)> = self.tests.iter().filter_map(own).collect();
             let list: Vec<usize> = touched.iter().map(|(j, _)| *j).collect();
             let home = pieces(reducer, &list)?;
-            let (moved, steps) = self.moved(around, values, &colour, |reducer| pieces(reducer, &list))?;
+            let (moved, steps) = moved(around, values, &colour, |reducer| pieces(reducer, &list))?;
             for (k, &(j, slot)) in touched.iter().enumerate() {
                 let laws = PhaseLaws::new(law, &around.model.ranges(), reductions.get(j).covariates);
                 let mut sum = 0.0;
@@ -98,36 +99,6 @@ impl Indirect {
         Ok(())
     }
 
-    /// What `at` gives at four places about the values of a colour, and the steps of the values between them.
-    fn moved<T>(
-        &self,
-        around: &Around<'_>,
-        values: &[f64],
-        colour: &[usize],
-        at: impl Fn(&PhasedReducer) -> Result<T, ReduceError>,
-    ) -> Result<(Vec<T>, BTreeMap<usize, f64>), ReduceError> {
-        let mut part = 1.0;
-        let mut last = None;
-        for _ in 0..TRIES {
-            let step = |&s: &usize| {
-                let size = if values[s] != 0.0 { values[s].abs() } else { 1.0 };
-                (s, part * STEP * size)
-            };
-            let steps: BTreeMap<usize, f64> = colour.iter().map(step).collect();
-            let one = |&(sign, _): &(f64, f64)| {
-                let mut values = values.to_vec();
-                steps.iter().for_each(|(&s, h)| values[s] += sign * h);
-                at(&PhasedReducer::scoring(around.model, &(around.alpha)(&values), around.slots)?)
-            };
-            match WEIGHTS.iter().map(one).collect::<Result<Vec<T>, ReduceError>>() {
-                Ok(moved) => return Ok((moved, steps)),
-                Err(error) => last = Some(error),
-            }
-            part *= SHORTER;
-        }
-        Err(last.expect("there was a try"))
-    }
-
     /// Sets of values that no test has in common.
     fn colours(&self, count: usize, tests: usize) -> Vec<Vec<usize>> {
         let mut touching = vec![Vec::new(); count];
@@ -135,6 +106,35 @@ impl Indirect {
         let touching = touching.iter().enumerate().filter(|(_, tests)| !tests.is_empty());
         colours(touching.map(|(s, tests)| (s, Some(&**tests))), tests)
     }
+}
+
+/// What `at` gives at four places about the values of a colour, and the steps of the values between them.
+pub(super) fn moved<T>(
+    around: &Around<'_>,
+    values: &[f64],
+    colour: &[usize],
+    at: impl Fn(&PhasedReducer) -> Result<T, ReduceError>,
+) -> Result<(Vec<T>, BTreeMap<usize, f64>), ReduceError> {
+    let mut part = 1.0;
+    let mut last = None;
+    for _ in 0..TRIES {
+        let step = |&s: &usize| {
+            let size = if values[s] != 0.0 { values[s].abs() } else { 1.0 };
+            (s, part * STEP * size)
+        };
+        let steps: BTreeMap<usize, f64> = colour.iter().map(step).collect();
+        let one = |&(sign, _): &(f64, f64)| {
+            let mut values = values.to_vec();
+            steps.iter().for_each(|(&s, h)| values[s] += sign * h);
+            at(&PhasedReducer::scoring(around.model, &(around.alpha)(&values), around.slots)?)
+        };
+        match WEIGHTS.iter().map(one).collect::<Result<Vec<T>, ReduceError>>() {
+            Ok(moved) => return Ok((moved, steps)),
+            Err(error) => last = Some(error),
+        }
+        part *= SHORTER;
+    }
+    Err(last.expect("there was a try"))
 }
 
 /// The phase is known by a filter's estimates, made here or elsewhere.

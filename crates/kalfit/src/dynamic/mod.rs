@@ -17,6 +17,7 @@ mod differences;
 mod edges;
 mod em;
 mod error;
+mod exact;
 mod exchange;
 mod expected;
 mod explore;
@@ -63,8 +64,10 @@ mod zero;
 
 pub(crate) use coordinates::Coordinate;
 pub use error::DynamicError;
+pub(crate) use exact::add_exact;
 pub(crate) use fit::fit_remote;
 pub use fit::{fit, start_values};
+pub(crate) use indirect::Around;
 pub use inference::infer;
 pub(crate) use interval::MOST_PROFILED;
 pub use mean_limits::{MeansAt, mean_limits};

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use crate::dynamic::before_runs::BeforeRuns;
 use crate::dynamic::edges::Edges;
+use crate::dynamic::exact::add_exact;
 use crate::dynamic::indirect::{Around, Indirect};
 use crate::dynamic::matrices::{self, matrix_gradient};
 use crate::dynamic::scale::{self, AtScale, Scale};
@@ -548,6 +549,7 @@ impl<'a> ProfileLikelihood<'a> {
         let alpha = |values: &[f64]| self.alpha(values);
         let around = Around { model: self.model, tests: self.tests, slots: self.slots, alpha: &alpha };
         self.indirect.add(&around, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
+        add_exact(&around, values, (reductions, law), &mut scores).map_err(Box::new)?;
         Ok(scores)
     }
 

@@ -81,7 +81,8 @@ impl Scale {
             Some(home) => home,
             None => {
                 let reductions = run(value)?;
-                if (0..reductions.len()).any(|number| reductions.residual(number).0.is_none()) {
+                let unknown = |number: usize| reductions.residual(number).0.is_none();
+                if reductions.has_exact() || (0..reductions.len()).any(unknown) {
                     return Ok(None);
                 }
                 let home = Arc::new(Home { value, reductions, noisy: OnceLock::new() });

@@ -64,10 +64,11 @@ fn ordinal(x: f64) -> i64 {
     bits ^ (((bits >> 63) as u64) >> 1) as i64
 }
 
-/// Order by R, covariates, then id: a total order that gathers classes and does not see the order of the tests.
+/// Order by R, covariates, C, then id: a total order that gathers classes and does not see the order of the tests.
 fn canonical(reductions: &Reductions, a: usize, b: usize) -> Ordering {
     compare(reductions.factor(a), reductions.factor(b))
         .then_with(|| compare(reductions.covariates(a), reductions.covariates(b)))
+        .then_with(|| compare(exact(reductions, a), exact(reductions, b)))
         .then_with(|| compare_chains(reductions.chain(a), reductions.chain(b)))
         .then_with(|| reductions.id(a).cmp(reductions.id(b)))
 }
@@ -87,6 +88,11 @@ fn compare_chains(a: Option<&Chain>, b: Option<&Chain>) -> Ordering {
     different.unwrap_or_else(|| a.phases.len().cmp(&b.phases.len()))
 }
 
+/// C of a test.
+fn exact(reductions: &Reductions, number: usize) -> &[f64] {
+    reductions.exact(number).map_or(&[], |exact| &exact.coefficients)
+}
+
 fn compare(a: &[f64], b: &[f64]) -> Ordering {
     let different = a.iter().zip(b).map(|(x, y)| x.total_cmp(y)).find(|o| o.is_ne());
     different.unwrap_or_else(|| a.len().cmp(&b.len()))
@@ -95,6 +101,7 @@ fn compare(a: &[f64], b: &[f64]) -> Ordering {
 fn same_class(reductions: &Reductions, (a, b): (usize, usize), chained: bool) -> bool {
     compare(reductions.factor(a), reductions.factor(b)).is_eq()
         && compare(reductions.covariates(a), reductions.covariates(b)).is_eq()
+        && compare(exact(reductions, a), exact(reductions, b)).is_eq()
         && (!chained || compare_chains(reductions.chain(a), reductions.chain(b)).is_eq())
 }
 

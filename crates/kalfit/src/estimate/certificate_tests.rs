@@ -84,6 +84,7 @@ impl Case {
                 path: Path::Information,
                 design: 0,
                 chain: None,
+                exact: None,
             })
             .collect()
     }

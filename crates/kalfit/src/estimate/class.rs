@@ -2,19 +2,20 @@
 
 use crate::estimate::chained::ChainStore;
 
-/// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖².
+/// Tests that share R and covariates, in η: log p(z_j | η) = constant_j - ½ ‖d_j - R η‖². Where they measure Cη = g_j exactly,
+/// C has q rows of length one, and all of R and d is followed by C and g.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ClassRef<'a> {
     /// n, the number of tests.
     pub(crate) count: f64,
     /// Σ_j constant_j.
     pub(crate) constant: f64,
-    /// R, p × p by rows, upper triangular.
+    /// R, p × p by rows, upper triangular; C, q × p by rows.
     pub(crate) factor: &'a [f64],
-    /// Mean of d_j.
+    /// Mean of d_j, and of g_j.
     pub(crate) mean: &'a [f64],
-    /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; no more of them than p, and none
-    /// for a single test.
+    /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; no more of them than they are long,
+    /// and none for a single test.
     pub(crate) scatter: &'a [f64],
     /// Scaled covariates of the regressions.
     pub(crate) covariates: &'a [f64],
@@ -82,7 +83,7 @@ impl ClassRef<'_> {
         }
         for (i, (moment, own)) in found.iter_mut().enumerate() {
             let at = |x: &[f64]| rows().zip(x).map(|(row, x)| row[i] * x).sum::<f64>(); // R'x at i
-            let spread: f64 = self.scatter.chunks_exact(p).map(|x| at(x).powi(2)).sum();
+            let spread: f64 = self.scatter.chunks_exact(self.mean.len().max(1)).map(|x| at(x).powi(2)).sum();
             *moment = self.count * (moment.powi(2) - *own) + spread;
         }
     }

@@ -187,8 +187,9 @@ impl Classes {
         let chains = if chained { side_by_side(reductions, &members, (frame, elements)) } else { Vec::new() };
         let lanes = in_lanes(&chains, members.len());
         let in_blocks = elements.is_single() && !frame.scale.is_empty();
+        let apart = |j: usize| reductions.path(j) == Path::SquareRoot || reductions.exact(j).is_some();
         let kind = |class: usize| match members.class(class) {
-            tests if !in_blocks || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot) => ClassKind::Listed,
+            tests if !in_blocks || tests.iter().any(|&j| apart(j)) => ClassKind::Listed,
             [_] => ClassKind::Single,
             _ => ClassKind::Several,
         };

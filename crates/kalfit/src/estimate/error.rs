@@ -23,6 +23,14 @@ pub enum FitError {
         /// Its id.
         test: String,
     },
+    /// A test that measures estimated states without noise, under a model with levels.
+    #[error(
+        "test `{test}` measures a combination of estimated states without any noise, which levels of groups do not take"
+    )]
+    ExactInGroups {
+        /// Its id.
+        test: String,
+    },
     /// A test that is not kept phase by phase, where each phase is to be taken by itself.
     #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
     NoPhases {

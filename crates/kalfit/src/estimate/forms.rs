@@ -189,6 +189,7 @@ mod tests {
             path: Path::Information,
             design: number as u128,
             chain: Some(Box::new(chain)),
+            exact: None,
         }
     }
 

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::linalg::symmetric::{self, pair, pairs};
-use crate::reduce::Reductions;
+use crate::reduce::{ExactRows, Reductions};
 
 pub(crate) use crate::remote::Coordinates as Frame;
 
@@ -91,8 +91,9 @@ impl Pooled {
 
     /// All of the reductions; `order` is one that does not depend on theirs.
     pub(super) fn all(reductions: &Reductions, order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
-        let parts: Vec<Pooled> =
-            order.par_chunks(CHUNK).map(|part| Pooled::of(reductions, part, (p, regressors))).collect();
+        let units = &exact_units(reductions, order);
+        let of = |part| Pooled::of((reductions, units), part, (p, regressors));
+        let parts: Vec<Pooled> = order.par_chunks(CHUNK).map(of).collect();
         parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
     }
 
@@ -119,7 +120,7 @@ impl Pooled {
         DMatrix::from_fn(p, p, |i, k| scale[i] * self.information[pair(i, k)] * scale[k])
     }
 
-    fn of(reductions: &Reductions, tests: &[usize], (p, regressors): (usize, usize)) -> Pooled {
+    fn of((reductions, units): (&Reductions, &[f64]), tests: &[usize], (p, regressors): (usize, usize)) -> Pooled {
         let mut sum = Pooled { tests: tests.len() as f64, ..Pooled::none((p, regressors)) };
         for &j in tests {
             let (factor, data) = (reductions.factor(j), reductions.data(j));
@@ -131,9 +132,29 @@ impl Pooled {
                 sum.informed[k] += f64::from(u8::from(column.iter().any(|x| *x != 0.0)));
                 sum.y[k] += dot(column, data);
             }
+            if let Some(exact) = reductions.exact(j) {
+                sum.add_exact(exact, units, factor);
+            }
             sum.squares.iter_mut().zip(reductions.covariates(j)).for_each(|(s, x)| *s += x * x);
         }
         sum
+    }
+
+    /// Adds what a test measures exactly as if it were known to these units: they are but to find coordinates by.
+    fn add_exact(&mut self, exact: &ExactRows, units: &[f64], factor: &[f64]) {
+        let p = self.y.len();
+        for ((row, value), unit) in exact.rows(p).zip(units) {
+            let weight = unit.powi(-2);
+            for k in 0..p {
+                (0..=k).for_each(|i| self.information[pair(k, i)] += weight * row[i] * row[k]);
+                self.y[k] += weight * row[k] * value;
+            }
+        }
+        for k in 0..p {
+            let known = factor[pair(k, 0)..][..=k].iter().any(|x| *x != 0.0);
+            let told = exact.rows(p).any(|(row, _)| row[k] != 0.0);
+            self.informed[k] += f64::from(u8::from(told && !known));
+        }
     }
 
     fn and(mut self, other: &Pooled) -> Pooled {
@@ -144,6 +165,38 @@ impl Pooled {
         add(&mut self.squares, &other.squares);
         self.tests += other.tests;
         self
+    }
+}
+
+/// How much the first, second, … of the values that tests measure exactly differ from test to test, or else how large they are.
+fn exact_units(reductions: &Reductions, order: &[usize]) -> Vec<f64> {
+    let mut found: Vec<Spread> = Vec::new();
+    for exact in order.iter().filter_map(|&j| reductions.exact(j)) {
+        found.resize_with(found.len().max(exact.values.len()), Spread::default);
+        found.iter_mut().zip(&exact.values).for_each(|(spread, value)| spread.add(*value));
+    }
+    found.iter().map(Spread::unit).collect()
+}
+
+/// Mean and scatter of numbers.
+#[derive(Debug, Default)]
+struct Spread {
+    count: f64,
+    mean: f64,
+    squares: f64,
+}
+
+impl Spread {
+    fn add(&mut self, value: f64) {
+        let off = value - self.mean;
+        self.count += 1.0;
+        self.mean += off / self.count;
+        self.squares += off * (value - self.mean);
+    }
+
+    fn unit(&self) -> f64 {
+        let deviation = (self.squares / self.count).sqrt();
+        [deviation, self.mean.abs(), 1.0].into_iter().find(|unit| unit.is_normal()).unwrap_or(1.0)
     }
 }
 

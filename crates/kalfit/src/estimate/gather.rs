@@ -6,8 +6,9 @@ use crate::estimate::chained::{ChainStore, ChainedClass};
 use crate::estimate::class::Class;
 use crate::estimate::frame::Frame;
 use crate::linalg::elements::Elements;
+use crate::linalg::fold::norm;
 use crate::linalg::symmetric::{self, pair};
-use crate::reduce::{Chain, Path, Reductions};
+use crate::reduce::{Chain, ExactRows, Path, Reductions};
 
 /// Puts some tests with one R, by their numbers, into the place of a class.
 pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
@@ -16,8 +17,10 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
         numbers.clear();
         numbers.resize(size, 0.0);
     };
-    zeros(&mut class.factor, p * p);
-    zeros(&mut class.mean, p); // R × the centre
+    let exact = reductions.exact(tests[0]);
+    let rows = p + exact.map_or(0, |exact| exact.values.len());
+    zeros(&mut class.factor, rows * p);
+    zeros(&mut class.mean, rows); // R × the centre, and C × it
     let factor = reductions.factor(tests[0]);
     for k in 0..p {
         for (i, &x) in factor[pair(k, 0)..][..=k].iter().enumerate() {
@@ -25,17 +28,35 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
             class.mean[i] += x * frame.centre[k];
         }
     }
+    let units = exact.map_or_else(Vec::new, |exact| put_exact(exact, frame, class));
     class.scatter.clear();
-    if let &[alone] = tests {
+    if let (&[alone], None) = (tests, exact) {
         class.mean.iter_mut().zip(reductions.data(alone)).for_each(|(mean, d)| *mean = d - *mean);
     } else {
-        let offset = std::mem::replace(&mut class.mean, vec![0.0; p]);
-        scatter(reductions, tests, &offset, class);
+        let offset = std::mem::replace(&mut class.mean, vec![0.0; rows]);
+        scatter((reductions, tests), (&offset, &units), class);
     }
     class.constant = tests.iter().map(|&j| reductions.constant(j)).sum();
-    class.square_root = tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot);
+    // the density of g in other units
+    class.constant += tests.len() as f64 * units.iter().map(|unit| unit.ln()).sum::<f64>();
+    class.square_root = exact.is_some() || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot);
     class.chain = None;
     about(reductions, tests, frame, class);
+}
+
+/// Puts C into a class, its rows of length one, and C × the centre; returns what the rows were divided by, as factors of them.
+fn put_exact(exact: &ExactRows, frame: &Frame, class: &mut Class) -> Vec<f64> {
+    let p = frame.scale.len();
+    let mut units = Vec::with_capacity(exact.values.len());
+    for (at, (row, _)) in exact.rows(p).enumerate() {
+        let scaled: Vec<f64> = row.iter().zip(&frame.scale).map(|(c, scale)| c * scale).collect();
+        let unit = norm(&scaled).recip();
+        let to = &mut class.factor[(p + at) * p..][..p];
+        to.iter_mut().zip(&scaled).for_each(|(to, c)| *to = c * unit);
+        class.mean[p + at] = unit * row.iter().zip(&frame.centre).map(|(c, centre)| c * centre).sum::<f64>();
+        units.push(unit);
+    }
+    units
 }
 
 /// The same of tests in phases; `place`: where their chain stands if it is made.
@@ -63,24 +84,31 @@ fn about(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Cl
     class.covariates.extend(covariates.map(|(x, s)| x / s));
 }
 
-/// The mean of d of several tests, and vectors whose outer products add up to their scatter about it.
-fn scatter(reductions: &Reductions, tests: &[usize], offset: &[f64], class: &mut Class) {
-    let (p, mean) = (offset.len(), &mut class.mean);
-    for &j in tests {
+/// The mean of d and g of several tests, and vectors whose outer products add up to their scatter about it; g in these units.
+fn scatter((reductions, tests): (&Reductions, &[usize]), (offset, units): (&[f64], &[f64]), class: &mut Class) {
+    let (rows, mean) = (offset.len(), &mut class.mean);
+    let own = |j: usize, i: usize| {
         let data = reductions.data(j);
-        (0..p).for_each(|i| mean[i] += data[i] - offset[i]);
+        let exact = |at: usize| reductions.exact(j).map_or(0.0, |exact| exact.values[at] * units[at]);
+        data.get(i).copied().unwrap_or_else(|| exact(i - data.len()))
+    };
+    for &j in tests {
+        (0..rows).for_each(|i| mean[i] += own(j, i) - offset[i]);
     }
     mean.iter_mut().for_each(|m| *m /= tests.len() as f64);
-    let away = |j: usize, i: usize| reductions.data(j)[i] - offset[i] - mean[i];
-    if tests.len() <= p {
-        class.scatter.extend(tests.iter().flat_map(|&j| (0..p).map(move |i| (j, i))).map(|(j, i)| away(j, i)));
+    let away = |j: usize, i: usize| own(j, i) - offset[i] - mean[i];
+    if tests.len() == 1 {
         return;
     }
-    let (mut sum, mut own) = (DMatrix::zeros(p, p), vec![0.0; p]);
+    if tests.len() <= rows {
+        class.scatter.extend(tests.iter().flat_map(|&j| (0..rows).map(move |i| (j, i))).map(|(j, i)| away(j, i)));
+        return;
+    }
+    let (mut sum, mut one) = (DMatrix::zeros(rows, rows), vec![0.0; rows]);
     for &j in tests {
-        own.iter_mut().enumerate().for_each(|(i, x)| *x = away(j, i));
-        for (k, column) in sum.as_mut_slice().chunks_exact_mut(p.max(1)).enumerate() {
-            column.iter_mut().zip(&own).for_each(|(s, a)| *s += a * own[k]);
+        one.iter_mut().enumerate().for_each(|(i, x)| *x = away(j, i));
+        for (k, column) in sum.as_mut_slice().chunks_exact_mut(rows.max(1)).enumerate() {
+            column.iter_mut().zip(&one).for_each(|(s, a)| *s += a * one[k]);
         }
     }
     class.scatter.extend_from_slice(symmetric::square_root(&sum).as_slice());

@@ -194,5 +194,10 @@ fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settin
     {
         return Err(FitError::Ungrouped { test: apart.test.to_owned() });
     }
+    if structure.grouping.is_some()
+        && let Some(exact) = reductions.iter().find(|reduction| reduction.exact.is_some())
+    {
+        return Err(FitError::ExactInGroups { test: exact.test.to_owned() });
+    }
     Ok(Problem::new(reductions, structure, (settings.criterion, settings.phases))?)
 }

@@ -148,6 +148,7 @@ mod tests {
             path: if j == 4 || j == 9 { Path::SquareRoot } else { Path::Information },
             design: design as u128,
             chain: None,
+            exact: None,
         }
     }
 

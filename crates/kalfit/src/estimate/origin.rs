@@ -28,7 +28,7 @@ impl Classes {
         for number in 0..self.len() {
             let class = self.get(number, &mut room);
             let column = |m: usize| if m < p { (m, 1.0) } else { (regressors[m - p], class.covariates[m - p]) };
-            let rows = DMatrix::from_fn(p, p + regressors.len(), |i, m| {
+            let rows = DMatrix::from_fn(class.mean.len(), p + regressors.len(), |i, m| {
                 let (k, x) = column(m);
                 x * class.factor[i * p + k]
             });

@@ -269,6 +269,7 @@ mod tests {
                 path: Path::Information,
                 design: 0,
                 chain: None,
+                exact: None,
             }
         };
         let (mean, covariance, alpha) = (MeanStructure::free(2), CovarianceStructure::full(), Alpha::default());

@@ -11,6 +11,7 @@
 //! is weakly determined when it is nearly one that nothing was observed of: its condition index (Belsley, Kuh, Welsch 1980),
 //! √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
@@ -19,6 +20,7 @@ use rayon::prelude::*;
 use crate::estimate::{Classes, CoordinateForm, PhaseForm, Point, Problem, Summed, map_forms};
 use crate::infer::direction::{NONE, unit};
 use crate::infer::observed::{PART, column_norm, observe};
+use crate::linalg::fold::fold;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
 use crate::remote::Coordinates;
@@ -190,10 +192,11 @@ impl Observability {
 impl<'a> ClassViews<'a> {
     fn new(classes: &'a Classes, reductions: &'a Reductions) -> ClassViews<'a> {
         let (p, count) = (classes.dimension(), classes.len());
-        let first = |class: usize| reductions.factor(classes.tests_of(class)[0]);
+        let first = |class: usize| told(classes, reductions, class);
         let mut norms = vec![0.0; count * p];
         norms.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, norms)| {
-            norms.iter_mut().enumerate().for_each(|(k, to)| *to = column_norm(first(class), k));
+            let factor = first(class);
+            norms.iter_mut().enumerate().for_each(|(k, to)| *to = column_norm(&factor, k));
         });
         let mut largest = vec![0.0_f64; p];
         for norms in norms.chunks_exact(p.max(1)) {
@@ -202,7 +205,7 @@ impl<'a> ClassViews<'a> {
         let informs: Vec<bool> = norms.iter().enumerate().map(|(at, norm)| *norm > TRACE * largest[at % p]).collect();
         let mut observes = informs.clone();
         observes.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, observes)| {
-            observe(first(class), &informs[class * p..][..p], observes);
+            observe(&first(class), &informs[class * p..][..p], observes);
         });
         ClassViews { classes, reductions, informs, observes }
     }
@@ -242,6 +245,19 @@ impl<'a> ClassViews<'a> {
         };
         (0..p).map(|i| (0..p).map(|k| both(i, k)).collect()).collect()
     }
+}
+
+/// R of a class, packed, with what its tests measure exactly as rows of information like any other.
+fn told<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<'a, [f64]> {
+    let first = classes.tests_of(class)[0];
+    if reductions.exact(first).is_none() {
+        return Cow::Borrowed(reductions.factor(first));
+    }
+    let (p, scale) = (classes.dimension(), &classes.frame.scale);
+    let mut rows = classes.single(reductions, first).factor;
+    let mut upper = vec![0.0; p * p];
+    fold(&mut upper, &mut rows, p);
+    (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| upper[i * p + k] / scale[k]).collect()
 }
 
 /// A direction of the mean in η and its condition index.

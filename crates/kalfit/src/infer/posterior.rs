@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, map_classes};
-use crate::linalg::{posterior_root, symmetric};
+use crate::linalg::{Conditional, posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions};
 
 /// What one test says, at an estimate.
@@ -102,7 +102,7 @@ impl Distance {
 
     fn of(terms: &ClassTerms<'_>, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
-        let rank = (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
+        let rank = rank(reduction, p);
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
         // is what is left of those of the phases after that and after the noise between them
         let disagreement = match class.chain {
@@ -111,6 +111,14 @@ impl Distance {
         };
         let squared = (terms.quadratic - disagreement).max(0.0);
         Distance::new(squared, rank)
+    }
+}
+
+/// Rank of J, with what is measured exactly.
+fn rank(reduction: ReductionRef<'_>, p: usize) -> usize {
+    match reduction.exact {
+        Some(exact) => exact.values.len() + exact.freed(p).rank(reduction.factor),
+        None => (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count(),
     }
 }
 
@@ -133,10 +141,13 @@ fn covariances(
     problem.covariance.elements.blocks().iter().enumerate().map(of).collect()
 }
 
-/// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R, by rows.
+/// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R by rows, then C. F is that of the law given Cξ = g.
 fn posterior_covariance(factor: &[f64], root: &DMatrix<f64>) -> DMatrix<f64> {
     let p = root.nrows();
-    let half = posterior_root(&DMatrix::from_row_slice(p, p, factor), root);
+    let (factor, exact) = factor.split_at(p * p);
+    let known = DMatrix::from_row_slice(exact.len().checked_div(p).unwrap_or(0), p, exact);
+    let given = if exact.is_empty() { None } else { Conditional::new(known, root) };
+    let half = posterior_root(&DMatrix::from_row_slice(p, p, factor), given.as_ref().map_or(root, |given| &given.root));
     &half * half.transpose()
 }
 

@@ -73,6 +73,22 @@ pub enum ParameterError {
 }
 
 impl Alpha {
+    /// Other values of the free parameters, none of them zero: what is zero here and there hardly depends on them.
+    pub(crate) fn elsewhere(&self, free: &[bool]) -> Alpha {
+        let moved = |value: f64| 0.6180339887 + 1.3247179572 * value.abs();
+        let of = |(level, free): (&Level, bool)| match level {
+            level if !free => level.clone(),
+            Level::Common(value) => Level::Common(moved(*value)),
+            Level::Each { column, values, other } => Level::Each {
+                column: *column,
+                values: values.iter().map(|(label, value)| (label.clone(), moved(*value))).collect(),
+                other: other.map(moved),
+            },
+        };
+        let free = free.iter().copied().chain(std::iter::repeat(false));
+        Alpha { values: self.values.iter().zip(free).map(of).collect() }
+    }
+
     /// The α of a model whose parameters have values. One with levels needs a value at some level only: a row with another
     /// level is then an error where the value is needed.
     pub fn fixed(parameters: &[Parameter]) -> Result<Alpha, ParameterError> {

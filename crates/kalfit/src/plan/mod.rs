@@ -78,7 +78,7 @@ pub struct Plan {
 ///     test: "design".into(), constant: 0.0, data: vec![0.0], factor: vec![1.0], covariates: vec![],
 ///     residual: None,
 ///     steps: 1, observations: 1, path: Path::Information, design: 0,
-///     chain: None,
+///     chain: None, exact: None,
 /// };
 /// let (mean, covariance, alpha) = (MeanStructure::free(1), CovarianceStructure::full(), Alpha::default());
 /// let structure = Structure::single(&mean, &covariance, &alpha);

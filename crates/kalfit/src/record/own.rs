@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::linalg::symmetric;
-use crate::reduce::ReductionRef;
+use crate::reduce::{FreedStates, ReductionRef, unpack};
 
 /// More tests than this have no estimates of their own: they would double the size of the record.
 pub(super) const MOST_OWN: usize = 2000;
@@ -31,11 +31,36 @@ pub(super) struct OwnEstimate {
 impl OwnEstimate {
     /// Of a test with p elements.
     pub(super) fn of(reduction: ReductionRef<'_>) -> OwnEstimate {
-        let p = reduction.data.len();
-        let factor = DMatrix::from_fn(p, p, |i, k| if i <= k { reduction.factor[i + k * (k + 1) / 2] } else { 0.0 });
+        let (factor, data) =
+            (unpack(reduction.factor, reduction.data.len()), DVector::from_column_slice(reduction.data));
+        let Some(exact) = reduction.exact else { return OwnEstimate::least_squares(&factor, &data) };
+        let FreedStates { origin, basis } = exact.freed(data.len());
+        OwnEstimate::least_squares(&(&factor * &basis), &(data - factor * &origin)).carried(&origin, &basis)
+    }
+
+    /// Of ξ = origin + basis η from that of η.
+    fn carried(&self, origin: &DVector<f64>, basis: &DMatrix<f64>) -> OwnEstimate {
+        let p = origin.len();
+        let needs = |i: usize| (0..self.mean.len()).filter(move |&c| basis[(i, c)] != 0.0);
+        let mean = |i: usize| {
+            needs(i).map(|c| Some(basis[(i, c)] * self.mean[c]?)).try_fold(origin[i], |sum, x| Some(sum + x?))
+        };
+        let entry = |i: usize, k: usize| {
+            let term = |(c, d): (usize, usize)| Some(basis[(i, c)] * self.covariance[c][d]? * basis[(k, d)]);
+            needs(i).flat_map(|c| needs(k).map(move |d| (c, d))).map(term).try_fold(0.0, |sum, x| Some(sum + x?))
+        };
+        let mean: Vec<Option<f64>> = (0..p).map(mean).collect();
+        let of_two = |i: usize, k: usize| mean[i].and(mean[k]).and(entry(i.max(k), i.min(k)));
+        let covariance = (0..p).map(|i| (0..p).map(|k| of_two(i, k)).collect()).collect();
+        OwnEstimate { mean, covariance }
+    }
+
+    /// R ξ = d.
+    fn least_squares(factor: &DMatrix<f64>, data: &DVector<f64>) -> OwnEstimate {
+        let (rows, p) = factor.shape();
         let scale: Vec<f64> = (0..p).map(|k| factor.column(k).norm()).collect();
         let inverse = |k: usize| if scale[k] > 0.0 { scale[k].recip() } else { 0.0 };
-        let scaled = DMatrix::from_fn(p, p, |i, k| factor[(i, k)] * inverse(k));
+        let scaled = DMatrix::from_fn(rows, p, |i, k| factor[(i, k)] * inverse(k));
         let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
         let blind = |i: usize| (0..p).filter(|&k| values[k] < NONE).fold(0.0, |n: f64, k| n.hypot(vectors[(i, k)]));
         let determined: Vec<bool> = (0..p).map(|i| scale[i] > 0.0 && blind(i) <= PART).collect();
@@ -43,7 +68,7 @@ impl OwnEstimate {
         let root =
             DMatrix::from_fn(p, p, |i, k| if values[k] < NONE { 0.0 } else { vectors[(i, k)] / values[k].sqrt() });
         let inverted = &root * root.transpose();
-        let right = scaled.transpose() * DVector::from_column_slice(reduction.data);
+        let right = scaled.transpose() * data;
         let solution = &inverted * right;
         let known = |x: f64| Some(x).filter(|x| x.is_finite());
         let units: Vec<f64> = (0..p).map(inverse).collect();
@@ -80,6 +105,7 @@ mod tests {
             path: Path::Information,
             design: 0,
             chain: None,
+            exact: None,
         }
     }
 

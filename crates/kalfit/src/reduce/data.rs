@@ -1,7 +1,12 @@
 //! The data of a test, and what they say under a design.
 
+use crate::reduce::exact_rows::ExactRows;
+
 /// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
 pub(crate) const REFINE: f64 = 1e3;
+
+/// A measurement that can only be one value may miss it by this part of the size of its terms.
+pub(crate) const ROUNDING: f64 = 1e-10;
 
 /// The data of a test, in kernel order and whitened.
 #[derive(Debug, Clone, Default)]
@@ -40,17 +45,20 @@ pub(crate) struct Outcome {
     pub(crate) residual: f64,
     /// d, p numbers.
     pub(crate) data: Vec<f64>,
+    /// What was measured exactly.
+    pub(crate) exact: Option<Box<ExactRows>>,
 }
 
 impl Outcome {
     /// Of d and what is left, for `active` measurements with this Σ log S.
     pub(crate) fn new(data: Vec<f64>, residual: f64, active: usize, log_determinant: f64) -> Outcome {
         let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
-        Outcome { constant: log_density - 0.5 * residual, residual, data }
+        Outcome { constant: log_density - 0.5 * residual, residual, data, exact: None }
     }
 
     pub(crate) fn is_finite(&self) -> bool {
-        self.constant.is_finite() && self.data.iter().all(|d| d.is_finite())
+        let exact = self.exact.iter().flat_map(|exact| &exact.values);
+        self.constant.is_finite() && self.data.iter().chain(exact).all(|d| d.is_finite())
     }
 }
 

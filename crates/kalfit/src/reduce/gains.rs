@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use crate::reduce::exact_rows::ExactDesign;
 use crate::reduce::moment_path::MomentPath;
 use crate::reduce::terminal::{Terminal, TerminalRoot, TerminalState};
 
@@ -79,6 +80,8 @@ pub(crate) struct FactorRotations {
     pub(crate) folds: Vec<(f64, f64)>,
     /// What rounded small diagonals of R to zero, in order.
     pub(crate) settle: Vec<RankOperation>,
+    /// What is measured exactly, beside R.
+    pub(crate) exact: ExactDesign,
 }
 
 /// One operation on d.
@@ -152,7 +155,8 @@ impl Gains {
 
     /// Bytes it occupies.
     pub(crate) fn bytes(&self) -> usize {
-        let turns = self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len());
+        let turns =
+            self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len() + turns.exact.len());
         let end = self.end.as_ref().map_or(0, |end| end.bytes());
         let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
         let paths: usize = self.paths.iter().map(MomentPath::bytes).sum();

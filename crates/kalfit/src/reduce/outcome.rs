@@ -1,13 +1,11 @@
 //! What the data of a test by itself say under the gains of its design.
 
-use crate::reduce::data::{Data, Miss, Outcome};
+use crate::reduce::data::{Data, Miss, Outcome, ROUNDING};
 use crate::reduce::design::Design;
+use crate::reduce::exact_rows::ExactDesign;
 use crate::reduce::gains::{FactorRotations, Gains};
 use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, pass_alone};
 use kalfit_lanes::Lanes;
-
-/// A measurement that can only be one value may miss it by this part of the size of its terms.
-const ROUNDING: f64 = 1e-10;
 
 /// The outcome of a test. An error when a measurement that can only be one value is another.
 pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut DataWorkspace) -> Result<Outcome, Miss> {
@@ -16,22 +14,28 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut Da
         pass_alone(of, data, room);
         return Ok(room.outcome((0, 1), gains.active, gains.log_determinant));
     };
-    if gains.active < design.rows() {
-        let mut possible = Possible { design, gains, sizes: &data.sizes, miss: None };
+    let mut exact = None;
+    if gains.active < design.rows() || !turns.exact.is_empty() {
+        let mut possible =
+            Possible { design, gains, exact: &turns.exact, sizes: &data.sizes, exact_sizes: Vec::new(), miss: None };
         innovations(of, data, room, &mut possible);
         possible.miss.map_or(Ok(()), Err)?;
+        exact = (!turns.exact.is_empty()).then(|| turns.exact.rows_of(&room.e, &possible.exact_sizes)).transpose()?;
     } else {
         innovations(of, data, room, &mut ());
     }
     let (d, residual) = folded((design.frame.p, gains), turns, &room.e);
-    Ok(Outcome::new(d, residual, gains.active, gains.log_determinant))
+    Ok(Outcome { exact: exact.map(Box::new), ..Outcome::new(d, residual, gains.active, gains.log_determinant) })
 }
 
 /// Measurements that say nothing: each must be what it must be.
 struct Possible<'a> {
     design: &'a Design,
     gains: &'a Gains,
+    exact: &'a ExactDesign,
     sizes: &'a [f64],
+    /// Sizes of the terms of those that are exact.
+    exact_sizes: Vec<f64>,
     /// The first one that is not.
     miss: Option<Miss>,
 }
@@ -42,9 +46,10 @@ impl InnovationObserver for Possible<'_> {
     fn see<T: Lanes>(&mut self, (row, line): (usize, usize), e: T, x: &[T]) {
         let (e, (states, h)) = (e.lane(0), self.design.terms(line));
         let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize].lane(0)).abs()).sum();
-        let silent = self.gains.row(row).0 == 0.0;
-        let off = e.abs() > ROUNDING * (self.sizes[row] + terms);
-        if silent && off && self.miss.is_none() {
+        let (silent, size) = (self.gains.row(row).0 == 0.0, self.sizes[row] + terms);
+        if silent && self.exact.has(row) {
+            self.exact_sizes.push(size);
+        } else if silent && e.abs() > ROUNDING * size && self.miss.is_none() {
             self.miss = Some(Miss { row, residual: e });
         }
     }

@@ -160,12 +160,19 @@ impl PhaseReducer {
         cells: &mut GatheredCells,
     ) -> Result<ReducedPhase<'a>, ReduceError> {
         let (reduction, terminal) = found?;
+        self.refuse_exact(&rows.id, &reduction)?;
         let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
         Ok(ReducedPhase {
             reduction: Cow::Owned(reduction),
             terminal: terminal.map(|end| Cow::Owned(end.terminal())),
             inherited,
         })
+    }
+
+    /// Of several phases none may measure what is estimated without noise.
+    fn refuse_exact(&self, id: &str, reduction: &Reduction) -> Result<(), ReduceError> {
+        let refused = self.place.name.is_some() && reduction.exact.is_some();
+        if refused { Err(refuse(Some(id), WHOLE, ReduceErrorKind::ExactMeasurement)) } else { Ok(()) }
     }
 
     /// What a later phase with these rows inherits.
@@ -196,6 +203,12 @@ impl PhaseReducer {
         row("data of the reduction", &reduction.data, q)?;
         row("factor of the reduction", &reduction.factor, q * (q + 1) / 2)?;
         row("covariates of the reduction", &reduction.covariates, regressions)?;
+        self.refuse_exact(id, reduction)?;
+        if let Some(exact) = &reduction.exact {
+            let rows = exact.values.len();
+            row("exact values of the reduction", &exact.values, rows)?;
+            row("exact rows of the reduction", &exact.coefficients, rows * q)?;
+        }
         if let Some(value) = (0..q).map(|k| reduction.factor[k * (k + 3) / 2]).find(|diagonal| *diagonal < 0.0) {
             return Err(refuse("factor of the reduction", ReduceErrorKind::NegativeDiagonal { value }));
         }

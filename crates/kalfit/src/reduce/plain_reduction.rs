@@ -51,7 +51,7 @@ impl Plain {
             if square_root { None } else { information_gains(&design, states, &mut GainsWork::default()) };
         let gains = match information {
             Some(gains) => gains,
-            None => self.root(&design, &rows, states)?,
+            None => self.root(&design, states)?,
         };
         let mut pass = DataWorkspace::default();
         let outcome = outcome(&design, &gains, &data, &mut pass)
@@ -73,16 +73,14 @@ impl Plain {
             path: if turns.is_some() { Path::SquareRoot } else { Path::Information },
             design: design.digest(),
             chain: None,
+            exact: outcome.exact,
         };
         Ok((reduction, terminal))
     }
 
     /// The gains by square-root arrays.
-    fn root(&self, design: &Design, rows: &[usize], states: Option<&[usize]>) -> Result<Gains, ReduceError> {
+    fn root(&self, design: &Design, states: Option<&[usize]>) -> Result<Gains, ReduceError> {
         root_gains(design, states, false).map_err(|error| match error {
-            RootError::Exact { row } => {
-                self.refuse(&format!("step {}", rows[row] + 1), ReduceErrorKind::ExactMeasurement)
-            }
             RootError::NotSemidefinite(bad) => self.refuse("process noise", bad),
             RootError::NotFinite => self.refuse(WHOLE, ReduceErrorKind::NotFinite),
         })

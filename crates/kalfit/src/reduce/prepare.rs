@@ -13,7 +13,7 @@ use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Transition};
 use crate::reduce::dynamics::Dynamics;
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::instances::Instances;
+use crate::reduce::instances::{Instance, Instances};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::lanes::{DataBlock, DataWorkspace};
 use crate::reduce::motion::{Filled, MotionPlan, Moves};
@@ -23,7 +23,7 @@ use crate::reduce::schedule::GainsWork;
 use crate::reduce::shared_store::SharedStore;
 use crate::reduce::start::{ModelStart, StartMoments};
 use crate::reduce::steps::{GatheredCells, StepSpan, spans};
-use crate::reduce::subject::{Fault, ModelAt, Subject, Uses};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses};
 
 mod alike;
 mod opening;
@@ -183,6 +183,18 @@ impl Preparer {
 
     pub(crate) fn at(&self) -> ModelAt<'_> {
         ModelAt { model: &self.model, alpha: &self.alpha, free: &self.free }
+    }
+
+    /// Whether the noise of a measurement, zero here, is not so wherever the free values are.
+    pub(crate) fn has_free_noise(&self, test: &Test, Instance { meter, row }: Instance) -> bool {
+        let (at, other) = (self.at(), self.alpha.elsewhere(&self.free));
+        let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: f64::NAN, alpha: &other };
+        let moves = |noise: &Coefficient| match noise.source() {
+            Some((expression, _)) if at.depends(expression) => expression.evaluate(&scope) != Ok(0.0),
+            _ => false,
+        };
+        let own = self.meters.parts().nth(meter).map(|(noise, ..)| noise);
+        own.into_iter().chain(self.meters.pairs()).any(moves)
     }
 
     /// Whether tests can be evaluated column by column.

@@ -81,6 +81,7 @@ impl<'a> ReductionHeader<'a> {
             path: self.path,
             design: self.digest,
             chain: None,
+            exact: outcome.exact.as_deref(),
         }
     }
 }
@@ -185,7 +186,8 @@ impl Reducer {
             if gains.factor.iter().any(|x| !x.is_finite()) {
                 return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
             }
-            let outcome = Outcome { data: vec![0.0; work.design.frame.p], ..Outcome::default() };
+            let exact = gains.turns.as_ref().and_then(|turns| turns.exact.blank());
+            let outcome = Outcome { data: vec![0.0; work.design.frame.p], exact, ..Outcome::default() };
             let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
             Ok(Reduction { residual: None, ..about.reduction(test, &outcome).into() })
         })
@@ -229,8 +231,7 @@ impl Reducer {
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
         let class = self.class(work.design.digest(), work, false);
-        let fault = |&error: &RootError| self.named(*root_fault(error, &work.instances), test);
-        let gains = class.gains().as_ref().map_err(fault)?;
+        let gains = self.sound(&class, (test, &work.instances)).map_err(|fault| self.named(*fault, test))?;
         Ok(pass(gains, work))
     }
 
@@ -274,10 +275,27 @@ impl Reducer {
         let found = self.preparer.prepare(test, work).and_then(|()| {
             let digest = work.design.digest();
             let class = self.class(digest, work, by_root);
-            let gains = class.gains().as_ref().map_err(|&error| root_fault(error, &work.instances))?;
+            let gains = self.sound(&class, (test, &work.instances))?;
             Ok((reduce(digest, gains, work)?, class))
         });
         found.map_err(|fault| self.named(*fault, test))
+    }
+
+    /// The gains of a class, if there are any. A noise that is zero at these free values and not at others makes no exact rows: ℓ is
+    /// looked for above zero of it.
+    fn sound<'c>(
+        &self,
+        class: &'c DesignClass,
+        (test, instances): (&Test, &Instances),
+    ) -> Result<&'c Gains, Box<Fault>> {
+        let gains = class.gains().as_ref().map_err(|&error| root_fault(error))?;
+        let exact = gains.turns.iter().flat_map(|turns| turns.exact.rows());
+        match exact.map(|row| instances.get(row)).find(|instance| self.preparer.has_free_noise(test, *instance)) {
+            Some(Instance { meter, row }) => {
+                Err(Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row))
+            }
+            None => Ok(gains),
+        }
     }
 
     /// The reduction of the test in the work space under these gains.
@@ -347,12 +365,8 @@ pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {
     ReduceErrorKind::Impossible { residual: miss.residual }
 }
 
-fn root_fault(error: RootError, instances: &Instances) -> Box<Fault> {
+fn root_fault(error: RootError) -> Box<Fault> {
     match error {
-        RootError::Exact { row } => {
-            let Instance { meter, row } = instances.get(row);
-            Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row)
-        }
         RootError::NotSemidefinite(bad) => Fault::new(Subject::Transition, bad),
         RootError::NotFinite => Fault::new(Subject::Test, ReduceErrorKind::NotFinite),
     }

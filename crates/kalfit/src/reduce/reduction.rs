@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::reduce::chain::Chain;
+use crate::reduce::exact_rows::ExactRows;
 use crate::reduce::path::Path;
 
 /// log p(z | ξ) = constant - ½ ‖d - R ξ‖², exactly, for every ξ: the square-root information form of (c, y, J), with
@@ -33,6 +34,8 @@ pub struct Reduction {
     /// The same phase by phase, for a test of a model with several phases. `data` and `factor` are then those of all phases
     /// together: of (ξ_1, …, ξ_I), with what lies between the phases integrated out; of phases that the test lacks, zero.
     pub chain: Option<Box<Chain>>,
+    /// Rows Cξ = g that are measured without any noise: p(z | ξ) is then that of all other measurements, where Cξ = g.
+    pub exact: Option<Box<ExactRows>>,
 }
 
 /// The packed R of a reduction as a matrix.

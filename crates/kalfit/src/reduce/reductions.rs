@@ -8,6 +8,7 @@ use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterato
 
 use crate::linalg::row_lists::RowLists;
 use crate::reduce::chain::Chain;
+use crate::reduce::exact_rows::ExactRows;
 use crate::reduce::path::Path;
 use crate::reduce::reduction::Reduction;
 use crate::remote::Remote;
@@ -20,7 +21,7 @@ use crate::remote::Remote;
 /// # use kalfit::reduce::Path;
 /// # let test = |id: &str| Reduction {
 /// #     test: id.into(), constant: 0.0, residual: None, data: vec![0.5], factor: vec![2.0], covariates: vec![], steps: 1,
-/// #     observations: 1, path: Path::Information, design: 0, chain: None,
+/// #     observations: 1, path: Path::Information, design: 0, chain: None, exact: None,
 /// # };
 /// let reductions: Reductions = ["a", "b"].map(test).into_iter().collect();
 /// assert_eq!((reductions.len(), reductions.get(1).test, reductions.get(1).data), (2, "b", &[0.5][..]));
@@ -43,6 +44,8 @@ pub struct Reductions {
     designs: Vec<u128>,
     /// As far as the last test that has one.
     chains: Vec<Option<Box<Chain>>>,
+    /// Likewise.
+    exact: Vec<Option<Box<ExactRows>>>,
     /// Where they are when none is here.
     remote: Option<Remote>,
 }
@@ -72,6 +75,8 @@ pub struct ReductionRef<'a> {
     pub design: u128,
     /// The same phase by phase, for a test of a model with several phases.
     pub chain: Option<&'a Chain>,
+    /// What was measured exactly.
+    pub exact: Option<&'a ExactRows>,
 }
 
 /// What may change of one test.
@@ -81,6 +86,7 @@ pub(crate) struct ReductionMut<'a> {
     pub(crate) data: &'a mut [f64],
     pub(crate) factor: &'a mut [f64],
     pub(crate) chain: Option<&'a mut Chain>,
+    pub(crate) exact: Option<&'a mut ExactRows>,
 }
 
 impl Reductions {
@@ -126,6 +132,7 @@ impl Reductions {
             path: self.paths[number],
             design: self.designs[number],
             chain: self.chain(number),
+            exact: self.exact(number),
         }
     }
 
@@ -157,8 +164,8 @@ impl Reductions {
 
     /// Adds a test.
     pub fn push(&mut self, reduction: Reduction) {
-        self.put(ReductionRef { chain: None, ..reduction.view() });
-        self.put_chain(reduction.chain);
+        self.put(reduction.view());
+        self.put_apart(reduction.chain, reduction.exact);
     }
 
     /// Adds all tests of others.
@@ -169,10 +176,8 @@ impl Reductions {
         }
         self.stamp.take();
         let (own, more) = (self.len(), others.len());
-        if !others.chains.is_empty() {
-            self.chains.resize_with(own, || None);
-            self.chains.append(&mut others.chains);
-        }
+        append(&mut self.chains, own, &mut others.chains);
+        append(&mut self.exact, own, &mut others.exact);
         let shift = self.ids.len();
         self.ids.push_str(&others.ids);
         self.id_ends.extend(others.id_ends.iter().map(|end| end + shift));
@@ -279,6 +284,16 @@ impl Reductions {
         self.chains.get(number)?.as_deref()
     }
 
+    /// What a test measured exactly.
+    pub(crate) fn exact(&self, number: usize) -> Option<&ExactRows> {
+        self.exact.get(number)?.as_deref()
+    }
+
+    /// Whether any test measured something exactly.
+    pub(crate) fn has_exact(&self) -> bool {
+        !self.exact.is_empty()
+    }
+
     /// The test with this number, to be changed.
     pub(crate) fn get_mut(&mut self, number: usize) -> ReductionMut<'_> {
         self.stamp.take();
@@ -288,6 +303,7 @@ impl Reductions {
             data: self.data.row_mut(number),
             factor: self.factors.row_mut(number),
             chain: self.chains.get_mut(number).and_then(Option::as_deref_mut),
+            exact: self.exact.get_mut(number).and_then(Option::as_deref_mut),
         }
     }
 
@@ -303,7 +319,7 @@ impl Reductions {
         self
     }
 
-    /// Adds a test, its chain apart.
+    /// Adds a test, but for its chain and what it measured exactly.
     pub(super) fn put(&mut self, one: ReductionRef<'_>) {
         self.stamp.take();
         let number = self.len();
@@ -320,12 +336,19 @@ impl Reductions {
         self.designs.push(one.design);
     }
 
-    /// The chain of the last test.
-    fn put_chain(&mut self, chain: Option<Box<Chain>>) {
-        if chain.is_some() {
-            self.chains.resize_with(self.len() - 1, || None);
-            self.chains.push(chain);
-        }
+    /// The chain of the last test, and what it measured exactly.
+    pub(super) fn put_apart(&mut self, chain: Option<Box<Chain>>, exact: Option<Box<ExactRows>>) {
+        let before = self.len() - 1;
+        append(&mut self.chains, before, &mut chain.into_iter().map(Some).collect());
+        append(&mut self.exact, before, &mut exact.into_iter().map(Some).collect());
+    }
+}
+
+/// Adds what others have to what the first so many have, if they have anything.
+fn append<T>(all: &mut Vec<Option<T>>, own: usize, others: &mut Vec<Option<T>>) {
+    if !others.is_empty() {
+        all.resize_with(own, || None);
+        all.append(others);
     }
 }
 
@@ -390,7 +413,7 @@ impl<'a> FromIterator<ReductionRef<'a>> for Reductions {
         let mut reductions = Reductions::new();
         for one in all {
             reductions.put(one);
-            reductions.put_chain(one.chain.map(|chain| Box::new(chain.clone())));
+            reductions.put_apart(one.chain.cloned().map(Box::new), one.exact.cloned().map(Box::new));
         }
         reductions
     }
@@ -417,6 +440,7 @@ impl Reduction {
             path: self.path,
             design: self.design,
             chain: self.chain.as_deref(),
+            exact: self.exact.as_deref(),
         }
     }
 }
@@ -434,7 +458,8 @@ impl From<ReductionRef<'_>> for Reduction {
             observations: row.observations,
             path: row.path,
             design: row.design,
-            chain: row.chain.map(|chain| Box::new(chain.clone())),
+            chain: row.chain.cloned().map(Box::new),
+            exact: row.exact.cloned().map(Box::new),
         }
     }
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use crate::linalg::fold::{Rotation, fold, fold_row, norm};
 use crate::reduce::design::{Design, StateFrame, Transition};
+use crate::reduce::exact_rows::INSENSITIVE;
 use crate::reduce::gains::{FactorRotations, GainSpan, Gains, RankOperation};
 use crate::reduce::kernel;
 use crate::reduce::moment_path::MomentPath;
@@ -16,16 +17,12 @@ use crate::reduce::terminal::TerminalRoot;
 
 /// A noise-free measurement whose prior standard deviation is this part of what it was without measurements is known already.
 const KNOWN: f64 = 1e-12;
-/// Its sensitivity is zero when it is this part of its terms.
-const INSENSITIVE: f64 = 1e-11;
 /// A diagonal of R below this part of its column is zero information.
 pub(crate) const UNINFORMED: f64 = 1e-13;
 
 /// Why there is no such pass.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum RootError {
-    /// Scalar measurement `row` determines a combination of ξ exactly.
-    Exact { row: usize },
     /// P0 or some Q is not positive semidefinite.
     NotSemidefinite(NotSemidefinite),
     /// Overflow.
@@ -66,7 +63,7 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths:
         end: None,
         paths: Vec::new(),
     };
-    let mut turns = FactorRotations { folds: Vec::with_capacity(p * design.rows()), settle: Vec::new() };
+    let mut turns = FactorRotations { folds: Vec::with_capacity(p * design.rows()), ..FactorRotations::default() };
     for stretch in design.stretches() {
         let mut path = keeps_paths.then(|| MomentPath::new(design, &stretch)).flatten();
         for step in stretch.steps() {
@@ -75,7 +72,7 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths:
                 filter.predict(transition)?;
             }
             for (line, row) in step.lines.zip(step.rows) {
-                filter.update(design, (line, row), &mut gains, &mut turns.folds)?;
+                filter.update(design, (line, row), &mut gains, &mut turns);
             }
         }
         filter.note(&mut path);
@@ -143,13 +140,7 @@ impl<'a> RootFilter<'a> {
         Ok(())
     }
 
-    fn update(
-        &mut self,
-        design: &Design,
-        (line, row): (usize, usize),
-        gains: &mut Gains,
-        folds: &mut Vec<(f64, f64)>,
-    ) -> Result<(), RootError> {
+    fn update(&mut self, design: &Design, (line, row): (usize, usize), gains: &mut Gains, turns: &mut FactorRotations) {
         let (p, r) = (self.frame.p, self.frame.r);
         let (states, h) = design.terms(line);
         let noise = design.noise[line];
@@ -168,12 +159,14 @@ impl<'a> RootFilter<'a> {
                 .map(|(&i, h)| h.abs() * self.open_P[i as usize * (r + 1)].max(0.0).sqrt())
                 .sum();
             if w.iter().fold(0.0, |sum: f64, &w| sum.hypot(w)) <= KNOWN * open {
-                if self.insensitive(states, h, T) {
-                    folds.extend((0..p).map(|_| (1.0, 0.0)));
-                    T.fill(0.0);
-                    return Ok(());
+                let terms = self.terms(states, h);
+                let sensitive = T.iter().zip(&terms).any(|(T, terms)| T.abs() > INSENSITIVE * terms);
+                if sensitive && turns.exact.take(row, T, terms) {
+                    gains.active += 1;
                 }
-                return Err(RootError::Exact { row });
+                turns.folds.extend((0..p).map(|_| (1.0, 0.0)));
+                T.fill(0.0);
+                return;
             }
         }
         let deviation = self.take_in(&w, noise.sqrt(), K);
@@ -183,8 +176,7 @@ impl<'a> RootFilter<'a> {
         kernel::correct(p, K, T, &mut self.Psi);
         self.work.clear();
         self.work.extend(T.iter().map(|T| T / deviation));
-        fold_row(&mut self.R, &mut self.work, |_, turn| folds.push((turn.c, turn.s)));
-        Ok(())
+        fold_row(&mut self.R, &mut self.work, |_, turn| turns.folds.push((turn.c, turn.s)));
     }
 
     /// Carlson's update of U for a measurement with w = Uh and noise deviation `rho`: rotates the row [√R | 0] with the rows
@@ -203,20 +195,12 @@ impl<'a> RootFilter<'a> {
         rho
     }
 
-    /// T is rounding error, against its own terms with and without the measurements so far.
-    fn insensitive(&self, states: &[u32], h: &[f64], T: &[f64]) -> bool {
+    /// Sizes of the terms of T, with and without the measurements so far.
+    fn terms(&self, states: &[u32], h: &[f64]) -> Vec<f64> {
         let p = self.frame.p;
-        T.iter().enumerate().all(|(c, T)| {
-            let terms: f64 = states
-                .iter()
-                .zip(h)
-                .map(|(&i, h)| {
-                    let at = i as usize * p + c;
-                    h.abs() * (self.Psi[at].abs() + self.open_Psi[at].abs())
-                })
-                .sum();
-            T.abs() <= INSENSITIVE * terms
-        })
+        let size = |at: usize| self.Psi[at].abs() + self.open_Psi[at].abs();
+        let of = |c: usize| states.iter().zip(h).map(|(&i, h)| h.abs() * size(i as usize * p + c)).sum();
+        (0..p).map(of).collect()
     }
 }
 

@@ -33,7 +33,7 @@ pub(crate) use backward::{AdjointsWanted, BackwardInput, BackwardWork, FilterSna
 pub(crate) use batching::Batching;
 pub(crate) use classes::classes_of;
 pub(crate) use levels::{Levels, carried, dependences};
-pub(crate) use moments::{Moments, expected_square};
+pub(crate) use moments::{Known, Moments, expected_square};
 pub(crate) use phased::{PhasedComplete, PhasedScorer};
 pub(crate) use pullback::{Gradient, add};
 pub(crate) use smoother::{PhaseLaws, SmootherPlan};

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimate::InitialLaw;
-use crate::linalg::posterior_root;
+use crate::linalg::{Conditional, posterior_root};
 use crate::reduce::{ReductionRef, unpack};
 
 /// E[ξ | z] and a root C of Var[ξ | z] = CC'.
@@ -36,13 +36,53 @@ impl Moments {
     }
 }
 
+/// What a test measures exactly, and the law of ξ where that is known.
+pub(crate) struct Known(Option<Conditional>);
+
+impl Known {
+    /// Where the law allows nothing of the kind, it is as if nothing were known.
+    pub(crate) fn of(reduction: ReductionRef<'_>, law: &InitialLaw) -> Known {
+        Known(reduction.exact.and_then(|exact| Conditional::new(exact.matrix(law.root.nrows()), &law.root)))
+    }
+
+    pub(crate) fn mean(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> DVector<f64> {
+        let mean = law.mean_of(reduction.covariates);
+        match (&self.0, reduction.exact) {
+            (Some(known), Some(exact)) => known.mean(&mean, &exact.values),
+            _ => mean,
+        }
+    }
+
+    pub(crate) fn root<'a>(&'a self, law: &'a InitialLaw) -> &'a DMatrix<f64> {
+        self.0.as_ref().map_or(&law.root, |known| &known.root)
+    }
+
+    /// What is left of directions of the mean.
+    pub(crate) fn left(&self, directions: DMatrix<f64>) -> DMatrix<f64> {
+        self.0.as_ref().map(|known| known.left(&directions)).unwrap_or(directions)
+    }
+
+    /// Directions of the mean in units of what is known exactly.
+    pub(crate) fn whitened(&self, reduction: ReductionRef<'_>, directions: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let exact = reduction.exact?.matrix(directions.nrows());
+        Some(self.0.as_ref()?.whitened(&(exact * directions)))
+    }
+
+    /// log p of what is known exactly.
+    pub(crate) fn log_density(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
+        let told = self.0.as_ref().zip(reduction.exact);
+        told.map_or(0.0, |(known, exact)| known.log_density(&law.mean_of(reduction.covariates), &exact.values))
+    }
+}
+
 /// Beyond this RF is too large for S without losing the 1 in it.
 const LARGE: f64 = 1e4;
 
 /// E‖d - Rξ‖² of a reduction given its test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d - Rx̂ = S⁻¹e and
 /// RVR' = I - S⁻¹. From the moments where S is large, and under the restricted likelihood.
 pub(crate) fn expected_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
-    let own = if law.is_restricted() || law.is_of_each() { None } else { plain_square(reduction, law) };
+    let special = law.is_restricted() || law.is_of_each() || reduction.exact.is_some();
+    let own = if special { None } else { plain_square(reduction, law) };
     own.unwrap_or_else(|| moments(reduction, law).expected_square(reduction))
 }
 
@@ -89,12 +129,14 @@ pub(crate) fn moments(reduction: ReductionRef<'_>, law: &InitialLaw) -> Moments 
     }
     let p = law.root.nrows();
     let factor = unpack(reduction.factor, p);
-    let mean = law.mean_of(reduction.covariates);
-    let root = posterior_root(&factor, &law.root);
+    let known = Known::of(reduction, law);
+    let mean = known.mean(reduction, law);
+    let root = posterior_root(&factor, known.root(law));
     let residual = DVector::from_column_slice(reduction.data) - &factor * &mean;
     let mean = mean + &root * (root.transpose() * (factor.transpose() * &residual));
     let mut columns: Vec<DVector<f64>> = root.column_iter().map(|c| c.into_owned()).collect();
     if let Some(extra) = law.mean_root_of(reduction.covariates) {
+        let extra = known.left(extra);
         // (I+ΣJ)⁻¹X = X - VJX
         let moved = &extra - &root * (root.transpose() * (factor.transpose() * (&factor * &extra)));
         columns.extend(moved.column_iter().map(|c| c.into_owned()));
@@ -120,7 +162,7 @@ impl Moments {
     /// x̂ of another test with the same R under the same law, which must not be a restricted one: μ + CC'R'(d - Rμ).
     pub(crate) fn mean_of(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> Vec<f64> {
         let (p, factor) = (self.mean.len(), |i: usize, k: usize| reduction.factor[i + k * (k + 1) / 2]);
-        let mut mean = law.mean_of(reduction.covariates).as_slice().to_vec();
+        let mut mean = Known::of(reduction, law).mean(reduction, law).as_slice().to_vec();
         let left = |i: usize| reduction.data[i] - (i..p).map(|k| factor(i, k) * mean[k]).sum::<f64>();
         let left: Vec<f64> = (0..p).map(left).collect();
         let told: Vec<f64> = (0..p).map(|k| (0..=k).map(|i| factor(i, k) * left[i]).sum()).collect();
@@ -151,6 +193,7 @@ mod tests {
             path: Path::Information,
             design: 0,
             chain: None,
+            exact: None,
         }
     }
 

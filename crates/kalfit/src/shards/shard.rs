@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::dynamic::{self, Scale, Settings};
+use crate::dynamic::{self, Around, Scale, Settings, add_exact};
 use crate::ensemble::{Grouping, Labels};
 use crate::estimate::{Silent, Structure, Summed};
 use crate::infer::counted;
@@ -156,7 +156,11 @@ impl Shard {
             let reducer = PhasedReducer::scoring(&self.model, &alpha, &self.slots)?;
             let scorer = PhasedScorer::new(&self.model, &reducer, &self.slots)?;
             let known = (self.batching.classes(&reducer, &self.tests), filtered);
-            scorer.scores(&self.tests, &summed.reductions, &law, known)
+            let mut scores = scorer.scores(&self.tests, &summed.reductions, &law, known)?;
+            let alpha = |values: &[f64]| self.slots.alpha(self.model.shared(), values);
+            let around = Around { model: &self.model, tests: &self.tests, slots: &self.slots, alpha: &alpha };
+            add_exact(&around, values, (&summed.reductions, &law), &mut scores)?;
+            Ok::<_, ReduceError>(scores)
         };
         let Ok(scores) = found() else { return Ok(None) };
         Ok(total(&scores, values.len()))

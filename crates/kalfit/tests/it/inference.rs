@@ -42,6 +42,7 @@ fn ensemble(tests: usize, root: &DMatrix<f64>, covariates: usize, seed: u64) -> 
                 path: Path::Information,
                 design: j as u128,
                 chain: None,
+                exact: None,
             }
         })
         .collect()

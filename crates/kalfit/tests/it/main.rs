@@ -5,6 +5,7 @@ mod certified;
 mod chains;
 mod dense;
 mod dynamic_record;
+mod exact;
 mod expected_errors;
 mod gaps;
 mod inference;

@@ -52,6 +52,7 @@ fn reduce(id: &str, design: &DMatrix<f64>, noise: &DMatrix<f64>, z: &DVector<f64
         path: Path::Information,
         design: 0,
         chain: None,
+        exact: None,
     }
 }
 

@@ -485,7 +485,7 @@ fn designs_have_the_information_of_the_tests_and_nothing_of_the_values() {
     let expected = reduce(&journey);
     let found = reducer(&journey.model).reduce_designs(std::slice::from_ref(&journey.test)).expect("sound");
     let zero = vec![0.0; expected.data.len()];
-    assert_eq!(found.get(0), Reduction { constant: 0.0, data: zero, chain: None, ..expected }.view());
+    assert_eq!(found.get(0), Reduction { constant: 0.0, data: zero, chain: None, exact: None, ..expected }.view());
 }
 
 /// Gains that no longer change, and steps in closed form, leave the last state as full steps do.

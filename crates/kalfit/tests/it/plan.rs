@@ -26,6 +26,7 @@ fn reduction(id: usize, r: &DMatrix<f64>, d: &DVector<f64>, covariates: &[f64]) 
         path: Path::Information,
         design: 0,
         chain: None,
+        exact: None,
     }
 }
 

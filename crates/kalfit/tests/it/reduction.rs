@@ -360,7 +360,10 @@ fn exact(variance: f64, values: &[f64]) -> Plain {
 #[test]
 fn what_is_measured_without_noise_is_taken_refused_or_ignored() {
     let kind = |test: &Plain| *test.reduce().expect_err("refused").kind;
-    assert_eq!(kind(&exact(0.0, &[1.0])), ReduceErrorKind::ExactMeasurement);
+    let known = exact(0.0, &[1.0, 1.0]).reduce().expect("sound");
+    let rows = known.exact.expect("an exact row");
+    assert_eq!((rows.coefficients, rows.values, known.observations), (vec![1.0], vec![1.0], 1));
+    assert!(matches!(kind(&exact(0.0, &[1.0, 1.1])), ReduceErrorKind::Impossible { .. }));
     // The second time it says nothing, unless it says something else.
     let (once, twice) = (exact(2.0, &[1.5]).reduce().expect("sound"), exact(2.0, &[1.5, 1.5]).reduce().expect("sound"));
     let numbers = |found: &Reduction| [found.constant, found.data[0], found.factor[0]];

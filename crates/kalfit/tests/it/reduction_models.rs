@@ -621,7 +621,7 @@ const REFUSALS: &[(Spoil, &str)] = &[
     ),
     (
         |model, _| model.measurements[0].noise_variance = number(0.0),
-        "test `t1`, row 2: measurement `z`: a combination of estimated states is measured without any noise",
+        "test `t1`, row 3: measurement `z`: measured without any noise, the value is off by -8.000e-1, which is impossible",
     ),
     (
         |model, _| {

@@ -35,11 +35,13 @@ impl<'a> ClassEvaluator<'a> {
     /// What another one says; where the states of each phase stand.
     pub(crate) fn whole<'b>(&'b mut self, class: ClassRef<'_>, phases: &'b [Range<usize>]) -> InBlock<'b, f64> {
         let p = self.point.mean.len();
-        let layout = ClassLayout { p, covariates: class.covariates.len(), several: !class.scatter.is_empty() };
+        let exact = class.mean.len() - p;
+        let several = !class.scatter.is_empty();
+        let layout = ClassLayout { p, exact, covariates: class.covariates.len(), several };
         self.block.clear();
         self.block.resize(layout.size(), 0.0);
         layout.put(class, (&mut self.block, 0, 1));
-        self.room.widen(1 + class.scatter.len() / p.max(1));
+        self.room.resize(exact, 1 + class.scatter.len() / layout.rows().max(1));
         self.room.move_mean(class.covariates, self.point, self.regressors);
         let evaluate = if class.square_root { ClassWorkspace::evaluate_by_qr } else { ClassWorkspace::evaluate };
         let det = evaluate(&mut self.room, &self.block, 1.0);

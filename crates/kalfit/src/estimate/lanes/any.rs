@@ -5,7 +5,8 @@
 //! [S R d-Rμ] → [DL' U u]      U = L⁻¹R, u = L⁻¹(d-Rμ)      [W r; r' u'D⁻¹u] = [U u]'D⁻¹[U u]
 //! ```
 //!
-//! Of classes of several tests u has further columns, of the vectors of their scatter.
+//! Of classes of several tests u has further columns, of the vectors of their scatter. Rows C that are measured exactly stand before those
+//! of R, and have no noise in S (theory §13): S = diag(0, I) + [C; R]Σ[C; R]'.
 #![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
 
 use kalfit_lanes::Lanes;
@@ -19,15 +20,17 @@ use crate::linalg::fold::fold;
 #[derive(Debug)]
 pub(super) struct ClassWorkspace<T> {
     p: usize,
+    /// q, rows of C.
+    exact: usize,
     /// Columns of u.
     columns: usize,
     /// μ of each test.
     mean: Vec<T>,
     /// F.
     F: DMatrix<f64>,
-    /// (RF)', p × p.
+    /// (RF)', p × (q + p).
     X: Vec<T>,
-    /// [S R d-Rμ], then [DL' U u]: p × (2p + columns); S from its diagonal on.
+    /// [S R d-Rμ], then [DL' U u]: (q + p) × (q + 2p + columns); S from its diagonal on.
     rows: Vec<T>,
     /// D⁻¹.
     inverse: Vec<T>,
@@ -43,6 +46,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         let zeros = |size: usize| vec![T::splat(0.0); size];
         ClassWorkspace {
             p,
+            exact: 0,
             columns,
             mean: mean.iter().map(|&x| T::splat(x)).collect(),
             F: root.clone(),
@@ -54,12 +58,15 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// Makes room for so many columns of u.
-    pub(super) fn widen(&mut self, columns: usize) {
-        self.columns = columns;
-        let width = self.width();
-        self.rows.resize(self.p * (self.p + width), T::splat(0.0));
-        self.W.resize(width * width, T::splat(0.0));
+    /// Makes room for so many rows of C and columns of u.
+    pub(super) fn resize(&mut self, exact: usize, columns: usize) {
+        (self.exact, self.columns) = (exact, columns);
+        let (height, width, zero) = (self.height(), self.width(), T::splat(0.0));
+        self.X.resize(self.p * height, zero);
+        self.rows.resize(height * (height + width), zero);
+        self.inverse.resize(height, zero);
+        self.minus_inverse.resize(height, zero);
+        self.W.resize(width * width, zero);
     }
 
     /// Moves μ by the regressions.
@@ -73,13 +80,19 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
+    /// Rows of C and R.
+    #[inline(always)]
+    fn height(&self) -> usize {
+        self.exact + self.p
+    }
+
     /// Numbers of a row of [R d-Rμ].
     #[inline(always)]
     fn width(&self) -> usize {
         self.p + self.columns
     }
 
-    /// Evaluates a block: R by columns, d, then vectors of the scatter for the other columns of u, in lanes. |S| as
+    /// Evaluates a block: R by columns, C by rows, d and g, then vectors of the scatter for the other columns of u, in lanes. |S| as
     /// mantissa × 2^exponent. d and the scatter are so many times as large as they stand there.
     #[inline(always)]
     pub(super) fn evaluate(&mut self, block: &[f64], unit: f64) -> (T, T) {
@@ -94,28 +107,31 @@ impl<T: Lanes> ClassWorkspace<T> {
     /// [0 R d-Rμ].
     #[inline(always)]
     fn load(&mut self, block: &[f64], unit: f64) {
-        let (p, width, unit) = (self.p, self.p + self.width(), T::splat(unit));
+        let (p, exact, height) = (self.p, self.exact, self.height());
+        let (wide, unit) = (height + self.width(), T::splat(unit));
         self.rows.fill(T::splat(0.0));
         let mut next = block.chunks_exact(T::COUNT);
         for k in 0..p {
-            for row in self.rows.chunks_exact_mut(width).take(k + 1) {
+            for row in self.rows.chunks_exact_mut(wide).skip(exact).take(k + 1) {
                 if let Some(x) = next.next() {
-                    row[p + k] = T::load(x);
+                    row[height + k] = T::load(x);
                 }
             }
         }
-        for row in self.rows.chunks_exact_mut(width) {
-            let Some(d) = next.next() else { break };
-            let mut residual = T::load(d) * unit;
-            for k in 0..p {
-                residual = row[p + k].fnma(self.mean[k], residual);
+        for row in self.rows.chunks_exact_mut(wide).take(exact) {
+            for (to, x) in row[height..height + p].iter_mut().zip(&mut next) {
+                *to = T::load(x);
             }
-            row[2 * p] = residual;
         }
-        for column in 1..self.columns {
-            for row in self.rows.chunks_exact_mut(width) {
+        for column in 0..self.columns {
+            let (first, last) = self.rows.split_at_mut(exact * wide);
+            for row in last.chunks_exact_mut(wide).chain(first.chunks_exact_mut(wide)) {
                 let Some(x) = next.next() else { break };
-                row[2 * p + column] = T::load(x) * unit;
+                let mut residual = T::load(x) * unit;
+                for k in 0..if column == 0 { p } else { 0 } {
+                    residual = row[height + k].fnma(self.mean[k], residual);
+                }
+                row[height + p + column] = residual;
             }
         }
     }
@@ -123,13 +139,16 @@ impl<T: Lanes> ClassWorkspace<T> {
     /// (RF)': row c is Σ_k F_kc (column k of R).
     #[inline(always)]
     fn spread(&mut self, block: &[f64]) {
-        let p = self.p;
+        let (p, exact, height) = (self.p, self.exact, self.height());
         self.X.fill(T::splat(0.0));
-        for (c, row) in self.X.chunks_exact_mut(p.max(1)).enumerate() {
+        for (c, row) in self.X.chunks_exact_mut(height.max(1)).enumerate() {
             for k in c..p {
                 let (factor, column) = (T::splat(self.F[(k, c)]), &block[k * (k + 1) / 2 * T::COUNT..]);
-                for (x, r) in row[..=k].iter_mut().zip(column.chunks_exact(T::COUNT)) {
+                for (x, r) in row[exact..=exact + k].iter_mut().zip(column.chunks_exact(T::COUNT)) {
                     *x = factor.fma(T::load(r), *x);
+                }
+                for (i, x) in row[..exact].iter_mut().enumerate() {
+                    *x = factor.fma(T::load(&block[(p * (p + 1) / 2 + i * p + k) * T::COUNT..]), *x);
                 }
             }
         }
@@ -138,34 +157,35 @@ impl<T: Lanes> ClassWorkspace<T> {
     /// S = I + RF(RF)'.
     #[inline(always)]
     fn cover(&mut self) {
-        let (p, width) = (self.p, self.p + self.width());
-        for i in 0..p {
-            let row = &mut self.rows[i * width..][i..p];
-            row[0] = T::splat(1.0);
-            add_weighed(row, p, (&self.X[i..], p, 0), None);
+        let (p, exact, height) = (self.p, self.exact, self.height());
+        let wide = height + self.width();
+        for i in 0..height {
+            let row = &mut self.rows[i * wide..][i..height];
+            row[0] = T::splat(if i < exact { 0.0 } else { 1.0 });
+            add_weighed(row, p, (&self.X[i..], height, 0), None);
         }
     }
 
     /// [S R d-Rμ] → [DL' U u]. Of S a root may be known, upper triangular by rows with S = root' root: S itself is then not read.
     #[inline(always)]
     fn eliminate(&mut self, root: Option<&[T]>) -> (T, T) {
-        let (p, wide) = (self.p, self.p + self.width());
-        let one = T::splat(1.0);
-        let (mut mantissa, mut exponent) = (one, T::splat(0.0));
-        for i in 0..p {
+        let (exact, height) = (self.exact, self.height());
+        let wide = height + self.width();
+        let (mut mantissa, mut exponent) = (T::splat(1.0), T::splat(0.0));
+        for i in 0..height {
             let (done, row) = self.rows.split_at_mut(i * wide);
             let row = &mut row[i..wide];
             if i > 0 {
                 add_weighed(row, i, (&done[i..], wide, 0), Some(&self.minus_inverse));
             }
             if let Some(root) = root {
-                let known = &root[i * p..][i..p];
+                let known = &root[i * height..][i..height];
                 for (s, x) in row.iter_mut().zip(known) {
                     *s = known[0] * *x;
                 }
             }
-            // S ⪰ I, so no pivot is below one; rounding must not make it so
-            let pivot = row[0].maximum(one);
+            // S ⪰ diag(0, I), so no pivot of R is below one; rounding must not make it so. Where Σ is zero along C nothing is likely
+            let pivot = row[0].maximum(T::splat(if i < exact { f64::MIN_POSITIVE } else { 1.0 }));
             self.inverse[i] = pivot.recip();
             self.minus_inverse[i] = -self.inverse[i];
             let (m, e) = (mantissa * pivot).split();
@@ -177,12 +197,12 @@ impl<T: Lanes> ClassWorkspace<T> {
     /// [W r; r' u'D⁻¹u].
     #[inline(always)]
     fn weigh(&mut self) {
-        let (p, width) = (self.p, self.width());
-        let wide = p + width;
+        let (height, width) = (self.height(), self.width());
+        let wide = height + width;
         self.W.fill(T::splat(0.0));
         for a in 0..width {
             let to = &mut self.W[a * width..][..a + 1];
-            add_weighed(to, p, (&self.rows[p..], wide, a), Some(&self.inverse));
+            add_weighed(to, height, (&self.rows[height..], wide, a), Some(&self.inverse));
         }
     }
 
@@ -216,10 +236,10 @@ impl ClassWorkspace<f64> {
     pub(super) fn evaluate_by_qr(&mut self, block: &[f64], unit: f64) -> (f64, f64) {
         self.load(block, unit);
         self.spread(block);
-        let p = self.p;
-        let mut root = vec![0.0; p * p];
-        (0..p).for_each(|i| root[i * p + i] = 1.0);
-        fold(&mut root, &mut self.X, p);
+        let height = self.height();
+        let mut root = vec![0.0; height * height];
+        (self.exact..height).for_each(|i| root[i * height + i] = 1.0);
+        fold(&mut root, &mut self.X, height);
         let det = self.eliminate(Some(&root));
         self.weigh();
         det

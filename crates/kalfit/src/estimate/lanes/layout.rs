@@ -3,11 +3,13 @@
 use crate::estimate::class::{Class, ClassRef};
 use crate::linalg::symmetric::{pair, pairs};
 
-/// What stands in a block, each number of all its classes side by side: R by columns, d, the vectors of the scatter of classes of
-/// several tests, the covariates, and n of classes of several tests.
+/// What stands in a block, each number of all its classes side by side: R by columns, C by rows, d and g, the vectors of the scatter of
+/// classes of several tests, the covariates, and n of classes of several tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ClassLayout {
     pub(super) p: usize,
+    /// q, the rows of C.
+    pub(super) exact: usize,
     pub(super) covariates: usize,
     pub(super) several: bool,
 }
@@ -15,12 +17,17 @@ pub(super) struct ClassLayout {
 impl ClassLayout {
     /// Where the vectors of the scatter stand.
     pub(super) fn scatter(&self) -> usize {
-        pairs(self.p) + self.p
+        pairs(self.p) + self.exact * self.p + self.rows()
+    }
+
+    /// Rows of R and C.
+    pub(super) fn rows(&self) -> usize {
+        self.p + self.exact
     }
 
     /// Where the covariates stand.
     pub(super) fn covariates(&self) -> usize {
-        self.scatter() + if self.several { self.p * self.p } else { 0 }
+        self.scatter() + if self.several { self.rows() * self.rows() } else { 0 }
     }
 
     /// Where n stands, if it does.
@@ -40,7 +47,8 @@ impl ClassLayout {
         let mut put = |from: usize, numbers: &mut dyn Iterator<Item = f64>| {
             block[from * lanes..].chunks_exact_mut(lanes).zip(numbers).for_each(|(entry, x)| entry[lane] = x);
         };
-        put(0, &mut triangle.chain(class.mean.iter().copied()));
+        let exact = class.factor[p * p..].iter().copied();
+        put(0, &mut triangle.chain(exact).chain(class.mean.iter().copied()));
         put(self.scatter(), &mut class.scatter.iter().copied());
         put(self.covariates(), &mut class.covariates.iter().copied());
         if self.several {

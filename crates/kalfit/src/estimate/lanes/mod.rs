@@ -63,7 +63,7 @@ impl ClassBatches {
         count: usize,
         class: &(dyn Fn(usize, &mut Class) + Sync),
     ) -> ClassBatches {
-        let layout = ClassLayout { p, covariates, several };
+        let layout = ClassLayout { p, exact: 0, covariates, several };
         let (lanes, size) = (isa.lanes(), layout.size() * isa.lanes());
         let mut numbers = vec![0.0; count.div_ceil(lanes) * size];
         let mut constants = vec![0.0; count];

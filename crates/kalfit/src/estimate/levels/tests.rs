@@ -73,6 +73,7 @@ fn ensemble(p: usize, members: &[usize], (shared, regression): (usize, bool)) ->
             path: Path::Information,
             design: design as u128,
             chain: None,
+            exact: None,
         }
     };
     let reductions: Reductions = paths.iter().enumerate().map(test).collect();

@@ -166,10 +166,15 @@ impl<'a> Draw<'a> {
         let mut groups: BTreeMap<(usize, usize), DVector<f64>> = BTreeMap::new();
         for number in 0..drawn.len() {
             let added = self.added(drawn.id(number), &mut groups, random);
-            let data = self.data(drawn.get(number), added, random);
+            let like = drawn.get(number);
+            let xi = self.xi(like, added, random);
+            let data = self.data(like, &xi, random);
             let test = drawn.get_mut(number);
             (*test.constant, *test.residual) = (0.0, None);
             test.data.copy_from_slice(data.as_slice());
+            if let Some(exact) = test.exact {
+                exact.values = (exact.matrix(xi.len()) * xi).as_slice().to_vec();
+            }
         }
         drawn
     }
@@ -192,13 +197,19 @@ impl<'a> Draw<'a> {
         sum
     }
 
-    /// New d of a test.
-    fn data(&self, like: ReductionRef<'_>, added: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
+    /// New ξ of a test.
+    fn xi(&self, like: ReductionRef<'_>, added: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
         let (p, root) = (self.roots[0].nrows(), &self.roots[0]);
         let mut xi = DVector::from_column_slice(&self.null.mean[..p]) + added + root * normal(root.ncols(), random);
         for (c, &element) in self.null.state.problem.mean.regressors.iter().enumerate() {
             xi[element] += like.covariates[self.places[c]] * self.null.coefficients[c];
         }
+        xi
+    }
+
+    /// New d of a test.
+    fn data(&self, like: ReductionRef<'_>, xi: &DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
+        let p = xi.len();
         let factor = unpack(like.factor, p);
         let noise = normal(p, random);
         let told = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);

@@ -120,6 +120,7 @@ impl PhasedReducer {
             path: path(&parts),
             design,
             chain: None,
+            exact: None,
         };
         // Phases that the test lacks come last: they say nothing.
         reduction.data.resize(self.dimension, 0.0);

@@ -16,6 +16,8 @@ fn test(number: usize) -> Reduction {
         path: if number == 2 { Path::SquareRoot } else { Path::Information },
         design: number as u128,
         chain: (number % 3 == 1).then(|| Box::new(Chain { phases: vec![phase] })),
+        exact: (number % 4 == 2)
+            .then(|| Box::new(ExactRows { coefficients: vec![1.0, number as f64], values: vec![0.5] })),
     }
 }
 

@@ -127,6 +127,7 @@ impl EstimateReducer {
             path,
             design,
             chain: None,
+            exact: None,
         };
         Ok((reduction, terminal, conditioned.log_volume))
     }

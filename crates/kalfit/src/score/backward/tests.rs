@@ -103,6 +103,7 @@ fn reduction_by(gains: &Gains, design: &Design, data: &Data) -> Reduction {
         path: Path::Information,
         design: 0,
         chain: None,
+        exact: None,
     }
 }
 

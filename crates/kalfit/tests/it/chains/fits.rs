@@ -138,7 +138,7 @@ fn every_structure_has_one_maximum_by_chain_and_stacked_and_by_em() {
 #[test]
 fn phases_are_blocks_of_one_phase_to_whom_the_stacked_reductions_are_given() {
     let (_, data) = data(3);
-    let apart: Reductions = data.iter().map(|r| ReductionRef { chain: None, ..r }).collect();
+    let apart: Reductions = data.iter().map(|r| ReductionRef { chain: None, exact: None, ..r }).collect();
     for (blocks, phases) in [
         (vec![vec![0, 1], vec![2, 3, 4]], vec![full(2), full(3)]),
         (

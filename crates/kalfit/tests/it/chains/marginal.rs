@@ -127,6 +127,7 @@ fn reduction(test: &str, x: &DVector<f64>, p: &DMatrix<f64>) -> Reduction {
         path: Path::Information,
         design: 0,
         chain: None,
+        exact: None,
     }
 }
 
@@ -161,7 +162,7 @@ fn what_has_no_marginal_meaning_is_refused() {
     };
     let restricted = Settings { criterion: Criterion::Reml, ..by(Combination::Marginal) };
     assert_eq!(refused(&data, &restricted), FitError::RestrictedMarginal);
-    let apart: Reductions = data.iter().map(|r| ReductionRef { chain: None, ..r }).collect();
+    let apart: Reductions = data.iter().map(|r| ReductionRef { chain: None, exact: None, ..r }).collect();
     let test = apart.get(0).test.to_owned();
     assert_eq!(refused(&apart, &by(Combination::Marginal)), FitError::NoPhases { test });
 }

@@ -273,5 +273,6 @@ pub(crate) fn stacked(chain: &Chain, own: &[usize]) -> Reduction {
         path: Path::Information,
         design: 0,
         chain: None,
+        exact: None,
     }
 }

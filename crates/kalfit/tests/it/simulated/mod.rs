@@ -67,6 +67,7 @@ pub(crate) fn ensemble(recipe: Recipe, seed: u64) -> Reductions {
                 path: if seed.is_multiple_of(3) { Path::SquareRoot } else { Path::Information },
                 design: (j % designs) as u128,
                 chain: None,
+                exact: None,
             }
         })
         .collect()
