@@ -637,6 +637,9 @@ fn fit_hint(error: &FitError) -> Option<&'static str> {
         FitError::NoPhases { .. } | FitError::RestrictedMarginal => Some("use `--phases chain`"),
         FitError::Ungrouped { .. } => Some("give the rows of the test, which name its groups"),
         FitError::ExactInGroups { .. } => Some("give the measurement some noise"),
+        FitError::Unbounded { .. } => {
+            Some("give the measurement some noise, or use more tests or a simpler covariance, such as a diagonal one")
+        }
         FitError::NoTests | FitError::Structure(_) => None,
     }
 }

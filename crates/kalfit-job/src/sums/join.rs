@@ -140,11 +140,11 @@ fn go_on(
     }
 }
 
-/// Of sums of some tests that are there before, the first, and where they were. Counts may well be alike, and so are all answers
-/// where what was asked for is not defined.
+/// Of sums of some tests that are there before, the first, and where they were. Counts may well be alike, start values are where the
+/// model gives them, and so are all answers where what was asked for is not defined.
 fn twice(sums: &[SiteSums]) -> Option<(usize, usize)> {
     let tells = |(asked, answer): (&Asked, &Answer)| {
-        answer.is_some() && !matches!(asked.question, Question::Observability { .. })
+        answer.is_some() && !matches!(asked.question, Question::Observability { .. } | Question::Opening)
     };
     let is_told = |sums: &SiteSums| sums.tests > 0 && sums.theta.ask.iter().zip(&sums.answers).any(tells);
     let before = |at: usize| sums[..at].iter().position(|other| is_told(other) && *other == sums[at]);
@@ -205,8 +205,8 @@ fn together(theta: Theta, sums: &[(&str, &SiteSums)], spec: &Spec) -> Result<The
 mod tests {
     use super::*;
 
-    fn place(answers: &str) -> SiteSums {
-        let asked = r#"{"values": [0.0], "question": "survey"}"#;
+    fn place(question: &str, answers: &str) -> SiteSums {
+        let asked = format!(r#"{{"values": [0.0], "question": "{question}"}}"#);
         let theta = format!(
             r#"{{"schema": "kalfit-theta/1", "kalfit_version": "0.2.0", "model_digest": "sha256:0", "parameters": [], "round": 1, "places": [2, 14], "ask": [{asked}], "known": []}}"#
         );
@@ -216,9 +216,11 @@ mod tests {
 
     #[test]
     fn two_places_of_which_nothing_is_defined_are_not_one_place() {
-        let places = |answers: [&str; 2]| answers.map(place);
+        let places = |answers: [&str; 2]| answers.map(|answers| place("survey", answers));
         assert_eq!(twice(&places(["[1.5, 2.0]", "[1.5, 2.0]"])), Some((1, 0)));
         assert_eq!(twice(&places(["[1.5, 2.0]", "[1.5, 2.5]"])), None);
         assert_eq!(twice(&places(["null", "null"])), None);
+        // both begin where the model says
+        assert_eq!(twice(&["[7.0, 0.0, -8.0]"; 2].map(|answers| place("opening", answers))), None);
     }
 }

@@ -57,7 +57,7 @@ fn told(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
     let Some(exact) = reduction.exact else { return root };
     let mut all = root.insert_rows(p, exact.values.len(), 0.0);
     for (i, row) in exact.matrix(p).row_iter().enumerate() {
-        let deviation = (&row * sigma * row.transpose())[(0, 0)].sqrt();
+        let deviation = (row * sigma * row.transpose())[(0, 0)].sqrt();
         if deviation > 0.0 {
             all.set_row(p + i, &(row / (KNOWN * deviation)));
         }

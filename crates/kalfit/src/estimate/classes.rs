@@ -22,6 +22,7 @@ use crate::estimate::gather::{gather, gather_chains};
 use crate::estimate::lanes::ClassBatches;
 use crate::estimate::levels::Units;
 use crate::estimate::listed::Listed;
+use crate::estimate::point::Point;
 use crate::estimate::residual::{NoiseScale, Residual};
 use crate::linalg::elements::Elements;
 use crate::reduce::{Chain, Path, Reductions};
@@ -403,6 +404,22 @@ impl Classes {
             gather(reductions, &[test], &self.frame, &mut class);
         }
         class
+    }
+
+    /// A class whose exact rows have a singular covariance at a point, if there is one: standard deviations in units of what tests
+    /// differ by, given those of the rows before.
+    pub(super) fn collapsed(&self, point: &Point) -> Option<usize> {
+        const NONE: f64 = 1e-8;
+        let (p, mut room) = (self.dimension(), Class::default());
+        (0..self.len()).find(|&number| {
+            let class = self.get(number, &mut room);
+            let exact = class.factor.get(p * p..).filter(|exact| !exact.is_empty());
+            exact.is_some_and(|exact| {
+                let rows = DMatrix::from_row_slice(exact.len() / p, p, exact) * &point.root;
+                let root = rows.transpose().qr().r();
+                root.nrows() < root.ncols() || root.diagonal().iter().any(|own| own.abs() < NONE)
+            })
+        })
     }
 
     /// p.

@@ -40,6 +40,14 @@ pub enum FitError {
     /// The restricted likelihood of phases taken by themselves.
     #[error("the restricted likelihood is not available for phases that are fitted separately (`marginal`)")]
     RestrictedMarginal,
+    /// Σ became singular along what tests measure without noise.
+    #[error(
+        "the log-likelihood has no maximum: it grows without bound as the covariance becomes singular along what test `{test}` measures without any noise"
+    )]
+    Unbounded {
+        /// The id of one of these tests.
+        test: String,
+    },
     /// ℓ is not a finite number at the start.
     #[error("the log-likelihood is not finite at the start values")]
     NotFinite,

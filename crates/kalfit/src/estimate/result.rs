@@ -57,6 +57,12 @@ pub struct Estimate {
 impl Estimate {
     /// With the log-likelihood of all phases together, where something else was maximised.
     pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
+        let classes = &self.state.problem.classes;
+        if self.stop != Stop::Certified
+            && let Some(class) = classes.collapsed(&self.state.newton_iterate.point)
+        {
+            return Err(FitError::Unbounded { test: reductions.id(classes.tests_of(class)[0]).to_owned() });
+        }
         if self.state.is_marginal() {
             let (problem, point) = (&self.state.problem, &self.state.newton_iterate.point);
             let whole = Problem::within(reductions, &self.state.structure(), problem)?;

@@ -102,23 +102,19 @@ impl Distance {
 
     fn of(terms: &ClassTerms<'_>, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
-        let rank = rank(reduction, p);
+        let own_rank = || (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
+        let freed = reduction.exact.map(|exact| (exact.values.len(), exact.freed(p)));
+        let told = freed.map(|(q, freed)| (q, freed.least_squares(reduction.factor, reduction.data)));
+        let rank = told.map_or_else(own_rank, |(q, (rank, _))| q + rank);
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
         // is what is left of those of the phases after that and after the noise between them
         let disagreement = match class.chain {
             Some(_) => 2.0 * (class.constant - reduction.constant) - terms.link_log_det,
-            None => 0.0,
+            // and of exact rows, what the others disagree with them
+            None => told.map_or(0.0, |(_, (_, left))| left),
         };
         let squared = (terms.quadratic - disagreement).max(0.0);
         Distance::new(squared, rank)
-    }
-}
-
-/// Rank of J, with what is measured exactly.
-fn rank(reduction: ReductionRef<'_>, p: usize) -> usize {
-    match reduction.exact {
-        Some(exact) => exact.values.len() + exact.freed(p).rank(reduction.factor),
-        None => (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count(),
     }
 }
 

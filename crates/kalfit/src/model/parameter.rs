@@ -81,7 +81,7 @@ impl Alpha {
             Level::Common(value) => Level::Common(moved(*value)),
             Level::Each { column, values, other } => Level::Each {
                 column: *column,
-                values: values.iter().map(|(label, value)| (label.clone(), moved(*value))).collect(),
+                values: values.iter().map(|(label, value)| (*label, moved(*value))).collect(),
                 other: other.map(moved),
             },
         };

@@ -73,14 +73,20 @@ impl FreedStates {
     /// Information on η below this part of what each element has is none.
     const NONE: f64 = 1e-11;
 
-    /// Rank of R, packed, on what is left.
-    pub(crate) fn rank(&self, factor: &[f64]) -> usize {
-        let left = unpack(factor, self.origin.len()) * &self.basis;
-        let size = |k: usize| Some(left.column(k).norm()).filter(|size| *size > 0.0);
-        let scaled =
-            DMatrix::from_fn(left.nrows(), left.ncols(), |i, k| size(k).map_or(0.0, |size| left[(i, k)] / size));
-        let (values, _) = symmetric::eigen(&(scaled.transpose() * &scaled));
-        values.iter().filter(|value| **value >= FreedStates::NONE).count()
+    /// Rank of R, packed, on what is left, and the least ‖d - Rξ‖² there.
+    pub(crate) fn least_squares(&self, factor: &[f64], data: &[f64]) -> (usize, f64) {
+        let factor = unpack(factor, self.origin.len());
+        let (left, data) = (&factor * &self.basis, DVector::from_column_slice(data) - &factor * &self.origin);
+        let size = |k: usize| Some(left.column(k).norm()).filter(|size| *size > 0.0).unwrap_or(1.0);
+        let scaled = DMatrix::from_fn(left.nrows(), left.ncols(), |i, k| left[(i, k)] / size(k));
+        let told = symmetric::range(&(scaled.transpose() * &scaled), |value| value >= FreedStates::NONE);
+        let directions = &scaled * &told;
+        let rest = &data
+            - &directions
+                * (directions.transpose() * &directions)
+                    .cholesky()
+                    .map_or_else(|| DVector::zeros(told.ncols()), |own| own.solve(&(directions.transpose() * &data)));
+        (told.ncols(), rest.norm_squared())
     }
 }
 
@@ -201,6 +207,26 @@ mod tests {
         assert_eq!(design.rows_of(&e, &[1.0; 4]).unwrap().values, [1.0, 3e-3 - 1.0]);
         let miss = design.rows_of(&[1.0, 2.0, 3e-3 - 1.0, 21.4], &[1.0; 4]).unwrap_err();
         assert!(miss.row == 3 && (miss.residual - 0.1).abs() < 1e-12, "{miss:?}");
+    }
+
+    #[test]
+    fn what_is_left_is_fitted_where_the_exact_rows_hold() {
+        // ξ_1 + ξ_2 = 3 leaves ξ = (3 - x, x); of rows (1, 1), (0, 2) with d = (3.5, 2) the first disagrees by a half
+        let exact = ExactRows { coefficients: vec![1.0, 1.0], values: vec![3.0] };
+        let freed = exact.freed(2);
+        let back = &freed.origin + &freed.basis * DVector::from_element(1, 0.7);
+        assert!((back[0] + back[1] - 3.0).abs() < 1e-15, "{back}");
+        for unit in [1e-9, 1.0, 1e9] {
+            let (rank, left) = freed.least_squares(&[unit, unit, 2.0 * unit], &[3.5 * unit, 2.0 * unit]);
+            assert!(rank == 1 && (left / unit.powi(2) - 0.25).abs() < 1e-13, "{unit}: {rank} {left}");
+        }
+        // a row along C knows nothing else
+        let (rank, left) = freed.least_squares(&[2.0, 2.0, 0.0], &[6.5, 0.0]);
+        assert!(rank == 0 && (left - 0.25).abs() < 1e-13, "{rank} {left}");
+        // nothing is left
+        let all = ExactRows { coefficients: vec![1.0, 1.0, 1.0, -1.0], values: vec![3.0, 1.0] };
+        let (rank, left) = all.freed(2).least_squares(&[1.0, 0.0, 1.0], &[2.5, 1.0]);
+        assert!(rank == 0 && (left - 0.25).abs() < 1e-13, "{rank} {left}");
     }
 
     #[test]
