@@ -8,7 +8,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, map_classes};
 use crate::linalg::{Conditional, posterior_root, symmetric};
-use crate::reduce::{ReductionRef, Reductions};
+use crate::reduce::{ReductionRef, Reductions, unpack};
 
 /// What one test says, at an estimate.
 #[derive(Debug, Clone, PartialEq)]
@@ -104,7 +104,7 @@ impl Distance {
         let p = terms.r.len();
         let own_rank = || (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
         let freed = reduction.exact.map(|exact| (exact.values.len(), exact.freed(p)));
-        let told = freed.map(|(q, freed)| (q, freed.least_squares(reduction.factor, reduction.data)));
+        let told = freed.map(|(q, freed)| (q, freed.least_squares(&unpack(reduction.factor, p), reduction.data)));
         let rank = told.map_or_else(own_rank, |(q, (rank, _))| q + rank);
         // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
         // is what is left of those of the phases after that and after the noise between them

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use crate::reduce::exact_rows::ExactDesign;
+use crate::reduce::exact_design::ExactDesign;
 use crate::reduce::moment_path::MomentPath;
 use crate::reduce::terminal::{Terminal, TerminalRoot, TerminalState};
 

@@ -59,6 +59,7 @@ mod entries;
 mod equal_steps;
 mod error;
 mod evidence;
+mod exact_design;
 mod exact_rows;
 mod exemplar;
 mod flops;

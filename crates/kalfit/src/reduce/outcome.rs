@@ -2,7 +2,7 @@
 
 use crate::reduce::data::{Data, Miss, Outcome, ROUNDING};
 use crate::reduce::design::Design;
-use crate::reduce::exact_rows::ExactDesign;
+use crate::reduce::exact_design::ExactDesign;
 use crate::reduce::gains::{FactorRotations, Gains};
 use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, pass_alone};
 use kalfit_lanes::Lanes;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use crate::linalg::fold::{Rotation, fold, fold_row, norm};
 use crate::reduce::design::{Design, StateFrame, Transition};
-use crate::reduce::exact_rows::INSENSITIVE;
+use crate::reduce::exact_design::INSENSITIVE;
 use crate::reduce::gains::{FactorRotations, GainSpan, Gains, RankOperation};
 use crate::reduce::kernel;
 use crate::reduce::moment_path::MomentPath;
