@@ -511,9 +511,9 @@ fn data_that_do_not_fit_the_model() {
     ");
     assert_snapshot!(with("noise = 0.1", "noise = \"1 / v\"", "id,x,y,v\na,1,2,1\na,1,2,0\n"), @"error: d.csv, row 3 (test `a`): noise variance of measurement `y`: the value is not a finite number");
     assert_snapshot!(with("noise = 0.1", "noise = 0", DATA), @"
-    error: d.csv, row 2 (test `a`): measurement `y`: a combination of estimated states is measured without any noise
+    error: d.csv, row 4 (test `a`): measurement `y`: measured without any noise, the value is off by 3.000e-1, which is impossible
 
-    hint: give the measurement some noise
+    hint: give the measurement or the process some noise, or correct the value
     ");
     assert_snapshot!(with("[states.slope]", "[states.slope]\nnext = \"2 * slope\"\nstep_noise = 1\ninitial = \"stationary\"", DATA), @r#"
     error: stationary start of state `slope`: the motion has no stationary distribution: it is not stable (slope)
@@ -528,15 +528,15 @@ fn data_that_do_not_fit_the_model() {
 }
 
 #[test]
-fn check_refuses_exact_measurements_of_estimated_states_as_fit_does() {
+fn check_refuses_exact_measurements_that_cannot_be_as_fit_does() {
     // a free parameter without a start, so that `check` has no values to run the filters at
     let model = MODEL.replace("noise = 0.1", "noise = 0")
         + "[measurements.w]\ncolumn = \"x\"\nequation = \"slope\"\nnoise = \"s\"\n[parameters]\ns = {}\n";
     let by = |command: &str| refused(&format!("{command} exact.toml d.csv"), &[("exact.toml", &model)]);
     assert_eq!(by("check"), by("fit"));
     assert_snapshot!(by("check"), @"
-    error: d.csv, row 2 (test `a`): measurement `y`: a combination of estimated states is measured without any noise
+    error: d.csv, row 4 (test `a`): measurement `y`: measured without any noise, the value is off by 3.000e-1, which is impossible
 
-    hint: give the measurement some noise
+    hint: give the measurement or the process some noise, or correct the value
     ");
 }
