@@ -23,18 +23,22 @@ pub(crate) fn add_exact(
     }
     let tests: Vec<PhasedTest> = numbers.iter().map(|&j| around.tests[j].clone()).collect();
     for slot in 0..values.len() {
-        let (there, steps) = moved(around, values, &[slot], |reducer| reducer.reduce(&tests))?;
+        let about = |places: &[f64]| moved(around, values, (&[slot], places), |reducer| reducer.reduce(&tests));
+        // most values have no part in them
+        let (beside, _) = about(&[1.0])?;
+        let is_same = |(k, &j): (usize, &usize)| beside.iter().all(|there| there.exact(k) == reductions.exact(j));
+        if numbers.iter().enumerate().all(is_same) {
+            continue;
+        }
+        let (there, steps) = about(&WEIGHTS.map(|(sign, _)| sign))?;
         let told = |(k, &j): (usize, &usize)| {
             let home = reductions.get(j);
-            if there.iter().all(|there| there.exact(k) == home.exact) {
-                return None;
-            }
             let at = |there: &Reductions| value(ReductionRef { exact: there.exact(k), ..home }, law);
             let sum: f64 = there.iter().zip(WEIGHTS).map(|(there, (_, weight))| weight * at(there)).sum();
-            Some((j, sum / steps[&slot]))
+            (j, sum / steps[&slot])
         };
-        let told: Vec<Option<(usize, f64)>> = numbers.par_iter().enumerate().map(told).collect();
-        told.into_iter().flatten().for_each(|(j, slope)| add(&mut scores[j], &vec![(slot, slope)]));
+        let told: Vec<(usize, f64)> = numbers.par_iter().enumerate().map(told).collect();
+        told.into_iter().for_each(|(j, slope)| add(&mut scores[j], &vec![(slot, slope)]));
     }
     Ok(())
 }

@@ -85,7 +85,8 @@ impl Indirect {
             let touched: Vec<(usize, usize)> = self.tests.iter().filter_map(own).collect();
             let list: Vec<usize> = touched.iter().map(|(j, _)| *j).collect();
             let home = pieces(reducer, &list)?;
-            let (moved, steps) = moved(around, values, &colour, |reducer| pieces(reducer, &list))?;
+            let places = WEIGHTS.map(|(sign, _)| sign);
+            let (moved, steps) = moved(around, values, (&colour, &places), |reducer| pieces(reducer, &list))?;
             for (k, &(j, slot)) in touched.iter().enumerate() {
                 let laws = PhaseLaws::new(law, &around.model.ranges(), reductions.get(j).covariates);
                 let mut sum = 0.0;
@@ -108,11 +109,11 @@ impl Indirect {
     }
 }
 
-/// What `at` gives at four places about the values of a colour, and the steps of the values between them.
+/// What `at` gives at places about the values of a colour, so many steps away, and the steps.
 pub(super) fn moved<T>(
     around: &Around<'_>,
     values: &[f64],
-    colour: &[usize],
+    (colour, places): (&[usize], &[f64]),
     at: impl Fn(&PhasedReducer) -> Result<T, ReduceError>,
 ) -> Result<(Vec<T>, BTreeMap<usize, f64>), ReduceError> {
     let mut part = 1.0;
@@ -123,12 +124,12 @@ pub(super) fn moved<T>(
             (s, part * STEP * size)
         };
         let steps: BTreeMap<usize, f64> = colour.iter().map(step).collect();
-        let one = |&(sign, _): &(f64, f64)| {
+        let one = |sign: &f64| {
             let mut values = values.to_vec();
             steps.iter().for_each(|(&s, h)| values[s] += sign * h);
             at(&PhasedReducer::scoring(around.model, &(around.alpha)(&values), around.slots)?)
         };
-        match WEIGHTS.iter().map(one).collect::<Result<Vec<T>, ReduceError>>() {
+        match places.iter().map(one).collect::<Result<Vec<T>, ReduceError>>() {
             Ok(moved) => return Ok((moved, steps)),
             Err(error) => last = Some(error),
         }

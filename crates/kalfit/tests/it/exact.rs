@@ -219,7 +219,7 @@ fn a_time_constant_in_exact_rows_is_found() {
     assert!((slope * error).abs() < 1e-4, "{slope} at {tau}, which is known to {error}");
 }
 
-/// A noise that is to be estimated is above zero; and phases take no exact rows.
+/// Phases take no exact rows, and where Σ collapses along them there is no maximum.
 #[test]
 fn exact_rows_are_refused_where_they_are_not_handled() {
     let columns = |phased: bool| -> Vec<Columns> {
@@ -231,4 +231,8 @@ fn exact_rows_are_refused_where_they_are_not_handled() {
     let ensemble = Ensemble::new(&phases.build().expect("a model"), &columns(true)).expect("columns of the model");
     let said = ensemble.fit_with(&Options::default(), &mut Silent).expect_err("refused").to_string();
     assert!(said.contains("test `t0`") && said.contains("measured without any noise"), "{said}");
+    let equal: Vec<Columns> = (0..3).map(|j| Columns::new(format!("t{j}")).numbers("y", [2.0])).collect();
+    let ensemble = Ensemble::new(&exact.build().expect("a model"), &equal).expect("columns of the model");
+    let said = ensemble.fit_with(&Options::default(), &mut Silent).expect_err("refused").to_string();
+    assert!(said.contains("has no maximum"), "{said}");
 }
