@@ -136,10 +136,10 @@ impl VerdictSetup {
 fn accused(said: &kalfit::apply::Said, laws: &Laws) -> AccusedCounts {
     let Verdict { distance, within, residual, .. } = said.verdict(laws);
     let below = |p: Option<f64>| u64::from(p.is_some_and(|p| p < LEVEL));
-    let one = |(law, test): (&Option<kalfit::apply::Law>, &kalfit::infer::Posterior)| {
+    let one = |(law, test): (&Option<kalfit::apply::Law>, kalfit::infer::Posterior<'_>)| {
         law.and_then(|law| law.tails(test.distance.squared)).map(|tails| tails[1])
     };
-    let least = laws.tests.iter().zip(&said.posteriors).filter_map(one).fold(1.0, f64::min);
+    let least = laws.tests.iter().zip(said.posteriors.iter()).filter_map(one).fold(1.0, f64::min);
     let some = u64::from(least < LEVEL / said.posteriors.len() as f64);
     [below(distance.p_value), below(within.and_then(|within| within.p_value)), below(residual.p_value), some]
 }

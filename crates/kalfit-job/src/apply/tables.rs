@@ -72,7 +72,7 @@ impl AppliedTests<'_> {
         (said, laws): (&Said, &Laws),
         names: &[String],
     ) -> Vec<TableCell<'a>> {
-        let (test, posterior) = (&self.tests[number], &said.posteriors[number]);
+        let (test, posterior) = (&self.tests[number], said.posteriors.get(number));
         let model = &self.model().phases[phase];
         let number_or = |x: Option<f64>| x.map_or(TableCell::Missing, TableCell::Number);
         let summary = said.innovations[number].as_ref().map(|own| &own.summary);
@@ -93,7 +93,7 @@ impl AppliedTests<'_> {
         let (own, first) = (model.model.estimated_names(), self.model().ranges()[phase].start);
         let place = |name: &String| own.iter().position(|other| other == name);
         let mean = |i: usize| posterior.mean.get(first + i).copied();
-        let deviation = |i: usize| Some(posterior.covariances.get(phase)?[(i, i)].max(0.0).sqrt());
+        let deviation = |i: usize| Some(posterior.covariances().nth(phase)?[(i, i)].max(0.0).sqrt());
         cells.extend(names.iter().map(|name| number_or(place(name).and_then(mean))));
         cells.extend(names.iter().map(|name| number_or(place(name).and_then(deviation))));
         cells

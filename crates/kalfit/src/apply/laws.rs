@@ -159,7 +159,7 @@ impl Judge<'_> {
         let chunk = |numbers: &[usize]| {
             let all: Vec<Weights> = numbers.iter().map(|&test| self.tree.test(test, &beyond)).collect();
             let law = |(&test, weights): (&usize, &Weights)| {
-                let degrees = self.said.posteriors[test].distance.degrees_of_freedom;
+                let degrees = self.said.posteriors.get(test).distance.degrees_of_freedom;
                 self.law(weights, (1, degrees), self.tree.depth(), &|moved| moved.tests[test])
             };
             let laws: Vec<Option<Law>> = numbers.iter().zip(&all).map(law).collect();

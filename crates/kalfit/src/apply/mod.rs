@@ -34,7 +34,7 @@ pub use verdict::{Joint, Verdict};
 
 use crate::ensemble::Grouping;
 use crate::estimate::{Combination, Criterion, PhaseStructure, Point, Problem, Settings, Structure, evidence};
-use crate::infer::{GroupPosterior, Posterior, posteriors_at};
+use crate::infer::{GroupPosterior, Posterior, Posteriors, posteriors_at};
 use crate::innovations::{Innovations, innovations};
 use crate::model::{Alpha, CovarianceStructure, MeanStructure, PhasedModel, Population, Slots};
 use crate::reduce::{PhasedReducer, PhasedTest, Reductions, grouping};
@@ -59,7 +59,7 @@ pub struct Applied<'a> {
 #[derive(Debug)]
 pub struct Said {
     /// Their likelihoods, posteriors and distances.
-    pub posteriors: Vec<Posterior>,
+    pub posteriors: Posteriors,
     /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups.
     pub groups: Vec<Vec<GroupPosterior>>,
     /// `None` of tests whose measurements are not known.
@@ -120,13 +120,13 @@ impl<'a> Applied<'a> {
         let (posteriors, groups) = posteriors_at(&self.problem, &self.point, &self.reductions);
         let alone = self.population.together(self.model.dimension());
         let innovations = innovations(self.model, self.alpha, &alone, self.tests)?;
-        let residual = |((test, own), posterior): ((&PhasedTest, &Option<Innovations>), &Posterior)| {
+        let residual = |((test, own), posterior): ((&PhasedTest, &Option<Innovations>), Posterior<'_>)| {
             let (summary, distance) = (&own.as_ref().filter(|_| self.is_all_rows(test))?.summary, &posterior.distance);
             let degrees = summary.count.saturating_sub(distance.degrees_of_freedom);
             let sound = summary.nis * f64::EPSILON * summary.count as f64 <= ROUNDING;
             sound.then(|| ((summary.nis - distance.squared).max(0.0), degrees))
         };
-        let residuals = self.tests.iter().zip(&innovations).zip(&posteriors).map(residual).collect();
+        let residuals = self.tests.iter().zip(&innovations).zip(posteriors.iter()).map(residual).collect();
         Ok(Said { posteriors, groups, innovations, residuals })
     }
 

@@ -150,10 +150,10 @@ fn what_tests_say_is_that_of_the_joint_gaussian() {
     let said =
         Applied::new(&model, &alpha, &population, &tests).and_then(|applied| applied.said()).expect("it applies");
     let (mean, covariance) = Dense::new().given(|_| true);
-    let own = &said.posteriors[0];
+    let own = said.posteriors.get(0);
     for i in 0..2 {
         near("posterior", own.mean[i], mean[i]);
-        near("its variance", own.covariances[0][(i, i)], covariance[(i, i)]);
+        near("its variance", own.covariance(0)[(i, i)], covariance[(i, i)]);
     }
     let innovations = said.innovations[0].as_ref().expect("rows were filtered");
     near("log density", own.log_likelihood, innovations.log_likelihood);

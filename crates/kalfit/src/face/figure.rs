@@ -93,9 +93,9 @@ impl Fit {
     ///
     /// # Errors
     /// No such test.
-    pub fn posterior(&self, test: &str) -> Result<&Posterior, UnknownName> {
+    pub fn posterior(&self, test: &str) -> Result<Posterior<'_>, UnknownName> {
         let index = self.reductions.iter().position(|reduction| reduction.test == test);
-        index.map(|i| &self.inference.posteriors[i]).ok_or_else(|| UnknownName {
+        index.map(|i| self.inference.posteriors.get(i)).ok_or_else(|| UnknownName {
             what: "test",
             name: test.to_owned(),
             known: self.reductions.iter().map(|reduction| reduction.test.to_owned()).collect(),

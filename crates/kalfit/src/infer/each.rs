@@ -3,17 +3,18 @@
 use crate::estimate::{Estimate, Point, Problem, Silent};
 use crate::infer::deletion::{self, Deletion};
 use crate::infer::levels::{self, GroupPosterior};
-use crate::infer::posterior::{self, Posterior};
+use crate::infer::posterior;
+use crate::infer::posteriors::Posteriors;
 use crate::infer::progress::SharedProgress;
 use crate::reduce::Reductions;
 
 /// Posteriors of all tests, in their order.
-pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Vec<Posterior> {
+pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Posteriors {
     estimated(estimate, reductions).0
 }
 
 /// What is known of the tests, and of the groups of each level, the innermost first, at an estimate.
-pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
+pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Posteriors, Vec<Vec<GroupPosterior>>) {
     let (problem, point) = (&estimate.state.problem, &estimate.state.newton_iterate.point);
     match estimate.grouping() {
         Some(_) => posteriors_at(problem, point, &estimate.state.evidence(reductions)),
@@ -27,7 +28,7 @@ pub(crate) fn posteriors_at(
     problem: &Problem,
     point: &Point,
     reductions: &Reductions,
-) -> (Vec<Posterior>, Vec<Vec<GroupPosterior>>) {
+) -> (Posteriors, Vec<Vec<GroupPosterior>>) {
     levels::posteriors(problem, point, reductions)
         .unwrap_or_else(|| (posterior::alone(problem, point, reductions), Vec::new()))
 }

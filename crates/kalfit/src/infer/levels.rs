@@ -6,7 +6,8 @@ use rayon::prelude::*;
 
 use crate::estimate::{Estimate, LevelPosteriors, Order, Point, Problem, TestPosterior, Units, level_posteriors};
 use crate::infer::deletion::{Deletion, searched};
-use crate::infer::posterior::{Distance, Posterior, distance};
+use crate::infer::posterior::{Distance, distance};
+use crate::infer::posteriors::Posteriors;
 use crate::infer::progress::SharedProgress;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
@@ -69,24 +70,21 @@ pub(super) fn posteriors(
     problem: &Problem,
     point: &Point,
     evidence: &Reductions,
-) -> Option<(Vec<Posterior>, Vec<Vec<GroupPosterior>>)> {
+) -> Option<(Posteriors, Vec<Vec<GroupPosterior>>)> {
     problem.classes.units.as_ref()?;
     let classes = problem.classes.of(evidence);
     let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
     let found = ensemble.at(point);
     let grouping = &ensemble.units.grouping;
-    let one = |j: usize| {
+    let own: Vec<(f64, Distance)> =
+        (0..evidence.len()).into_par_iter().map(|j| distance(problem, point, evidence, j)).collect();
+    let mut tests = Posteriors::new(vec![ensemble.units.states]);
+    for (j, own) in own.into_iter().enumerate() {
         let number = grouping.number(evidence.id(j)).expect("it was grouped");
         let TestPosterior { mean, covariance, .. } = &found.tests[number];
-        let (log_likelihood, distance) = distance(problem, point, evidence, j);
-        Posterior {
-            log_likelihood,
-            mean: problem.classes.frame.mean_out(mean),
-            covariances: vec![ensemble.covariance(covariance)],
-            distance,
-        }
-    };
-    let tests = (0..evidence.len()).into_par_iter().map(one).collect();
+        let covariance = ensemble.covariance(covariance);
+        tests.push(own, &problem.classes.frame.mean_out(mean), covariance.iter().copied());
+    }
     let of_level = |(level, groups): (usize, &Vec<crate::estimate::ScaledGroupPosterior>)| {
         groups.iter().zip(grouping.groups(level)).map(|(one, group)| ensemble.group(one, group.tests)).collect()
     };

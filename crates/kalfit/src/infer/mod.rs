@@ -27,6 +27,7 @@ mod observability;
 mod observed;
 mod phases;
 mod posterior;
+mod posteriors;
 mod progress;
 mod ratio;
 mod reason;
@@ -49,7 +50,8 @@ pub use levels::GroupPosterior;
 pub use mean_limits::{MeanCombination, mean_limits};
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use phases::PhaseObservability;
-pub use posterior::{Distance, Posterior};
+pub use posterior::Distance;
+pub use posteriors::{Posterior, Posteriors};
 pub use ratio::{
     Bootstrap, BootstrapResult, Component, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter, ReferenceLaw,
     Restricted, at_least, bootstrap, bootstrap_while, fit_null, likelihood_ratio, restricted,
@@ -136,7 +138,7 @@ pub struct Inference {
     /// What each constraint costs.
     pub sensitivities: Vec<Sensitivity>,
     /// What each test says, in the order of the reductions; empty when that was not asked for.
-    pub posteriors: Vec<Posterior>,
+    pub posteriors: Posteriors,
     /// The fit without each test, in the order of the reductions; `None` when that was not asked for.
     pub deletions: Option<Vec<Option<Deletion>>>,
     /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups, or where it was not asked for.
@@ -191,7 +193,7 @@ pub(crate) fn inferred(
     let grouped = estimate.grouping().is_some();
     let (posteriors, groups) = match each {
         true => each::estimated(estimate, reductions),
-        false => (Vec::new(), Vec::new()),
+        false => (Posteriors::default(), Vec::new()),
     };
     let (deletions, group_deletions) = match wanted {
         true if grouped => levels::deletions(estimate, &evidence, progress).unzip(),

@@ -7,21 +7,9 @@ use rayon::prelude::*;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, map_classes};
+use crate::infer::posteriors::{NumberedPosteriors, Posteriors};
 use crate::linalg::{Conditional, posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions, unpack};
-
-/// What one test says, at an estimate.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Posterior {
-    /// log p of its measurements.
-    pub log_likelihood: f64,
-    /// E[ξ | z] (p).
-    pub mean: Vec<f64>,
-    /// Var[ξ_i | z] of each phase of the model (p_i × p_i).
-    pub covariances: Vec<DMatrix<f64>>,
-    /// How far the test is from the population.
-    pub distance: Distance,
-}
 
 /// Standardised squared distance of a test's own estimate from the population mean.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,51 +26,52 @@ pub struct Distance {
 const CHUNK: usize = 64;
 
 /// Posteriors of all tests at a point, in their order, each by itself.
-pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Vec<Posterior> {
+pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Posteriors {
     let classes = problem.classes.of(reductions);
     let of = |classes: &Classes| of_classes((problem, classes), point, reductions);
-    let mut found: Vec<(usize, Posterior)> = if classes.are_single() {
+    let found: Vec<NumberedPosteriors> = if classes.are_single() {
         of(&classes)
     } else {
         let all: Vec<usize> = (0..reductions.len()).collect();
         all.par_chunks(CHUNK).flat_map_iter(|tests| of(&classes.each(reductions, tests))).collect()
     };
-    found.sort_unstable_by_key(|(test, _)| *test);
-    found.into_iter().map(|(_, posterior)| posterior).collect()
+    Posteriors::ordered(sizes(problem), &found)
 }
 
-/// Of tests that are classes to themselves, by their numbers.
+/// Of tests that are classes to themselves.
 fn of_classes(
     (problem, classes): (&Problem, &Classes),
     point: &Point,
     reductions: &Reductions,
-) -> Vec<(usize, Posterior)> {
-    let sigma = point.covariance();
-    let told = |found: &mut Vec<(usize, Posterior)>, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {
+) -> Vec<NumberedPosteriors> {
+    let (sigma, sizes) = (point.covariance(), sizes(problem));
+    let told = |found: &mut NumberedPosteriors, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {
         let test = classes.tests_of(k)[0];
-        found.push((test, posterior((problem, point, &sigma), terms, class, reductions.get(test))));
+        add(found.of(test), (problem, point, &sigma), terms, class, reductions.get(test));
     };
-    map_classes(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &Vec::new, &told)
-        .into_iter()
-        .flatten()
-        .collect()
+    let none = || NumberedPosteriors::new(&sizes);
+    map_classes(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &none, &told)
 }
 
-fn posterior(
+/// States of each phase.
+fn sizes(problem: &Problem) -> Vec<usize> {
+    problem.covariance.elements.blocks().iter().map(Range::len).collect()
+}
+
+/// Adds what a test says.
+fn add(
+    found: &mut Posteriors,
     (problem, point, sigma): (&Problem, &Point, &DMatrix<f64>),
     terms: &ClassTerms<'_>,
     class: ClassRef<'_>,
     reduction: ReductionRef<'_>,
-) -> Posterior {
+) {
     let mut mean = DVector::from_vec(point.mean_of(class, &problem.mean.regressors));
     mean += sigma * DVector::from_column_slice(&terms.r);
-    let frame = &problem.classes.frame;
-    Posterior {
-        log_likelihood: terms.value(class),
-        mean: frame.mean_out(mean.as_slice()),
-        covariances: covariances(problem, class, terms, (point, sigma)),
-        distance: Distance::of(terms, class, reduction),
-    }
+    let mean = problem.classes.frame.mean_out(mean.as_slice());
+    let own = (terms.value(class), Distance::of(terms, class, reduction));
+    let covariances = covariances(problem, class, terms, (point, sigma));
+    found.push(own, &mean, covariances.iter().flat_map(|own| own.iter().copied()));
 }
 
 /// log p of a test's measurements and its distance from the population, at any point.

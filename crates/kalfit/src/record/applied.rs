@@ -184,10 +184,10 @@ impl FitRecord {
             return if is_own { tests.len() } else { 0 };
         }
         let of: HashMap<&str, f64> = self.tests.iter().map(|test| (test.id.as_str(), test.log_likelihood)).collect();
-        let is_own = |(test, own): (&PhasedTest, &Posterior)| {
+        let is_own = |(test, own): (&PhasedTest, Posterior<'_>)| {
             of.get(test.id.as_str()).is_some_and(|fitted| is_same(*fitted, own.log_likelihood))
         };
-        tests.iter().zip(&said.posteriors).filter(|&both| is_own(both)).count()
+        tests.iter().zip(said.posteriors.iter()).filter(|&both| is_own(both)).count()
     }
 }
 
@@ -200,7 +200,7 @@ impl AppliedRecord {
         (said, laws): (&Said, &Laws),
     ) -> AppliedRecord {
         let Verdict { log_density, distance, within, residual } = said.verdict(laws);
-        let distances = said.posteriors.iter().map(|test| &test.distance).zip(&laws.tests);
+        let distances = said.posteriors.iter().map(|test| test.distance).zip(&laws.tests);
         let distances = distances.map(|(own, law)| (own.squared, own.degrees_of_freedom, above(*law, own.squared)));
         let far = ranked(tests, distances);
         let seen = said.innovations.iter().flatten().map(|own| own.summary.count).sum();

@@ -228,7 +228,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
     order.par_sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let classes = DesignClasses::new(reductions, &order);
     let record = |j: usize| {
-        let (reduction, posterior) = (reductions.get(j), &inference.posteriors[j]);
+        let (reduction, posterior) = (reductions.get(j), inference.posteriors.get(j));
         let distance = posterior.distance;
         let own = (reductions.len() <= MOST_OWN).then(|| OwnEstimate::of(reduction));
         TestRecord {
@@ -239,11 +239,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
             observations: reduction.observations,
             steps: Some(reduction.steps),
             design_class: classes.number(reduction.design),
-            phases: cuts[..phases_of(reduction, model)]
-                .iter()
-                .zip(&posterior.covariances)
-                .map(|(cut, covariance)| part(cut, (posterior, covariance), own.as_ref()))
-                .collect(),
+            phases: cuts[..phases_of(reduction, model)].iter().map(|cut| part(cut, posterior, own.as_ref())).collect(),
             distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
             degrees_of_freedom: distance.degrees_of_freedom,
             p_value: distance.p_value,
@@ -287,15 +283,11 @@ impl DesignClasses {
     }
 }
 
-fn part(
-    cut: &PhaseCut<'_>,
-    (posterior, covariance): (&Posterior, &nalgebra::DMatrix<f64>),
-    own: Option<&OwnEstimate>,
-) -> PosteriorRecord {
+fn part(cut: &PhaseCut<'_>, posterior: Posterior<'_>, own: Option<&OwnEstimate>) -> PosteriorRecord {
     PosteriorRecord {
         name: cut.phase.name.clone(),
-        mean: cut.list(&posterior.mean),
-        covariance: covariance.into(),
+        mean: cut.list(posterior.mean),
+        covariance: (&posterior.covariance(cut.index).into_owned()).into(),
         own: own.and_then(|own| own.part(cut)),
     }
 }

@@ -185,12 +185,12 @@ fn applied(
     let model = ensemble.model();
     let applied = Applied::new(model, alpha, population, tests)?;
     let (said, observations) = (applied.said()?, applied.observations());
-    let left = |(own, posterior): (&Option<Innovations>, &crate::infer::Posterior)| {
+    let left = |(own, posterior): (&Option<Innovations>, crate::infer::Posterior<'_>)| {
         let series = own.as_ref().map_or(&[][..], |own| &own.series);
         let within = WIDTHS.map(|width| series.iter().filter(|one| one.standardised.abs() <= width).count());
         LeftOut { within, innovations: series.len(), distance: posterior.distance }
     };
-    let each = said.innovations.iter().zip(&said.posteriors).map(left).collect();
+    let each = said.innovations.iter().zip(said.posteriors.iter()).map(left).collect();
     let pieces = match (said.groups.last(), grouping(model, tests)?) {
         (Some(groups), Some(grouping)) => {
             let level = model.levels.len() - 1;
@@ -213,7 +213,7 @@ fn applied(
             groups.iter().enumerate().map(piece).collect()
         }
         _ => {
-            let all = tests.iter().zip(&said.posteriors).zip(observations);
+            let all = tests.iter().zip(said.posteriors.iter()).zip(observations);
             all.map(|((test, found), observations)| Piece {
                 name: test.id.to_string(),
                 fold,

@@ -44,7 +44,7 @@ fn refitted(ensemble: &Ensemble, folds: &Folds) -> Vec<(String, f64)> {
         for test in pick(&inside) {
             let tests = [test];
             let applied = Applied::new(ensemble.model(), &fit.alpha, &fit.population(), &tests)
-                .map(|own| own.said().expect("it says").posteriors[0].log_likelihood);
+                .map(|own| own.said().expect("it says").posteriors.get(0).log_likelihood);
             let own = applied.expect("it applies");
             found.push((tests[0].id.to_string(), own));
         }

@@ -176,7 +176,7 @@ fn covariances_are_symmetric_to_the_last_bit() {
             let choices = Choices { deletion: DeletionChoice::All, ..Choices::default() };
             let inferred = infer::infer(&found, &data, choices);
             for (posterior, test) in inferred.posteriors.iter().zip(&data) {
-                is_symmetric(&format!("{what}: posterior of {}", test.test), &posterior.covariances[0]);
+                is_symmetric(&format!("{what}: posterior of {}", test.test), &posterior.covariance(0).into_owned());
             }
             for deletion in inferred.deletions.iter().flatten().flatten() {
                 is_symmetric(&format!("{what}: Σ without a test"), &deletion.estimate.covariance);

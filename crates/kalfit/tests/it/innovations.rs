@@ -209,7 +209,7 @@ fn innovations_add_up_to_the_likelihood_of_each_test_in_a_fit() {
         let fit = estimate::fit(&reductions, &structure, &Settings::of(Solver::Newton), &mut Silent).expect("a fit");
         let posteriors = infer::posteriors(&fit, &reductions);
         let found = run(&model, &Population::from(&fit), &tests);
-        for ((one, posterior), reduction) in found.iter().zip(&posteriors).zip(&reductions) {
+        for ((one, posterior), reduction) in found.iter().zip(posteriors.iter()).zip(&reductions) {
             let (a, b) = (one.log_likelihood, posterior.log_likelihood);
             assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "scale {scale}, {}: {a} {b}", one.test);
             assert_eq!((&*one.test, one.summary.count), (reduction.test, reduction.observations));

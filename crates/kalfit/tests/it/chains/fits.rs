@@ -177,16 +177,16 @@ fn same_inference(name: &str, found: &Inference, expected: &Inference) {
     a.covariance.iter().flatten().zip(b.covariance.iter().flatten()).for_each(|(a, b)| both("error of Σ", *a, *b));
     a.correlation.iter().flatten().zip(b.correlation.iter().flatten()).for_each(|(a, b)| both("ρ", *a, *b));
     assert_eq!(found.uncertainty.boundary, expected.uncertainty.boundary, "{name}");
-    for (a, b) in found.posteriors.iter().zip(&expected.posteriors) {
+    for (a, b) in found.posteriors.iter().zip(expected.posteriors.iter()) {
         close(&format!("{name}: ℓ_j"), a.log_likelihood, b.log_likelihood, 1e-8);
-        a.mean.iter().zip(&b.mean).for_each(|(a, b)| close(&format!("{name}: posterior"), *a, *b, 1e-6));
+        a.mean.iter().zip(b.mean).for_each(|(a, b)| close(&format!("{name}: posterior"), *a, *b, 1e-6));
         close(&format!("{name}: distance"), a.distance.squared, b.distance.squared, 1e-6);
         assert_eq!(a.distance.degrees_of_freedom, b.distance.degrees_of_freedom, "{name}");
         // covariances between phases are not told, where there are phases
-        let told = |posterior: &Posterior| -> Vec<((usize, usize), f64)> {
+        let told = |posterior: Posterior<'_>| -> Vec<((usize, usize), f64)> {
             let mut start = 0;
             let mut all = Vec::new();
-            for own in &posterior.covariances {
+            for own in posterior.covariances() {
                 let places = (0..own.nrows()).flat_map(|i| (0..own.ncols()).map(move |k| (i, k)));
                 all.extend(places.map(|(i, k)| ((start + i, start + k), own[(i, k)])));
                 start += own.nrows();

@@ -104,14 +104,14 @@ fn the_posterior_of_each_phase_is_that_given_all_phases() {
         };
         let phases: Phases = fixed(variance).iter().map(known).collect();
         let found = fit(data, &phases, &by(Combination::Chain));
-        let posterior = &infer::infer(&found, data, Choices::default()).posteriors[0];
+        let inference = infer::infer(&found, data, Choices::default());
+        let posterior = inference.posteriors.get(0);
         let mu = DVector::from_element(5, 0.25);
         let sigma = DMatrix::identity(5, 5) * variance;
         let s = &joint.covariance + &joint.sensitivity * &sigma * joint.sensitivity.transpose();
         let gain = &sigma * joint.sensitivity.transpose() * s.try_inverse().expect("regular");
         let mean = &mu + &gain * (&joint.data - &joint.mean - &joint.sensitivity * &mu);
-        let variances: Vec<f64> =
-            posterior.covariances.iter().flat_map(|own| own.diagonal().as_slice().to_vec()).collect();
+        let variances: Vec<f64> = posterior.covariances().flat_map(|own| own.diagonal().as_slice().to_vec()).collect();
         for i in 0..5 {
             let (a, b) = (posterior.mean[i], mean[i]);
             assert!((a - b).abs() < 1e-6 * (1.0 + b.abs()), "Σ {variance}, {i}: {a} {b}");
