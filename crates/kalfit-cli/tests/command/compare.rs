@@ -193,7 +193,7 @@ fn fits_of_other_data_and_files_that_are_no_fits_are_refused() {
     exit 2
     ----- stdout
     ----- stderr
-    error: `full.toml` is not a result of `kalfit fit`: expected value at line 1 column 1
+    error: `full.toml` is not a result of `kalfit fit`: it is not JSON (expected value at line 1 column 1)
 
     hint: `kalfit compare` takes what `kalfit fit --out` writes
     ");

@@ -142,7 +142,7 @@ fn what_cannot_be_drawn_is_refused() {
     exit 2
     ----- stdout
     ----- stderr
-    error: `timed.toml` is not a result of `kalfit fit`: expected ident at line 2 column 2
+    error: `timed.toml` is not a result of `kalfit fit`: it is not JSON (expected ident at line 2 column 2)
 
     hint: give a file that `kalfit fit --out` wrote
     ");

@@ -59,7 +59,7 @@ fn truths_that_are_none() {
     hint: fix it or give it a start value in `[mean]` and `[covariance]`, or take a fit
     ");
     assert_snapshot!(simulate("d.csv", "--out new.csv", &[]), @"
-    error: `d.csv` is not a result of `kalfit fit`: expected value at line 1 column 1
+    error: `d.csv` is not a result of `kalfit fit`: it is not JSON (expected value at line 1 column 1)
 
     hint: `--from` takes what `kalfit fit --out` writes, or a model file that ends in `.toml`
     ");

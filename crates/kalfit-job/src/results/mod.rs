@@ -5,6 +5,7 @@ mod head;
 use kalfit::record::FIT_SCHEMA;
 use kalfit::validate::VALIDATE_SCHEMA;
 use serde::de::DeserializeOwned;
+use serde_json::error::Category;
 
 use crate::document::Document;
 use head::ResultHead;
@@ -113,7 +114,11 @@ pub(crate) fn read_either<A: DeserializeOwned, B: DeserializeOwned>(
 pub(crate) fn of_bytes<T: DeserializeOwned>(path: String, bytes: &[u8], kind: ResultKind) -> Result<T, ResultError> {
     let ResultKind { schema: expected, command } = kind;
     let refused = |reason: String| ResultError::NotARecord { path: path.clone(), command, reason };
-    let head: ResultHead = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+    let no_head = |error: serde_json::Error| match error.classify() {
+        Category::Syntax | Category::Eof => refused(format!("it is not JSON ({error})")),
+        _ => refused(error.to_string()),
+    };
+    let head: ResultHead = serde_json::from_slice(bytes).map_err(no_head)?;
     match head.schema {
         None => Err(refused("it has no `schema`".to_owned())),
         Some(found) if found != expected => Err(ResultError::Schema { path, found, expected }),
