@@ -130,7 +130,7 @@ fn tally(ensembles: u64) -> Result<FalseAlarmTally, String> {
 
 impl FalseAlarmTally {
     fn add(&mut self, record: &FitRecord) {
-        for test in &record.tests {
+        for test in record.tests.iter() {
             let figures = test.innovations.as_ref();
             let white = figures.and_then(|found| Some(found.whiteness.as_ref()?.p_value));
             let found = [figures.and_then(|found| found.nis_p_value), white, test.p_value];

@@ -1,11 +1,12 @@
 //! Innovations after the fit. They need the data once more: small data are kept while they are read, larger ones are read a
 //! second time, standard input from a copy in memory or, when large, in a temporary file.
 
+use std::collections::HashMap;
 use std::io::{Read, Seek, SeekFrom, Write};
 
-use kalfit::innovations::InnovationFilter;
+use kalfit::innovations::{InnovationFilter, Innovations};
 use kalfit::model::Population;
-use kalfit::record::{InnovationRecord, SeriesKeeper, TestGroups, TestRecord};
+use kalfit::record::{InnovationRecord, InnovationRecords, SeriesKeeper, TestGroups, TestRecords};
 use kalfit::reduce::{Evidence, ReduceError, SplitError};
 use kalfit::{Alpha, FitRecord, Labels, PhasedModel, PhasedTest, Test};
 use kalfit_data::{DataError, Input, ReadError, TestSink};
@@ -148,48 +149,47 @@ pub(crate) fn add(
     initial: &Population,
     work: &mut JobWork<'_>,
 ) {
-    let found = InnovationSink::new(&spec.model, alpha, initial, work)
+    let found = InnovationSink::new((&spec.model, alpha, initial), &record.tests, work)
         .map_err(InnovationsUnavailable::Filter)
         .and_then(|looking| all(looking, kept, spec, inputs));
-    match found {
-        Ok(found) => finish(record, found),
-        Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
-    }
+    finish(record, found);
 }
 
 /// As [`add`], of tests that were all kept.
 pub(crate) fn add_of(
     record: &mut FitRecord,
-    (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
+    at: (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],
     work: &mut JobWork<'_>,
 ) {
-    match InnovationSink::new(model, alpha, initial, work) {
-        Ok(mut looking) => match looking.look_at(tests) {
-            Ok(()) => finish(record, looking.seen),
-            Err(why) => record.notes.push(format!("innovations were not computed: {why}")),
-        },
-        Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
-    }
+    let found =
+        InnovationSink::new(at, &record.tests, work).map_err(InnovationsUnavailable::Filter).and_then(|mut looking| {
+            looking.look_at(tests)?;
+            Ok(looking.seen)
+        });
+    finish(record, found);
 }
 
 /// As [`add_of`], of so many tests of which only reductions are given.
 pub(crate) fn add_none(
     record: &mut FitRecord,
-    (model, alpha, initial): (&PhasedModel, &Alpha, &Population),
+    at: (&PhasedModel, &Alpha, &Population),
     tests: usize,
     work: &mut JobWork<'_>,
 ) {
-    match InnovationSink::new(model, alpha, initial, work) {
-        Ok(looking) if looking.work.is_stopped() => {
-            record.notes.push(format!("innovations were not computed: {}", InnovationsUnavailable::Interrupted));
-        }
-        Ok(looking) => finish(record, InnovationSummary { silent: tests, ..looking.seen }),
-        Err(error) => record.notes.push(format!("innovations were not computed: {error}")),
-    }
+    let found = match InnovationSink::new(at, &record.tests, work) {
+        Ok(looking) if looking.work.is_stopped() => Err(InnovationsUnavailable::Interrupted),
+        Ok(looking) => Ok(InnovationSummary { silent: tests, ..looking.seen }),
+        Err(error) => Err(InnovationsUnavailable::Filter(error)),
+    };
+    finish(record, found);
 }
 
-fn finish(record: &mut FitRecord, seen: InnovationSummary) {
+fn finish(record: &mut FitRecord, found: Result<InnovationSummary, InnovationsUnavailable>) {
+    let seen = match found {
+        Ok(seen) => seen,
+        Err(why) => return record.notes.push(format!("innovations were not computed: {why}")),
+    };
     if let Some(error) = seen.failed {
         record.notes.push(format!("the innovations of some tests could not be computed: {error}"));
     }
@@ -199,70 +199,67 @@ fn finish(record: &mut FitRecord, seen: InnovationSummary) {
             "{tests} no innovations: they are given by estimates or reductions, which no longer tell what was measured when"
         ));
     }
-    attach(record, seen.found);
+    if seen.strange > 0 {
+        record.notes.push(format!(
+            "the innovations of {} of {} tests are left out: they do not give the likelihood of the fit, because the data changed while they were read, or because the test is too ill-conditioned",
+            seen.strange, seen.seen
+        ));
+    }
+    record.set_innovations(seen.found);
     record.add_series(seen.series);
 }
 
 /// What the filter saw of all tests.
 #[derive(Default)]
 struct InnovationSummary {
-    found: Vec<InnovationsOfTest>,
+    found: InnovationRecords,
     /// For charts.
     series: SeriesKeeper,
+    /// Tests that have innovations.
+    seen: usize,
+    /// Those of them whose innovations do not give the likelihood of the fit.
+    strange: usize,
     /// Tests that cannot have any.
     silent: usize,
     failed: Option<ReduceError>,
 }
 
-/// One test's innovations in figures.
-struct InnovationsOfTest {
-    test: String,
-    log_likelihood: f64,
-    record: InnovationRecord,
+/// The tests of the fit.
+struct FittedTests<'a> {
+    tests: &'a TestRecords,
+    /// Their numbers, by their ids.
+    numbers: HashMap<&'a str, usize>,
 }
 
-/// Two ways to one likelihood must agree; where they do not, the data changed between two readings, or digits were lost.
-fn attach(record: &mut FitRecord, mut found: Vec<InnovationsOfTest>) {
-    if found.is_empty() {
-        return;
+impl FittedTests<'_> {
+    /// The number of the test, where it is one of the fit. Two ways to one likelihood must agree; where they do not, the data changed between
+    /// two readings, or digits were lost.
+    fn number(&self, one: &Innovations) -> Option<usize> {
+        let number = *self.numbers.get(one.test.as_str())?;
+        let fitted = self.tests.get(number).log_likelihood;
+        ((fitted - one.log_likelihood).abs() <= AGREEMENT * (1.0 + fitted.abs())).then_some(number)
     }
-    found.par_sort_by(|a, b| a.test.cmp(&b.test));
-    let mut tests: Vec<&TestRecord> = record.tests.iter().collect();
-    tests.par_sort_by(|a, b| a.id.cmp(&b.id));
-    let mut tests = tests.into_iter().peekable();
-    let all = found.len();
-    found.retain(|one| {
-        while tests.next_if(|test| test.id < one.test).is_some() {}
-        let fitted = tests.peek().filter(|test| test.id == one.test).map(|test| test.log_likelihood);
-        fitted.is_some_and(|l| (l - one.log_likelihood).abs() <= AGREEMENT * (1.0 + l.abs()))
-    });
-    if found.len() < all {
-        record.notes.push(format!(
-            "the innovations of {} of {all} tests are left out: they do not give the likelihood of the fit, because the data changed while they were read, or because the test is too ill-conditioned",
-            all - found.len()
-        ));
-    }
-    record.add_innovations(found.into_iter().map(|one| (one.test, one.record)).collect());
 }
 
 /// Takes tests in and keeps figures only.
 struct InnovationSink<'a, 'w> {
     filter: InnovationFilter,
     model: &'a PhasedModel,
+    fitted: FittedTests<'a>,
     seen: InnovationSummary,
     work: &'a mut JobWork<'w>,
 }
 
 impl<'a, 'w> InnovationSink<'a, 'w> {
     fn new(
-        model: &'a PhasedModel,
-        alpha: &Alpha,
-        initial: &Population,
+        (model, alpha, initial): (&'a PhasedModel, &Alpha, &Population),
+        fitted: &'a TestRecords,
         work: &'a mut JobWork<'w>,
     ) -> Result<InnovationSink<'a, 'w>, ReduceError> {
         Ok(InnovationSink {
             filter: InnovationFilter::new(model, alpha, initial)?,
             model,
+            fitted: FittedTests { tests: fitted, numbers: fitted.by_id() },
             seen: InnovationSummary::default(),
             work,
         })
@@ -270,7 +267,6 @@ impl<'a, 'w> InnovationSink<'a, 'w> {
 
     /// At all of them, as long as somebody waits.
     fn look_at(&mut self, tests: &[PhasedTest]) -> Result<(), InnovationsUnavailable> {
-        self.seen.found.reserve_exact(tests.len());
         for (i, batch) in tests.chunks(BATCH).enumerate() {
             if self.work.is_stopped() {
                 return Err(InnovationsUnavailable::Interrupted);
@@ -282,20 +278,28 @@ impl<'a, 'w> InnovationSink<'a, 'w> {
     }
 
     fn look(&mut self, tests: &[PhasedTest]) {
-        let (seen, model) = (&mut self.seen, self.model);
-        let found = self.filter.run(tests).into_par_iter();
-        let recorded = found.map(|result| result.map(|one| one.map(|one| (InnovationRecord::new(&one, model), one))));
-        for result in recorded.collect::<Vec<_>>() {
+        let (seen, model, fitted) = (&mut self.seen, self.model, &self.fitted);
+        let of = |result: Result<Option<Innovations>, ReduceError>| {
+            let Some(one) = result? else { return Ok(None) };
+            Ok(Some((fitted.number(&one), InnovationRecord::new(&one, model), one)))
+        };
+        let found: Vec<Result<Option<_>, ReduceError>> = self.filter.run(tests).into_par_iter().map(of).collect();
+        for result in found {
             match result {
-                Ok(Some((record, one))) => {
-                    seen.series.offer(&one, &record, self.model);
-                    seen.found.push(InnovationsOfTest { log_likelihood: one.log_likelihood, record, test: one.test });
+                Ok(Some((number, record, one))) => {
+                    seen.seen += 1;
+                    let Some(number) = number else {
+                        seen.strange += 1;
+                        continue;
+                    };
+                    seen.series.offer(&one, &record, model);
+                    seen.found.put(number, record);
                 }
                 Ok(None) => seen.silent += 1,
                 Err(error) => seen.failed = seen.failed.take().or(Some(error)),
             }
         }
-        let done = seen.found.len() + seen.silent;
+        let done = seen.seen + seen.silent;
         self.work.say(|| format!("innovations: {done} tests"));
     }
 }
@@ -372,6 +376,7 @@ fn again(
 #[cfg(test)]
 mod tests {
     use kalfit::Source;
+    use kalfit::record::TestRow;
 
     use super::*;
     use crate::work::Unwatched;
@@ -423,16 +428,49 @@ noise = 1
     /// `b` comes back after `a`, so that the second reading starts again too.
     const DATA: &str = "id,y\nb,1\na,2\na,3\nb,-1\nb,4\n";
 
-    fn figures(mut kept: KeptData, inputs: &[Input]) -> Result<Vec<(String, f64)>, InnovationsUnavailable> {
+    /// By hand: y is N(1, I + 11') of n, with inverse I - 11'/(n + 1) and determinant n + 1: (z'S⁻¹z, log p).
+    fn by_hand(z: &[f64]) -> (f64, f64) {
+        let (n, tau) = (z.len() as f64, std::f64::consts::TAU);
+        let square: f64 = z.iter().map(|z| z * z).sum::<f64>() - z.iter().sum::<f64>().powi(2) / (n + 1.0);
+        (square, -0.5 * (n * tau.ln() + (n + 1.0).ln() + square))
+    }
+
+    /// Tests `a` and `b` of the data with these likelihoods.
+    fn fitted(log_likelihoods: [f64; 2]) -> TestRecords {
+        let test = |(id, log_likelihood): (&str, f64)| TestRow {
+            id: id.to_owned(),
+            group: None,
+            groups: Vec::new(),
+            log_likelihood,
+            observations: 0,
+            steps: None,
+            design_class: None,
+            phases: Vec::new(),
+            distance: None,
+            degrees_of_freedom: 0,
+            p_value: None,
+            deletion: None,
+            innovations: None,
+        };
+        ["a", "b"].into_iter().zip(log_likelihoods).map(test).collect()
+    }
+
+    /// Innovations of `a` and `b`, and how many are left out.
+    fn figures(
+        mut kept: KeptData,
+        inputs: &[Input],
+        log_likelihoods: [f64; 2],
+    ) -> Result<([Option<InnovationRecord>; 2], usize), InnovationsUnavailable> {
         let spec = Spec::parse("m.toml", MODEL).unwrap();
         let mut initial = Population { mean: vec![1.0], coefficients: vec![], covariance: Default::default() };
         initial.covariance.resize_mut(1, 1, 1.0);
         let mut watch = Unwatched;
         let mut work = JobWork::new(&mut watch);
-        let looking = InnovationSink::new(&spec.model, &Alpha::default(), &initial, &mut work).unwrap();
+        let fitted = fitted(log_likelihoods);
+        let looking = InnovationSink::new((&spec.model, &Alpha::default(), &initial), &fitted, &mut work).unwrap();
         let seen = all(looking, &mut kept, &spec, inputs)?;
-        assert_eq!((seen.failed, seen.silent), (None, 0));
-        Ok(seen.found.into_iter().map(|one| (one.test, one.log_likelihood)).collect())
+        assert_eq!((seen.failed, seen.silent, seen.seen), (None, 0, 2));
+        Ok(([0, 1].map(|number| seen.found.get(number).cloned()), seen.strange))
     }
 
     fn overflowed(copy: StdinCopy) -> KeptData {
@@ -444,18 +482,26 @@ noise = 1
         let mut file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
         file.write_all(DATA.as_bytes()).unwrap();
         let inputs = [Input::Path(file.path().to_owned())];
-        let from_file = figures(overflowed(StdinCopy::None), &inputs).unwrap();
-        // by hand: y of test b is N((1, 1, 1), I + 11'), with inverse I - 11'/4 and determinant 4
-        let (z, tau) = ([0.0, -2.0, 3.0], std::f64::consts::TAU);
-        let square: f64 = z.iter().map(|z| z * z).sum::<f64>() - z.iter().sum::<f64>().powi(2) / 4.0;
-        let expected = -0.5 * (3.0 * tau.ln() + 4f64.ln() + square);
-        assert_eq!((from_file[0].0.as_str(), from_file.len()), ("b", 2));
-        assert!((from_file[0].1 - expected).abs() < 1e-12, "{} {expected}", from_file[0].1);
+        let expected = [by_hand(&[1.0, 2.0]), by_hand(&[0.0, -2.0, 3.0])];
+        let likelihoods = expected.map(|(_, log_likelihood)| log_likelihood);
+        let (from_file, strange) = figures(overflowed(StdinCopy::None), &inputs, likelihoods).unwrap();
+        assert_eq!(strange, 0);
+        for (found, (square, _)) in from_file.iter().zip(expected) {
+            let nis = found.as_ref().unwrap().nis.unwrap();
+            assert!((nis - square).abs() < 1e-12, "{nis} {square}");
+        }
+        // of other likelihoods they are left out
+        let off = [likelihoods[0], likelihoods[1] + 1e-4];
+        let (some, strange) = figures(overflowed(StdinCopy::None), &inputs, off).unwrap();
+        assert_eq!((some, strange), ([from_file[0].clone(), None], 1));
         let mut copy = Box::new(SpooledTempFile::new(8)); // rolls over to a file
         copy.write_all(DATA.as_bytes()).unwrap();
-        assert_eq!(figures(overflowed(StdinCopy::Whole(copy)), &[Input::Stdin]).unwrap(), from_file);
-        assert!(matches!(figures(overflowed(StdinCopy::Failed), &[Input::Stdin]), Err(InnovationsUnavailable::NoCopy)));
+        let again = figures(overflowed(StdinCopy::Whole(copy)), &[Input::Stdin], likelihoods).unwrap();
+        assert_eq!(again, (from_file, 0));
+        let none = figures(overflowed(StdinCopy::Failed), &[Input::Stdin], likelihoods);
+        assert!(matches!(none, Err(InnovationsUnavailable::NoCopy)));
         let gone = [Input::Path("no/such/pipe".into())];
-        assert!(matches!(figures(overflowed(StdinCopy::None), &gone), Err(InnovationsUnavailable::OnlyOnce { .. })));
+        let once = figures(overflowed(StdinCopy::None), &gone, likelihoods);
+        assert!(matches!(once, Err(InnovationsUnavailable::OnlyOnce { .. })));
     }
 }

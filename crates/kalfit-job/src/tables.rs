@@ -108,8 +108,8 @@ fn constraint(own: &ConstraintRecord) -> Vec<TableCell<'_>> {
 pub(crate) fn tests<'t>(table: &'t OutputTable, record: &FitRecord) -> Result<PendingFile<'t>, Failure> {
     let shape = TestTableColumns::of(record);
     table.write(&shape.head(), |writer| {
-        for test in &record.tests {
-            for phase in &test.phases {
+        for test in record.tests.iter() {
+            for phase in test.phases.iter() {
                 writer.write(shape.row(test, phase)).map_err(table.failed())?;
             }
         }
@@ -174,14 +174,14 @@ impl<'a> TestTableColumns<'a> {
         head
     }
 
-    fn row<'r>(&self, test: &'r TestRecord, phase: &'r PosteriorRecord) -> Vec<TableCell<'r>> {
-        let mut cells = vec![TableCell::Text(&test.id)];
+    fn row<'r>(&self, test: TestRecord<'r>, phase: PosteriorRecord<'r>) -> Vec<TableCell<'r>> {
+        let mut cells = vec![TableCell::Text(test.id)];
         cells.extend((0..self.levels.len()).map(|level| text(test.groups.get(level))));
-        cells.extend(self.record.group_column.iter().map(|_| text(test.group.as_ref())));
-        let (seen, without) = (test.innovations.as_ref(), test.deletion.as_ref());
+        cells.extend(self.record.group_column.iter().map(|_| text(test.group)));
+        let (seen, without) = (test.innovations, test.deletion);
         let white = seen.and_then(|own| own.whiteness.as_ref());
         cells.extend([
-            TableCell::Text(&phase.name),
+            TableCell::Text(phase.name),
             TableCell::Number(test.log_likelihood),
             TableCell::Count(test.observations),
             counted(test.steps),

@@ -1,10 +1,11 @@
 //! fit.json: the tests are most of it, and are put into words by many threads.
 
 use std::io::Write;
+use std::ops::Range;
 use std::path::Path;
 
 use kalfit::FitRecord;
-use kalfit::record::TestRecord;
+use kalfit::record::TestRecords;
 use rayon::prelude::*;
 
 use crate::json;
@@ -12,8 +13,8 @@ use crate::output::{OutputError, OutputFile};
 
 /// Tests that one thread puts into words at a time.
 const CHUNK: usize = 32;
-/// Chunks of each thread that are in memory at the same time.
-const CHUNKS: usize = 8;
+/// Tests whose words are in memory at the same time, and those that are being put into words.
+const ROUND: usize = 64 * CHUNK;
 
 /// The tests of a record that has none, where they stand.
 const NO_TESTS: &[u8] = b"\n  \"tests\": []";
@@ -52,9 +53,11 @@ pub(crate) fn record(output: &OutputFile, record: &mut FitRecord) -> Result<(), 
 }
 
 /// The elements of the list of tests. While some are written, the next ones are put into words.
-fn write_tests(tests: &[TestRecord], mut file: impl Write) -> std::io::Result<()> {
-    let round =
-        |tests: &[TestRecord]| -> Vec<serde_json::Result<Vec<u8>>> { tests.par_chunks(CHUNK).map(words).collect() };
+fn write_tests(tests: &TestRecords, mut file: impl Write) -> std::io::Result<()> {
+    let round = |first: usize| -> Vec<serde_json::Result<Vec<u8>>> {
+        let starts = (first..tests.len().min(first + ROUND)).into_par_iter().step_by(CHUNK);
+        starts.map(|start| words(tests, start..tests.len().min(start + CHUNK))).collect()
+    };
     let mut ready = Vec::new();
     let mut first = true;
     let mut write = |ready: Vec<serde_json::Result<Vec<u8>>>| -> std::io::Result<()> {
@@ -66,10 +69,10 @@ fn write_tests(tests: &[TestRecord], mut file: impl Write) -> std::io::Result<()
         }
         Ok(())
     };
-    for some in tests.chunks(CHUNK * CHUNKS * rayon::current_num_threads()) {
+    for start in (0..tests.len()).step_by(ROUND) {
         let mut next = Vec::new();
         let written = rayon::in_place_scope(|scope| {
-            scope.spawn(|_| next = round(some));
+            scope.spawn(|_| next = round(start));
             write(std::mem::take(&mut ready))
         });
         written?;
@@ -80,11 +83,11 @@ fn write_tests(tests: &[TestRecord], mut file: impl Write) -> std::io::Result<()
 }
 
 /// Some elements of the list, a line each: without the comma before the first.
-fn words(tests: &[TestRecord]) -> serde_json::Result<Vec<u8>> {
+fn words(tests: &TestRecords, numbers: Range<usize>) -> serde_json::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    for (k, test) in tests.iter().enumerate() {
+    for (k, test) in tests.part(numbers).enumerate() {
         bytes.extend_from_slice(if k > 0 { b",\n    " } else { b"\n    " });
-        json::line(&mut bytes, test)?;
+        json::line(&mut bytes, &test)?;
     }
     Ok(bytes)
 }
@@ -117,7 +120,7 @@ mod tests {
     fn a_record_is_written_as_in_one_piece_by_any_number_of_threads() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("fit.json");
-        for count in [0, 1, 2, CHUNK, CHUNK + 1, 5 * CHUNK * CHUNKS + 7] {
+        for count in [0, 1, 2, CHUNK, CHUNK + 1, 2 * ROUND + 7] {
             let mut record = with_tests(count);
             let expected = json::to_string(&record).unwrap() + "\n";
             for threads in [1, 2, 3] {

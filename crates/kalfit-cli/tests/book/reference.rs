@@ -91,6 +91,7 @@ fn expressions() -> String {
 
 /// Rust's types in the words of JSON.
 fn kind(rust: &str) -> String {
+    let rust = owned(rust);
     let inside = |prefix: &str| rust.strip_prefix(prefix).and_then(|rest| rest.strip_suffix('>'));
     if let Some(inner) = inside("Option<") {
         return format!("{} or null", kind(inner));
@@ -101,7 +102,7 @@ fn kind(rust: &str) -> String {
     if let Some(inner) = inside("Box<") {
         return kind(inner);
     }
-    match rust {
+    match rust.as_str() {
         "String" | "Label" | "PValueKind" => "text".to_owned(),
         "f64" => "number".to_owned(),
         "usize" | "u64" | "u32" => "count".to_owned(),
@@ -111,6 +112,21 @@ fn kind(rust: &str) -> String {
         "(String, usize)" => "pair of text and count".to_owned(),
         other => format!("[{other}](#{})", other.to_lowercase()),
     }
+}
+
+/// A type as if it had memory of its own.
+fn owned(rust: &str) -> String {
+    let views = [
+        ("&'a String", "String"),
+        ("&'a str", "String"),
+        ("&'a [String]", "Vec<String>"),
+        ("SquareRecord<&'a [f64]>", "SquareRecord"),
+        ("&'a [f64]", "Vec<f64>"),
+        ("PosteriorRecords<'a>", "Vec<PosteriorRecord>"),
+        ("TestRecords", "Vec<TestRecord>"),
+        ("&'a ", ""),
+    ];
+    views.iter().fold(rust.to_owned(), |rust, (view, own)| rust.replace(view, own))
 }
 
 /// Paragraphs of lines of at most a hundred characters; blocks stay as they are.
@@ -158,7 +174,8 @@ fn reached<'a>(name: &str, all: &'a BTreeMap<String, Structure>, found: &mut Vec
     }
     found.push(structure);
     for field in &structure.fields {
-        let inner = field.kind.rsplit('<').next().unwrap().trim_end_matches('>');
+        let inner = owned(&field.kind);
+        let inner = inner.rsplit('<').next().unwrap().trim_end_matches('>');
         reached(inner, all, found);
     }
 }

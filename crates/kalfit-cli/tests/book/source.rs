@@ -56,6 +56,7 @@ pub(crate) fn structures(file: &Path) -> Vec<Structure> {
         let item = |name: &str, kind: &str| Item { name: name.to_owned(), kind: kind.to_owned(), words, attributes };
         if let Some(name) = line.strip_prefix("pub struct ").and_then(|rest| rest.strip_suffix(" {")) {
             inside = true;
+            let (name, _) = name.split_once('<').unwrap_or((name, "")); // without its lifetime
             found.push(Structure { item: item(name, "struct"), fields: Vec::new() });
         } else if line == "}" {
             inside = false;

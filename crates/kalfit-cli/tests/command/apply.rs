@@ -92,11 +92,11 @@ fn the_tests_of_a_fit_are_what_the_fit_says_of_them() {
     let fit: FitRecord = serde_json::from_slice(&std::fs::read(folder.path("fit.json")).unwrap()).unwrap();
     let (tests, states) = (folder.table("tests.csv"), folder.table("states.csv"));
     near("all", tests.iter().map(|test| number(test, "log_density")).sum(), fit.log_likelihood);
-    for (row, test) in tests.iter().zip(&fit.tests) {
-        assert_eq!((row["test"].as_str(), row["phase"].as_str()), (test.id.as_str(), "main"));
+    for (row, test) in tests.iter().zip(fit.tests.iter()) {
+        assert_eq!((row["test"].as_str(), row["phase"].as_str()), (test.id, "main"));
         near("log density", number(row, "log_density"), test.log_likelihood);
         near("distance", number(row, "distance"), test.distance.unwrap());
-        near("posterior", number(row, "mean[bias]"), test.phases[0].mean[0]);
+        near("posterior", number(row, "mean[bias]"), test.phases.get(0).mean[0]);
         let innovations = test.innovations.as_ref().unwrap();
         near("innovations", number(row, "nis"), innovations.nis.unwrap());
         assert_eq!(row["observations"], innovations.count.to_string());

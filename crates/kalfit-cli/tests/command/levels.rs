@@ -31,7 +31,7 @@ fn a_fit_of_tests_of_one_unit() {
         record.levels.iter().map(|level| (level.name.as_str(), level.column.as_deref(), level.groups)).collect();
     assert_eq!(names, [("Lot", Some("Lot"), 8), ("tests", None, 24)]);
     assert_eq!(record.levels[1].covariance, record.phases[0].covariance);
-    assert_eq!((record.groups.len(), record.tests.len(), record.tests[0].groups.len()), (8, 24, 1));
+    assert_eq!((record.groups.len(), record.tests.len(), record.tests.get(0).groups.len()), (8, 24, 1));
     let all: f64 = record.groups.iter().map(|group| group.log_likelihood).sum();
     assert!((all - record.log_likelihood).abs() < 1e-9, "{all} {}", record.log_likelihood);
     // the fit without a lot is that of the others
@@ -108,7 +108,7 @@ fn reductions_hold_the_groups_of_tests() {
     assert_eq!(folder.run("fit oxide.toml reductions.parquet --out fit.json --quiet").status.code(), Some(0));
     let (rows, found) = (fit(&folder, "rows.json"), fit(&folder, "fit.json"));
     assert_eq!((found.log_likelihood, &found.levels), (rows.log_likelihood, &rows.levels));
-    assert_eq!((&found.groups, &found.tests[0].groups), (&rows.groups, &rows.tests[0].groups));
+    assert_eq!((&found.groups, found.tests.get(0).groups), (&rows.groups, rows.tests.get(0).groups));
     // half of the lots here, half of them there
     let text = text(&folder, "oxide.csv");
     let (first, rest): (Vec<&str>, Vec<&str>) = text.lines().skip(1).partition(|line| line < &"5");
@@ -181,7 +181,7 @@ fn drawn_units_are_fitted_again() {
     assert_eq!(folder.run(draw).status.code(), Some(0));
     assert_eq!(folder.run("fit oxide.toml drawn.csv --out again.json --quiet").status.code(), Some(0));
     let (first, again) = (fit(&folder, "fit.json"), fit(&folder, "again.json"));
-    let ids = |record: &FitRecord| record.tests.iter().map(|test| test.id.clone()).collect::<Vec<_>>();
+    let ids = |record: &FitRecord| record.tests.iter().map(|test| test.id.to_owned()).collect::<Vec<_>>();
     assert_eq!(ids(&first), ids(&again));
     // lots differ by 10.6, wafers of a lot by 6
     assert!(again.levels[0].std_dev.estimate[0] > 3.0 && again.levels[0].std_dev.estimate[0] < 25.0);

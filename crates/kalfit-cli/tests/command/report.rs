@@ -115,13 +115,13 @@ fn records_over_time_are_on_the_page_that_is_made_with_the_data() {
     }
     let record = &of("record")["data"]["tests"];
     let fit: kalfit::FitRecord = serde_json::from_str(&read(&folder, "fit.json")).unwrap();
-    let least = |test: &&kalfit::record::TestRecord| {
+    let least = |test: &kalfit::record::TestRecord<'_>| {
         let own = test.innovations.as_ref().expect("it has innovations");
         let all = [test.p_value, own.nis_p_value, own.whiteness.as_ref().map(|w| w.p_value)];
         all.into_iter().flatten().fold(2.0, f64::min)
     };
     let first = fit.tests.iter().min_by(|a, b| least(a).total_cmp(&least(b))).unwrap();
-    assert_eq!((record.as_array().unwrap().len(), record[0]["id"].as_str()), (6, Some(first.id.as_str())));
+    assert_eq!((record.as_array().unwrap().len(), record[0]["id"].as_str()), (6, Some(first.id)));
     assert_eq!(record[0]["measurements"][0]["measured"].as_array().unwrap().len(), 40);
     assert_eq!(record[0]["states"].as_array().unwrap().len(), 2);
     let alone = folder.run("report fit.json --out again.html --quiet");
@@ -150,7 +150,7 @@ fn series_of_innovations_are_bounded_whatever_the_data() {
     let kept: Vec<_> = record.tests.iter().filter_map(|t| t.innovations.as_ref()?.series.as_ref()).collect();
     assert_eq!(kept.len(), 100, "the least probable tests have their series");
     assert!(kept.iter().all(|s| s.at.len() <= 1000 && s.windows.len() <= 40), "none is long");
-    let long = record.tests.iter().find(|t| t.id == "long").and_then(|t| t.innovations.as_ref()).unwrap();
+    let long = record.tests.iter().find(|t| t.id == "long").and_then(|t| t.innovations).unwrap();
     let series = long.series.as_ref().expect("its noise is far from the model's");
     assert!(series.at.is_empty() && series.windows.iter().map(|w| w.count).sum::<usize>() == long.count);
     let nis: f64 = series.windows.iter().map(|w| w.nis).sum();
@@ -174,7 +174,7 @@ fn refused(args: &str, files: &[(&str, &str)]) -> String {
 fn what_is_no_result_is_refused() {
     assert_snapshot!(refused("report no.json --out new.html", &[]), @"error: cannot read `no.json`: No such file or directory (os error 2)");
     assert_snapshot!(refused("report d.csv --out new.html", &[]), @"
-    error: `d.csv` is not a result of `kalfit fit`: expected value at line 1 column 1
+    error: `d.csv` is not a result of `kalfit fit`: it is not JSON (expected value at line 1 column 1)
 
     hint: give a file that `kalfit fit --out` wrote
     ");

@@ -86,7 +86,7 @@ fn estimated(simulated: &SimulatedModel, n: u64, ensembles: u64) -> Result<TailC
         let ensemble = Ensemble::of_tests(&simulated.model, Labels::default(), tests);
         let fit = ensemble.fit_with(&options, &mut Silent).map_err(|error| error.to_string())?;
         let mut counts = TailCounts::default();
-        for test in &fit.record.tests {
+        for test in fit.record.tests.iter() {
             counts[0].take(test.innovations.as_ref().and_then(|found| found.nis_p_value));
             counts[1].take(test.p_value);
         }

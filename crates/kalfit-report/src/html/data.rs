@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use kalfit::FitRecord;
-use kalfit::record::TestRecord;
+use kalfit::record::TestRecords;
 use maud::{PreEscaped, html};
 use serde_json::json;
 
@@ -44,7 +44,7 @@ fn chart(record: &FitRecord, charts: &mut PageCharts) -> Option<maud::Markup> {
     let (least, most) = (tests.iter().map(|t| t.observations).min()?, tests.iter().map(|t| t.observations).max()?);
     let alternative = format!("{}, from {least} to {most} observations each.", count(tests.len(), "test"));
     let (names, values, axis, caption) = if tests.len() <= MOST_TESTS {
-        let names = tests.iter().map(|t| clean(&t.id)).collect();
+        let names = tests.iter().map(|t| clean(t.id)).collect();
         let values: Vec<usize> = tests.iter().map(|t| t.observations).collect();
         (names, values, "test", "Tests with few measurements have less weight.")
     } else {
@@ -56,7 +56,7 @@ fn chart(record: &FitRecord, charts: &mut PageCharts) -> Option<maud::Markup> {
     Some(charts.figure(PageChart { kind: "bars", title: "Observations", caption, alternative: &alternative, data }))
 }
 
-fn histogram(tests: &[TestRecord], least: usize, most: usize) -> (Vec<String>, Vec<usize>) {
+fn histogram(tests: &TestRecords, least: usize, most: usize) -> (Vec<String>, Vec<usize>) {
     let width = (most - least + 1).div_ceil(BINS);
     let bins = (most - least) / width + 1;
     let mut values = vec![0; bins];
@@ -88,30 +88,35 @@ fn phases(record: &FitRecord, page: &PageLayout<'_>) -> String {
 
 /// Tests that share all that the filter's gains depend on.
 fn classes(record: &FitRecord, page: &PageLayout<'_>) -> String {
-    let mut classes: BTreeMap<usize, Vec<&TestRecord>> = BTreeMap::new();
-    for test in &record.tests {
+    let mut classes: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (number, test) in record.tests.iter().enumerate() {
         if let Some(class) = test.design_class {
-            classes.entry(class).or_default().push(test);
+            classes.entry(class).or_default().push(number);
         }
     }
-    let mut classes: Vec<(usize, Vec<&TestRecord>)> = classes.into_iter().collect();
+    let mut classes: Vec<(usize, Vec<usize>)> = classes.into_iter().collect();
     if classes.len() < 2 || classes.len() == record.tests.len() {
         return String::new();
     }
     classes.sort_by_key(|(class, tests)| (usize::MAX - tests.len(), *class));
     let all = classes.len();
     classes.truncate(MOST_CLASSES);
-    let column = |of: &dyn Fn(&[&TestRecord]) -> String| classes.iter().map(|(_, tests)| of(tests)).collect();
-    let names = |tests: &[&TestRecord]| list(&tests.iter().map(|t| clean(&t.id)).collect::<Vec<_>>(), MOST_NAMES);
+    let column = |of: &dyn Fn(&[usize]) -> String| classes.iter().map(|(_, tests)| of(tests)).collect();
+    let test = |number: usize| record.tests.get(number);
+    let names = |tests: &[usize]| list(&tests.iter().map(|&t| clean(test(t).id)).collect::<Vec<_>>(), MOST_NAMES);
     let columns = [
         TextColumn::new("class", ColumnSide::Right, classes.iter().map(|(class, _)| class.to_string()).collect()),
         TextColumn::new("tests", ColumnSide::Right, column(&|tests| tests.len().to_string())),
         TextColumn::new(
             "steps each",
             ColumnSide::Right,
-            column(&|t| t[0].steps.map_or_else(String::new, |n| n.to_string())),
+            column(&|tests| test(tests[0]).steps.map_or_else(String::new, |n| n.to_string())),
         ),
-        TextColumn::new("observations each", ColumnSide::Right, column(&|tests| tests[0].observations.to_string())),
+        TextColumn::new(
+            "observations each",
+            ColumnSide::Right,
+            column(&|tests| test(tests[0]).observations.to_string()),
+        ),
         TextColumn::new("which", ColumnSide::Left, column(&names)),
     ];
     let mut body = page.table(&columns);
@@ -128,8 +133,8 @@ fn classes(record: &FitRecord, page: &PageLayout<'_>) -> String {
 fn gaps(record: &FitRecord) -> Vec<String> {
     let mut gaps: Vec<(f64, f64, &str)> = Vec::new();
     let mut unit = "time units".to_owned();
-    for test in &record.tests {
-        let Some(series) = test.innovations.as_ref().and_then(|i| i.series.as_ref()).filter(|s| s.timed) else {
+    for test in record.tests.iter() {
+        let Some(series) = test.innovations.and_then(|i| i.series.as_ref()).filter(|s| s.timed) else {
             continue;
         };
         let mut pauses: Vec<f64> = series.at.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > 0.0).collect();
@@ -137,7 +142,7 @@ fn gaps(record: &FitRecord) -> Vec<String> {
         if let (Some(&longest), usual) = (pauses.last(), pauses.get(pauses.len() / 2).copied().unwrap_or(0.0))
             && longest > GAP * usual
         {
-            gaps.push((longest, usual, &test.id));
+            gaps.push((longest, usual, test.id));
             unit = series.time_unit.as_deref().map_or(unit, clean);
         }
     }
@@ -148,7 +153,7 @@ fn gaps(record: &FitRecord) -> Vec<String> {
         0 => String::new(),
         n => format!(" Pauses of that kind are in {} more: {}.", count(n, "test"), list(&others, MOST_GAPS)),
     };
-    let looked = record.tests.iter().filter(|t| t.innovations.as_ref().is_some_and(|i| i.series.is_some())).count();
+    let looked = record.tests.iter().filter(|t| t.innovations.is_some_and(|i| i.series.is_some())).count();
     let among =
         if looked < record.tests.len() { format!(" among the {looked} tests looked at") } else { String::new() };
     vec![format!(

@@ -25,11 +25,7 @@ impl ColoredGroups {
     pub(super) fn of(record: &FitRecord) -> Option<ColoredGroups> {
         let column = record.group_column.as_ref()?;
         let mut sizes: BTreeMap<&str, usize> = BTreeMap::new();
-        record
-            .tests
-            .iter()
-            .filter_map(|test| test.group.as_deref())
-            .for_each(|group| *sizes.entry(group).or_default() += 1);
+        record.tests.iter().filter_map(|test| test.group).for_each(|group| *sizes.entry(group).or_default() += 1);
         if sizes.len() < 2 {
             return None;
         }
@@ -49,9 +45,9 @@ impl ColoredGroups {
     }
 
     /// What the script wants of a test.
-    pub(super) fn place(&self, test: &TestRecord) -> Value {
+    pub(super) fn place(&self, test: TestRecord<'_>) -> Value {
         let place = |group: &String| self.places.get(group).copied().unwrap_or(MOST_GROUPS - 1);
-        test.group.as_ref().map_or(Value::Null, |group| json!(place(group)))
+        test.group.map_or(Value::Null, |group| json!(place(group)))
     }
 
     /// Adds to the data of a chart the names of the groups.
@@ -68,6 +64,6 @@ impl ColoredGroups {
 }
 
 /// Where a test stands, for the script; null where tests are not grouped.
-pub(super) fn place(grouping: Option<&ColoredGroups>, test: &TestRecord) -> Value {
+pub(super) fn place(grouping: Option<&ColoredGroups>, test: TestRecord<'_>) -> Value {
     grouping.map_or(Value::Null, |own| own.place(test))
 }

@@ -1,7 +1,7 @@
 //! What the answer would be without each test.
 
 use kalfit::FitRecord;
-use kalfit::record::{DeletionRecord, TestRecord, displacement_limit};
+use kalfit::record::{DeletionRecord, displacement_limit};
 use maud::{Markup, PreEscaped, html};
 use serde_json::{Value, json};
 
@@ -18,10 +18,7 @@ const MOST_BARS: usize = 60;
 const MOST_STATES: usize = 20;
 
 pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
-    let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
-        record.tests.iter().filter_map(|test| Some((test, test.deletion.as_ref()?))).collect();
-    deleted.retain(|(_, d)| d.displacement.is_finite());
-    deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
+    let deleted = influence::deleted(record);
     let body = if deleted.is_empty() {
         html! { p { "The fit was not repeated without each test: this was not asked for, or would have taken long. Ask for it with \
         " code { "--deletion all" } "." } }
@@ -31,13 +28,13 @@ pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<Pag
     if record.tests.len() < 2 { None } else { PageSection::new("influence", "Influence", body) }
 }
 
-fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts: &mut PageCharts) -> Markup {
+fn chart(record: &FitRecord, deleted: &[(&str, &DeletionRecord)], charts: &mut PageCharts) -> Markup {
     let shown = &deleted[..deleted.len().min(MOST_BARS)];
     let means = means(record);
-    let test = |(test, deletion): &(&TestRecord, &DeletionRecord)| {
+    let test = |(test, deletion): &(&str, &DeletionRecord)| {
         let shift = |m: &FreeMean<'_>| m.shift(deletion).map_or(Value::Null, figure);
         json!({
-            "id": clean(&test.id), "displacement": figure(deletion.displacement),
+            "id": clean(test), "displacement": figure(deletion.displacement),
             "shifts": means.iter().map(shift).collect::<Vec<Value>>(),
         })
     };
@@ -59,7 +56,7 @@ fn chart(record: &FitRecord, deleted: &[(&TestRecord, &DeletionRecord)], charts:
         "{}; the largest displacement is {}, without test {}.",
         count(shown.len(), "test"),
         plain(shown[0].1.displacement, 3),
-        clean(&shown[0].0.id)
+        clean(shown[0].0)
     );
     charts.figure(PageChart {
         kind: "influence",

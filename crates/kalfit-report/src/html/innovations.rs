@@ -21,19 +21,22 @@ const LEVEL: f64 = 0.05;
 /// 1.96: the normal law's.
 const NORMAL: f64 = 1.959_963_984_540_054;
 
-type TestInnovations<'a> = (&'a TestRecord, &'a InnovationRecord);
+type TestInnovations<'a> = (TestRecord<'a>, &'a InnovationRecord);
 
 pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<PageSection> {
     if record.tests.is_empty() {
         return None;
     }
     let page = PageLayout::html();
-    let mut found: Vec<TestInnovations<'_>> =
-        record.tests.iter().filter_map(|t| Some((t, t.innovations.as_ref()?))).collect();
+    let mut found: Vec<(f64, &str, usize)> = (record.tests.iter().enumerate())
+        .filter_map(|(number, test)| Some((least(test.innovations?), test.id, number)))
+        .collect();
     let all = found.len();
-    found.sort_by(|a, b| least(a.1).total_cmp(&least(b.1)).then_with(|| a.0.id.cmp(&b.0.id)));
+    found.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(b.1)));
     found.truncate(MOST_TESTS);
-    found.sort_by(|a, b| a.0.id.cmp(&b.0.id));
+    found.sort_by_key(|(_, id, _)| *id);
+    let tests = found.into_iter().map(|(_, _, number)| record.tests.get(number));
+    let found: Vec<TestInnovations<'_>> = tests.filter_map(|test| Some((test, test.innovations?))).collect();
     let said =
         if all > found.len() { format!(" The {} least probable of {all} tests.", found.len()) } else { String::new() };
     let body = if found.is_empty() {
@@ -82,8 +85,8 @@ fn sizes((record, found): (&FitRecord, &[TestInnovations<'_>]), said: &str, char
     }
     let test = |((test, innovations), nis): &(&TestInnovations<'_>, f64)| {
         let mut value = ratio(*nis, innovations.count);
-        value["id"] = json!(clean(&test.id));
-        value["group"] = place(groups.as_ref(), test);
+        value["id"] = json!(clean(test.id));
+        value["group"] = place(groups.as_ref(), *test);
         value["p"] = json!(innovations.nis_p_value.map_or_else(|| "-".to_owned(), probability));
         value
     };
@@ -108,9 +111,9 @@ fn sizes((record, found): (&FitRecord, &[TestInnovations<'_>]), said: &str, char
 fn one_test(record: &FitRecord, found: &[TestInnovations<'_>], charts: &mut PageCharts) -> Option<Markup> {
     let mut kept: Vec<(&TestInnovations<'_>, &SeriesRecord)> =
         found.iter().filter_map(|f| Some((f, f.1.series.as_deref()?))).filter(|(_, series)| sound(series)).collect();
-    kept.sort_by(|a, b| least(a.0.1).total_cmp(&least(b.0.1)).then_with(|| a.0.0.id.cmp(&b.0.0.id)));
-    let first = kept.first()?.0.0.id.clone();
-    let tests: Vec<Value> = kept.iter().map(|((test, figures), series)| series_data(test, figures, series)).collect();
+    kept.sort_by(|a, b| least(a.0.1).total_cmp(&least(b.0.1)).then_with(|| a.0.0.id.cmp(b.0.0.id)));
+    let first = kept.first()?.0.0.id;
+    let tests: Vec<Value> = kept.iter().map(|((test, figures), series)| series_data(*test, figures, series)).collect();
     let left = record.tests.len() - tests.len();
     let among =
         if left > 0 { format!(" {} less striking cannot be chosen.", count(left, "test")) } else { String::new() };
@@ -119,7 +122,7 @@ fn one_test(record: &FitRecord, found: &[TestInnovations<'_>], charts: &mut Page
          the dashed lines, without a pattern. Middle: their mean square in windows, with 95 % bounds of χ². Bottom: \
          autocorrelation, which should stay within the dashed lines; a slow decay from lag 1 suggests a missing drift.{among}"
     );
-    let alternative = format!("For {}; test {} is shown first.", count(tests.len(), "test"), clean(&first));
+    let alternative = format!("For {}; test {} is shown first.", count(tests.len(), "test"), clean(first));
     let data = json!({ "tests": tests });
     let title = "Innovations of one test";
     Some(charts.figure(PageChart { kind: "innovations", title, caption: &caption, alternative: &alternative, data }))
@@ -134,7 +137,7 @@ fn sound(series: &SeriesRecord) -> bool {
         && series.measurement.iter().all(|&m| m < series.measurements.len())
 }
 
-fn series_data(test: &TestRecord, figures_: &InnovationRecord, series: &SeriesRecord) -> Value {
+fn series_data(test: TestRecord<'_>, figures_: &InnovationRecord, series: &SeriesRecord) -> Value {
     let window = |w: &WindowRecord| {
         let mut value = ratio(w.nis, w.count);
         (value["from"], value["to"]) = (figure(w.from), figure(w.to));
@@ -155,7 +158,7 @@ fn series_data(test: &TestRecord, figures_: &InnovationRecord, series: &SeriesRe
         p(figures_.whiteness.as_ref().map(|w| w.p_value))
     );
     json!({
-        "id": clean(&test.id), "said": said, "timed": series.timed,
+        "id": clean(test.id), "said": said, "timed": series.timed,
         "timeUnit": series.time_unit.as_deref().map_or_else(String::new, clean),
         "measurements": series.measurements.iter().map(|m| clean(m)).collect::<Vec<_>>(),
         "at": figures(series.at.iter().copied()), "measurement": series.measurement,
@@ -173,7 +176,7 @@ fn table(found: &[TestInnovations<'_>], said: &str, page: &PageLayout<'_>) -> Ma
     let within =
         |i: &InnovationRecord| bounds(i.count).map(|[low, high]| format!("{} to {}", plain(low, 3), plain(high, 3)));
     let columns = [
-        TextColumn::new("test", ColumnSide::Left, found.iter().map(|(test, _)| test.id.clone()).collect()),
+        TextColumn::new("test", ColumnSide::Left, found.iter().map(|(test, _)| test.id.to_owned()).collect()),
         TextColumn::new("innovations", ColumnSide::Right, column(&|i| Some(i.count.to_string()))),
         TextColumn::new("mean square", ColumnSide::Right, column(&per)),
         TextColumn::new("95 % bounds", ColumnSide::Left, column(&within)),

@@ -68,15 +68,16 @@ fn units(record: &FitRecord, i: usize, charts: &mut PageCharts) -> Option<Markup
     forest::forest(&format!("{state}: groups and their tests"), &caption, vec![ForestGroup { label, rows }], charts)
 }
 
-fn test_row(test: &TestRecord, indent: &str, i: usize) -> Option<ForestRow> {
-    let part = test.phases.first()?;
-    let within = test.groups.iter().fold(test.id.as_str(), |id, group| {
-        id.strip_prefix(group.as_str()).and_then(|id| id.strip_prefix('/')).unwrap_or(id)
-    });
-    row(format!("{indent}{}", clean(within)), (&part.mean, &part.covariance), i)
+fn test_row(test: TestRecord<'_>, indent: &str, i: usize) -> Option<ForestRow> {
+    let part = test.phases.iter().next()?;
+    let within = test
+        .groups
+        .iter()
+        .fold(test.id, |id, group| id.strip_prefix(group.as_str()).and_then(|id| id.strip_prefix('/')).unwrap_or(id));
+    row(format!("{indent}{}", clean(within)), (part.mean, &part.covariance), i)
 }
 
-fn row(name: String, (mean, covariance): (&[f64], &SquareRecord), i: usize) -> Option<ForestRow> {
+fn row<E: AsRef<[f64]>>(name: String, (mean, covariance): (&[f64], &SquareRecord<E>), i: usize) -> Option<ForestRow> {
     let estimate = *mean.get(i)?;
     let half = SIDES * covariance.rows().nth(i)?.get(i)?.max(0.0).sqrt();
     let ends = [Some(estimate - half), Some(estimate + half)];

@@ -17,18 +17,20 @@ const MOST_IN_PAIRS: usize = 12;
 const MOST_STATES: usize = 40;
 
 /// What a test has of a phase.
-fn part<'a>(test: &'a TestRecord, phase: &PhaseRecord) -> Option<&'a PosteriorRecord> {
+fn part<'a>(test: TestRecord<'a>, phase: &PhaseRecord) -> Option<PosteriorRecord<'a>> {
     let p = phase.states.len();
-    let sound = |part: &&PosteriorRecord| part.mean.len() == p && part.covariance.size() == p;
+    let sound = |part: &PosteriorRecord<'_>| part.mean.len() == p && part.covariance.size() == p;
     test.phases.iter().find(|part| part.name == phase.name).filter(sound)
 }
 
 /// Tests that are drawn, and how that is said.
-fn chosen<'a>(record: &'a FitRecord, phase: &PhaseRecord) -> (Vec<&'a TestRecord>, String) {
-    let having: Vec<&TestRecord> = outlying(record).into_iter().filter(|test| part(test, phase).is_some()).collect();
+fn chosen<'a>(record: &'a FitRecord, phase: &PhaseRecord) -> (Vec<TestRecord<'a>>, String) {
+    let mut having = outlying(record);
+    having.retain(|&number| part(record.tests.get(number), phase).is_some());
     let all = having.len();
-    let mut shown: Vec<&TestRecord> = having.into_iter().take(MOST_TESTS).collect();
-    shown.sort_by(|a, b| a.id.cmp(&b.id));
+    let mut shown: Vec<TestRecord<'_>> =
+        having.into_iter().take(MOST_TESTS).map(|number| record.tests.get(number)).collect();
+    shown.sort_by_key(|test| test.id);
     let said = match all - shown.len() {
         0 => String::new(),
         _ => format!(" Of {}, the {} most outlying are drawn.", count(all, "test"), shown.len()),
@@ -58,9 +60,9 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
     }
     let (tests, said) = chosen(record, phase);
     let (all, groups) = (record.data.tests, ColoredGroups::of(record));
-    let test = |test: &&TestRecord| {
+    let test = |&test: &TestRecord<'_>| {
         let part = part(test, phase).expect("tests were chosen for having it");
-        let own = part.own.as_ref().filter(|own| {
+        let own = part.own.filter(|own| {
             own.mean.len() == phase.states.len() && own.covariance.iter().all(|row| row.len() == phase.states.len())
         });
         let own_mean = |i: &usize| own.and_then(|own| own.mean[*i]).map_or(Value::Null, figure);
@@ -68,7 +70,7 @@ pub(super) fn ellipses(record: &FitRecord, phase: &PhaseRecord, name: &str, char
             states.iter().map(|k| own.and_then(|o| o.covariance.get(*i)?[*k]).map_or(Value::Null, figure)).collect()
         };
         json!({
-            "id": clean(&test.id), "out": stands_out(test, all), "group": place(groups.as_ref(), test),
+            "id": clean(test.id), "out": stands_out(test, all), "group": place(groups.as_ref(), test),
             "mean": figures(states.iter().map(|&i| part.mean[i])),
             "own": states.iter().map(own_mean).collect::<Vec<Value>>(),
             "ownCovariance": states.iter().map(own_covariance).collect::<Vec<_>>(),
@@ -124,10 +126,10 @@ pub(super) fn posteriors(
         return None;
     }
     let (all, groups) = (record.data.tests, ColoredGroups::of(record));
-    let test = |test: &&TestRecord| {
+    let test = |&test: &TestRecord<'_>| {
         let part = part(test, phase).expect("tests were chosen for having it");
         json!({
-            "id": clean(&test.id), "out": stands_out(test, all), "group": place(groups.as_ref(), test),
+            "id": clean(test.id), "out": stands_out(test, all), "group": place(groups.as_ref(), test),
             "mean": figures(states.iter().map(|&i| part.mean[i])),
             "sd": figures(states.iter().map(|&i| part.covariance[i][i].max(0.0).sqrt())),
         })

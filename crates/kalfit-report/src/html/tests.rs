@@ -43,8 +43,9 @@ pub(super) fn section(record: &FitRecord, charts: &mut PageCharts) -> Option<Pag
 
 /// p-values against what they should be: evenly spread.
 fn p_values(record: &FitRecord, charts: &mut PageCharts) -> Option<Markup> {
-    let tested: Vec<(&TestRecord, f64)> =
-        outlying(record).into_iter().filter_map(|test| Some((test, test.p_value.filter(|p| p.is_finite())?))).collect();
+    let p_value = |number: usize| record.tests.get(number).p_value.filter(|p| p.is_finite());
+    let tested: Vec<(usize, f64)> =
+        outlying(record).into_iter().filter_map(|number| Some((number, p_value(number)?))).collect();
     let (n, groups) = (tested.len(), ColoredGroups::of(record));
     if n < 3 {
         return None;
@@ -52,15 +53,16 @@ fn p_values(record: &FitRecord, charts: &mut PageCharts) -> Option<Markup> {
     let thin = n.saturating_sub(MOST_TESTS).div_ceil(MOST_POINTS - MOST_TESTS).max(1);
     let points = tested.iter().enumerate().filter(|(i, _)| *i < MOST_TESTS || (i - MOST_TESTS).is_multiple_of(thin));
     let points: Vec<Value> = points
-        .map(|(i, (test, p))| {
+        .map(|(i, &(number, p))| {
+            let test = record.tests.get(number);
             let expected = -((i as f64 + 0.5) / n as f64).log10();
-            json!({ "id": clean(&test.id), "x": figure(expected), "y": figure(-p.max(1e-300).log10()), "p": probability(*p),
+            json!({ "id": clean(test.id), "x": figure(expected), "y": figure(-p.max(1e-300).log10()), "p": probability(p),
                     "out": stands_out(test, n), "group": place(groups.as_ref(), test) })
         })
         .collect();
     let mut data = json!({ "points": points, "limit": figure(-(LEVEL / n as f64).log10()) });
     ColoredGroups::tell(groups.as_ref(), &mut data);
-    let out = tested.iter().filter(|(test, _)| stands_out(test, n)).count();
+    let out = tested.iter().filter(|(number, _)| stands_out(record.tests.get(*number), n)).count();
     let alternative =
         format!("{} above the line, of {n}; the smallest p-value is {}.", count(out, "test"), probability(tested[0].1));
     let together = places::innermost(record)
@@ -82,14 +84,16 @@ fn p_values(record: &FitRecord, charts: &mut PageCharts) -> Option<Markup> {
 
 fn table(record: &FitRecord, page: &PageLayout<'_>) -> Markup {
     let all = record.tests.len();
-    let mut tests: Vec<&TestRecord> = outlying(record).into_iter().take(MOST_TESTS).collect();
+    let mut tests: Vec<TestRecord<'_>> =
+        outlying(record).into_iter().take(MOST_TESTS).map(|number| record.tests.get(number)).collect();
     if all <= MOST_TESTS {
-        tests.sort_by(|a, b| a.id.cmp(&b.id));
+        tests.sort_by_key(|test| test.id);
     }
-    let column = |of: &dyn Fn(&TestRecord) -> String| -> Vec<String> { tests.iter().map(|test| of(test)).collect() };
+    let column =
+        |of: &dyn Fn(TestRecord<'_>) -> String| -> Vec<String> { tests.iter().map(|&test| of(test)).collect() };
     let or_dash = |x: Option<String>| x.unwrap_or_else(|| "-".to_owned());
     let mut columns = vec![
-        TextColumn::new("test", ColumnSide::Left, column(&|t| t.id.clone())),
+        TextColumn::new("test", ColumnSide::Left, column(&|t| t.id.to_owned())),
         TextColumn::new("observations", ColumnSide::Right, column(&|t| t.observations.to_string())),
         TextColumn::new("log-likelihood", ColumnSide::Right, column(&|t| hundredths(t.log_likelihood))),
         TextColumn::new("distance²", ColumnSide::Right, column(&|t| or_dash(t.distance.map(|d| plain(d, 3))))),
@@ -112,11 +116,11 @@ fn table(record: &FitRecord, page: &PageLayout<'_>) -> Markup {
 }
 
 /// What each test says of each state, given the population.
-fn states(record: &FitRecord, tests: &[&TestRecord]) -> Vec<TextColumn> {
+fn states(record: &FitRecord, tests: &[TestRecord<'_>]) -> Vec<TextColumn> {
     let several = record.phases.len() > 1;
     let places = record.phases.iter().flat_map(|phase| (0..phase.states.len()).map(move |i| (phase, i)));
     let column = |(phase, i): (&kalfit::record::PhaseRecord, usize)| {
-        let cell = |test: &&TestRecord| {
+        let cell = |test: &TestRecord<'_>| {
             let part = test.phases.iter().find(|part| part.name == phase.name)?;
             let (mean, variance) = (*part.mean.get(i)?, *part.covariance.rows().nth(i)?.get(i)?);
             let sd = Some(variance.max(0.0).sqrt()).filter(|s| *s > 0.0 && s.is_finite());

@@ -85,10 +85,10 @@ fn pair(record: &FitRecord, phase: &PhaseRecord, (k, i): (usize, usize), several
         format!("{place}{}{unit}", clean(&phase.states[i]))
     };
     let element = |i: usize, k: usize| phase.covariance.estimate.get(i)?.get(k).copied();
-    let of = |test: &kalfit::record::TestRecord| {
+    let of = |test: kalfit::record::TestRecord<'_>| {
         let part = test.phases.iter().find(|part| part.name == phase.name)?;
         let at = [*part.mean.get(k)?, *part.mean.get(i)?];
-        Some(TestPoint { id: clean(&test.id), at, outlier: stands_out(test, record.tests.len()) })
+        Some(TestPoint { id: clean(test.id), at, outlier: stands_out(test, record.tests.len()) })
     };
     Some(StatePair {
         names: [name(k), name(i)],

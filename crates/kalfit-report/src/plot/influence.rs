@@ -28,7 +28,7 @@ pub(super) struct InfluencePlot {
 impl InfluencePlot {
     pub(super) fn of(record: &FitRecord) -> Result<InfluencePlot, PlotError> {
         let all: Vec<(String, f64)> =
-            deleted(record).into_iter().map(|(test, deletion)| (clean(&test.id), deletion.displacement)).collect();
+            deleted(record).into_iter().map(|(test, deletion)| (clean(test), deletion.displacement)).collect();
         if all.is_empty() {
             let why = "the fit was not repeated without each test; `kalfit fit --deletion all` does that".to_owned();
             return Err(PlotError::Nothing(why));

@@ -32,7 +32,7 @@ pub(crate) fn all(record: &FitRecord) -> Vec<String> {
         advice.push(SINGULAR.to_owned());
     }
     if !checked.remarks.is_empty() {
-        let (tests, it) = named(&influence::influential(record).iter().map(|test| &*test.id).collect::<Vec<_>>());
+        let (tests, it) = named(&influence::influential(record));
         advice.push(format!(
             "Check the data of {tests} with care, because the estimates depend on {it}; the results file has the estimates \
              without {it}."
@@ -60,7 +60,7 @@ fn against(record: &FitRecord, finding: &FindingRecord) -> Vec<String> {
     match finding.kind.as_str() {
         "distance" => {
             let outlying = outliers::outlying(record);
-            let (tests, it) = named(&outlying.iter().map(|(_, test)| &*test.id).collect::<Vec<_>>());
+            let (tests, it) = named(&outlying.iter().map(|(_, test)| test.id).collect::<Vec<_>>());
             vec![format!(
                 "Look for faults in the data of {tests}, and see whether a fit without {it} changes the estimates."
             )]

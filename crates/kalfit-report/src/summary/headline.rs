@@ -107,7 +107,7 @@ pub(crate) fn model_check(record: &FitRecord, checked: &ModelCheckRecord) -> Opt
     }
     let findings: Vec<String> = checked.findings.iter().map(|finding| clean(&finding.text)).collect();
     let looked_at = |innovations: bool| {
-        let has = |test: &TestRecord| if innovations { test.innovations.is_some() } else { test.p_value.is_some() };
+        let has = |test: TestRecord<'_>| if innovations { test.innovations.is_some() } else { test.p_value.is_some() };
         record.tests.iter().any(has)
     };
     let said = match (checked.verdict.as_str(), looked_at(true), looked_at(false)) {

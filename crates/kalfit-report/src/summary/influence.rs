@@ -1,7 +1,7 @@
 //! Tests that decide the answer: what happens to it without them.
 
 use kalfit::FitRecord;
-use kalfit::record::{DeletionRecord, TestRecord, displacement_limit};
+use kalfit::record::{DeletionRecord, displacement_limit};
 
 use crate::number::{plain, probability};
 use crate::page::PageLayout;
@@ -20,7 +20,7 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
         let sentence = format!(
             "No single test is influential. Test {} moves the estimates most: its Cook's displacement is {}, and {} is the edge \
              of the 50 % confidence region.",
-            clean(&first.id),
+            clean(first),
             plain(most.displacement, 2),
             plain(limit, 2)
         );
@@ -28,7 +28,7 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     }
     let rows = &influential[..influential.len().min(page.rows(MOST_ROWS))];
     let columns = [
-        TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(t, _)| t.id.clone()).collect()),
+        TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(test, _)| (*test).to_owned()).collect()),
         TextColumn::new(
             "displacement",
             ColumnSide::Right,
@@ -51,16 +51,16 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
 }
 
 /// Tests that were left out in turn, those that move the estimates most first.
-pub(crate) fn deleted(record: &FitRecord) -> Vec<(&TestRecord, &DeletionRecord)> {
-    let mut deleted: Vec<(&TestRecord, &DeletionRecord)> =
-        record.tests.iter().filter_map(|t| t.deletion.as_ref().map(|d| (t, d))).collect();
+pub(crate) fn deleted(record: &FitRecord) -> Vec<(&str, &DeletionRecord)> {
+    let mut deleted: Vec<(&str, &DeletionRecord)> =
+        record.tests.iter().filter_map(|t| t.deletion.map(|d| (t.id, d))).collect();
     deleted.retain(|(_, d)| d.displacement.is_finite());
-    deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.id.cmp(&b.0.id)));
+    deleted.sort_by(|a, b| b.1.displacement.total_cmp(&a.1.displacement).then_with(|| a.0.cmp(b.0)));
     deleted
 }
 
 /// Tests without which the estimates leave the 50 % confidence region.
-pub(super) fn influential(record: &FitRecord) -> Vec<&TestRecord> {
+pub(super) fn influential(record: &FitRecord) -> Vec<&str> {
     let limit = displacement_limit(record.free_parameters);
     deleted(record).into_iter().take_while(|(_, d)| d.displacement > limit).map(|(test, _)| test).collect()
 }

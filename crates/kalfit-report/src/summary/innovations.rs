@@ -51,7 +51,7 @@ pub(super) fn size(record: &FitRecord) -> Ordering {
 }
 
 fn of_tests(record: &FitRecord) -> Vec<(&str, &InnovationRecord)> {
-    record.tests.iter().filter_map(|t| Some((t.id.as_str(), t.innovations.as_ref()?))).collect()
+    record.tests.iter().filter_map(|t| Some((t.id, t.innovations?))).collect()
 }
 
 pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {

@@ -13,12 +13,11 @@ const MOST_ROWS: usize = 5;
 const ROUNDING: f64 = 1e-9;
 
 pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
-    let tested = tested(record);
-    let Some(&(least, _)) = tested.first() else { return String::new() };
+    let all = tested(record).count();
+    let Some(least) = tested(record).map(|(p, _)| p).min_by(f64::total_cmp) else { return String::new() };
     // of those that rounding alone tells apart the first by name
-    let equal = tested.iter().filter(|(p, _)| *p <= least * (1.0 + ROUNDING));
-    let nearest = equal.map(|&(_, test)| test).min_by_key(|test| &test.id).expect("one is the least");
-    let all = tested.len();
+    let equal = tested(record).filter(|(p, _)| *p <= least * (1.0 + ROUNDING));
+    let nearest = equal.map(|(_, test)| test.id).min().expect("one is the least");
     let corrected = |p: f64| (p * all as f64).min(1.0);
     let outliers = outlying(record);
     if outliers.is_empty() {
@@ -28,13 +27,13 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
             _ => format!(", or {} after Bonferroni correction", probability(corrected(least))),
         };
         let sentence =
-            format!("No test is an outlier: {which} is {} (test {}){then}.", probability(least), clean(&nearest.id));
+            format!("No test is an outlier: {which} is {} (test {}){then}.", probability(least), clean(nearest));
         return page.section("Outlying tests", &page.items(&[sentence]));
     }
     let rows = &outliers[..outliers.len().min(page.rows(MOST_ROWS))];
     let columns = [
-        TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(_, t)| t.id.clone()).collect()),
-        TextColumn::new("distance²", ColumnSide::Right, rows.iter().map(|(_, t)| distance(t)).collect()),
+        TextColumn::new("test", ColumnSide::Left, rows.iter().map(|(_, t)| t.id.to_owned()).collect()),
+        TextColumn::new("distance²", ColumnSide::Right, rows.iter().map(|(_, t)| distance(*t)).collect()),
         TextColumn::new(
             "expected",
             ColumnSide::Right,
@@ -60,21 +59,19 @@ pub(crate) fn section(record: &FitRecord, page: &PageLayout<'_>) -> String {
     page.section("Outlying tests", &(page.table(&columns) + &page.items(&[sentence])))
 }
 
-/// Tests with their p-values, the least probable first.
-fn tested(record: &FitRecord) -> Vec<(f64, &TestRecord)> {
-    let mut tested: Vec<(f64, &TestRecord)> =
-        record.tests.iter().filter_map(|t| t.p_value.filter(|p| p.is_finite()).map(|p| (p, t))).collect();
-    tested.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(&b.1.id)));
-    tested
+/// Tests with their p-values.
+fn tested(record: &FitRecord) -> impl Iterator<Item = (f64, TestRecord<'_>)> {
+    record.tests.iter().filter_map(|test| Some((test.p_value.filter(|p| p.is_finite())?, test)))
 }
 
 /// Tests that are improbable among all of them, the least probable first.
-pub(super) fn outlying(record: &FitRecord) -> Vec<(f64, &TestRecord)> {
-    let tested = tested(record);
-    let all = tested.len() as f64;
-    tested.into_iter().filter(|(p, _)| (p * all).min(1.0) < SEARCH_LEVEL).collect()
+pub(super) fn outlying(record: &FitRecord) -> Vec<(f64, TestRecord<'_>)> {
+    let all = tested(record).count() as f64;
+    let mut found: Vec<_> = tested(record).filter(|(p, _)| (p * all).min(1.0) < SEARCH_LEVEL).collect();
+    found.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));
+    found
 }
 
-fn distance(test: &TestRecord) -> String {
+fn distance(test: TestRecord<'_>) -> String {
     test.distance.map_or_else(|| "-".to_owned(), |d| plain(d, 3))
 }

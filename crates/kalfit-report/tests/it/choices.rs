@@ -132,15 +132,15 @@ fn phases_have_intervals_of_their_own() {
 fn deleted(displacements: &[f64]) -> FitRecord {
     let mut record = common::sleepstudy();
     record.tests = common::tests(&vec![0.5; displacements.len()]);
-    for (test, &displacement) in record.tests.iter_mut().zip(displacements) {
+    common::change_tests(&mut record, |number, test| {
         test.deletion = Some(DeletionRecord {
             log_density: -50.0,
             distance: Some(9.0),
             p_value: Some(0.011),
-            displacement,
+            displacement: displacements[number],
             phases: vec![],
         });
-    }
+    });
     record
 }
 
@@ -162,7 +162,7 @@ fn where_no_test_decides_the_most_influential_is_named() {
 #[test]
 fn tests_that_decide_are_a_table() {
     let mut record = deleted(&[0.3, 12.34, 5.4, 7.0]);
-    record.tests[3].deletion.as_mut().expect("it was left out").p_value = None;
+    common::change_test(&mut record, 3, |test| test.deletion.as_mut().expect("it was left out").p_value = None);
     insta::assert_snapshot!(influence(&record), @"
     Influence of single tests
       test  displacement  p-value without it
@@ -216,8 +216,8 @@ fn displacements_that_are_no_numbers_are_left_out() {
 #[test]
 fn every_line_fits_the_page() {
     let mut long = deleted(&[12.0, 30.0]);
-    long.tests[0].id = "test_with_a_long_name_".repeat(8);
-    long.tests[1].id = "\u{1b}[31mred\nline".into();
+    common::change_test(&mut long, 0, |test| test.id = "test_with_a_long_name_".repeat(8));
+    common::change_test(&mut long, 1, |test| test.id = "\u{1b}[31mred\nline".into());
     let mut wide = profiled();
     wide.phases[0].states[0] = "a_state_with_a_long_name_".repeat(6);
     for record in [profiled(), long, wide] {

@@ -23,7 +23,7 @@ fn innovations(nis: f64, nis_p: f64, white_p: f64) -> InnovationRecord {
 fn record(found: &[InnovationRecord]) -> FitRecord {
     let mut record = common::sleepstudy();
     record.tests = common::tests(&vec![0.5; found.len()]);
-    record.tests.iter_mut().zip(found).for_each(|(test, found)| test.innovations = Some(found.clone()));
+    common::change_tests(&mut record, |number, test| test.innovations = Some(found[number].clone()));
     record
 }
 

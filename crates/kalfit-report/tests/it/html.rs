@@ -35,12 +35,12 @@ fn with_tests(n: usize) -> FitRecord {
     let mut record = common::sleepstudy();
     record.data.tests = n;
     record.tests = common::tests(&(0..n).map(|i| (i as f64 + 0.5) / n.max(1) as f64).collect::<Vec<_>>());
-    for (i, test) in record.tests.iter_mut().enumerate() {
+    common::change_tests(&mut record, |i, test| {
         test.id = format!("T{i}");
         let mean = vec![250.0 + i as f64, 10.0];
         let covariance = vec![vec![4.0, 0.0], vec![0.0, 1.0]].try_into().expect("it is square");
-        test.phases = vec![PosteriorRecord { name: "main".into(), mean, covariance, own: None }];
-    }
+        test.phases = vec![PosteriorRow { name: "main".into(), mean, covariance, own: None }];
+    });
     record
 }
 
@@ -114,7 +114,7 @@ fn names_that_are_markup_stay_text() {
             phase.units = vec![Some(owned()); 3];
             phase.mean.regression[0].column = owned();
         }
-        record.tests.iter_mut().for_each(|test| test.id = owned());
+        common::change_tests(&mut record, |_, test| test.id = owned());
         record.constraints.iter_mut().for_each(|constraint| constraint.element = owned());
         for parameter in &mut record.parameters {
             (parameter.name, parameter.level, parameter.unit) = (owned(), Some(owned()), Some(owned()));
@@ -145,9 +145,7 @@ fn charts(page: &str, kind: &str) -> Vec<serde_json::Value> {
 fn grouped(groups: &[&str]) -> FitRecord {
     let mut record = with_tests(12);
     record.group_column = Some("lot".to_owned());
-    for (i, test) in record.tests.iter_mut().enumerate() {
-        test.group = Some(groups[i % groups.len()].to_owned());
-    }
+    common::change_tests(&mut record, |i, test| test.group = Some(groups[i % groups.len()].to_owned()));
     record
 }
 
@@ -231,8 +229,6 @@ fn records_whose_lists_do_not_match_give_a_page() {
     record.log_likelihood = f64::NAN;
     record.solver.trace = vec![f64::NAN, f64::INFINITY, 1.0];
     record.certificate.mean = f64::NAN;
-    record.tests[0].phases =
-        vec![PosteriorRecord { name: "main".into(), mean: vec![1.0], covariance: SquareRecord::default(), own: None }];
     let series = SeriesRecord {
         measurements: vec![],
         at: vec![1.0, 2.0],
@@ -243,7 +239,7 @@ fn records_whose_lists_do_not_match_give_a_page() {
         windows: vec![WindowRecord { from: f64::NAN, to: 1.0, count: 0, nis: f64::NAN }],
         autocorrelation: vec![],
     };
-    record.tests[0].innovations = Some(InnovationRecord {
+    let innovations = InnovationRecord {
         count: 0,
         nis: Some(f64::NAN),
         nis_p_value: Some(f64::NAN),
@@ -251,10 +247,14 @@ fn records_whose_lists_do_not_match_give_a_page() {
         whiteness: None,
         parts: vec![],
         series: Some(Box::new(series)),
+    };
+    let part = PosteriorRow { name: "main".into(), mean: vec![1.0], covariance: SquareRecord::default(), own: None };
+    common::change_test(&mut record, 0, |test| {
+        (test.phases, test.innovations) = (vec![part.clone()], Some(innovations.clone()));
     });
     let page = text(&html(&record));
     assert!(!page.contains("NaN"), "{page}");
-    let empty = FitRecord { phases: vec![], tests: vec![], ..record };
+    let empty = FitRecord { phases: vec![], tests: TestRecords::default(), ..record };
     assert!(html(&empty).contains("</html>"));
 }
 

@@ -4,7 +4,7 @@ use crate::common;
 
 use insta::assert_snapshot;
 use kalfit::FitRecord;
-use kalfit::record::{BoundaryRecord, LevelRecord, PhaseRecord, PosteriorRecord, SquareRecord, UnitRecord};
+use kalfit::record::{BoundaryRecord, LevelRecord, PhaseRecord, PosteriorRow, SquareRecord, UnitRecord};
 use kalfit_report::{TextStyle, html, summary};
 
 fn level(name: &str, column: Option<&str>, groups: usize, of: PhaseRecord) -> LevelRecord {
@@ -200,8 +200,8 @@ fn profiles_name_where_each_quantity_varies() {
 #[test]
 fn the_population_of_the_report_varies_at_all_levels() {
     let mut record = chips_of_lots();
-    let part = PosteriorRecord { name: "main".into(), mean: vec![1.0, 2.0], covariance: identity(), own: None };
-    record.tests.iter_mut().for_each(|test| test.phases = vec![part.clone()]);
+    let part = PosteriorRow { name: "main".into(), mean: vec![1.0, 2.0], covariance: identity(), own: None };
+    common::change_tests(&mut record, |_, test| test.phases = vec![part.clone()]);
     let page = html(&record);
     assert!(
         page.contains(r#""covariance":[[6,1],[1,6]]"#) || page.contains(r#""covariance":[[6.0,1.0],[1.0,6.0]]"#),

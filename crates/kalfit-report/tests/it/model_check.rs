@@ -34,7 +34,7 @@ fn innovations(count: usize, nis: f64, nis_p: f64, white_p: f64) -> InnovationRe
 fn with(found: &[InnovationRecord]) -> FitRecord {
     let mut record = common::sleepstudy();
     record.tests = common::tests(&vec![0.5; found.len()]);
-    record.tests.iter_mut().zip(found).for_each(|(test, found)| test.innovations = Some(found.clone()));
+    common::change_tests(&mut record, |number, test| test.innovations = Some(found[number].clone()));
     record
 }
 
@@ -64,8 +64,8 @@ fn decisive() -> DeletionRecord {
 fn no_green_box_stands_over_a_model_that_the_page_refutes() {
     let mut record =
         with(&[innovations(10, 60.0, 7e-9, 0.5), innovations(10, 9.0, 0.9, 1e-5), innovations(10, 9.0, 0.9, 0.9)]);
-    record.tests[2].p_value = Some(1e-9);
-    record.tests[0].deletion = Some(decisive());
+    common::change_test(&mut record, 2, |test| test.p_value = Some(1e-9));
+    common::change_test(&mut record, 0, |test| test.deletion = Some(decisive()));
     record.phases[0].boundary = common::singular().phases[0].boundary.clone();
     insta::assert_snapshot!(verdicts(&record), @r#"
     Convergence and model check
@@ -103,7 +103,7 @@ fn no_green_box_stands_over_a_model_that_the_page_refutes() {
 #[test]
 fn neither_influence_nor_a_singular_covariance_speaks_against_a_model() {
     let mut record = with(&[innovations(10, 9.0, 0.9, 0.5), innovations(10, 11.0, 0.7, 0.5)]);
-    record.tests[0].deletion = Some(decisive());
+    common::change_test(&mut record, 0, |test| test.deletion = Some(decisive()));
     record.phases[0].boundary = common::singular().phases[0].boundary.clone();
     insta::assert_snapshot!(verdicts(&record), @"
     Convergence and model check
@@ -130,7 +130,7 @@ fn neither_influence_nor_a_singular_covariance_speaks_against_a_model() {
 #[test]
 fn what_was_not_looked_at_has_not_passed() {
     let mut record = common::sleepstudy();
-    record.tests.clear();
+    record.tests = TestRecords::default();
     insta::assert_snapshot!(verdicts(&record), @"
     Convergence and model check
     Converged: the optimality conditions hold, so these are the maximum-likelihood
@@ -167,10 +167,8 @@ fn p_values_are_corrected_for_their_number() {
 fn groups_are_a_table_with_what_is_known_of_their_difference() {
     let mut record = with(&vec![innovations(10, 9.0, 0.9, 0.5); 4]);
     record.group_column = Some("lot".to_owned());
-    for (test, lot) in record.tests.iter_mut().zip(["A", "B", "A", "B"]) {
-        test.group = Some(lot.to_owned());
-    }
-    record.tests[1].innovations = Some(innovations(30, 90.0, 1e-7, 0.5));
+    common::change_tests(&mut record, |i, test| test.group = Some(["A", "B", "A", "B"][i].to_owned()));
+    common::change_test(&mut record, 1, |test| test.innovations = Some(innovations(30, 90.0, 1e-7, 0.5)));
     record.add_by_group();
     record.group_test = Some(GroupTestRecord {
         groups: 2,

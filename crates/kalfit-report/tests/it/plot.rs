@@ -3,6 +3,7 @@
 use crate::common;
 
 use kalfit::FitRecord;
+use kalfit::record::TestRecords;
 use kalfit_report::{PlotError, PlotFormat, PlotKind, WIDTHS, plot};
 
 fn svg(record: &FitRecord, what: PlotKind, width: u32) -> Result<String, PlotError> {
@@ -50,7 +51,7 @@ fn nothing_is_drawn_outside_at_any_width() {
 #[test]
 fn what_a_record_lacks_is_said() {
     let mut bare = common::record("Known start", vec![common::phase("main", &[])]);
-    bare.tests.clear();
+    bare.tests = TestRecords::default();
     for what in [PlotKind::Forest, PlotKind::Ellipses, PlotKind::Influence, PlotKind::Records] {
         let error = svg(&bare, what, 800).expect_err("there is nothing to draw");
         assert!(matches!(error, PlotError::Nothing(_)), "{what:?}: {error}");

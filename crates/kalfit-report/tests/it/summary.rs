@@ -3,7 +3,7 @@
 use crate::common;
 
 use common::{constrained, phase, record, singular, sleepstudy};
-use kalfit::record::BoundaryRecord;
+use kalfit::record::{BoundaryRecord, TestRecords};
 use kalfit_report::{TextStyle, summary};
 
 fn at_80(record: &kalfit::FitRecord) -> String {
@@ -209,7 +209,7 @@ fn without_random_states_the_means_remain() {
 #[test]
 fn without_estimated_states_the_likelihood_remains() {
     let mut record = record("Known start", vec![phase("main", &[])]);
-    record.tests = vec![];
+    record.tests = TestRecords::default();
     insta::assert_snapshot!(at_80(&record), @"
     Known start
 
@@ -505,8 +505,8 @@ fn damaged_records_are_summarised_all_the_same() {
     record.log_likelihood = f64::NAN;
     record.aic = Some(f64::INFINITY);
     record.solver.seconds = f64::NAN;
-    record.tests[0].p_value = Some(f64::NAN);
-    record.tests[1].distance = Some(f64::INFINITY);
+    common::change_test(&mut record, 0, |test| test.p_value = Some(f64::NAN));
+    common::change_test(&mut record, 1, |test| test.distance = Some(f64::INFINITY));
     record.parameters[1].estimate = f64::NAN;
     record.constraints[0].sensitivity = Some(f64::NAN);
     let main = &mut record.phases[0];

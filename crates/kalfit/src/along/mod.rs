@@ -102,8 +102,7 @@ fn bounds(model: &PhasedModel) -> (usize, usize) {
 
 /// Tests that are known by their rows, the least probable first, and then by their ids.
 fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
-    let of: std::collections::HashMap<&str, f64> =
-        fit.tests.iter().map(|test| (test.id.as_str(), least(test))).collect();
+    let of: std::collections::HashMap<&str, f64> = fit.tests.iter().map(|test| (test.id, least(test))).collect();
     let p_value = |test: usize| of.get(tests[test].id.as_str()).copied().unwrap_or(2.0);
     let all_rows = |test: &PhasedTest| {
         let mut phases = test.phases.iter();
@@ -115,8 +114,8 @@ fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
 }
 
 /// The least p-value of a test: of its distance, of the size of its innovations, of their whiteness.
-fn least(test: &TestRecord) -> f64 {
-    let seen = test.innovations.as_ref();
+fn least(test: TestRecord<'_>) -> f64 {
+    let seen = test.innovations;
     let white = seen.and_then(|own| own.whiteness.as_ref()).map(|own| own.p_value);
     let all = [test.p_value, seen.and_then(|own| own.nis_p_value), white];
     all.into_iter().flatten().filter(|p| p.is_finite()).fold(2.0, f64::min)

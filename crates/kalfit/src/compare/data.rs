@@ -64,6 +64,11 @@ pub(super) fn check(fits: &[(String, FitRecord)]) -> Result<(), CompareError> {
     Ok(())
 }
 
+/// How many measured values each test has.
+fn observations(fit: &FitRecord) -> BTreeMap<&str, usize> {
+    fit.tests.iter().map(|test| (test.id, test.observations)).collect()
+}
+
 /// What differs, in words.
 fn difference(first: &FitRecord, second: &FitRecord) -> Option<String> {
     let (one, two) = (&first.data, &second.data);
@@ -74,12 +79,9 @@ fn difference(first: &FitRecord, second: &FitRecord) -> Option<String> {
         |fit: &FitRecord| -> Vec<String> { fit.levels.iter().filter_map(|level| level.column.clone()).collect() };
     // ids hold the names of groups
     if !first.tests.is_empty() && !second.tests.is_empty() && levels(first) == levels(second) {
-        let of = |fit: &'_ FitRecord| -> BTreeMap<String, usize> {
-            fit.tests.iter().map(|test| (test.id.clone(), test.observations)).collect()
-        };
-        let (one, two) = (of(first), of(second));
-        let missing = |one: &BTreeMap<String, usize>, two: &BTreeMap<String, usize>| {
-            one.keys().find(|id| !two.contains_key(*id)).cloned()
+        let (one, two) = (observations(first), observations(second));
+        let missing = |one: &BTreeMap<&str, usize>, two: &BTreeMap<&str, usize>| {
+            one.keys().find(|id| !two.contains_key(*id)).map(|id| (*id).to_owned())
         };
         if let Some(id) = missing(&one, &two) {
             return Some(format!("test `{id}` is in the first only"));

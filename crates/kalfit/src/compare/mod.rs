@@ -258,8 +258,8 @@ fn rank(fits: &mut [ComparedFit]) {
 
 /// (test, log density of the test at the fit without it), in the order of the texts, where every test has one.
 fn own_densities(fit: &FitRecord) -> Option<Vec<(&str, f64)>> {
-    let one = |test: &'_ TestRecord| test.deletion.as_ref().map(|deletion| deletion.log_density);
-    let all: Option<Vec<(&str, f64)>> = fit.tests.iter().map(|test| Some((test.id.as_str(), one(test)?))).collect();
+    let one = |test: TestRecord<'_>| test.deletion.map(|deletion| deletion.log_density);
+    let all: Option<Vec<(&str, f64)>> = fit.tests.iter().map(|test| Some((test.id, one(test)?))).collect();
     let mut all = all.filter(|all| !all.is_empty())?;
     all.sort_by_key(|(id, _)| *id);
     Some(all)

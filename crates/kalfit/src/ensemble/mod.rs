@@ -1,6 +1,7 @@
 //! What was observed: tests, and the texts in them.
 
 mod batch;
+mod columns;
 mod grouping;
 mod id;
 mod labels;
@@ -9,6 +10,7 @@ mod records;
 mod test;
 
 pub use batch::TestBatch;
+pub(crate) use columns::{Rare, Texts};
 pub use grouping::{Group, Grouping};
 pub use id::TestId;
 pub use labels::{Label, Labels};

@@ -2,7 +2,7 @@
 
 use crate::face::fit::Fit;
 use crate::innovations::innovations;
-use crate::record::{InnovationRecord, SeriesKeeper};
+use crate::record::{InnovationRecord, InnovationRecords, SeriesKeeper};
 use crate::reduce::PhasedTest;
 
 /// Adds innovations to the record, or a note that says why there are none: the fit itself does not depend on them.
@@ -15,13 +15,15 @@ pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
             return;
         }
     };
-    let mut series = SeriesKeeper::default();
-    let mut records = Vec::new();
+    let (mut series, mut records) = (SeriesKeeper::default(), InnovationRecords::default());
+    let numbers = fit.record.tests.by_id();
     for one in found.into_iter().flatten() {
         let record = InnovationRecord::new(&one, model);
-        series.offer(&one, &record, model);
-        records.push((one.test, record));
+        if let Some(&number) = numbers.get(one.test.as_str()) {
+            series.offer(&one, &record, model);
+            records.put(number, record);
+        }
     }
-    fit.record.add_innovations(records);
+    fit.record.set_innovations(records);
     fit.record.add_series(series);
 }

@@ -92,7 +92,7 @@ fn figures_are_found_by_name_and_others_are_refused() {
 #[test]
 fn innovations_are_of_the_fit() {
     let fit = known();
-    let all: usize = fit.record.tests.iter().filter_map(|test| test.innovations.as_ref()).map(|i| i.count).sum();
+    let all: usize = fit.record.tests.iter().filter_map(|test| test.innovations).map(|i| i.count).sum();
     assert_eq!(all, 24);
 }
 

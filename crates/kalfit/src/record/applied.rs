@@ -183,7 +183,7 @@ impl FitRecord {
             let is_own = self.data.tests == tests.len() && is_same(self.log_likelihood, all);
             return if is_own { tests.len() } else { 0 };
         }
-        let of: HashMap<&str, f64> = self.tests.iter().map(|test| (test.id.as_str(), test.log_likelihood)).collect();
+        let of: HashMap<&str, f64> = self.tests.iter().map(|test| (test.id, test.log_likelihood)).collect();
         let is_own = |(test, own): (&PhasedTest, Posterior<'_>)| {
             of.get(test.id.as_str()).is_some_and(|fitted| is_same(*fitted, own.log_likelihood))
         };

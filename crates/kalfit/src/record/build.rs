@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::ensemble::Labels;
 use crate::estimate::{Certificate, Combination, Counts, Criterion, Estimate, Solver, Stop};
-use crate::infer::{Deletion, Element, Inference, IntervalKind, Posterior, Sensitivity, StdErrors};
+use crate::infer::{Deletion, Distance, Element, Inference, IntervalKind, Sensitivity, StdErrors};
 use crate::model::{Alpha, PhasedModel, Slots};
 use crate::record::cut::{PhaseCut, phases_of};
 use crate::record::diagnosis::shortage_notes;
@@ -12,9 +12,10 @@ use crate::record::directions::crossing_notes;
 use crate::record::number::plain;
 use crate::record::own::{MOST_OWN, OwnEstimate};
 use crate::record::phases::phases_and_levels;
+use crate::record::test_records::TestFigures;
 use crate::record::{
     CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, EstimatesRecord, FitRecord,
-    ParameterRecord, PosteriorRecord, SolverRecord, TestRecord, parameters,
+    ParameterRecord, SolverRecord, TestRecords, parameters,
 };
 use crate::reduce::Reductions;
 
@@ -219,39 +220,38 @@ fn constraint(cut: &PhaseCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord
     }
 }
 
-fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) -> Vec<TestRecord> {
+fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) -> TestRecords {
     if inference.posteriors.is_empty() {
-        return Vec::new(); // not asked for
+        return TestRecords::default(); // not asked for
     }
     let cuts = PhaseCut::all(model);
     let mut order: Vec<usize> = (0..reductions.len()).collect();
     order.par_sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let classes = DesignClasses::new(reductions, &order);
-    let record = |j: usize| {
+    let own = |&j: &usize| (reductions.len() <= MOST_OWN).then(|| OwnEstimate::of(reductions.get(j)));
+    let own: Vec<Option<OwnEstimate>> = order.par_iter().map(own).collect();
+    let mut tests = TestRecords::with_room(order.len());
+    for (j, own) in order.into_iter().zip(own) {
         let (reduction, posterior) = (reductions.get(j), inference.posteriors.get(j));
-        let distance = posterior.distance;
-        let own = (reductions.len() <= MOST_OWN).then(|| OwnEstimate::of(reduction));
-        TestRecord {
-            id: reduction.test.to_owned(),
-            group: None,
-            groups: Vec::new(),
+        let Distance { squared, degrees_of_freedom, p_value } = posterior.distance;
+        let figures = TestFigures {
             log_likelihood: posterior.log_likelihood,
             observations: reduction.observations,
             steps: Some(reduction.steps),
             design_class: classes.number(reduction.design),
-            phases: cuts[..phases_of(reduction, model)].iter().map(|cut| part(cut, posterior, own.as_ref())).collect(),
-            distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
-            degrees_of_freedom: distance.degrees_of_freedom,
-            p_value: distance.p_value,
-            deletion: inference
-                .deletions
-                .as_ref()
-                .and_then(|all| all[j].as_ref())
-                .map(|d| DeletionRecord::new(model, d)),
-            innovations: None,
+            distance: (degrees_of_freedom > 0).then_some(squared),
+            degrees_of_freedom,
+            p_value,
+        };
+        let deletion = inference.deletions.as_ref().and_then(|all| all[j].as_ref());
+        tests.push(reduction.test, figures, deletion.map(|without| DeletionRecord::new(model, without)));
+        for cut in &cuts[..phases_of(reduction, model)] {
+            let (mean, covariance) = (&posterior.mean[cut.elements.clone()], posterior.square(cut.index));
+            let own = own.as_ref().and_then(|own| own.part(cut));
+            tests.phases.push(&cut.phase.name, (mean, covariance), own);
         }
-    };
-    order.into_par_iter().map(record).collect()
+    }
+    tests
 }
 
 /// Some test has a phase whose filter's estimates stand for its measurements.
@@ -280,15 +280,6 @@ impl DesignClasses {
     fn number(&self, design: u128) -> Option<usize> {
         let at = self.0.binary_search_by_key(&design, |(known, _)| *known).ok()?;
         Some(self.0[at].1)
-    }
-}
-
-fn part(cut: &PhaseCut<'_>, posterior: Posterior<'_>, own: Option<&OwnEstimate>) -> PosteriorRecord {
-    PosteriorRecord {
-        name: cut.phase.name.clone(),
-        mean: cut.list(posterior.mean),
-        covariance: (&posterior.covariance(cut.index).into_owned()).into(),
-        own: own.and_then(|own| own.part(cut)),
     }
 }
 

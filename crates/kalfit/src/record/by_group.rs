@@ -126,8 +126,9 @@ impl FitRecord {
     pub fn add_groups(&mut self, groups: &TestGroups) {
         let of: BTreeMap<&str, &Option<String>> = groups.of.iter().map(|(id, group)| (id.as_str(), group)).collect();
         self.group_column = Some(groups.name.clone());
-        for test in &mut self.tests {
-            test.group = of.get(test.id.as_str()).and_then(|group| (*group).clone());
+        for number in 0..self.tests.len() {
+            let group = of.get(self.tests.get(number).id).and_then(|group| (*group).clone());
+            self.tests.group.set(number, group);
         }
     }
 
@@ -136,27 +137,30 @@ impl FitRecord {
         if self.group_column.is_none() {
             return;
         }
-        let mut tests: BTreeMap<Option<&str>, Vec<&TestRecord>> = BTreeMap::new();
-        for test in &self.tests {
-            tests.entry(test.group.as_deref()).or_default().push(test);
+        let mut numbers: BTreeMap<Option<&String>, Vec<usize>> = BTreeMap::new();
+        for (number, test) in self.tests.iter().enumerate() {
+            numbers.entry(test.group).or_default().push(number);
         }
-        self.by_group = tests.into_iter().map(|(group, tests)| GroupRecord::of(group, &tests)).collect();
+        let of = |(group, numbers): (Option<&String>, Vec<usize>)| {
+            GroupRecord::of(group, numbers.iter().map(|&number| self.tests.get(number)))
+        };
+        self.by_group = numbers.into_iter().map(of).collect();
     }
 }
 
 impl GroupRecord {
-    fn of(group: Option<&str>, tests: &[&TestRecord]) -> GroupRecord {
-        let figures = || tests.iter().filter_map(|test| test.innovations.as_ref());
+    fn of<'a>(group: Option<&String>, tests: impl ExactSizeIterator<Item = TestRecord<'a>> + Clone) -> GroupRecord {
+        let figures = || tests.clone().filter_map(|test| test.innovations);
         let innovations: usize = figures().map(|figures| figures.count).sum();
         let nis: f64 = figures().filter_map(|figures| figures.nis).sum();
-        let near = || tests.iter().filter_map(|test| Some((test.distance?, test.degrees_of_freedom)));
+        let near = || tests.clone().filter_map(|test| Some((test.distance?, test.degrees_of_freedom)));
         let (distance, degrees_of_freedom) = near().fold((0.0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
         let law = |degrees: usize| ChiSquared::new(degrees as f64).ok().filter(|_| degrees > 0);
         GroupRecord {
-            group: group.map(str::to_owned),
+            group: group.cloned(),
             tests: tests.len(),
-            observations: tests.iter().map(|test| test.observations).sum(),
-            log_likelihood: tests.iter().map(|test| test.log_likelihood).sum(),
+            observations: tests.clone().map(|test| test.observations).sum(),
+            log_likelihood: tests.map(|test| test.log_likelihood).sum(),
             innovations,
             innovations_mean_square: (innovations > 0).then(|| nis / innovations as f64),
             innovations_p_value: law(innovations).map(|chi| (2.0 * chi.sf(nis).min(chi.cdf(nis))).min(1.0)),

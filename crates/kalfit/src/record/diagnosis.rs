@@ -1,14 +1,10 @@
 //! What the data identify and how well the model describes them, as records, with reasons in words.
 
-use rayon::prelude::*;
-
 use crate::infer::{Leading, Observability, Reason, StateObservability};
 use crate::innovations::{Innovations, Part, Summary, Whiteness};
 use crate::model::PhasedModel;
 use crate::record::cut::{PhaseCut, regressions};
-use crate::record::{
-    FitRecord, InnovationPartRecord, InnovationRecord, ObservabilityRecord, TestRecord, WhitenessRecord,
-};
+use crate::record::{InnovationPartRecord, InnovationRecord, ObservabilityRecord, WhitenessRecord};
 
 /// No more names than this in a sentence.
 const MOST_NAMES: usize = 8;
@@ -72,20 +68,6 @@ impl InnovationRecord {
             whiteness: found.whiteness.filter(|w| w.statistic.is_finite() && w.p_value.is_finite()).map(whiteness),
             parts: Vec::new(),
             series: None,
-        }
-    }
-}
-
-impl FitRecord {
-    /// Adds innovations to the tests of these ids; those of other tests are dropped.
-    pub fn add_innovations(&mut self, mut found: Vec<(String, InnovationRecord)>) {
-        found.par_sort_by(|a, b| a.0.cmp(&b.0));
-        let mut tests: Vec<&mut TestRecord> = self.tests.iter_mut().collect();
-        tests.par_sort_by(|a, b| a.id.cmp(&b.id));
-        let mut found = found.into_iter().peekable();
-        for test in tests {
-            while found.next_if(|(id, _)| *id < test.id).is_some() {}
-            test.innovations = found.next_if(|(id, _)| *id == test.id).map(|(_, record)| record);
         }
     }
 }

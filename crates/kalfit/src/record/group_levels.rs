@@ -104,9 +104,9 @@ impl FitRecord {
         let names = |level: usize, group: usize| -> Vec<String> {
             grouping.groups(level)[group].path.iter().map(|&name| labels.text(name).to_owned()).collect()
         };
-        for test in &mut self.tests {
-            let Some(number) = grouping.number(&test.id) else { continue };
-            test.groups = names(0, grouping.group_of(number, 0));
+        for at in 0..self.tests.len() {
+            let Some(number) = grouping.number(self.tests.get(at).id) else { continue };
+            self.tests.groups.set(at, Some(names(0, grouping.group_of(number, 0))));
         }
         let unit = |level: usize, name: &str, group: usize, found: &GroupPosterior| UnitRecord {
             level: name.to_owned(),

@@ -22,6 +22,7 @@ mod phase;
 mod phases;
 mod plan;
 mod population;
+mod posteriors;
 mod predicted;
 mod quantities;
 mod ratio;
@@ -29,6 +30,7 @@ mod series;
 mod series_keeper;
 mod square;
 mod test;
+mod test_records;
 
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +60,7 @@ pub use phase::{
 };
 pub use plan::{ArrangementRecord, PlanProvenance, PlanRecord, PlannedRecord};
 pub use population::{FIT_SCHEMA, RecordError};
+pub use posteriors::PosteriorRecords;
 pub use predicted::{PairRecord, PredictedRecord, PredictedSource, PredictedValueRecord, name_of};
 pub use quantities::QuantityRecord;
 pub use ratio::{BootstrapRecord, ComponentRecord, PartRecord, RatioProvenance, RatioRecord, SideRecord};
@@ -65,8 +68,10 @@ pub use series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
 pub use series_keeper::SeriesKeeper;
 pub use square::{NotSquare, SquareRecord};
 pub use test::{
-    DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, TestRecord, WhitenessRecord,
+    DeletedRecord, DeletionRecord, InnovationPartRecord, InnovationRecord, PosteriorRecord, PosteriorRow, TestRecord,
+    TestRow, WhitenessRecord,
 };
+pub use test_records::{InnovationRecords, TestRecords};
 
 /// The results of a fit. `None` is written as null: unknown, not identified, or not applicable.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -140,7 +145,7 @@ pub struct FitRecord {
     /// Every constrained element and the cost of its constraint.
     pub constraints: Vec<ConstraintRecord>,
     /// Results of each test.
-    pub tests: Vec<TestRecord>,
+    pub tests: TestRecords,
     /// The column that tests are grouped by; null where the model names none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub group_column: Option<String>,

@@ -103,16 +103,16 @@ pub fn displacement_limit(k: usize) -> f64 {
     k * (1.0 - 2.0 / (9.0 * k)).powi(3)
 }
 
-fn innovations_of(record: &FitRecord) -> impl Iterator<Item = (&TestRecord, &InnovationRecord)> {
-    record.tests.iter().filter_map(|test| Some((test, test.innovations.as_ref()?)))
+fn innovations_of(record: &FitRecord) -> impl Iterator<Item = (&str, &InnovationRecord)> {
+    record.tests.iter().filter_map(|test| Some((test.id, test.innovations?)))
 }
 
 /// p-values of the innovations of tests with whether they are of their correlation.
 fn innovation_p_values(record: &FitRecord) -> impl Iterator<Item = (f64, &str, bool)> {
-    innovations_of(record).flat_map(|(test, figures)| {
+    innovations_of(record).flat_map(|(id, figures)| {
         let white = figures.whiteness.as_ref().map(|w| w.p_value);
         let both = [(figures.nis_p_value, false), (white, true)];
-        both.into_iter().filter_map(|(p, white)| Some((p.filter(|p| p.is_finite())?, &*test.id, white)))
+        both.into_iter().filter_map(move |(p, white)| Some((p.filter(|p| p.is_finite())?, id, white)))
     })
 }
 
@@ -149,7 +149,7 @@ fn innovations(record: &FitRecord) -> Option<String> {
 }
 
 fn distances(record: &FitRecord) -> Option<String> {
-    let known = || record.tests.iter().filter_map(|test| Some((test.p_value.filter(|p| p.is_finite())?, &*test.id)));
+    let known = || record.tests.iter().filter_map(|test| Some((test.p_value.filter(|p| p.is_finite())?, test.id)));
     let all = known().count() as f64;
     let outlying: Vec<&str> = known().filter(|(p, _)| p * all < SEARCH_LEVEL).map(|(_, id)| id).collect();
     match outlying[..] {
@@ -161,10 +161,9 @@ fn distances(record: &FitRecord) -> Option<String> {
 
 fn influence(record: &FitRecord) -> Option<String> {
     let limit = displacement_limit(record.free_parameters);
-    let decides = |test: &&TestRecord| {
-        test.deletion.as_ref().is_some_and(|d| d.displacement.is_finite() && d.displacement > limit)
-    };
-    let deciding: Vec<&str> = record.tests.iter().filter(decides).map(|test| &*test.id).collect();
+    let decides =
+        |test: &TestRecord<'_>| test.deletion.is_some_and(|d| d.displacement.is_finite() && d.displacement > limit);
+    let deciding: Vec<&str> = record.tests.iter().filter(decides).map(|test| test.id).collect();
     match deciding[..] {
         [] => None,
         [only] => Some(format!("test {only} is influential: the estimates depend on it")),

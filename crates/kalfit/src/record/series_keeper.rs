@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use crate::innovations::{Innovation, Innovations};
 use crate::model::PhasedModel;
+use crate::record::InnovationRecord;
 use crate::record::series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
-use crate::record::{FitRecord, InnovationRecord};
 
 /// Tests whose innovations are kept: the least probable ones.
 const MOST_TESTS: usize = 100;
@@ -45,25 +45,19 @@ impl SeriesKeeper {
             self.kept.truncate(MOST_TESTS);
         }
     }
-}
 
-impl FitRecord {
-    /// Adds the series that were kept to the tests that have innovations.
-    pub fn add_series(&mut self, keeper: SeriesKeeper) {
+    /// What was kept, by the ids of the tests.
+    pub(super) fn into_series(self) -> BTreeMap<String, SeriesRecord> {
         let mut room = MOST_ROWS_OF_ALL;
         let mut kept = BTreeMap::new();
-        for (_, id, mut series) in keeper.kept {
+        for (_, id, mut series) in self.kept {
             if series.at.len() > room {
                 (series.at, series.measurement, series.standardised) = Default::default();
             }
             room -= series.at.len();
             kept.insert(id, series);
         }
-        for test in &mut self.tests {
-            if let Some(innovations) = &mut test.innovations {
-                innovations.series = kept.remove(&test.id).map(Box::new);
-            }
-        }
+        kept
     }
 }
 

@@ -6,14 +6,14 @@ use nalgebra::DMatrix;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A square matrix, as the list of its rows: one piece of memory, for records have very many of them.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct SquareRecord {
+/// A square matrix, as the list of its rows: one piece of memory, its own or, of a view, somebody else's.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct SquareRecord<E = Vec<f64>> {
     size: usize,
-    entries: Vec<f64>,
+    entries: E,
 }
 
-impl SquareRecord {
+impl<E: AsRef<[f64]>> SquareRecord<E> {
     /// How many rows and columns it has.
     pub fn size(&self) -> usize {
         self.size
@@ -23,14 +23,32 @@ impl SquareRecord {
     pub fn rows(&self) -> impl ExactSizeIterator<Item = &[f64]> {
         (0..self.size).map(|i| &self[i])
     }
+
+    /// Its rows, one after the other.
+    pub fn entries(&self) -> &[f64] {
+        self.entries.as_ref()
+    }
+}
+
+impl<'a> SquareRecord<&'a [f64]> {
+    /// The square of these rows, one after the other.
+    pub(super) fn view(entries: &'a [f64], size: usize) -> SquareRecord<&'a [f64]> {
+        debug_assert_eq!(entries.len(), size * size);
+        SquareRecord { size, entries }
+    }
+
+    /// The same with memory of its own.
+    pub fn to_owned(self) -> SquareRecord {
+        SquareRecord { size: self.size, entries: self.entries.to_vec() }
+    }
 }
 
 /// A row.
-impl Index<usize> for SquareRecord {
+impl<E: AsRef<[f64]>> Index<usize> for SquareRecord<E> {
     type Output = [f64];
 
     fn index(&self, i: usize) -> &[f64] {
-        &self.entries[i * self.size..][..self.size]
+        &self.entries.as_ref()[i * self.size..][..self.size]
     }
 }
 
@@ -41,7 +59,7 @@ impl From<&DMatrix<f64>> for SquareRecord {
     }
 }
 
-impl Serialize for SquareRecord {
+impl<E: AsRef<[f64]>> Serialize for SquareRecord<E> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_seq(self.rows())
     }

@@ -2,31 +2,30 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::record::posteriors::PosteriorRecords;
 use crate::record::{OwnRecord, SeriesRecord, SquareRecord};
 
 /// Results of one test.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct TestRecord {
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TestRecord<'a> {
     /// Its id.
-    pub id: String,
+    pub id: &'a str,
     /// Its text in the column that tests are grouped by; null where there is none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub group: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub group: Option<&'a String>,
     /// Names of its groups where the model has levels, the outermost first.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub groups: Vec<String>,
+    #[serde(skip_serializing_if = "<[String]>::is_empty")]
+    pub groups: &'a [String],
     /// log p of its measurements; of a test in groups by itself.
     pub log_likelihood: f64,
     /// Scalar measurements used.
     pub observations: usize,
     /// Steps; null in records that do not say.
-    #[serde(default)]
     pub steps: Option<usize>,
     /// Number of its design class, from 1 in the order of the tests; null in records that do not say.
-    #[serde(default)]
     pub design_class: Option<usize>,
     /// Posterior of ξ, by phase.
-    pub phases: Vec<PosteriorRecord>,
+    pub phases: PosteriorRecords<'a>,
     /// Standardised squared distance of the test from the population.
     pub distance: Option<f64>,
     /// Its degrees of freedom: rank of J.
@@ -34,11 +33,89 @@ pub struct TestRecord {
     /// Its χ² p-value.
     pub p_value: Option<f64>,
     /// The fit without this test; null if it was not requested or has no certified optimum.
+    pub deletion: Option<&'a DeletionRecord>,
+    /// Innovations of the filter at the estimate; null if they were not requested or cannot be computed.
+    pub innovations: Option<&'a InnovationRecord>,
+}
+
+/// Posterior of ξ in one phase.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PosteriorRecord<'a> {
+    /// Name of the phase.
+    pub name: &'a str,
+    /// E[ξ | z].
+    pub mean: &'a [f64],
+    /// Var[ξ | z].
+    pub covariance: SquareRecord<&'a [f64]>,
+    /// The estimate from the test alone; null if it determines no state alone, and in very large ensembles.
+    pub own: Option<&'a OwnRecord>,
+}
+
+/// A [`TestRecord`] with memory of its own, as it is read or put together by hand.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[expect(missing_docs, reason = "its fields are those of the record")]
+pub struct TestRow {
+    pub id: String,
+    #[serde(default)]
+    pub group: Option<String>,
+    #[serde(default)]
+    pub groups: Vec<String>,
+    pub log_likelihood: f64,
+    pub observations: usize,
+    #[serde(default)]
+    pub steps: Option<usize>,
+    #[serde(default)]
+    pub design_class: Option<usize>,
+    pub phases: Vec<PosteriorRow>,
+    pub distance: Option<f64>,
+    pub degrees_of_freedom: usize,
+    pub p_value: Option<f64>,
     #[serde(default)]
     pub deletion: Option<DeletionRecord>,
-    /// Innovations of the filter at the estimate; null if they were not requested or cannot be computed.
     #[serde(default)]
     pub innovations: Option<InnovationRecord>,
+}
+
+/// A [`PosteriorRecord`] with memory of its own.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[expect(missing_docs, reason = "its fields are those of the record")]
+pub struct PosteriorRow {
+    pub name: String,
+    pub mean: Vec<f64>,
+    pub covariance: SquareRecord,
+    #[serde(default)]
+    pub own: Option<OwnRecord>,
+}
+
+impl From<TestRecord<'_>> for TestRow {
+    fn from(test: TestRecord<'_>) -> TestRow {
+        TestRow {
+            id: test.id.to_owned(),
+            group: test.group.cloned(),
+            groups: test.groups.to_vec(),
+            log_likelihood: test.log_likelihood,
+            observations: test.observations,
+            steps: test.steps,
+            design_class: test.design_class,
+            phases: test.phases.iter().map(PosteriorRow::from).collect(),
+            distance: test.distance,
+            degrees_of_freedom: test.degrees_of_freedom,
+            p_value: test.p_value,
+            deletion: test.deletion.cloned(),
+            innovations: test.innovations.cloned(),
+        }
+    }
+}
+
+impl From<PosteriorRecord<'_>> for PosteriorRow {
+    fn from(part: PosteriorRecord<'_>) -> PosteriorRow {
+        PosteriorRow {
+            name: part.name.to_owned(),
+            mean: part.mean.to_vec(),
+            covariance: part.covariance.to_owned(),
+            own: part.own.cloned(),
+        }
+    }
 }
 
 /// Innovations of one test at the estimate, as figures: e of variance S, in the order of the filter.
@@ -115,18 +192,4 @@ pub struct DeletedRecord {
     pub regression: Vec<f64>,
     /// Σ.
     pub covariance: Vec<Vec<f64>>,
-}
-
-/// Posterior of ξ in one phase.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PosteriorRecord {
-    /// Name of the phase.
-    pub name: String,
-    /// E[ξ | z].
-    pub mean: Vec<f64>,
-    /// Var[ξ | z].
-    pub covariance: SquareRecord,
-    /// The estimate from the test alone; null if it determines no state alone, and in very large ensembles.
-    #[serde(default)]
-    pub own: Option<OwnRecord>,
 }

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
 
+use crate::ensemble::{Rare, Texts};
 use crate::linalg::row_lists::RowLists;
 use crate::reduce::chain::Chain;
 use crate::reduce::exact_rows::ExactRows;
@@ -30,9 +31,7 @@ use crate::remote::Remote;
 pub struct Reductions {
     /// Which reductions these are: no others have it but clones. It is given when somebody asks, and lost with any change.
     stamp: OnceLock<u64>,
-    /// Ids one after the other, and where each ends.
-    ids: String,
-    id_ends: Vec<usize>,
+    ids: Texts,
     constants: Vec<f64>,
     residuals: Vec<Option<f64>>,
     data: RowLists,
@@ -42,10 +41,8 @@ pub struct Reductions {
     observations: Vec<usize>,
     paths: Vec<Path>,
     designs: Vec<u128>,
-    /// As far as the last test that has one.
-    chains: Vec<Option<Box<Chain>>>,
-    /// Likewise.
-    exact: Vec<Option<Box<ExactRows>>>,
+    chains: Rare<Box<Chain>>,
+    exact: Rare<Box<ExactRows>>,
     /// Where they are when none is here.
     remote: Option<Remote>,
 }
@@ -176,11 +173,9 @@ impl Reductions {
         }
         self.stamp.take();
         let (own, more) = (self.len(), others.len());
-        append(&mut self.chains, own, &mut others.chains);
-        append(&mut self.exact, own, &mut others.exact);
-        let shift = self.ids.len();
-        self.ids.push_str(&others.ids);
-        self.id_ends.extend(others.id_ends.iter().map(|end| end + shift));
+        self.chains.append(own, others.chains);
+        self.exact.append(own, others.exact);
+        self.ids.append(&others.ids);
         self.data.append(own, &others.data, more);
         self.factors.append(own, &others.factors, more);
         self.covariates.append(own, &others.covariates, more);
@@ -201,14 +196,13 @@ impl Reductions {
 
     /// Adds all tests of others, one after the other, of so many that there are at last.
     pub(crate) fn take(&mut self, others: Vec<Reductions>, tests: usize) {
-        let ids = self.ids.len() + others.iter().map(|part| part.ids.len()).sum::<usize>();
         let mut others = others.into_iter();
         if self.is_empty() {
             *self = others.next().unwrap_or_default();
         }
         let more = tests - self.len();
-        self.ids.reserve_exact(ids - self.ids.len());
-        [&mut self.id_ends, &mut self.steps, &mut self.observations].into_iter().for_each(|x| x.reserve_exact(more));
+        self.ids.reserve(others.as_slice().iter().map(|part| &part.ids));
+        [&mut self.steps, &mut self.observations].into_iter().for_each(|x| x.reserve_exact(more));
         [&mut self.data, &mut self.factors, &mut self.covariates].into_iter().for_each(|x| x.reserve(more));
         self.constants.reserve_exact(more);
         self.residuals.reserve_exact(more);
@@ -265,8 +259,7 @@ impl Reductions {
 
     /// Id of a test.
     pub(crate) fn id(&self, number: usize) -> &str {
-        let start = number.checked_sub(1).map_or(0, |before| self.id_ends[before]);
-        &self.ids[start..self.id_ends[number]]
+        self.ids.get(number)
     }
 
     /// R of a test.
@@ -281,17 +274,17 @@ impl Reductions {
 
     /// What a test says phase by phase.
     pub(crate) fn chain(&self, number: usize) -> Option<&Chain> {
-        self.chains.get(number)?.as_deref()
+        self.chains.get(number).map(Box::as_ref)
     }
 
     /// What a test measured exactly.
     pub(crate) fn exact(&self, number: usize) -> Option<&ExactRows> {
-        self.exact.get(number)?.as_deref()
+        self.exact.get(number).map(Box::as_ref)
     }
 
     /// Whether any test measured something exactly.
     pub(crate) fn has_exact(&self) -> bool {
-        !self.exact.is_empty()
+        self.exact.is_any()
     }
 
     /// The test with this number, to be changed.
@@ -302,8 +295,8 @@ impl Reductions {
             residual: &mut self.residuals[number],
             data: self.data.row_mut(number),
             factor: self.factors.row_mut(number),
-            chain: self.chains.get_mut(number).and_then(Option::as_deref_mut),
-            exact: self.exact.get_mut(number).and_then(Option::as_deref_mut),
+            chain: self.chains.get_mut(number).map(Box::as_mut),
+            exact: self.exact.get_mut(number).map(Box::as_mut),
         }
     }
 
@@ -323,8 +316,7 @@ impl Reductions {
     pub(super) fn put(&mut self, one: ReductionRef<'_>) {
         self.stamp.take();
         let number = self.len();
-        self.ids.push_str(one.test);
-        self.id_ends.push(self.ids.len());
+        self.ids.push(one.test);
         self.constants.push(one.constant);
         self.residuals.push(one.residual);
         self.data.push(number, one.data.iter().copied());
@@ -338,17 +330,9 @@ impl Reductions {
 
     /// The chain of the last test, and what it measured exactly.
     pub(super) fn put_apart(&mut self, chain: Option<Box<Chain>>, exact: Option<Box<ExactRows>>) {
-        let before = self.len() - 1;
-        append(&mut self.chains, before, &mut chain.into_iter().map(Some).collect());
-        append(&mut self.exact, before, &mut exact.into_iter().map(Some).collect());
-    }
-}
-
-/// Adds what others have to what the first so many have, if they have anything.
-fn append<T>(all: &mut Vec<Option<T>>, own: usize, others: &mut Vec<Option<T>>) {
-    if !others.is_empty() {
-        all.resize_with(own, || None);
-        all.append(others);
+        let last = self.len() - 1;
+        self.chains.set(last, chain);
+        self.exact.set(last, exact);
     }
 }
 

@@ -216,8 +216,9 @@ fn every_matrix_of_a_record_is_symmetric_to_the_last_bit() {
     let rows = |of: &[Vec<f64>]| DMatrix::from_fn(3, 3, |i, j| of[i][j]);
     is_symmetric("Σ", &rows(&found.record.phases[0].covariance.estimate));
     let known = |of: &[Vec<Option<f64>>]| DMatrix::from_fn(3, 3, |i, j| of[i][j].expect("it is known"));
-    for test in &found.record.tests {
-        let (posterior, own) = (&test.phases[0].covariance, test.phases[0].own.as_ref().expect("enough rows"));
+    for test in found.record.tests.iter() {
+        let part = test.phases.get(0);
+        let (posterior, own) = (part.covariance, part.own.expect("enough rows"));
         is_symmetric(&format!("posterior of {}", test.id), &DMatrix::from_fn(3, 3, |i, j| posterior[i][j]));
         is_symmetric(&format!("{} by itself", test.id), &known(&own.covariance));
     }

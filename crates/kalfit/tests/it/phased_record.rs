@@ -134,7 +134,7 @@ fn tests_list_the_phases_that_they_have() {
     assert_eq!(record.phases.iter().map(|phase| phase.tests).collect::<Vec<_>>(), [Some(TESTS), Some(TESTS / 3 * 2)]);
     for (j, test) in record.tests.iter().enumerate() {
         let expected: &[&str] = if j % 3 == 2 { &["bench"] } else { &["bench", "flight"] };
-        let found: Vec<&str> = test.phases.iter().map(|phase| phase.name.as_str()).collect();
+        let found: Vec<&str> = test.phases.iter().map(|phase| phase.name).collect();
         assert_eq!(found, expected, "{}", test.id);
         assert!(test.phases.iter().all(|phase| phase.mean.len() == 2 && phase.covariance.size() == 2));
         let deletion = test.deletion.as_ref().unwrap();
@@ -173,7 +173,7 @@ fn constraints_regressions_and_scales_are_of_their_phase() {
     assert!((scale.estimate - beta).abs() < 1e-12 * beta, "{} {beta}", scale.estimate);
     assert!(record.phases[0].covariance.scale.is_none() && scale.std_error.is_some_and(|e| e > 0.0));
     let coefficients = |d: &kalfit::record::DeletionRecord| d.phases.iter().map(|p| p.regression.len()).collect();
-    let lengths: Vec<usize> = coefficients(record.tests[0].deletion.as_ref().unwrap());
+    let lengths: Vec<usize> = coefficients(record.tests.get(0).deletion.as_ref().unwrap());
     assert_eq!(lengths, [1, 1]);
 }
 

@@ -102,8 +102,24 @@ pub(crate) fn record(title: &str, phases: Vec<PhaseRecord>) -> FitRecord {
     }
 }
 
-pub(crate) fn tests(p_values: &[f64]) -> Vec<TestRecord> {
-    let test = |(i, &p): (usize, &f64)| TestRecord {
+/// Changes each test of a record, given its number.
+pub(crate) fn change_tests(record: &mut FitRecord, mut change: impl FnMut(usize, &mut TestRow)) {
+    let mut rows: Vec<TestRow> = record.tests.iter().map(TestRow::from).collect();
+    rows.iter_mut().enumerate().for_each(|(number, row)| change(number, row));
+    record.tests = rows.into_iter().collect();
+}
+
+/// Changes one of them.
+pub(crate) fn change_test(record: &mut FitRecord, which: usize, mut change: impl FnMut(&mut TestRow)) {
+    change_tests(record, |number, test| {
+        if number == which {
+            change(test);
+        }
+    });
+}
+
+pub(crate) fn tests(p_values: &[f64]) -> TestRecords {
+    let test = |(i, &p): (usize, &f64)| TestRow {
         groups: Vec::new(),
         group: None,
         id: format!("{}", 308 + i),
