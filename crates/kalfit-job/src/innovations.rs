@@ -224,6 +224,13 @@ struct InnovationSummary {
     failed: Option<ReduceError>,
 }
 
+impl InnovationSummary {
+    /// Of none of these tests yet.
+    fn of(fitted: &TestRecords) -> InnovationSummary {
+        InnovationSummary { found: InnovationRecords::with_room(fitted.len()), ..InnovationSummary::default() }
+    }
+}
+
 /// The tests of the fit.
 struct FittedTests<'a> {
     tests: &'a TestRecords,
@@ -260,7 +267,7 @@ impl<'a, 'w> InnovationSink<'a, 'w> {
             filter: InnovationFilter::new(model, alpha, initial)?,
             model,
             fitted: FittedTests { tests: fitted, numbers: fitted.by_id() },
-            seen: InnovationSummary::default(),
+            seen: InnovationSummary::of(fitted),
             work,
         })
     }
@@ -323,7 +330,7 @@ impl TestSink for InnovationSink<'_, '_> {
     }
 
     fn restart(&mut self) {
-        self.seen = InnovationSummary::default();
+        self.seen = InnovationSummary::of(self.fitted.tests);
     }
 }
 

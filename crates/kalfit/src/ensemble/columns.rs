@@ -51,6 +51,11 @@ impl<T> Default for Rare<T> {
 }
 
 impl<T> Rare<T> {
+    /// Of nothing yet; there is room for so many.
+    pub(crate) fn with_room(tests: usize) -> Rare<T> {
+        Rare(Vec::with_capacity(tests))
+    }
+
     /// What the test with this number has.
     pub(crate) fn get(&self, number: usize) -> Option<&T> {
         self.0.get(number)?.as_ref()

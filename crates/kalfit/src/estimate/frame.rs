@@ -56,7 +56,16 @@ impl Frame {
 
     /// μ in the user's units from μ in η.
     pub(crate) fn mean_out(&self, mu: &[f64]) -> Vec<f64> {
-        mu.iter().zip(&self.centre).zip(&self.scale).map(|((m, c), s)| c + s * m).collect()
+        let mut mean = mu.to_vec();
+        self.take_mean_out(&mut mean);
+        mean
+    }
+
+    /// The same in its place.
+    pub(crate) fn take_mean_out(&self, mean: &mut [f64]) {
+        for ((mean, centre), scale) in mean.iter_mut().zip(&self.centre).zip(&self.scale) {
+            *mean = centre + scale * *mean;
+        }
     }
 
     /// μ in η from μ in the user's units.

@@ -17,11 +17,17 @@ pub(crate) struct Point {
 impl Point {
     /// μ of the tests of a class.
     pub(crate) fn mean_of(&self, class: ClassRef<'_>, regressors: &Regressors) -> Vec<f64> {
-        let mut mean = self.mean.clone();
+        let mut mean = Vec::new();
+        self.put_mean(class, regressors, &mut mean);
+        mean
+    }
+
+    /// The same into a place for it.
+    pub(crate) fn put_mean(&self, class: ClassRef<'_>, regressors: &Regressors, mean: &mut Vec<f64>) {
+        mean.clone_from(&self.mean);
         for (c, &element) in regressors.iter().enumerate() {
             mean[element] += class.covariates[c] * self.coefficients[c];
         }
-        mean
     }
 
     /// Σ = FF'.

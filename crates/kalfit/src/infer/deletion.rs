@@ -9,7 +9,8 @@ use crate::estimate::{
     Class, ClimbLimits, CovarianceMap, Criterion, Estimate, Local, NewtonIterate, Objective, Order, Point, Problem,
     Silent, Stop, Sums, climb, fit_from,
 };
-use crate::infer::posterior::{Distance, distance};
+use crate::infer::posterior::distance;
+use crate::infer::posteriors::Distance;
 use crate::infer::progress::SharedProgress;
 use crate::model::Population;
 use crate::reduce::Reductions;

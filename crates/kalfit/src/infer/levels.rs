@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use crate::estimate::{Estimate, LevelPosteriors, Order, Point, Problem, TestPosterior, Units, level_posteriors};
 use crate::infer::deletion::{Deletion, searched};
-use crate::infer::posterior::{Distance, distance};
-use crate::infer::posteriors::Posteriors;
+use crate::infer::posterior::distance;
+use crate::infer::posteriors::{Distance, Posteriors};
 use crate::infer::progress::SharedProgress;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
@@ -83,7 +83,7 @@ pub(super) fn posteriors(
         let number = grouping.number(evidence.id(j)).expect("it was grouped");
         let TestPosterior { mean, covariance, .. } = &found.tests[number];
         let covariance = ensemble.covariance(covariance);
-        tests.push(own, &problem.classes.frame.mean_out(mean), covariance.iter().copied());
+        tests.push(own, &problem.classes.frame.mean_out(mean), covariance.as_slice());
     }
     let of_level = |(level, groups): (usize, &Vec<crate::estimate::ScaledGroupPosterior>)| {
         groups.iter().zip(grouping.groups(level)).map(|(one, group)| ensemble.group(one, group.tests)).collect()

@@ -50,8 +50,7 @@ pub use levels::GroupPosterior;
 pub use mean_limits::{MeanCombination, mean_limits};
 pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
 pub use phases::PhaseObservability;
-pub use posterior::Distance;
-pub use posteriors::{Posterior, Posteriors};
+pub use posteriors::{Distance, Posterior, Posteriors};
 pub use ratio::{
     Bootstrap, BootstrapResult, Component, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter, ReferenceLaw,
     Restricted, at_least, bootstrap, bootstrap_while, fit_null, likelihood_ratio, restricted,

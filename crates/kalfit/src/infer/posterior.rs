@@ -2,25 +2,13 @@
 
 use std::ops::Range;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use rayon::prelude::*;
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, map_classes};
-use crate::infer::posteriors::{NumberedPosteriors, Posteriors};
+use crate::infer::posteriors::{Distance, NumberedPosteriors, Posteriors};
 use crate::linalg::{Conditional, posterior_root, symmetric};
 use crate::reduce::{ReductionRef, Reductions, unpack};
-
-/// Standardised squared distance of a test's own estimate from the population mean.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Distance {
-    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ).
-    pub squared: f64,
-    /// Rank of J.
-    pub degrees_of_freedom: usize,
-    /// χ² tail probability; `None` without degrees of freedom.
-    pub p_value: Option<f64>,
-}
 
 /// Tests that one thread takes at a time.
 const CHUNK: usize = 64;
@@ -45,12 +33,20 @@ fn of_classes(
     reductions: &Reductions,
 ) -> Vec<NumberedPosteriors> {
     let (sigma, sizes) = (point.covariance(), sizes(problem));
-    let told = |found: &mut NumberedPosteriors, k: usize, class: ClassRef<'_>, terms: &ClassTerms<'_>| {
+    let look = PosteriorLook { problem, point, sigma: &sigma };
+    let none = || (NumberedPosteriors::new(&sizes), PosteriorRoom::default());
+    let told = |(found, room): &mut (NumberedPosteriors, PosteriorRoom),
+                k: usize,
+                class: ClassRef<'_>,
+                terms: &ClassTerms<'_>| {
         let test = classes.tests_of(k)[0];
-        add(found.of(test), (problem, point, &sigma), terms, class, reductions.get(test));
+        look.mean(class, terms, &mut room.mean);
+        look.covariances(class, terms, room);
+        let own = (terms.value(class), Distance::of(terms, class, reductions.get(test)));
+        found.of(test).push(own, &room.mean, &room.covariances);
     };
-    let none = || NumberedPosteriors::new(&sizes);
-    map_classes(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &none, &told)
+    let found = map_classes(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &none, &told);
+    found.into_iter().map(|(found, _)| found).collect()
 }
 
 /// States of each phase.
@@ -58,20 +54,44 @@ fn sizes(problem: &Problem) -> Vec<usize> {
     problem.covariance.elements.blocks().iter().map(Range::len).collect()
 }
 
-/// Adds what a test says.
-fn add(
-    found: &mut Posteriors,
-    (problem, point, sigma): (&Problem, &Point, &DMatrix<f64>),
-    terms: &ClassTerms<'_>,
-    class: ClassRef<'_>,
-    reduction: ReductionRef<'_>,
-) {
-    let mut mean = DVector::from_vec(point.mean_of(class, &problem.mean.regressors));
-    mean += sigma * DVector::from_column_slice(&terms.r);
-    let mean = problem.classes.frame.mean_out(mean.as_slice());
-    let own = (terms.value(class), Distance::of(terms, class, reduction));
-    let covariances = covariances(problem, class, terms, (point, sigma));
-    found.push(own, &mean, covariances.iter().flat_map(|own| own.iter().copied()));
+/// Room for what one test says.
+#[derive(Debug, Default)]
+struct PosteriorRoom {
+    mean: Vec<f64>,
+    covariances: Vec<f64>,
+}
+
+/// Where tests are looked at.
+struct PosteriorLook<'a> {
+    problem: &'a Problem,
+    point: &'a Point,
+    sigma: &'a DMatrix<f64>,
+}
+
+impl PosteriorLook<'_> {
+    /// E[ξ | z] = μ_j + Σr.
+    fn mean(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, mean: &mut Vec<f64>) {
+        self.point.put_mean(class, &self.problem.mean.regressors, mean);
+        for (k, r) in terms.r.iter().enumerate() {
+            mean.iter_mut().zip(&self.sigma.column(k)).for_each(|(mean, sigma)| *mean += sigma * r);
+        }
+        self.problem.classes.frame.take_mean_out(mean);
+    }
+
+    /// Var[ξ_i | z] of each phase, in the user's units. Of phases that a test kept phase by phase lacks, Σ.
+    fn covariances(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, room: &mut PosteriorRoom) {
+        let scale = &self.problem.classes.frame.scale;
+        let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &self.point.root));
+        let all = whole.as_ref().unwrap_or(self.sigma);
+        room.covariances.clear();
+        for (f, states) in self.problem.covariance.elements.blocks().iter().enumerate() {
+            let (start, before, size) = (states.start, room.covariances.len(), states.len());
+            let own = terms.covariances.get(f).filter(|_| whole.is_none());
+            let entry = |a: usize, b: usize| own.map_or_else(|| all[(start + a, start + b)], |own| own[(a, b)]);
+            room.covariances.resize(before + size * size, 0.0);
+            symmetric::put_scaled(&scale[states.clone()], entry, &mut room.covariances[before..]);
+        }
+    }
 }
 
 /// log p of a test's measurements and its distance from the population, at any point.
@@ -83,12 +103,6 @@ pub(crate) fn distance(problem: &Problem, point: &Point, reductions: &Reductions
 }
 
 impl Distance {
-    /// Of χ² with so many degrees of freedom.
-    pub(super) fn new(squared: f64, degrees_of_freedom: usize) -> Distance {
-        let p_value = ChiSquared::new(degrees_of_freedom as f64).ok().map(|chi| chi.sf(squared));
-        Distance { squared, degrees_of_freedom, p_value }
-    }
-
     fn of(terms: &ClassTerms<'_>, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
         let own_rank = || (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
@@ -105,25 +119,6 @@ impl Distance {
         let squared = (terms.quadratic - disagreement).max(0.0);
         Distance::new(squared, rank)
     }
-}
-
-/// Var[ξ_i | z] of each phase, in the user's units. Of phases that a test kept phase by phase lacks, Σ.
-fn covariances(
-    problem: &Problem,
-    class: ClassRef<'_>,
-    terms: &ClassTerms<'_>,
-    (point, sigma): (&Point, &DMatrix<f64>),
-) -> Vec<DMatrix<f64>> {
-    let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &point.root));
-    let all = whole.as_ref().unwrap_or(sigma);
-    let scale = &problem.classes.frame.scale;
-    let of = |(f, states): (usize, &Range<usize>)| {
-        let start = states.start;
-        let own = terms.covariances.get(f).filter(|_| whole.is_none());
-        let entry = |a: usize, b: usize| own.map_or_else(|| all[(start + a, start + b)], |own| own[(a, b)]);
-        symmetric::scaled(&scale[states.clone()], entry)
-    };
-    problem.covariance.elements.blocks().iter().enumerate().map(of).collect()
 }
 
 /// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R by rows, then C. F is that of the law given Cξ = g.

@@ -1,8 +1,7 @@
 //! What all tests say, in columns: a number, or as many as all tests have alike, for each test.
 
 use nalgebra::DMatrixView;
-
-use crate::infer::posterior::Distance;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// What each test says, in an order of tests.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -27,6 +26,17 @@ pub struct Posterior<'a> {
     covariances: &'a [f64],
     /// How far the test is from the population.
     pub distance: Distance,
+}
+
+/// Standardised squared distance of a test's own estimate from the population mean.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Distance {
+    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ).
+    pub squared: f64,
+    /// Rank of J.
+    pub degrees_of_freedom: usize,
+    /// χ² tail probability; `None` without degrees of freedom.
+    pub p_value: Option<f64>,
 }
 
 /// What some tests say, each with its number.
@@ -70,16 +80,11 @@ impl Posteriors {
     }
 
     /// Adds a test: `covariances` of each phase after the other, by rows.
-    pub(super) fn push(
-        &mut self,
-        (log_likelihood, distance): (f64, Distance),
-        mean: &[f64],
-        covariances: impl Iterator<Item = f64>,
-    ) {
+    pub(super) fn push(&mut self, (log_likelihood, distance): (f64, Distance), mean: &[f64], covariances: &[f64]) {
         self.log_likelihood.push(log_likelihood);
         self.distance.push(distance);
         self.mean.extend_from_slice(mean);
-        self.covariances.extend(covariances);
+        self.covariances.extend_from_slice(covariances);
         debug_assert_eq!(self.covariances.len(), self.len() * self.squares());
     }
 
@@ -94,7 +99,7 @@ impl Posteriors {
         let mut all = Posteriors::new(sizes);
         for (_, part, at) in places {
             let one = parts[part].found.get(at);
-            all.push((one.log_likelihood, one.distance), one.mean, one.covariances.iter().copied());
+            all.push((one.log_likelihood, one.distance), one.mean, one.covariances);
         }
         all
     }
@@ -111,15 +116,28 @@ impl Posteriors {
 impl<'a> Posterior<'a> {
     /// Var[ξ_i | z] of the phase with this number (p_i × p_i). Panics when the model has no such phase.
     pub fn covariance(&self, phase: usize) -> DMatrixView<'a, f64> {
+        DMatrixView::from_slice(self.square(phase), self.sizes[phase], self.sizes[phase])
+    }
+
+    /// The same by rows.
+    pub(crate) fn square(&self, phase: usize) -> &'a [f64] {
         let (before, size) = (&self.sizes[..phase], self.sizes[phase]);
         let start: usize = before.iter().map(|size| size * size).sum();
-        DMatrixView::from_slice(&self.covariances[start..][..size * size], size, size)
+        &self.covariances[start..][..size * size]
     }
 
     /// The same of all phases.
     pub fn covariances(&self) -> impl ExactSizeIterator<Item = DMatrixView<'a, f64>> {
         let own = *self;
         (0..own.sizes.len()).map(move |phase| own.covariance(phase))
+    }
+}
+
+impl Distance {
+    /// Of χ² with so many degrees of freedom.
+    pub(super) fn new(squared: f64, degrees_of_freedom: usize) -> Distance {
+        let p_value = ChiSquared::new(degrees_of_freedom as f64).ok().map(|chi| chi.sf(squared));
+        Distance { squared, degrees_of_freedom, p_value }
     }
 }
 

@@ -164,14 +164,19 @@ pub(crate) fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
 pub(crate) fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64> {
     let p = scale.len();
     let mut matrix = DMatrix::zeros(p, p);
+    put_scaled(scale, entry, matrix.as_mut_slice());
+    matrix
+}
+
+/// The same into a place for it, by rows.
+pub(crate) fn put_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, to: &mut [f64]) {
+    let p = scale.len();
     for i in 0..p {
         for j in 0..=i {
             let value = scale[i] * entry(i, j) * scale[j];
-            matrix[(i, j)] = value;
-            matrix[(j, i)] = value;
+            (to[i * p + j], to[j * p + i]) = (value, value);
         }
     }
-    matrix
 }
 
 /// True when no eigenvalue is negative beyond rounding.

@@ -228,10 +228,10 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
     let mut order: Vec<usize> = (0..reductions.len()).collect();
     order.par_sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
     let classes = DesignClasses::new(reductions, &order);
-    let own = |&j: &usize| (reductions.len() <= MOST_OWN).then(|| OwnEstimate::of(reductions.get(j)));
-    let own: Vec<Option<OwnEstimate>> = order.par_iter().map(own).collect();
-    let mut tests = TestRecords::with_room(order.len());
-    for (j, own) in order.into_iter().zip(own) {
+    let with_own = if order.len() <= MOST_OWN { &order[..] } else { &[] };
+    let own: Vec<OwnEstimate> = with_own.par_iter().map(|&j| OwnEstimate::of(reductions.get(j))).collect();
+    let mut tests = TestRecords::with_room(order.len(), cuts.iter().map(|cut| cut.elements.len()));
+    for (place, j) in order.into_iter().enumerate() {
         let (reduction, posterior) = (reductions.get(j), inference.posteriors.get(j));
         let Distance { squared, degrees_of_freedom, p_value } = posterior.distance;
         let figures = TestFigures {
@@ -247,7 +247,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
         tests.push(reduction.test, figures, deletion.map(|without| DeletionRecord::new(model, without)));
         for cut in &cuts[..phases_of(reduction, model)] {
             let (mean, covariance) = (&posterior.mean[cut.elements.clone()], posterior.square(cut.index));
-            let own = own.as_ref().and_then(|own| own.part(cut));
+            let own = own.get(place).and_then(|own| own.part(cut));
             tests.phases.push(&cut.phase.name, (mean, covariance), own);
         }
     }

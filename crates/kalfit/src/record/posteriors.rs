@@ -39,6 +39,17 @@ pub struct PosteriorRecords<'a> {
 }
 
 impl PosteriorColumns {
+    /// Of no test yet; there is room for so many with phases of so many states.
+    pub(super) fn with_room(tests: usize, states: impl Iterator<Item = usize>) -> PosteriorColumns {
+        let (phases, numbers) = states.fold((0, 0), |(phases, all), p| (phases + 1, all + p + p * p));
+        PosteriorColumns {
+            parts: Vec::with_capacity(tests * phases),
+            ends: Vec::with_capacity(tests),
+            numbers: Vec::with_capacity(tests * numbers),
+            ..PosteriorColumns::default()
+        }
+    }
+
     /// Adds a test, of which [`PosteriorColumns::push`] then adds phases.
     pub(super) fn begin(&mut self) {
         self.ends.push(self.parts.len());

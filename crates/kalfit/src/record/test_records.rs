@@ -106,9 +106,13 @@ impl TestRecords {
         (0..self.len()).map(|number| (self.ids.get(number), number)).collect()
     }
 
-    /// Of no test yet; there is room for so many.
-    pub(super) fn with_room(tests: usize) -> TestRecords {
-        TestRecords { figures: Vec::with_capacity(tests), ..TestRecords::default() }
+    /// Of no test yet; there is room for so many with phases of so many states.
+    pub(super) fn with_room(tests: usize, states: impl Iterator<Item = usize>) -> TestRecords {
+        TestRecords {
+            figures: Vec::with_capacity(tests),
+            phases: PosteriorColumns::with_room(tests, states),
+            ..TestRecords::default()
+        }
     }
 
     /// Adds a test, whose phases are then added.
@@ -141,6 +145,11 @@ impl TestRecords {
 }
 
 impl InnovationRecords {
+    /// Of no test yet; there is room for so many.
+    pub fn with_room(tests: usize) -> InnovationRecords {
+        InnovationRecords(Rare::with_room(tests))
+    }
+
     /// Those of the test with this number, if it has any.
     pub fn get(&self, number: usize) -> Option<&InnovationRecord> {
         self.0.get(number)
