@@ -46,6 +46,7 @@ fn verdict(record: &AppliedRecord) -> String {
     let doubtful = |joint: &JointRecord| joint.p_value.is_some_and(|p| p < DOUBTFUL);
     let apart = doubtful(&record.distance) || record.within.as_ref().is_some_and(doubtful);
     let nothing = record.distance.degrees_of_freedom + record.residual.degrees_of_freedom == 0;
+    let unjudged = record.distance.degrees_of_freedom > 0 && record.distance.p_value.is_none();
     let first = match (apart, doubtful(&record.residual)) {
         _ if nothing => "The measurements contain no information about the population.",
         (true, true) => "The tests do not belong to this population, and the model does not describe their records.",
@@ -53,6 +54,10 @@ fn verdict(record: &AppliedRecord) -> String {
             "The tests do not belong to this population: their initial states are distributed differently."
         }
         (false, true) => "The model does not describe the records of these tests: the residuals are not as expected.",
+        (false, false) if unjudged => {
+            "Whether the tests are of this population cannot be judged: it was estimated from too few tests for the law of their distances \
+             to be known."
+        }
         (false, false) => "Taken together, the tests agree with this population.",
     };
     let mut sentences = vec![first.to_owned()];

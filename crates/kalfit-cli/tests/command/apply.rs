@@ -255,6 +255,45 @@ fn tests_of_one_unit_are_compared_with_each_other() {
     }
 }
 
+const LEVEL: &str = r#"
+[data]
+test = "test"
+[states.level]
+[measurements.y]
+column = "y"
+equation = "level"
+noise = 1
+[mean]
+start = { level = 0 }
+[covariance]
+start = [[1]]
+"#;
+
+#[test]
+fn a_test_beyond_all_measure_is_not_left_out() {
+    // whatever the size, the mean of B is ordinary and its residual is not
+    for size in ["3e2", "3e5", "3e7", "3e9"] {
+        let data = format!("test,y\nA,0.5\nA,-0.3\nB,{size}\nB,-{size}\nC,1.2\nC,0.2\n");
+        let folder = Folder::new(&[("c.toml", LEVEL.as_bytes()), ("far.csv", data.as_bytes())]);
+        let said = shown(&folder.run("apply c.toml far.csv --from c.toml --out o.csv"));
+        assert!(said.contains("The model does not describe the records of these tests"), "{size}: {said}");
+        assert!(said.contains("The residuals of 1 test are larger than the model allows"), "{size}: {said}");
+        assert!(folder.table("o.csv").iter().all(|row| !row["residual"].is_empty()), "{size}");
+    }
+}
+
+#[test]
+fn what_cannot_be_judged_is_said_to_be_so() {
+    // two tests tell two states exactly: of the covariance nothing is known that a law could be made of
+    let model = "[data]\ntest = \"test\"\n[states]\na = {}\nb = {}\n[measurements.y]\ncolumn = \"y\"\nequation = \"a\"\nnoise = 1e-5\n\
+                 [measurements.z]\ncolumn = \"z\"\nequation = \"b\"\nnoise = 1e-5\n";
+    let folder = Folder::new(&[("m.toml", model.as_bytes()), ("d.csv", b"test,y,z\nt0,1,2\nt1,2,2.5\n")]);
+    folder.run("fit m.toml d.csv --out fit.json --quiet");
+    folder.write("new.csv", b"test,y,z\nn0,1e6,-1e6\nn1,2e6,3e6\n");
+    let said = shown(&folder.run("apply m.toml new.csv --from fit.json"));
+    assert!(said.contains("cannot be judged") && !said.contains("agree with this population"), "{said}");
+}
+
 #[test]
 fn a_unit_that_is_far_off_is_named_as_a_unit() {
     let moved: String = runs(0.5)

@@ -25,6 +25,9 @@ pub struct Law {
 /// With more degrees of freedom than this, above and below, the cube root of F is normal to all digits that count.
 const MANY: f64 = 1e4;
 
+/// Of degrees of freedom that were worked out.
+const ROUNDING: f64 = 1e-5;
+
 impl Law {
     /// χ².
     pub fn chi_squared(degrees: f64) -> Law {
@@ -35,7 +38,7 @@ impl Law {
     pub fn mean(&self) -> f64 {
         match self.denominator {
             b if b.is_infinite() => self.scale,
-            b if b > 2.0 => self.scale * b / (b - 2.0),
+            b if b > 2.0 + ROUNDING => self.scale * b / (b - 2.0),
             _ => f64::INFINITY,
         }
     }
@@ -45,7 +48,7 @@ impl Law {
         let (a, b) = (self.numerator, self.denominator);
         match b {
             b if b.is_infinite() => self.scale * (2.0 / a).sqrt(),
-            b if b > 4.0 => self.mean() * (2.0 * (a + b - 2.0) / (a * (b - 4.0))).sqrt(),
+            b if b > 4.0 + ROUNDING => self.mean() * (2.0 * (a + b - 2.0) / (a * (b - 4.0))).sqrt(),
             _ => f64::INFINITY,
         }
     }

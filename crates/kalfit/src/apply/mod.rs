@@ -123,8 +123,9 @@ impl<'a> Applied<'a> {
         let residual = |((test, own), posterior): ((&PhasedTest, &Option<Innovations>), Posterior<'_>)| {
             let (summary, distance) = (&own.as_ref().filter(|_| self.is_all_rows(test))?.summary, &posterior.distance);
             let degrees = summary.count.saturating_sub(distance.degrees_of_freedom);
-            let sound = summary.nis * f64::EPSILON * summary.count as f64 <= ROUNDING;
-            sound.then(|| ((summary.nis - distance.squared).max(0.0), degrees))
+            let residual = (summary.nis - distance.squared).max(0.0);
+            let sound = summary.nis * f64::EPSILON * summary.count as f64 <= ROUNDING * (1.0 + residual);
+            sound.then_some((residual, degrees))
         };
         let residuals = self.tests.iter().zip(&innovations).zip(posteriors.iter()).map(residual).collect();
         Ok(Said { posteriors, groups, innovations, residuals })
