@@ -279,9 +279,12 @@ fn runs_of_a_known_unit_are_near_its_own_level() {
     for (row, name) in predicted("--design known.csv --units known").iter().zip(["u0", "u5"]) {
         let known = record.groups.iter().find(|unit| unit.id == [name]).unwrap();
         near("mean of a known unit", number(row, "mean"), known.mean[0]);
-        near("spread of its runs", number(row, "std_dev_population").powi(2), known.covariance[0][0] + own);
-        let hangs = known.covariance[0][0] / unit * record.phases[0].mean.std_error[0].unwrap();
-        near("what is left of the mean", number(row, "std_dev_estimation"), hangs);
+        near("spread of its runs", number(row, "std_dev_population").powi(2), own);
+        let left = known.covariance[0][0];
+        let hangs = left / unit * record.phases[0].mean.std_error[0].unwrap();
+        near("what is left of the mean", number(row, "std_dev_estimation"), left.sqrt().hypot(hangs));
+        let half = number(row, "confidence_upper") - number(row, "mean");
+        assert!(half > left.sqrt(), "limits of the mean: {half} of {}", left.sqrt());
     }
     let output = folder.run("predict m.toml --from fit.json --design strange.csv --units known");
     assert_snapshot!(shown(&output), @r#"

@@ -158,7 +158,10 @@ pub struct Initial {
     pub mean: Vec<f64>,
     /// The covariance of ξ.
     pub covariance: DMatrix<f64>,
-    /// The derivative of that mean by μ; `None` where the mean is μ itself.
+    /// The covariance of that mean given μ: what the tests of a known group leave open of it, which is counted with the errors of estimates.
+    /// `None` of a new one, whose mean is μ.
+    pub left: Option<DMatrix<f64>>,
+    /// The derivative of the mean by μ; `None` where the mean is μ itself.
     pub shrinkage: Option<DMatrix<f64>>,
     /// Levels of groups whose covariance is in `covariance`, by their place among the blocks of Σ.
     pub levels: Range<usize>,
@@ -168,11 +171,11 @@ impl Initial {
     /// Of a new test, of a new group of each level.
     pub fn new(model: &PhasedModel, population: &Population) -> Initial {
         let Population { mean, covariance, .. } = population.together(model.dimension());
-        Initial { mean, covariance, shrinkage: None, levels: 0..model.levels.len() + 1 }
+        Initial { mean, covariance, left: None, shrinkage: None, levels: 0..model.levels.len() + 1 }
     }
 
-    /// Of a new test of a group that is known, of the innermost level: from what is known of the mean of its tests. With one level of groups
-    /// it is counted how little of μ that hangs on; with more all of it.
+    /// Of a new test of a group that is known, of the innermost level: from what is known of the mean m of its tests, V = Var[m | z]. It
+    /// hangs on μ by VΣ⁺, Σ that of all levels together; where other groups of the same outer group tell of m too, by less.
     pub fn of_group(
         model: &PhasedModel,
         population: &Population,
@@ -180,15 +183,13 @@ impl Initial {
         covariance: &DMatrix<f64>,
     ) -> Initial {
         let p = model.dimension();
-        let own = population.covariance.view((0, 0), (p, p)).into_owned();
-        let shrinkage = (model.levels.len() == 1).then(|| {
-            let level = population.covariance.view((p, p), (p, p)).into_owned();
-            let inverse = crate::linalg::symmetric::pseudo_inverse(&level);
-            // directions in which groups do not differ are all of μ
-            let still = DMatrix::identity(p, p) - &level * &inverse;
-            covariance * inverse + still
-        });
-        Initial { mean, covariance: covariance + own, shrinkage, levels: 0..1 }
+        let block = |level: usize| population.covariance.view((level * p, level * p), (p, p));
+        let between = (1..=model.levels.len()).fold(DMatrix::zeros(p, p), |sum, level| sum + block(level));
+        let inverse = crate::linalg::symmetric::pseudo_inverse(&between);
+        // directions in which groups do not differ are all of μ
+        let still = DMatrix::identity(p, p) - &between * &inverse;
+        let shrinkage = Some(covariance * inverse + still);
+        Initial { mean, covariance: block(0).into_owned(), left: Some(covariance.clone()), shrinkage, levels: 0..1 }
     }
 }
 

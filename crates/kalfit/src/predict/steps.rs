@@ -100,6 +100,7 @@ impl ValueSteps {
         let found =
             [variance(&|slopes| slopes[0]), variance(&|slopes| slopes[1] + slopes[2]), variance(&|slopes| slopes[1])];
         let [mean, variance, population] = found.map(|x| if x < 0.0 { 0.0 } else { x });
+        let mean = mean + initial.left.as_ref().map_or(0.0, |left| value.population(left));
         let is_known = mean.is_finite() && variance.is_finite() && population.is_finite();
         is_known.then_some(Estimation {
             mean,

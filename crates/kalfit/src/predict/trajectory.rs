@@ -228,15 +228,18 @@ impl Trajectory {
         let predicted = |phase: usize, step: usize, place: usize, value: &PredictedValue| {
             let beside: Vec<&PredictedValue> =
                 sides.iter().map(|side| &side.phases[phase].steps[step].2[place]).collect();
+            let estimation = known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside));
+            let population = value.population(&initial.covariance);
+            let left = initial.left.as_ref().filter(|_| estimation.is_none()); // else it is in that
             Predicted {
                 what: value.what,
                 row: value.row,
                 mean: value.mean,
-                population: value.population(&initial.covariance),
+                population: population + left.map_or(0.0, |left| value.population(left)),
                 process: value.process,
                 hangs_on_zero: known
                     .is_some_and(|(knowledge, steps)| steps.hangs_on_zero(knowledge, initial, value, &beside)),
-                estimation: known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside)),
+                estimation,
                 limits: MeanLimits::Error,
             }
         };
