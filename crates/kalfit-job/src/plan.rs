@@ -1,12 +1,14 @@
 //! `kalfit plan`.
 
+use std::sync::Arc;
+
 use kalfit::estimate::Structure;
 use kalfit::model::PhasedModel;
 use kalfit::plan::{self, Arrangement};
 use kalfit::record::DataRecord;
 use kalfit::record::{PlanProvenance, PlanRecord};
-use kalfit::reduce::PhasedReducer;
-use kalfit::{Alpha, Labels, Reductions, Test};
+use kalfit::reduce::{GroupingError, PhasedReducer, groups_of};
+use kalfit::{Alpha, Grouping, Label, Labels, PhasedTest, Reductions, Test};
 use kalfit_data::{Input, TestSink};
 use kalfit_spec::Spec;
 
@@ -30,8 +32,8 @@ pub fn plan(job: &PlanJob, watch: &mut dyn JobWatch) -> Result<JobDone<PlanRecor
     let used = files(&[&job.model.document, &job.from], &inputs);
     let output = OutputFile::results(job.out.as_deref(), &used)?;
     let mut work = JobWork::new(watch);
-    let reductions = designs(&spec, &truth.alpha, &inputs, &mut work)?;
-    let structure = Structure::of(&spec.model, &truth.alpha, None);
+    let (reductions, grouping) = designs(&spec, &truth.alpha, &inputs, &mut work)?;
+    let structure = Structure::of(&spec.model, &truth.alpha, grouping.as_ref());
     let states = spec.model.estimated_names();
     work.go_on()?;
     let found = match arrangements.is_empty() {
@@ -80,12 +82,17 @@ fn arrangements(model: &PhasedModel, job: &PlanJob) -> Result<Vec<Arrangement>, 
     Ok(all.into_iter().flat_map(with_tests).collect())
 }
 
+/// The tests of a design, and the groups that they stand in.
+type Designs = (Reductions, Option<Arc<Grouping>>);
+
 /// Reads the design and runs the covariance filters over it: what was measured is not looked at.
-fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut JobWork<'_>) -> Result<Reductions, Failure> {
+fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut JobWork<'_>) -> Result<Designs, Failure> {
     struct DesignReducer<'a, 'w> {
         model: &'a PhasedModel,
         reducer: PhasedReducer,
         reductions: Reductions,
+        /// The names of the groups of each test.
+        paths: Vec<Result<Vec<Label>, GroupingError>>,
         work: &'a mut JobWork<'w>,
     }
     impl TestSink for DesignReducer<'_, '_> {
@@ -95,6 +102,8 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut JobWork<'_>)
             SinkRefusal::unless_stopped(self.work)?;
             let split = |test| self.model.split(test, labels).map_err(SinkRefusal::Split);
             let tests = tests.into_iter().map(split).collect::<Result<Vec<_>, _>>()?;
+            let path = |test: &PhasedTest| groups_of(self.model, &test.id, &test.phases[0]);
+            self.paths.extend(tests.iter().filter(|_| !self.model.levels.is_empty()).map(path));
             self.reductions.append(self.reducer.reduce_designs(&tests).map_err(SinkRefusal::Reduce)?);
             let done = self.reductions.len();
             self.work.say(|| format!("reading: {done} tests"));
@@ -102,12 +111,19 @@ fn designs(spec: &Spec, alpha: &Alpha, inputs: &[Input], work: &mut JobWork<'_>)
         }
 
         fn restart(&mut self) {
-            self.reductions = Reductions::new();
+            (self.reductions, self.paths) = (Reductions::new(), Vec::new());
         }
     }
     let reducer = PhasedReducer::new(&spec.model, alpha).map_err(|error| Failure::Reduce { error, reading: None })?;
-    let mut sink = DesignReducer { model: &spec.model, reducer, reductions: Reductions::new(), work };
+    let mut sink =
+        DesignReducer { model: &spec.model, reducer, reductions: Reductions::new(), paths: Vec::new(), work };
     kalfit_data::read_from(&spec.model, &spec.layout, inputs, &mut sink, &mut stdin(inputs))
         .map_err(|error| refused::failure(error, spec))?;
-    Ok(sink.reductions)
+    let DesignReducer { reductions, paths, .. } = sink;
+    let refused = |error: GroupingError| Failure::Apply(Box::new(error.into()));
+    let paths = paths.into_iter().collect::<Result<Vec<_>, _>>().map_err(refused)?;
+    let depth = spec.model.levels.len();
+    let ids = reductions.iter().map(|design| design.test);
+    let grouping = (depth > 0).then(|| Arc::new(Grouping::from_paths(depth, ids.zip(paths))));
+    Ok((reductions, grouping))
 }

@@ -133,3 +133,57 @@ fn measured_values_of_the_design_do_not_matter() {
     };
     assert_eq!(tables("bench.csv"), tables("other.csv"));
 }
+
+/// Twelve runs of four serials; `x` is the serial's own.
+const SERIALS: &str = r#"
+[data]
+test = "run"
+levels = ["serial"]
+[states.a]
+[measurements.y]
+column = "y"
+equation = "a"
+noise = 0.1
+[mean.regression]
+a = ["x"]
+[covariance]
+structure = "fixed"
+matrix = [[0.04]]
+[levels.serial.covariance]
+structure = "fixed"
+matrix = [[1]]
+"#;
+
+#[test]
+fn what_belongs_to_a_group_stays_with_it() {
+    let row = |k: usize| format!("s{},r{},{},{}\n", k / 3, k % 3, k / 3 % 2, (k * 7 % 5) as f64 - 2.0);
+    let data = "serial,run,x,y\n".to_owned() + &(0..12).map(row).collect::<String>();
+    let folder = Folder::new(&[("s.toml", SERIALS.as_bytes()), ("s.csv", data.as_bytes())]);
+    let output = folder.run("fit s.toml s.csv --out fit.json --quiet");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let counts = "--groups serial=4,40 --tests 1,2,3,4";
+    let output = folder.run(&format!("plan s.toml --from fit.json --design s.csv {counts} --out plan.json"));
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let plan = record(&folder);
+    let found = plan.quantities.iter().find(|q| q.quantity == "regression").expect("there is one");
+    // half of G serials have x = 0 and half x = 1: the variance of a serial's mean of n runs, 2/G + 2/G times
+    let cases = [4.0, 40.0].into_iter().flat_map(|groups| [1.0, 2.0, 3.0, 4.0].map(|tests| (groups, tests)));
+    for ((groups, tests), error) in cases.zip(&found.std_error) {
+        let (error, expected) = (error.expect("it is known"), ((1.0 + 0.05 / tests) * 4.0_f64 / groups).sqrt());
+        assert!((error - expected).abs() < 1e-9 * expected, "{groups} of {tests}: {error} {expected}");
+    }
+}
+
+/// A population without variance in one state is a population of the model without a word about it.
+#[test]
+fn a_variance_of_zero_is_no_other_by_rounding() {
+    let zero = "[data]\ntest = \"test\"\n[states]\na = {}\nb = {}\nc = {}\n[measurements.y]\ncolumn = \"y\"\n\
+                equation = \"a + b * u + c * w\"\nnoise = 0.3\n[mean]\nfixed = { a = 1, b = 2, c = 0 }\n\
+                [covariance]\nstructure = \"fixed\"\nmatrix = [[1, 0, 0.1], [0, 0, 0], [0.1, 0, 0.6]]\n";
+    let free = zero.split("[mean]").next().expect("the model without its population");
+    let row = |k: usize| format!("t{},{},{},0\n", k / 6, (k as f64 * 0.7).sin(), (k as f64 * 1.3).cos());
+    let data = "test,u,w,y\n".to_owned() + &(0..42).map(row).collect::<String>();
+    let folder = Folder::new(&[("z.toml", zero.as_bytes()), ("f.toml", free.as_bytes()), ("d.csv", data.as_bytes())]);
+    let output = folder.run("plan f.toml --from z.toml --design d.csv --tests 7");
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+}

@@ -108,11 +108,16 @@ fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedEr
     Ok(Point { mean: on.as_slice().to_vec(), coefficients, root })
 }
 
+/// Variances that are this part of the largest are none.
+const NOTHING: f64 = 1e-18;
+
 /// A root of Σ of the structure's own shape, or the element (i, j, value on the structure) that is farthest off it.
 fn root(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, (usize, usize, f64)> {
     let root = map.root_of(&map.mask(sigma));
     let on = &root * root.transpose();
-    let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(0.0).sqrt();
+    // in η all states are of one size: what is far smaller than the largest is rounding beside a zero
+    let largest = (0..map.p).fold(0.0, |most: f64, i| most.max(sigma[(i, i)]));
+    let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(NOTHING * largest).sqrt();
     let (mut worst, mut most) = (None, ROUNDING);
     let mut note = |i: usize, j: usize, away: f64, value: f64| {
         let unit = (size(i) * size(j)).max(f64::MIN_POSITIVE);

@@ -39,11 +39,11 @@ impl Arrangement {
         first
     }
 
-    /// The names of the groups of each test.
-    fn paths(&self) -> Vec<Vec<Label>> {
+    /// The number of the group of each level that each test stands in, within the group above.
+    fn paths(&self) -> Vec<Vec<usize>> {
         let start = vec![Vec::new()];
-        let level = |paths: Vec<Vec<Label>>, &count: &usize| -> Vec<Vec<Label>> {
-            let more = |path: &Vec<Label>, k: usize| path.iter().copied().chain([Label::literal(k)]).collect();
+        let level = |paths: Vec<Vec<usize>>, &count: &usize| -> Vec<Vec<usize>> {
+            let more = |path: &Vec<usize>, k: usize| path.iter().copied().chain([k]).collect();
             paths.iter().flat_map(|path| (0..count).map(move |k| more(path, k))).collect()
         };
         let groups = self.groups.iter().fold(start, level);
@@ -51,9 +51,10 @@ impl Arrangement {
     }
 }
 
-/// Expected standard errors for each arrangement of tests like those that the reductions were made of, one after the other and again from
-/// the first. The structure is of a model with levels, its population in what is a test's own and what each level adds; which groups the
-/// design's own tests stand in does not count.
+/// Expected standard errors for each arrangement of tests like those that the reductions were made of. The structure is of a model with
+/// levels, its population in what is a test's own and what each level adds. Groups of the arrangement are like those that the design's
+/// own tests stand in, one after the other and again from the first, and so are the tests of each; all tests are of one group where the
+/// structure has no grouping.
 ///
 /// # Errors
 /// As [`plan`](crate::plan::plan); arrangements of too many tests.
@@ -68,7 +69,7 @@ pub fn plan_groups(
     let all: Vec<Expected> = arrangements
         .iter()
         .map(|one| {
-            let (tests, grouping) = arranged(reductions, one)?;
+            let (tests, grouping) = arranged(reductions, structure.grouping.as_deref(), one)?;
             Expected::of(&tests, &Structure { grouping: Some(grouping), ..structure.clone() }, population)
         })
         .collect::<Result<_, _>>()?;
@@ -112,8 +113,53 @@ fn is_told(quantity: Quantity, own: usize, population: &Population, together: &[
     (0..together.len()).all(|other| other == block || together[other] != together[block] || !varies(other))
 }
 
+/// What stands in each group of a design.
+struct DesignGroups {
+    /// By level, the outermost first, and group: the numbers of the groups of the next level in it.
+    inner: Vec<Vec<Vec<usize>>>,
+    /// By group of the innermost level: the numbers of its tests.
+    tests: Vec<Vec<usize>>,
+}
+
+impl DesignGroups {
+    /// Of a design whose tests stand in groups of so many levels; all in one where they stand in none.
+    fn new(design: &Reductions, grouping: Option<&Grouping>, levels: usize) -> DesignGroups {
+        let Some(own) = grouping else {
+            return DesignGroups { inner: vec![vec![vec![0]]; levels], tests: vec![(0..design.len()).collect()] };
+        };
+        let mut inner = vec![vec![(0..own.groups(levels - 1).len()).collect()]];
+        for level in (1..levels).rev() {
+            let mut groups = vec![Vec::new(); own.groups(level).len()];
+            for (number, group) in own.groups(level - 1).iter().enumerate() {
+                groups[group.parent.expect("there is a level above")].push(number);
+            }
+            inner.push(groups);
+        }
+        let mut tests = vec![Vec::new(); own.groups(0).len()];
+        for (number, test) in design.iter().enumerate() {
+            let place = own.number(test.test).expect("it was grouped");
+            tests[own.group_of(place, 0)].push(number);
+        }
+        DesignGroups { inner, tests }
+    }
+
+    /// The test of the design that one like this is: of this number in a group on this path.
+    fn like(&self, path: &[usize], number: usize) -> usize {
+        let group = path.iter().zip(&self.inner).fold(0, |group, (&at, inner)| {
+            let own = &inner[group];
+            own[at % own.len()]
+        });
+        let tests = &self.tests[group];
+        tests[number % tests.len()]
+    }
+}
+
 /// Tests like those of the design, in groups.
-fn arranged(design: &Reductions, arrangement: &Arrangement) -> Result<(Reductions, Arc<Grouping>), PlanError> {
+fn arranged(
+    design: &Reductions,
+    grouping: Option<&Grouping>,
+    arrangement: &Arrangement,
+) -> Result<(Reductions, Arc<Grouping>), PlanError> {
     let total = arrangement.total();
     if total == 0 || design.is_empty() {
         return Err(PlanError::ZeroTests);
@@ -122,17 +168,23 @@ fn arranged(design: &Reductions, arrangement: &Arrangement) -> Result<(Reduction
         return Err(PlanError::TooManyTests { found: total, most: MOST_TESTS });
     }
     let ids: Vec<String> = (0..total).map(|test| test.to_string()).collect();
-    let like = |(test, id): (usize, &String)| Reduction { test: id.clone(), ..design.get(test % design.len()).into() };
+    let (levels, paths) = (arrangement.groups.len(), arrangement.paths());
+    let own = DesignGroups::new(design, grouping, levels);
+    let like = |(test, id): (usize, &String)| {
+        let number = own.like(&paths[test], test % arrangement.tests);
+        Reduction { test: id.clone(), ..design.get(number).into() }
+    };
     let tests = ids.iter().enumerate().map(like).collect();
-    let paths = ids.iter().map(String::as_str).zip(arrangement.paths());
-    Ok((tests, Arc::new(Grouping::from_paths(arrangement.groups.len(), paths))))
+    let names = |path: &Vec<usize>| path.iter().map(|&k| Label::literal(k)).collect();
+    let paths = ids.iter().map(String::as_str).zip(paths.iter().map(names));
+    Ok((tests, Arc::new(Grouping::from_paths(levels, paths))))
 }
 
 #[cfg(test)]
 mod tests {
     use nalgebra::{DMatrix, DVector};
 
-    use super::{Arrangement, is_told};
+    use super::{Arrangement, DesignGroups, is_told};
     use crate::model::Population;
     use crate::plan::Quantity;
 
@@ -143,6 +195,42 @@ mod tests {
         assert_eq!(of(&[8], 1), [0, 0, 2], "one test of each unit");
         assert_eq!(of(&[1], 5), [0, 1, 1], "one unit: its own part is not told from the mean");
         assert_eq!(of(&[4, 1], 3), [0, 1, 1, 3], "one unit of each lot");
+    }
+
+    #[test]
+    fn groups_are_like_those_of_the_design_one_after_the_other() {
+        use crate::ensemble::{Grouping, Label};
+        use crate::reduce::{Path, Reduction, Reductions};
+        // lots A with units of two runs and of one, and B with a unit of three
+        let units = [("A", "a"), ("A", "a"), ("A", "b"), ("B", "a"), ("B", "a"), ("B", "a")];
+        let design = |number: usize| Reduction {
+            test: number.to_string(),
+            constant: 0.0,
+            residual: None,
+            data: vec![0.0],
+            factor: vec![1.0],
+            covariates: vec![],
+            steps: 1,
+            observations: 1,
+            path: Path::Information,
+            design: 0,
+            chain: None,
+            exact: None,
+        };
+        let design: Reductions = (0..units.len()).map(design).collect();
+        let name = |text: &str| Label::literal(usize::from(text.as_bytes()[0]));
+        let ids: Vec<String> = (0..units.len()).map(|number| number.to_string()).collect();
+        let paths = ids.iter().zip(units).map(|(id, (lot, unit))| (id.as_str(), vec![name(lot), name(unit)]));
+        let own = DesignGroups::new(&design, Some(&Grouping::from_paths(2, paths)), 2);
+        let like =
+            |path: [usize; 2], tests: usize| (0..tests).map(|number| own.like(&path, number)).collect::<Vec<_>>();
+        assert_eq!(like([0, 0], 3), [0, 1, 0]);
+        assert_eq!(like([0, 1], 2), [2, 2]);
+        assert_eq!(like([0, 2], 2), [0, 1], "the third unit of a lot of two is like its first");
+        assert_eq!(like([1, 0], 4), [3, 4, 5, 3]);
+        assert_eq!(like([2, 1], 1), [2], "the third lot is like the first");
+        let alone = DesignGroups::new(&design, None, 2);
+        assert_eq!((0..8).map(|number| alone.like(&[1, 1], number)).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5, 0, 1]);
     }
 
     #[test]
