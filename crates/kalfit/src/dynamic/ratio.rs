@@ -8,7 +8,7 @@
 use crate::dynamic::fit::fit;
 use crate::dynamic::{DynamicFit, Settings};
 use crate::ensemble::Labels;
-use crate::estimate::{FitError, Silent, Stop, Structure};
+use crate::estimate::{FitError, Silent, Stop, Structure, fit_from};
 use crate::infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
 use crate::infer::{GoesOn, NotNestedParameter, Restricted, fit_null, likelihood_ratio, replicates, restricted};
 use crate::model::{PhasedModel, Population, Value};
@@ -46,7 +46,7 @@ pub fn dynamic_ratio(
     let gap = wide.1.estimate.log_likelihood - null.1.estimate.log_likelihood;
     let degrees_of_freedom = taken.count + of_population.as_ref().map_or(0, |r| r.degrees_of_freedom);
     Ok(LikelihoodRatio {
-        statistic: (2.0 * gap).max(0.0),
+        statistic: if degrees_of_freedom == 0 { 0.0 } else { (2.0 * gap).max(0.0) },
         degrees_of_freedom,
         law: law(of_population.as_ref().map(|r| &r.law), taken, degrees_of_freedom),
         null_on_boundary: of_population.is_some_and(|r| r.null_on_boundary),
@@ -63,7 +63,15 @@ fn population(
     let (structure, within) = (of(null), of(model));
     let settings = &fit.estimate.state.settings;
     let narrow = fit_null(&fit.reductions, &within, &structure, settings, &mut Silent).ok_or(NotNested::Mean)??;
-    match likelihood_ratio(&narrow, &fit.estimate) {
+    let found = match likelihood_ratio(&narrow, &fit.estimate) {
+        // the search ended in coordinates of another α
+        Err(NotNested::Different) => {
+            let start = Population::from(&fit.estimate);
+            likelihood_ratio(&narrow, &fit_from(&fit.reductions, &within, &start, settings, &mut Silent)?)
+        }
+        found => found,
+    };
+    match found {
         Ok(ratio) => Ok(Some(ratio)),
         Err(NotNested::Same) => Ok(None),
         Err(error) => Err(error.into()),

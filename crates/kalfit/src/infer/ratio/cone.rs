@@ -31,7 +31,8 @@ pub(super) struct TangentCone {
     pub(super) null_on_boundary: bool,
 }
 
-pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> TangentCone {
+/// `equal`: the two have one likelihood.
+pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> TangentCone {
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
     let information = information(null, outer, &places);
@@ -42,6 +43,12 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate) -> TangentCone {
     let degrees_of_freedom = rank(&wide).saturating_sub(rank(&narrow));
     let sides = sides(&null.state.newton_iterate.point.root, inner, outer);
     let null_on_boundary = !null_is_generic(null, inner);
+    if degrees_of_freedom == 0 && !equal {
+        // what the hypothesis takes away is limited by what it is never told from: a sum of two variances that one of them exceeds
+        let taken = wide.ncols().saturating_sub(narrow.ncols()).max(1);
+        let law = ReferenceLaw { is_bound: true, ..ReferenceLaw::chi_squared(taken) };
+        return TangentCone { degrees_of_freedom: taken, law, null_on_boundary };
+    }
     let law = match sides {
         BoundaryCone::None => ReferenceLaw::chi_squared(degrees_of_freedom),
         BoundaryCone::Unknown => bound(degrees_of_freedom),

@@ -40,12 +40,17 @@ impl LikelihoodRatio {
     }
 }
 
+/// Of the difference of two likelihoods that are equal.
+const ROUNDING: f64 = 1e-8;
+
 /// Tests a hypothesis within a model, both fitted to the same reductions.
 pub fn likelihood_ratio(null: &Estimate, alternative: &Estimate) -> Result<LikelihoodRatio, NotNested> {
     nested::check(null, alternative)?;
-    let tangent = cone::tangent(null, alternative);
+    let statistic = (2.0 * (alternative.log_likelihood - null.log_likelihood)).max(0.0);
+    let is_rounding = statistic <= ROUNDING * (1.0 + null.log_likelihood.abs());
+    let tangent = cone::tangent(null, alternative, is_rounding);
     Ok(LikelihoodRatio {
-        statistic: (2.0 * (alternative.log_likelihood - null.log_likelihood)).max(0.0),
+        statistic: if is_rounding && tangent.degrees_of_freedom == 0 { 0.0 } else { statistic },
         degrees_of_freedom: tangent.degrees_of_freedom,
         law: tangent.law,
         null_on_boundary: tangent.null_on_boundary,
