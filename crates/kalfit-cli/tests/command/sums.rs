@@ -98,14 +98,28 @@ fn three_places_reach_the_fit_of_all_tests() {
 
 #[test]
 fn with_known_parameters_by_either_criterion() {
+    by_either_criterion(&folder());
+}
+
+/// What a test measures without noise informs the mean where there is no spread, which is where sums are asked what they inform.
+#[test]
+fn with_values_that_are_measured_without_noise() {
     let folder = folder();
+    let text = std::fs::read_to_string(folder.path("sleepstudy.toml")).unwrap();
+    let exact = text.replace("noise = \"sigma\"", "noise = \"if(Days == 0, 0, sigma)\"");
+    assert!(exact != text);
+    folder.write("sleepstudy.toml", exact.as_bytes());
+    by_either_criterion(&folder);
+}
+
+fn by_either_criterion(folder: &Folder) {
     for criterion in ["ml", "reml"] {
         let fit = format!("fit sleepstudy.toml sleepstudy.csv --set sigma=25 --criterion {criterion}");
-        ends_well(&folder, &format!("{fit} --out pooled.json --quiet"));
+        ends_well(folder, &format!("{fit} --out pooled.json --quiet"));
         let options = format!("--set sigma=25|--set sigma=25 --criterion {criterion}");
-        let rounds = rounds(&folder, &options);
+        let rounds = rounds(folder, &options);
         assert!(rounds < 20, "{rounds} rounds");
-        agree(&folder, "pooled.json");
+        agree(folder, "pooled.json");
         std::fs::remove_file(folder.path("fit.json")).unwrap();
     }
 }
@@ -123,7 +137,7 @@ fn what_does_not_belong_together_is_refused() {
     // another round
     ends_well(&folder, "sums sleepstudy.toml north.csv --at theta.json --out north.sums");
     let text = refused(&folder, join);
-    assert!(text.contains("`east.sums` has the sums of round 0, and `north.sums` those of round 1"), "{text}");
+    assert!(text.contains("`east.sums` has the sums of round 1, and `north.sums` those of round 2"), "{text}");
     // a place missing, and one given twice
     sums(&folder, "--at theta.json", "");
     let text = refused(&folder, "join sleepstudy.toml north.sums east.sums --out theta.json");

@@ -52,7 +52,7 @@ pub enum SumsError {
         parameter: String,
     },
     /// Sums of another round.
-    #[error("`{file}` has the sums of round {found}, and `{first}` those of round {expected}")]
+    #[error("`{file}` has the sums of round {}, and `{first}` those of round {}", found + 1, expected + 1)]
     Round {
         /// The file.
         file: String,

@@ -141,10 +141,15 @@ fn go_on(
 }
 
 /// Of sums of some tests that are there before, the first, and where they were. Counts may well be alike, start values are where the
-/// model gives them, and so are all answers where what was asked for is not defined.
+/// model gives them, what equal designs inform of the mean without spread, and all answers where what was asked for is not defined.
 fn twice(sums: &[SiteSums]) -> Option<(usize, usize)> {
     let tells = |(asked, answer): (&Asked, &Answer)| {
-        answer.is_some() && !matches!(asked.question, Question::Observability { .. } | Question::Opening)
+        answer.is_some()
+            && match &asked.question {
+                Question::Observability { .. } | Question::Opening => false,
+                Question::Pass { place, .. } => place.root.iter().any(|x| *x != 0.0),
+                _ => true,
+            }
     };
     let is_told = |sums: &SiteSums| sums.tests > 0 && sums.theta.ask.iter().zip(&sums.answers).any(tells);
     let before = |at: usize| sums[..at].iter().position(|other| is_told(other) && *other == sums[at]);

@@ -406,6 +406,12 @@ impl Classes {
         class
     }
 
+    /// Some test measures something exactly.
+    pub(super) fn has_exact(&self) -> bool {
+        let p = self.dimension();
+        !self.is_chained() && (0..self.listed.len()).any(|number| self.listed.get(number).mean.len() > p)
+    }
+
     /// A class whose exact rows have a singular covariance at a point, if there is one: standard deviations in units of what tests
     /// differ by, given those of the rows before.
     pub(super) fn collapsed(&self, point: &Point) -> Option<usize> {

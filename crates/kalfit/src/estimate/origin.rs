@@ -88,7 +88,7 @@ impl Classes {
     }
 
     /// Some are kept phase by phase.
-    fn is_chained(&self) -> bool {
+    pub(super) fn is_chained(&self) -> bool {
         !self.chains.is_empty() || self.unbatched.iter().any(|&k| self.listed.get(k).chain.is_some())
     }
 }

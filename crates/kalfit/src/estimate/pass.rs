@@ -71,6 +71,27 @@ pub(crate) fn pass(
     if refused.is_empty() { sums } else { sums.and(1.0, &one_by_one(&refused, point, wanted)) }
 }
 
+/// ℓ where it is -∞, for those who add up what some places say.
+const NO_LIKELIHOOD: f64 = -1e300;
+
+/// The same as it is told to those who have no classes. They also ask without spread what the tests inform of the mean, where ℓ is -∞ if
+/// something is measured exactly.
+pub(super) fn told_pass(
+    classes: &Classes,
+    regressors: &Regressors,
+    point: &Point,
+    order: Order,
+    flat: Option<&FlatMean<'_>>,
+) -> Sums {
+    if order != Order::Mean || point.root.amax() > 0.0 || !classes.has_exact() {
+        return pass(classes, regressors, point, order, flat);
+    }
+    let wanted = wanted(&classes.elements, regressors, order, flat);
+    let mut sums = wanted.zero();
+    (sums.value, sums.mean_information) = (NO_LIKELIHOOD, classes.mean_information(regressors));
+    sums
+}
+
 /// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
 fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();

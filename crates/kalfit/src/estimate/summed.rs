@@ -71,7 +71,7 @@ impl Summed {
                 let flat =
                     flat.as_ref().map(|(jacobian, covariance)| FlatMean { jacobian, covariance: covariance.as_ref() });
                 let (classes, regressors) = self.classes(frame)?;
-                pass::pass(classes, regressors, &point, *detail, flat.as_ref()).numbers()
+                pass::told_pass(classes, regressors, &point, *detail, flat.as_ref()).numbers()
             }
             _ => return None,
         };
