@@ -42,8 +42,12 @@ fn facts(record: &ExportRecord) -> String {
         true => String::new(),
         false => format!(", where {}", record.at.iter().map(|at| clean(at)).collect::<Vec<_>>().join(", ")),
     };
+    let but = match record.changed.is_empty() {
+        true => String::new(),
+        false => format!(" but {}", record.changed.iter().map(|name| clean(name)).collect::<Vec<_>>().join(", ")),
+    };
     format!(
-        "The filter{phase} {step}{at}, all parameters as in {}: {}, {} and {}.",
+        "The filter{phase} {step}{at}, all parameters as in {}{but}: {}, {} and {}.",
         clean(&record.from),
         count(record.states.len(), "state"),
         count(record.measurements.len(), "measurement"),

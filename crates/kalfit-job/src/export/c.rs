@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use kalfit::record::ExportRecord;
 
+use super::origin;
+
 /// The header; names in it begin with that of the file.
 pub(super) fn header(record: &ExportRecord, file: &str) -> String {
     let prefix = identifier(file);
@@ -54,7 +56,7 @@ fn comment(record: &ExportRecord, prefix: &str) -> String {
         "" => "A Kalman filter".to_owned(),
         title => title.to_owned(),
     }];
-    lines.push(format!("Written by kalfit {} from {}, phase {}.", record.kalfit_version, record.from, record.phase));
+    lines.push(format!("Written by kalfit {} from {}, phase {}.", record.kalfit_version, origin(record), record.phase));
     if let Some(step) = record.step {
         lines.push(format!("Step: {step:?} {}", record.time_unit.as_deref().unwrap_or("")));
     }

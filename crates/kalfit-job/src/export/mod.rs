@@ -36,13 +36,21 @@ pub fn export(job: &ExportJob) -> Result<JobDone<ExportRecord>, Failure> {
     let wanted = Wanted { phase: job.phase.clone(), step: job.step, at };
     let found = matrices(&spec.model, &truth.alpha, &truth.population, &wanted).map_err(refused)?;
     let words = spec.words(found.phase);
-    let source = ExportSource { from: job.from.name(), at: &wanted.at, words: &words };
+    let source = ExportSource { from: job.from.name(), changed: truth.changed, at: &wanted.at, words: &words };
     let record = ExportRecord::new(&spec.model, &found, &source);
     if let Some((output, format)) = &output {
         write(output, *format, &record)?;
     }
     let written = output.iter().map(|(output, _)| output.name()).collect();
     Ok(JobDone::new(record, truth.warnings, written))
+}
+
+/// Where the parameters of a filter are from.
+fn origin(record: &ExportRecord) -> String {
+    match record.changed.is_empty() {
+        true => record.from.clone(),
+        false => format!("{} but {}", record.from, record.changed.join(", ")),
+    }
 }
 
 fn write(output: &OutputFile, format: ExportFormat, record: &ExportRecord) -> Result<(), OutputError> {

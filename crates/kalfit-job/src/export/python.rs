@@ -2,6 +2,8 @@
 
 use kalfit::record::ExportRecord;
 
+use super::origin;
+
 /// The module.
 pub(super) fn module(record: &ExportRecord) -> String {
     let (n, m, k) = (record.states.len(), record.measurements.len(), record.inputs.len());
@@ -30,7 +32,7 @@ pub(super) fn module(record: &ExportRecord) -> String {
 
 fn documentation(record: &ExportRecord) -> String {
     let title = if record.title.trim().is_empty() { "A Kalman filter" } else { record.title.trim() };
-    let mut text = format!("{}\n\nWritten by kalfit {} from {}.\n\n", title, record.kalfit_version, record.from);
+    let mut text = format!("{}\n\nWritten by kalfit {} from {}.\n\n", title, record.kalfit_version, origin(record));
     text += "    x = F @ x + B @ u + w,  w ~ N(0, Q)\n    z = H @ x + D @ u + v,  v ~ N(0, R)\n\n";
     text += &format!("x0 and P0 are mean and covariance of x of a new test at: {}.\n", record.x0_at);
     if record.input_row == "previous" {

@@ -104,11 +104,12 @@ fn take(spec: &mut Spec, from: &Document, set: &[String]) -> Result<Truth, Failu
         results = Some(Box::new(record));
         (population, known)
     };
-    let mut taken = give(spec, &known, &path, &mut warnings)?;
-    model::set(spec, set)?;
     let assigned = set.iter().filter_map(|assignment| ParameterAssignment::new(assignment).ok());
+    let is_set = |name: &str| assigned.clone().any(|assignment| assignment.name == name);
+    let mut taken = give(spec, &known, (&path, &is_set), &mut warnings)?;
+    model::set(spec, set)?;
     let changed: Vec<String> = assigned.clone().map(|assignment| assignment.target()).collect();
-    taken.retain(|name| !assigned.clone().any(|assignment| assignment.name == name));
+    taken.retain(|name| !is_set(name));
     let alpha = Alpha::fixed(&spec.model.shared().parameters)
         .map_err(|ParameterError::Free { names }| Failure::from(TruthError::NoParameter { names }))?;
     Ok(Truth { population, alpha, taken, warnings, fitted, record: results, changed })
@@ -128,7 +129,7 @@ pub(crate) fn parameters(spec: &mut Spec, from: &Document) -> Result<Vec<String>
     let record: FitRecord = results::read(from, FIT).map_err(TruthError::from)?;
     let known = of_record(spec, &record, &path)?;
     let mut warnings = Vec::new();
-    give(spec, &known, &path, &mut warnings)?;
+    give(spec, &known, (&path, &|_| false), &mut warnings)?;
     Ok(warnings)
 }
 
@@ -217,8 +218,14 @@ fn of_record(spec: &Spec, record: &FitRecord, path: &str) -> Result<Vec<KnownVal
     record.parameters.iter().map(known).collect()
 }
 
-/// Gives the model's free parameters the values that are known; the names of those that got one.
-fn give(spec: &mut Spec, known: &[KnownValue], path: &str, warnings: &mut Vec<String>) -> Result<Vec<String>, Failure> {
+/// Gives the model's free parameters the values that are known in a file; the names of those that got one. Of parameters that will be set
+/// nobody needs to know what they are elsewhere.
+fn give(
+    spec: &mut Spec,
+    known: &[KnownValue],
+    (path, is_set): (&str, &dyn Fn(&str) -> bool),
+    warnings: &mut Vec<String>,
+) -> Result<Vec<String>, Failure> {
     let literals: HashMap<String, usize> =
         spec.model.shared().literals.iter().enumerate().map(|(literal, text)| (text.clone(), literal)).collect();
     let mut taken = Vec::new();
@@ -232,7 +239,7 @@ fn give(spec: &mut Spec, known: &[KnownValue], path: &str, warnings: &mut Vec<St
                 Value::Free { .. } => at_level,
             };
             if let Some(own) = own {
-                if own != *value {
+                if own != *value && !is_set(&parameter.name) {
                     warnings.push(difference(spec, &parameter.name, level.as_deref(), (own, *value), path));
                 }
                 continue;

@@ -20,6 +20,9 @@ pub struct ExportRecord {
     pub title: String,
     /// What the parameters were taken from, as named by the user.
     pub from: String,
+    /// Parameters that were given other values.
+    #[serde(default)]
+    pub changed: Vec<String>,
     /// Its phase; `main` where there is but one.
     pub phase: String,
     /// Columns that were given a value for all rows, each as `column=value`.
@@ -77,6 +80,8 @@ pub struct ExportRecord {
 pub struct ExportSource<'a> {
     /// What the parameters were taken from, as named by the user.
     pub from: String,
+    /// Parameters that were given other values.
+    pub changed: Vec<String>,
     /// Columns that were given a value.
     pub at: &'a [(String, String)],
     /// An expression of the filter's phase in words.
@@ -101,6 +106,7 @@ impl ExportRecord {
             kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
             title: own.title.clone(),
             from: source.from.clone(),
+            changed: source.changed.clone(),
             phase: phase.name.clone(),
             at: source.at.iter().map(|(column, value)| format!("{column}={value}")).collect(),
             step: filter.step,
