@@ -598,22 +598,26 @@ fn help_shows_an_example() {
 fn a_variance_that_only_limits_a_sum_is_tested_by_a_bound() {
     let model = "[data]\ntest = \"test\"\nlevels = [\"unit\"]\n[states.a]\n[measurements.y]\ncolumn = \"y\"\nequation = \"a\"\n\
                  noise = 0.3\n";
+    let free = model.replace("0.3", "\"s\"") + "[parameters]\ns = {}\n";
     let levels = [1.5, 2.7, 2.8, 2.1, 1.3, 2.4, 1.1, 2.9, 2.2, 1.8, 2.6, 1.6];
     let row = |k: usize| format!("u{},t,{}\n", k / 3, levels[k / 3] + 0.2 * ((k % 3) as f64 - 1.0));
     let data = "unit,test,y\n".to_owned() + &(0..36).map(row).collect::<String>();
     let folder = Folder::new(&[
         ("m.toml", model.as_bytes()),
+        ("free.toml", free.as_bytes()),
         ("d.csv", data.as_bytes()),
         ("one.toml", b"[covariance]\nfixed = { \"a, a\" = 1 }\n"),
         ("small.toml", b"[covariance]\nfixed = { \"a, a\" = 0.1 }\n"),
     ]);
-    let of = |null: &str| -> RatioRecord {
-        let output = folder.run(&format!("test m.toml d.csv --null {null} --out t.json"));
+    let of = |model: &str, null: &str| -> RatioRecord {
+        let output = folder.run(&format!("test {model} d.csv --null {null} --out t.json"));
         assert!(folder.path("t.json").exists(), "{}", shown(&output));
         serde_json::from_str(&std::fs::read_to_string(folder.path("t.json")).unwrap()).unwrap()
     };
-    let (one, small) = (of("one.toml"), of("small.toml"));
-    assert!(one.lr > 1.0 && one.df == 1 && one.law_is_bound, "{one:?}");
-    assert!(one.p_value > 1e-4 && one.p_value == one.p_chi2_df, "{one:?}");
+    let small = of("m.toml", "small.toml");
+    for one in ["m.toml", "free.toml"].map(|model| of(model, "one.toml")) {
+        assert!(one.lr > 1.0 && one.df == 1 && one.law_is_bound, "{one:?}");
+        assert!(one.p_value > 1e-4 && one.p_value == one.p_chi2_df, "{one:?}");
+    }
     assert!(small.lr < 1e-6 && small.p_value == 1.0, "{small:?}");
 }

@@ -70,7 +70,7 @@ pub struct Said {
     pub residuals: Vec<Option<(f64, usize)>>,
 }
 
-/// Largest rounding of a residual that is told.
+/// Largest rounding of a residual that is told, in parts of one and the residual.
 const ROUNDING: f64 = 1e-3;
 
 impl<'a> Applied<'a> {

@@ -87,7 +87,7 @@ fn law(of_population: Option<&ReferenceLaw>, taken: Restricted, r: usize) -> Ref
         Some(_) => 2,
     };
     match edges + taken.at_bound {
-        0 => ReferenceLaw::chi_squared(r),
+        0 => ReferenceLaw { is_bound: of_population.is_some_and(|law| law.is_bound), ..ReferenceLaw::chi_squared(r) },
         edges => {
             let half = |degrees_of_freedom| Component { degrees_of_freedom, weight: 0.5 };
             let components = vec![half(r.saturating_sub(1)), half(r)];

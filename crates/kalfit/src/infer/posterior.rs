@@ -72,8 +72,8 @@ impl PosteriorLook<'_> {
     /// E[ξ | z] = μ_j + Σr.
     fn mean(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, mean: &mut Vec<f64>) {
         self.point.put_mean(class, &self.problem.mean.regressors, mean);
-        for (k, r) in terms.r.iter().enumerate() {
-            mean.iter_mut().zip(&self.sigma.column(k)).for_each(|(mean, sigma)| *mean += sigma * r);
+        for (mean, sigma) in mean.iter_mut().zip(self.sigma.row_iter()) {
+            *mean += sigma.iter().zip(&terms.r).map(|(sigma, r)| sigma * r).sum::<f64>();
         }
         self.problem.classes.frame.take_mean_out(mean);
     }

@@ -66,10 +66,12 @@ pub fn plan_groups(
 ) -> Result<Plan, PlanError> {
     let regressions = structure.regressions().len();
     population.check_named(structure.dimension(), regressions, &|i| (i + 1).to_string())?;
+    let ids: Vec<&str> = reductions.iter().map(|design| design.test).collect();
+    let groups = DesignGroups::new(&ids, structure.grouping.as_deref(), structure.phases.len() - 1);
     let all: Vec<Expected> = arrangements
         .iter()
         .map(|one| {
-            let (tests, grouping) = arranged(reductions, structure.grouping.as_deref(), one)?;
+            let (tests, grouping) = arranged(reductions, &groups, one)?;
             Expected::of(&tests, &Structure { grouping: Some(grouping), ..structure.clone() }, population)
         })
         .collect::<Result<_, _>>()?;
@@ -122,10 +124,10 @@ struct DesignGroups {
 }
 
 impl DesignGroups {
-    /// Of a design whose tests stand in groups of so many levels; all in one where they stand in none.
-    fn new(design: &Reductions, grouping: Option<&Grouping>, levels: usize) -> DesignGroups {
+    /// Of tests of these ids that stand in groups of so many levels; all in one where they stand in none.
+    fn new(ids: &[&str], grouping: Option<&Grouping>, levels: usize) -> DesignGroups {
         let Some(own) = grouping else {
-            return DesignGroups { inner: vec![vec![vec![0]]; levels], tests: vec![(0..design.len()).collect()] };
+            return DesignGroups { inner: vec![vec![vec![0]]; levels], tests: vec![(0..ids.len()).collect()] };
         };
         let mut inner = vec![vec![(0..own.groups(levels - 1).len()).collect()]];
         for level in (1..levels).rev() {
@@ -136,8 +138,8 @@ impl DesignGroups {
             inner.push(groups);
         }
         let mut tests = vec![Vec::new(); own.groups(0).len()];
-        for (number, test) in design.iter().enumerate() {
-            let place = own.number(test.test).expect("it was grouped");
+        for (number, id) in ids.iter().enumerate() {
+            let place = own.number(id).expect("it was grouped");
             tests[own.group_of(place, 0)].push(number);
         }
         DesignGroups { inner, tests }
@@ -157,7 +159,7 @@ impl DesignGroups {
 /// Tests like those of the design, in groups.
 fn arranged(
     design: &Reductions,
-    grouping: Option<&Grouping>,
+    groups: &DesignGroups,
     arrangement: &Arrangement,
 ) -> Result<(Reductions, Arc<Grouping>), PlanError> {
     let total = arrangement.total();
@@ -168,16 +170,15 @@ fn arranged(
         return Err(PlanError::TooManyTests { found: total, most: MOST_TESTS });
     }
     let ids: Vec<String> = (0..total).map(|test| test.to_string()).collect();
-    let (levels, paths) = (arrangement.groups.len(), arrangement.paths());
-    let own = DesignGroups::new(design, grouping, levels);
+    let paths = arrangement.paths();
     let like = |(test, id): (usize, &String)| {
-        let number = own.like(&paths[test], test % arrangement.tests);
+        let number = groups.like(&paths[test], test % arrangement.tests);
         Reduction { test: id.clone(), ..design.get(number).into() }
     };
     let tests = ids.iter().enumerate().map(like).collect();
     let names = |path: &Vec<usize>| path.iter().map(|&k| Label::literal(k)).collect();
     let paths = ids.iter().map(String::as_str).zip(paths.iter().map(names));
-    Ok((tests, Arc::new(Grouping::from_paths(levels, paths))))
+    Ok((tests, Arc::new(Grouping::from_paths(arrangement.groups.len(), paths))))
 }
 
 #[cfg(test)]
@@ -185,6 +186,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector};
 
     use super::{Arrangement, DesignGroups, is_told};
+    use crate::ensemble::{Grouping, Label};
     use crate::model::Population;
     use crate::plan::Quantity;
 
@@ -199,29 +201,12 @@ mod tests {
 
     #[test]
     fn groups_are_like_those_of_the_design_one_after_the_other() {
-        use crate::ensemble::{Grouping, Label};
-        use crate::reduce::{Path, Reduction, Reductions};
         // lots A with units of two runs and of one, and B with a unit of three
         let units = [("A", "a"), ("A", "a"), ("A", "b"), ("B", "a"), ("B", "a"), ("B", "a")];
-        let design = |number: usize| Reduction {
-            test: number.to_string(),
-            constant: 0.0,
-            residual: None,
-            data: vec![0.0],
-            factor: vec![1.0],
-            covariates: vec![],
-            steps: 1,
-            observations: 1,
-            path: Path::Information,
-            design: 0,
-            chain: None,
-            exact: None,
-        };
-        let design: Reductions = (0..units.len()).map(design).collect();
+        let ids = ["r0", "r1", "r2", "r3", "r4", "r5"];
         let name = |text: &str| Label::literal(usize::from(text.as_bytes()[0]));
-        let ids: Vec<String> = (0..units.len()).map(|number| number.to_string()).collect();
-        let paths = ids.iter().zip(units).map(|(id, (lot, unit))| (id.as_str(), vec![name(lot), name(unit)]));
-        let own = DesignGroups::new(&design, Some(&Grouping::from_paths(2, paths)), 2);
+        let paths = ids.into_iter().zip(units).map(|(id, (lot, unit))| (id, vec![name(lot), name(unit)]));
+        let own = DesignGroups::new(&ids, Some(&Grouping::from_paths(2, paths)), 2);
         let like =
             |path: [usize; 2], tests: usize| (0..tests).map(|number| own.like(&path, number)).collect::<Vec<_>>();
         assert_eq!(like([0, 0], 3), [0, 1, 0]);
@@ -229,7 +214,7 @@ mod tests {
         assert_eq!(like([0, 2], 2), [0, 1], "the third unit of a lot of two is like its first");
         assert_eq!(like([1, 0], 4), [3, 4, 5, 3]);
         assert_eq!(like([2, 1], 1), [2], "the third lot is like the first");
-        let alone = DesignGroups::new(&design, None, 2);
+        let alone = DesignGroups::new(&ids, None, 2);
         assert_eq!((0..8).map(|number| alone.like(&[1, 1], number)).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5, 0, 1]);
     }
 

@@ -20,7 +20,7 @@ use crate::reduce::Reductions;
 pub struct LikelihoodRatio {
     /// -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis).
     pub statistic: f64,
-    /// Identified free quantities that the hypothesis takes away.
+    /// Identified free quantities that the hypothesis takes away; where it limits a sum of several that are not told apart, all that it takes away.
     pub degrees_of_freedom: usize,
     /// Large-sample law of the statistic under the hypothesis.
     pub law: ReferenceLaw,
