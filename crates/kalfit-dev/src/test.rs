@@ -80,7 +80,7 @@ fn announce(only: Option<&str>) {
     let all = STEPS.iter().map(|step| step.name).chain(OTHERS.iter().map(|other| other.0));
     let chosen: Vec<&str> = all.filter(|name| only.is_none_or(|word| name.contains(word))).collect();
     println!("== steps: {}", chosen.join(", "));
-    println!("   all of them take some 20 minutes from nothing on two cores; --only NAME runs one");
+    println!("   all of them take 20 to 45 minutes from nothing on two cores; --only NAME runs one");
     let installs = [
         (
             "python",
