@@ -5,7 +5,7 @@ use crate::infer::{Bootstrap, BootstrapResult, LikelihoodRatio};
 use crate::record::diagnosis::list;
 use crate::record::dynamic::{DynamicParts, converged};
 use crate::record::parameters;
-use crate::record::ratio::{add_doubts, side};
+use crate::record::ratio::{add_doubts, independent, side};
 use crate::record::{PartRecord, RatioProvenance, RatioRecord, SideRecord};
 
 /// The two fits of a test.
@@ -76,10 +76,11 @@ fn notes(
         let estimate = &parts.fit.estimate;
         estimate.declared_mean() + estimate.declared_covariance()
     };
-    let tests = sides.alternative.fit.reductions.len();
+    let DynamicParts { model, fit, .. } = sides.alternative;
     // χ² for values of α alone comes with the measurements, not with the tests
     let by_tests = of(&sides.null) != of(&sides.alternative) || !ratio.law.is_chi_squared();
-    add_doubts(&mut notes, ratio, (null, alternative), "quantities", (!drawn && by_tests).then_some(tests));
+    let independent = (!drawn && by_tests).then(|| independent(model, &fit.estimate, &fit.reductions));
+    add_doubts(&mut notes, ratio, (null, alternative), "quantities", independent);
     notes
 }
 

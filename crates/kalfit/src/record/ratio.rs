@@ -146,8 +146,9 @@ impl RatioRecord {
         provenance: RatioProvenance,
     ) -> RatioRecord {
         let sides = (side(model, null), side(model, alternative));
-        let (mut notes, tests) = (Vec::new(), bootstrap.is_none().then_some(reductions.len()));
-        add_doubts(&mut notes, ratio, (&sides.0, &sides.1), "variances with free covariances", tests);
+        let (mut notes, independent) =
+            (Vec::new(), bootstrap.is_none().then(|| independent(model, alternative, reductions)));
+        add_doubts(&mut notes, ratio, (&sides.0, &sides.1), "variances with free covariances", independent);
         RatioRecord::at(reductions, sides, ratio, bootstrap, (parts, notes), provenance)
     }
 
@@ -244,14 +245,24 @@ fn words(components: &[Component]) -> String {
 /// Fewer tests than this, and large-sample laws are a rough guide.
 const FEW: usize = 50;
 
+/// How many tests, or groups of the outermost level, there are, and what they are called.
+pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: &Reductions) -> (usize, String) {
+    match (estimate.grouping(), model.levels.first()) {
+        (Some(grouping), Some(outermost)) if grouping.depth() > 0 => {
+            (grouping.groups(grouping.depth() - 1).len(), format!("group{{}} of level `{}`", outermost.name))
+        }
+        _ => (reductions.len(), "test{}".to_owned()),
+    }
+}
+
 /// Adds to notes how far the large-sample law is to be trusted, and what the hypothesis removes. `several`: what it puts on a boundary
-/// where the law is a bound; `tests`: how many there are, where it depends on them how good a guide the law is.
+/// where the law is a bound; `independent`: how many tests or groups there are, where it depends on them how good a guide the law is.
 pub(super) fn add_doubts(
     notes: &mut Vec<String>,
     ratio: &LikelihoodRatio,
     (null, alternative): (&SideRecord, &SideRecord),
     several: &str,
-    tests: Option<usize>,
+    independent: Option<(usize, String)>,
 ) {
     if ratio.law.is_bound {
         notes.push(format!(
@@ -264,10 +275,10 @@ pub(super) fn add_doubts(
                 .to_owned(),
         );
     }
-    if let Some(tests) = tests.filter(|tests| *tests < FEW && notes.is_empty()) {
+    if let Some((count, name)) = independent.filter(|(count, _)| *count < FEW && notes.is_empty()) {
+        let name = name.replace("{}", if count == 1 { "" } else { "s" });
         notes.push(format!(
-            "with {tests} test{} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it",
-            if tests == 1 { "" } else { "s" }
+            "with {count} {name} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it"
         ));
     }
     let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
