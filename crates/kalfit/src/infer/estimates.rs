@@ -65,12 +65,19 @@ impl AsymptoticLaw<'_> {
         if all.len() > MOST {
             return None;
         }
+        // of generalised least squares at the estimated Σ; with it the mean moves as it follows α alone
+        let followed = |mean: &DVector<f64>, other: &DVector<f64>| {
+            let Some(follows) = self.follows().filter(|_| !free.is_empty()) else { return 0.0 };
+            let by_values = follows.transpose() * mean.rows(0, coordinates);
+            by_values.dot(&(law.rows(coordinates, free.len()) * other))
+        };
         let covariance = DMatrix::from_fn(all.len(), all.len(), |i, k| {
             let ((first, a), (second, b)) = (&all[i], &all[k]);
             match (self.mean_law(), is_of_mean(*first), is_of_mean(*second)) {
                 (None, ..) | (Some(_), false, false) => a.dot(&(law * b)),
                 (Some(mean), true, true) => a.rows(0, coordinates).dot(&(mean * b.rows(0, coordinates))),
-                _ => 0.0, // generalised least squares at the estimated Σ
+                (Some(_), true, false) => followed(a, b),
+                (Some(_), false, true) => followed(b, a),
             }
         });
         let quantities = all.into_iter().map(|(quantity, _)| quantity).collect();

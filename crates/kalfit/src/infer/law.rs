@@ -19,8 +19,11 @@ pub(crate) struct AsymptoticLaw<'a> {
     pub(super) state: &'a FinalState,
     /// Covariance of the coordinates along the tangent basis.
     coordinates: DMatrix<f64>,
-    /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ.
+    /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ, and at dynamic
+    /// parameters that it follows.
     mean: Option<DMatrix<f64>>,
+    /// How it follows them there: coordinates × free values of α.
+    follows: Option<DMatrix<f64>>,
     /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
     jacobian: Sparse,
     /// The same with the parameters that move Σ by themselves, where there are any.
@@ -74,9 +77,17 @@ impl<'a> AsymptoticLaw<'a> {
         };
         // the sandwich is of the mean as well; the other two are generalised least squares for it
         let mean = gls.filter(|_| kind != StdErrors::Sandwich);
+        let follows =
+            mean.as_ref().and(state.joint.as_ref()).map(|joint| follows(joint, tangent.mean, jacobian.ncols()));
+        let by_values = |follows: &DMatrix<f64>| {
+            let free = follows.ncols();
+            let joint = state.joint.as_ref().expect("it follows its values");
+            follows * joint.covariance.view((jacobian.ncols(), jacobian.ncols()), (free, free)) * follows.transpose()
+        };
+        let mean = mean.map(|own| follows.as_ref().map_or(own.clone(), |follows| own + by_values(follows)));
         let moves_sigma = |joint: &&JointLaw| joint.moves.iter().chain(&joint.open_moves).any(|x| *x != 0.0);
         let joint = state.joint.as_ref().filter(moves_sigma).map(|joint| WithParameters::of(joint, &jacobian));
-        AsymptoticLaw { state, coordinates, mean, jacobian, joint }
+        AsymptoticLaw { state, coordinates, mean, follows, jacobian, joint }
     }
 
     /// Inverse of the information along the tangent basis.
@@ -92,6 +103,11 @@ impl<'a> AsymptoticLaw<'a> {
     /// The law of the mean alone, where it has one.
     pub(super) fn mean_law(&self) -> Option<&DMatrix<f64>> {
         self.mean.as_ref()
+    }
+
+    /// How the mean follows free values of α, where it has a law by itself: coordinates × values.
+    pub(super) fn follows(&self) -> Option<&DMatrix<f64>> {
+        self.follows.as_ref()
     }
 
     /// What the rows of the jacobian are of: the row, the quantity, and its size in the user's units.
@@ -200,6 +216,16 @@ impl WithParameters {
     fn is_known(&self, weights: &DVector<f64>) -> bool {
         self.open.transposed_times(weights).amax() <= PART * weights.amax()
     }
+}
+
+/// dβ̂/dα = Cov(β̂, α̂) Var(α̂)⁻¹.
+fn follows(joint: &JointLaw, mean: usize, coordinates: usize) -> DMatrix<f64> {
+    let free = joint.slots.len();
+    let of_values = joint.covariance.view((coordinates, coordinates), (free, free)).into_owned();
+    let mut all = DMatrix::zeros(coordinates, free);
+    let beside = joint.covariance.view((0, coordinates), (mean, free)) * inverse(&of_values);
+    all.view_mut((0, 0), (mean, free)).copy_from(&beside);
+    all
 }
 
 /// Standard error of the quantity with these derivatives by mean coordinates and elements of Σ.
