@@ -297,6 +297,38 @@ fn runs_of_a_known_unit_are_near_its_own_level() {
     "#);
 }
 
+/// Where a covariate counts from is no matter of what is known of a unit: its own runs make up for the error of the coefficient.
+#[test]
+fn a_known_unit_is_known_wherever_covariates_count_from() {
+    let model = UNITS.to_owned() + "[mean.regression]\nlevel = [\"w\"]\n";
+    let predicted = |from: f64| {
+        let mut text = "run,unit,y,w\n".to_owned();
+        for (unit, run) in (0..8).flat_map(|unit| (0..4).map(move |run| (unit, run))) {
+            let w = f64::from((unit * 3 + run * 5) % 11 - 5) / 3.0;
+            let level = 3.0 * f64::from((unit * 5) % 8 - 4) + 0.7 * w + f64::from((unit * 7 + run * 3) % 5 - 2) / 4.0;
+            for row in 0..3 {
+                let y = level + f64::from((row + run + unit) % 3 - 1) / 2.0;
+                text.push_str(&format!("{run},u{unit},{y},{}\n", w - from));
+            }
+        }
+        let design = format!("run,unit,w\n9,u0,{}\n9,u5,{}\n", 0.4 - from, -1.1 - from);
+        let files = [("m.toml", &model), ("d.csv", &text), ("known.csv", &design)];
+        let folder = Folder::new(&files.map(|(name, text)| (name, text.as_bytes())));
+        for line in ["fit m.toml d.csv", "predict m.toml --from fit.json --design known.csv --units known"] {
+            let out = if line.starts_with("fit") { "fit.json" } else { "p.csv" };
+            let output = folder.run(&format!("{line} --out {out} --quiet"));
+            assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+        }
+        folder.table("p.csv")
+    };
+    let (near_by, far) = (predicted(0.0), predicted(1000.0));
+    for (near_by, far) in near_by.iter().zip(&far) {
+        for column in ["mean", "std_dev_population", "std_dev_estimation", "confidence_lower", "confidence_upper"] {
+            folder::near(column, (number(far, column), number(near_by, column)), 1e-5);
+        }
+    }
+}
+
 #[test]
 fn mistakes_are_said_plainly() {
     let folder = fitted();

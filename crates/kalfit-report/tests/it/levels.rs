@@ -29,6 +29,7 @@ fn group(level: &str, id: &[&str], p_value: f64) -> UnitRecord {
         log_likelihood: -100.0,
         mean: vec![1.0, 2.0],
         covariance: identity(),
+        follows: None,
         distance: Some(-2.0 * p_value.ln()),
         degrees_of_freedom: 2,
         p_value: Some(p_value),

@@ -27,8 +27,10 @@ pub(super) struct Doubt<'a> {
     /// Means and regression coefficients among what was estimated: their places, and (element, regression column) of each.
     of_means: Vec<(usize, usize, Option<usize>)>,
     covariance_of_means: DMatrix<f64>,
-    /// How many means of one element were estimated: one, and one for each column that they are regressed on.
-    pub(super) means: usize,
+    /// Of each of them, whether it is that of a state that is the same in all tests.
+    is_fixed: Vec<bool>,
+    /// Columns that means are regressed on.
+    columns: usize,
 }
 
 /// How a parameter that was estimated moves what is expected of sums of squares, as long as its value is small.
@@ -45,11 +47,16 @@ pub(super) struct ValueEffect {
     pub(super) residuals: Vec<f64>,
 }
 
+/// Estimates of variances by themselves that go together by less than this are not tied.
+const TIED: f64 = 0.1;
+/// A mean that is the same in all tests took none of their variances where its errors are less than this part of all means'.
+const SHARE: f64 = 0.01;
 /// What hangs on something that is not determined by less than this part does not hang on it.
 const FAINT: f64 = 1e-9;
 
 impl<'a> Doubt<'a> {
-    pub(super) fn new(model: &PhasedModel, knowledge: &'a Knowledge) -> Doubt<'a> {
+    /// `varies`: whether a state differs from test to test.
+    pub(super) fn new(model: &PhasedModel, knowledge: &'a Knowledge, varies: &dyn Fn(usize) -> bool) -> Doubt<'a> {
         let of_phase = |(phase, range): (&Phase, Range<usize>)| {
             let own = phase.model.mean.regression.iter();
             own.map(move |regression| (range.start + regression.element, regression.column)).collect::<Vec<_>>()
@@ -68,8 +75,8 @@ impl<'a> Doubt<'a> {
         let mut columns: Vec<usize> = of_means.iter().filter_map(|own| own.2).map(|c| regressions[c].1).collect();
         columns.sort_unstable();
         columns.dedup();
-        let means = usize::from(of_means.iter().any(|own| own.2.is_none())) + columns.len();
-        Doubt { knowledge, states, of_means, covariance_of_means, means }
+        let is_fixed = of_means.iter().map(|&(_, element, column)| column.is_none() && !varies(element)).collect();
+        Doubt { knowledge, states, of_means, covariance_of_means, is_fixed, columns: columns.len() }
     }
 
     /// Dynamic parameters: their places among what was estimated, and their standard errors; `None` of those that the data do not determine.
@@ -93,6 +100,15 @@ impl<'a> Doubt<'a> {
     /// What errors of the means add on average.
     pub(super) fn of_means(&self, weights: &DMatrix<f64>) -> f64 {
         weights.dot(&self.covariance_of_means).max(0.0)
+    }
+
+    /// How many means of one element were estimated: one, one for each column that they are regressed on, and one for each state that is the same
+    /// in all tests whose errors are a part of `all`, what errors of the means add.
+    pub(super) fn means(&self, weights: &DMatrix<f64>, all: f64) -> usize {
+        let own = |at: usize| weights[(at, at)] * self.covariance_of_means[(at, at)];
+        let is_noticed = |&at: &usize| self.is_fixed[at] && own(at) > SHARE * all;
+        let random = self.of_means.iter().zip(&self.is_fixed).any(|(own, is_fixed)| own.2.is_none() && !is_fixed);
+        usize::from(random) + self.columns + (0..self.of_means.len()).filter(is_noticed).count()
     }
 
     /// The derivative of the expectation by each element of Σ.
@@ -135,9 +151,10 @@ impl<'a> Doubt<'a> {
         moved.iter().any(|(one, slope)| one.place.is_none() && slope.abs() > FAINT * degrees)
     }
 
-    /// Of how many degrees of freedom Σ of a level is estimated as one: p for a full p × p matrix, one for variances by themselves. X the error of
-    /// Σ̂ in units of W⁻¹: E tr X² is (p + 1)/2 times Var[tr X].
-    pub(super) fn dimension(&self, w: &DMatrix<f64>, level: usize) -> f64 {
+    /// Of how many degrees of freedom Σ of a level is estimated as one, and how many of them have one variance: p and 1 for a full p × p matrix, 1
+    /// and 1 for variances by themselves, 1 and m for m variances that are equal. X the error of Σ̂ in units of W⁻¹: E tr X² is (p + 1)/2 times
+    /// Var[tr X], once, and Var[tr X]/m.
+    pub(super) fn dimension(&self, w: &DMatrix<f64>, level: usize) -> (f64, f64) {
         let p = self.states;
         let own = |(place, known): (usize, &Estimand)| match *known {
             Estimand::Population(Estimated::Covariance(i, j)) if i / p == level => Some((place, i % p, j % p)),
@@ -158,6 +175,10 @@ impl<'a> Doubt<'a> {
                 }
             }
         }
-        if traces > 0.0 { 2.0 * squares / traces - 1.0 } else { 1.0 }
+        match traces > 0.0 {
+            true if squares < (1.0 - TIED) * traces => (1.0, traces / squares),
+            true => ((2.0 * squares / traces - 1.0).max(1.0), 1.0),
+            false => (1.0, 1.0),
+        }
     }
 }

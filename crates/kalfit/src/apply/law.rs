@@ -87,6 +87,8 @@ pub(super) struct DistanceSum {
     pub(super) degrees: f64,
     /// Degrees of freedom that are estimated together: p of a full p × p covariance, 1 of variances by themselves.
     pub(super) dimension: f64,
+    /// How many degrees of freedom have one variance: m where m variances are equal.
+    pub(super) tied: f64,
     /// Variance of the sum's expectation by errors of covariances and parameters, over the square of `degrees`: 2/(pN).
     pub(super) variance: f64,
     /// What errors of the mean add to it on average: np/N.
@@ -109,6 +111,7 @@ impl DistanceSum {
             count,
             degrees,
             dimension: degrees / count,
+            tied: 1.0,
             variance: 2.0 * count / (degrees * tests),
             of_mean: degrees / tests,
             means: 1.0,
@@ -131,9 +134,9 @@ impl DistanceSum {
         }
         let seen = 2.0 / (each * self.variance);
         let left = seen * (1.0 - self.bias(each, seen));
-        let copies = each / self.dimension;
-        let one = trace(self.dimension, h, left)?;
-        Some(Law { scale: one.scale * seen * size, ..one }.times(copies))
+        let copies = each / (self.dimension * self.tied);
+        let one = trace(self.dimension, h * self.tied, left * self.tied)?;
+        Some(Law { scale: one.scale * seen * self.tied * size, ..one }.times(copies))
     }
 
     /// The part that maximum likelihood makes covariances too small by. How many tests there were is what the errors of the mean and of the
@@ -200,6 +203,21 @@ mod tests {
             ] {
                 assert!((found - expected).abs() < 1e-9 * expected, "{what}: {found} against {expected}");
             }
+        }
+    }
+
+    /// Three states of one variance: three squares for each of N tests, less the three means.
+    #[test]
+    fn equal_variances_have_the_degrees_of_freedom_of_all() {
+        let tests = 5.0;
+        let sum = DistanceSum { dimension: 1.0, tied: 3.0, variance: 2.0 / (3.0 * tests), ..exact(3.0, 1.0, tests) };
+        let found = sum.law().expect("enough tests");
+        for (what, found, expected) in [
+            ("scale", found.scale, 3.0 * (tests + 1.0) / (tests - 1.0)),
+            ("a", found.numerator, 3.0),
+            ("b", found.denominator, 3.0 * (tests - 1.0)),
+        ] {
+            assert!((found - expected).abs() < 1e-9 * expected, "{what}: {found} against {expected}");
         }
     }
 

@@ -62,11 +62,17 @@ impl Applied<'_> {
             Trust::Estimates(knowledge) => *knowledge,
             Trust::Tests(_) => &Knowledge::exact(),
         };
-        let doubt = Doubt::new(self.model, knowledge);
+        let doubt = Doubt::new(self.model, knowledge, &|state| self.varies(state));
         let tree = self.tree(&self.reductions, &doubt);
         let moved = self.moved(&tree, &doubt)?;
         let judge = Judge { said, trust, doubt, tree, moved };
         Ok(judge.laws())
+    }
+
+    /// Whether a state differs from test to test.
+    fn varies(&self, state: usize) -> bool {
+        let (p, sigma) = (self.model.dimension(), &self.population.covariance);
+        (state..sigma.nrows()).step_by(p).any(|i| sigma[(i, i)] > 0.0)
     }
 
     fn tree(&self, reductions: &Reductions, doubt: &Doubt<'_>) -> TestTree {
@@ -203,13 +209,15 @@ impl Judge<'_> {
             return None;
         }
         let variance = self.doubt.variance(weights, &own) / (degrees * degrees);
-        let dimension = self.doubt.dimension(&weights.of_level[level], level).clamp(1.0, (degrees / count).max(1.0));
+        let most = (degrees / count).max(1.0);
+        let (dimension, tied) = self.doubt.dimension(&weights.of_level[level], level);
+        let (dimension, tied) = (dimension.min(most), tied.min(most));
         let of_mean = self.doubt.of_means(&weights.of_means);
         let is_of_means = of_mean > 0.0;
-        let means = if is_of_means { self.doubt.means as f64 } else { 0.0 };
+        let means = if is_of_means { self.doubt.means(&weights.of_means, of_mean) as f64 } else { 0.0 };
         let knowledge = self.doubt.knowledge;
         let (is_biased, tests) = (!knowledge.is_restricted && is_of_means, knowledge.tests);
-        DistanceSum { count, degrees, dimension, variance, of_mean, means, is_biased, tests }.law()
+        DistanceSum { count, degrees, dimension, tied, variance, of_mean, means, is_biased, tests }.law()
     }
 
     /// Of residuals: variances by themselves, which errors of the parameters alone move.

@@ -31,6 +31,8 @@ pub struct GroupPosterior {
     pub within: f64,
     /// Number of its tests.
     pub tests: usize,
+    /// How `mean` follows μ and the regression coefficients (p × (p + coefficients)); `None` without regressions.
+    pub follows: Option<DMatrix<f64>>,
 }
 
 /// Tests in groups, with their reductions in what is a test's own and what each of its groups adds.
@@ -43,13 +45,24 @@ struct GroupedTests<'a> {
 impl GroupedTests<'_> {
     fn at(&self, point: &Point) -> LevelPosteriors {
         let constants: Vec<f64> = self.evidence.iter().map(|reduction| reduction.constant).collect();
-        level_posteriors(self.units, (point, &self.problem.mean.regressors), Some(&constants), false)
+        let regressors = &self.problem.mean.regressors;
+        level_posteriors(self.units, (point, regressors), Some(&constants), !regressors.is_empty())
     }
 
     /// In the user's units.
     fn covariance(&self, numbers: &[f64]) -> DMatrix<f64> {
         let (p, scale) = (self.units.states, &self.problem.classes.frame.scale);
         symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
+    }
+
+    /// In the user's units; `None` of nothing.
+    fn follows(&self, numbers: &[f64]) -> Option<DMatrix<f64>> {
+        let p = self.units.states;
+        let units = self.problem.mean_units();
+        let (own, coefficients) = (&units[..p], &units[units.len() - self.problem.mean.regressors.len()..]);
+        let of: Vec<f64> = own.iter().chain(coefficients).copied().collect();
+        let entry = |i: usize, c: usize| numbers[i * of.len() + c] * own[i] / of[c];
+        (!numbers.is_empty()).then(|| DMatrix::from_fn(p, of.len(), entry))
     }
 
     fn group(&self, found: &crate::estimate::ScaledGroupPosterior, tests: usize) -> GroupPosterior {
@@ -60,6 +73,7 @@ impl GroupedTests<'_> {
             distance: Distance::new(found.squared, found.degrees_of_freedom),
             within: found.within,
             tests,
+            follows: self.follows(&found.follows),
         }
     }
 }

@@ -8,6 +8,7 @@
 //! Nothing is measured, so that all three add up. From them come limits for the mean, and limits that a given part of all tests stays within.
 
 mod bounds;
+mod degrees;
 mod error;
 mod pair;
 mod root;
@@ -131,7 +132,7 @@ pub struct Estimation {
     pub variance: f64,
     /// Of that part of it that is by the initial state.
     pub population: f64,
-    /// How many numbers of the mean were estimated.
+    /// How many degrees of freedom the variance lost to the mean, by maximum likelihood.
     pub lost: usize,
     /// The variance allows for those: by restricted likelihood.
     pub is_restricted: bool,
@@ -163,6 +164,8 @@ pub struct Initial {
     pub left: Option<DMatrix<f64>>,
     /// The derivative of the mean by μ; `None` where the mean is μ itself.
     pub shrinkage: Option<DMatrix<f64>>,
+    /// Its derivative by the regression coefficients, which are apart from it; `None` where it does not hang on them.
+    pub by_coefficients: Option<DMatrix<f64>>,
     /// Levels of groups whose covariance is in `covariance`, by their place among the blocks of Σ.
     pub levels: Range<usize>,
 }
@@ -171,16 +174,18 @@ impl Initial {
     /// Of a new test, of a new group of each level.
     pub fn new(model: &PhasedModel, population: &Population) -> Initial {
         let Population { mean, covariance, .. } = population.together(model.dimension());
-        Initial { mean, covariance, left: None, shrinkage: None, levels: 0..model.levels.len() + 1 }
+        let levels = 0..model.levels.len() + 1;
+        Initial { mean, covariance, left: None, shrinkage: None, by_coefficients: None, levels }
     }
 
-    /// Of a new test of a group that is known, of the innermost level: from what is known of the mean m of its tests, V = Var[m | z]. It
-    /// hangs on μ by VΣ⁺, Σ that of all levels together; where other groups of the same outer group tell of m too, by less.
+    /// Of a new test of a group that is known, of the innermost level: from what is known of the mean m of its tests, V = Var[m | z], and how
+    /// it follows μ and the coefficients. Where that is not told, m hangs on μ by VΣ⁺, Σ that of all levels together; where other groups of
+    /// the same outer group tell of m too, by less.
     pub fn of_group(
         model: &PhasedModel,
         population: &Population,
-        mean: Vec<f64>,
-        covariance: &DMatrix<f64>,
+        (mean, covariance): (Vec<f64>, &DMatrix<f64>),
+        follows: Option<DMatrix<f64>>,
     ) -> Initial {
         let p = model.dimension();
         let block = |level: usize| population.covariance.view((level * p, level * p), (p, p));
@@ -189,7 +194,15 @@ impl Initial {
         // directions in which groups do not differ are all of μ
         let still = DMatrix::identity(p, p) - &between * &inverse;
         let shrinkage = Some(covariance * inverse + still);
-        Initial { mean, covariance: block(0).into_owned(), left: Some(covariance.clone()), shrinkage, levels: 0..1 }
+        let by_mean = follows.as_ref().map(|follows| follows.columns(0, p).into_owned());
+        Initial {
+            mean,
+            covariance: block(0).into_owned(),
+            left: Some(covariance.clone()),
+            shrinkage: by_mean.or(shrinkage),
+            by_coefficients: follows.map(|follows| follows.columns(p, follows.ncols() - p).into_owned()),
+            levels: 0..1,
+        }
     }
 }
 

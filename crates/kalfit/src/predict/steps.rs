@@ -6,6 +6,7 @@ use nalgebra::DVector;
 
 use crate::infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
 use crate::model::{Alpha, Phase, PhasedModel};
+use crate::predict::degrees::Degrees;
 use crate::predict::value::PredictedValue;
 use crate::predict::{Estimation, Initial};
 
@@ -78,6 +79,19 @@ impl ValueSteps {
         self.moved.iter()
     }
 
+    fn lost(&self, knowledge: &Knowledge, initial: &Initial, of: &Slopes<'_>, all: &[[f64; 3]]) -> usize {
+        let slopes = |part: usize| DVector::from_iterator(all.len(), all.iter().map(|slopes| slopes[part]));
+        let degrees = Degrees {
+            knowledge,
+            covariance: &initial.covariance,
+            regressions: &self.regressions,
+            by_mean: slopes(0),
+            by_variance: slopes(1),
+            holds: &|element| of.own[element].abs() > FAINT * of.own.amax(),
+        };
+        degrees.lost()
+    }
+
     /// Variances of the estimates of a value's mean and variance over tests; `sides`: the value at each α that is moved. `None` where it hangs
     /// on what the data do not determine.
     pub(super) fn estimation(
@@ -106,30 +120,10 @@ impl ValueSteps {
             mean,
             variance,
             population,
-            lost: self.means(knowledge, &of),
+            lost: self.lost(knowledge, initial, &of, &all),
             is_restricted: knowledge.is_restricted,
             tests: knowledge.tests,
         })
-    }
-
-    /// How many numbers of a value's mean were estimated: one for the means of the states in it, whatever they are, and one for each column
-    /// that means are regressed on.
-    fn means(&self, knowledge: &Knowledge, of: &Slopes<'_>) -> usize {
-        let is_in = |element: usize| of.own[element].abs() > FAINT * of.own.amax();
-        let mut columns: Vec<usize> = Vec::new();
-        let mut means = 0;
-        for estimand in &knowledge.quantities {
-            match *estimand {
-                Estimand::Population(Estimated::Mean(i)) if i < of.own.len() && is_in(i) => means = 1,
-                Estimand::Population(Estimated::Coefficient(c)) if is_in(self.regressions[c].0) => {
-                    columns.push(self.regressions[c].1);
-                }
-                _ => {}
-            }
-        }
-        columns.sort_unstable();
-        columns.dedup();
-        means + columns.len()
     }
 }
 
@@ -161,7 +155,10 @@ impl<'a> Slopes<'a> {
         let p = self.own.len();
         match *estimand {
             Estimand::Population(Estimated::Mean(i)) => [self.by_mean.get(i).copied().unwrap_or(0.0), 0.0, 0.0],
-            Estimand::Population(Estimated::Coefficient(c)) => [self.value.sensitivity[p + c], 0.0, 0.0],
+            Estimand::Population(Estimated::Coefficient(c)) => {
+                let known = self.initial.by_coefficients.as_ref().map_or(0.0, |by| by.column(c).dot(&self.own));
+                [self.value.sensitivity[p + c] + known, 0.0, 0.0]
+            }
             Estimand::Population(Estimated::Covariance(i, j)) if self.initial.levels.contains(&(i / p)) => {
                 let both = if i == j { 1.0 } else { 2.0 };
                 [0.0, both * self.own[i % p] * self.own[j % p], 0.0]

@@ -170,7 +170,7 @@ fn a_known_group_is_told_from_a_new_one() {
         column: 0,
         covariance: model.phases[0].model.covariance.clone(),
     }];
-    let initial = Initial::of_group(&grouped, &whole, vec![0.9, -0.5], &left);
+    let initial = Initial::of_group(&grouped, &whole, (vec![0.9, -0.5], &left), None);
     near("variance", initial.covariance[(0, 1)], 0.4);
     near("what is left open", initial.left.as_ref().expect("of a known group")[(0, 1)], 0.02);
     let expected = &left * level.try_inverse().expect("positive");
@@ -209,5 +209,50 @@ fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
         for value in &found.expect("it predicts")[0][0].steps[0].values {
             assert_eq!(value.estimation.expect("all is known").lost, 2, "{:?} at {lot}", value.what);
         }
+    }
+}
+
+/// y = a + u b of two tests of one row each: what `quantities` and their covariance say of the degrees of freedom of y and of a.
+fn lost(quantities: &[Estimated], covariance: &DMatrix<f64>, sigma: &DMatrix<f64>) -> Vec<usize> {
+    let builder = Model::builder("two").state(constant("a")).state(constant("b"));
+    let measured = measurement("y", name("a") + name("u") * name("b"), 1.0);
+    let model = builder.measurement(measured).build().expect("a model");
+    let knowledge = Knowledge {
+        quantities: quantities.iter().map(|&own| Estimand::Population(own)).collect(),
+        covariance: covariance.clone(),
+        ..Knowledge::exact()
+    };
+    let mut labels = Labels::new(&[]);
+    let test = Columns::new("t").numbers("u", [0.5]).numbers("y", [f64::NAN]).test(&model, &mut labels);
+    let (outputs, alpha) = (outputs(&model), Alpha::default());
+    let predictor = Predictor::new(&model, &outputs, (&alpha, &[]), Some(knowledge)).expect("it predicts");
+    let population = Population { mean: MEAN.to_vec(), coefficients: vec![], covariance: sigma.clone() };
+    let initial = Initial::new(&model, &population);
+    let found = predictor.predict(&[test.expect("it is")], &[&initial]).expect("rows");
+    found[0][0].steps[0].values.iter().map(|value| value.estimation.expect("all is known").lost).collect()
+}
+
+/// Of two variances that are one estimate each took two means; a slope that is the same in all tests took one wherever its error counts.
+#[test]
+fn degrees_of_freedom_are_lost_to_all_means_beside_one_variance() {
+    let (mean, variance) = (Estimated::Mean, |i| Estimated::Covariance(i, i));
+    let both = [mean(0), mean(1), variance(0), variance(1)];
+    let of = |together: f64| {
+        DMatrix::from_row_slice(
+            4,
+            4,
+            &[0.1, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.2, together, 0.0, 0.0, together, 0.2],
+        )
+    };
+    let unit = DMatrix::identity(2, 2);
+    assert_eq!(lost(&both, &of(0.0), &unit), [1, 1, 1], "a, b and y of variances by themselves");
+    assert_eq!(lost(&both, &of(0.2), &unit), [2, 2, 2], "of equal ones");
+    let one = DMatrix::from_element(2, 2, 1.0);
+    assert_eq!(lost(&both, &of(0.2), &one), [1, 1, 1], "of states that vary as one");
+    let fixed = DMatrix::from_row_slice(2, 2, &[1.0, 0.0, 0.0, 0.0]);
+    for (error, expected) in [(0.1, 2), (1e-4, 1)] {
+        let covariance = DMatrix::from_diagonal(&nalgebra::DVector::from_vec(vec![0.1, error, 0.2]));
+        let found = lost(&[mean(0), mean(1), variance(0)], &covariance, &fixed);
+        assert_eq!([found[0], found[2]], [1, expected], "a and y of a slope known to {error}");
     }
 }

@@ -52,6 +52,9 @@ pub struct UnitRecord {
     pub mean: Vec<f64>,
     /// Its covariance.
     pub covariance: SquareRecord,
+    /// How `mean` follows μ and the regression coefficients, in their order, state by state; absent without regressions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub follows: Option<Vec<Vec<f64>>>,
     /// Standardised squared distance of the group from the population.
     pub distance: Option<f64>,
     /// Its degrees of freedom: rank of what its tests inform.
@@ -88,7 +91,11 @@ impl FitRecord {
         let sound = own.filter(|unit| unit.mean.len() == p && unit.covariance.size() == p);
         let law = |unit: &UnitRecord| {
             let covariance = DMatrix::from_fn(p, p, |i, k| unit.covariance[i][k]);
-            Initial::of_group(model, population, unit.mean.clone(), &covariance)
+            let width = p + population.coefficients.len();
+            let sound = |rows: &&Vec<Vec<f64>>| rows.len() == p && rows.iter().all(|row| row.len() == width);
+            let follows = unit.follows.as_ref().filter(sound);
+            let follows = follows.map(|rows| DMatrix::from_fn(p, width, |i, c| rows[i][c]));
+            Initial::of_group(model, population, (unit.mean.clone(), &covariance), follows)
         };
         sound.map(|unit| (unit.id.clone(), law(unit))).collect()
     }
@@ -115,6 +122,7 @@ impl FitRecord {
             log_likelihood: found.log_likelihood,
             mean: found.mean.clone(),
             covariance: (&found.covariance).into(),
+            follows: found.follows.as_ref().map(rows),
             distance: (found.distance.degrees_of_freedom > 0).then_some(found.distance.squared),
             degrees_of_freedom: found.distance.degrees_of_freedom,
             p_value: found.distance.p_value,
@@ -130,4 +138,8 @@ impl FitRecord {
             self.groups.extend(found.iter().enumerate().map(|(group, one)| unit(inner, &level.name, group, one)));
         }
     }
+}
+
+fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }

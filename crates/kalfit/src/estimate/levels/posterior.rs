@@ -42,6 +42,8 @@ pub(crate) struct ScaledGroupPosterior {
     pub(crate) within: f64,
     /// log p of the measurements of all its tests by themselves.
     pub(crate) log_density: f64,
+    /// What the mean coordinates do to its mean, p × coordinates by rows; nothing where that was not asked for.
+    pub(crate) follows: Vec<f64>,
 }
 
 /// A test by the number of its reduction, or a group by its level and number.
@@ -142,6 +144,9 @@ fn of_group(
     let (squares, log_det) = up.apart(&above.0[node.level]);
     let within = walked.within(bundle, g);
     let members: Vec<usize> = (0..bundle.tests.len()).filter(|&t| bundle.stands_in(bundle.tests[t].group, g)).collect();
+    // with μ by one its mean is that much further, and the data that much less; of a coefficient by what is regressed on it
+    let follow = |(i, c): (usize, usize)| f64::from(u8::from(i == c)) - mean.mean[(i, c)];
+    let follows: Vec<f64> = (0..p).flat_map(|i| (0..walked.before).map(move |c| (i, c))).map(follow).collect();
     let one = |(unit, numbers): (usize, &UnitMembers)| {
         let column = walked.before + unit;
         let constant: f64 = members.iter().map(|&t| constants[numbers.tests[t]]).sum();
@@ -153,6 +158,7 @@ fn of_group(
             degrees_of_freedom: rank,
             within: within.1[column],
             log_density: constant - 0.5 * (log_det + within.0 + within.1[column] + squared),
+            follows: follows.clone(),
         };
         MemberId::Group(node.level, numbers.groups[g], posterior)
     };

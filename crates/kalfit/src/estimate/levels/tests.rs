@@ -363,6 +363,36 @@ fn posteriors_are_those_of_the_joint_gaussian() {
     }
 }
 
+/// The mean of a group a little further along each mean coordinate.
+#[test]
+fn means_of_groups_follow_mean_and_coefficients() {
+    for ensemble in kinds() {
+        let problem = ensemble.problem(Criterion::Ml);
+        let here = somewhere(&ensemble, ensemble.grouping.depth() + 1);
+        let units: &Units = problem.classes.units.as_ref().expect("there are groups");
+        let at = |place: &Point| posteriors(units, (place, &problem.mean.regressors), None, true);
+        let (place, p) = (point(&problem, &here), ensemble.p);
+        let (found, width) = (at(&place), p + here.1.len());
+        for c in 0..width {
+            let side = |step: f64| {
+                let mut place = place.clone();
+                *if c < p { &mut place.mean[c] } else { &mut place.coefficients[c - p] } += step;
+                at(&place)
+            };
+            let (low, high) = (side(-0.5), side(0.5)); // it is linear
+            for (level, groups) in found.groups.iter().enumerate() {
+                for (g, own) in groups.iter().enumerate() {
+                    for i in 0..p {
+                        let expected = high.groups[level][g].mean[i] - low.groups[level][g].mean[i];
+                        let found = own.follows[i * width + c];
+                        assert!((found - expected).abs() < 1e-9, "{level} {g}: {i} by {c}: {found} {expected}");
+                    }
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn what_all_tests_of_a_group_say_alike_has_its_own_rank() {
     // every test sees the same combination of two states; folding leaves rounding in the second row
