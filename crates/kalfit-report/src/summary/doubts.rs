@@ -8,6 +8,8 @@ use super::{observability, pairs, places};
 use crate::page::PageLayout;
 use crate::words::{clean, list, sentence};
 
+/// Of what parameters move, by the words that the fit gives: it was estimated beside them, at one of many places.
+const FOLLOWS: &str = "other values fit the data as well with";
 /// No more directions than this in a sentence; all are in fit.json.
 const MOST_DIRECTIONS: usize = 8;
 /// No more names than this in a list.
@@ -33,7 +35,8 @@ pub(crate) fn unidentified(found: &[UnidentifiedRecord], states: &[String], kept
     let one_reason = |a: &UnidentifiedRecord, b: &UnidentifiedRecord| !a.reason.is_empty() && a.reason == b.reason;
     let sentence = |group: &[UnidentifiedRecord]| {
         let what: Vec<String> = group.iter().map(|u| direction(u, states)).collect();
-        let kept = match (kept, group.len()) {
+        let is_kept = kept && !group[0].reason.contains(FOLLOWS);
+        let kept = match (is_kept, group.len()) {
             (false, _) => "",
             (true, 1) => ", whose start value was kept",
             (true, _) => ", whose start values were kept",

@@ -1,6 +1,6 @@
 //! Covariances from the inverse of the information of (α, μ, Σ).
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Covariances from the inverse of the information.
 #[derive(Debug, Clone)]
@@ -11,4 +11,16 @@ pub(crate) struct ValueCovariances {
     pub(crate) shared: Vec<usize>,
     /// Covariance of the coordinates of those, then along the tangent basis of (μ, Σ), the uncertainty of all α in it.
     pub(crate) whole: DMatrix<f64>,
+    /// Directions, in the coordinates of `whole`, along which ℓ does not change: what they move has no covariance.
+    pub(crate) flat: Vec<DVector<f64>>,
+}
+
+impl ValueCovariances {
+    /// What others found to be flat is so here.
+    pub(crate) fn without_flat(&mut self, others: &ValueCovariances) {
+        for (own, other) in self.alpha.iter_mut().zip(&others.alpha) {
+            *own = own.filter(|_| other.is_some());
+        }
+        self.flat.clone_from(&others.flat);
+    }
 }

@@ -5,7 +5,8 @@ use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{
-    Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, expected, interval, law, profile, sandwich,
+    Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, expected, flat, interval, law, profile,
+    sandwich,
 };
 use crate::ensemble::Labels;
 use crate::estimate::{Criterion, Estimate, JointLaw, Progress, Stop};
@@ -34,8 +35,11 @@ pub fn infer(
         }
         None => ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings),
     };
-    let spread = |covariances: ValueCovariances| spread(&objective, fit, covariances);
     let (estimate, observed) = with_law(&objective, fit);
+    let spread = |mut covariances: ValueCovariances| {
+        covariances.without_flat(&observed);
+        spread(&objective, fit, covariances)
+    };
     // by profiles only once the maximum is certain
     let mut wald = Choices { intervals: IntervalKind::Wald, ..choices };
     let asked = match choices.std_errors {
@@ -92,7 +96,7 @@ fn profiles(
 
 /// The estimate with the law of (α, μ, Σ) from the observed information, and that law.
 pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
-    let observed = spread(objective, fit, fit.joint.covariances());
+    let observed = spread(objective, fit, fit.joint.covariances_beside(&flat::flat(objective, fit)));
     let joint = law::joint(objective.model, fit, &observed);
     let mut estimate = fit.estimate.clone();
     estimate.state.joint = Some(JointLaw { mixed: mixed(objective, fit, &observed), ..joint });

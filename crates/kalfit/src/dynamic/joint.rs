@@ -24,6 +24,12 @@ pub(crate) const LEVEL_GROUND: f64 = 1e-7;
 const FAINT: f64 = 1e-5;
 /// Scaled eigenvalues of the information below this are flat.
 pub(crate) const FLAT: f64 = 1e-10;
+/// Of a direction of length one, in coordinates of unit curvature, this much is something.
+pub(crate) const TAKES_PART: f64 = 1e-3;
+/// A score bends ℓ along a factor of Σ by no more than this many times itself,
+const BEND: f64 = 10.0;
+/// which counts where the score along it is less than this of a standard error.
+const STILL: f64 = 1e-9;
 
 /// The information in coordinates of α and along the tangent basis of (μ, Σ).
 #[derive(Debug, Clone)]
@@ -53,6 +59,19 @@ pub(crate) struct JointStep {
     pub(crate) decrement: f64,
     /// The curvature is positive, flat directions apart.
     pub(crate) concave: bool,
+}
+
+/// A direction along which ℓ hardly curves.
+#[derive(Debug, Clone)]
+pub(crate) struct FaintDirection {
+    /// In α, its largest entry one; zero for values that are not shared.
+    pub(crate) alpha: Vec<f64>,
+    /// How much of it that entry is, in coordinates of unit curvature.
+    pub(crate) share: f64,
+    /// -∂²ℓ along it, as differences say.
+    pub(crate) curvature: f64,
+    /// Which of the information's eigenvectors it is.
+    pub(crate) number: usize,
 }
 
 impl JointInformation {
@@ -267,18 +286,30 @@ impl JointInformation {
         Some(matrix.view((0, 0), (k, k)) - &cross * inverse * cross.transpose())
     }
 
-    /// Directions in shared values along which ℓ hardly curves, their largest entries one.
-    pub(crate) fn faint(&self) -> Vec<Vec<f64>> {
+    /// Directions in shared values along which ℓ hardly curves.
+    pub(crate) fn faint(&self) -> Vec<FaintDirection> {
         let (scale, values, vectors) = scaled_eigen(&self.information());
-        let along = |k: usize| self.direction(&scale, vectors.column(k));
+        let along = |k: usize| {
+            let alpha = self.direction(&scale, vectors.column(k))?;
+            let of_alpha = 0..self.shared.len();
+            let largest = of_alpha.clone().map(|i| (scale[i] * vectors[(i, k)]).abs()).fold(0.0, f64::max);
+            let share = of_alpha.map(|i| vectors[(i, k)].abs()).fold(0.0, f64::max);
+            Some(FaintDirection { alpha, share, curvature: values[k] / (largest * largest), number: k })
+        };
         (0..values.len()).filter(|&k| values[k].abs() < FAINT).filter_map(along).collect()
     }
 
     /// Covariances of all coordinates: the inverse, flat directions left out.
+    #[cfg(test)]
     pub(crate) fn covariances(&self) -> ValueCovariances {
-        let mut covariances = self.shared_covariances(&self.information());
+        self.covariances_beside(&[])
+    }
+
+    /// The same without faint directions of these numbers, which were found to be flat.
+    pub(crate) fn covariances_beside(&self, flat: &[usize]) -> ValueCovariances {
+        let mut covariances = self.shared_covariances(&self.information(), flat);
         for block in &self.private {
-            let (own, flat) = inverse(&self.block(block));
+            let (own, flat, _) = inverse(&self.block(block), &[]);
             let carried = &own * self.border(block);
             let total = &own + &carried * &covariances.whole * carried.transpose();
             for (i, &s) in block.iter().enumerate() {
@@ -291,17 +322,17 @@ impl JointInformation {
     /// The same from another information in the shared values and along the tangent basis; `None` where values of single tests
     /// are among those that move.
     pub(crate) fn covariances_of(&self, information: &DMatrix<f64>) -> Option<ValueCovariances> {
-        self.is_of_shared_values().then(|| self.shared_covariances(information))
+        self.is_of_shared_values().then(|| self.shared_covariances(information, &[]))
     }
 
     /// The same without values of single tests.
-    fn shared_covariances(&self, information: &DMatrix<f64>) -> ValueCovariances {
-        let (whole, flat) = inverse(information);
+    fn shared_covariances(&self, information: &DMatrix<f64>, known_flat: &[usize]) -> ValueCovariances {
+        let (whole, flat, directions) = inverse(information, known_flat);
         let mut alpha = vec![None; self.cross.nrows()];
         for (i, &s) in self.shared.iter().enumerate() {
             alpha[s] = Some(whole[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
         }
-        ValueCovariances { alpha, shared: self.shared.clone(), whole }
+        ValueCovariances { alpha, shared: self.shared.clone(), whole, flat: directions }
     }
 
     /// Entries on both sides of the diagonal: where a value stands in matrices of the structures only, its column has none for
@@ -333,17 +364,20 @@ pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
 }
 
-/// The inverse, and which coordinates take part in a flat direction.
-fn inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
+/// The inverse, which coordinates take part in a flat direction, and those of these numbers; they are known to be flat whatever their curvature.
+fn inverse(matrix: &DMatrix<f64>, known_flat: &[usize]) -> (DMatrix<f64>, Vec<bool>, Vec<DVector<f64>>) {
     let (scale, values, vectors) = scaled_eigen(matrix);
     let n = scale.len();
+    let is_flat = |k: usize| values[k] <= FLAT || known_flat.contains(&k);
     let mut flat: Vec<bool> = scale.iter().map(|s| *s == 0.0).collect();
-    for (k, _) in values.iter().enumerate().filter(|(_, v)| **v <= FLAT) {
-        (0..n).filter(|&i| vectors[(i, k)].abs() > 1e-3).for_each(|i| flat[i] = true);
+    for k in (0..n).filter(|&k| is_flat(k)) {
+        (0..n).filter(|&i| vectors[(i, k)].abs() > TAKES_PART).for_each(|i| flat[i] = true);
     }
-    let turned = values.iter().map(|&v| if v > FLAT { v.recip() } else { 0.0 });
+    let turned = (0..n).map(|k| if is_flat(k) { 0.0 } else { values[k].recip() });
     let inverse = symmetric::by_eigenvectors(&vectors, turned);
-    (DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]), flat)
+    let along = |&k: &usize| DVector::from_fn(n, |i, _| scale[i] * vectors[(i, k)]);
+    let whole = DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]);
+    (whole, flat, known_flat.iter().map(along).collect())
 }
 
 fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
@@ -355,12 +389,16 @@ fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     (scale, values, vectors)
 }
 
-/// The information along the tangent basis, without what rounding leaves of it where the tests say nothing.
+/// The information along the tangent basis, without what the tests say nothing of: what rounding leaves there, and how Σ = FF' bends by as
+/// much of the score as is left.
 fn informed(tangent: &Tangent) -> DMatrix<f64> {
-    let own = |i: usize| tangent.information[(i, i)].abs() * tangent.sizes[i].powi(2);
     let n = tangent.sizes.len();
+    let of = |i: usize| (tangent.information[(i, i)].abs(), tangent.gradient[i].abs(), tangent.sizes[i]);
+    let own = |i: usize| of(i).0 * tangent.sizes[i].powi(2);
     let largest = (0..n).map(own).fold(0.0, f64::max);
-    let is_known: Vec<bool> = (0..n).map(|i| own(i) > NOTHING * largest).collect();
+    let left = (0..n).map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
+    let is_bend = |i: usize| own(i) <= BEND * left && of(i).1 <= STILL * of(i).0.sqrt();
+    let is_known: Vec<bool> = (0..n).map(|i| own(i) > NOTHING * largest && !is_bend(i)).collect();
     let entry = |i: usize, k: usize| if is_known[i] && is_known[k] { tangent.information[(i, k)] } else { 0.0 };
     DMatrix::from_fn(n, n, entry)
 }

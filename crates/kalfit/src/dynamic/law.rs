@@ -1,14 +1,17 @@
 //! The joint law of μ, Σ and the free values of α, from the inverse of the joint information.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use crate::dynamic::covariances::ValueCovariances;
 use crate::dynamic::matrices::matrix_derivatives;
 use crate::dynamic::{Coordinate, DynamicFit, Standing};
-use crate::estimate::JointLaw;
+use crate::estimate::{FlatDirection, JointLaw};
 use crate::model::PhasedModel;
+
+/// A value that moves by less than this part of the largest in a flat direction is not in it.
+const STILL: f64 = 1e-6;
 
 /// The covariance of the inner coordinates and of the free values, with what those move that stand in matrices of the structures.
 pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCovariances) -> JointLaw {
@@ -33,6 +36,20 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCo
     };
     let places: Vec<usize> = (inner..covariances.whole.nrows()).chain(known.iter().filter_map(place)).collect();
     let is_zero = |slot: &usize| fit.standing[*slot] == Standing::Lower && fit.values[*slot] == 0.0;
+    let of_direction = |along: &DVector<f64>| {
+        let parts = covariances.shared.iter().copied().zip(along.iter().copied());
+        let moving: Vec<(usize, f64)> = parts.filter(|(_, part)| part.abs() > STILL * along.amax()).collect();
+        let mut moves = DVector::zeros(elements);
+        for (slot, part) in &moving {
+            columns.get(slot).into_iter().flatten().zip(moves.iter_mut()).for_each(|(d, own)| *own += part * d);
+        }
+        let parameters: BTreeSet<usize> = moving.iter().map(|(slot, _)| fit.slots.slots()[*slot].parameter).collect();
+        FlatDirection {
+            parameters: parameters.into_iter().collect(),
+            inner: along.rows(inner, along.len() - inner).into_owned(),
+            moves,
+        }
+    };
     JointLaw {
         covariance: DMatrix::from_fn(places.len(), places.len(), |i, j| covariances.whole[(places[i], places[j])]),
         slots: known.iter().map(|&slot| (slot, slope(slot))).collect(),
@@ -40,6 +57,7 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCo
         open_moves: moves(&open_moving),
         open,
         at_zero: (0..fit.values.len()).filter(is_zero).collect(),
+        flat: covariances.flat.iter().map(of_direction).collect(),
         mixed: None,
     }
 }

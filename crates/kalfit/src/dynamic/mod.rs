@@ -22,6 +22,7 @@ mod exchange;
 mod expected;
 mod explore;
 mod fit;
+mod flat;
 mod foresight;
 mod glide;
 mod gradient_function;

@@ -32,7 +32,7 @@ pub(crate) fn sandwich(
     for (place, &s) in observed.shared.iter().enumerate() {
         alpha[s] = alpha[s].map(|_| whole[(place, place)]).filter(|v| *v > 0.0);
     }
-    Ok(ValueCovariances { alpha, shared: observed.shared.clone(), whole })
+    Ok(ValueCovariances { alpha, whole, ..observed.clone() })
 }
 
 /// The score of a test, or of all of a unit, in the coordinates of the shared values, then along the tangent basis.

@@ -177,7 +177,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         self.faint_looks += 1;
         for direction in joint.faint() {
             for length in LOOKS {
-                let values = self.objective.moved(&self.home.values, &direction, length);
+                let values = self.objective.moved(&self.home.values, &direction.alpha, length);
                 if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
                     self.arrive(next);
                     return true;

@@ -30,6 +30,6 @@ pub enum Standing {
     Unbounded,
     /// ℓ does not depend on it while some noise level is zero: its time constant, its correlation.
     Idle,
-    /// ℓ does not depend on it.
+    /// ℓ does not depend on it, or not once others follow.
     Unidentified,
 }

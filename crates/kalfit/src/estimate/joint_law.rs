@@ -1,6 +1,6 @@
 //! The law of (μ, Σ) where dynamic parameters were estimated beside them.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Covariance along the tangent basis of (μ, Σ) and of the free values of α that have a law. Values that stand in matrices of the
 /// structure of Σ move Σ at fixed coordinates of it.
@@ -18,8 +18,21 @@ pub(crate) struct JointLaw {
     pub(crate) open_moves: DMatrix<f64>,
     /// Slots of noise levels that ended at zero.
     pub(crate) at_zero: Vec<usize>,
+    /// Directions along which ℓ does not change.
+    pub(crate) flat: Vec<FlatDirection>,
     /// What score tests of constraints want to know besides, where there are any and it was worked out.
     pub(crate) mixed: Option<Mixed>,
+}
+
+/// A direction in (α, μ, Σ) along which ℓ does not change.
+#[derive(Debug, Clone)]
+pub(crate) struct FlatDirection {
+    /// Parameters that move.
+    pub(crate) parameters: Vec<usize>,
+    /// What μ and Σ do along the tangent basis.
+    pub(crate) inner: DVector<f64>,
+    /// dσ by what stands in matrices of the structure of Σ, by elements, in η.
+    pub(crate) moves: DVector<f64>,
 }
 
 /// How free values of α and every element of (μ, Σ) go together, elements that constraints hold among them.

@@ -98,7 +98,7 @@ pub(crate) use each_class::map_classes;
 pub(crate) use evidence::evidence;
 pub(crate) use expected::{ExpectedError, at_population};
 pub(crate) use forms::map_forms;
-pub(crate) use joint_law::{JointLaw, Mixed};
+pub(crate) use joint_law::{FlatDirection, JointLaw, Mixed};
 pub(crate) use levels::{LevelPosteriors, ScaledGroupPosterior, TestPosterior, Units, posteriors as level_posteriors};
 pub(crate) use local::{Local, Objective, Tangent, harmonic, natural_sizes};
 pub(crate) use newton::NewtonIterate;

@@ -5,15 +5,21 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimate::{Estimate, FitError, Objective, Point, Problem, Structure, Sums, harmonic, natural_sizes};
+use crate::estimate::{
+    Estimate, FinalState, FitError, FlatDirection, Objective, Point, Problem, Structure, Sums, harmonic, natural_sizes,
+};
 use crate::infer::direction::{Direction, NONE, Quantity, simplest, unit};
+use crate::infer::law::AsymptoticLaw;
 use crate::infer::observability::{Observability, observability};
 use crate::infer::phases::{PhaseObservability, phases};
-use crate::infer::reason::{Explanation, explain};
+use crate::infer::reason::{Explanation, Reason, explain};
 use crate::linalg::regular::Regular;
 use crate::linalg::sparse::Sparse;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
+
+/// What takes part by less than this in a direction that differences show is not in it.
+const FAINT: f64 = 1e-3;
 
 /// What the data identify, why not all, and from which tests.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,7 +45,40 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &R
     let state = &estimate.state;
     let phases = phases(&state.problem, reductions);
     let at = (&*state.problem, &state.newton_iterate.point, &state.sums);
-    examination(at, &state.structure(), (evidence, reductions), phases)
+    let mut found = examination(at, &state.structure(), (evidence, reductions), phases);
+    for (direction, explanation) in with_parameters(state) {
+        found.unidentified.push(direction);
+        found.explanations.push(explanation);
+    }
+    found
+}
+
+/// What mean and covariance do along directions in which ℓ does not change while dynamic parameters move.
+fn with_parameters(state: &FinalState) -> Vec<(Direction, Explanation)> {
+    let Some(joint) = state.joint.as_ref().filter(|joint| !joint.flat.is_empty()) else { return Vec::new() };
+    let law = AsymptoticLaw::new(state);
+    let (problem, scale) = (&state.problem, &state.problem.classes.frame.scale);
+    let means = problem.mean_units();
+    let elements: Vec<f64> = problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
+    let of = |flat: &FlatDirection| {
+        let mut moved = law.jacobian().times(&flat.inner);
+        let first = moved.len() - elements.len();
+        moved.rows_mut(first, elements.len()).zip_apply(&flat.moves, |own, by_matrices| *own += by_matrices);
+        let least = FAINT * moved.amax();
+        moved.apply(|weight| *weight = if weight.abs() > least { *weight } else { 0.0 });
+        let parts = [(Quantity::Mean, 0, &means[..]), (Quantity::Covariance, first, &elements[..])].map(
+            |(quantity, at, units)| {
+                let own = moved.rows(at, units.len()).into_owned();
+                let explanation = Explanation {
+                    reason: Reason::WithParameters { parameters: flat.parameters.clone() },
+                    tests: Vec::new(),
+                };
+                (own.amax() > 0.0).then(|| (out(quantity, &own, units), explanation))
+            },
+        );
+        parts.into_iter().flatten()
+    };
+    joint.flat.iter().flat_map(of).collect()
 }
 
 fn examination(

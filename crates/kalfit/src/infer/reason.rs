@@ -43,6 +43,11 @@ pub enum Reason {
         /// The states.
         states: Vec<usize>,
     },
+    /// Dynamic parameters move it, and ℓ does not change while they do.
+    WithParameters {
+        /// Indices of the parameters.
+        parameters: Vec<usize>,
+    },
     /// Columns of these regressions vary too little, or together, over the tests that inform their states.
     Confounded {
         /// Indices of [`MeanStructure::regression`](crate::model::MeanStructure::regression).

@@ -93,6 +93,12 @@ pub(super) fn words(model: &PhasedModel, reason: &Reason) -> String {
         Reason::OneGroup { states: few } => {
             format!("there is only one group, so its effect on {} cannot be separated from the mean", names(few))
         }
+        Reason::WithParameters { parameters } => {
+            let all = &model.shared().parameters;
+            let named = list(parameters.iter().map(|&i| all[i].name.as_str()), "and");
+            let values = if parameters.len() == 1 { "another value" } else { "other values" };
+            format!("other values fit the data as well with {values} of {named}")
+        }
         Reason::Confounded { regressions: confounded } => {
             let all = regressions(model);
             let name = |&r: &usize| model.shared().columns[all[r].column].name.as_str();

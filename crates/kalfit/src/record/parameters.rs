@@ -188,7 +188,7 @@ pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
         ),
         Standing::Idle => Some("without effect while a noise level is zero"),
         Standing::Unidentified => {
-            Some("not identified: the log-likelihood does not depend on it, so other values fit the data as well")
+            Some("not identified: at other values the log-likelihood is as high, so they fit the data as well")
         }
     }
 }

@@ -1,0 +1,76 @@
+//! What the data do not determine beside free parameters is named, and does not keep a fit from its end.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot be set up must fail")]
+
+use serde_json::Value;
+
+use crate::folder::{Folder, near, shown};
+
+/// Fits a model of data; what was printed, and fit.json.
+fn fit(model: &str, data: &str, options: &str) -> (String, Value) {
+    let folder = Folder::new(&[("m.toml", model.as_bytes()), ("d.csv", data.as_bytes())]);
+    let output = folder.run(&format!("fit m.toml d.csv --innovations off --out fit.json {options}"));
+    assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
+    let json = std::fs::read_to_string(folder.path("fit.json")).unwrap();
+    (shown(&output), serde_json::from_str(&json).unwrap())
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("a number expected, found {value}"))
+}
+
+/// A number in (-1, 1) that looks random.
+fn noise(seed: u32) -> f64 {
+    let mut x = seed.wrapping_mul(2_654_435_761).wrapping_add(97);
+    for shift in [13, 17, 5] {
+        x ^= if shift == 17 { x >> shift } else { x << shift };
+    }
+    f64::from(x % 20_001) / 10_000.0 - 1.0
+}
+
+/// Twelve tests of four rows.
+fn rows(of: &dyn Fn(u32, u32) -> String) -> String {
+    (0..12).flat_map(|j| (0..4).map(move |k| (j, k))).map(|(j, k)| of(j, k)).collect()
+}
+
+/// Of y = k a only k μ and k σ are known: none of the three has a standard error, and all are named.
+#[test]
+fn a_factor_of_a_state_is_not_told_from_its_mean_and_variance() {
+    let data = rows(&|j, k| format!("t{j:02},{}\n", 2.0 + 1.7 * noise(j) + 0.3 * noise(100 + 4 * j + k)));
+    let model = |equation: &str, parameter: &str| {
+        format!(
+            "[data]\ntest = \"test\"\n[states.a]\n[measurements.y]\ncolumn = \"y\"\nequation = \"{equation}\"\nnoise = \"s\"\n[parameters]\ns = {{ start = 0.3 }}\n{parameter}"
+        )
+    };
+    let data = format!("test,y\n{data}");
+    let (text, found) = fit(&model("k * a", "k = { start = 0.7 }\n"), &data, "");
+    let (_, known) = fit(&model("a", ""), &data, "");
+    near("ℓ", (number(&found["log_likelihood"]), number(&known["log_likelihood"])), 1e-9);
+    let phase = &found["phases"][0];
+    assert_eq!(phase["mean"]["std_error"][0], Value::Null, "{text}");
+    assert_eq!(phase["covariance"]["std_error"][0][0], Value::Null, "{text}");
+    let named: Vec<&Value> = phase["unidentified"].as_array().unwrap().iter().map(|one| &one["what"]).collect();
+    assert_eq!(named, ["mean", "covariance"], "{text}");
+    let of = |name: &str| found["parameters"].as_array().unwrap().iter().find(|own| own["name"] == name).unwrap();
+    assert_eq!((&of("k")["std_error"], &of("k")["standing"]), (&Value::Null, &Value::from("unidentified")), "{text}");
+    let error = |found: &Value| number(&found["parameters"][0]["std_error"]);
+    near("standard error of the noise", (error(&found), error(&known)), 1e-5);
+    let kept = number(&of("k")["estimate"]) * number(&phase["mean"]["estimate"][0]);
+    near("k μ", (kept, number(&known["phases"][0]["mean"]["estimate"][0])), 1e-6);
+}
+
+/// No test sees a and b together: their covariance is open, and ℓ bends along it by what is left of the score alone.
+#[test]
+fn a_covariance_that_no_test_sees_does_not_keep_a_fit_from_its_end() {
+    for seed in 0..10 {
+        let data = rows(&|j, k| {
+            let (own, rest) = (noise(1000 * seed + j), noise(1000 * seed + 100 + 4 * j + k));
+            format!("t{j:02},{},{}\n", j % 2, 2.0 + 1.7 * own + 0.5 * rest)
+        });
+        let model = "[data]\ntest = \"test\"\n[states.a]\n[states.b]\n[measurements.y]\ncolumn = \"y\"\nequation = \"h * a + (1 - h) * b\"\nnoise = \"s\"\n[parameters]\ns = {}\n";
+        let (text, found) = fit(model, &format!("test,h,y\n{data}"), "");
+        assert_eq!(found["converged"], true, "{seed}: {text}");
+        let phase = &found["phases"][0];
+        assert_eq!(phase["unidentified"][0]["what"], "covariance", "{seed}: {text}");
+    }
+}
