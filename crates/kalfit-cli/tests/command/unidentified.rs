@@ -74,3 +74,65 @@ fn a_covariance_that_no_test_sees_does_not_keep_a_fit_from_its_end() {
         assert_eq!(phase["unidentified"][0]["what"], "covariance", "{seed}: {text}");
     }
 }
+
+/// A model of `y` with parameters, and perhaps more.
+fn of_y(equation: &str, noise: &str, parameters: &[&str], rest: &str) -> String {
+    let parameters: String = parameters.iter().map(|name| format!("{name} = {{}}\n")).collect();
+    format!(
+        "[data]\ntest = \"test\"\ntime = \"t\"\n{rest}[measurements.y]\ncolumn = \"y\"\nequation = \"{equation}\"\nnoise = \"{noise}\"\n[parameters]\n{parameters}"
+    )
+}
+
+fn parameter<'a>(found: &'a Value, name: &str) -> &'a Value {
+    found["parameters"].as_array().unwrap().iter().find(|own| own["name"] == name).unwrap()
+}
+
+/// At zero a product has neither slope nor curvature along its factors, and yet it is no maximum.
+#[test]
+fn factors_that_start_at_zero_leave_it() {
+    let rows = rows(&|j, k| format!("t{j:02},{k},{}\n", 6.0 + 1.7 * noise(j) + 0.3 * noise(100 + 4 * j + k)));
+    let data = format!("test,t,y\n{rows}");
+    let states = "[states.a]\n[mean]\nfixed = { a = 3 }\n";
+    let (text, found) = fit(&of_y("k1 * k2 * a", "s", &["k1", "k2", "s"], states), &data, "");
+    let (_, one) = fit(&of_y("k * a", "s", &["k", "s"], states), &data, "");
+    near("ℓ", (number(&found["log_likelihood"]), number(&one["log_likelihood"])), 1e-7);
+    for name in ["k1", "k2"] {
+        assert_eq!(parameter(&found, name)["standing"], "unidentified", "{text}");
+    }
+    let error = |found: &Value| number(&found["phases"][0]["covariance"]["std_error"][0][0]);
+    near("error of the variance", (error(&found), error(&one)), 1e-4);
+}
+
+/// Of two factors of a noise only their product is known: of mean and variance all that is known without the second.
+#[test]
+fn factors_of_a_noise_are_no_matter_of_mean_and_variance() {
+    let rows = rows(&|j, k| format!("t{j:02},{k},{}\n", 2.0 + 1.7 * noise(j) + 0.3 * noise(100 + 4 * j + k)));
+    let data = format!("test,t,y\n{rows}");
+    let (text, found) = fit(&of_y("a", "s * g", &["s", "g"], "[states.a]\n"), &data, "");
+    let (_, one) = fit(&of_y("a", "s", &["s"], "[states.a]\n"), &data, "");
+    near("ℓ", (number(&found["log_likelihood"]), number(&one["log_likelihood"])), 1e-9);
+    for name in ["s", "g"] {
+        assert_eq!(parameter(&found, name)["standing"], "unidentified", "{text}");
+    }
+    for what in ["mean", "std_dev"] {
+        let error = |found: &Value| number(&found["phases"][0][what]["std_error"][0]);
+        near(what, (error(&found), error(&one)), 1e-4);
+    }
+    assert_eq!(found["phases"][0]["unidentified"], Value::Array(Vec::new()), "{text}");
+}
+
+/// The factor of a walk and its noise density: along a curve, not along a line.
+#[test]
+fn a_factor_of_a_process_is_not_told_from_its_noise() {
+    let data = rows(&|j, k| {
+        let walk: f64 = (0..=k).map(|i| 0.8 * noise(500 + 4 * j + i)).sum();
+        format!("t{j:02},{k},{}\n", 2.0 + 1.7 * noise(j) + walk + 0.3 * noise(100 + 4 * j + k))
+    });
+    let states =
+        "[states.a]\n[states.r]\nprocess = \"random-walk\"\nnoise_density = \"q\"\ninitial = { mean = 0, sigma = 0 }\n";
+    let (text, found) = fit(&of_y("a + g * r", "0.2", &["q", "g"], states), &format!("test,t,y\n{data}"), "");
+    for name in ["q", "g"] {
+        assert_eq!(parameter(&found, name)["standing"], "unidentified", "{name}: {text}");
+        assert_eq!(parameter(&found, name)["std_error"], Value::Null, "{name}: {text}");
+    }
+}

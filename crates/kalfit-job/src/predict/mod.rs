@@ -64,6 +64,7 @@ pub fn predict(job: &PredictJob, watch: &mut dyn JobWatch) -> Result<JobDone<Pre
         units: &units,
         reading: &reading,
         profiles: profiles.transpose()?,
+        estimation,
         record,
     };
     let pending = match &table {
@@ -115,6 +116,8 @@ struct PredictionTask<'a> {
     reading: &'a DataReading,
     /// Limits of all means by profile likelihood, in their order.
     profiles: Option<Vec<Option<[f64; 2]>>>,
+    /// What the estimates leave open is known.
+    estimation: bool,
     record: PredictedRecord,
 }
 
@@ -127,6 +130,7 @@ impl PredictionTask<'_> {
         mut to: Option<(&OutputTable, &mut OutputTableWriter<'_>)>,
     ) -> Result<(), Failure> {
         let grouping = self.units.grouping(self.design, tests)?;
+        let known = self.estimation;
         let mut limits = self.profiles.take().map(Vec::into_iter);
         let mut done = 0;
         while done < tests.len() {
@@ -140,7 +144,10 @@ impl PredictionTask<'_> {
             if let Some(limits) = &mut limits {
                 let steps = found.iter_mut().flatten().flat_map(|phase| &mut phase.steps);
                 let values = steps.flat_map(|step| &mut step.values);
-                values.zip(limits).for_each(|(value, own)| value.limits = MeanLimits::Profile(own));
+                values.zip(limits).for_each(|(value, own)| {
+                    let is_open = known && value.estimation.is_none(); // on what the data do not determine
+                    value.limits = MeanLimits::Profile(own.filter(|_| !is_open));
+                });
             }
             for (test, phases) in own.iter().zip(&found) {
                 self.record.add((&self.design.model, self.outputs, &self.bounds), &test.id, phases);

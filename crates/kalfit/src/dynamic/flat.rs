@@ -6,9 +6,10 @@
 use crate::dynamic::joint::{FaintDirection, TAKES_PART};
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{Coordinate, DynamicFit};
+use crate::model::Population;
 
 /// So far a step goes, in logarithms and in parts of a value,
-const STEP: f64 = 0.25;
+const STEP: f64 = 0.1;
 /// or so far that ℓ would fall by this many times its rounding,
 const SEEN: f64 = 100.0;
 /// which is this part of it, but not farther than this many standard errors.
@@ -18,8 +19,9 @@ const FARTHEST: f64 = 0.5;
 const UNSURE: f64 = 1e-8;
 /// ℓ falls by less than this part of what was promised.
 const PART: f64 = 0.05;
-/// Of more directions, which cost two runs of the filters each, none is looked at.
+/// Of more directions, which cost up to this many runs of the filters to either side, none is looked at.
 const MOST: usize = 4;
+const STEPS: usize = 16;
 
 /// Numbers of the faint directions that are flat.
 pub(super) fn flat(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<usize> {
@@ -35,10 +37,24 @@ pub(super) fn flat(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<u
         let promised = 0.5 * curvature * length * length;
         [length, -length].into_iter().all(|length| {
             let values = objective.moved(&fit.sought, &direction.alpha, length);
-            objective.value(&values).is_some_and(|value| (value - home).abs() <= PART * promised)
+            on_ridge(objective, fit, values).is_some_and(|value| (value - home).abs() <= PART * promised)
         })
     };
     faint.iter().filter(is_flat).map(|direction| direction.number).collect()
+}
+
+/// ℓ beside some values, on the top of what may be a ridge: α goes on across it, because a ridge of several values is curved.
+fn on_ridge(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, mut values: Vec<f64>) -> Option<f64> {
+    let near = Population::from(&fit.estimate);
+    let mut best: Option<f64> = None;
+    for _ in 0..STEPS {
+        let here = objective.solve(&values, Some(&near)).ok().filter(|here| here.value().is_finite())?;
+        let is_still = best.is_some_and(|best| here.value() <= best + ROUNDING * best.abs());
+        best = Some(best.map_or(here.value(), |best| best.max(here.value())));
+        let Some(step) = fit.joint.onto_ridge(&here.gradient).filter(|_| !is_still) else { break };
+        values = objective.moved(&values, &step, 1.0);
+    }
+    best
 }
 
 /// The curvature along a direction in α alone, where nothing follows.

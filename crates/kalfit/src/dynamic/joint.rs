@@ -274,6 +274,19 @@ impl JointInformation {
         (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
     }
 
+    /// The step in shared values that the gradient asks for, flat directions left out; `None` where some value is of a single test.
+    pub(crate) fn onto_ridge(&self, gradient: &[f64]) -> Option<Vec<f64>> {
+        let followed = self.followed()?;
+        let (scale, values, vectors) = scaled_eigen(&followed);
+        let turned = values.iter().map(|&value| if value > FAINT { value.recip() } else { 0.0 });
+        let inverse = symmetric::by_eigenvectors(&vectors, turned);
+        let own = DVector::from_fn(scale.len(), |i, _| scale[i] * gradient[self.shared[i]]);
+        let step = inverse * own;
+        let mut all = vec![0.0; gradient.len()];
+        self.shared.iter().enumerate().for_each(|(i, &s)| all[s] = scale[i] * step[i]);
+        Some(all)
+    }
+
     /// Information in the shared values once (μ, Σ) follow them, as long as no value is of a single test.
     pub(crate) fn followed(&self) -> Option<DMatrix<f64>> {
         if !self.private.is_empty() {
@@ -375,7 +388,8 @@ fn inverse(matrix: &DMatrix<f64>, known_flat: &[usize]) -> (DMatrix<f64>, Vec<bo
     }
     let turned = (0..n).map(|k| if is_flat(k) { 0.0 } else { values[k].recip() });
     let inverse = symmetric::by_eigenvectors(&vectors, turned);
-    let along = |&k: &usize| DVector::from_fn(n, |i, _| scale[i] * vectors[(i, k)]);
+    let part = |i: usize, k: usize| if vectors[(i, k)].abs() > TAKES_PART { vectors[(i, k)] } else { 0.0 };
+    let along = |&k: &usize| DVector::from_fn(n, |i, _| scale[i] * part(i, k));
     let whole = DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]);
     (whole, flat, known_flat.iter().map(along).collect())
 }

@@ -10,9 +10,6 @@ use crate::dynamic::{Coordinate, DynamicFit, Standing};
 use crate::estimate::{FlatDirection, JointLaw};
 use crate::model::PhasedModel;
 
-/// A value that moves by less than this part of the largest in a flat direction is not in it.
-const STILL: f64 = 1e-6;
-
 /// The covariance of the inner coordinates and of the free values, with what those move that stand in matrices of the structures.
 pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCovariances) -> JointLaw {
     let coordinates = Coordinate::of(model, &fit.slots);
@@ -38,7 +35,7 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCo
     let is_zero = |slot: &usize| fit.standing[*slot] == Standing::Lower && fit.values[*slot] == 0.0;
     let of_direction = |along: &DVector<f64>| {
         let parts = covariances.shared.iter().copied().zip(along.iter().copied());
-        let moving: Vec<(usize, f64)> = parts.filter(|(_, part)| part.abs() > STILL * along.amax()).collect();
+        let moving: Vec<(usize, f64)> = parts.filter(|(_, part)| *part != 0.0).collect();
         let mut moves = DVector::zeros(elements);
         for (slot, part) in &moving {
             columns.get(slot).into_iter().flatten().zip(moves.iter_mut()).for_each(|(d, own)| *own += part * d);

@@ -24,6 +24,8 @@ const NEAR: f64 = 1.0;
 /// Steps along faint directions, in coordinates, and how often they are looked along.
 const LOOKS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
 const FAINT_LOOKS: usize = 3;
+/// Values that factors of a product of zero may have.
+const FACTORS: [f64; 5] = [1.0, 0.1, 0.01, 10.0, 100.0];
 
 /// A slope above this is one, with a curvature below [`LEVEL_GROUND`].
 const SLOPE: f64 = 1e-3;
@@ -110,7 +112,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
             return match fine {
                 false => NextStep::On { closer: true },
                 true if self.settled() => NextStep::On { closer: true },
-                true if self.nearer_zero() || self.revived(joint) || self.beside(joint) => {
+                true if self.nearer_zero() || self.revived(joint) || self.beside(joint) || self.off_product(joint) => {
                     NextStep::On { closer: false }
                 }
                 true => NextStep::End(Stop::Certified),
@@ -152,6 +154,30 @@ impl<'b, 'a> SearchState<'b, 'a> {
             if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + 1e-9) {
                 self.home = next;
                 return true;
+            }
+        }
+        false
+    }
+
+    /// Off a place where values are zero whose product alone ℓ hangs on: it neither slopes nor curves there along any of them, whatever it does
+    /// where none is zero.
+    fn off_product(&mut self, joint: &JointInformation) -> bool {
+        let is_factor = |&s: &usize| {
+            let is_bare = self.home.values[s] == 0.0 && self.home.gradient[s] == 0.0 && joint.curvature(s) == 0.0;
+            is_bare && !self.objective.coordinates[s].log && self.standing[s] == Standing::Inside
+        };
+        let factors: Vec<usize> = joint.active.iter().copied().filter(is_factor).collect();
+        let &[first, _, ..] = &factors[..] else { return false };
+        for length in FACTORS {
+            for sign in [1.0, -1.0] {
+                let mut direction = vec![0.0; self.home.values.len()];
+                factors.iter().for_each(|&s| direction[s] = 1.0);
+                direction[first] = sign;
+                let values = self.objective.moved(&self.home.values, &direction, length);
+                if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
+                    self.arrive(next);
+                    return true;
+                }
             }
         }
         false

@@ -47,10 +47,21 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &R
     let at = (&*state.problem, &state.newton_iterate.point, &state.sums);
     let mut found = examination(at, &state.structure(), (evidence, reductions), phases);
     for (direction, explanation) in with_parameters(state) {
-        found.unidentified.push(direction);
-        found.explanations.push(explanation);
+        match found.unidentified.iter().position(|other| is_same(other, &direction)) {
+            Some(at) => found.explanations[at].also(&explanation),
+            None => {
+                found.unidentified.push(direction);
+                found.explanations.push(explanation);
+            }
+        }
     }
     found
+}
+
+/// Directions of one quantity that are one but for rounding.
+fn is_same(one: &Direction, other: &Direction) -> bool {
+    let mut pairs = one.direction.iter().zip(&other.direction);
+    one.quantity == other.quantity && pairs.all(|(a, b)| (a - b).abs() < FAINT)
 }
 
 /// What mean and covariance do along directions in which ℓ does not change while dynamic parameters move.

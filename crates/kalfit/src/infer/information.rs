@@ -176,7 +176,9 @@ fn uncertainty_by(
         set(&mut errors, Holdable::Coefficient(c), has_mean(p + c));
     }
     let of_part = |part: &PhaseForm| {
-        matches!(part.form, CoordinateForm::Scale(_)).then(|| law.scale_error(sigma, part)).flatten()
+        let is_scale = matches!(part.form, CoordinateForm::Scale(_));
+        let is_open = |i: usize| element_takes_part(unidentified, elements, i, i);
+        (is_scale && !part.states.clone().any(is_open)).then(|| law.scale_error(sigma, part)).flatten()
     };
     let scale = map.parts.iter().map(of_part).collect();
     Uncertainty { errors, scale, boundary }

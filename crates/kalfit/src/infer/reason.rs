@@ -64,6 +64,19 @@ pub struct Explanation {
     pub tests: Vec<String>,
 }
 
+impl Explanation {
+    /// Parameters of another explanation of the same direction are named here too.
+    pub(crate) fn also(&mut self, other: &Explanation) {
+        if let (Reason::WithParameters { parameters }, Reason::WithParameters { parameters: others }) =
+            (&mut self.reason, &other.reason)
+        {
+            parameters.extend(others);
+            parameters.sort_unstable();
+            parameters.dedup();
+        }
+    }
+}
+
 /// An explanation for each direction.
 pub(crate) fn explain(problem: &Problem, directions: &[Direction], seen: &Observability) -> Vec<Explanation> {
     let one = |direction: &Direction| match direction.quantity {
