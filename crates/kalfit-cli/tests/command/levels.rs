@@ -171,6 +171,8 @@ fn whether_anything_varies_from_unit_to_unit_is_a_hypothesis() {
     let gap = 2.0 * (fit(&folder, "fit.json").log_likelihood - record.null.log_likelihood);
     assert!((record.lr - gap).abs() < 1e-6, "{} {gap}", record.lr);
     assert_eq!(record.mixture.as_deref(), Some("0.5 chi2_0; 0.5 chi2_1"));
+    let few = |note: &String| note.starts_with("with 8 groups of level `Lot` the large-sample");
+    assert!(record.notes.iter().any(few), "{:?}", record.notes);
 }
 
 #[test]

@@ -212,7 +212,7 @@ fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
     }
 }
 
-/// y = a + u b of two tests of one row each: what `quantities` and their covariance say of the degrees of freedom of y and of a.
+/// Degrees of freedom lost of a, b and y = a + b/2, where `quantities` were estimated with this covariance.
 fn lost(quantities: &[Estimated], covariance: &DMatrix<f64>, sigma: &DMatrix<f64>) -> Vec<usize> {
     let builder = Model::builder("two").state(constant("a")).state(constant("b"));
     let measured = measurement("y", name("a") + name("u") * name("b"), 1.0);

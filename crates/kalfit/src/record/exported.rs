@@ -1,10 +1,10 @@
 //! The filter that follows from a fit as others read it.
 
-use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use crate::export::Exported;
 use crate::model::{Expression, PhasedModel};
+use crate::record::square::rows;
 
 /// The schema of [`ExportRecord`].
 pub const EXPORT_SCHEMA: &str = "kalfit-filter/1";
@@ -134,10 +134,6 @@ impl ExportRecord {
             notes: notes(model, filter),
         }
     }
-}
-
-fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
-    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
 fn notes(model: &PhasedModel, filter: &Exported) -> Vec<String> {

@@ -9,6 +9,7 @@ use crate::ensemble::{Grouping, Labels};
 use crate::infer::{GroupPosterior, Inference};
 use crate::model::{PhasedModel, Population};
 use crate::predict::Initial;
+use crate::record::square::rows;
 use crate::record::{
     BoundaryRecord, CovarianceRecord, DeletionRecord, FitRecord, MatrixRecord, PhaseRecord, SquareRecord,
     UnidentifiedRecord, VectorRecord,
@@ -138,8 +139,4 @@ impl FitRecord {
             self.groups.extend(found.iter().enumerate().map(|(group, one)| unit(inner, &level.name, group, one)));
         }
     }
-}
-
-fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
-    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }

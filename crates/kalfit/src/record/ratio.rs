@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::estimate::{Estimate, Stop};
 use crate::infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio};
 use crate::model::PhasedModel;
+use crate::record::square::rows;
 use crate::record::{DataRecord, ParameterRecord};
 use crate::reduce::Reductions;
 
@@ -227,7 +228,7 @@ pub(super) fn side(model: &PhasedModel, estimate: &Estimate) -> SideRecord {
         free_parameters: estimate.declared_mean() + estimate.declared_covariance(),
         converged: estimate.stop == Stop::Certified,
         mean: estimate.mean.clone(),
-        covariance: estimate.covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
+        covariance: rows(&estimate.covariance),
         parameters: Vec::new(),
     }
 }
@@ -247,11 +248,13 @@ const FEW: usize = 50;
 
 /// How many tests, or groups of the outermost level, there are, and what they are called.
 pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: &Reductions) -> (usize, String) {
+    let plural = |count: usize| if count == 1 { "" } else { "s" };
     match (estimate.grouping(), model.levels.first()) {
         (Some(grouping), Some(outermost)) if grouping.depth() > 0 => {
-            (grouping.groups(grouping.depth() - 1).len(), format!("group{{}} of level `{}`", outermost.name))
+            let count = grouping.groups(grouping.depth() - 1).len();
+            (count, format!("group{} of level `{}`", plural(count), outermost.name))
         }
-        _ => (reductions.len(), "test{}".to_owned()),
+        _ => (reductions.len(), format!("test{}", plural(reductions.len()))),
     }
 }
 
@@ -276,7 +279,6 @@ pub(super) fn add_doubts(
         );
     }
     if let Some((count, name)) = independent.filter(|(count, _)| *count < FEW && notes.is_empty()) {
-        let name = name.replace("{}", if count == 1 { "" } else { "s" });
         notes.push(format!(
             "with {count} {name} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it"
         ));

@@ -43,6 +43,11 @@ impl<'a> SquareRecord<&'a [f64]> {
     }
 }
 
+/// The rows of any matrix.
+pub(super) fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
+}
+
 /// A row.
 impl<E: AsRef<[f64]>> Index<usize> for SquareRecord<E> {
     type Output = [f64];
