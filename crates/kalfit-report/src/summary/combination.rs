@@ -3,8 +3,6 @@
 use crate::number::plain;
 use crate::words::clean;
 
-/// Smaller weights of a unit direction are left out. Weights are in the states' own units, so small ones may matter.
-pub(crate) const NEGLIGIBLE: f64 = 1e-6;
 /// No more terms than this of a direction are written out.
 const MOST_TERMS: usize = 6;
 
@@ -13,9 +11,9 @@ pub(crate) fn covariance_of(element: &str) -> Option<(&str, &str)> {
     element.strip_prefix("covariance[").and_then(|e| e.strip_suffix(']')).unwrap_or(element).split_once(", ")
 }
 
-/// The terms of a direction that count, the largest first.
+/// The terms of a direction that are not zero, the largest first. Weights are in the states' own units, so the smallest may matter.
 pub(crate) fn weighted<'a>(direction: &[f64], names: &'a [String]) -> Vec<(f64, &'a String)> {
-    let weights = direction.iter().zip(names).filter(|(w, _)| w.abs() > NEGLIGIBLE && w.is_finite());
+    let weights = direction.iter().zip(names).filter(|(w, _)| **w != 0.0 && w.is_finite());
     let mut terms: Vec<(f64, &String)> = weights.map(|(&w, name)| (w, name)).collect();
     terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
     terms

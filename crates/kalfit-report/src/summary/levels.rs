@@ -3,7 +3,6 @@
 use kalfit::FitRecord;
 use kalfit::record::LevelRecord;
 
-use super::combination::NEGLIGIBLE;
 use super::places::{TABLE, outer, places};
 use super::states::{FigureCells, spread};
 use super::{correlations, doubts, outlying_groups};
@@ -86,9 +85,11 @@ fn is_held_at_zero(level: &LevelRecord, i: usize) -> bool {
 fn is_open(level: &LevelRecord, i: usize) -> bool {
     let name = &level.states[i];
     let own = format!("{name}, {name}");
-    level.unidentified.iter().filter(|one| one.what == "covariance").any(|one| {
-        one.elements.iter().zip(&one.direction).any(|(element, weight)| *element == own && weight.abs() > NEGLIGIBLE)
-    })
+    level
+        .unidentified
+        .iter()
+        .filter(|one| one.what == "covariance")
+        .any(|one| one.elements.iter().zip(&one.direction).any(|(element, weight)| *element == own && *weight != 0.0))
 }
 
 fn interval(level: &LevelRecord, i: usize) -> String {

@@ -3,7 +3,7 @@
 use kalfit::FitRecord;
 use kalfit::record::{BoundaryRecord, PhaseRecord, RegressionRecord, ScaleRecord, UnidentifiedRecord};
 
-use super::combination::{NEGLIGIBLE, covariance_of};
+use super::combination::covariance_of;
 use super::places;
 use crate::number::FigurePrecision;
 use crate::page::PageLayout;
@@ -112,7 +112,7 @@ pub(crate) fn cells(
 fn touches(directions: &[UnidentifiedRecord], what: &str, names: &[String], wanted: &dyn Fn(&str) -> bool) -> bool {
     directions.iter().filter(|u| u.what == what).any(|u| {
         let names = if u.elements.is_empty() { names } else { &u.elements };
-        names.iter().zip(&u.direction).any(|(name, w)| wanted(name) && w.abs() > NEGLIGIBLE)
+        names.iter().zip(&u.direction).any(|(name, w)| wanted(name) && *w != 0.0)
     })
 }
 

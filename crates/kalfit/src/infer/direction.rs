@@ -1,9 +1,11 @@
 //! Directions of μ and Σ.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Scaled information below this is none.
 pub(crate) const NONE: f64 = 1e-10;
+/// What takes part in a direction by less than this, in natural sizes, is not in it.
+const PART: f64 = 1e-6;
 
 /// What a direction is a direction of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,7 +16,8 @@ pub enum Quantity {
     Covariance,
 }
 
-/// A direction without information: a unit vector in the user's units.
+/// A direction without information: a unit vector in the user's units. What takes no part in it is zero, and whatever is not zero takes part,
+/// however small its number: a scale factor of 1e-6 may stand beside a bias of 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Direction {
     /// Of what.
@@ -46,13 +49,34 @@ pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
     basis
 }
 
-/// Scaled to length one, noise removed, largest entry positive.
-pub(crate) fn unit(mut direction: Vec<f64>) -> Vec<f64> {
-    let norm = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
+/// A direction in natural sizes in the user's units, in which a natural size is this much of each element: what takes no part is zero, the
+/// length one, the largest entry positive.
+pub(crate) fn in_units<'u>(natural: &DVector<f64>, units: impl Iterator<Item = &'u f64>) -> Vec<f64> {
+    let least = PART * natural.amax();
+    let kept = natural.iter().zip(units).map(|(x, unit)| if x.abs() > least { x * unit } else { 0.0 });
+    let mut direction: Vec<f64> = kept.collect();
     let largest = direction.iter().copied().fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
-    let sign = if largest < 0.0 { -1.0 } else { 1.0 };
-    for x in &mut direction {
-        *x = if x.abs() < 1e-9 * norm { 0.0 } else { sign * *x / norm };
-    }
+    let length = largest * direction.iter().map(|x| (x / largest).powi(2)).sum::<f64>().sqrt();
+    direction.iter_mut().filter(|x| **x != 0.0).for_each(|x| *x /= length);
     direction
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether a state takes part does not hang on its unit.
+    #[test]
+    fn what_takes_part_does_so_in_any_unit() {
+        let natural = DVector::from_vec(vec![1.0, -1.0, 1e-9, 0.0]);
+        for unit in [1.0, 1e6, 1e-12, 1e200] {
+            let found = in_units(&natural, [1.0, unit, 1.0, unit].iter());
+            let sign = if unit > 1.0 { -1.0 } else { 1.0 };
+            let length = f64::hypot(1.0, unit);
+            for (found, expected) in found.iter().zip([sign / length, -sign * unit / length, 0.0, 0.0]) {
+                assert!((found - expected).abs() <= 1e-14 * expected.abs(), "{found} {expected} for units of {unit}");
+            }
+        }
+        assert_eq!(in_units(&DVector::zeros(2), [1.0, 1.0].iter()), [0.0, 0.0]);
+    }
 }

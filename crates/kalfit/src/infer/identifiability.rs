@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimate::{
     Estimate, FinalState, FitError, FlatDirection, Objective, Point, Problem, Structure, Sums, harmonic, natural_sizes,
 };
-use crate::infer::direction::{Direction, NONE, Quantity, simplest, unit};
+use crate::infer::direction::{Direction, NONE, Quantity, in_units, simplest};
 use crate::infer::law::AsymptoticLaw;
 use crate::infer::observability::{Observability, observability};
 use crate::infer::phases::{PhaseObservability, phases};
@@ -156,7 +156,7 @@ fn mean_directions(problem: &Problem) -> Vec<Direction> {
 
 /// A direction in η, in the user's units.
 fn out(quantity: Quantity, direction: &DVector<f64>, units: &[f64]) -> Direction {
-    Direction { quantity, direction: unit(direction.iter().zip(units).map(|(d, s)| d * s).collect()) }
+    Direction { quantity, direction: in_units(direction, units.iter()) }
 }
 
 fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Sparse), sums: &Sums) -> Vec<Direction> {

@@ -8,7 +8,7 @@ use crate::infer::estimated::Estimated;
 use crate::infer::estimates::EstimateCovariance;
 use crate::infer::holdable::{Holdable, Quantities};
 use crate::infer::law::AsymptoticLaw;
-use crate::infer::std_errors::{PART, StdErrors};
+use crate::infer::std_errors::StdErrors;
 use crate::linalg::elements::Elements;
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
@@ -43,8 +43,7 @@ pub struct Boundary {
 
 /// Whether a quantity takes part in an unidentified direction.
 fn takes_part(unidentified: &[Direction], quantity: Quantity, k: usize) -> bool {
-    let of = unidentified.iter().filter(|d| d.quantity == quantity);
-    of.map(|d| d.direction[k].abs()).fold(0.0, f64::max) > PART
+    unidentified.iter().any(|d| d.quantity == quantity && d.direction[k] != 0.0)
 }
 
 /// Whether an element of Σ does; those between phases do not.

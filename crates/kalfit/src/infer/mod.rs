@@ -70,7 +70,6 @@ pub(crate) use law::AsymptoticLaw;
 pub(crate) use observability::counted;
 pub(crate) use progress::SharedProgress;
 pub(crate) use ratio::replicates;
-pub(crate) use std_errors::PART;
 
 use crate::estimate::{Criterion, Estimate, Progress, Silent};
 use crate::model::PhasedModel;

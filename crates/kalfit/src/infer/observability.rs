@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use crate::estimate::{Classes, CoordinateForm, PhaseForm, Point, Problem, Summed, map_forms};
-use crate::infer::direction::{NONE, unit};
+use crate::infer::direction::{NONE, in_units};
 use crate::infer::observed::{PART, column_norm, observe};
 use crate::linalg::fold::fold;
 use crate::linalg::symmetric;
@@ -265,8 +265,7 @@ type Weak = (DVector<f64>, f64);
 
 /// The same in the user's units.
 fn out(problem: &Problem, (direction, condition): Weak, leading: Option<Leading>) -> WeakDirection {
-    let direction = direction.iter().zip(&problem.classes.frame.scale).map(|(d, s)| d * s).collect();
-    WeakDirection { direction: unit(direction), condition, leading }
+    WeakDirection { direction: in_units(&direction, problem.classes.frame.scale.iter()), condition, leading }
 }
 
 /// In η: for each element of μ the direction I⁺e_i when its mean is free and identified; and the weak directions.

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::estimate::{ChainStore, ChainedClass, Problem};
-use crate::infer::direction::{NONE, simplest, unit};
+use crate::infer::direction::{NONE, in_units, simplest};
 use crate::linalg::symmetric;
 use crate::reduce::Reductions;
 
@@ -105,6 +105,6 @@ fn entered(range: &DMatrix<f64>, before: &DMatrix<f64>, scale: &[f64]) -> Vec<Ve
     let mut order: Vec<usize> = (0..vectors.ncols()).collect();
     order.sort_by(|&a, &b| decomposed.singular_values[b].total_cmp(&decomposed.singular_values[a]));
     let simple = simplest(vectors.select_columns(&order[..new]));
-    let weights = |v: nalgebra::DVectorView<'_, f64>| unit(v.iter().zip(scale).map(|(x, s)| x / s).collect());
-    simple.column_iter().map(weights).collect()
+    let units: Vec<f64> = scale.iter().map(|s| s.recip()).collect();
+    simple.column_iter().map(|weights| in_units(&weights.into_owned(), units.iter())).collect()
 }

@@ -6,9 +6,6 @@ use crate::estimate::Problem;
 use crate::infer::direction::{Direction, Quantity};
 use crate::infer::observability::Observability;
 
-/// A weight of a unit direction below this is none.
-const NEGLIGIBLE: f64 = 1e-6;
-
 /// Why a direction is not identified. States are elements of μ.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reason {
@@ -86,9 +83,9 @@ pub(crate) fn explain(problem: &Problem, directions: &[Direction], seen: &Observ
     directions.iter().map(one).collect()
 }
 
-/// Indices of the weights that count.
+/// What takes part.
 fn support(direction: &[f64]) -> Vec<usize> {
-    (0..direction.len()).filter(|&k| direction[k].abs() > NEGLIGIBLE).collect()
+    (0..direction.len()).filter(|&k| direction[k] != 0.0).collect()
 }
 
 fn mean(problem: &Problem, direction: &Direction, seen: &Observability) -> Explanation {

@@ -1,7 +1,7 @@
 //! What standard errors are made of, and what has none.
 
 /// An element that takes part in an unidentified direction by more than this has no standard error.
-pub(crate) const PART: f64 = 1e-6;
+pub(super) const PART: f64 = 1e-6;
 
 /// What standard errors are made of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

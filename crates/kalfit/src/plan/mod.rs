@@ -186,7 +186,7 @@ impl Found<'_> {
     /// Why a quantity has no standard error.
     fn reason(&self, quantity: Quantity) -> Reason {
         let takes_part = |what: infer::Quantity, k: usize| {
-            self.unidentified.iter().any(|d| d.quantity == what && d.direction[k].abs() > infer::PART)
+            self.unidentified.iter().any(|d| d.quantity == what && d.direction[k] != 0.0)
         };
         let is_singular = |i: usize| self.uncertainty.boundary.iter().any(|b| b.states.contains(&i));
         let elements: &[(usize, usize)] = match quantity {

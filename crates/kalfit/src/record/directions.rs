@@ -7,8 +7,6 @@ use crate::record::diagnosis::{named, words};
 use crate::record::number::plain;
 use crate::record::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
 
-/// Smaller weights of a unit direction do not count, as in the summaries.
-const NEGLIGIBLE: f64 = 1e-6;
 /// No more terms than this of a direction are written out.
 const MOST_TERMS: usize = 6;
 
@@ -92,7 +90,7 @@ impl Entries {
         let cuts = PhaseCut::blocks(model);
         let counts = |phase: &usize| {
             let mut own = direction.iter().zip(&self.phase).filter(|(_, of)| *of == phase);
-            cuts.len() == 1 || own.any(|(weight, _)| weight.abs() > NEGLIGIBLE)
+            cuts.len() == 1 || own.any(|(weight, _)| *weight != 0.0)
         };
         let mixed: Vec<usize> = (0..cuts.len()).filter(counts).collect();
         let names: Vec<String> = mixed.iter().map(|&i| cuts[i].name().to_owned()).collect();
@@ -106,7 +104,7 @@ impl Entries {
 
     /// The direction in words: `0.71 align.bias - 0.71 flight.bias`, the largest terms first.
     fn combination(&self, direction: &[f64]) -> String {
-        let weights = direction.iter().zip(&self.full).filter(|(weight, _)| weight.abs() > NEGLIGIBLE);
+        let weights = direction.iter().zip(&self.full).filter(|(weight, _)| **weight != 0.0);
         let mut terms: Vec<(f64, &String)> = weights.map(|(weight, name)| (*weight, name)).collect();
         terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
         let sign = terms.first().map_or(1.0, |(weight, _)| weight.signum());
@@ -191,7 +189,7 @@ impl InformationRecord {
 
 /// A combination without its zeros.
 fn entered(names: &[String], weights: &[f64]) -> EnteredRecord {
-    let counts = weights.iter().zip(names).filter(|(weight, _)| weight.abs() > NEGLIGIBLE);
+    let counts = weights.iter().zip(names).filter(|(weight, _)| **weight != 0.0);
     let (direction, elements) = counts.map(|(weight, name)| (*weight, name.clone())).unzip();
     EnteredRecord { direction, elements }
 }

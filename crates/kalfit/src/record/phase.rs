@@ -198,8 +198,8 @@ pub struct BoundaryRecord {
 pub struct UnidentifiedRecord {
     /// `mean` or `covariance`.
     pub what: String,
-    /// Unit vector over the states and regression coefficients (mean), or over the covariance elements. Where the direction
-    /// mixes phases, this phase's part of it; a note names the whole.
+    /// Unit vector over the states and regression coefficients (mean), or over the covariance elements, in their units: zero where an
+    /// element takes no part. Where the direction mixes phases, this phase's part of it; a note names the whole.
     pub direction: Vec<f64>,
     /// What the entries of `direction` stand for.
     #[serde(default)]

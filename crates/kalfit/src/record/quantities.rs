@@ -7,9 +7,6 @@ use crate::record::{
     ScaleRecord, UnidentifiedRecord, VectorRecord,
 };
 
-/// Smaller weights of a unit direction do not count, as in the summaries.
-const NEGLIGIBLE: f64 = 1e-6;
-
 /// One number, with what is known of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct QuantityRecord {
@@ -236,7 +233,7 @@ fn status(value: ValueErrors, fixed: bool, open: bool) -> &'static str {
 fn is_open(directions: &[UnidentifiedRecord], what: &str, moved: &dyn Fn(&str) -> bool) -> bool {
     let moves = |direction: &UnidentifiedRecord| {
         let mut weights = direction.elements.iter().zip(&direction.direction);
-        weights.any(|(element, weight)| weight.abs() > NEGLIGIBLE && moved(element))
+        weights.any(|(element, weight)| *weight != 0.0 && moved(element))
     };
     directions.iter().filter(|direction| direction.what == what).any(moves)
 }

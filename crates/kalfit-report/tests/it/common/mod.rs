@@ -184,7 +184,7 @@ pub(crate) fn singular() -> FitRecord {
     });
     main.unidentified.push(UnidentifiedRecord {
         what: "mean".into(),
-        direction: vec![0.6, -0.8, 1e-9],
+        direction: vec![0.6, -0.8, 0.0],
         elements: vec![],
         tests: vec![],
         reason: String::new(),
