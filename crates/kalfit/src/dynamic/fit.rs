@@ -10,13 +10,19 @@ use crate::dynamic::{
 };
 use crate::ensemble::Labels;
 use crate::estimate::{Combination, FitError, Progress, Stage, Stop};
-use crate::model::{PhasedModel, Slots};
+use crate::model::{PhasedModel, Population, Slots};
 use crate::reduce::{Evidence, PhasedTest, grouping};
 use crate::remote::Answers;
 use crate::score::dependences;
 
 /// Log-likelihoods that differ by this part are equal.
 const ROUNDING: f64 = 1e-11;
+/// A level that is zero, or whose logarithm has no more information than this, is tried at this part of the size that it had or that the data
+/// suggest.
+const UNFELT: f64 = 1e-2;
+const RAISED: f64 = 0.3;
+/// No more of them are.
+const FEW: usize = 8;
 /// An end that is higher by more is worth another search.
 const HIGHER: f64 = 1e-6;
 
@@ -37,6 +43,7 @@ pub fn fit(
     };
     let (at, vanishing) = unbounded::find(&objective, &ends, at).unwrap_or((at, Vec::new()));
     let best = ends.remove(at);
+    let best = off_level_zeros(&objective, best, progress);
     ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
     let other = |end: SearchEnd| OtherEnd {
         log_likelihood: end.home.value(),
@@ -88,6 +95,35 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
     if let Some(start) = highest.map(SearchEnd::restart) {
         ends.extend(search::search(objective, start.into(), None, progress));
     }
+}
+
+/// An end without small noise levels that may be anything up to some size at no loss, as the noise of one row a test beside the variance of
+/// what it measures: that variance would look known there.
+fn off_level_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
+    let is_unfelt = |s: usize| {
+        let is_open = matches!(best.standing[s], Standing::Inside | Standing::Unidentified);
+        best.is_at_zero(s) || (is_open && best.joint.curvature(s).abs() < UNFELT)
+    };
+    let is_level = |s: usize| objective.coordinates[s].level.is_some();
+    let zeros: Vec<usize> = (0..best.standing.len()).filter(|&s| is_level(s) && is_unfelt(s)).take(FEW).collect();
+    if best.stop != Stop::Certified || zeros.is_empty() || progress.stops() {
+        return best;
+    }
+    let near = Population::from(&best.home.estimate);
+    let least = best.home.value() - ROUNDING * best.home.value().abs().max(1.0);
+    let costs_nothing = |values: &[f64]| objective.solve(values, Some(&near)).is_ok_and(|there| there.value() >= least);
+    let mut raised = best.home.values.clone();
+    for &s in &zeros {
+        let before = std::mem::replace(&mut raised[s], RAISED * best.before_zero[s].max(objective.units()[s]));
+        if !costs_nothing(&raised) {
+            raised[s] = before;
+        }
+    }
+    if raised == best.home.values {
+        return best;
+    }
+    let end = search::search(objective, raised.into(), None, progress).ok();
+    end.filter(|end| end.stop == Stop::Certified && end.home.value() >= least).unwrap_or(best)
 }
 
 /// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.

@@ -22,6 +22,8 @@ const DENSE: usize = 24;
 pub(crate) const LEVEL_GROUND: f64 = 1e-7;
 /// Along directions of less scaled information than this ℓ is looked at on both sides.
 const FAINT: f64 = 1e-5;
+/// … and what differences say of less than this may be rounding.
+const SHAKY: f64 = 1e-6;
 /// Scaled eigenvalues of the information below this are flat.
 pub(crate) const FLAT: f64 = 1e-10;
 /// Of a direction of length one, in coordinates of unit curvature, this much is something.
@@ -61,9 +63,9 @@ pub(crate) struct JointStep {
     pub(crate) concave: bool,
 }
 
-/// A direction along which ℓ hardly curves.
+/// A direction in α and (μ, Σ), an eigenvector of the scaled information.
 #[derive(Debug, Clone)]
-pub(crate) struct FaintDirection {
+pub(crate) struct Direction {
     /// In α, its largest entry one; zero for values that are not shared.
     pub(crate) alpha: Vec<f64>,
     /// How much of it that entry is, in coordinates of unit curvature.
@@ -72,6 +74,34 @@ pub(crate) struct FaintDirection {
     pub(crate) curvature: f64,
     /// Which of the information's eigenvectors it is.
     pub(crate) number: usize,
+    /// The eigenvalue of a curvature of one along it.
+    unit: f64,
+}
+
+impl Direction {
+    /// Differences hardly tell its curvature.
+    pub(crate) fn is_faint(&self) -> bool {
+        (self.unit * self.curvature).abs() < FAINT
+    }
+
+    /// Rounding may be all of its curvature.
+    pub(crate) fn is_shaky(&self) -> bool {
+        (self.unit * self.curvature).abs() < SHAKY
+    }
+
+    /// The eigenvalue that belongs to another curvature along it.
+    pub(crate) fn with(&self, curvature: f64) -> KnownEigenvalue {
+        KnownEigenvalue { number: self.number, value: self.unit * curvature, share: self.share }
+    }
+}
+
+/// An eigenvalue of the scaled information that is better known than differences know it; zero of a flat direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct KnownEigenvalue {
+    number: usize,
+    value: f64,
+    /// The largest part of a value of α in its direction.
+    share: f64,
 }
 
 impl JointInformation {
@@ -274,17 +304,45 @@ impl JointInformation {
         (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
     }
 
-    /// The step in shared values that the gradient asks for, flat directions left out; `None` where some value is of a single test.
-    pub(crate) fn onto_ridge(&self, gradient: &[f64]) -> Option<Vec<f64>> {
-        let followed = self.followed()?;
-        let (scale, values, vectors) = scaled_eigen(&followed);
+    /// The step in shared values, across this direction in them, that the gradient asks for; flat directions are left out. `None` where some
+    /// value is of a single test.
+    pub(crate) fn onto_ridge(&self, along: &[f64], gradient: &[f64]) -> Option<Vec<f64>> {
+        let (followed, scale, ridge) = self.ridge(along)?;
+        let (n, ridge) = (scale.len(), ridge.normalize());
+        let across = DMatrix::identity(n, n) - &ridge * ridge.transpose();
+        let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * followed[(i, k)] * scale[k]);
+        let (values, vectors) = symmetric::eigen(&(&across * scaled * &across));
         let turned = values.iter().map(|&value| if value > FAINT { value.recip() } else { 0.0 });
         let inverse = symmetric::by_eigenvectors(&vectors, turned);
-        let own = DVector::from_fn(scale.len(), |i, _| scale[i] * gradient[self.shared[i]]);
-        let step = inverse * own;
+        let own = DVector::from_fn(n, |i, _| scale[i] * gradient[self.shared[i]]);
+        let step = &across * (inverse * (&across * own));
         let mut all = vec![0.0; gradient.len()];
         self.shared.iter().enumerate().for_each(|(i, &s)| all[s] = scale[i] * step[i]);
         Some(all)
+    }
+
+    /// Information in the shared values once all else follows, what brings it to a unit diagonal, and a direction in such units.
+    fn ridge(&self, along: &[f64]) -> Option<(DMatrix<f64>, Vec<f64>, DVector<f64>)> {
+        let followed = self.followed()?;
+        let scale: Vec<f64> = symmetric::sizes(&followed).into_iter().map(f64::recip).collect();
+        let ridge = DVector::from_fn(scale.len(), |i, _| along[self.shared[i]] / scale[i]);
+        Some((followed, scale, ridge))
+    }
+
+    /// The variance of what [`onto_ridge`](Self::onto_ridge) holds of α, by the other eigenvectors: those that differences know, and the faint
+    /// ones. `None` where some value is of a single test.
+    pub(crate) fn variances_beside(&self, direction: &Direction) -> Option<[f64; 2]> {
+        let (_, units, ridge) = self.ridge(&direction.alpha)?;
+        let (scale, values, vectors) = scaled_eigen(&self.information());
+        let held = |k: usize| {
+            let parts = ridge.iter().enumerate().map(|(i, own)| own / units[i] * scale[i] * vectors[(i, k)]);
+            parts.sum::<f64>() / ridge.norm_squared()
+        };
+        let mut variances = [0.0; 2];
+        for k in (0..values.len()).filter(|&k| k != direction.number) {
+            variances[usize::from(values[k].abs() < FAINT)] += held(k).powi(2) / values[k].abs().max(FLAT);
+        }
+        Some(variances)
     }
 
     /// Information in the shared values once (μ, Σ) follow them, as long as no value is of a single test.
@@ -300,16 +358,22 @@ impl JointInformation {
     }
 
     /// Directions in shared values along which ℓ hardly curves.
-    pub(crate) fn faint(&self) -> Vec<FaintDirection> {
+    pub(crate) fn faint(&self) -> Vec<Direction> {
+        self.directions().into_iter().filter(Direction::is_faint).collect()
+    }
+
+    /// Eigenvectors of the information as directions in shared values.
+    pub(crate) fn directions(&self) -> Vec<Direction> {
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let along = |k: usize| {
             let alpha = self.direction(&scale, vectors.column(k))?;
             let of_alpha = 0..self.shared.len();
             let largest = of_alpha.clone().map(|i| (scale[i] * vectors[(i, k)]).abs()).fold(0.0, f64::max);
             let share = of_alpha.map(|i| vectors[(i, k)].abs()).fold(0.0, f64::max);
-            Some(FaintDirection { alpha, share, curvature: values[k] / (largest * largest), number: k })
+            let unit = largest * largest;
+            Some(Direction { alpha, share, curvature: values[k] / unit, number: k, unit })
         };
-        (0..values.len()).filter(|&k| values[k].abs() < FAINT).filter_map(along).collect()
+        (0..values.len()).filter_map(along).collect()
     }
 
     /// Covariances of all coordinates: the inverse, flat directions left out.
@@ -318,11 +382,11 @@ impl JointInformation {
         self.covariances_beside(&[])
     }
 
-    /// The same without faint directions of these numbers, which were found to be flat.
-    pub(crate) fn covariances_beside(&self, flat: &[usize]) -> ValueCovariances {
-        let mut covariances = self.shared_covariances(&self.information(), flat);
+    /// The same with these eigenvalues of the information.
+    pub(crate) fn covariances_beside(&self, known: &[KnownEigenvalue]) -> ValueCovariances {
+        let mut covariances = self.shared_covariances(&self.information(), known);
         for block in &self.private {
-            let (own, flat, _) = inverse(&self.block(block), &[]);
+            let (own, flat, _) = inverse(&self.block(block), (&[], 0));
             let carried = &own * self.border(block);
             let total = &own + &carried * &covariances.whole * carried.transpose();
             for (i, &s) in block.iter().enumerate() {
@@ -339,8 +403,8 @@ impl JointInformation {
     }
 
     /// The same without values of single tests.
-    fn shared_covariances(&self, information: &DMatrix<f64>, known_flat: &[usize]) -> ValueCovariances {
-        let (whole, flat, directions) = inverse(information, known_flat);
+    fn shared_covariances(&self, information: &DMatrix<f64>, known: &[KnownEigenvalue]) -> ValueCovariances {
+        let (whole, flat, directions) = inverse(information, (known, self.shared.len()));
         let mut alpha = vec![None; self.cross.nrows()];
         for (i, &s) in self.shared.iter().enumerate() {
             alpha[s] = Some(whole[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
@@ -377,21 +441,32 @@ pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
 }
 
-/// The inverse, which coordinates take part in a flat direction, and those of these numbers; they are known to be flat whatever their curvature.
-fn inverse(matrix: &DMatrix<f64>, known_flat: &[usize]) -> (DMatrix<f64>, Vec<bool>, Vec<DVector<f64>>) {
-    let (scale, values, vectors) = scaled_eigen(matrix);
+/// The inverse where some eigenvalues are known, which coordinates take part in a flat direction, and those directions that are known to be.
+/// So many coordinates are of α: of what is known to be flat, those count by their part among them.
+fn inverse(
+    matrix: &DMatrix<f64>,
+    (known, of_alpha): (&[KnownEigenvalue], usize),
+) -> (DMatrix<f64>, Vec<bool>, Vec<DVector<f64>>) {
+    let (scale, mut values, vectors) = scaled_eigen(matrix);
     let n = scale.len();
-    let is_flat = |k: usize| values[k] <= FLAT || known_flat.contains(&k);
+    known.iter().for_each(|known| values[known.number] = known.value);
+    let is_known = |k: usize| known.iter().any(|known| known.number == k && known.value > 0.0);
+    let is_flat = |k: usize| values[k] <= FLAT && !is_known(k);
     let mut flat: Vec<bool> = scale.iter().map(|s| *s == 0.0).collect();
+    let takes_part = |i: usize, k: usize| {
+        let own = known.iter().find(|known| known.number == k && i < of_alpha);
+        vectors[(i, k)].abs() > TAKES_PART * own.map_or(1.0, |known| known.share)
+    };
     for k in (0..n).filter(|&k| is_flat(k)) {
-        (0..n).filter(|&i| vectors[(i, k)].abs() > TAKES_PART).for_each(|i| flat[i] = true);
+        (0..n).filter(|&i| takes_part(i, k)).for_each(|i| flat[i] = true);
     }
     let turned = (0..n).map(|k| if is_flat(k) { 0.0 } else { values[k].recip() });
     let inverse = symmetric::by_eigenvectors(&vectors, turned);
-    let part = |i: usize, k: usize| if vectors[(i, k)].abs() > TAKES_PART { vectors[(i, k)] } else { 0.0 };
+    let part = |i: usize, k: usize| if takes_part(i, k) { vectors[(i, k)] } else { 0.0 };
     let along = |&k: &usize| DVector::from_fn(n, |i, _| scale[i] * part(i, k));
     let whole = DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]);
-    (whole, flat, known_flat.iter().map(along).collect())
+    let known_flat = known.iter().filter(|known| known.value == 0.0).map(|known| known.number);
+    (whole, flat, known_flat.map(|k| along(&k)).collect())
 }
 
 fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
@@ -410,9 +485,14 @@ fn informed(tangent: &Tangent) -> DMatrix<f64> {
     let of = |i: usize| (tangent.information[(i, i)].abs(), tangent.gradient[i].abs(), tangent.sizes[i]);
     let own = |i: usize| of(i).0 * tangent.sizes[i].powi(2);
     let largest = (0..n).map(own).fold(0.0, f64::max);
-    let left = (0..n).map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
-    let is_bend = |i: usize| own(i) <= BEND * left && of(i).1 <= STILL * of(i).0.sqrt();
-    let is_known: Vec<bool> = (0..n).map(|i| own(i) > NOTHING * largest && !is_bend(i)).collect();
+    let of_sigma = tangent.mean..n;
+    let left = of_sigma.clone().map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
+    let is_bend = |i: usize| of_sigma.contains(&i) && own(i) <= BEND * left && of(i).1 <= STILL * of(i).0.sqrt();
+    // a mean that does not vary has no size of its own beside variances that are many times what one test tells
+    let largest_mean = (0..tangent.mean).map(|i| of(i).0).fold(0.0, f64::max);
+    let is_mean = |i: usize| i < tangent.mean && of(i).0 > NOTHING * largest_mean;
+    let is_known = |i: usize| (own(i) > NOTHING * largest && !is_bend(i)) || is_mean(i);
+    let is_known: Vec<bool> = (0..n).map(is_known).collect();
     let entry = |i: usize, k: usize| if is_known[i] && is_known[k] { tangent.information[(i, k)] } else { 0.0 };
     DMatrix::from_fn(n, n, entry)
 }

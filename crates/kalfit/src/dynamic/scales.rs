@@ -124,7 +124,7 @@ fn is_square(variance: &Expression) -> bool {
     matches!(variance, Expression::Binary(Operator::Multiply, a, b) if a == b)
 }
 
-/// Root mean square of the differences of successive values within tests, over √2.
+/// Root mean square of the differences of successive values within tests, over √2; where no two differ, of all from their mean.
 fn differences(tests: &[&Test], column: usize) -> f64 {
     let of_test = |test: &&Test| {
         let (mut sum, mut count, mut last) = (0.0, 0.0, f64::NAN);
@@ -142,8 +142,17 @@ fn differences(tests: &[&Test], column: usize) -> f64 {
     };
     let parts: Vec<(f64, f64)> = tests.par_iter().with_min_len(TOGETHER).map(of_test).collect();
     let (sum, count) = parts.iter().fold((0.0, 0.0), |(sum, n), (part, more)| (sum + part, n + more));
-    let size: f64 = if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 };
+    let size: f64 = if sum > 0.0 { f64::sqrt(sum / count) } else { spread(tests, column) };
     if size > 0.0 && size.is_finite() { size } else { 1.0 }
+}
+
+/// Standard deviation of the values of a column over all tests.
+fn spread(tests: &[&Test], column: usize) -> f64 {
+    let rows = tests.iter().flat_map(|test| (0..test.rows().min(ROWS_OF_A_TEST)).map(|row| test.numbers(row)[column]));
+    let values: Vec<f64> = rows.filter(|x| !x.is_nan()).collect();
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    (values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / count).sqrt()
 }
 
 /// Root mean square of the values of a column.

@@ -27,6 +27,8 @@ const FAINT_LOOKS: usize = 3;
 /// Values that factors of a product of zero may have.
 const FACTORS: [f64; 5] = [1.0, 0.1, 0.01, 10.0, 100.0];
 
+/// A step that gave so many times what it promised is short.
+const SHORT: f64 = 1.5;
 /// A slope above this is one, with a curvature below [`LEVEL_GROUND`].
 const SLOPE: f64 = 1e-3;
 
@@ -261,7 +263,9 @@ impl<'b, 'a> SearchState<'b, 'a> {
         self.level_scale = self.straighter(joint, &next);
         let before = self.home.clone();
         self.arrive(next);
-        let goes_on = if levels.is_empty() { !self.stride(step) } else { self.level_scale == LevelScale::Variance };
+        let is_short = promised > slack && gain > SHORT * promised;
+        let goes_on =
+            if levels.is_empty() { !self.stride(step, is_short) } else { self.level_scale == LevelScale::Variance };
         if goes_on {
             match gain > 0.2 * promised {
                 true => self.glide(joint, &before),
@@ -325,10 +329,11 @@ impl<'b, 'a> SearchState<'b, 'a> {
         step.iter().enumerate().map(one).collect()
     }
 
-    /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level. Whether it did.
-    fn stride(&mut self, step: &joint::JointStep) -> bool {
+    /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level, or that curves less than
+    /// differences say. Whether it did.
+    fn stride(&mut self, step: &joint::JointStep, is_short: bool) -> bool {
         let far = step.alpha.iter().zip(&self.objective.coordinates).any(|(d, c)| c.log && d.abs() > DRIFT);
-        if !far || step.decrement > 0.3 {
+        if !(is_short || far) || step.decrement > 0.3 {
             return false;
         }
         let mut length = 1.0;

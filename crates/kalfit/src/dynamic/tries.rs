@@ -15,8 +15,10 @@ const ROUNDING: f64 = 1e-8;
 /// Part of a power by which what is all but white is made longer, so many times.
 const FINE: f64 = 0.25;
 const FINE_STEPS: usize = 12;
-/// Values other than logarithms that are tried where none is given.
+/// Values other than logarithms that are tried where none is given,
 const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
+/// each if ℓ is higher by this than at those before: where a coefficient and a mean move as one, large values cost digits.
+const BETTER: f64 = 1e-3;
 
 /// ℓ at each of some places; whoever waits hears of it, and nothing more is tried once nobody does.
 pub(super) fn tried(
@@ -41,7 +43,9 @@ pub(super) fn scan(
 ) {
     let mut places = vec![values.clone()];
     places.extend(grid(small, parameter, values));
-    if let Some((best, _)) = best(small, places, progress) {
+    let of_logarithms =
+        small.slots.slots().iter().zip(&small.coordinates).any(|(slot, c)| slot.parameter == parameter && c.log);
+    if let Some((best, _)) = best(small, places, if of_logarithms { 0.0 } else { BETTER }, progress) {
         *values = best;
     }
 }
@@ -73,7 +77,8 @@ pub(super) fn longer(
         moved[slot] = objective.coordinates[slot].moved(values[slot], k as f64 * FINE * FACTOR.ln());
         moved
     };
-    let found = best(objective, (1..=FINE_STEPS).map(at).collect(), progress).filter(|(_, value)| *value > highest);
+    let found =
+        best(objective, (1..=FINE_STEPS).map(at).collect(), 0.0, progress).filter(|(_, value)| *value > highest);
     found.map_or(values.clone(), |(values, _)| values)
 }
 
@@ -106,9 +111,14 @@ pub(super) fn valued(
     places.into_iter().zip(values).filter_map(|(place, value)| Some((place, value?))).collect()
 }
 
-/// The first of the highest.
-fn best(small: &ProfileLikelihood<'_>, places: Vec<Vec<f64>>, progress: &mut dyn Progress) -> Option<(Vec<f64>, f64)> {
-    valued(small, places, progress).into_iter().reduce(|best, next| if best.1 >= next.1 { best } else { next })
+/// The first of the highest, where ℓ is not told apart by less than `apart`.
+fn best(
+    small: &ProfileLikelihood<'_>,
+    places: Vec<Vec<f64>>,
+    apart: f64,
+    progress: &mut dyn Progress,
+) -> Option<(Vec<f64>, f64)> {
+    valued(small, places, progress).into_iter().reduce(|best, next| if best.1 + apart >= next.1 { best } else { next })
 }
 
 /// Starts where ℓ over the powers of a time constant has other maxima than at the first start.

@@ -3,9 +3,12 @@
 use crate::estimate::certificate::{Escape, certificate};
 use crate::estimate::covariance::CovarianceMap;
 use crate::estimate::local::Objective;
-use crate::estimate::newton::{Attempt, Damping, NewtonIterate};
+use crate::estimate::newton::{Attempt, Damping, NewtonIterate, moved};
 use crate::estimate::point::Point;
 use crate::estimate::settings::Stop;
+
+/// Along flat directions ℓ rises by at least this part of what their slopes promise, or it stays where it is.
+const RISES: f64 = 0.05;
 
 /// When a climb ends.
 #[derive(Debug, Clone, Copy)]
@@ -28,7 +31,7 @@ pub(crate) fn climb(
     let mut damping = Damping::default();
     for _ in 0..limits.steps {
         if place.decrement() <= limits.tolerance {
-            match escaped(objective, map, tests, &mut place) {
+            match escaped(objective, map, tests, &mut place).or_else(|| slid(objective, map, &mut place)) {
                 Some(better) => place = better,
                 None => return (place, Stop::Certified),
             }
@@ -59,6 +62,16 @@ pub(crate) fn escaped(
         length *= 0.25;
     }
     None
+}
+
+/// A better place along directions that are left out of steps as flat, when ℓ rises there as their slopes say.
+pub(crate) fn slid(objective: &dyn Objective, map: &CovarianceMap, place: &mut NewtonIterate) -> Option<NewtonIterate> {
+    let (step, promised) = place.curvature.along_flat()?;
+    place.surpassed(objective, |place| {
+        let point = moved(objective, map, place, &step)?;
+        let next = NewtonIterate::new(objective, map, point, place.near())?;
+        (next.local.value > place.local.value + RISES * promised).then_some(next)
+    })
 }
 
 fn grown(

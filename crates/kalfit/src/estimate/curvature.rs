@@ -48,6 +48,10 @@ const LONGEST: f64 = 0.5;
 pub(crate) const NOTHING: f64 = 1e-14;
 /// Scaled eigenvalues below this are flat: the data say nothing there.
 const FLAT: f64 = 1e-10;
+/// Scaled eigenvalues below this are rounding.
+const ROUNDING: f64 = 1e-15;
+/// A flat direction along which the slope promises no more than this of ℓ is let be.
+const LITTLE: f64 = 1e-6;
 
 impl Curvature {
     pub(crate) fn new(tangent: &Tangent) -> Curvature {
@@ -101,6 +105,14 @@ impl Curvature {
     /// Newton decrement: the distance to the optimum of the model, in standard errors.
     pub(crate) fn decrement(&self) -> f64 {
         self.plain.as_ref().map_or_else(|| self.known().decrement(), |plain| plain.decrement)
+    }
+
+    /// The step along the tangent basis that the slopes along flat directions ask for, and the gain it promises, for ℓ itself to judge: of what
+    /// is all but confounded, as a state and another times 10⁷ ± 1, ℓ knows more than its curvature can tell. `None` where that is little.
+    pub(crate) fn along_flat(&self) -> Option<(DVector<f64>, f64)> {
+        let spectrum = self.spectrum.get().filter(|_| self.plain.is_none())?;
+        let (step, gain) = spectrum.along_flat();
+        (gain > LITTLE).then(|| (step.component_mul(&self.scale), gain))
     }
 
     /// Damping for a place where the value is not concave: the model holds less far.
@@ -160,6 +172,17 @@ impl Spectrum {
         self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // a sum of nothing is -0
     }
 
+    /// The step along flat directions, and what it promises.
+    fn along_flat(&self) -> (DVector<f64>, f64) {
+        let mut along = DVector::zeros(self.values.len());
+        let mut gain = 0.0;
+        for (k, h) in self.values.iter().map(|v| v.abs()).enumerate().filter(|(_, h)| *h <= FLAT) {
+            along[k] = self.gradient[k] / h.max(ROUNDING);
+            gain += 0.5 * self.gradient[k] * along[k];
+        }
+        (&self.vectors * along, gain)
+    }
+
     fn step(&self, damping: f64) -> (DVector<f64>, f64) {
         let mut along = DVector::zeros(self.values.len());
         let mut gain = 0.0;
@@ -211,6 +234,24 @@ mod tests {
         {
             let found = of(&diagonal(least), DVector::from_vec(vec![3.0 * size, 0.0, 0.0])).doubtful();
             assert!((found - expected).abs() < 1e-12, "{least} at {size}: {found} {expected}");
+        }
+    }
+
+    #[test]
+    fn slopes_along_flat_directions_ask_for_a_step_where_they_promise_something() {
+        let diagonal = |least: f64| DMatrix::from_diagonal(&DVector::from_vec(vec![1.0, least, 2.0]));
+        for (least, slope, length) in
+            [(1e-12, 1e-8, Some(1e4)), (1e-12, 1e-10, None), (1e-17, 1e-10, Some(1e5)), (0.1, 1.0, None)]
+        {
+            let found = of(&diagonal(least), DVector::from_vec(vec![0.3, slope, 0.0])).along_flat();
+            match (found, length) {
+                (None, None) => {}
+                (Some((step, gain)), Some(length)) => {
+                    assert!((step[1] / length - 1.0).abs() < 1e-12 && step[0] == 0.0, "{step} {length}");
+                    assert!((gain - 0.5 * slope * step[1]).abs() <= 1e-12 * gain, "{gain}");
+                }
+                other => panic!("{least} {slope}: {other:?}"),
+            }
         }
     }
 

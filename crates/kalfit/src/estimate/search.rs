@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nalgebra::DMatrix;
 
 use crate::estimate::certificate::{Certificate, certificate};
-use crate::estimate::climb::escaped;
+use crate::estimate::climb::{escaped, slid};
 use crate::estimate::em::{self, ConditionalStep};
 use crate::estimate::error::FitError;
 use crate::estimate::local::{Local, Objective};
@@ -126,7 +126,8 @@ impl<'a> Search<'a> {
         let tests = self.problem.classes.tests as f64;
         loop {
             if place.decrement() <= self.settings.tolerance {
-                match escaped(&self.problem, &self.problem.covariance, tests, &mut place) {
+                let (objective, map) = (&self.problem, &self.problem.covariance);
+                match escaped(objective, map, tests, &mut place).or_else(|| slid(objective, map, &mut place)) {
                     Some(better) => place = better,
                     None => return Ok((place, Stop::Certified)),
                 }
