@@ -2,7 +2,7 @@
 
 use kalfit::estimate::Criterion;
 use kalfit::infer::{StdErrors, TestsChoice};
-use kalfit::record::TestGroups;
+use kalfit::record::{ParameterRecord, TestGroups};
 use kalfit::{Alpha, FitRecord};
 use kalfit_spec::Spec;
 
@@ -14,6 +14,7 @@ use crate::idle::{refuse_idle, refuse_one_phase};
 use crate::inferred::{TestSorting, beside, record};
 use crate::innovations::{self, KeptData};
 use crate::job::{FitJob, JobDone, files};
+use crate::offset::Multipliers;
 use crate::work::{JobWatch, JobWork};
 use crate::{dynamic, groups, lost, memory, model, reductions, tests};
 
@@ -47,6 +48,11 @@ pub fn fit(job: &FitJob, watch: &mut dyn JobWatch) -> Result<JobDone<FitRecord>,
     let mut work = JobWork::new(watch);
     let (mut record, held) =
         if free { dynamic::fit(job, &spec, &given, &mut work)? } else { known(job, &spec, &given, &mut work)? };
+    if let HeldTests::Tests(tests, _) = &held
+        && is_in_doubt(&record)
+    {
+        record.notes.extend(Multipliers::among(&spec.model, tests).notes());
+    }
     record.add_by_group();
     record.add_model_check();
     record.notes.splice(0..0, spec.questions().into_iter().chain(given.notes));
@@ -59,6 +65,14 @@ pub fn fit(job: &FitJob, watch: &mut dyn JobWatch) -> Result<JobDone<FitRecord>,
     let WrittenFiles { names, failed } = files.write(&mut record, held, &spec.model, &mut work)?;
     let unwritten = failed.iter().map(Failure::to_string).collect();
     Ok(JobDone { unwritten, ..JobDone::new(record, Vec::new(), names) })
+}
+
+/// It has no maximum, or not one that determines all.
+fn is_in_doubt(record: &FitRecord) -> bool {
+    let is_open = |parameter: &ParameterRecord| parameter.standing.as_deref() == Some("unidentified");
+    !record.converged
+        || record.phases.iter().any(|phase| !phase.unidentified.is_empty())
+        || record.parameters.iter().any(is_open)
 }
 
 /// The method in one place, with known parameters: reduce, estimate, infer, record.

@@ -41,6 +41,7 @@ mod known;
 mod lost;
 mod memory;
 mod model;
+mod offset;
 mod output;
 mod plan;
 mod plot;

@@ -1,6 +1,6 @@
 //! Choices of inference: `--intervals`, `--std-errors`, `--deletion`.
 
-use crate::folder::{Folder, MODEL, shown};
+use crate::folder::{DATA, Folder, MODEL, shown};
 use insta::assert_snapshot;
 use serde_json::Value;
 
@@ -202,7 +202,9 @@ fn errors_that_the_restricted_likelihood_does_not_have_are_refused() {
 #[test]
 fn expected_standard_errors_beside_free_parameters_are_said_and_are_others_than_observed_ones() {
     let free = MODEL.replace("noise = 0.1", "noise = \"s\"") + "[parameters]\ns = {}\n";
-    let folder = Folder::new(&[("free.toml", free.as_bytes())]);
+    // of tests that are all alike the two are one
+    let data = format!("{DATA}d,0,1.4\nd,1,1.8\n");
+    let folder = Folder::new(&[("free.toml", free.as_bytes()), ("d.csv", data.as_bytes())]);
     let [expected, observed] = ["expected", "observed"].map(|how| {
         let output = folder.run(&format!("fit free.toml d.csv --std-errors {how} --out {how}.json"));
         assert_eq!(output.status.code(), Some(0), "{}", shown(&output));
@@ -210,5 +212,5 @@ fn expected_standard_errors_beside_free_parameters_are_said_and_are_others_than_
         let record: kalfit::FitRecord = serde_json::from_slice(&text).unwrap();
         record.parameters[0].std_error.unwrap()
     });
-    assert!((expected / observed - 1.0).abs() > 1e-9, "expected {expected}, observed {observed}");
+    assert!((expected / observed - 1.0).abs() > 1e-2, "expected {expected}, observed {observed}");
 }

@@ -44,4 +44,5 @@ mod terminal;
 mod unbounded;
 mod undrawable;
 mod unidentified;
+mod units;
 mod validate;
