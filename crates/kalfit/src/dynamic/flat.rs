@@ -5,7 +5,7 @@
 //! direction. So ℓ is looked at itself, a step to either side: what it falls by is the curvature, and where that is next to nothing of what
 //! even differences could tell, the direction is flat.
 
-use crate::dynamic::joint::{Direction, KnownEigenvalue, TAKES_PART};
+use crate::dynamic::joint::{InformationDirection, KnownEigenvalue, TAKES_PART};
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
 use crate::dynamic::{Coordinate, DynamicFit};
 use crate::model::Population;
@@ -34,17 +34,17 @@ const MOSTLY: f64 = 0.5;
 const EVEN: f64 = 2.0;
 /// What ℓ falls by belies differences that are not faint where it is another curvature by more than this part.
 const OTHER: f64 = 0.5;
-/// Of more directions, which cost up to this many runs of the filters to either side, none is looked at.
+/// Of more directions, which cost up to [`STEPS`] runs of the filters to either side, none is looked at.
 const MOST: usize = 8;
 const STEPS: usize = 16;
 
-/// What the information along faint directions is.
+/// What ℓ says of the information along directions that are faint or doubtful.
 pub(super) fn looked_at(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<KnownEigenvalue> {
-    let is_looked_at = |direction: &Direction| match direction.share > TAKES_PART {
+    let is_looked_at = |direction: &InformationDirection| match direction.share > TAKES_PART {
         true => is_doubtful(objective, direction),
         false => direction.share > TRACE && direction.is_shaky(),
     };
-    let faint: Vec<Direction> = fit.joint.directions().into_iter().filter(is_looked_at).collect();
+    let faint: Vec<InformationDirection> = fit.joint.directions().into_iter().filter(is_looked_at).collect();
     if faint.len() > MOST {
         return Vec::new();
     }
@@ -57,7 +57,11 @@ pub(super) fn looked_at(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> 
 /// 1/p = r + v²/λ      p the curvature of ℓ where a component of α moves and all else follows, v the direction's part of it,
 ///                     r the variance that it has by the other directions
 /// ```
-fn told(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &Direction) -> Option<KnownEigenvalue> {
+fn told(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    direction: &InformationDirection,
+) -> Option<KnownEigenvalue> {
     let [by_known, by_faint] = fit.joint.variances_beside(direction)?;
     let Fall { length, least, mean, is_even, promised } = fall(objective, fit, direction)?;
     let is_visible = |curvature: f64| 0.5 * curvature * length * length >= VISIBLE;
@@ -72,7 +76,7 @@ fn told(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &Directi
 }
 
 /// ℓ hardly curves along it, or not enough to tell a logarithm: its own curvature may then be so small that differences say nothing of it.
-fn is_doubtful(objective: &ProfileLikelihood<'_>, direction: &Direction) -> bool {
+fn is_doubtful(objective: &ProfileLikelihood<'_>, direction: &InformationDirection) -> bool {
     let is_lost = |(part, coordinate): (&f64, &Coordinate)| {
         coordinate.log && part.abs() > LOST * direction.curvature.abs().sqrt()
     };
@@ -91,7 +95,7 @@ struct Fall {
 }
 
 /// `None` where ℓ is not defined to both sides.
-fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &Direction) -> Option<Fall> {
+fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &InformationDirection) -> Option<Fall> {
     let home = fit.estimate.log_likelihood;
     let promised = direction.curvature.abs().max(UNSURE * own_curvature(fit, direction));
     let length = length(objective, fit, direction, promised, home);
@@ -126,7 +130,7 @@ fn on_ridge(
 }
 
 /// The curvature along a direction in α alone, where nothing follows.
-fn own_curvature(fit: &DynamicFit, direction: &Direction) -> f64 {
+fn own_curvature(fit: &DynamicFit, direction: &InformationDirection) -> f64 {
     let of = |(s, part): (usize, &f64)| fit.joint.curvature(s).abs() * part * part;
     direction.alpha.iter().enumerate().map(of).sum()
 }
@@ -134,7 +138,7 @@ fn own_curvature(fit: &DynamicFit, direction: &Direction) -> f64 {
 fn length(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
-    direction: &Direction,
+    direction: &InformationDirection,
     curvature: f64,
     home: f64,
 ) -> f64 {

@@ -65,7 +65,7 @@ pub(crate) struct JointStep {
 
 /// A direction in α and (μ, Σ), an eigenvector of the scaled information.
 #[derive(Debug, Clone)]
-pub(crate) struct Direction {
+pub(crate) struct InformationDirection {
     /// In α, its largest entry one; zero for values that are not shared.
     pub(crate) alpha: Vec<f64>,
     /// How much of it that entry is, in coordinates of unit curvature.
@@ -78,7 +78,7 @@ pub(crate) struct Direction {
     unit: f64,
 }
 
-impl Direction {
+impl InformationDirection {
     /// Differences hardly tell its curvature.
     pub(crate) fn is_faint(&self) -> bool {
         (self.unit * self.curvature).abs() < FAINT
@@ -331,7 +331,7 @@ impl JointInformation {
 
     /// The variance of what [`onto_ridge`](Self::onto_ridge) holds of α, by the other eigenvectors: those that differences know, and the faint
     /// ones. `None` where some value is of a single test.
-    pub(crate) fn variances_beside(&self, direction: &Direction) -> Option<[f64; 2]> {
+    pub(crate) fn variances_beside(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let (_, units, ridge) = self.ridge(&direction.alpha)?;
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let held = |k: usize| {
@@ -358,12 +358,12 @@ impl JointInformation {
     }
 
     /// Directions in shared values along which ℓ hardly curves.
-    pub(crate) fn faint(&self) -> Vec<Direction> {
-        self.directions().into_iter().filter(Direction::is_faint).collect()
+    pub(crate) fn faint(&self) -> Vec<InformationDirection> {
+        self.directions().into_iter().filter(InformationDirection::is_faint).collect()
     }
 
     /// Eigenvectors of the information as directions in shared values.
-    pub(crate) fn directions(&self) -> Vec<Direction> {
+    pub(crate) fn directions(&self) -> Vec<InformationDirection> {
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let along = |k: usize| {
             let alpha = self.direction(&scale, vectors.column(k))?;
@@ -371,7 +371,7 @@ impl JointInformation {
             let largest = of_alpha.clone().map(|i| (scale[i] * vectors[(i, k)]).abs()).fold(0.0, f64::max);
             let share = of_alpha.map(|i| vectors[(i, k)].abs()).fold(0.0, f64::max);
             let unit = largest * largest;
-            Some(Direction { alpha, share, curvature: values[k] / unit, number: k, unit })
+            Some(InformationDirection { alpha, share, curvature: values[k] / unit, number: k, unit })
         };
         (0..values.len()).filter_map(along).collect()
     }
