@@ -1,6 +1,7 @@
 //! Free dynamic parameters, as a user meets them.
 
 use crate::folder::{Folder, shown};
+use crate::unidentified::number;
 use insta::assert_snapshot;
 use serde_json::Value;
 
@@ -268,10 +269,6 @@ fn case(model: &str) -> Folder {
         folder.write(to, &bytes);
     }
     folder
-}
-
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("a number expected, found {value}"))
 }
 
 #[track_caller]

@@ -1,6 +1,7 @@
 //! Choices of inference: `--intervals`, `--std-errors`, `--deletion`.
 
 use crate::folder::{DATA, Folder, MODEL, shown};
+use crate::unidentified::number;
 use insta::assert_snapshot;
 use serde_json::Value;
 
@@ -18,10 +19,6 @@ fn fit(options: &str) -> (String, Value) {
 fn section(text: &str, heading: &str) -> String {
     let from = text.find(heading).map_or("", |at| &text[at..]);
     from.split("\n\n").next().unwrap_or_default().to_owned() + "\n"
-}
-
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("a number expected, found {value}"))
 }
 
 #[test]

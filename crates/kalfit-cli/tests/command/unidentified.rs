@@ -15,7 +15,7 @@ fn fit(model: &str, data: &str, options: &str) -> (String, Value) {
     (shown(&output), serde_json::from_str(&json).unwrap())
 }
 
-fn number(value: &Value) -> f64 {
+pub(crate) fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("a number expected, found {value}"))
 }
 
@@ -76,14 +76,14 @@ fn a_covariance_that_no_test_sees_does_not_keep_a_fit_from_its_end() {
 }
 
 /// A model of `y` with parameters, and perhaps more.
-fn of_y(equation: &str, noise: &str, parameters: &[&str], rest: &str) -> String {
+pub(crate) fn of_y(equation: &str, noise: &str, parameters: &[&str], rest: &str) -> String {
     let parameters: String = parameters.iter().map(|name| format!("{name} = {{}}\n")).collect();
     format!(
         "[data]\ntest = \"test\"\ntime = \"t\"\n{rest}[measurements.y]\ncolumn = \"y\"\nequation = \"{equation}\"\nnoise = \"{noise}\"\n[parameters]\n{parameters}"
     )
 }
 
-fn parameter<'a>(found: &'a Value, name: &str) -> &'a Value {
+pub(crate) fn parameter<'a>(found: &'a Value, name: &str) -> &'a Value {
     found["parameters"].as_array().unwrap().iter().find(|own| own["name"] == name).unwrap()
 }
 

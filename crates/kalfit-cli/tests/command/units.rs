@@ -7,6 +7,7 @@ use std::collections::BTreeSet;
 use serde_json::Value;
 
 use crate::folder::{Folder, near, shown};
+use crate::unidentified::{self, number, parameter};
 
 /// Fits a model of data with the columns test, t, x and y; what was printed, and fit.json.
 fn fit(model: &str, data: &str) -> (String, Value) {
@@ -19,10 +20,7 @@ fn fit(model: &str, data: &str) -> (String, Value) {
 }
 
 fn of_y(equation: &str, states: &str, parameters: &[&str]) -> String {
-    let parameters: String = parameters.iter().map(|name| format!("{name} = {{}}\n")).collect();
-    format!(
-        "[data]\ntest = \"test\"\ntime = \"t\"\n{states}[measurements.y]\ncolumn = \"y\"\nequation = \"{equation}\"\nnoise = \"s\"\n[parameters]\n{parameters}"
-    )
+    unidentified::of_y(equation, "s", parameters, states)
 }
 
 /// Cosines of different frequencies: numbers that look random.
@@ -37,14 +35,6 @@ fn rows(tests: u32, each: u32, x: &dyn Fn(u32, u32) -> f64, (of_x, of_y): (f64, 
         format!("t{j:02},{k},{:e},{:e}\n", x(j, k) * of_x, y * of_y)
     };
     (0..tests).flat_map(|j| (0..each).map(move |k| (j, k))).map(row).collect()
-}
-
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("a number expected, found {value}"))
-}
-
-fn parameter<'a>(found: &'a Value, name: &str) -> &'a Value {
-    found["parameters"].as_array().unwrap().iter().find(|own| own["name"] == name).unwrap()
 }
 
 /// Elements that take part in what is not identified.
@@ -71,20 +61,35 @@ fn two_states_that_are_not_told_apart_are_both_named_in_any_unit() {
     }
 }
 
-/// One row a test: of the noise and the variance of the state only the sum is known, of either by itself nothing.
+/// One row a test: of the noise and the variance of the state only the sum is known, of either by itself nothing. What is known of the means is what
+/// least squares know.
 #[test]
 fn noise_and_variance_of_one_row_a_test_are_one_sum_in_any_unit() {
     let model = of_y("a + q * x", "[states.a]\n", &["s", "q"]);
-    for unit in [1.0, 1e-4, 1e5] {
-        for of_x in [1.0, 1e6] {
-            let (text, found) = fit(&model, &rows(20, 1, &|j, _| wave(j, 31), (of_x, unit)));
-            assert_eq!(parameter(&found, "s")["standing"], "unidentified", "{unit:e} {of_x:e}: {text}");
-            let phase = &found["phases"][0];
-            assert_eq!(phase["covariance"]["std_error"][0][0], Value::Null, "{unit:e} {of_x:e}: {text}");
-            let error = number(&phase["mean"]["std_error"][0]) / unit;
-            assert!((0.05..1.0).contains(&error), "{unit:e} {of_x:e}: {error} {text}");
+    for (of_y, of_x) in [(1.0, 1.0), (1.0, 1e6), (1e-4, 1.0), (1e-4, 1e6), (1e5, 1.0), (1e5, 1e6)] {
+        let data = rows(20, 1, &|j, _| wave(j, 31), (of_x, of_y));
+        let (text, found) = fit(&model, &data);
+        assert_eq!(parameter(&found, "s")["standing"], "unidentified", "{of_y:e} {of_x:e}: {text}");
+        let phase = &found["phases"][0];
+        assert_eq!(phase["covariance"]["std_error"][0][0], Value::Null, "{of_y:e} {of_x:e}: {text}");
+        let errors = [&phase["mean"]["std_error"][0], &parameter(&found, "q")["std_error"]].map(number);
+        for (error, expected) in errors.into_iter().zip(least_squares(&data)) {
+            assert!((error / expected - 1.0).abs() < 1e-8, "{of_y:e} {of_x:e}: {error} against {expected}\n{text}");
         }
     }
+}
+
+/// Standard errors of a and q in y = a + q x + noise of a maximum-likelihood variance.
+fn least_squares(data: &str) -> [f64; 2] {
+    let cells = |line: &str| line.split(',').skip(2).map(|cell| cell.parse().unwrap()).collect::<Vec<f64>>();
+    let rows: Vec<Vec<f64>> = data.lines().map(cells).collect();
+    let mean = |of: &dyn Fn(&[f64]) -> f64| rows.iter().map(|row| of(row)).sum::<f64>() / rows.len() as f64;
+    let (x, y) = (mean(&|row| row[0]), mean(&|row| row[1]));
+    let spread = mean(&|row| (row[0] - x).powi(2));
+    let slope = mean(&|row| (row[0] - x) * (row[1] - y)) / spread;
+    let noise = mean(&|row| (row[1] - y - slope * (row[0] - x)).powi(2));
+    let of_slope = noise / spread / rows.len() as f64;
+    [(of_slope * mean(&|row| row[0].powi(2))).sqrt(), of_slope.sqrt()]
 }
 
 /// Years, epochs: a coefficient of x + 2000 has the value and the error of that of x, up to what the digits of x + 10⁴ allow.
