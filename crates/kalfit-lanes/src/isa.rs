@@ -3,7 +3,13 @@
 //! # Why the `unsafe` here is sound
 //!
 //! A function compiled for instructions that the machine lacks must not be called. An [`Isa`] for such instructions can be had only
-//! from [`Isa::all`], which asks the machine first, so each call below is of instructions that are there.
+//! from [`Isa::all`], which asks the machine first, and an [`Alone`] with fused products only from such an [`Isa`], so each call
+//! below is of instructions that are there.
+//!
+//! # Why there are three types
+//!
+//! A kernel is compiled for each kind of number that it may be run with. Most are run with registers only, or with one number at a
+//! time only, and are compiled for no more than that.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(unsafe_code, reason = "calls of functions for instructions found at run time")
@@ -31,9 +37,6 @@ pub struct Isa(IsaKind);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum IsaKind {
-    One {
-        fused: bool,
-    },
     Portable,
     #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
     Neon,
@@ -70,15 +73,13 @@ impl Isa {
     }
 
     /// One number at a time: to the bit what each lane of this one holds, but for reciprocals that are a rounding or two off.
-    pub fn alone(self) -> Isa {
-        let fused = !matches!(self.0, IsaKind::Portable | IsaKind::One { fused: false });
-        Isa(IsaKind::One { fused })
+    pub fn alone(self) -> Alone {
+        Alone { fused: self != Isa::PORTABLE }
     }
 
     /// Its word.
     pub fn word(self) -> &'static str {
         match self.0 {
-            IsaKind::One { .. } => "one",
             IsaKind::Portable => "portable",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => "neon",
@@ -98,7 +99,6 @@ impl Isa {
     /// How many numbers it works on at once.
     pub fn lanes(self) -> usize {
         match self.0 {
-            IsaKind::One { .. } => 1,
             IsaKind::Portable => 4,
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => 4,
@@ -112,7 +112,6 @@ impl Isa {
     /// Its name.
     pub fn name(self) -> &'static str {
         match self.0 {
-            IsaKind::One { .. } => "one number at a time",
             IsaKind::Portable => "four numbers at a time",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => "NEON, four numbers at a time",
@@ -123,15 +122,9 @@ impl Isa {
         }
     }
 
-    /// Runs a kernel.
+    /// Runs a kernel on several numbers side by side.
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
-            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-            IsaKind::One { fused: true } => kernel.run::<crate::fused::Fused>(),
-            // SAFETY: it was made of one that `found` made, so the machine has AVX2 and FMA.
-            #[cfg(target_arch = "x86_64")]
-            IsaKind::One { fused: true } => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
-            IsaKind::One { .. } => kernel.run::<f64>(),
             IsaKind::Portable => kernel.run::<Four>(),
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => kernel.run::<crate::neon::Neon>(),
@@ -142,6 +135,65 @@ impl Isa {
             #[cfg(target_arch = "x86_64")]
             IsaKind::Avx512 => unsafe { in_avx512(kernel) },
         }
+    }
+}
+
+/// One number at a time, with fused products or without.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Alone {
+    fused: bool,
+}
+
+impl Alone {
+    /// Runs a kernel on one number at a time.
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.fused {
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            true => kernel.run::<crate::fused::Fused>(),
+            // SAFETY: `Isa::alone` made this value of an `Isa` that `found` made, and each but the portable one has AVX2 and FMA.
+            #[cfg(target_arch = "x86_64")]
+            true => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
+            _ => kernel.run::<f64>(),
+        }
+    }
+}
+
+/// Several numbers side by side or one at a time, where only the work at hand tells which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Width {
+    /// As many as registers hold.
+    Lanes(Isa),
+    /// One.
+    One(Alone),
+}
+
+impl Width {
+    /// How many numbers are worked on at once.
+    pub fn lanes(self) -> usize {
+        match self {
+            Width::Lanes(isa) => isa.lanes(),
+            Width::One(_) => 1,
+        }
+    }
+
+    /// Runs a kernel.
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self {
+            Width::Lanes(isa) => isa.run(kernel),
+            Width::One(alone) => alone.run(kernel),
+        }
+    }
+}
+
+impl From<Isa> for Width {
+    fn from(isa: Isa) -> Width {
+        Width::Lanes(isa)
+    }
+}
+
+impl From<Alone> for Width {
+    fn from(alone: Alone) -> Width {
+        Width::One(alone)
     }
 }
 

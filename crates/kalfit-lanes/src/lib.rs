@@ -15,7 +15,7 @@ mod neon;
 mod portable;
 mod real;
 
-pub use isa::{Isa, Kernel};
+pub use isa::{Alone, Isa, Kernel, Width};
 pub use portable::Four;
 pub use real::{Counted, Flops, Part, Real};
 

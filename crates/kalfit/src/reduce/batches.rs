@@ -32,7 +32,7 @@ use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ToEnd};
 use crate::reduce::replicates::Replicates;
-use batch_workspace::{isa_for, size};
+use batch_workspace::{size, width_for};
 pub(crate) use layout::BatchLayout;
 use reduced::TestHeader;
 pub(crate) use values::BatchValues;
@@ -108,7 +108,7 @@ impl EnsembleBatches {
         let mut bytes = 0;
         let mut groups = groups(preparer, &skeletons);
         groups.retain(|own| {
-            let own = size(preparer, own, isa_for(own.len()).lanes());
+            let own = size(preparer, own, width_for(own.len()).lanes());
             let fits = bytes + own <= BYTES;
             bytes += if fits { own } else { 0 };
             fits
@@ -196,8 +196,8 @@ fn add_to(digest: &mut Digest, alpha: &Alpha) {
 impl CachedBatch {
     fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> CachedBatch {
         let preparer = reducer.preparer();
-        let isa = isa_for(own.len());
-        let (mut layout, mut values) = (BatchLayout::new(isa, preparer), BatchValues::new(isa));
+        let width = width_for(own.len());
+        let (mut layout, mut values) = (BatchLayout::new(width, preparer), BatchValues::new(width));
         layout.take(preparer, tests, own);
         values.take(&layout, (preparer, tests));
         let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
@@ -222,7 +222,7 @@ impl CachedBatch {
         let CachedBatch { layout, own, .. } = self;
         let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut values = spare.unwrap_or_else(|| {
-            let mut values = BatchValues::new(isa_for(own.len()));
+            let mut values = BatchValues::new(width_for(own.len()));
             values.take(layout, (reducer.preparer(), tests));
             values
         });

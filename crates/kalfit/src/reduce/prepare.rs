@@ -218,7 +218,7 @@ impl Preparer {
             covariances: None,
             gains: GainsWork::default(),
             pass: DataWorkspace::default(),
-            block: DataBlock::new(Isa::best()),
+            block: DataBlock::new(Isa::best().into()),
             room: DataWorkspace::default(),
             spans: Vec::new(),
             whole: GatheredCells::default(),

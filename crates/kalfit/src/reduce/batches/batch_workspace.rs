@@ -1,6 +1,6 @@
 //! Tests that are evaluated once, at one α, side by side.
 
-use kalfit_lanes::Isa;
+use kalfit_lanes::{Isa, Width};
 
 use crate::ensemble::Test;
 use crate::reduce::batches::layout::BatchLayout;
@@ -24,8 +24,8 @@ pub(super) fn together(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> u
 }
 
 /// What so many tests together are worked on with. Lanes that are empty take as long as others: one test has none beside it.
-pub(super) fn isa_for(tests: usize) -> Isa {
-    if tests == 1 { Isa::best().alone() } else { Isa::best() }
+pub(super) fn width_for(tests: usize) -> Width {
+    if tests == 1 { Isa::best().alone().into() } else { Isa::best().into() }
 }
 
 /// Bytes of a batch of these tests in so many lanes, about so many.
@@ -85,13 +85,13 @@ impl FilteredLane<'_> {
 impl BatchWorkspace {
     /// For tests of a model.
     pub(crate) fn new(isa: Isa, reducer: &Reducer) -> BatchWorkspace {
-        let of = |isa| (BatchLayout::new(isa, reducer.preparer()), BatchValues::new(isa));
-        let (layout, values) = of(isa);
+        let of = |width| (BatchLayout::new(width, reducer.preparer()), BatchValues::new(width));
+        let (layout, values) = of(isa.into());
         BatchWorkspace {
             lanes: isa.lanes(),
             layout,
             values,
-            spare: of(isa.alone()),
+            spare: of(isa.alone().into()),
             own: Vec::new(),
             identities: Vec::new(),
         }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use kalfit_lanes::Isa;
+use kalfit_lanes::Width;
 
 use crate::ensemble::Test;
 use crate::reduce::design::{Design, EqualSteps};
@@ -43,9 +43,9 @@ pub(crate) struct BatchLayout {
 
 impl BatchLayout {
     /// Of no test yet.
-    pub(super) fn new(isa: Isa, preparer: &Preparer) -> BatchLayout {
+    pub(super) fn new(width: Width, preparer: &Preparer) -> BatchLayout {
         BatchLayout {
-            lanes: isa.lanes(),
+            lanes: width.lanes(),
             tests: Vec::new(),
             design: Design::new(preparer.order.frame.clone()),
             of_one: false,

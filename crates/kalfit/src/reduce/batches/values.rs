@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use kalfit_lanes::{Isa, MOST};
+use kalfit_lanes::{MOST, Width};
 
 use crate::ensemble::Test;
 use crate::model::Scope;
@@ -73,8 +73,8 @@ struct MeasurementRefresh<'a> {
 
 impl BatchValues {
     /// Of no test yet.
-    pub(super) fn new(isa: Isa) -> BatchValues {
-        BatchValues { batch_filter: BatchFilter::new(isa), motion: MotionColumns::default(), sound: [true; MOST] }
+    pub(super) fn new(width: Width) -> BatchValues {
+        BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), sound: [true; MOST] }
     }
 
     /// The numbers of tests, none of them evaluated before, in place of those of others.
@@ -95,8 +95,8 @@ impl BatchValues {
         let (dynamics, motion) = (&preparer.dynamics, &mut self.motion);
         table((layout, tests), (&at, &dynamics.table), &mut motion.values, fresh, &mut self.sound);
         table((layout, tests), (&at, &dynamics.inputs), &mut motion.inputs, fresh, &mut self.sound);
-        let (isa, out) = (self.batch_filter.block.isa(), self.batch_filter.columns());
-        let finite = preparer.plan.fill(isa, dynamics, (&layout.transitions, motion), out);
+        let (width, out) = (self.batch_filter.block.width(), self.batch_filter.columns());
+        let finite = preparer.plan.fill(width, dynamics, (&layout.transitions, motion), out);
         self.sound.iter_mut().zip(finite).for_each(|(sound, finite)| *sound &= finite);
     }
 

@@ -1,6 +1,6 @@
 //! Tests whose numbers stay in lanes: they are changed there, and the filters run again.
 
-use kalfit_lanes::Isa;
+use kalfit_lanes::Width;
 
 use crate::reduce::design::Design;
 use crate::reduce::lanes::data_block::DataBlock;
@@ -37,8 +37,8 @@ pub(crate) struct BatchColumns<'a> {
 
 impl BatchFilter {
     /// Of no test yet.
-    pub(crate) fn new(isa: Isa) -> BatchFilter {
-        BatchFilter { block: DataBlock::new(isa), design_batch: DesignBatch::default() }
+    pub(crate) fn new(width: Width) -> BatchFilter {
+        BatchFilter { block: DataBlock::new(width), design_batch: DesignBatch::default() }
     }
 
     /// Of a shape in which each step is a run, with so many transitions: all numbers are zero, but noises are one.
@@ -56,6 +56,6 @@ impl BatchFilter {
     /// Runs the filters of so many tests, and their data passes.
     pub(crate) fn run(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
         let BatchFilter { block, design_batch: designs } = self;
-        block.isa().run(BatchPasses { design, tests, data: block.view(), designs, room });
+        block.width().run(BatchPasses { design, tests, data: block.view(), designs, room });
     }
 }

@@ -1,6 +1,6 @@
 //! The data of tests side by side, a test in each lane.
 
-use kalfit_lanes::Isa;
+use kalfit_lanes::Width;
 
 use crate::reduce::data::Outcome;
 use crate::reduce::design::Design;
@@ -13,7 +13,7 @@ use crate::reduce::lanes::workspace::DataWorkspace;
 /// Lanes that no test has taken hold zeros.
 #[derive(Debug, Clone)]
 pub(crate) struct DataBlock {
-    isa: Isa,
+    width: Width,
     numbers: Vec<f64>,
     /// Where inputs and values begin, a number of each test counted once.
     inputs: usize,
@@ -22,37 +22,37 @@ pub(crate) struct DataBlock {
 
 impl DataBlock {
     /// An empty block.
-    pub(crate) fn new(isa: Isa) -> DataBlock {
-        DataBlock { isa, numbers: Vec::new(), inputs: 0, values: 0 }
+    pub(crate) fn new(width: Width) -> DataBlock {
+        DataBlock { width, numbers: Vec::new(), inputs: 0, values: 0 }
     }
 
     /// What its lanes are.
-    pub(crate) fn isa(&self) -> Isa {
-        self.isa
+    pub(crate) fn width(&self) -> Width {
+        self.width
     }
 
     /// How many tests it has room for.
     pub(crate) fn lanes(&self) -> usize {
-        self.isa.lanes()
+        self.width.lanes()
     }
 
     /// Empties it, for tests with so many numbers of each kind.
     pub(crate) fn clear(&mut self, start: usize, inputs: usize, values: usize) {
         (self.inputs, self.values) = (start, start + inputs);
         self.numbers.clear();
-        self.numbers.resize((start + inputs + values) * self.isa.lanes(), 0.0);
+        self.numbers.resize((start + inputs + values) * self.width.lanes(), 0.0);
     }
 
     /// Puts a test into a lane, all but its values.
     pub(crate) fn begin(&mut self, lane: usize, start: &[f64], inputs: &[f64]) {
-        let lanes = self.isa.lanes();
+        let lanes = self.width.lanes();
         self.numbers.chunks_exact_mut(lanes).zip(start).for_each(|(all, x)| all[lane] = *x);
         self.numbers[self.inputs * lanes..].chunks_exact_mut(lanes).zip(inputs).for_each(|(all, x)| all[lane] = *x);
     }
 
     /// Puts the values of several tests into the first lanes: cells of their numbers, less what is known of them.
     pub(crate) fn values_of(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) {
-        let lanes = self.isa.lanes();
+        let lanes = self.width.lanes();
         for (all, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
             all.iter_mut().zip(numbers).for_each(|(z, numbers)| *z = numbers[cell] - d);
         }
@@ -60,12 +60,12 @@ impl DataBlock {
 
     /// Runs the data pass of a class.
     pub(crate) fn run(&self, design: &Design, gains: &Gains, room: &mut DataWorkspace) {
-        self.isa.run(DataPass { design, gains, data: self.view(), room });
+        self.width.run(DataPass { design, gains, data: self.view(), room });
     }
 
     /// Starts, inputs and values, to be changed.
     pub(super) fn numbers_mut(&mut self) -> [&mut [f64]; 3] {
-        let lanes = self.isa.lanes();
+        let lanes = self.width.lanes();
         let (start, rest) = self.numbers.split_at_mut(self.inputs * lanes);
         let (inputs, values) = rest.split_at_mut((self.values - self.inputs) * lanes);
         [start, inputs, values]
@@ -78,8 +78,8 @@ impl DataBlock {
 
     /// Starts, inputs and values.
     pub(crate) fn view(&self) -> DataView<'_> {
-        let (start, rest) = self.numbers.split_at(self.inputs * self.isa.lanes());
-        let (inputs, values) = rest.split_at((self.values - self.inputs) * self.isa.lanes());
+        let (start, rest) = self.numbers.split_at(self.inputs * self.width.lanes());
+        let (inputs, values) = rest.split_at((self.values - self.inputs) * self.width.lanes());
         DataView { start, inputs, values }
     }
 
@@ -90,16 +90,16 @@ impl DataBlock {
         (active, log_determinant): (usize, f64),
         room: &DataWorkspace,
     ) -> Outcome {
-        room.outcome((lane, self.isa.lanes()), active, log_determinant)
+        room.outcome((lane, self.width.lanes()), active, log_determinant)
     }
 
     /// The innovations of the test in a lane, of as many measurements as the longest test has.
     pub(crate) fn innovations<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
-        room.e.iter().skip(lane).step_by(self.isa.lanes()).copied()
+        room.e.iter().skip(lane).step_by(self.width.lanes()).copied()
     }
 
     /// x̂ of the last step of the test in a lane.
     pub(crate) fn last<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
-        room.x.iter().skip(lane).step_by(self.isa.lanes()).copied()
+        room.x.iter().skip(lane).step_by(self.width.lanes()).copied()
     }
 }

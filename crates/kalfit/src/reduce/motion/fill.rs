@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
+use kalfit_lanes::{Isa, Kernel, Lanes, MOST, Width};
 
 use crate::linalg::exponential::scalar_flows;
 use crate::reduce::dynamics::{Component, Dynamics, Table};
@@ -112,7 +112,7 @@ impl MotionPlan {
     /// φ, Q and b of transitions. Returns in which lanes all of them are finite: in none where the noises are no covariance.
     pub(crate) fn fill(
         &self,
-        isa: Isa,
+        width: Width,
         dynamics: &Dynamics,
         (steps, motion): (&Transitions, &mut MotionColumns),
         out: BatchColumns<'_>,
@@ -124,8 +124,8 @@ impl MotionPlan {
         flows.resize(self.flow_len * steps.dt.len(), 0.0);
         let (values, inputs) = (SlotValues::new(&dynamics.table, values), SlotValues::new(&dynamics.inputs, inputs));
         self.fill_coupled((dynamics, &values), steps, flows);
-        let sound = isa.run(TransitionFill { plan: self, steps, values, flows, phi: out.phi, q: out.q });
-        isa.run(Drives { plan: self, steps, inputs, flows, out: out.inputs });
+        let sound = width.run(TransitionFill { plan: self, steps, values, flows, phi: out.phi, q: out.q });
+        width.run(Drives { plan: self, steps, inputs, flows, out: out.inputs });
         sound
     }
 

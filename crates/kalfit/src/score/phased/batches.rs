@@ -73,7 +73,7 @@ impl Scorer<'_> {
         let (moments, endings) = (&*moments, &*endings);
         let pass =
             BatchBackward { block: &filter.block, designs: &filter.design_batch, shape, moments, endings, wanted };
-        let mut bars = filter.block.isa().run(pass);
+        let mut bars = filter.block.width().run(pass);
         let pulled = self.pullback.pull(batch, rows, &mut bars);
         let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);
         let score = |&(lane, place, _): &LaneStart<'_>| {

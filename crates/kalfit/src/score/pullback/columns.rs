@@ -37,7 +37,7 @@ impl Pullback<'_> {
         let pairs = if self.pairs.is_empty() { Vec::new() } else { self.unwhiten(block, tests, bars) };
         let steps = (&block.layout.transitions, &block.values.motion);
         let back = self.preparer.plan.back(&self.preparer.dynamics, steps, &self.free);
-        let pulled = block.values.batch_filter.block.isa().run(Pull { pullback: self, block, back, bars });
+        let pulled = block.values.batch_filter.block.width().run(Pull { pullback: self, block, back, bars });
         Pulled { pairs, ..pulled }
     }
 
