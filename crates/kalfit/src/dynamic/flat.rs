@@ -5,8 +5,9 @@
 //! direction. So ℓ is looked at itself, a step to either side: what it falls by is the curvature, and where that is next to nothing of what
 //! even differences could tell, the direction is flat.
 
-use crate::dynamic::joint::{InformationDirection, KnownEigenvalue, TAKES_PART};
+use crate::dynamic::joint::{InformationDirection, KnownEigenvalue};
 use crate::dynamic::profile_likelihood::ProfileLikelihood;
+use crate::dynamic::ridge::{Ridge, RidgeStart};
 use crate::dynamic::{Coordinate, DynamicFit};
 use crate::model::Population;
 
@@ -30,6 +31,8 @@ const LOST: f64 = 2.0;
 const VISIBLE: f64 = 1e-6;
 /// The variance by other directions is no more than this part of what ℓ tells, or ℓ says little of this one.
 const MOSTLY: f64 = 0.5;
+/// Where gradients tell how a ridge bends, this is its top, in standard errors.
+const TOP: f64 = 3e-2;
 /// ℓ falls alike where it falls to one side by less than this many times what it falls by to the other.
 const EVEN: f64 = 2.0;
 /// What ℓ falls by belies differences that are not faint where it is another curvature by more than this part.
@@ -40,7 +43,7 @@ const STEPS: usize = 16;
 
 /// What ℓ says of the information along directions that are faint or doubtful.
 pub(super) fn looked_at(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<KnownEigenvalue> {
-    let is_looked_at = |direction: &InformationDirection| match direction.share > TAKES_PART {
+    let is_looked_at = |direction: &InformationDirection| match direction.is_of_alpha() {
         true => is_doubtful(objective, direction),
         false => direction.share > TRACE && direction.is_shaky(),
     };
@@ -62,17 +65,38 @@ fn told(
     fit: &DynamicFit,
     direction: &InformationDirection,
 ) -> Option<KnownEigenvalue> {
-    let [by_known, by_faint] = fit.joint.variances_beside(direction)?;
+    if let Some(curvature) = told_by_gradients(objective, fit, direction) {
+        return Some(direction.with(curvature));
+    }
+    let beside = fit.joint.variances_beside(direction)?;
     let Fall { length, least, mean, is_even, promised } = fall(objective, fit, direction)?;
     let is_visible = |curvature: f64| 0.5 * curvature * length * length >= VISIBLE;
-    if least <= PART * promised && least * by_known <= PART && is_visible(by_known.recip()) {
+    if least <= PART * promised && least * beside[0] <= PART && is_visible(beside[0].recip()) {
         return Some(direction.with(0.0));
     }
-    let is_its_own = mean * by_known < MOSTLY && mean * by_faint < MOSTLY && is_visible(mean);
-    let curvature = (mean.recip() - by_known).recip();
+    let curvature = of_direction(mean, beside).filter(|_| is_even && is_visible(mean) && direction.is_of_alpha())?;
     let is_other = (curvature - direction.curvature).abs() > OTHER * direction.curvature.abs();
-    let is_told = direction.share > TAKES_PART && is_even && is_its_own && (direction.is_faint() || is_other);
-    is_told.then(|| direction.with(curvature))
+    (direction.is_faint() || is_other).then(|| direction.with(curvature))
+}
+
+/// The same where gradients tell how a ridge along it bends, and α is at its top.
+fn told_by_gradients(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    direction: &InformationDirection,
+) -> Option<f64> {
+    let near = Population::from(&fit.estimate);
+    let start = RidgeStart { values: &fit.sought, near: &near, value: fit.estimate.log_likelihood, joint: &fit.joint };
+    let ridge = Some(direction).filter(|direction| direction.is_shaky());
+    let ridge =
+        ridge.and_then(|direction| Ridge::new(objective, start, direction)).filter(|ridge| ridge.score() < TOP)?;
+    of_direction(ridge.curvature, fit.joint.variances_of_most(direction)?)
+}
+
+/// v²/λ is 1/p - r as curvature; `None` where α varies as much by other directions, those that differences know or faint ones.
+fn of_direction(curvature: f64, [by_known, by_faint]: [f64; 2]) -> Option<f64> {
+    let is_its_own = curvature * by_known < MOSTLY && curvature * by_faint < MOSTLY;
+    is_its_own.then(|| (curvature.recip() - by_known).recip())
 }
 
 /// ℓ hardly curves along it, or not enough to tell a logarithm: its own curvature may then be so small that differences say nothing of it.

@@ -79,19 +79,29 @@ pub(crate) struct InformationDirection {
 }
 
 impl InformationDirection {
+    /// The eigenvalue of a curvature along it.
+    pub(crate) fn of_curvature(&self, curvature: f64) -> f64 {
+        self.unit * curvature
+    }
+
+    /// α takes part in it.
+    pub(crate) fn is_of_alpha(&self) -> bool {
+        self.share > TAKES_PART
+    }
+
     /// Differences hardly tell its curvature.
     pub(crate) fn is_faint(&self) -> bool {
-        (self.unit * self.curvature).abs() < FAINT
+        self.of_curvature(self.curvature).abs() < FAINT
     }
 
     /// Rounding may be all of its curvature.
     pub(crate) fn is_shaky(&self) -> bool {
-        (self.unit * self.curvature).abs() < SHAKY
+        self.of_curvature(self.curvature).abs() < SHAKY
     }
 
     /// The eigenvalue that belongs to another curvature along it.
     pub(crate) fn with(&self, curvature: f64) -> KnownEigenvalue {
-        KnownEigenvalue { number: self.number, value: self.unit * curvature, share: self.share }
+        KnownEigenvalue { number: self.number, value: self.of_curvature(curvature), share: self.share }
     }
 }
 
@@ -343,6 +353,45 @@ impl JointInformation {
             variances[usize::from(values[k].abs() < FAINT)] += held(k).powi(2) / values[k].abs().max(FLAT);
         }
         Some(variances)
+    }
+
+    /// Which of the shared values most of a direction is of, in coordinates of unit curvature.
+    fn most_of(&self, along: &[f64]) -> Option<usize> {
+        let size = |i: usize| along[self.shared[i]].abs() * self.curvature(self.shared[i]).abs().sqrt();
+        (0..self.shared.len()).max_by(|&i, &k| size(i).total_cmp(&size(k)))
+    }
+
+    /// The variance of the value that most of a direction is of by the other eigenvectors, in steps along it: by those that differences know,
+    /// and by the faint ones.
+    pub(crate) fn variances_of_most(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
+        let most = self.most_of(&direction.alpha)?;
+        let step = direction.alpha[self.shared[most]];
+        let (scale, values, vectors) = scaled_eigen(&self.information());
+        let mut variances = [0.0; 2];
+        for k in (0..values.len()).filter(|&k| k != direction.number) {
+            let part = scale[most] * vectors[(most, k)] / step;
+            variances[usize::from(values[k].abs() < FAINT)] += part * part / values[k].abs().max(FLAT);
+        }
+        Some(variances)
+    }
+
+    /// What goes of the curvature along a direction in shared values where the others follow the one that most of it is of: b'H⁻¹b among the
+    /// others, b = -∂²ℓ along the direction and each value. `None` where some value is of a single test.
+    pub(crate) fn left_by_others(&self, along: &[f64], bends: &[f64]) -> Option<f64> {
+        let (followed, held) = (self.followed()?, self.most_of(along)?);
+        let others = followed.remove_row(held).remove_column(held);
+        let of = |i: usize| bends[self.shared[if i < held { i } else { i + 1 }]];
+        let (scale, values, vectors) = scaled_eigen(&others);
+        let scaled = DVector::from_fn(scale.len(), |i, _| scale[i] * of(i));
+        let parts = vectors.transpose() * scaled;
+        Some(
+            values
+                .iter()
+                .zip(&parts)
+                .filter(|(value, _)| **value > FAINT)
+                .map(|(value, part)| part * part / value)
+                .sum(),
+        )
     }
 
     /// Information in the shared values once (μ, Σ) follow them, as long as no value is of a single test.

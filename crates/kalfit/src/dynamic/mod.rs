@@ -44,6 +44,7 @@ mod profile_likelihood;
 mod quadratic;
 mod ratio;
 mod result;
+mod ridge;
 mod sample;
 mod sandwich;
 mod scale;

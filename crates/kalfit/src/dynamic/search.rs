@@ -1,13 +1,15 @@
 //! The outer search (the paper's Figure 1): μ and Σ are solved for each α, and Newton's method moves α.
 
 use crate::dynamic::em::Em;
-use crate::dynamic::joint::{self, JointInformation, LEVEL_GROUND};
+use crate::dynamic::joint::{self, InformationDirection, JointInformation, LEVEL_GROUND};
 use crate::dynamic::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::dynamic::quadratic::LevelScale;
+use crate::dynamic::ridge::{self, Ridge, RidgeStart};
 use crate::dynamic::search_state::{DRIFT, LONGEST, NEAR_ENOUGH, RISE, SearchEnd, SearchStart, SearchState};
 use crate::dynamic::twins::ExchangeablePair;
 use crate::dynamic::{DynamicError, Method, Standing};
 use crate::estimate::{Progress, Stop};
+use crate::model::Population;
 
 /// A variance grows by no more than this factor at once.
 const HIGHEST: f64 = 20.0;
@@ -24,11 +26,18 @@ const NEAR: f64 = 1.0;
 /// Steps along faint directions, in coordinates, and how often they are looked along.
 const LOOKS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
 const FAINT_LOOKS: usize = 3;
+/// Where rounding keeps the search from the top of a ridge, so many standard errors are near enough.
+const RIDGE_ENOUGH: f64 = 1e-3;
+/// So often ridges are looked for where there is none, and so many moves go along them.
+const RIDGES_MISSED: usize = 2;
+const RIDGE_MOVES: usize = 4;
 /// Values that factors of a product of zero may have.
 const FACTORS: [f64; 5] = [1.0, 0.1, 0.01, 10.0, 100.0];
 
 /// A step that gave so many times what it promised is short.
 const SHORT: f64 = 1.5;
+/// … and so many on end are so for differences to one side, which bend with a step where a ridge is narrow.
+const SHORT_STEPS: usize = 3;
 /// A slope above this is one, with a curvature below [`LEVEL_GROUND`].
 const SLOPE: f64 = 1e-3;
 
@@ -51,10 +60,10 @@ impl<'b, 'a> SearchState<'b, 'a> {
                 self.given_up = true;
                 break;
             }
-            let joint = JointInformation::new(self.objective, &self.home, &self.active(), fine);
+            let joint = JointInformation::new(self.objective, &self.home, &self.active(), fine || self.is_central);
             let step = joint.step(&self.home.gradient, self.inner_gradient(), 0.0);
             let turn = self.next_step(&joint, &step, fine);
-            last = Some((joint, step.decrement));
+            last = Some((joint, step.decrement.max(self.ridges.below)));
             match turn {
                 NextStep::On { closer } => fine = closer,
                 NextStep::End(how) => {
@@ -102,7 +111,12 @@ impl<'b, 'a> SearchState<'b, 'a> {
             self.place();
             return NextStep::On { closer: false };
         }
-        let still = step.decrement <= self.tolerance();
+        if fine && step.decrement < HARDLY && self.along_ridges(joint) {
+            self.place();
+            self.tell(Some(step.decrement));
+            return NextStep::On { closer: true };
+        }
+        let still = step.decrement.max(self.ridges.below) <= self.tolerance();
         if still && !step.concave && (self.settled() || self.off_saddle(joint)) {
             return NextStep::On { closer: false };
         }
@@ -127,9 +141,11 @@ impl<'b, 'a> SearchState<'b, 'a> {
             return NextStep::On { closer: fine || arrived };
         }
         if !fine {
+            self.level_steps = 0;
             return NextStep::On { closer: true };
         }
-        let enough = step.decrement <= NEAR_ENOUGH * self.tolerance() && step.concave;
+        let is_on_ridge = self.ridges.below <= RIDGE_ENOUGH;
+        let enough = step.decrement <= NEAR_ENOUGH * self.tolerance() && is_on_ridge && step.concave;
         NextStep::End(if enough { Stop::Certified } else { Stop::Stalled })
     }
 
@@ -197,6 +213,39 @@ impl<'b, 'a> SearchState<'b, 'a> {
         certified
     }
 
+    /// Towards the tops of ridges whose curvature differences do not tell.
+    fn along_ridges(&mut self, joint: &JointInformation) -> bool {
+        self.ridges.below = 0.0;
+        let is_ridge = |direction: &InformationDirection| direction.is_of_alpha() && direction.is_shaky();
+        for direction in joint.directions().into_iter().filter(is_ridge) {
+            if self.ridges.missed >= RIDGES_MISSED {
+                break;
+            }
+            let near = Population::from(&self.home.estimate);
+            let start = RidgeStart { values: &self.home.values, near: &near, value: self.home.value(), joint };
+            let Some(ridge) = Ridge::new(self.objective, start, &direction) else {
+                self.ridges.missed += 1;
+                continue;
+            };
+            if ridge.score() <= self.tolerance() {
+                continue;
+            }
+            let values = self.objective.moved(&self.home.values, &direction.alpha, ridge.step());
+            let is_nearer =
+                |next: &ProfilePoint| ridge::dot(&next.gradient, &direction.alpha).abs() < 0.5 * ridge.slope.abs();
+            let least = self.home.value() - self.slack();
+            let can_move = self.ridges.moves < RIDGE_MOVES;
+            let next = can_move.then(|| self.at(&values)).flatten();
+            if let Some(next) = next.filter(|next| is_nearer(next) && next.value() >= least) {
+                self.ridges.moves += 1;
+                self.arrive(next);
+                return true;
+            }
+            self.ridges.below = self.ridges.below.max(ridge.score());
+        }
+        false
+    }
+
     /// Off a certified point along directions in which ℓ hardly curves, where it rises further out.
     fn beside(&mut self, joint: &JointInformation) -> bool {
         if self.faint_looks >= FAINT_LOOKS {
@@ -251,9 +300,9 @@ impl<'b, 'a> SearchState<'b, 'a> {
         (joint, levels): (&JointInformation, &[(usize, f64)]),
         (step, decrement): (&joint::JointStep, f64),
     ) -> bool {
-        let slack = 1e-12 * self.home.value().abs().max(1.0);
+        let slack = self.slack();
         let (promised, gain) = (0.5 * step.decrement.powi(2), next.value() - self.home.value());
-        self.level_steps = if gain > 0.0 { 0 } else { self.level_steps + 1 };
+        self.level_steps = if gain > slack { 0 } else { self.level_steps + 1 };
         let is_level = promised <= slack && gain >= -slack && decrement < 1e-3 && self.level_steps < LEVEL_STEPS;
         if gain < 0.05 * promised && !is_level {
             return false;
@@ -264,6 +313,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         let before = self.home.clone();
         self.arrive(next);
         let is_short = promised > slack && gain > SHORT * promised;
+        self.short_steps = if is_short { self.short_steps + 1 } else { 0 };
+        self.is_central |= self.short_steps >= SHORT_STEPS;
         let goes_on =
             if levels.is_empty() { !self.stride(step, is_short) } else { self.level_scale == LevelScale::Variance };
         if goes_on {

@@ -55,13 +55,29 @@ pub(crate) struct SearchState<'b, 'a> {
     /// Values left on their way to zero or to infinity.
     pub(super) drifted: Vec<bool>,
     pub(super) faint_looks: usize,
+    pub(super) ridges: RidgesSeen,
     /// What the last step without second derivatives promised, as a decrement.
     pub(super) glided: Option<f64>,
     pub(super) given_up: bool,
     /// Steps one after the other that did not raise ℓ.
     pub(super) level_steps: usize,
+    /// … and that raised it by more than was promised.
+    pub(super) short_steps: usize,
+    /// Differences are taken to both sides, also far from the end.
+    pub(super) is_central: bool,
     /// What levels stand by in the next step.
     pub(super) level_scale: LevelScale,
+}
+
+/// What a search knows of ridges of ℓ.
+#[derive(Debug, Default)]
+pub(super) struct RidgesSeen {
+    /// How far below the top of one it is, in standard errors.
+    pub(super) below: f64,
+    /// How often there was none where one was looked for.
+    pub(super) missed: usize,
+    /// How often it moved along one.
+    pub(super) moves: usize,
 }
 
 /// Where it ended.
@@ -115,9 +131,12 @@ impl<'b, 'a> SearchState<'b, 'a> {
             held: None,
             drifted: vec![false; n],
             faint_looks: 0,
+            ridges: RidgesSeen::default(),
             glided: None,
             given_up: false,
             level_steps: 0,
+            short_steps: 0,
+            is_central: false,
             level_scale: LevelScale::Logarithm,
         };
         search.place();
@@ -170,6 +189,11 @@ impl<'b, 'a> SearchState<'b, 'a> {
 
     pub(super) fn tolerance(&self) -> f64 {
         self.objective.settings.inner.tolerance.max(1e-7)
+    }
+
+    /// What ℓ may lose by rounding.
+    pub(super) fn slack(&self) -> f64 {
+        1e-12 * self.home.value().abs().max(1.0)
     }
 
     /// Somebody asks the search to end where it is.
