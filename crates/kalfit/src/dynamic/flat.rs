@@ -85,11 +85,12 @@ fn told_by_gradients(
     fit: &DynamicFit,
     direction: &InformationDirection,
 ) -> Option<f64> {
+    if !direction.is_shaky() {
+        return None;
+    }
     let near = Population::from(&fit.estimate);
     let start = RidgeStart { values: &fit.sought, near: &near, value: fit.estimate.log_likelihood, joint: &fit.joint };
-    let ridge = Some(direction).filter(|direction| direction.is_shaky());
-    let ridge =
-        ridge.and_then(|direction| Ridge::new(objective, start, direction)).filter(|ridge| ridge.score() < TOP)?;
+    let ridge = Ridge::new(objective, start, direction).filter(|ridge| ridge.score() < TOP)?;
     of_direction(ridge.curvature, fit.joint.variances_of_most(direction)?)
 }
 

@@ -343,16 +343,19 @@ impl JointInformation {
     /// ones. `None` where some value is of a single test.
     pub(crate) fn variances_beside(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let (_, units, ridge) = self.ridge(&direction.alpha)?;
+        let weights: Vec<f64> = ridge.iter().zip(&units).map(|(own, unit)| own / unit / ridge.norm_squared()).collect();
+        Some(self.variances_of(&weights, direction))
+    }
+
+    /// The variance of a sum of shared values with these weights by all eigenvectors but one.
+    fn variances_of(&self, weights: &[f64], but: &InformationDirection) -> [f64; 2] {
         let (scale, values, vectors) = scaled_eigen(&self.information());
-        let held = |k: usize| {
-            let parts = ridge.iter().enumerate().map(|(i, own)| own / units[i] * scale[i] * vectors[(i, k)]);
-            parts.sum::<f64>() / ridge.norm_squared()
-        };
+        let part = |k: usize| -> f64 { weights.iter().enumerate().map(|(i, w)| w * scale[i] * vectors[(i, k)]).sum() };
         let mut variances = [0.0; 2];
-        for k in (0..values.len()).filter(|&k| k != direction.number) {
-            variances[usize::from(values[k].abs() < FAINT)] += held(k).powi(2) / values[k].abs().max(FLAT);
+        for k in (0..values.len()).filter(|&k| k != but.number) {
+            variances[usize::from(values[k].abs() < FAINT)] += part(k).powi(2) / values[k].abs().max(FLAT);
         }
-        Some(variances)
+        variances
     }
 
     /// Which of the shared values most of a direction is of, in coordinates of unit curvature.
@@ -365,14 +368,9 @@ impl JointInformation {
     /// and by the faint ones.
     pub(crate) fn variances_of_most(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let most = self.most_of(&direction.alpha)?;
-        let step = direction.alpha[self.shared[most]];
-        let (scale, values, vectors) = scaled_eigen(&self.information());
-        let mut variances = [0.0; 2];
-        for k in (0..values.len()).filter(|&k| k != direction.number) {
-            let part = scale[most] * vectors[(most, k)] / step;
-            variances[usize::from(values[k].abs() < FAINT)] += part * part / values[k].abs().max(FLAT);
-        }
-        Some(variances)
+        let mut weights = vec![0.0; self.shared.len()];
+        weights[most] = direction.alpha[self.shared[most]].recip();
+        Some(self.variances_of(&weights, direction))
     }
 
     /// What goes of the curvature along a direction in shared values where the others follow the one that most of it is of: b'H⁻¹b among the
@@ -384,14 +382,8 @@ impl JointInformation {
         let (scale, values, vectors) = scaled_eigen(&others);
         let scaled = DVector::from_fn(scale.len(), |i, _| scale[i] * of(i));
         let parts = vectors.transpose() * scaled;
-        Some(
-            values
-                .iter()
-                .zip(&parts)
-                .filter(|(value, _)| **value > FAINT)
-                .map(|(value, part)| part * part / value)
-                .sum(),
-        )
+        let known = values.iter().zip(&parts).filter(|(value, _)| **value > FAINT);
+        Some(known.map(|(value, part)| part * part / value).sum())
     }
 
     /// Information in the shared values once (μ, Σ) follow them, as long as no value is of a single test.

@@ -89,7 +89,7 @@ impl Ridge {
     }
 }
 
-/// Where a ridge is looked at: values of α, a population near the best one there, and ℓ.
+/// Where a ridge is looked at: values of α, a population near the best one there, ℓ, and the information as differences know it.
 #[derive(Clone, Copy)]
 pub(super) struct RidgeStart<'a> {
     pub(super) values: &'a [f64],
