@@ -1,7 +1,7 @@
 //! Whole fits in code: the twins of the README's examples, each compiled and run.
 //!
-//! A model is built by [`Model::builder`](crate::Model::builder), data are [`Columns`](crate::build::Columns), [`fit`](crate::fit())
-//! does the rest. What the command line prints is in the [`record`](crate::Fit::record); the crate `kalfit-report` makes its texts.
+//! A model is built by [`Model::builder`](kalfit_model::Model::builder), data are [`Columns`](kalfit_model::build::Columns), [`fit`](crate::fit())
+//! does the rest. What the command line prints is in the [`record`](crate::face::Fit::record); the crate `kalfit-report` makes its texts.
 //!
 //! # Random coefficients
 //!
@@ -136,7 +136,7 @@
 //! ```
 //!
 //! A parameter may have a value for each level of a column: `free("sigma").per("lot")`, and then
-//! [`parameter_at`](crate::Fit::parameter_at)`("sigma", "A")`.
+//! [`parameter_at`](crate::face::Fit::parameter_at)`("sigma", "A")`.
 //!
 //! # Random-effects meta-analysis
 //!
@@ -216,8 +216,8 @@
 //! # Other people's filters, and tests without their measurements
 //!
 //! Where somebody's Kalman-Schmidt filter stands between the measurements and us, `.filter(schmidt(prior).consider(["scale"]))` on a
-//! [`phase`](crate::build::phase) says so, and its estimates are what counts. And whoever holds the measurements can hand over
-//! [reductions](crate::Reduction) in their place:
+//! [`phase`](kalfit_model::build::phase) says so, and its estimates are what counts. And whoever holds the measurements can hand over
+//! [reductions](kalfit_model::Reduction) in their place:
 //!
 //! ```
 //! use kalfit::build::{Columns, constant, measurement};
@@ -241,8 +241,8 @@
 //!
 //! # What the numbers are worth
 //!
-//! [`Options`](crate::Options) ask for profile intervals, restricted likelihood or sandwich standard errors; a hypothesis is the same
-//! model with constraints; a plan says what more tests would give; [`observability`](crate::infer::Inference::observability) tells
+//! [`Options`](crate::face::Options) ask for profile intervals, restricted likelihood or sandwich standard errors; a hypothesis is the same
+//! model with constraints; a plan says what more tests would give; [`observability`](kalfit_infer::Inference::observability) tells
 //! which tests inform which state.
 //!
 //! ```
@@ -294,6 +294,6 @@
 //!
 //! # Matrices step by step
 //!
-//! Who has the matrices of a Kalman filter gives those: see [`fit_matrices`](crate::fit_matrices), with
-//! [`StepMatrices`](crate::reduce::StepMatrices) for transition, inputs and noises and [`Plain`](crate::reduce::Plain) for
+//! Who has the matrices of a Kalman filter gives those: see [`fit_matrices`](crate::face::fit_matrices), with
+//! [`StepMatrices`](kalfit_filter::reduce::StepMatrices) for transition, inputs and noises and [`Plain`](kalfit_filter::reduce::Plain) for
 //! x_0 = a + Aξ + ζ.

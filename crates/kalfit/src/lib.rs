@@ -10,31 +10,26 @@
 //!
 //! The crate is pure: it knows nothing of files, model-file syntax, tables, clocks or the terminal.
 
-pub mod allan;
 pub mod along;
-pub mod apply;
-pub mod build;
 pub mod compare;
 pub mod datasheet;
-pub mod dynamic;
-pub mod ensemble;
-pub mod estimate;
-pub mod export;
 mod face;
 pub mod guide;
-pub mod infer;
-pub mod innovations;
-mod linalg;
-pub mod model;
-pub mod plan;
-pub mod predict;
-pub mod record;
-pub mod reduce;
-pub mod remote;
-mod score;
 pub mod shards;
-pub mod simulate;
 pub mod validate;
+
+pub use kalfit_apply::{allan, apply, export, plan, predict};
+pub use kalfit_estimate as estimate;
+pub use kalfit_filter::{innovations, reduce, simulate};
+pub use kalfit_infer as infer;
+pub use kalfit_model::{build, ensemble, model, remote};
+pub use kalfit_record as record;
+
+/// The dynamic parameters α: their search and what is known of them.
+pub mod dynamic {
+    pub use kalfit_infer::dynamic::*;
+    pub use kalfit_search::*;
+}
 
 pub use ensemble::{Group, Grouping, Label, Labels, Layout, Source, Test, TestBatch, TestId, TestKey};
 pub use face::{

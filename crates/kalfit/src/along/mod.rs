@@ -5,7 +5,7 @@
 //!                └──> the least probable tests: record and predictions, innovations, smoothed states
 //! ```
 //!
-//! Nothing is computed here that [`datasheet`](crate::datasheet), [`apply`](crate::apply) and [`innovations`](crate::innovations) do not
+//! Nothing is computed here that [`datasheet`](crate::datasheet), [`apply`](kalfit_apply::apply) and [`innovations`](kalfit_filter::innovations) do not
 //! compute for everybody; of long records some values are kept.
 
 #[cfg(test)]
@@ -14,12 +14,12 @@ mod thin;
 mod walk;
 
 use crate::along::walk::Walk;
-use crate::apply::{Applied, ApplyError};
 use crate::datasheet::allan;
-use crate::innovations::InnovationFilter;
-use crate::model::{Alpha, PhasedModel, Population};
-use crate::record::{AlongRecord, FitRecord, TestRecord};
-use crate::reduce::{Evidence, PhasedTest};
+use kalfit_apply::apply::{Applied, ApplyError};
+use kalfit_filter::innovations::InnovationFilter;
+use kalfit_model::{Alpha, PhasedModel, Population};
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_record::{AlongRecord, FitRecord, TestRecord};
 
 /// Tests that are shown one by one.
 const MOST_TESTS: usize = 20;
@@ -94,7 +94,7 @@ fn one_by_one(
 
 /// How many tests of a model are shown, and how many values of each series.
 fn bounds(model: &PhasedModel) -> (usize, usize) {
-    let of = |phase: &crate::model::Phase| 1 + 2 * phase.model.states.len() + 6 * phase.model.measurements.len();
+    let of = |phase: &kalfit_model::Phase| 1 + 2 * phase.model.states.len() + 6 * phase.model.measurements.len();
     let numbers = model.phases.iter().map(of).sum::<usize>().max(1);
     let tests = (MOST_NUMBERS / (numbers * LEAST_VALUES)).clamp(1, MOST_TESTS);
     (tests, (MOST_NUMBERS / (numbers * tests)).clamp(LEAST_VALUES, MOST_VALUES))

@@ -1,13 +1,13 @@
 //! What is shown along records is what others compute of them.
 
 use crate::along::along;
-use crate::apply::{Applied, StateKind};
-use crate::build::{Columns, constant, measurement, name, random_walk};
 use crate::datasheet::{Source, datasheet};
-use crate::innovations::innovations;
-use crate::model::{Model, PhasedModel};
-use crate::record::AlongRecord;
-use crate::{Ensemble, Fit, Options};
+use crate::face::{Ensemble, Fit, Options};
+use kalfit_apply::apply::{Applied, StateKind};
+use kalfit_filter::innovations::innovations;
+use kalfit_model::build::{Columns, constant, measurement, name, random_walk};
+use kalfit_model::{Model, PhasedModel};
+use kalfit_record::AlongRecord;
 
 /// y = bias + walk, and z = bias on every third row.
 fn model(timed: bool) -> PhasedModel {
@@ -46,7 +46,7 @@ fn tests(rows: &[usize]) -> Vec<Columns> {
 
 fn fitted(timed: bool, rows: &[usize]) -> (Ensemble, Fit) {
     let ensemble = Ensemble::new(&model(timed), &tests(rows)).expect("an ensemble");
-    let fit = ensemble.fit_with(&Options::default(), &mut crate::estimate::Silent).expect("a fit");
+    let fit = ensemble.fit_with(&Options::default(), &mut kalfit_estimate::Silent).expect("a fit");
     (ensemble, fit)
 }
 

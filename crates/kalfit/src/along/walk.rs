@@ -2,11 +2,11 @@
 
 use crate::along::MOST_QUANTILES;
 use crate::along::thin::{quantiles, thinned, with_far};
-use crate::apply::{Applied, ApplyError, PhaseStates, StateKind};
-use crate::innovations::{Innovation, InnovationFilter};
-use crate::model::PhasedModel;
-use crate::record::{MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
-use crate::reduce::{Evidence, PhasedTest};
+use kalfit_apply::apply::{Applied, ApplyError, PhaseStates, StateKind};
+use kalfit_filter::innovations::{Innovation, InnovationFilter};
+use kalfit_model::PhasedModel;
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_record::{MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
 
 /// What a test is looked at with.
 pub(super) struct Walk<'a> {
@@ -91,7 +91,7 @@ impl Walk<'_> {
 
     fn states(&self, states: &PhaseStates, kept: &[usize]) -> Vec<StateAlong> {
         let model = &self.model.phases[states.phase].model;
-        let one = |(i, state): (usize, &crate::model::State)| StateAlong {
+        let one = |(i, state): (usize, &kalfit_model::State)| StateAlong {
             name: state.name.clone(),
             unit: state.unit.clone(),
             mean: kept.iter().map(|&step| states.steps[step].mean[i]).collect(),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::record::FitRecord;
+use kalfit_record::FitRecord;
 
 /// Why fits cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::record::{CovarianceRecord, FitRecord};
+use kalfit_record::{CovarianceRecord, FitRecord};
 
 /// Something that is not free, or fixed at one value, in all fits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::record::FitRecord;
+use kalfit_record::FitRecord;
 
 /// A fact about states or measurements that not all models have.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

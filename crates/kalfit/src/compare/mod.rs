@@ -17,8 +17,8 @@ pub use lines::LineRecord;
 pub use nested::{NestedRecord, PValueKind};
 pub use validations::ComparedValidation;
 
-use crate::record::{FitRecord, TestRecord};
 use crate::validate::ValidatedRecord;
+use kalfit_record::{FitRecord, TestRecord};
 
 /// The schema of [`ComparedRecord`].
 pub const COMPARE_SCHEMA: &str = "kalfit-compare/1";

@@ -9,7 +9,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::compare::elements::{CovarianceOf, FitElements, Key, elements, equal};
 use crate::compare::lines;
-use crate::record::FitRecord;
+use kalfit_record::FitRecord;
 
 /// A fit within another.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::compare::{CompareError, ComparedRecord, PValueKind, compare};
-use crate::record::FitRecord;
+use kalfit_record::FitRecord;
 
 /// Two states, full Σ and a noise level; `fixed` says which elements are not free: `mean`, `variance`, `covariance`, `sigma`.
 fn record(log_likelihood: f64, fixed: &[&str]) -> Value {

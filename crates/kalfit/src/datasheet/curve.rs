@@ -1,14 +1,14 @@
 //! The Allan deviation of a measurement: of the model, and of its records.
 
-use crate::allan::{Estimate, estimate, median_step, spans, stretches, variance};
 use crate::datasheet::noise::measured_unit;
 use crate::datasheet::units::ShownUnit;
-use crate::ensemble::Test;
-use crate::export::bind::columns_read;
-use crate::export::{ExportError, Exported, Wanted, export};
-use crate::model::{Alpha, Expression, Model, PhasedModel, Population, Scope, Site};
-use crate::record::{AllanPoint, CurveRecord};
-use crate::reduce::{Evidence, PhasedTest};
+use kalfit_apply::allan::{Estimate, estimate, median_step, spans, stretches, variance};
+use kalfit_apply::export::bind::columns_read;
+use kalfit_apply::export::{ExportError, Exported, Wanted, export};
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Expression, Model, PhasedModel, Population, Scope, Site};
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_record::{AllanPoint, CurveRecord};
 
 /// Most values of a span.
 const MOST: usize = 100_000;

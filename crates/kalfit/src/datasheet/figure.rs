@@ -1,10 +1,11 @@
 //! A number made of expressions of the model, with the interval of the parameter it hangs on.
 
-use crate::ensemble::Label;
-use crate::export::ExportError;
-use crate::export::bind::Binder;
-use crate::model::{Alpha, Expression, Level, Model};
-use crate::record::{Interval, ParameterRecord};
+use kalfit_apply::export::ExportError;
+use kalfit_apply::export::bind::Binder;
+use kalfit_infer::Interval;
+use kalfit_model::Label;
+use kalfit_model::{Alpha, Expression, Level, Model};
+use kalfit_record::ParameterRecord;
 
 /// What numbers are read from.
 #[derive(Debug)]

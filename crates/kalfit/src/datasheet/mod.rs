@@ -15,11 +15,11 @@ mod units;
 use crate::datasheet::curve::{CurveRecords, CurveRequest};
 use crate::datasheet::figure::Reader;
 use crate::datasheet::noise::Sheet;
-use crate::export::ExportError;
-use crate::export::bind::{Binder, columns_read};
-use crate::model::{Alpha, PhasedModel, Population};
-use crate::record::{CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, FitRecord};
-use crate::reduce::PhasedTest;
+use kalfit_apply::export::ExportError;
+use kalfit_apply::export::bind::{Binder, columns_read};
+use kalfit_model::PhasedTest;
+use kalfit_model::{Alpha, PhasedModel, Population};
+use kalfit_record::{CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, FitRecord};
 
 /// What a datasheet is made of.
 #[derive(Debug)]

@@ -2,9 +2,9 @@
 
 use crate::datasheet::figure::{FigureForm, Reader, ShownFigure};
 use crate::datasheet::units::{ShownUnit, UnitQuantity};
-use crate::export::ExportError;
-use crate::model::{Expression, Initial, Linear, Model, Motion};
-use crate::record::EntryRecord;
+use kalfit_apply::export::ExportError;
+use kalfit_model::{Expression, Initial, Linear, Model, Motion};
+use kalfit_record::EntryRecord;
 
 /// What entries of one phase are made of.
 #[derive(Debug)]
@@ -251,7 +251,7 @@ fn is_zero(expression: &Expression) -> bool {
 pub(super) fn measured_unit(model: &Model, m: usize) -> Option<String> {
     let measurement = &model.measurements[m];
     let noise = match &measurement.noise_variance {
-        Expression::Binary(crate::model::Operator::Multiply, a, b) if a == b => match **a {
+        Expression::Binary(kalfit_model::Operator::Multiply, a, b) if a == b => match **a {
             Expression::Parameter(index) => model.parameters[index].unit.clone(),
             _ => None,
         },

@@ -1,8 +1,9 @@
 //! What differs from turn-on to turn-on and from unit to unit: mean and spread of the initial states.
 
 use crate::datasheet::units::{ShownUnit, UnitQuantity};
-use crate::model::{Expression, Model, PhasedModel, Population};
-use crate::record::{EntryRecord, FitRecord, Interval, PhaseRecord};
+use kalfit_infer::Interval;
+use kalfit_model::{Expression, Model, PhasedModel, Population};
+use kalfit_record::{EntryRecord, FitRecord, PhaseRecord};
 
 /// Name of the tests' own level.
 const TESTS: &str = "tests";

@@ -2,11 +2,11 @@
 
 use nalgebra::DMatrix;
 
-use crate::build::{constant, fixed, gauss_markov, gauss_markov_2, measurement, name, random_walk, stepping};
 use crate::datasheet::{Source, datasheet};
-use crate::export::ExportError;
-use crate::model::{Alpha, Model, PhasedModel, Population};
-use crate::record::{DatasheetRecord, EntryRecord};
+use kalfit_apply::export::ExportError;
+use kalfit_model::build::{constant, fixed, gauss_markov, gauss_markov_2, measurement, name, random_walk, stepping};
+use kalfit_model::{Alpha, Model, PhasedModel, Population};
+use kalfit_record::{DatasheetRecord, EntryRecord};
 
 fn model() -> PhasedModel {
     let sum = name("bias") + name("walk") + name("drift") + name("slow") + name("jumps");

@@ -1,10 +1,11 @@
 //! A model with its tests.
 
-use crate::build::{Columns, ColumnsError};
-use crate::ensemble::Labels;
-use crate::model::{Alpha, PhasedModel, Population};
-use crate::reduce::{PhasedReducer, PhasedTest, ReduceError, Reductions};
-use crate::simulate::{Designs, SimulateError, Simulator};
+use kalfit_filter::reduce::{PhasedReducer, ReduceError, Reductions};
+use kalfit_filter::simulate::{Designs, SimulateError, Simulator};
+use kalfit_model::Labels;
+use kalfit_model::PhasedTest;
+use kalfit_model::build::{Columns, ColumnsError};
+use kalfit_model::{Alpha, PhasedModel, Population};
 
 /// A model with the tests that it is to be fitted to.
 #[derive(Debug, Clone)]

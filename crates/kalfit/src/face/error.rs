@@ -1,11 +1,11 @@
 //! Why there is no fit.
 
-use crate::build::ColumnsError;
-use crate::dynamic::DynamicError;
-use crate::estimate::FitError;
-use crate::model::ParameterError;
-use crate::record::MixedGroup;
-use crate::reduce::ReduceError;
+use kalfit_estimate::FitError;
+use kalfit_filter::reduce::ReduceError;
+use kalfit_model::ParameterError;
+use kalfit_model::build::ColumnsError;
+use kalfit_record::MixedGroup;
+use kalfit_search::DynamicError;
 
 /// Why there is no fit.
 #[derive(Debug, thiserror::Error)]

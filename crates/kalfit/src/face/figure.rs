@@ -1,8 +1,8 @@
 //! Figures of a fit, by name.
 
 use crate::face::fit::Fit;
-use crate::infer::{Interval, Posterior};
-use crate::record::{ParameterRecord, PhaseRecord, VectorRecord};
+use kalfit_infer::{Interval, Posterior};
+use kalfit_record::{ParameterRecord, PhaseRecord, VectorRecord};
 
 /// A number with what it is worth.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,11 +1,12 @@
 //! A fit with all that came of it, and what can be asked of one.
 
-use crate::dynamic::Method;
-use crate::estimate::{self, Estimate, Structure};
-use crate::infer::{Choices, Inference};
-use crate::model::{Alpha, PhasedModel, Population};
-use crate::record::FitRecord;
-use crate::reduce::Reductions;
+use kalfit_estimate as estimate;
+use kalfit_estimate::{Estimate, Structure};
+use kalfit_filter::reduce::Reductions;
+use kalfit_infer::{Choices, Inference};
+use kalfit_model::{Alpha, PhasedModel, Population};
+use kalfit_record::FitRecord;
+use kalfit_search::Method;
 
 /// What is asked of a fit.
 #[derive(Debug, Clone)]

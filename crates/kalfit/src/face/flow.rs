@@ -2,18 +2,20 @@
 
 use std::sync::Arc;
 
-use crate::build::Columns;
-use crate::dynamic::{self, DynamicError, DynamicFit};
-use crate::ensemble::{Grouping, Labels};
-use crate::estimate::{self, Progress, Silent, Structure};
+use crate::dynamic;
 use crate::face::ensemble::Ensemble;
 use crate::face::error::EnsembleError;
 use crate::face::fit::{Fit, Options};
 use crate::face::second_look;
-use crate::infer;
-use crate::model::{Alpha, PhasedModel, Slots};
-use crate::record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
-use crate::reduce::{Reductions, grouping};
+use kalfit_estimate as estimate;
+use kalfit_estimate::{Progress, Silent, Structure};
+use kalfit_filter::reduce::{Reductions, grouping};
+use kalfit_infer as infer;
+use kalfit_model::build::Columns;
+use kalfit_model::{Alpha, PhasedModel, Slots};
+use kalfit_model::{Grouping, Labels};
+use kalfit_record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
+use kalfit_search::{DynamicError, DynamicFit};
 
 /// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them. The tests'
 /// order does not change the answer, nor does the number of threads.

@@ -2,26 +2,14 @@
 
 use rayon::prelude::*;
 
-use crate::build::{BuildError, constant};
-use crate::estimate::Silent;
 use crate::face::error::EnsembleError;
 use crate::face::fit::{Fit, Options};
 use crate::face::flow::of_reductions;
-use crate::model::{Alpha, Model, PhasedModel};
-use crate::reduce::{Plain, Reductions};
+use kalfit_estimate::Silent;
+use kalfit_filter::reduce::{Plain, Reductions};
+use kalfit_model::{Alpha, PhasedModel};
 
-impl Model {
-    /// A model of nothing but the unknown numbers ξ, by name: for tests that come as matrices or as reductions. Constraints on μ and
-    /// Σ go into the fields `mean` and `covariance` of its only phase.
-    ///
-    /// # Errors
-    /// No names, or one twice.
-    pub fn unknowns<N: Into<String>>(names: impl IntoIterator<Item = N>) -> Result<PhasedModel, BuildError> {
-        names.into_iter().fold(Model::builder(""), |builder, name| builder.state(constant(name))).build()
-    }
-}
-
-/// Fits μ and Σ to tests given by matrices step by step; [`Model::unknowns`] names what is unknown of each.
+/// Fits μ and Σ to tests given by matrices step by step; [`Model::unknowns`](crate::Model::unknowns) names what is unknown of each.
 ///
 /// ```
 /// use kalfit::reduce::{Plain, StepMatrices};

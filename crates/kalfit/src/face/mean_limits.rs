@@ -2,13 +2,16 @@
 
 use std::sync::Arc;
 
-use crate::dynamic::{self, DynamicError, MeansAt};
-use crate::estimate::{self, Progress, Stop, Structure};
+use crate::dynamic;
 use crate::face::ensemble::Ensemble;
 use crate::face::error::EnsembleError;
-use crate::infer;
-use crate::model::Slots;
-use crate::reduce::grouping;
+use kalfit_estimate as estimate;
+use kalfit_estimate::{Progress, Stop, Structure};
+use kalfit_filter::reduce::grouping;
+use kalfit_infer as infer;
+use kalfit_infer::dynamic::MeansAt;
+use kalfit_model::Slots;
+use kalfit_search::DynamicError;
 
 /// Limits of predicted means, and the fit that they are around.
 #[derive(Debug, Clone, PartialEq)]

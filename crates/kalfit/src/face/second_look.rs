@@ -1,9 +1,9 @@
 //! The data once more, at the fit.
 
 use crate::face::fit::Fit;
-use crate::innovations::innovations;
-use crate::record::{InnovationRecord, InnovationRecords, SeriesKeeper};
-use crate::reduce::PhasedTest;
+use kalfit_filter::innovations::innovations;
+use kalfit_model::PhasedTest;
+use kalfit_record::{InnovationRecord, InnovationRecords, SeriesKeeper};
 
 /// Adds innovations to the record, or a note that says why there are none: the fit itself does not depend on them.
 pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {

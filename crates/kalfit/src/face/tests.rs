@@ -1,11 +1,12 @@
 use nalgebra::{DMatrix, DVector};
 
-use crate::build::{Columns, constant, free, measurement, name};
-use crate::dynamic::Method;
-use crate::estimate::Silent;
-use crate::model::Model;
-use crate::reduce::{Plain, StepMatrices};
-use crate::{Ensemble, Fit, Options, fit, fit_matrices, fit_reductions};
+use crate::face::{Ensemble, Fit, Options, fit_matrices, fit_reductions};
+use crate::fit;
+use kalfit_estimate::Silent;
+use kalfit_filter::reduce::{Plain, StepMatrices};
+use kalfit_model::Model;
+use kalfit_model::build::{Columns, constant, free, measurement, name};
+use kalfit_search::Method;
 
 const LINES: [(f64, f64); 6] = [(1.0, 2.1), (0.2, 0.3), (1.9, 4.2), (0.8, 0.9), (1.1, 3.0), (0.4, 1.2)];
 
@@ -21,7 +22,7 @@ fn columns() -> Vec<Columns> {
     LINES.iter().enumerate().map(one).collect()
 }
 
-fn builder(noise: &str) -> crate::build::ModelBuilder {
+fn builder(noise: &str) -> kalfit_model::build::ModelBuilder {
     Model::builder("lines").state(constant("start")).state(constant("slope")).measurement(measurement(
         "y",
         name("start") + name("slope") * name("t"),

@@ -1,7 +1,7 @@
 //! Why a model cannot be fitted to tests in several places, or why one of them has no answer.
 
-use crate::dynamic::DynamicError;
-use crate::reduce::{GroupingError, ReduceError};
+use kalfit_filter::reduce::{GroupingError, ReduceError};
+use kalfit_search::DynamicError;
 
 /// Why a model cannot be fitted to tests in several places, or why one of them has no answer.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -6,7 +6,7 @@
 //! go_on(all sums so far) → Next          what is to be asked next, or the fit
 //! ```
 //!
-//! [`go_on`] makes the search of [`estimate`](crate::estimate) and [`dynamic`](crate::dynamic) from its beginning with the answers
+//! [`go_on`] makes the search of [`estimate`](kalfit_estimate) and [`dynamic`](kalfit_search) from its beginning with the answers
 //! that are there. It keeps nothing itself: whoever has the answers can go on.
 //!
 //! ```

@@ -2,15 +2,17 @@
 
 use std::sync::Arc;
 
-use crate::dynamic::{self, Coordinate, Method, Settings, SuggestedValues};
-use crate::ensemble::Labels;
-use crate::estimate::{self, Combination, Criterion, FitError, Progress, Stage, Step, Structure};
-use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer_while};
-use crate::model::{PhasedModel, Slots, Value};
-use crate::record::{DynamicParts, FitRecord, Provenance};
-use crate::reduce::{Reductions, grouping};
-use crate::remote::{Answer, Answers, Asked, Question, Remote};
+use crate::dynamic;
 use crate::shards::error::ShardError;
+use kalfit_estimate as estimate;
+use kalfit_estimate::{Combination, Criterion, FitError, Progress, Stage, Step, Structure};
+use kalfit_filter::reduce::{Reductions, grouping};
+use kalfit_infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice, infer_while};
+use kalfit_model::Labels;
+use kalfit_model::remote::{Answer, Answers, Asked, Question, Remote};
+use kalfit_model::{PhasedModel, Slots, Value};
+use kalfit_record::{DynamicParts, FitRecord, Provenance};
+use kalfit_search::{Coordinate, Method, Settings, SuggestedValues};
 
 /// Said of every fit by sums.
 const BY_SUMS: &str = "computed from sums over tests, which stayed at their places: there are no results of single tests, and designs are counted place by place";
@@ -143,7 +145,7 @@ pub(super) fn refuse(model: &PhasedModel, settings: &estimate::Settings) -> Resu
         return Err(ShardError::Marginal);
     }
     let Some(parameter) = parameters.iter().find(|p| free(p.value)).map(|p| p.name.clone()) else { return Ok(()) };
-    let crossed = |phase: &crate::model::Phase| {
+    let crossed = |phase: &kalfit_model::Phase| {
         !phase.model.noise_covariance.is_empty() || !phase.model.process_noise_covariance.is_empty()
     };
     if model.phases.iter().any(crossed) {

@@ -2,16 +2,18 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::dynamic::{self, Around, Scale, Settings, add_exact};
-use crate::ensemble::{Grouping, Labels};
-use crate::estimate::{Silent, Structure, Summed};
-use crate::infer::counted;
-use crate::model::{PhasedModel, Slots};
-use crate::reduce::{Evidence, FilteredPhases, PhasedReducer, PhasedTest, ReduceError, Reductions, grouping};
-use crate::remote::{Answer, Asked, Law, Question};
-use crate::score::{Batching, Gradient, PhasedScorer};
+use crate::dynamic;
 use crate::shards::error::ShardError;
 use crate::shards::search::refuse;
+use kalfit_estimate::{Silent, Structure, Summed};
+use kalfit_filter::reduce::{FilteredPhases, PhasedReducer, ReduceError, Reductions, grouping};
+use kalfit_filter::score::{Batching, Gradient, PhasedScorer};
+use kalfit_infer::counted;
+use kalfit_model::remote::{Answer, Asked, Law, Question};
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_model::{Grouping, Labels};
+use kalfit_model::{PhasedModel, Slots};
+use kalfit_search::{Around, Scale, Settings, add_exact};
 
 /// The tests of one place, with all that stand in one group of the outermost level. What it answers is a function of the tests and of
 /// what is asked, and of nothing else; what it keeps saves work only.

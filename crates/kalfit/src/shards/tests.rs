@@ -2,25 +2,26 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::build::{Columns, ModelBuilder, constant, fixed, free, gauss_markov, measurement, name, phase};
-use crate::estimate::{self, Criterion, Silent};
-use crate::infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
-use crate::model::{Alpha, Column, CovarianceStructure, GroupLevel, PhasedModel, Population};
-use crate::record::{FitRecord, Provenance};
-use crate::remote::{Answer, Asked, sum};
+use crate::face::{Ensemble, Options};
 use crate::shards::{Asks, Next, Shard, ShardError, go_on};
-use crate::{Ensemble, Options};
+use kalfit_estimate as estimate;
+use kalfit_estimate::{Criterion, Silent};
+use kalfit_infer::{Choices, DeletionChoice, IntervalKind, StdErrors, TestsChoice};
+use kalfit_model::build::{Columns, ModelBuilder, constant, fixed, free, gauss_markov, measurement, name, phase};
+use kalfit_model::remote::{Answer, Asked, sum};
+use kalfit_model::{Alpha, Column, CovarianceStructure, GroupLevel, PhasedModel, Population};
+use kalfit_record::{FitRecord, Provenance};
 
 /// The fit of tests that are dealt out to so many places, and how many rounds it took.
 fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize) {
     let tests = ensemble.tests();
     // whole groups of the outermost level
-    let grouping = crate::reduce::grouping(ensemble.model(), tests).unwrap();
+    let grouping = kalfit_filter::reduce::grouping(ensemble.model(), tests).unwrap();
     let unit = |j: usize| grouping.as_ref().map_or(j, |grouping| grouping.group_of(j, grouping.depth() - 1));
     let part = |k: usize| -> Vec<_> {
         (0..tests.len()).filter(|&j| unit(j) % places == k).map(|j| tests[j].clone()).collect()
     };
-    let settings = crate::dynamic::Settings { inner: asks.settings.clone(), ..Default::default() };
+    let settings = kalfit_search::Settings { inner: asks.settings.clone(), ..Default::default() };
     let shard = |k| Shard::new(ensemble.model().clone(), ensemble.labels(), part(k), settings.clone()).unwrap();
     let shards: Vec<Shard> = (0..places).map(shard).collect();
     let mut known: Vec<(Asked, Answer)> = Vec::new();
@@ -127,8 +128,8 @@ fn population(mean: &[f64], variances: &[f64]) -> Population {
     Population { mean: mean.to_vec(), coefficients: Vec::new(), covariance }
 }
 
-fn lines(sigma: crate::build::ParameterBuilder) -> ModelBuilder {
-    crate::Model::builder("lines")
+fn lines(sigma: kalfit_model::build::ParameterBuilder) -> ModelBuilder {
+    kalfit_model::Model::builder("lines")
         .state(constant("level"))
         .state(constant("slope"))
         .measurement(measurement("y", name("level") + name("slope") * name("x"), "sigma"))
@@ -178,7 +179,7 @@ fn a_noise_level() {
 
 #[test]
 fn a_time_constant_and_two_noise_levels() {
-    let model = crate::Model::builder("drifts")
+    let model = kalfit_model::Model::builder("drifts")
         .time("t")
         .state(constant("bias"))
         .state(gauss_markov("drift", "tau", "walk"))
@@ -201,12 +202,12 @@ fn a_time_constant_and_two_noise_levels() {
 }
 
 /// Two phases, the second of which inherits the level and some tests lack, with a noise level that is known or not.
-fn phases(sigma: crate::build::ParameterBuilder) -> Ensemble {
-    let rest = crate::Model::builder("phases")
+fn phases(sigma: kalfit_model::build::ParameterBuilder) -> Ensemble {
+    let rest = kalfit_model::Model::builder("phases")
         .state(constant("level"))
         .measurement(measurement("y", name("level"), "sigma"))
         .parameter(sigma.clone());
-    let moved = crate::Model::builder("phases")
+    let moved = kalfit_model::Model::builder("phases")
         .state(constant("level"))
         .state(constant("rate"))
         .measurement(measurement("y", name("level") + name("rate") * name("x"), 0.2))
@@ -235,7 +236,7 @@ fn tests_in_phases() {
 }
 
 /// Lines of tests that stand in groups of these levels, the outermost first, with a regression of the mean on a dose.
-fn in_groups(sigma: crate::build::ParameterBuilder, levels: &[&str], tests: usize) -> Ensemble {
+fn in_groups(sigma: kalfit_model::build::ParameterBuilder, levels: &[&str], tests: usize) -> Ensemble {
     let mut model = lines(sigma).regress_mean("slope", "dose").build().unwrap();
     let column = |name: &&str| Column { name: (*name).to_owned(), used_in: "levels".to_owned() };
     model.phases[0].model.text_columns = levels.iter().map(column).collect();
@@ -285,7 +286,7 @@ fn units_in_lots() {
 
 #[test]
 fn groups_of_tests_with_a_time_constant() {
-    let mut model = crate::Model::builder("drifts of units")
+    let mut model = kalfit_model::Model::builder("drifts of units")
         .time("t")
         .state(constant("bias"))
         .state(gauss_markov("drift", "tau", "walk"))

@@ -1,8 +1,8 @@
 //! Why a model is not validated.
 
-use crate::apply::ApplyError;
 use crate::face::EnsembleError;
-use crate::reduce::GroupingError;
+use kalfit_apply::apply::ApplyError;
+use kalfit_filter::reduce::GroupingError;
 
 /// Why a model is not validated.
 #[derive(Debug, thiserror::Error)]

@@ -6,11 +6,12 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::ensemble::Labels;
-use crate::model::PhasedModel;
-use crate::record::TestGroups;
-use crate::reduce::{PhasedTest, grouping};
 use crate::validate::ValidateError;
+use kalfit_filter::reduce::grouping;
+use kalfit_model::Labels;
+use kalfit_model::PhasedModel;
+use kalfit_model::PhasedTest;
+use kalfit_record::TestGroups;
 
 /// A fold for each test.
 #[derive(Debug, Clone, PartialEq, Eq)]

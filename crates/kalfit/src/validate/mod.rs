@@ -4,7 +4,7 @@
 //! tests ──> folds ──> (α, μ, Σ) without a fold ──> log p of the fold, innovations, distances
 //! ```
 //!
-//! What leaves a single test out at a known α is no new fit: [`deletions`](crate::infer::deletions) has it exactly.
+//! What leaves a single test out at a known α is no new fit: [`deletions`](kalfit_infer::deletions) has it exactly.
 
 mod error;
 mod folds;
@@ -19,13 +19,14 @@ pub use record::{
     ValidatedRecord,
 };
 
-use crate::apply::Applied;
-use crate::estimate::{Criterion, Progress, Stop};
 use crate::face::{Ensemble, Fit, Options};
-use crate::infer::{DeletionChoice, Distance, SharedProgress, TestsChoice, deletions_while};
-use crate::innovations::Innovations;
-use crate::model::{Alpha, Level, PhasedModel, Population, Value};
-use crate::reduce::{PhasedTest, grouping};
+use kalfit_apply::apply::Applied;
+use kalfit_estimate::{Criterion, Progress, Stop};
+use kalfit_filter::innovations::Innovations;
+use kalfit_filter::reduce::grouping;
+use kalfit_infer::{DeletionChoice, Distance, SharedProgress, TestsChoice, deletions_while};
+use kalfit_model::PhasedTest;
+use kalfit_model::{Alpha, Level, PhasedModel, Population, Value};
 
 /// What fits without their fold say of tests.
 #[derive(Debug, Clone, PartialEq)]
@@ -185,7 +186,7 @@ fn applied(
     let model = ensemble.model();
     let applied = Applied::new(model, alpha, population, tests)?;
     let (said, observations) = (applied.said()?, applied.observations());
-    let left = |(own, posterior): (&Option<Innovations>, crate::infer::Posterior<'_>)| {
+    let left = |(own, posterior): (&Option<Innovations>, kalfit_infer::Posterior<'_>)| {
         let series = own.as_ref().map_or(&[][..], |own| &own.series);
         let within = WIDTHS.map(|width| series.iter().filter(|one| one.standardised.abs() <= width).count());
         LeftOut { within, innovations: series.len(), distance: posterior.distance }
@@ -204,7 +205,7 @@ fn applied(
                 let path = grouping.groups(level)[group].path.iter();
                 path.map(|&name| ensemble.labels().text(name)).collect::<Vec<_>>().join("/")
             };
-            let piece = |(group, found): (usize, &crate::infer::GroupPosterior)| Piece {
+            let piece = |(group, found): (usize, &kalfit_infer::GroupPosterior)| Piece {
                 name: name(group),
                 fold,
                 log_density: found.log_likelihood,

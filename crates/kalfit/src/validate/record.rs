@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use crate::model::PhasedModel;
 use crate::validate::{Folds, LEVELS, Validation};
+use kalfit_model::PhasedModel;
 
 /// The schema of [`ValidatedRecord`].
 pub const VALIDATE_SCHEMA: &str = "kalfit-validate/1";

@@ -1,11 +1,11 @@
 //! Densities of folds against refits, written down.
 
-use crate::apply::Applied;
-use crate::build::{Columns, constant, free, measurement, name};
-use crate::estimate::Silent;
 use crate::face::{Ensemble, Options};
-use crate::model::{Model, PhasedModel};
 use crate::validate::{Folds, Validation, validate};
+use kalfit_apply::apply::Applied;
+use kalfit_estimate::Silent;
+use kalfit_model::build::{Columns, constant, free, measurement, name};
+use kalfit_model::{Model, PhasedModel};
 
 fn model(noise_is_free: bool) -> PhasedModel {
     let builder = Model::builder("lines").state(constant("level")).state(constant("slope"));

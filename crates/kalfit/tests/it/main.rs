@@ -24,6 +24,7 @@ mod phased_record;
 mod phased_simulate;
 mod phases_single;
 mod plan;
+mod quantities;
 mod random_ensembles;
 mod reduction;
 mod reduction_models;

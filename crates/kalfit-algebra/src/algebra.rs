@@ -1,0 +1,279 @@
+//! What the recursions over phases do with matrices, whatever these are kept in: one source for rows of any size
+//! ([`crate::rows`]) and for sizes that the compiler knows ([`crate::fixed`]).
+
+use std::ops::Range;
+
+use kalfit_lanes::Real;
+use nalgebra::DMatrix;
+
+use crate::factors::Factors;
+use crate::rows::Rows;
+
+/// Matrices q × q, and data of q rows. A matrix kept in more rows and columns than it has holds zeros there.
+pub trait Algebra {
+    /// Of what.
+    type Number: Real;
+    /// q × q, or any number of rows × q.
+    type Matrix: Clone;
+    /// q × columns.
+    type Data: Clone;
+    /// U, upper triangular.
+    type Factor;
+
+    /// Zeros.
+    fn zeros(rows: usize, columns: usize) -> Self::Matrix;
+    /// A row, to be set.
+    fn row_mut(a: &mut Self::Matrix, i: usize) -> &mut [Self::Number];
+    /// Data of zeros.
+    fn no_data(rows: usize, columns: usize) -> Self::Data;
+    /// A row of them, to be set.
+    fn data_row_mut(data: &mut Self::Data, i: usize) -> &mut [Self::Number];
+
+    /// U with U'U = I + Σ A'A. `borne` becomes false where cross products would lose digits.
+    fn identity_plus(parts: &[&Self::Matrix], borne: &mut bool) -> Self::Factor;
+    /// |U|, factor by factor.
+    fn diagonal(factor: &Self::Factor) -> impl Iterator<Item = Self::Number>;
+    /// U⁻ᵀA.
+    fn solved(factor: &Self::Factor, a: Self::Matrix) -> Self::Matrix;
+    /// U⁻ᵀd.
+    fn solved_data(factor: &Self::Factor, data: Self::Data) -> Self::Data;
+    /// Folds [A | b] into [R | d], R upper triangular with a diagonal that is not negative: what is left of b.
+    fn absorb(upper: &mut Self::Matrix, data: &mut Self::Data, rows: Self::Matrix, rows_data: Self::Data)
+    -> Self::Data;
+    /// U with U'U = I + A'A, and U⁻ᵀA'd: [A | d] folded into [I | 0]. However large A is no digits are lost.
+    fn identity_absorbing(rows: Self::Matrix, rows_data: Self::Data) -> (Self::Factor, Self::Data);
+    /// Folds rows into R alone.
+    fn absorb_rows(upper: &mut Self::Matrix, rows: Self::Matrix);
+
+    /// A'.
+    fn transposed(a: &Self::Matrix) -> Self::Matrix;
+    /// AB.
+    fn times(a: &Self::Matrix, b: &Self::Matrix) -> Self::Matrix;
+    /// A'B.
+    fn transpose_times(a: &Self::Matrix, b: &Self::Matrix) -> Self::Matrix;
+    /// AU', U upper triangular.
+    fn times_upper_transpose(a: &Self::Matrix, upper: &Self::Matrix) -> Self::Matrix;
+    /// AB'.
+    fn times_transpose(a: &Self::Matrix, b: &Self::Matrix) -> Self::Matrix;
+    /// I - A, A q × q.
+    fn identity_less(a: &Self::Matrix) -> Self::Matrix;
+    /// Ad.
+    fn apply(a: &Self::Matrix, data: &Self::Data) -> Self::Data;
+    /// A'd.
+    fn apply_transpose(a: &Self::Matrix, data: &Self::Data) -> Self::Data;
+    /// a + b.
+    fn plus(a: Self::Data, b: &Self::Data) -> Self::Data;
+    /// a - b.
+    fn less(a: Self::Data, b: &Self::Data) -> Self::Data;
+    /// Sum of squares over so many tests, whose mean stands in the first column.
+    fn squares(count: Self::Number, data: &Self::Data) -> Self::Number;
+
+    /// F' of the states of a phase among those of all, q × q; F lower triangular with a diagonal that is not negative.
+    fn root_of(root: &DMatrix<f64>, own: &Range<usize>, like: &Self::Matrix) -> Self::Matrix;
+    /// Numbers of the states of a phase in the first column.
+    fn mean_of(mean: &[Self::Number], own: &Range<usize>, like: &Self::Data) -> Self::Data;
+    /// The first rows and columns.
+    fn corner(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number>;
+    /// The first rows.
+    fn head(data: &Self::Data, rows: usize) -> Rows<Self::Number>;
+}
+
+/// Beyond this RΣR' is too large for cross products.
+pub(crate) const LARGE: f64 = 1e10;
+
+impl<F: Factors> Algebra for F {
+    type Number = F::Number;
+    type Matrix = Rows<F::Number>;
+    type Data = Rows<F::Number>;
+    type Factor = Rows<F::Number>;
+
+    #[inline(always)]
+    fn zeros(rows: usize, columns: usize) -> Self::Matrix {
+        Rows::zeros(rows, columns)
+    }
+
+    #[inline(always)]
+    fn row_mut(a: &mut Self::Matrix, i: usize) -> &mut [Self::Number] {
+        a.row_mut(i)
+    }
+
+    #[inline(always)]
+    fn no_data(rows: usize, columns: usize) -> Self::Data {
+        Rows::zeros(rows, columns)
+    }
+
+    #[inline(always)]
+    fn data_row_mut(data: &mut Self::Data, i: usize) -> &mut [Self::Number] {
+        data.row_mut(i)
+    }
+
+    #[inline(always)]
+    fn identity_plus(parts: &[&Self::Matrix], borne: &mut bool) -> Self::Factor {
+        for part in parts {
+            *borne &= F::CAREFUL || part.is_within(LARGE.sqrt());
+        }
+        if let [only] = parts {
+            return <F as Factors>::identity_plus(only);
+        }
+        let mut all = Rows::zeros(0, parts.first().map_or(0, |part| part.ncols()));
+        for part in parts {
+            all.append(part);
+        }
+        <F as Factors>::identity_plus(&all)
+    }
+
+    #[inline(always)]
+    fn diagonal(factor: &Self::Factor) -> impl Iterator<Item = Self::Number> {
+        (0..factor.nrows()).map(|i| factor[(i, i)])
+    }
+
+    #[inline(always)]
+    fn solved(factor: &Self::Factor, a: Self::Matrix) -> Self::Matrix {
+        Rows::solved_below(factor, a)
+    }
+
+    #[inline(always)]
+    fn solved_data(factor: &Self::Factor, data: Self::Data) -> Self::Data {
+        Rows::solved_below(factor, data)
+    }
+
+    #[inline(always)]
+    fn absorb(
+        upper: &mut Self::Matrix,
+        data: &mut Self::Data,
+        rows: Self::Matrix,
+        rows_data: Self::Data,
+    ) -> Self::Data {
+        let (q, columns) = (upper.nrows(), data.ncols());
+        let mut both = upper.beside(data);
+        let left = <F as Factors>::absorb(&mut both, rows.beside(&rows_data), q);
+        *upper = both.first_columns(q);
+        *data = both.last_columns(columns);
+        left.last_columns(columns)
+    }
+
+    #[inline(always)]
+    fn identity_absorbing(rows: Self::Matrix, rows_data: Self::Data) -> (Self::Factor, Self::Data) {
+        let (mut upper, mut data) = (Rows::identity(rows.ncols()), Rows::zeros(rows.ncols(), rows_data.ncols()));
+        <F as Algebra>::absorb(&mut upper, &mut data, rows, rows_data);
+        (upper, data)
+    }
+
+    #[inline(always)]
+    fn absorb_rows(upper: &mut Self::Matrix, rows: Self::Matrix) {
+        let width = upper.nrows();
+        <F as Factors>::absorb(upper, rows, width);
+    }
+
+    #[inline(always)]
+    fn transposed(a: &Self::Matrix) -> Self::Matrix {
+        a.transposed()
+    }
+
+    #[inline(always)]
+    fn times(a: &Self::Matrix, b: &Self::Matrix) -> Self::Matrix {
+        a.times(b)
+    }
+
+    #[inline(always)]
+    fn transpose_times(a: &Self::Matrix, b: &Self::Matrix) -> Self::Matrix {
+        a.transpose_times(b)
+    }
+
+    #[inline(always)]
+    fn times_upper_transpose(a: &Self::Matrix, upper: &Self::Matrix) -> Self::Matrix {
+        a.times_transpose(upper)
+    }
+
+    #[inline(always)]
+    fn times_transpose(a: &Self::Matrix, b: &Self::Matrix) -> Self::Matrix {
+        a.times_transpose(b)
+    }
+
+    #[inline(always)]
+    fn identity_less(a: &Self::Matrix) -> Self::Matrix {
+        Rows::identity(a.nrows()).less(a)
+    }
+
+    #[inline(always)]
+    fn apply(a: &Self::Matrix, data: &Self::Data) -> Self::Data {
+        a.times(data)
+    }
+
+    #[inline(always)]
+    fn apply_transpose(a: &Self::Matrix, data: &Self::Data) -> Self::Data {
+        a.transpose_times(data)
+    }
+
+    #[inline(always)]
+    fn plus(a: Self::Data, b: &Self::Data) -> Self::Data {
+        a.plus(b)
+    }
+
+    #[inline(always)]
+    fn less(a: Self::Data, b: &Self::Data) -> Self::Data {
+        a.less(b)
+    }
+
+    #[inline(always)]
+    fn squares(count: Self::Number, data: &Self::Data) -> Self::Number {
+        let mut sum = F::Number::splat(0.0);
+        for i in 0..data.nrows() {
+            for (k, &x) in data.row(i).iter().enumerate() {
+                sum = if k == 0 { (count * x).fma(x, sum) } else { x.fma(x, sum) };
+            }
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn root_of(root: &DMatrix<f64>, own: &Range<usize>, like: &Self::Matrix) -> Self::Matrix {
+        let mut rows = Rows::zeros(like.ncols(), like.ncols());
+        for c in 0..own.len() {
+            for i in c..own.len() {
+                rows[(c, i)] = F::Number::splat(root[(own.start + i, own.start + c)]);
+            }
+        }
+        rows
+    }
+
+    #[inline(always)]
+    fn mean_of(mean: &[Self::Number], own: &Range<usize>, like: &Self::Data) -> Self::Data {
+        let mut column = Rows::zeros(like.nrows(), like.ncols());
+        for (i, own) in own.clone().enumerate() {
+            column[(i, 0)] = mean[own];
+        }
+        column
+    }
+
+    #[inline(always)]
+    fn corner(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number> {
+        a.first_rows(rows).first_columns(columns)
+    }
+
+    #[inline(always)]
+    fn head(data: &Self::Data, rows: usize) -> Rows<Self::Number> {
+        data.first_rows(rows)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::factors::{CrossFactors, Rotations};
+
+    /// Cross products of 10⁵ and more lose the one beside them; rotations bear them.
+    #[test]
+    fn what_is_too_large_for_cross_products_is_said() {
+        for (size, sound) in [(0.99e5, true), (1.01e5, false), (1e9, false)] {
+            let small = Rows::from_fn(2, 2, |i, k| 1.0 + (i + k) as f64);
+            let large = Rows::from_fn(1, 2, |_, k| if k == 0 { -size } else { 0.5 });
+            for parts in [vec![&small, &large], vec![&large, &small], vec![&large]] {
+                let (mut plain, mut careful) = (true, true);
+                <CrossFactors<f64> as Algebra>::identity_plus(&parts, &mut plain);
+                <Rotations as Algebra>::identity_plus(&parts, &mut careful);
+                assert_eq!((plain, careful), (sound, true), "{size} among {} parts", parts.len());
+            }
+        }
+    }
+}

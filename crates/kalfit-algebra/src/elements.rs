@@ -1,0 +1,169 @@
+//! Elements of a mean and of a block-diagonal symmetric matrix, such as the μ and Σ of several phases, and their numbers.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::folded::Folded;
+use crate::symmetric::{pair, pairs};
+
+/// An element of μ or Σ, by its place in all phases together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Element {
+    /// Of μ.
+    Mean(usize),
+    /// Of Σ; both states are of one phase.
+    Covariance(usize, usize),
+}
+
+/// The elements (i ≥ j) of a symmetric matrix that is zero between its blocks, one block for each phase: those of the first block
+/// in the order (0,0), (1,0), (1,1), (2,0), …, then those of the second. With p_f states in block f there are Σ p_f(p_f+1)/2.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Elements {
+    ranges: Vec<Range<usize>>,
+    block: Vec<usize>,
+    /// Number of the first element of each block; at the end their number.
+    first: Vec<usize>,
+}
+
+impl Elements {
+    /// Of blocks that hold these states, which follow each other from 0 on.
+    pub fn new(ranges: Vec<Range<usize>>) -> Elements {
+        let (mut first, mut block) = (vec![0], Vec::new());
+        for (f, range) in ranges.iter().enumerate() {
+            debug_assert_eq!(range.start, block.len(), "blocks follow each other");
+            first.push(first[f] + pairs(range.len()));
+            block.extend(range.clone().map(|_| f));
+        }
+        Elements { ranges, block, first }
+    }
+
+    /// Of a matrix in one block of p states.
+    pub fn single(p: usize) -> Elements {
+        Elements::new(std::iter::once(0..p).collect())
+    }
+
+    /// How many elements there are.
+    pub fn count(&self) -> usize {
+        self.first[self.ranges.len()]
+    }
+
+    /// How many states there are.
+    pub fn states(&self) -> usize {
+        self.block.len()
+    }
+
+    /// The states of each block.
+    pub fn blocks(&self) -> &[Range<usize>] {
+        &self.ranges
+    }
+
+    /// There is one block only.
+    pub fn is_single(&self) -> bool {
+        self.ranges.len() == 1
+    }
+
+    /// The block of a state.
+    pub fn block_of(&self, i: usize) -> usize {
+        self.block[i]
+    }
+
+    /// The number of element {i, j}; `None` between blocks.
+    pub fn get(&self, i: usize, j: usize) -> Option<usize> {
+        let f = self.block[i];
+        let start = self.ranges[f].start;
+        (self.block[j] == f).then(|| self.first[f] + pair(i - start, j - start))
+    }
+
+    /// The number of element {i, j} of one block.
+    pub fn index(&self, i: usize, j: usize) -> usize {
+        self.get(i, j).expect("both states are of one block")
+    }
+
+    /// The elements (i, j), i ≥ j, in their order.
+    pub fn all(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let of = |range: &Range<usize>| {
+            let start = range.start;
+            range.clone().flat_map(move |i| (start..=i).map(move |j| (i, j)))
+        };
+        self.ranges.iter().flat_map(of)
+    }
+
+    /// Element (i, j), by its number.
+    pub fn at(&self, number: usize) -> Option<(usize, usize)> {
+        self.all().nth(number)
+    }
+
+    /// The symmetric matrix with these elements.
+    pub fn unpack(&self, packed: &DVector<f64>) -> DMatrix<f64> {
+        let p = self.states();
+        DMatrix::from_fn(p, p, |i, j| self.get(i, j).map_or(0.0, |k| packed[k]))
+    }
+
+    /// ∂/∂(element) of a function whose matrix score is G: elements off the diagonal count twice.
+    pub fn pack_score(&self, score: &DMatrix<f64>) -> DVector<f64> {
+        let one = |(i, j): (usize, usize)| if i == j { score[(i, i)] } else { 2.0 * score[(i, j)] };
+        DVector::from_iterator(self.count(), self.all().map(one))
+    }
+
+    /// Matrix over elements whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the places that the two elements stand in: one
+    /// for a diagonal element, two for another.
+    pub fn over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
+        let mut result = DMatrix::zeros(self.count(), self.count());
+        self.over_half(term, |row, column, value| {
+            result[(row, column)] = value;
+            result[(column, row)] = value;
+        });
+        result
+    }
+
+    /// The same in half the memory.
+    pub fn folded_over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> Folded {
+        let mut half = Vec::with_capacity(pairs(self.count()));
+        self.over_half(term, |_, _, value| half.push(value));
+        Folded::Symmetric(self.count(), half)
+    }
+
+    /// The upper half of it, by columns: row, column and entry.
+    fn over_half(&self, term: impl Fn(usize, usize, usize, usize) -> f64, mut to: impl FnMut(usize, usize, f64)) {
+        let all: Vec<(usize, usize)> = self.all().collect();
+        let sum = |one: (usize, usize), other: (usize, usize)| {
+            let of = |(k, l)| places(other).map(|(a, b)| term(k, l, a, b)).fold(0.0, |sum, x| sum + x);
+            places(one).map(of).fold(0.0, |sum, x| sum + x)
+        };
+        for (column, &other) in all.iter().enumerate() {
+            for (row, &one) in all.iter().enumerate().take(column + 1) {
+                to(row, column, 0.5 * (sum(one, other) + sum(other, one)));
+            }
+        }
+    }
+}
+
+/// The places of a symmetric matrix that an element (i, j), i ≥ j, stands in.
+fn places((i, j): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
+    std::iter::once((j, i)).chain((i != j).then_some((i, j)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn elements_of_one_block_are_numbered_as_pairs() {
+        let elements = Elements::single(4);
+        assert_eq!(elements.count(), pairs(4));
+        for (k, (i, j)) in elements.all().enumerate() {
+            assert_eq!((elements.index(i, j), elements.index(j, i), pair(i, j)), (k, k, k));
+        }
+    }
+
+    #[test]
+    fn there_are_no_elements_between_blocks() {
+        let elements = Elements::new(vec![0..2, 2..2, 2..5]);
+        let all: Vec<_> = elements.all().collect();
+        assert_eq!(all, [(0, 0), (1, 0), (1, 1), (2, 2), (3, 2), (3, 3), (4, 2), (4, 3), (4, 4)]);
+        assert_eq!((elements.get(1, 2), elements.index(2, 4), elements.at(7)), (None, 6, Some((4, 3))));
+        let packed = DVector::from_fn(9, |k, _| k as f64);
+        assert_eq!(elements.pack_score(&elements.unpack(&packed))[6], 12.0);
+    }
+}

@@ -1,0 +1,122 @@
+//! Flows of single states side by side, by an exponential that takes as many numbers as a register holds.
+
+use kalfit_lanes::{Lanes, MOST};
+
+use super::scalar_flow;
+
+/// Beyond this an exponential is near what can be written down.
+const LARGE: f64 = 700.0;
+/// 1½ × 2^52: added to a number it leaves its nearest whole number in the last bits.
+const WHOLE: f64 = 6_755_399_441_055_744.0;
+/// ln 2, in two parts of which multiples of the first are exact.
+const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
+
+/// Terms of (eʳ - 1 - r)/r² that count in the last digit for |r| ≤ ½ ln 2.
+const TERMS: usize = 12;
+
+/// 1 / (k + 2)!.
+const FACTORIALS: [f64; TERMS] = {
+    let mut terms = [0.5; TERMS];
+    let mut k = 1;
+    while k < TERMS {
+        terms[k] = terms[k - 1] / (k as f64 + 2.0);
+        k += 1;
+    }
+    terms
+};
+
+/// exp(x) and expm1(x), |x| ≤ [`LARGE`], to a few units in the last place.
+#[inline(always)]
+fn exponentials<T: Lanes>(x: T) -> [T; 2] {
+    let whole = T::splat(WHOLE);
+    let shifted = x.fma(T::splat(std::f64::consts::LOG2_E), whole);
+    let k = shifted - whole;
+    let r = k.fnma(T::splat(LN_2[1]), k.fnma(T::splat(LN_2[0]), x));
+    let mut sum = T::splat(0.0);
+    for term in FACTORIALS.iter().rev() {
+        sum = sum.fma(r, T::splat(*term));
+    }
+    let part = (r * r).fma(sum, r);
+    let mut powers = [0.0; MOST];
+    shifted.store(&mut powers);
+    for power in &mut powers[..T::COUNT] {
+        // k in the last bits becomes an exponent
+        *power = f64::from_bits((power.to_bits() << 52).wrapping_add(1023 << 52));
+    }
+    let power = T::load(&powers);
+    [power.fma(part, power), power.fma(part, power - T::splat(1.0))]
+}
+
+/// [`scalar_flow`] side by side, to a few units in the last place. What is in a lane does not depend on the others.
+#[inline(always)]
+pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
+    let two = T::splat(2.0);
+    let x = f * step;
+    let ([phi, once], [_, twice]) = (exponentials(x), exponentials(two * x));
+    let found = [phi, once / f, q * (twice / (two * f))];
+    if T::splat(f64::MIN_POSITIVE).at_most(f.magnitude()) && x.magnitude().at_most(T::splat(0.5 * LARGE)) {
+        return found;
+    }
+    mended(found, (f, q, step))
+}
+
+/// With the flows of rates that are too small or too large for [`exponentials`] as they are by themselves.
+#[inline(always)]
+fn mended<T: Lanes>(found: [T; 3], (f, q, step): (T, T, T)) -> [T; 3] {
+    let mut all = [[0.0; MOST]; 3];
+    all.iter_mut().zip(found).for_each(|(all, found)| found.store(all));
+    for lane in 0..T::COUNT {
+        let (f, step) = (f.lane(lane), step.lane(lane));
+        if f.abs() >= f64::MIN_POSITIVE && (f * step).abs() <= 0.5 * LARGE {
+            continue;
+        }
+        let own = scalar_flow(f, q.lane(lane), step);
+        all.iter_mut().zip(own).for_each(|(all, x)| all[lane] = x);
+    }
+    [T::load(&all[0]), T::load(&all[1]), T::load(&all[2])]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use kalfit_lanes::{Isa, Kernel};
+
+    struct Flows<'a>(&'a [f64], &'a [f64]);
+
+    impl Kernel for Flows<'_> {
+        type Output = Vec<[f64; 3]>;
+
+        #[inline(always)]
+        fn run<T: Lanes>(self) -> Vec<[f64; 3]> {
+            let mut found = Vec::new();
+            for (f, step) in self.0.chunks_exact(T::COUNT).zip(self.1.chunks_exact(T::COUNT)) {
+                let own = scalar_flows(T::load(f), T::splat(1.7), T::load(step));
+                (0..T::COUNT).for_each(|lane| found.push([own[0].lane(lane), own[1].lane(lane), own[2].lane(lane)]));
+            }
+            found
+        }
+    }
+
+    #[test]
+    fn flows_side_by_side_are_those_of_single_states() {
+        let rates: Vec<f64> =
+            (0..8000).map(|k| -(10f64.powf(-9.0 + f64::from(k % 1000) * 0.0113)) + 1e-3 * f64::from(k % 3)).collect();
+        let steps: Vec<f64> = (0..8000).map(|k| 0.01 * f64::from(k % 487)).collect();
+        let zero = |k: usize, x: f64| if k.is_multiple_of(97) { 0.0 } else { x };
+        let rates: Vec<f64> = rates.iter().enumerate().map(|(k, &x)| zero(k, x)).collect();
+        for isa in Isa::all() {
+            for (k, found) in isa.run(Flows(&rates, &steps)).iter().enumerate() {
+                let expected = scalar_flow(rates[k], 1.7, steps[k]);
+                for (found, expected) in found.iter().zip(expected) {
+                    let off = (found - expected).abs();
+                    assert!(
+                        off <= 2e-15 * expected.abs(),
+                        "{isa:?}, F = {}, δ = {}: {found} for {expected}",
+                        rates[k],
+                        steps[k]
+                    );
+                }
+            }
+        }
+    }
+}

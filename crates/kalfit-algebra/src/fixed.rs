@@ -1,0 +1,493 @@
+//! Matrices of a size that the compiler knows, so that rows stay in registers and loops are unrolled: small matrices of many tests
+//! side by side. Each operation is a function of its own, of which there is one for each size and kind of number.
+
+use std::marker::PhantomData;
+use std::ops::Range;
+
+use kalfit_lanes::{Part, Real};
+use nalgebra::DMatrix;
+
+use crate::algebra::{Algebra, LARGE};
+use crate::rows::Rows;
+
+/// N × N, by rows.
+pub(crate) type Square<T, const N: usize> = [[T; N]; N];
+
+/// Matrices of up to N rows and columns, with data in one column.
+#[derive(Debug)]
+pub struct Fixed<T, const N: usize>(PhantomData<T>);
+
+/// U = D^½L' with LDL' = I + Σ A'A.
+#[derive(Debug, Clone, Copy)]
+pub struct Pivoted<T, const N: usize> {
+    /// L', unit upper triangular; what stands on and below its diagonal is not used.
+    unit: Square<T, N>,
+    /// D^½.
+    root: [T; N],
+    /// D^-½.
+    inverse: [T; N],
+}
+
+impl<T: Real, const N: usize> Pivoted<T, N> {
+    /// From U itself, upper triangular.
+    #[inline(always)]
+    fn of(upper: Square<T, N>) -> Pivoted<T, N> {
+        let mut factor = Pivoted { unit: upper, root: [T::splat(0.0); N], inverse: [T::splat(0.0); N] };
+        for k in 0..N {
+            factor.root[k] = upper[k][k];
+            factor.inverse[k] = T::splat(1.0) / upper[k][k];
+            for j in k + 1..N {
+                factor.unit[k][j] = upper[k][j] * factor.inverse[k];
+            }
+        }
+        factor
+    }
+}
+
+impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
+    type Number = T;
+    type Matrix = Square<T, N>;
+    type Data = [T; N];
+    type Factor = Pivoted<T, N>;
+
+    #[inline(always)]
+    fn zeros(_: usize, _: usize) -> Square<T, N> {
+        [[T::splat(0.0); N]; N]
+    }
+
+    #[inline(always)]
+    fn row_mut(a: &mut Square<T, N>, i: usize) -> &mut [T] {
+        &mut a[i]
+    }
+
+    #[inline(always)]
+    fn no_data(_: usize, _: usize) -> [T; N] {
+        [T::splat(0.0); N]
+    }
+
+    #[inline(always)]
+    fn data_row_mut(data: &mut [T; N], i: usize) -> &mut [T] {
+        std::slice::from_mut(&mut data[i])
+    }
+
+    #[inline(always)]
+    fn identity_plus(parts: &[&Square<T, N>], borne: &mut bool) -> Pivoted<T, N> {
+        T::apart(IdentityPlus { parts, borne })
+    }
+
+    #[inline(always)]
+    fn diagonal(factor: &Pivoted<T, N>) -> impl Iterator<Item = T> {
+        factor.root.into_iter()
+    }
+
+    #[inline(always)]
+    fn solved(factor: &Pivoted<T, N>, mut a: Square<T, N>) -> Square<T, N> {
+        T::apart(Solve(factor, &mut a));
+        a
+    }
+
+    #[inline(always)]
+    fn solved_data(factor: &Pivoted<T, N>, mut data: [T; N]) -> [T; N] {
+        for i in 0..N {
+            for k in 0..i {
+                data[i] = factor.unit[k][i].fnma(data[k], data[i]);
+            }
+        }
+        for i in 0..N {
+            data[i] = data[i] * factor.inverse[i];
+        }
+        data
+    }
+
+    #[inline(always)]
+    fn absorb(upper: &mut Square<T, N>, data: &mut [T; N], mut rows: Square<T, N>, mut rows_data: [T; N]) -> [T; N] {
+        T::apart(Absorb { upper, data, rows: &mut rows, rows_data: &mut rows_data });
+        rows_data
+    }
+
+    #[inline(always)]
+    fn identity_absorbing(rows: Square<T, N>, rows_data: [T; N]) -> (Pivoted<T, N>, [T; N]) {
+        let (mut upper, mut data) = (Self::identity_less(&Self::zeros(N, N)), [T::splat(0.0); N]);
+        Self::absorb(&mut upper, &mut data, rows, rows_data);
+        (Pivoted::of(upper), data)
+    }
+
+    #[inline(always)]
+    fn absorb_rows(upper: &mut Square<T, N>, mut rows: Square<T, N>) {
+        let (mut data, mut rows_data) = ([T::splat(0.0); N], [T::splat(0.0); N]);
+        T::apart(Absorb { upper, data: &mut data, rows: &mut rows, rows_data: &mut rows_data });
+    }
+
+    #[inline(always)]
+    fn transposed(a: &Square<T, N>) -> Square<T, N> {
+        let mut turned = *a;
+        for i in 0..N {
+            for k in 0..N {
+                turned[i][k] = a[k][i];
+            }
+        }
+        turned
+    }
+
+    #[inline(always)]
+    fn times(a: &Square<T, N>, b: &Square<T, N>) -> Square<T, N> {
+        T::apart(Product::<T, N, false, false>(a, b))
+    }
+
+    #[inline(always)]
+    fn transpose_times(a: &Square<T, N>, b: &Square<T, N>) -> Square<T, N> {
+        T::apart(Product::<T, N, true, false>(a, b))
+    }
+
+    #[inline(always)]
+    fn times_upper_transpose(a: &Square<T, N>, upper: &Square<T, N>) -> Square<T, N> {
+        T::apart(TimesUpperTranspose(a, upper))
+    }
+
+    #[inline(always)]
+    fn times_transpose(a: &Square<T, N>, b: &Square<T, N>) -> Square<T, N> {
+        T::apart(Product::<T, N, false, true>(a, b))
+    }
+
+    #[inline(always)]
+    fn identity_less(a: &Square<T, N>) -> Square<T, N> {
+        let mut less = *a;
+        for i in 0..N {
+            for k in 0..N {
+                less[i][k] = T::splat(if i == k { 1.0 } else { 0.0 }) - a[i][k];
+            }
+        }
+        less
+    }
+
+    #[inline(always)]
+    fn apply(a: &Square<T, N>, data: &[T; N]) -> [T; N] {
+        let mut product = [T::splat(0.0); N];
+        for k in 0..N {
+            for i in 0..N {
+                product[i] = a[i][k].fma(data[k], product[i]);
+            }
+        }
+        product
+    }
+
+    #[inline(always)]
+    fn apply_transpose(a: &Square<T, N>, data: &[T; N]) -> [T; N] {
+        let mut product = [T::splat(0.0); N];
+        for k in 0..N {
+            for i in 0..N {
+                product[i] = a[k][i].fma(data[k], product[i]);
+            }
+        }
+        product
+    }
+
+    #[inline(always)]
+    fn plus(mut a: [T; N], b: &[T; N]) -> [T; N] {
+        for i in 0..N {
+            a[i] = a[i] + b[i];
+        }
+        a
+    }
+
+    #[inline(always)]
+    fn less(mut a: [T; N], b: &[T; N]) -> [T; N] {
+        for i in 0..N {
+            a[i] = a[i] - b[i];
+        }
+        a
+    }
+
+    #[inline(always)]
+    fn squares(count: T, data: &[T; N]) -> T {
+        let mut sum = T::splat(0.0);
+        for i in 0..N {
+            sum = data[i].fma(data[i], sum);
+        }
+        count * sum
+    }
+
+    #[inline(always)]
+    fn root_of(root: &DMatrix<f64>, own: &Range<usize>, _: &Square<T, N>) -> Square<T, N> {
+        let mut rows = [[T::splat(0.0); N]; N];
+        for c in 0..own.len() {
+            for i in c..own.len() {
+                rows[c][i] = T::splat(root[(own.start + i, own.start + c)]);
+            }
+        }
+        rows
+    }
+
+    #[inline(always)]
+    fn mean_of(mean: &[T], own: &Range<usize>, _: &[T; N]) -> [T; N] {
+        let mut column = [T::splat(0.0); N];
+        column[..own.len()].copy_from_slice(&mean[own.clone()]);
+        column
+    }
+
+    #[inline(always)]
+    fn corner(a: &Square<T, N>, rows: usize, columns: usize) -> Rows<T> {
+        if rows == N && columns == N {
+            return Rows::from_vec(N, N, a.as_flattened().to_vec());
+        }
+        let mut some = Vec::with_capacity(rows * columns);
+        for row in &a[..rows] {
+            some.extend_from_slice(&row[..columns]);
+        }
+        Rows::from_vec(rows, columns, some)
+    }
+
+    #[inline(always)]
+    fn head(data: &[T; N], rows: usize) -> Rows<T> {
+        Rows::from_vec(rows, 1, data[..rows].to_vec())
+    }
+}
+
+/// Work on row or column K of matrices, where the compiler is to know which: what lies before and after it has a length of its own.
+trait Rank {
+    fn at<const K: usize>(&mut self);
+}
+
+/// The largest size.
+const MOST: usize = 8;
+
+/// Does the work on all of N ranks in order, without a loop.
+#[inline(always)]
+fn each_rank<const N: usize>(work: &mut impl Rank) {
+    const { assert!(N <= MOST, "sizes have a rank each below") };
+    if N > 0 {
+        work.at::<0>();
+    }
+    if N > 1 {
+        work.at::<1>();
+    }
+    if N > 2 {
+        work.at::<2>();
+    }
+    if N > 3 {
+        work.at::<3>();
+    }
+    if N > 4 {
+        work.at::<4>();
+    }
+    if N > 5 {
+        work.at::<5>();
+    }
+    if N > 6 {
+        work.at::<6>();
+    }
+    if N > 7 {
+        work.at::<7>();
+    }
+}
+
+struct IdentityPlus<'a, T, const N: usize> {
+    parts: &'a [&'a Square<T, N>],
+    borne: &'a mut bool,
+}
+
+impl<T: Real, const N: usize> Part for IdentityPlus<'_, T, N> {
+    type Output = Pivoted<T, N>;
+
+    #[inline(always)]
+    fn run(self) -> Pivoted<T, N> {
+        let (zero, one) = (T::splat(0.0), T::splat(1.0));
+        let mut factor = Pivoted { unit: [[zero; N]; N], root: [one; N], inverse: [one; N] };
+        let mut scaled = [[zero; N]; N];
+        let mut rows = PivotedRows { parts: self.parts, scaled: &mut scaled, factor: &mut factor, largest: one };
+        each_rank::<N>(&mut rows);
+        *self.borne &= rows.largest.at_most(T::splat(LARGE));
+        for k in 0..N {
+            let pivot = factor.root[k];
+            factor.inverse[k] = pivot.recip_root();
+            factor.root[k] = pivot * factor.inverse[k];
+        }
+        factor
+    }
+}
+
+/// LDL', row by row of DL'.
+struct PivotedRows<'a, T, const N: usize> {
+    parts: &'a [&'a Square<T, N>],
+    /// DL'.
+    scaled: &'a mut Square<T, N>,
+    /// L', and D where its root is to be.
+    factor: &'a mut Pivoted<T, N>,
+    /// The largest diagonal element of the sum.
+    largest: T,
+}
+
+impl<T: Real, const N: usize> Rank for PivotedRows<'_, T, N> {
+    #[inline(always)]
+    fn at<const K: usize>(&mut self) {
+        let one = T::splat(1.0);
+        let mut row = [T::splat(0.0); N];
+        row[K] = one;
+        for part in self.parts {
+            for i in 0..N {
+                for j in K..N {
+                    row[j] = part[i][K].fma(part[i][j], row[j]);
+                }
+            }
+        }
+        self.largest = self.largest.maximum(row[K]);
+        for i in 0..K {
+            for j in K..N {
+                row[j] = self.factor.unit[i][K].fnma(self.scaled[i][j], row[j]);
+            }
+        }
+        let pivot = row[K].maximum(one); // rounding must not make it less than one
+        let over = pivot.recip();
+        self.factor.root[K] = pivot;
+        for j in K + 1..N {
+            self.scaled[K][j] = row[j];
+            self.factor.unit[K][j] = row[j] * over;
+        }
+    }
+}
+
+struct Solve<'a, T, const N: usize>(&'a Pivoted<T, N>, &'a mut Square<T, N>);
+
+impl<T: Real, const N: usize> Part for Solve<'_, T, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(mut self) {
+        each_rank::<N>(&mut self);
+        for i in 0..N {
+            for j in 0..N {
+                self.1[i][j] = self.1[i][j] * self.0.inverse[i];
+            }
+        }
+    }
+}
+
+impl<T: Real, const N: usize> Rank for Solve<'_, T, N> {
+    #[inline(always)]
+    fn at<const K: usize>(&mut self) {
+        let mut row = self.1[K];
+        for i in 0..K {
+            for j in 0..N {
+                row[j] = self.0.unit[i][K].fnma(self.1[i][j], row[j]);
+            }
+        }
+        self.1[K] = row;
+    }
+}
+
+struct Absorb<'a, T, const N: usize> {
+    upper: &'a mut Square<T, N>,
+    data: &'a mut [T; N],
+    rows: &'a mut Square<T, N>,
+    rows_data: &'a mut [T; N],
+}
+
+impl<T: Real, const N: usize> Part for Absorb<'_, T, N> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(mut self) {
+        each_rank::<N>(&mut self);
+    }
+}
+
+impl<T: Real, const N: usize> Rank for Absorb<'_, T, N> {
+    /// One reflection, which takes column K of the rows into row K of the triangle.
+    #[inline(always)]
+    fn at<const K: usize>(&mut self) {
+        let Absorb { upper, data, rows, rows_data } = self;
+        let (row, zero) = (&mut upper[K], T::splat(0.0));
+        let mut column = [zero; N];
+        let mut square = row[K] * row[K];
+        for i in 0..N {
+            column[i] = rows[i][K];
+            square = column[i].fma(column[i], square);
+        }
+        let length = square.root();
+        // the head is not negative: the reflection to -length cancels nothing; the row's sign is turned afterwards
+        let first = row[K] + length;
+        let scale = (length * first).recip_or_zero();
+        let (mut along, mut along_data) = ([zero; N], first * data[K]);
+        for j in K + 1..N {
+            along[j] = first * row[j];
+        }
+        for i in 0..N {
+            for j in K + 1..N {
+                along[j] = column[i].fma(rows[i][j], along[j]);
+            }
+            along_data = column[i].fma(rows_data[i], along_data);
+        }
+        for j in K + 1..N {
+            along[j] = along[j] * scale;
+            row[j] = first * along[j] - row[j];
+        }
+        along_data = along_data * scale;
+        data[K] = first * along_data - data[K];
+        for i in 0..N {
+            for j in K + 1..N {
+                rows[i][j] = column[i].fnma(along[j], rows[i][j]);
+            }
+            rows_data[i] = column[i].fnma(along_data, rows_data[i]);
+        }
+        row[K] = length;
+    }
+}
+
+/// AB, each of them turned or not.
+struct Product<'a, T, const N: usize, const TURN_A: bool, const TURN_B: bool>(&'a Square<T, N>, &'a Square<T, N>);
+
+impl<T: Real, const N: usize, const TURN_A: bool, const TURN_B: bool> Part for Product<'_, T, N, TURN_A, TURN_B> {
+    type Output = Square<T, N>;
+
+    #[inline(always)]
+    fn run(self) -> Square<T, N> {
+        let Product(a, b) = self;
+        let mut product = [[T::splat(0.0); N]; N];
+        for i in 0..N {
+            let mut row = [T::splat(0.0); N];
+            for k in 0..N {
+                let a = if TURN_A { a[k][i] } else { a[i][k] };
+                for j in 0..N {
+                    row[j] = a.fma(if TURN_B { b[j][k] } else { b[k][j] }, row[j]);
+                }
+            }
+            product[i] = row;
+        }
+        product
+    }
+}
+
+struct TimesUpperTranspose<'a, T, const N: usize>(&'a Square<T, N>, &'a Square<T, N>);
+
+impl<T: Real, const N: usize> Part for TimesUpperTranspose<'_, T, N> {
+    type Output = Square<T, N>;
+
+    #[inline(always)]
+    fn run(self) -> Square<T, N> {
+        let mut product = [[T::splat(0.0); N]; N];
+        each_rank::<N>(&mut UpperColumns { a: self.0, upper: self.1, product: &mut product });
+        product
+    }
+}
+
+/// AU', column by column.
+struct UpperColumns<'a, T, const N: usize> {
+    a: &'a Square<T, N>,
+    upper: &'a Square<T, N>,
+    product: &'a mut Square<T, N>,
+}
+
+impl<T: Real, const N: usize> Rank for UpperColumns<'_, T, N> {
+    #[inline(always)]
+    fn at<const K: usize>(&mut self) {
+        let mut column = [T::splat(0.0); N];
+        for k in K..N {
+            for i in 0..N {
+                column[i] = self.a[i][k].fma(self.upper[K][k], column[i]);
+            }
+        }
+        for i in 0..N {
+            self.product[i][K] = column[i];
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Sums over rows, a few columns at a time: so few that they stay in registers while the terms are added.
+
+use kalfit_lanes::Real;
+
+use crate::rows::Rows;
+
+/// Most columns at a time.
+const WIDEST: usize = 6;
+
+/// Something that is done to columns, so many of them at once.
+pub trait ColumnWork {
+    /// How many there are.
+    fn count(&self) -> usize;
+
+    /// Does it to columns `from` to `from + N`.
+    fn part<const N: usize>(&mut self, from: usize);
+}
+
+/// Does it to all columns from one on, in parts of nearly equal size.
+#[inline(always)]
+pub fn in_parts(first: usize, columns: &mut impl ColumnWork) {
+    let (mut from, end) = (first, columns.count());
+    while from < end {
+        let left = end - from;
+        let size = left.div_ceil(left.div_ceil(WIDEST));
+        match size {
+            1 => columns.part::<1>(from),
+            2 => columns.part::<2>(from),
+            3 => columns.part::<3>(from),
+            4 => columns.part::<4>(from),
+            5 => columns.part::<5>(from),
+            _ => columns.part::<WIDEST>(from),
+        }
+        from += size;
+    }
+}
+
+/// y ← y + Σ_k a_k x_k, or y ← y - Σ_k a_k x_k, over rows x_k as wide as y.
+pub(crate) struct Sum<'a, T, const MINUS: bool> {
+    pub(crate) y: &'a mut [T],
+    /// The first a, and how far it is from each to the next.
+    pub(crate) a: (&'a [T], usize),
+    /// One row after the other.
+    pub(crate) x: &'a [T],
+    /// Of how many.
+    pub(crate) count: usize,
+}
+
+impl<T: Real, const MINUS: bool> ColumnWork for Sum<'_, T, MINUS> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.y.len()
+    }
+
+    #[inline(always)]
+    fn part<const N: usize>(&mut self, from: usize) {
+        let (width, (a, step)) = (self.y.len(), self.a);
+        let y = some_mut::<T, N>(self.y, from);
+        let mut sum = *y;
+        for k in 0..self.count {
+            let (a, x) = (a[k * step], some::<T, N>(self.x, k * width + from));
+            for c in 0..N {
+                sum[c] = if MINUS { a.fnma(x[c], sum[c]) } else { a.fma(x[c], sum[c]) };
+            }
+        }
+        *y = sum;
+    }
+}
+
+/// y_c ← x'(row c).
+pub(crate) struct Dots<'a, T> {
+    pub(crate) y: &'a mut [T],
+    pub(crate) x: &'a [T],
+    pub(crate) rows: &'a Rows<T>,
+}
+
+impl<T: Real> ColumnWork for Dots<'_, T> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.y.len()
+    }
+
+    #[inline(always)]
+    fn part<const N: usize>(&mut self, from: usize) {
+        let (width, mut sum) = (self.x.len(), [T::splat(0.0); N]);
+        let rows = &self.rows.as_slice()[from * width..][..N * width];
+        for (k, &a) in self.x.iter().enumerate() {
+            for c in 0..N {
+                sum[c] = a.fma(rows[c * width + k], sum[c]);
+            }
+        }
+        *some_mut::<T, N>(self.y, from) = sum;
+    }
+}
+
+/// The reflection that takes `column` of the rows into row `upper` of a triangle, done to the other columns.
+pub(crate) struct Reflection<'a, T> {
+    pub(crate) upper: &'a mut [T],
+    pub(crate) rows: &'a mut Rows<T>,
+    pub(crate) column: usize,
+    /// What its vector begins with; it goes on with the column.
+    pub(crate) first: T,
+    /// 2 / its square.
+    pub(crate) scale: T,
+}
+
+impl<T: Real> ColumnWork for Reflection<'_, T> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.upper.len()
+    }
+
+    #[inline(always)]
+    fn part<const N: usize>(&mut self, from: usize) {
+        let upper = some_mut::<T, N>(self.upper, from);
+        let mut along = [self.first; N];
+        for c in 0..N {
+            along[c] = along[c] * upper[c];
+        }
+        for i in 0..self.rows.nrows() {
+            let row = self.rows.row(i);
+            let (a, x) = (row[self.column], some::<T, N>(row, from));
+            for c in 0..N {
+                along[c] = a.fma(x[c], along[c]);
+            }
+        }
+        for c in 0..N {
+            along[c] = along[c] * self.scale;
+            upper[c] = self.first * along[c] - upper[c];
+        }
+        for i in 0..self.rows.nrows() {
+            let row = self.rows.row_mut(i);
+            let a = row[self.column];
+            let x = some_mut::<T, N>(row, from);
+            for c in 0..N {
+                x[c] = a.fnma(along[c], x[c]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn some<T, const N: usize>(row: &[T], from: usize) -> &[T; N] {
+    row[from..from + N].first_chunk().expect("it is that long")
+}
+
+#[inline(always)]
+fn some_mut<T, const N: usize>(row: &mut [T], from: usize) -> &mut [T; N] {
+    row[from..from + N].first_chunk_mut().expect("it is that long")
+}

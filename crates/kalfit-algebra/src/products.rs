@@ -1,0 +1,173 @@
+//! Products, triangular solutions and triangular factors of matrices by rows, each a function of its own for every kind of number.
+
+use kalfit_lanes::{Part, Real};
+
+use crate::parts::{Dots, Reflection, Sum, in_parts};
+use crate::rows::Rows;
+
+impl<T: Real> Rows<T> {
+    /// AB.
+    #[inline(always)]
+    pub fn times(&self, other: &Rows<T>) -> Rows<T> {
+        self.combined(other, (self.rows, self.columns, 1))
+    }
+
+    /// A'B.
+    #[inline(always)]
+    pub fn transpose_times(&self, other: &Rows<T>) -> Rows<T> {
+        self.combined(other, (self.columns, 1, self.columns))
+    }
+
+    /// Σ_k a_ik × row k of the other for so many i; how far it is from an a to that of the next i and of the next k.
+    #[inline(always)]
+    fn combined(&self, other: &Rows<T>, (rows, down, along): (usize, usize, usize)) -> Rows<T> {
+        let mut product = Rows::zeros(rows, other.columns);
+        if other.rows > 0 {
+            T::apart(Combine { a: &self.data, down, along, other, product: &mut product });
+        }
+        product
+    }
+
+    /// AB'.
+    #[inline(always)]
+    pub fn times_transpose(&self, other: &Rows<T>) -> Rows<T> {
+        let mut product = Rows::zeros(self.rows, other.rows);
+        T::apart(TimesTranspose { a: self, b: other, product: &mut product });
+        product
+    }
+
+    /// U⁻ᵀB, U upper triangular.
+    #[inline(always)]
+    pub fn solved_below(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
+        T::apart(SolveBelow { upper, b: &mut b });
+        b
+    }
+}
+
+/// Σ_k a_ik × row k of the other for each row i of the product; how far it is from an a to that of the next i and of the next k.
+struct Combine<'a, T> {
+    a: &'a [T],
+    down: usize,
+    along: usize,
+    other: &'a Rows<T>,
+    product: &'a mut Rows<T>,
+}
+
+impl<T: Real> Part for Combine<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for i in 0..self.product.nrows() {
+            let (a, x) = ((&self.a[i * self.down..], self.along), self.other.as_slice());
+            in_parts(0, &mut Sum::<T, false> { y: self.product.row_mut(i), a, x, count: self.other.nrows() });
+        }
+    }
+}
+
+struct TimesTranspose<'a, T> {
+    a: &'a Rows<T>,
+    b: &'a Rows<T>,
+    product: &'a mut Rows<T>,
+}
+
+impl<T: Real> Part for TimesTranspose<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for i in 0..self.a.nrows() {
+            in_parts(0, &mut Dots { y: self.product.row_mut(i), x: self.a.row(i), rows: self.b });
+        }
+    }
+}
+
+struct SolveBelow<'a, T> {
+    upper: &'a Rows<T>,
+    b: &'a mut Rows<T>,
+}
+
+impl<T: Real> Part for SolveBelow<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let SolveBelow { upper, b } = self;
+        for i in 0..b.nrows() {
+            let (done, row) = b.rows_above_and(i);
+            let a = (&upper.as_slice()[i..], upper.ncols());
+            in_parts(0, &mut Sum::<T, true> { y: row, a, x: done, count: i });
+            let inverse = T::splat(1.0) / upper[(i, i)];
+            for x in row.iter_mut() {
+                *x = *x * inverse;
+            }
+        }
+    }
+}
+
+pub(super) struct IdentityPlus<'a, T> {
+    pub(super) rows: &'a Rows<T>,
+    pub(super) upper: &'a mut Rows<T>,
+}
+
+impl<T: Real> Part for IdentityPlus<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let IdentityPlus { rows, upper } = self;
+        let w = rows.ncols();
+        for i in 0..w {
+            let (done, own) = upper.rows_above_and(i);
+            if rows.nrows() > 0 {
+                let (a, x) = ((&rows.as_slice()[i..], w), rows.as_slice());
+                in_parts(i, &mut Sum::<T, false> { y: own, a, x, count: rows.nrows() });
+            }
+            if i > 0 {
+                in_parts(i, &mut Sum::<T, true> { y: own, a: (&done[i..], w), x: done, count: i });
+            }
+            let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make it less than one
+            let inverse = T::splat(1.0) / pivot;
+            own[i] = pivot;
+            for x in &mut own[i + 1..] {
+                *x = *x * inverse;
+            }
+        }
+    }
+}
+
+pub(super) struct Absorb<'a, T> {
+    pub(super) upper: &'a mut Rows<T>,
+    pub(super) rows: &'a mut Rows<T>,
+    pub(super) width: usize,
+}
+
+impl<T: Real> Part for Absorb<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for k in 0..self.width {
+            reflect(self.upper, self.rows, k);
+        }
+    }
+}
+
+/// One reflection, which takes column k of the rows into row k of the triangle.
+#[inline(always)]
+fn reflect<T: Real>(upper: &mut Rows<T>, rows: &mut Rows<T>, k: usize) {
+    let head = upper[(k, k)];
+    let mut square = head * head;
+    for i in 0..rows.nrows() {
+        square = rows[(i, k)].fma(rows[(i, k)], square);
+    }
+    let length = square.root();
+    // head ≥ 0: the reflection to -length cancels nothing; the row's sign is turned afterwards
+    let first = head + length;
+    let scale = (length * first).recip_or_zero();
+    in_parts(k + 1, &mut Reflection { upper: upper.row_mut(k), rows, column: k, first, scale });
+    for i in 0..rows.nrows() {
+        rows[(i, k)] = T::splat(0.0);
+    }
+    upper[(k, k)] = length;
+}

@@ -1,0 +1,193 @@
+//! Small dense matrices by rows, for kernels that work on square roots. One source for every kind of [`Real`].
+
+use std::ops::{Index, IndexMut};
+
+use nalgebra::DMatrix;
+
+use kalfit_lanes::Real;
+
+/// A matrix by rows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rows<T = f64> {
+    pub(super) rows: usize,
+    pub(super) columns: usize,
+    pub(super) data: Vec<T>,
+}
+
+impl<T> Index<(usize, usize)> for Rows<T> {
+    type Output = T;
+    #[inline(always)]
+    fn index(&self, (i, k): (usize, usize)) -> &T {
+        &self.data[i * self.columns + k]
+    }
+}
+
+impl<T> IndexMut<(usize, usize)> for Rows<T> {
+    #[inline(always)]
+    fn index_mut(&mut self, (i, k): (usize, usize)) -> &mut T {
+        &mut self.data[i * self.columns + k]
+    }
+}
+
+impl From<&DMatrix<f64>> for Rows {
+    fn from(matrix: &DMatrix<f64>) -> Rows {
+        Rows { rows: matrix.nrows(), columns: matrix.ncols(), data: matrix.transpose().as_slice().to_vec() }
+    }
+}
+
+impl<T: Real> Rows<T> {
+    #[inline(always)]
+    pub fn zeros(rows: usize, columns: usize) -> Rows<T> {
+        Rows { rows, columns, data: vec![T::splat(0.0); rows * columns] }
+    }
+
+    #[inline(always)]
+    pub fn from_fn(rows: usize, columns: usize, entry: impl Fn(usize, usize) -> T) -> Rows<T> {
+        let mut all = Rows::zeros(rows, columns);
+        if columns > 0 {
+            for (i, row) in all.data.chunks_exact_mut(columns).enumerate() {
+                for (k, x) in row.iter_mut().enumerate() {
+                    *x = entry(i, k);
+                }
+            }
+        }
+        all
+    }
+
+    #[inline(always)]
+    pub fn identity(size: usize) -> Rows<T> {
+        let mut identity = Rows::zeros(size, size);
+        for i in 0..size {
+            identity[(i, i)] = T::splat(1.0);
+        }
+        identity
+    }
+
+    #[inline(always)]
+    pub fn nrows(&self) -> usize {
+        self.rows
+    }
+
+    #[inline(always)]
+    pub fn ncols(&self) -> usize {
+        self.columns
+    }
+
+    #[inline(always)]
+    pub fn as_slice(&self) -> &[T] {
+        &self.data
+    }
+
+    /// A matrix of these numbers, by rows.
+    #[inline(always)]
+    pub(crate) fn from_vec(rows: usize, columns: usize, data: Vec<T>) -> Rows<T> {
+        debug_assert_eq!(data.len(), rows * columns, "numbers of a matrix");
+        Rows { rows, columns, data }
+    }
+
+    #[inline(always)]
+    pub fn row(&self, i: usize) -> &[T] {
+        &self.data[i * self.columns..][..self.columns]
+    }
+
+    #[inline(always)]
+    pub fn row_mut(&mut self, i: usize) -> &mut [T] {
+        &mut self.data[i * self.columns..][..self.columns]
+    }
+
+    /// The rows above one, and this one.
+    #[inline(always)]
+    pub(crate) fn rows_above_and(&mut self, i: usize) -> (&[T], &mut [T]) {
+        let (above, rest) = self.data.split_at_mut(i * self.columns);
+        (above, &mut rest[..self.columns])
+    }
+
+    /// Puts rows below.
+    #[inline(always)]
+    pub fn append(&mut self, below: &Rows<T>) {
+        debug_assert_eq!(self.columns, below.columns, "one width");
+        self.rows += below.rows;
+        self.data.extend_from_slice(&below.data);
+    }
+
+    /// The first columns of it.
+    #[inline(always)]
+    pub fn first_columns(&self, columns: usize) -> Rows<T> {
+        self.some_columns(0, columns)
+    }
+
+    /// The last columns of it.
+    #[inline(always)]
+    pub fn last_columns(&self, columns: usize) -> Rows<T> {
+        self.some_columns(self.columns - columns, columns)
+    }
+
+    #[inline(always)]
+    fn some_columns(&self, from: usize, columns: usize) -> Rows<T> {
+        let mut some = Rows::zeros(self.rows, columns);
+        for i in 0..self.rows {
+            some.row_mut(i).copy_from_slice(&self.row(i)[from..from + columns]);
+        }
+        some
+    }
+
+    /// The first rows of it.
+    #[inline(always)]
+    pub(crate) fn first_rows(&self, rows: usize) -> Rows<T> {
+        Rows { rows, columns: self.columns, data: self.data[..rows * self.columns].to_vec() }
+    }
+
+    /// [A B].
+    #[inline(always)]
+    pub fn beside(&self, other: &Rows<T>) -> Rows<T> {
+        let own = self.columns;
+        let mut both = Rows::zeros(self.rows, own + other.columns);
+        for i in 0..self.rows {
+            let (left, right) = both.row_mut(i).split_at_mut(own);
+            left.copy_from_slice(self.row(i));
+            right.copy_from_slice(other.row(i));
+        }
+        both
+    }
+
+    /// A'.
+    #[inline(always)]
+    pub fn transposed(&self) -> Rows<T> {
+        let mut turned = Rows::zeros(self.columns, self.rows);
+        for i in 0..self.rows {
+            for (k, &x) in self.row(i).iter().enumerate() {
+                turned[(k, i)] = x;
+            }
+        }
+        turned
+    }
+
+    /// A - B.
+    #[inline(always)]
+    pub fn less(mut self, other: &Rows<T>) -> Rows<T> {
+        for (a, &b) in self.data.iter_mut().zip(&other.data) {
+            *a = *a - b;
+        }
+        self
+    }
+
+    /// A + B.
+    #[inline(always)]
+    pub fn plus(mut self, other: &Rows<T>) -> Rows<T> {
+        for (a, &b) in self.data.iter_mut().zip(&other.data) {
+            *a = *a + b;
+        }
+        self
+    }
+
+    /// No entry is larger than this, or not a number.
+    #[inline(always)]
+    pub(crate) fn is_within(&self, bound: f64) -> bool {
+        let bound = T::splat(bound);
+        let mut within = true;
+        for x in &self.data {
+            within &= x.magnitude().at_most(bound);
+        }
+        within
+    }
+}

@@ -1,0 +1,81 @@
+//! Allan's variance of any linear model: the sums over two spans are carried as states.
+#![expect(non_snake_case, reason = "the letters of the equations")]
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::export::Exported;
+use kalfit_model::Expression;
+
+/// What a span of rows does to [x; s], s the sum of what was measured: [x; s] becomes M [x; s] + d + e, e ~ N(0, W).
+#[derive(Debug, Clone)]
+struct SpanMap {
+    M: DMatrix<f64>,
+    d: DVector<f64>,
+    W: DMatrix<f64>,
+}
+
+impl SpanMap {
+    /// Of one row: it is measured, then a step is done.
+    fn row(filter: &Exported, measurement: usize) -> SpanMap {
+        let n = filter.F.nrows();
+        // of the inputs all columns are zero, and the constant is what it is
+        let constant = |u: &Expression| if *u == Expression::Number(1.0) { 1.0 } else { 0.0 };
+        let u = DVector::from_iterator(filter.inputs.len(), filter.inputs.iter().map(constant));
+        let (mut M, mut W, mut d) =
+            (DMatrix::identity(n + 1, n + 1), DMatrix::zeros(n + 1, n + 1), DVector::zeros(n + 1));
+        M.view_mut((0, 0), (n, n)).copy_from(&filter.F);
+        M.view_mut((n, 0), (1, n)).copy_from(&filter.H.row(measurement));
+        W.view_mut((0, 0), (n, n)).copy_from(&filter.Q);
+        W[(n, n)] = filter.R[(measurement, measurement)];
+        d.rows_mut(0, n).copy_from(&(&filter.B * &u));
+        d[n] = (filter.D.row(measurement) * &u)[0];
+        SpanMap { M, d, W }
+    }
+
+    /// This span, and then another.
+    fn then(&self, next: &SpanMap) -> SpanMap {
+        SpanMap {
+            M: &next.M * &self.M,
+            d: &next.M * &self.d + &next.d,
+            W: &next.M * &self.W * next.M.transpose() + &next.W,
+        }
+    }
+
+    /// m of it, one after the other, by doubling.
+    fn times(self, m: usize) -> SpanMap {
+        let (mut whole, mut doubled, mut left) = (None, self, m);
+        while left > 0 {
+            if left & 1 == 1 {
+                whole = Some(whole.map_or_else(|| doubled.clone(), |own: SpanMap| own.then(&doubled)));
+            }
+            left >>= 1;
+            if left > 0 {
+                doubled = doubled.then(&doubled);
+            }
+        }
+        whole.unwrap_or(doubled)
+    }
+}
+
+/// Allan's variance of a measurement (its place in the filter) over spans of m rows, the first two of a new test whose inputs are zero;
+/// `None` of a filter without a start, and where it has no finite value.
+///
+/// With x_0 at the start of the first span, x_1 = A x_0 + a + w at that of the second, and sums s_i = g x_{i-1} + b + e_i the
+/// difference is s_2 - s_1 = g(A - I) x_0 + g a + g w - e_1 + e_2.
+pub fn variance(filter: &Exported, measurement: usize, m: usize) -> Option<f64> {
+    let (mean, P) = filter.start.as_ref()?;
+    if m == 0 || measurement >= filter.H.nrows() {
+        return None;
+    }
+    let n = mean.len();
+    let SpanMap { M, d, W } = SpanMap::row(filter, measurement).times(m);
+    let g = M.view((n, 0), (1, n)).into_owned();
+    let c = &g * (M.view((0, 0), (n, n)) - DMatrix::<f64>::identity(n, n));
+    let mut along = DMatrix::zeros(1, n + 1);
+    along.view_mut((0, 0), (1, n)).copy_from(&g);
+    along[(0, n)] = -1.0;
+    let centre = (&c * mean)[0] + (&g * d.rows(0, n))[0];
+    let spread = (&c * P * c.transpose())[0] + (&along * &W * along.transpose())[0] + W[(n, n)];
+    let variance = 0.5 * (spread.max(0.0) + centre * centre) / (m as f64).powi(2);
+    variance.is_finite().then_some(variance)
+}

@@ -1,0 +1,81 @@
+//! States given what was measured before a step, or up to it: the filter with the law of σ, as the innovations have it.
+#![expect(non_snake_case, reason = "the letters of the theory: Psi, P")]
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::apply::predicted::EvaluatedPhase;
+use crate::apply::states::{PhaseStates, StateKind, StepMoments};
+use crate::apply::{Applied, ApplyError};
+use kalfit_filter::innovations::{ChainedFilter, EnteringLaw};
+use kalfit_filter::reduce::{Gains, PhasedWork, ReduceError, Workspace, own_innovations};
+use kalfit_filter::score::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Moments};
+use kalfit_model::PhasedTest;
+
+impl Applied<'_> {
+    pub(super) fn forward(&self, kind: StateKind, tests: Range<usize>) -> Result<Vec<Vec<PhaseStates>>, ApplyError> {
+        let alone = self.population.together(self.model.dimension());
+        let filter = ChainedFilter::new(self.model, self.alpha, &alone)?;
+        let states: Vec<Result<Vec<PhaseStates>, ReduceError>> = self.tests[tests]
+            .par_iter()
+            .map_init(|| filter.reducer().workspace(), |work, test| of_test(&filter, kind, test, work))
+            .collect();
+        Ok(states.into_iter().collect::<Result<_, _>>()?)
+    }
+}
+
+fn of_test(
+    filter: &ChainedFilter,
+    kind: StateKind,
+    test: &PhasedTest,
+    work: &mut PhasedWork,
+) -> Result<Vec<PhaseStates>, ReduceError> {
+    let mut states = Vec::with_capacity(test.phases.len());
+    let mut backward = BackwardWork::default();
+    filter.through(test, work, &mut |(at, rows), gains, work, law| {
+        let known = filtered(kind, gains, (work, &mut backward), law);
+        let record = EvaluatedPhase::new(&filter.reducer().phases()[at], rows);
+        states.push(record.map(|record| record.states(at, known.into_iter(), kind == StateKind::Predicted)));
+    })?;
+    states.into_iter().collect()
+}
+
+/// x̂ + Ψσ̂ with P + ΨVΨ' before or after the measurements of each step, as they are taken into the law of σ.
+fn filtered(
+    kind: StateKind,
+    gains: &Gains,
+    (work, backward): (&mut Workspace, &mut BackwardWork),
+    law: &mut EnteringLaw,
+) -> Vec<StepMoments> {
+    own_innovations(gains, work);
+    let q = work.design.frame.p;
+    // at σ = 0, with a column for each element of σ
+    let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
+    let run = BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
+    let mut states = Vec::with_capacity(work.design.steps());
+    run.filtered_states(backward, &work.pass.e, |step, measured, seen| {
+        if measured {
+            for row in step.rows.clone() {
+                let (weight, _, sensitivity) = gains.row(row);
+                if weight > 0.0 {
+                    law.take(work.pass.e[row], sensitivity, weight);
+                }
+            }
+        }
+        if measured == (kind == StateKind::Filtered) {
+            states.push(known(seen, &law.posterior()));
+        }
+    });
+    states
+}
+
+fn known(seen: FilterSnapshot<'_>, (mean, root): &(DVector<f64>, DMatrix<f64>)) -> StepMoments {
+    let Psi = seen.sensitivity();
+    let spread = &Psi * root;
+    let mut covariance = &spread * spread.transpose();
+    seen.add_noise(&mut covariance);
+    let mean = DVector::from_column_slice(seen.x) + Psi * mean;
+    StepMoments { mean: mean.as_slice().to_vec(), covariance }
+}

@@ -1,0 +1,240 @@
+//! The laws of distances and residuals where what they are compared with was estimated.
+
+use rayon::prelude::*;
+
+use crate::apply::doubt::{Doubt, Trust, ValueEffect};
+use crate::apply::law::{DistanceSum, Law};
+use crate::apply::tree::{TestTree, Weights};
+use crate::apply::{Applied, ApplyError, Said};
+use kalfit_filter::reduce::{PhasedReducer, Reductions};
+use kalfit_infer::{Distance, Estimand, Knowledge};
+use kalfit_model::Evidence;
+use kalfit_model::{Alpha, Slots};
+
+/// Laws of what tests say, in the order of what they are of. `None`: without degrees of freedom, where it hangs on what the data of the fit do
+/// not determine, and where the fit's tests are too few to tell.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Laws {
+    /// Of the sum of the distances of all tests from the population, or of all groups of the outermost level.
+    pub distance: Option<Law>,
+    /// Of tests in groups, of the sum of what they are from each other.
+    pub within: Option<Law>,
+    /// Of the sum of all residuals.
+    pub residual: Option<Law>,
+    /// Of the distance of each test by itself.
+    pub tests: Vec<Option<Law>>,
+    /// Of that of each group, the innermost level first.
+    pub groups: Vec<Vec<Option<Law>>>,
+    /// Of each test's residual.
+    pub residuals: Vec<Option<Law>>,
+}
+
+impl Laws {
+    /// χ² for all: of parameters that are known, and of tests that the parameters were estimated from.
+    pub fn known(said: &Said) -> Laws {
+        let of = |degrees: usize| (degrees > 0).then(|| Law::chi_squared(degrees as f64));
+        let of_distance = |distance: &Distance| of(distance.degrees_of_freedom);
+        let [distance, within, residual] = said.degrees();
+        Laws {
+            distance: of(distance.1),
+            within: of(within.1),
+            residual: of(residual.1),
+            tests: said.posteriors.iter().map(|test| of_distance(&test.distance)).collect(),
+            groups: said
+                .groups
+                .iter()
+                .map(|level| level.iter().map(|group| of_distance(&group.distance)).collect())
+                .collect(),
+            residuals: said.residuals.iter().map(|own| own.and_then(|(_, degrees)| of(degrees))).collect(),
+        }
+    }
+}
+
+/// Tests that one thread takes at a time.
+const CHUNK: usize = 256;
+
+impl Applied<'_> {
+    /// The laws of what tests say that the parameters were not estimated from.
+    ///
+    /// # Errors
+    /// As [`Applied::new`], where the tests are reduced once more for derivatives.
+    pub fn laws(&self, said: &Said, trust: &Trust<'_>) -> Result<Laws, ApplyError> {
+        let knowledge = match trust {
+            Trust::Estimates(knowledge) => *knowledge,
+            Trust::Tests(_) => &Knowledge::exact(),
+        };
+        let doubt = Doubt::new(self.model, knowledge, &|state| self.varies(state));
+        let tree = self.tree(&self.reductions, &doubt);
+        let moved = self.moved(&tree, &doubt)?;
+        let judge = Judge { said, trust, doubt, tree, moved };
+        Ok(judge.laws())
+    }
+
+    /// Whether a state differs from test to test.
+    fn varies(&self, state: usize) -> bool {
+        let (p, sigma) = (self.model.dimension(), &self.population.covariance);
+        (state..sigma.nrows()).step_by(p).any(|i| sigma[(i, i)] > 0.0)
+    }
+
+    fn tree(&self, reductions: &Reductions, doubt: &Doubt<'_>) -> TestTree {
+        let own = (reductions, self.model.dimension());
+        TestTree::new(own, self.population, self.grouping.as_deref(), &|reduction| doubt.effect(reduction))
+    }
+
+    /// How each parameter that was estimated moves what is expected, by the model at both sides of it. Nothing does where tests are no rows
+    /// that are filtered here.
+    fn moved(&self, tree: &TestTree, doubt: &Doubt<'_>) -> Result<Vec<ValueEffect>, ApplyError> {
+        let is_reduced = self.tests.iter().any(|test| test.phases.iter().any(|own| !matches!(own, Evidence::Rows(_))));
+        if is_reduced {
+            return Ok(Vec::new());
+        }
+        let of = |(place, known, error): (Option<usize>, &Estimand, Option<f64>)| {
+            let Some((sides, width)) = known.sides(self.model, self.alpha, error) else { return Ok(None) };
+            let sides = sides.map(|alpha| self.reduced(&alpha));
+            let [low, high] = sides;
+            let (low, high) = (low?, high?);
+            let trees = [&low, &high].map(|own| self.tree(own, doubt));
+            let trees = [&trees[0], &trees[1]];
+            let per = |x: f64| if (x / width).is_finite() { x / width } else { 0.0 };
+            let level = |level: usize| tree.differences(level, trees).into_iter().map(per).collect::<Vec<f64>>();
+            let residual = |at: usize| {
+                let log_det = |own: &Reductions| -2.0 * own.get(at).constant - own.get(at).residual.unwrap_or(f64::NAN);
+                let [j, k] = trees.map(|tree| &tree.nodes[0][at].information);
+                per(log_det(&high) - log_det(&low) + tree.own_difference(0, at, j, k))
+            };
+            let (residuals, groups) = ((0..self.tests.len()).map(residual).collect(), 1..=tree.depth());
+            let (tests, groups) = (level(0), groups.map(level).collect());
+            Ok(Some(ValueEffect { place, all: per(tree.difference(trees)), tests, groups, residuals }))
+        };
+        let all: Result<Vec<Option<ValueEffect>>, ApplyError> = doubt.parameters().map(of).collect();
+        Ok(all?.into_iter().flatten().collect())
+    }
+
+    fn reduced(&self, alpha: &Alpha) -> Result<Reductions, ApplyError> {
+        let slots = Slots::none(self.model.shared());
+        Ok(PhasedReducer::scoring(self.model, alpha, &slots)?.reduce(self.tests)?)
+    }
+}
+
+/// All that laws are made of.
+struct Judge<'a> {
+    said: &'a Said,
+    trust: &'a Trust<'a>,
+    doubt: Doubt<'a>,
+    tree: TestTree,
+    moved: Vec<ValueEffect>,
+}
+
+impl Judge<'_> {
+    fn laws(&self) -> Laws {
+        let (tests, of_tests) = self.tests();
+        let of_groups: Vec<Vec<Weights>> = (1..=self.tree.depth()).map(|level| self.tree.groups(level)).collect();
+        let groups: Vec<Vec<Option<Law>>> =
+            of_groups.iter().enumerate().map(|(level, all)| self.groups(level, all)).collect();
+        let [distance, within, residual] = self.said.degrees();
+        let outermost = of_groups.last().map(|all| Weights::sum(all.iter()));
+        let by_groups = |moved: &ValueEffect| -> f64 {
+            moved.groups.last().map_or_else(|| moved.tests.iter().sum(), |groups| groups.iter().sum())
+        };
+        let top = outermost.as_ref().unwrap_or(&of_tests);
+        let within = outermost.as_ref().and_then(|groups| {
+            let posteriors: Vec<Vec<_>> =
+                self.said.groups.iter().map(|level| level.iter().map(|group| &group.covariance).collect()).collect();
+            let mut all = self.tree.all(&posteriors);
+            all.of_means.clone_from(&groups.of_means);
+            all.add(groups, -1.0);
+            self.law(&all, within, 0, &|moved| moved.all - by_groups(moved))
+        });
+        Laws {
+            distance: self.law(top, distance, self.tree.depth(), &by_groups),
+            within,
+            residual: self.residual(residual.1, &|moved| moved.residuals.iter().sum()),
+            tests,
+            groups,
+            residuals: (0..self.said.residuals.len())
+                .map(|test| {
+                    self.said.residuals[test].and_then(|own| self.residual(own.1, &|moved| moved.residuals[test]))
+                })
+                .collect(),
+        }
+    }
+
+    /// The laws of the distances of tests, and what their sum hangs on.
+    fn tests(&self) -> (Vec<Option<Law>>, Weights) {
+        let beyond = self.tree.beyond(0);
+        let numbers: Vec<usize> = (0..self.said.posteriors.len()).collect();
+        let chunk = |numbers: &[usize]| {
+            let all: Vec<Weights> = numbers.iter().map(|&test| self.tree.test(test, &beyond)).collect();
+            let law = |(&test, weights): (&usize, &Weights)| {
+                let degrees = self.said.posteriors.get(test).distance.degrees_of_freedom;
+                self.law(weights, (1, degrees), self.tree.depth(), &|moved| moved.tests[test])
+            };
+            let laws: Vec<Option<Law>> = numbers.iter().zip(&all).map(law).collect();
+            (laws, Weights::sum(all.iter()))
+        };
+        let parts: Vec<(Vec<Option<Law>>, Weights)> = numbers.par_chunks(CHUNK).map(chunk).collect();
+        let sum = Weights::sum(parts.iter().map(|(_, sum)| sum));
+        (parts.into_iter().flat_map(|(laws, _)| laws).collect(), sum)
+    }
+
+    fn groups(&self, level: usize, all: &[Weights]) -> Vec<Option<Law>> {
+        let law = |(group, weights): (usize, &Weights)| {
+            let degrees = self.said.groups[level][group].distance.degrees_of_freedom;
+            self.law(weights, (1, degrees), self.tree.depth(), &|moved| moved.groups[level][group])
+        };
+        all.iter().enumerate().map(law).collect()
+    }
+
+    /// Of a sum over some tests or groups, of so many degrees of freedom. `level`: of the Σ that they mostly differ by.
+    fn law(
+        &self,
+        weights: &Weights,
+        (count, degrees): (usize, usize),
+        level: usize,
+        moved: &dyn Fn(&ValueEffect) -> f64,
+    ) -> Option<Law> {
+        if count == 0 || degrees == 0 {
+            return None;
+        }
+        let (count, degrees) = (count as f64, degrees as f64);
+        if let Trust::Tests(tests) = *self.trust {
+            let is_within = level < self.tree.depth();
+            return if is_within {
+                Some(Law::chi_squared(degrees))
+            } else {
+                DistanceSum::of_tests(count, degrees, tests as f64).law()
+            };
+        }
+        let own: Vec<(&ValueEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
+        if self.doubt.is_open(weights, &own, degrees) {
+            return None;
+        }
+        let variance = self.doubt.variance(weights, &own) / (degrees * degrees);
+        let most = (degrees / count).max(1.0);
+        let (dimension, tied) = self.doubt.dimension(&weights.of_level[level], level);
+        let (dimension, tied) = (dimension.min(most), tied.min(most));
+        let of_mean = self.doubt.of_means(&weights.of_means);
+        let is_of_means = of_mean > 0.0;
+        let means = if is_of_means { self.doubt.means(&weights.of_means, of_mean) as f64 } else { 0.0 };
+        let knowledge = self.doubt.knowledge;
+        let (is_biased, tests) = (!knowledge.is_restricted && is_of_means, knowledge.tests);
+        DistanceSum { count, degrees, dimension, tied, variance, of_mean, means, is_biased, tests }.law()
+    }
+
+    /// Of residuals: variances by themselves, which errors of the parameters alone move.
+    fn residual(&self, degrees: usize, moved: &dyn Fn(&ValueEffect) -> f64) -> Option<Law> {
+        let degrees = degrees as f64;
+        if degrees == 0.0 {
+            return None;
+        }
+        let own: Vec<(&ValueEffect, f64)> = self.moved.iter().map(|one| (one, moved(one))).collect();
+        if self.doubt.is_moved_openly(&own, degrees) {
+            return None;
+        }
+        let variance = self.doubt.variance_by_parameters(&own) / (degrees * degrees);
+        Some(match variance > f64::EPSILON {
+            true => Law { denominator: 2.0 / variance, ..Law::chi_squared(degrees) },
+            false => Law::chi_squared(degrees),
+        })
+    }
+}

@@ -1,0 +1,144 @@
+//! A model whose parameters are all known, applied to tests: what each test says, whether the tests are of the population, and the states
+//! along their records (theory §12). Nothing is estimated.
+//!
+//! ```text
+//! (α, μ, Σ) + tests ──> Applied ──> posteriors, distances, log densities, innovations ──> Verdict, by Laws
+//!                               └─> states: predicted, filtered or smoothed, and what they say of each measurement
+//! ```
+
+mod doubt;
+mod error;
+mod forward;
+mod law;
+#[cfg(test)]
+mod law_tests;
+mod laws;
+mod predicted;
+mod smoothed;
+mod states;
+#[cfg(test)]
+mod tests;
+mod tree;
+mod verdict;
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+pub use doubt::Trust;
+pub use error::ApplyError;
+pub use law::Law;
+pub use laws::Laws;
+pub(crate) use predicted::{EvaluatedPhase, StateForm, ValueSubject};
+pub use states::{PhaseStates, Prediction, StateKind, StepStates};
+pub use verdict::{Joint, Verdict};
+
+use kalfit_estimate::{Combination, Criterion, PhaseStructure, Point, Problem, Settings, Structure, evidence};
+use kalfit_filter::innovations::{Innovations, innovations};
+use kalfit_filter::reduce::{PhasedReducer, Reductions, grouping};
+use kalfit_infer::{GroupPosterior, Posterior, Posteriors, posteriors_at};
+use kalfit_model::Grouping;
+use kalfit_model::PhasedTest;
+use kalfit_model::{Alpha, CovarianceStructure, MeanStructure, PhasedModel, Population, Slots};
+
+/// Tests under a model at (α, μ, Σ).
+#[derive(Debug)]
+pub struct Applied<'a> {
+    model: &'a PhasedModel,
+    alpha: &'a Alpha,
+    population: &'a Population,
+    tests: &'a [PhasedTest],
+    grouping: Option<Arc<Grouping>>,
+    slots: Slots,
+    reducer: PhasedReducer,
+    /// As the problem takes them.
+    reductions: Reductions,
+    problem: Problem,
+    point: Point,
+}
+
+/// What tests say, in their order.
+#[derive(Debug)]
+pub struct Said {
+    /// Their likelihoods, posteriors and distances.
+    pub posteriors: Posteriors,
+    /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups.
+    pub groups: Vec<Vec<GroupPosterior>>,
+    /// `None` of tests whose measurements are not known.
+    pub innovations: Vec<Option<Innovations>>,
+    /// What the measured values of a test are off the model whatever its initial state is: the sum of squares of its innovations less its
+    /// distance from the population, and the degrees of freedom of χ². The two are independent, also where tests stand in groups. `None`
+    /// where a phase is not known by its rows, and where a test is so far out that nothing is left of the difference but rounding.
+    pub residuals: Vec<Option<(f64, usize)>>,
+}
+
+/// Largest rounding of a residual that is told, in parts of one and the residual.
+const ROUNDING: f64 = 1e-3;
+
+impl<'a> Applied<'a> {
+    /// Runs the filters over the tests. `population` is of the shape of the model; of a model with levels it holds each level.
+    ///
+    /// # Errors
+    /// No tests; a population of another shape; a test that the model does not allow.
+    pub fn new(
+        model: &'a PhasedModel,
+        alpha: &'a Alpha,
+        population: &'a Population,
+        tests: &'a [PhasedTest],
+    ) -> Result<Applied<'a>, ApplyError> {
+        if tests.is_empty() {
+            return Err(ApplyError::NoTests);
+        }
+        population.check(model)?;
+        let slots = Slots::none(model.shared());
+        let reducer = PhasedReducer::scoring(model, alpha, &slots)?;
+        let reductions = reducer.reduce(tests)?;
+        let grouping = grouping(model, tests)?.map(Arc::new);
+        // values are taken as they are: no structure may change them
+        let covariances: Vec<CovarianceStructure> = model.blocks().map(|(own, _)| unconstrained(own)).collect();
+        let of = Structure::of(model, alpha, grouping.as_ref());
+        let phases = of.phases.iter().zip(&covariances).map(|(phase, covariance)| {
+            let free = MeanStructure::free(phase.mean.elements.len());
+            let mean = MeanStructure { regression: phase.mean.regression.clone(), ..free };
+            PhaseStructure { mean: Cow::Owned(mean), covariance }
+        });
+        let structure = Structure { phases: phases.collect(), ..of.clone() };
+        let reductions = evidence(&reductions, &structure, &Settings::default())?.into_owned();
+        let problem = Problem::new(&reductions, &structure, (Criterion::Ml, Combination::Chain))?;
+        let point = problem.point_of(population);
+        Ok(Applied { model, alpha, population, tests, grouping, slots, reducer, reductions, problem, point })
+    }
+
+    /// Number of measured values of each test.
+    pub fn observations(&self) -> Vec<usize> {
+        self.reductions.iter().map(|reduction| reduction.observations).collect()
+    }
+
+    /// Results of each test.
+    ///
+    /// # Errors
+    /// As [`innovations`].
+    pub fn said(&self) -> Result<Said, ApplyError> {
+        let (posteriors, groups) = posteriors_at(&self.problem, &self.point, &self.reductions);
+        let alone = self.population.together(self.model.dimension());
+        let innovations = innovations(self.model, self.alpha, &alone, self.tests)?;
+        let residual = |((test, own), posterior): ((&PhasedTest, &Option<Innovations>), Posterior<'_>)| {
+            let (summary, distance) = (&own.as_ref().filter(|_| self.is_all_rows(test))?.summary, &posterior.distance);
+            let degrees = summary.count.saturating_sub(distance.degrees_of_freedom);
+            let residual = (summary.nis - distance.squared).max(0.0);
+            let sound = summary.nis * f64::EPSILON * summary.count as f64 <= ROUNDING * (1.0 + residual);
+            sound.then_some((residual, degrees))
+        };
+        let residuals = self.tests.iter().zip(&innovations).zip(posteriors.iter()).map(residual).collect();
+        Ok(Said { posteriors, groups, innovations, residuals })
+    }
+
+    /// Every phase of the test is known by rows that are filtered here.
+    fn is_all_rows(&self, test: &PhasedTest) -> bool {
+        self.refuse_without_rows(test).is_ok()
+    }
+}
+
+/// Of any Σ, what tests bring of their own apart.
+fn unconstrained(own: &CovarianceStructure) -> CovarianceStructure {
+    CovarianceStructure { known: own.known.clone(), ..CovarianceStructure::full() }
+}

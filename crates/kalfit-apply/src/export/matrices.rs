@@ -1,0 +1,158 @@
+//! The matrices of a model with numbers for coefficients: those that the reducer filters with.
+#![expect(non_snake_case, reason = "the letters of the equations")]
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::export::ExportError;
+use crate::export::plain::PlainModel;
+use crate::export::terms::{ONE, Terms};
+use kalfit_filter::reduce::{Fault, Filled, Moves, Preparer, Subject, ldl};
+use kalfit_model::{Alpha, Expression, Scope};
+
+/// A model of constant coefficients, evaluated.
+#[derive(Debug)]
+pub(super) struct ConstantModel {
+    preparer: Preparer,
+    moves: Moves,
+    /// u.
+    pub(super) inputs: Vec<Expression>,
+}
+
+impl ConstantModel {
+    pub(super) fn new(plain: &PlainModel, step: Option<f64>) -> Result<ConstantModel, ExportError> {
+        let named = |fault: Box<Fault>| ExportError::from(fault.name(&plain.model, None));
+        let preparer = Preparer::new(&plain.model, &Alpha::default()).map_err(named)?;
+        let dynamics = &preparer.dynamics;
+        if let (Some(component), None) = (dynamics.components.first(), step) {
+            let what = Subject::Derivative(component.states[0]).words(&plain.model);
+            return Err(ExportError::NoStep { what });
+        }
+        let step = step.unwrap_or(f64::NAN);
+        let moves = preparer.plan.moves(dynamics, &dynamics.table.fixed, step, (&mut Filled::default(), None));
+        let moves = moves.map_err(named)?;
+        let mut inputs: Vec<Expression> = Vec::new();
+        for (_, term) in plain.drives.iter().chain(&plain.offsets).flatten() {
+            if !inputs.contains(term) {
+                inputs.push(term.clone());
+            }
+        }
+        inputs.sort_by_key(|term| *term == ONE); // the constant is the last
+        Ok(ConstantModel { preparer, moves, inputs })
+    }
+
+    /// F.
+    pub(super) fn phi(&self) -> DMatrix<f64> {
+        let states = &self.preparer.order.states;
+        self.moves.transition.phi_of(states.len(), |place| states[place])
+    }
+
+    /// Q.
+    pub(super) fn noise(&self) -> DMatrix<f64> {
+        let states = &self.preparer.order.states;
+        self.moves.transition.noise_of(states.len(), |place| states[place])
+    }
+
+    /// B: what one unit of each input does in a step.
+    pub(super) fn driven(&self, plain: &PlainModel) -> DMatrix<f64> {
+        let (order, dynamics) = (&self.preparer.order, &self.preparer.dynamics);
+        let mut B = DMatrix::zeros(order.states.len(), self.inputs.len());
+        for (column, input) in self.inputs.iter().enumerate() {
+            let mut values = vec![0.0; dynamics.inputs.fixed.len()];
+            for (state, terms) in plain.drives.iter().enumerate() {
+                if let Some(slot) = self.slot(state) {
+                    values[slot] = coefficient(terms, input);
+                }
+            }
+            let mut moved = Vec::new();
+            self.preparer.plan.inputs(&self.moves, &values, &mut moved);
+            for (&place, value) in order.frame.driven.iter().zip(moved) {
+                B[(order.states[place as usize], column)] = value;
+            }
+        }
+        B
+    }
+
+    /// Where the input of a state stands among those of the dynamics.
+    fn slot(&self, state: usize) -> Option<usize> {
+        let dynamics = &self.preparer.dynamics;
+        if let Some(own) = dynamics.recursions.iter().find(|own| own.state == state) {
+            return own.input;
+        }
+        let of = |component: &kalfit_filter::reduce::Component| {
+            component.inputs[component.states.binary_search(&state).ok()?]
+        };
+        dynamics.components.iter().find_map(of)
+    }
+
+    /// H.
+    pub(super) fn equations(&self) -> DMatrix<f64> {
+        let model = &self.preparer.model;
+        let mut H = DMatrix::zeros(model.measurements.len(), model.states.len());
+        for (m, measurement) in model.measurements.iter().enumerate() {
+            for (state, coefficient) in &measurement.equation.terms {
+                H[(m, *state)] = number(coefficient);
+            }
+        }
+        H
+    }
+
+    /// D.
+    pub(super) fn offsets(&self, plain: &PlainModel) -> DMatrix<f64> {
+        let of = |m: usize, input: usize| coefficient(&plain.offsets[m], &self.inputs[input]);
+        DMatrix::from_fn(plain.offsets.len(), self.inputs.len(), of)
+    }
+
+    /// R.
+    pub(super) fn measured_noise(&self) -> Result<DMatrix<f64>, ExportError> {
+        let model = &self.preparer.model;
+        let m = model.measurements.len();
+        let mut R = DMatrix::zeros(m, m);
+        for (i, measurement) in model.measurements.iter().enumerate() {
+            R[(i, i)] = number(&measurement.noise_variance);
+        }
+        for (i, j, covariance) in &model.noise_covariance {
+            R[(*i, *j)] += number(covariance);
+            R[(*j, *i)] = R[(*i, *j)];
+        }
+        ldl(&mut R.as_slice().to_vec(), m).map_err(|bad| Fault::new(Subject::StepNoise, bad).name(model, None))?;
+        Ok(R)
+    }
+
+    /// x0 = a + Aμ and P0 + AΣA'.
+    pub(super) fn start(
+        &self,
+        mean: &[f64],
+        covariance: &DMatrix<f64>,
+    ) -> Result<(DVector<f64>, DMatrix<f64>), ExportError> {
+        let (model, dynamics) = (&self.preparer.model, &self.preparer.dynamics);
+        let alpha = Alpha::default();
+        let scope = Scope { numbers: &[], texts: &[], step: f64::NAN, alpha: &alpha };
+        let law = self.preparer.start.law(&self.preparer.at(), &scope, &dynamics.table.fixed, &dynamics.inputs.fixed);
+        let law = law.map_err(|fault| ExportError::from(fault.name(model, None)))?;
+        let n = model.states.len();
+        let (mut x0, mut P0) = (DVector::from_vec(law.mean), DMatrix::zeros(n, n));
+        for (i, j, value) in law.covariance {
+            P0[(i, j)] += value;
+            if i != j {
+                P0[(j, i)] += value;
+            }
+        }
+        for (i, &state) in model.estimated.iter().enumerate() {
+            x0[state] += mean[i];
+            for (k, &other) in model.estimated.iter().enumerate() {
+                P0[(state, other)] += covariance[(i, k)];
+            }
+        }
+        Ok((x0, P0))
+    }
+}
+
+/// The coefficient of an input among terms.
+fn coefficient(terms: &Terms, input: &Expression) -> f64 {
+    terms.iter().find(|(_, term)| term == input).map_or(0.0, |(coefficient, _)| *coefficient)
+}
+
+/// Of a model with numbers for coefficients.
+fn number(expression: &Expression) -> f64 {
+    expression.as_number().expect("every coefficient is a number")
+}

@@ -1,0 +1,141 @@
+//! The filter that follows from a fit, as matrices for programs that are not kalfit.
+//!
+//! ```text
+//! x_0 ~ N(x0, P0)                              a new test's start
+//! x_k = F x_{k-1} + B u_k + w_k, w_k ~ N(0, Q)  one step of the given length
+//! z_k = H x_k + D u_k + v_k,     v_k ~ N(0, R)
+//! ```
+//!
+//! F and Q are those of the reducer, by the same code; x0 = a + Aμ and P0 = P0 + AΣA' (theory §1), with what groups of all levels
+//! add. Columns that drive states or stand in an equation without a state are the inputs u, the constant 1 among them. A coefficient of
+//! a state, or noise, that differs from row to row has no place in constant matrices: the columns it reads are given values, or it is
+//! refused.
+
+pub mod bind;
+mod error;
+mod matrices;
+mod plain;
+mod terms;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::{DMatrix, DVector};
+
+pub use error::{ExportError, Varies};
+
+use crate::export::bind::Binder;
+use crate::export::matrices::ConstantModel;
+use crate::export::plain::PlainModel;
+use kalfit_filter::reduce::Subject;
+use kalfit_model::{Alpha, Expression, Phase, PhasedModel, Population};
+
+/// What filter is wanted.
+#[derive(Debug, Clone, Default)]
+pub struct Wanted {
+    /// Its phase; it can be left out where there is one.
+    pub phase: Option<String>,
+    /// Length of a step, where anything depends on it.
+    pub step: Option<f64>,
+    /// Columns with the value that they have on all rows.
+    pub at: Vec<(String, String)>,
+}
+
+/// A filter of constant matrices.
+#[derive(Debug, Clone)]
+#[expect(non_snake_case, reason = "the letters of the equations")]
+pub struct Exported {
+    /// Place of its phase in the model.
+    pub phase: usize,
+    /// Length of a step.
+    pub step: Option<f64>,
+    /// n × n.
+    pub F: DMatrix<f64>,
+    /// n × n.
+    pub Q: DMatrix<f64>,
+    /// n × k.
+    pub B: DMatrix<f64>,
+    /// u, k expressions in the columns of the model; the number 1 for constants.
+    pub inputs: Vec<Expression>,
+    /// Which measurements of the phase: those that read a row at the fixed values.
+    pub measurements: Vec<usize>,
+    /// The rows that each of them is read from, where those are not all.
+    pub filters: Vec<Option<Expression>>,
+    /// m × n.
+    pub H: DMatrix<f64>,
+    /// m × k.
+    pub D: DMatrix<f64>,
+    /// m × m.
+    pub R: DMatrix<f64>,
+    /// x0 and P0 of a new test; `None` of a phase that inherits from the phase before.
+    pub start: Option<(DVector<f64>, DMatrix<f64>)>,
+}
+
+/// The filter of a phase at α, for a new test of a population of the shape of the model.
+///
+/// # Errors
+/// Matrices that are not constant, with the columns they depend on; a step that is missing or has no effect; a phase that there is not.
+pub fn export(
+    model: &PhasedModel,
+    alpha: &Alpha,
+    population: &Population,
+    wanted: &Wanted,
+) -> Result<Exported, ExportError> {
+    population.check(model)?;
+    let at = phase_of(model, wanted.phase.as_deref())?;
+    let phase = &model.phases[at];
+    check_step(phase, wanted.step)?;
+    let starts = phase.carry.is_empty();
+    let mut binder = Binder::new((&phase.model, alpha), wanted.step, &wanted.at)?;
+    let plain = PlainModel::new(&phase.model, &mut binder, starts)?;
+    let own = population.together(model.dimension()).apart(model).swap_remove(at);
+    let mean = if starts { mean(phase, &own, &mut binder)? } else { own.mean.clone() };
+    if !binder.varies.is_empty() {
+        return Err(ExportError::Varies { varies: binder.varies });
+    }
+    let made = ConstantModel::new(&plain, wanted.step)?;
+    let start = starts.then(|| made.start(&mean, &own.covariance)).transpose()?;
+    let measured = |m: &kalfit_model::Measurement| phase.model.measurements.iter().position(|own| own.name == m.name);
+    Ok(Exported {
+        phase: at,
+        step: wanted.step,
+        F: made.phi(),
+        Q: made.noise(),
+        B: made.driven(&plain),
+        measurements: plain.model.measurements.iter().filter_map(measured).collect(),
+        H: made.equations(),
+        D: made.offsets(&plain),
+        R: made.measured_noise()?,
+        inputs: made.inputs,
+        filters: plain.filters,
+        start,
+    })
+}
+
+fn phase_of(model: &PhasedModel, name: Option<&str>) -> Result<usize, ExportError> {
+    let expected = || model.phases.iter().map(|phase| phase.name.clone()).collect();
+    match name {
+        None if model.is_single() => Ok(0),
+        None => Err(ExportError::WhichPhase { expected: expected() }),
+        Some(name) => {
+            let place = model.phases.iter().position(|phase| phase.name == name);
+            place.ok_or_else(|| ExportError::UnknownPhase { found: name.to_owned(), expected: expected() })
+        }
+    }
+}
+
+fn check_step(phase: &Phase, step: Option<f64>) -> Result<(), ExportError> {
+    match step {
+        Some(found) if !(found.is_finite() && found > 0.0) => Err(ExportError::BadStep { found }),
+        Some(found) if phase.model.clock.time.is_none() => Err(ExportError::StepWithoutTime { found }),
+        _ => Ok(()),
+    }
+}
+
+/// μ of a test with these columns.
+fn mean(phase: &Phase, own: &Population, binder: &mut Binder<'_>) -> Result<Vec<f64>, ExportError> {
+    let mut mean = own.mean.clone();
+    for (r, (regression, coefficient)) in phase.model.mean.regression.iter().zip(&own.coefficients).enumerate() {
+        mean[regression.element] += coefficient * binder.cell(regression.column, Subject::Regression(r))?;
+    }
+    Ok(mean)
+}

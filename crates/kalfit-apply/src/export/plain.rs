@@ -1,0 +1,156 @@
+//! A model with numbers for coefficients, and what its known inputs are made of.
+
+use crate::export::ExportError;
+use crate::export::bind::Binder;
+use crate::export::terms::{ONE, Terms, terms};
+use kalfit_filter::reduce::Subject;
+use kalfit_model::{Expression, Initial, Linear, Model, Motion};
+
+/// A model at fixed columns, parameters and length of step: only known inputs read the data.
+#[derive(Debug)]
+pub(super) struct PlainModel {
+    pub(super) model: Model,
+    /// Inputs of each state.
+    pub(super) drives: Vec<Terms>,
+    /// Those of each measurement.
+    pub(super) offsets: Vec<Terms>,
+    /// `where` of each measurement, if it is not the same on all rows.
+    pub(super) filters: Vec<Option<Expression>>,
+}
+
+impl PlainModel {
+    /// What differs from row to row is left in the binder. `starts`: x_0 is wanted.
+    pub(super) fn new(model: &Model, binder: &mut Binder<'_>, starts: bool) -> Result<PlainModel, ExportError> {
+        let mut plain =
+            PlainModel { model: model.clone(), drives: Vec::new(), offsets: Vec::new(), filters: Vec::new() };
+        plain.model.clock.initial_time = None;
+        plain.states(binder, starts)?;
+        plain.measurements(binder)?;
+        let silent: Vec<bool> = plain.filters.iter().map(is_silent).collect();
+        let own = &mut plain.model;
+        for (i, j, covariance) in &mut own.process_noise_covariance {
+            put(binder, covariance, Subject::ProcessCovariance(*i, *j))?;
+        }
+        own.noise_covariance.retain(|(i, j, _)| !silent[*i] && !silent[*j]);
+        for (i, j, covariance) in &mut own.noise_covariance {
+            put(binder, covariance, Subject::NoiseCovariance(*i, *j))?;
+        }
+        for entry in own.covariance.known.iter_mut().flatten().flatten() {
+            start(binder, entry, Subject::KnownCovariance, starts)?;
+        }
+        plain.drop_silent(&silent)?;
+        Ok(plain)
+    }
+
+    fn states(&mut self, binder: &mut Binder<'_>, starts: bool) -> Result<(), ExportError> {
+        for (i, state) in self.model.states.iter_mut().enumerate() {
+            let mut drive = Terms::new();
+            let (form, variance, subject) = match &mut state.motion {
+                Motion::Constant => (None, None, Subject::Next(i)),
+                Motion::Continuous { derivative, noise_variance } => {
+                    (Some(derivative), Some(noise_variance), Subject::Derivative(i))
+                }
+                Motion::Discrete { next, noise_variance } => (Some(next), Some(noise_variance), Subject::Next(i)),
+            };
+            if let Some(form) = form {
+                drive = linear(binder, form, subject)?;
+            }
+            if let Some(variance) = variance {
+                put(binder, variance, Subject::ProcessNoise(i))?;
+            }
+            self.drives.push(drive);
+            if let Initial::Known { mean, variance } = &mut state.initial {
+                start(binder, mean, Subject::InitialMean(i), starts)?;
+                start(binder, variance, Subject::InitialVariance(i), starts)?;
+            }
+            if let Some(offset) = &mut state.offset {
+                start(binder, offset, Subject::Offset(i), starts)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn measurements(&mut self, binder: &mut Binder<'_>) -> Result<(), ExportError> {
+        for (m, measurement) in self.model.measurements.iter_mut().enumerate() {
+            let filter = measurement.filter.take().map(|filter| binder.bind(&filter));
+            // one that no row of these values has is as if it were not there
+            self.filters.push(filter);
+            if is_silent(&self.filters[m]) {
+                self.offsets.push(Terms::new());
+                continue;
+            }
+            self.offsets.push(linear(binder, &mut measurement.equation, Subject::Equation(m))?);
+            put(binder, &mut measurement.noise_variance, Subject::Noise(m))?;
+        }
+        Ok(())
+    }
+
+    /// Leaves out measurements that read no row.
+    fn drop_silent(&mut self, silent: &[bool]) -> Result<(), ExportError> {
+        if !silent.contains(&false) {
+            let measurements = self.model.measurements.iter().map(|measurement| measurement.name.clone()).collect();
+            return Err(ExportError::NothingMeasured { measurements });
+        }
+        let place = |m: usize| silent[..m].iter().filter(|silent| !**silent).count();
+        let kept = |m: usize| !silent[m];
+        self.model.measurements = kept_of(&self.model.measurements, &kept);
+        self.offsets = kept_of(&self.offsets, &kept);
+        self.filters = kept_of(&self.filters, &kept);
+        // one that every row of these values has is none
+        self.filters.iter_mut().for_each(|filter| *filter = filter.take().filter(|own| own.as_number().is_none()));
+        self.model.noise_covariance.iter_mut().for_each(|(i, j, _)| (*i, *j) = (place(*i), place(*j)));
+        Ok(())
+    }
+}
+
+/// No row of the fixed values is read.
+fn is_silent(filter: &Option<Expression>) -> bool {
+    filter.as_ref().is_some_and(|own| own.as_number() == Some(0.0))
+}
+
+fn kept_of<T: Clone>(all: &[T], kept: &dyn Fn(usize) -> bool) -> Vec<T> {
+    all.iter().enumerate().filter(|(m, _)| kept(*m)).map(|(_, one)| one.clone()).collect()
+}
+
+/// Puts numbers for the coefficients of states, and takes the inputs apart.
+fn linear(binder: &mut Binder<'_>, form: &mut Linear, subject: Subject) -> Result<Terms, ExportError> {
+    for (_, coefficient) in &mut form.terms {
+        put(binder, coefficient, subject)?;
+    }
+    form.constant = binder.bind(&form.constant);
+    if form.constant.as_number().is_some() {
+        return Ok(terms(&form.constant));
+    }
+    // columns may drive; levels and an unknown step may not
+    let open = |part: &Expression| matches!(part, Expression::Parameter(_) | Expression::Step);
+    binder.open(&form.constant.clone(), subject, &mut |part| open(part))?;
+    let own = terms(&form.constant);
+    if own.iter().any(|(coefficient, _)| !coefficient.is_finite()) {
+        return Err(binder.not_finite(subject));
+    }
+    if own.iter().all(|(_, term)| *term == ONE) {
+        form.constant = Expression::Number(own.iter().map(|(x, _)| x).sum());
+    }
+    Ok(own)
+}
+
+fn put(binder: &mut Binder<'_>, expression: &mut Expression, subject: Subject) -> Result<(), ExportError> {
+    *expression = Expression::Number(binder.number(expression, subject)?);
+    Ok(())
+}
+
+/// Of the start: zero where it is not wanted.
+fn start(
+    binder: &mut Binder<'_>,
+    expression: &mut Expression,
+    subject: Subject,
+    wanted: bool,
+) -> Result<(), ExportError> {
+    match wanted {
+        true => put(binder, expression, subject),
+        false => {
+            *expression = Expression::Number(0.0);
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! Expected standard errors of tests in groups: more units, or more runs of each?
+
+use std::sync::Arc;
+
+use crate::plan::Quantity;
+use crate::plan::{Expected, Plan, PlanError, Planned, Reason, quantities};
+use kalfit_estimate::Structure;
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Population;
+use kalfit_model::Reduction;
+use kalfit_model::{Grouping, Label};
+
+/// More tests than this are not arranged.
+const MOST_TESTS: usize = 200_000;
+
+/// So many groups in each group, and so many tests in each of the innermost ones.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Arrangement {
+    /// By level, the outermost first: groups of the level in each group of the one above.
+    pub groups: Vec<usize>,
+    /// Tests in each group of the innermost level.
+    pub tests: usize,
+}
+
+impl Arrangement {
+    /// All tests.
+    pub fn total(&self) -> usize {
+        self.groups.iter().fold(self.tests, |product, groups| product.saturating_mul(*groups))
+    }
+
+    /// What differs from one test, or group of a level, to the next is told from what differs between those that they stand in only
+    /// where there are several in each. For each block of Σ, the tests' own first and then the innermost level: the first block that it
+    /// is not told from; and last the same for the mean.
+    fn together(&self) -> Vec<usize> {
+        let members = std::iter::once(self.tests).chain(self.groups.iter().rev().copied());
+        let mut first = vec![0];
+        first.extend(members.enumerate().scan(0, |least, (block, members)| {
+            *least = if members == 1 { *least } else { block + 1 };
+            Some(*least)
+        }));
+        first
+    }
+
+    /// The number of the group of each level that each test stands in, within the group above.
+    fn paths(&self) -> Vec<Vec<usize>> {
+        let start = vec![Vec::new()];
+        let level = |paths: Vec<Vec<usize>>, &count: &usize| -> Vec<Vec<usize>> {
+            let more = |path: &Vec<usize>, k: usize| path.iter().copied().chain([k]).collect();
+            paths.iter().flat_map(|path| (0..count).map(move |k| more(path, k))).collect()
+        };
+        let groups = self.groups.iter().fold(start, level);
+        groups.into_iter().flat_map(|path| std::iter::repeat_n(path, self.tests)).collect()
+    }
+}
+
+/// Expected standard errors for each arrangement of tests like those that the reductions were made of. The structure is of a model with
+/// levels, its population in what is a test's own and what each level adds. Groups of the arrangement are like those that the design's
+/// own tests stand in, one after the other and again from the first, and so are the tests of each; all tests are of one group where the
+/// structure has no grouping.
+///
+/// # Errors
+/// As [`plan`](crate::plan::plan); arrangements of too many tests.
+pub fn plan_groups(
+    reductions: &Reductions,
+    structure: &Structure<'_>,
+    population: &Population,
+    arrangements: &[Arrangement],
+) -> Result<Plan, PlanError> {
+    let regressions = structure.regressions().len();
+    population.check_named(structure.dimension(), regressions, &|i| (i + 1).to_string())?;
+    let ids: Vec<&str> = reductions.iter().map(|design| design.test).collect();
+    let groups = DesignGroups::new(&ids, structure.grouping.as_deref(), structure.phases.len() - 1);
+    let all: Vec<Expected> = arrangements
+        .iter()
+        .map(|one| {
+            let (tests, grouping) = arranged(reductions, &groups, one)?;
+            Expected::of(&tests, &Structure { grouping: Some(grouping), ..structure.clone() }, population)
+        })
+        .collect::<Result<_, _>>()?;
+    let own = structure.phases[0].mean.elements.len();
+    let has_mean = |quantity: &Quantity| !matches!(quantity, Quantity::Mean(i) if *i >= own);
+    let planned = |quantity: Quantity| {
+        let errors: Vec<Result<f64, Reason>> = all
+            .iter()
+            .zip(arrangements)
+            .map(|(found, one)| {
+                let found = found.at(population);
+                let error = found.error(quantity).ok_or_else(|| found.reason(quantity))?;
+                if is_told(quantity, own, population, &one.together()) { Ok(error) } else { Err(Reason::Unidentified) }
+            })
+            .collect();
+        let known = errors.iter().any(Result::is_ok);
+        let std_errors = match errors.iter().find_map(|error| error.err()) {
+            Some(reason) if !known => Err(reason),
+            _ => Ok(errors.into_iter().map(|error| error.unwrap_or(f64::INFINITY)).collect()),
+        };
+        Planned { quantity, value: all.first().and_then(|found| found.at(population).value(quantity)), std_errors }
+    };
+    let Some(first) = all.first() else { return Err(PlanError::ZeroTests) };
+    let elements = &first.state.problem.covariance.elements;
+    Ok(Plan {
+        design_tests: reductions.len(),
+        tests: arrangements.iter().map(Arrangement::total).collect(),
+        arrangements: arrangements.to_vec(),
+        quantities: quantities(elements, regressions).into_iter().filter(has_mean).map(planned).collect(),
+    })
+}
+
+/// True where no other block has a share of the quantity that these groups do not tell from its own. `own` states are in each block.
+fn is_told(quantity: Quantity, own: usize, population: &Population, together: &[usize]) -> bool {
+    let (Quantity::StdDev(i) | Quantity::Correlation(i, _) | Quantity::Covariance(i, _)) = quantity else {
+        return true;
+    };
+    let (block, mean) = (i / own, together.len() - 1);
+    let varies =
+        |other: usize| other == mean || population.covariance[(other * own + i % own, other * own + i % own)] > 0.0;
+    (0..together.len()).all(|other| other == block || together[other] != together[block] || !varies(other))
+}
+
+/// What stands in each group of a design.
+struct DesignGroups {
+    /// By level, the outermost first, and group: the numbers of the groups of the next level in it.
+    inner: Vec<Vec<Vec<usize>>>,
+    /// By group of the innermost level: the numbers of its tests.
+    tests: Vec<Vec<usize>>,
+}
+
+impl DesignGroups {
+    /// Of tests of these ids that stand in groups of so many levels; all in one where they stand in none.
+    fn new(ids: &[&str], grouping: Option<&Grouping>, levels: usize) -> DesignGroups {
+        let Some(own) = grouping else {
+            return DesignGroups { inner: vec![vec![vec![0]]; levels], tests: vec![(0..ids.len()).collect()] };
+        };
+        let mut inner = vec![vec![(0..own.groups(levels - 1).len()).collect()]];
+        for level in (1..levels).rev() {
+            let mut groups = vec![Vec::new(); own.groups(level).len()];
+            for (number, group) in own.groups(level - 1).iter().enumerate() {
+                groups[group.parent.expect("there is a level above")].push(number);
+            }
+            inner.push(groups);
+        }
+        let mut tests = vec![Vec::new(); own.groups(0).len()];
+        for (number, id) in ids.iter().enumerate() {
+            let place = own.number(id).expect("it was grouped");
+            tests[own.group_of(place, 0)].push(number);
+        }
+        DesignGroups { inner, tests }
+    }
+
+    /// The test of the design that one like this is: of this number in a group on this path.
+    fn like(&self, path: &[usize], number: usize) -> usize {
+        let group = path.iter().zip(&self.inner).fold(0, |group, (&at, inner)| {
+            let own = &inner[group];
+            own[at % own.len()]
+        });
+        let tests = &self.tests[group];
+        tests[number % tests.len()]
+    }
+}
+
+/// Tests like those of the design, in groups.
+fn arranged(
+    design: &Reductions,
+    groups: &DesignGroups,
+    arrangement: &Arrangement,
+) -> Result<(Reductions, Arc<Grouping>), PlanError> {
+    let total = arrangement.total();
+    if total == 0 || design.is_empty() {
+        return Err(PlanError::ZeroTests);
+    }
+    if total > MOST_TESTS {
+        return Err(PlanError::TooManyTests { found: total, most: MOST_TESTS });
+    }
+    let ids: Vec<String> = (0..total).map(|test| test.to_string()).collect();
+    let paths = arrangement.paths();
+    let like = |(test, id): (usize, &String)| {
+        let number = groups.like(&paths[test], test % arrangement.tests);
+        Reduction { test: id.clone(), ..design.get(number).into() }
+    };
+    let tests = ids.iter().enumerate().map(like).collect();
+    let names = |path: &Vec<usize>| path.iter().map(|&k| Label::literal(k)).collect();
+    let paths = ids.iter().map(String::as_str).zip(paths.iter().map(names));
+    Ok((tests, Arc::new(Grouping::from_paths(arrangement.groups.len(), paths))))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+
+    use super::{Arrangement, DesignGroups, is_told};
+    use crate::plan::Quantity;
+    use kalfit_model::Population;
+    use kalfit_model::{Grouping, Label};
+
+    #[test]
+    fn what_has_one_member_is_not_told_from_what_it_stands_in() {
+        let of = |groups: &[usize], tests| Arrangement { groups: groups.to_vec(), tests }.together();
+        assert_eq!(of(&[8], 5), [0, 1, 2]);
+        assert_eq!(of(&[8], 1), [0, 0, 2], "one test of each unit");
+        assert_eq!(of(&[1], 5), [0, 1, 1], "one unit: its own part is not told from the mean");
+        assert_eq!(of(&[4, 1], 3), [0, 1, 1, 3], "one unit of each lot");
+    }
+
+    #[test]
+    fn groups_are_like_those_of_the_design_one_after_the_other() {
+        // lots A with units of two runs and of one, and B with a unit of three
+        let units = [("A", "a"), ("A", "a"), ("A", "b"), ("B", "a"), ("B", "a"), ("B", "a")];
+        let ids = ["r0", "r1", "r2", "r3", "r4", "r5"];
+        let name = |text: &str| Label::literal(usize::from(text.as_bytes()[0]));
+        let paths = ids.into_iter().zip(units).map(|(id, (lot, unit))| (id, vec![name(lot), name(unit)]));
+        let own = DesignGroups::new(&ids, Some(&Grouping::from_paths(2, paths)), 2);
+        let like =
+            |path: [usize; 2], tests: usize| (0..tests).map(|number| own.like(&path, number)).collect::<Vec<_>>();
+        assert_eq!(like([0, 0], 3), [0, 1, 0]);
+        assert_eq!(like([0, 1], 2), [2, 2]);
+        assert_eq!(like([0, 2], 2), [0, 1], "the third unit of a lot of two is like its first");
+        assert_eq!(like([1, 0], 4), [3, 4, 5, 3]);
+        assert_eq!(like([2, 1], 1), [2], "the third lot is like the first");
+        let alone = DesignGroups::new(&ids, None, 2);
+        assert_eq!((0..8).map(|number| alone.like(&[1, 1], number)).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5, 0, 1]);
+    }
+
+    #[test]
+    fn only_what_varies_in_both_is_untold() {
+        // two states, one level; the second state varies from test to test only
+        let variances = DVector::from_vec(vec![1.0, 2.0, 3.0, 0.0]);
+        let covariance = DMatrix::from_diagonal(&variances);
+        let population = Population { mean: vec![0.0; 4], coefficients: vec![], covariance };
+        let told = |i: usize, tests: usize| {
+            is_told(Quantity::StdDev(i), 2, &population, &Arrangement { groups: vec![8], tests }.together())
+        };
+        assert_eq!([0, 1, 2].map(|i| told(i, 1)), [false, true, false]);
+        assert_eq!([0, 1, 2].map(|i| told(i, 2)), [true; 3]);
+    }
+}

@@ -1,0 +1,82 @@
+//! What suboptimal filters cost an ensemble: expected standard errors with them over those without.
+
+use nalgebra::DMatrix;
+
+use crate::plan::Quantity;
+use crate::plan::{PlanError, off_structure, plan};
+use kalfit_estimate::{FinalState, Structure, at_population};
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Population;
+
+/// Scaled information below this is none.
+const FLAT: f64 = 1e-10;
+
+/// What the estimates of an ensemble say less than its measurements, at a population.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InformationLost {
+    /// Of each quantity that both inform of.
+    pub std_errors: Vec<StdErrorRatio>,
+    /// log |I| of the estimates less that of the measurements, I the expected information on all that is free, at most 0:
+    /// it does not depend on units. `None` where either leaves something unidentified.
+    pub log_determinant: Option<f64>,
+}
+
+/// How much less well a quantity is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StdErrorRatio {
+    /// Which.
+    pub quantity: Quantity,
+    /// Expected standard error from the estimates over that from the measurements, 1 or more.
+    pub ratio: f64,
+}
+
+/// What the estimates of suboptimal filters lose of the measurements. `raw` and `suboptimal` are reductions of the same tests
+/// at one α; only information and covariates count.
+///
+/// # Errors
+/// As [`plan`].
+pub fn information_lost(
+    raw: &Reductions,
+    suboptimal: &Reductions,
+    structure: &Structure<'_>,
+    population: &Population,
+) -> Result<InformationLost, PlanError> {
+    let one = |reductions: &Reductions| plan(reductions, structure, population, &[reductions.len().max(1)]);
+    let (best, own) = (one(raw)?, one(suboptimal)?);
+    let ratio = |(best, own): (&crate::plan::Planned, &crate::plan::Planned)| {
+        let (Ok(best_error), Ok(own_error)) = (&best.std_errors, &own.std_errors) else { return None };
+        Some(StdErrorRatio { quantity: best.quantity, ratio: own_error[0] / best_error[0] })
+    };
+    let std_errors = best.quantities.iter().zip(&own.quantities).filter_map(ratio).collect();
+    let volume = |reductions: &Reductions| {
+        at_population(reductions, structure, population).map(|state| log_determinant(&state)).map_err(off_structure)
+    };
+    let log_determinant = volume(raw)?.zip(volume(suboptimal)?).map(|(best, own)| own - best);
+    Ok(InformationLost { std_errors, log_determinant })
+}
+
+/// log |I| of the free directions, over an orthonormal basis of them in the user's units.
+fn log_determinant(state: &FinalState) -> Option<f64> {
+    let (problem, tangent) = (&state.problem, &state.newton_iterate.tangent);
+    let (scale, mean) = (&problem.classes.frame.scale, problem.mean.jacobian());
+    let m = mean.nrows();
+    let mut units = problem.mean_units();
+    units.extend(problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]));
+    let mut jacobian = DMatrix::zeros(units.len(), mean.ncols() + tangent.jacobian.ncols());
+    jacobian.view_mut((0, 0), mean.shape()).copy_from(&mean);
+    let of_sigma = tangent.jacobian.dense();
+    jacobian.view_mut((m, mean.ncols()), of_sigma.shape()).copy_from(&of_sigma);
+    jacobian.row_iter_mut().zip(&units).for_each(|(mut row, unit)| row *= *unit);
+    let directions = jacobian * tangent.basis.dense();
+    Some(log_volume(&tangent.information)? - log_volume(&(directions.transpose() * &directions))?)
+}
+
+/// log |A| of a positive definite matrix; `None` when it is not.
+fn log_volume(a: &DMatrix<f64>) -> Option<f64> {
+    let size: Vec<f64> = a.diagonal().iter().map(|x| x.sqrt()).collect();
+    let scaled = DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j]);
+    let root = scaled.cholesky()?;
+    let diagonal = root.l_dirty().diagonal();
+    let sound = diagonal.iter().all(|l| l * l > FLAT);
+    sound.then(|| 2.0 * diagonal.iter().zip(&size).map(|(l, s)| l.ln() + s.ln()).sum::<f64>())
+}

@@ -1,0 +1,111 @@
+//! How many degrees of freedom the variance of a value over tests lost to its mean, by maximum likelihood.
+
+use std::collections::BTreeSet;
+
+use nalgebra::{DMatrix, DVector};
+
+use kalfit_algebra::symmetric;
+use kalfit_infer::{Estimand, Estimated, Knowledge};
+
+/// A number whose errors make less than this part of the errors of a mean took none of the variance over tests.
+const SHARE: f64 = 0.01;
+/// Variances whose estimates have a squared correlation of one less this are one estimate,
+const ONE: f64 = 1e-6;
+/// and states whose correlations have an eigenvalue below this vary as one.
+const FLAT: f64 = 1e-9;
+
+/// One value, and what it hangs on.
+pub(super) struct Degrees<'a> {
+    pub(super) knowledge: &'a Knowledge,
+    /// The covariance of the initial state of tests.
+    pub(super) covariance: &'a DMatrix<f64>,
+    /// (element, column) of each regression coefficient.
+    pub(super) regressions: &'a [(usize, usize)],
+    /// Derivatives by what was estimated: of the mean, and of the variance by the initial state.
+    pub(super) by_mean: DVector<f64>,
+    pub(super) by_variance: DVector<f64>,
+    /// States whose initial value moves it.
+    pub(super) holds: &'a dyn Fn(usize) -> bool,
+}
+
+impl Degrees<'_> {
+    /// One for the means of the states in it, whatever they are: as many tests tell one combination of states as tell another. More where
+    /// variances were tied, one for each mean that was estimated beside the one variance. One for each column that means are regressed on, and
+    /// for each state that is the same in all tests, or parameter, that the mean hangs on noticeably.
+    pub(super) fn lost(&self) -> usize {
+        let tied = self.tied();
+        let is_in = |element: usize| (self.holds)(element) || tied.contains(&element);
+        let random = self.means().any(|(_, i)| self.varies(i) && (self.holds)(i));
+        let coefficients = self.quantities().filter_map(|(_, known)| match *known {
+            Estimand::Population(Estimated::Coefficient(c)) if is_in(self.regressions[c].0) => {
+                Some(self.regressions[c])
+            }
+            _ => None,
+        });
+        let as_one = |(element, column): (usize, usize)| (if tied.len() > 1 { element } else { 0 }, column);
+        let columns: BTreeSet<(usize, usize)> = coefficients.map(as_one).collect();
+        usize::from(random).max(self.ways(&tied)) + columns.len() + self.others()
+    }
+
+    fn quantities(&self) -> impl Iterator<Item = (usize, &Estimand)> {
+        self.knowledge.quantities.iter().enumerate()
+    }
+
+    fn means(&self) -> impl Iterator<Item = (usize, usize)> {
+        let states = self.covariance.nrows();
+        self.quantities().filter_map(move |(k, known)| match *known {
+            Estimand::Population(Estimated::Mean(i)) if i < states => Some((k, i)),
+            _ => None,
+        })
+    }
+
+    /// Estimated variances, of whatever level: their places, and the states.
+    fn variances(&self) -> impl Iterator<Item = (usize, usize)> {
+        let states = self.covariance.nrows();
+        self.quantities().filter_map(move |(k, known)| match *known {
+            Estimand::Population(Estimated::Covariance(i, j)) if i == j => Some((k, i % states)),
+            _ => None,
+        })
+    }
+
+    fn varies(&self, state: usize) -> bool {
+        self.covariance[(state, state)] > 0.0 || self.variances().any(|(_, i)| i == state)
+    }
+
+    /// Means that are the same in all tests, and parameters, whose errors are a part of the mean's.
+    fn others(&self) -> usize {
+        let carried = &self.knowledge.covariance * &self.by_mean;
+        let whole = self.by_mean.dot(&carried);
+        let is_noticed = |k: usize| {
+            let own = self.knowledge.covariance[(k, k)];
+            own > 0.0 && (self.by_mean[k].powi(2) * own).max(carried[k].powi(2) / own) > SHARE * whole
+        };
+        let fixed = self.means().filter(|&(_, i)| !self.varies(i)).map(|(k, _)| k);
+        let moves = |k: usize| self.by_mean[k] != 0.0;
+        let parameters = self.quantities().filter(|(_, known)| matches!(known, Estimand::Parameter { .. }));
+        let parameters = parameters.map(|(k, _)| k).filter(|&k| moves(k));
+        fixed.chain(parameters).filter(|&k| is_noticed(k)).count()
+    }
+
+    /// States with a mean of their own whose variance is one estimate with that of the value.
+    fn tied(&self) -> BTreeSet<usize> {
+        let carried = &self.knowledge.covariance * &self.by_variance;
+        let whole = self.by_variance.dot(&carried);
+        let is_one = |k: usize| carried[k].powi(2) > (1.0 - ONE) * whole * self.knowledge.covariance[(k, k)];
+        let has_mean = |state: usize| self.means().any(|(_, i)| i == state);
+        self.variances().filter(|&(k, i)| whole > 0.0 && is_one(k) && has_mean(i)).map(|(_, i)| i).collect()
+    }
+
+    /// In how many ways states vary.
+    fn ways(&self, states: &BTreeSet<usize>) -> usize {
+        let states: Vec<usize> = states.iter().copied().filter(|&i| self.covariance[(i, i)] > 0.0).collect();
+        if states.len() < 2 {
+            return states.len();
+        }
+        let size = |i: usize| self.covariance[(states[i], states[i])].sqrt();
+        let correlations = DMatrix::from_fn(states.len(), states.len(), |i, k| {
+            self.covariance[(states[i], states[k])] / (size(i) * size(k))
+        });
+        symmetric::eigen(&correlations).0.iter().filter(|value| **value > FLAT).count()
+    }
+}

@@ -1,0 +1,192 @@
+//! The delta method: values at α with each free value moved to both sides, and what errors of the estimates make of them.
+
+use std::ops::Range;
+
+use nalgebra::DVector;
+
+use crate::predict::degrees::Degrees;
+use crate::predict::value::PredictedValue;
+use crate::predict::{Estimation, Initial};
+use kalfit_infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
+use kalfit_model::{Alpha, Phase, PhasedModel};
+
+/// What hangs on something that is not determined by less than this part does not hang on it.
+const FAINT: f64 = 1e-9;
+
+/// Free values of α moved to both sides, for derivatives.
+#[derive(Debug)]
+pub(super) struct ValueSteps {
+    /// Of each quantity, and then of each one that is open: (place of its lower side among `moved`, distance of the sides).
+    places: Vec<Option<(usize, f64)>>,
+    /// Of each noise level that was estimated as zero, its place among `moved`, where it is one.
+    probes: Vec<usize>,
+    /// (element, column) of each regression coefficient.
+    regressions: Vec<(usize, usize)>,
+    moved: Vec<Alpha>,
+}
+
+impl ValueSteps {
+    pub(super) fn new(model: &PhasedModel, alpha: &Alpha, knowledge: Option<&Knowledge>) -> ValueSteps {
+        let of_phase = |(phase, range): (&Phase, Range<usize>)| {
+            let own = phase.model.mean.regression.iter();
+            own.map(move |regression| (range.start + regression.element, regression.column)).collect::<Vec<_>>()
+        };
+        let regressions = model.phases.iter().zip(model.ranges()).flat_map(of_phase).collect();
+        let mut steps = ValueSteps { places: Vec::new(), probes: Vec::new(), regressions, moved: Vec::new() };
+        let Some(knowledge) = knowledge else { return steps };
+        let errors = (0..knowledge.quantities.len()).map(|i| Some(knowledge.covariance[(i, i)].max(0.0).sqrt()));
+        let all = knowledge.quantities.iter().zip(errors).chain(knowledge.open.iter().map(|open| (open, None)));
+        for (known, error) in all {
+            let place = known.sides(model, alpha, error).map(|(sides, width)| {
+                steps.moved.extend(sides);
+                (steps.moved.len() - 2, width)
+            });
+            steps.places.push(place);
+        }
+        for known in &knowledge.at_zero {
+            let mut alpha = alpha.clone();
+            if let Some(own) = known.value(model, &mut alpha) {
+                *own = 1.0;
+                steps.probes.push(steps.moved.len());
+                steps.moved.push(alpha);
+            }
+        }
+        steps
+    }
+
+    /// Whether a free variance or noise level that was estimated as zero would be seen in a value.
+    pub(super) fn hangs_on_zero(
+        &self,
+        knowledge: &Knowledge,
+        initial: &Initial,
+        value: &PredictedValue,
+        sides: &[&PredictedValue],
+    ) -> bool {
+        let p = initial.mean.len();
+        let own = value.sensitivity.rows(0, p);
+        let is_seen = |known: &Estimand| match *known {
+            Estimand::Population(Estimated::Covariance(i, _)) => {
+                initial.levels.contains(&(i / p)) && own[i % p].abs() > FAINT * own.amax()
+            }
+            _ => false,
+        };
+        let variance = |side: &PredictedValue| side.population(&initial.covariance) + side.process;
+        let moves = |&place: &usize| variance(sides[place]) > variance(value) * (1.0 + FAINT);
+        knowledge.at_zero.iter().any(is_seen) || self.probes.iter().any(moves)
+    }
+
+    pub(super) fn moved(&self) -> impl Iterator<Item = &Alpha> {
+        self.moved.iter()
+    }
+
+    fn lost(&self, knowledge: &Knowledge, initial: &Initial, of: &Slopes<'_>, all: &[[f64; 3]]) -> usize {
+        let slopes = |part: usize| DVector::from_iterator(all.len(), all.iter().map(|slopes| slopes[part]));
+        let degrees = Degrees {
+            knowledge,
+            covariance: &initial.covariance,
+            regressions: &self.regressions,
+            by_mean: slopes(0),
+            by_variance: slopes(1),
+            holds: &|element| of.own[element].abs() > FAINT * of.own.amax(),
+        };
+        degrees.lost()
+    }
+
+    /// Variances of the estimates of a value's mean and variance over tests; `sides`: the value at each α that is moved. `None` where it hangs
+    /// on what the data do not determine.
+    pub(super) fn estimation(
+        &self,
+        knowledge: &Knowledge,
+        initial: &Initial,
+        value: &PredictedValue,
+        sides: &[&PredictedValue],
+    ) -> Option<Estimation> {
+        let of = Slopes::new(self, initial, value, sides);
+        let count = knowledge.quantities.len();
+        if knowledge.open.iter().enumerate().any(|(k, open)| of.is_moved_by(count + k, open)) {
+            return None;
+        }
+        let all: Vec<[f64; 3]> = knowledge.quantities.iter().enumerate().map(|(at, one)| of.by(at, one)).collect();
+        let variance = |of: &dyn Fn(&[f64; 3]) -> f64| {
+            let gradient = DVector::from_iterator(count, all.iter().map(of));
+            gradient.dot(&(&knowledge.covariance * &gradient))
+        };
+        let found =
+            [variance(&|slopes| slopes[0]), variance(&|slopes| slopes[1] + slopes[2]), variance(&|slopes| slopes[1])];
+        let [mean, variance, population] = found.map(|x| if x < 0.0 { 0.0 } else { x });
+        let mean = mean + initial.left.as_ref().map_or(0.0, |left| value.population(left));
+        let is_known = mean.is_finite() && variance.is_finite() && population.is_finite();
+        is_known.then_some(Estimation {
+            mean,
+            variance,
+            population,
+            lost: self.lost(knowledge, initial, &of, &all),
+            is_restricted: knowledge.is_restricted,
+            tests: knowledge.tests,
+        })
+    }
+}
+
+/// The derivatives of one value by what was estimated.
+struct Slopes<'a> {
+    steps: &'a ValueSteps,
+    initial: &'a Initial,
+    value: &'a PredictedValue,
+    sides: &'a [&'a PredictedValue],
+    /// By ξ, and by μ.
+    own: DVector<f64>,
+    by_mean: DVector<f64>,
+}
+
+impl<'a> Slopes<'a> {
+    fn new(
+        steps: &'a ValueSteps,
+        initial: &'a Initial,
+        value: &'a PredictedValue,
+        sides: &'a [&'a PredictedValue],
+    ) -> Slopes<'a> {
+        let own = value.sensitivity.rows(0, initial.mean.len()).into_owned();
+        let by_mean = initial.shrinkage.as_ref().map_or(own.clone(), |shrinkage| shrinkage.transpose() * &own);
+        Slopes { steps, initial, value, sides, own, by_mean }
+    }
+
+    /// By an estimand of this number: of the mean, of the variance by the initial state, of that by process noise.
+    fn by(&self, at: usize, estimand: &Estimand) -> [f64; 3] {
+        let p = self.own.len();
+        match *estimand {
+            Estimand::Population(Estimated::Mean(i)) => [self.by_mean.get(i).copied().unwrap_or(0.0), 0.0, 0.0],
+            Estimand::Population(Estimated::Coefficient(c)) => {
+                let known = self.initial.by_coefficients.as_ref().map_or(0.0, |by| by.column(c).dot(&self.own));
+                [self.value.sensitivity[p + c] + known, 0.0, 0.0]
+            }
+            Estimand::Population(Estimated::Covariance(i, j)) if self.initial.levels.contains(&(i / p)) => {
+                let both = if i == j { 1.0 } else { 2.0 };
+                [0.0, both * self.own[i % p] * self.own[j % p], 0.0]
+            }
+            Estimand::Population(_) => [0.0; 3],
+            Estimand::Parameter { .. } => {
+                let Some((place, width)) = self.steps.places[at] else { return [0.0; 3] };
+                let [below, above] = [self.sides[place], self.sides[place + 1]];
+                let slope = |of: &dyn Fn(&PredictedValue) -> f64| (of(above) - of(below)) / width;
+                let population = |side: &PredictedValue| side.population(&self.initial.covariance);
+                [slope(&|side| side.mean), slope(&population), slope(&|side| side.process)]
+            }
+        }
+    }
+
+    /// Whether a value hangs on an estimand of this number.
+    fn is_moved_by(&self, at: usize, estimand: &Estimand) -> bool {
+        let size = self.own.amax();
+        if let Estimand::Population(_) = estimand {
+            let found = self.by(at, estimand);
+            return found[0].abs() > FAINT * size || found[1].abs() > FAINT * size.powi(2);
+        }
+        let Some((place, _)) = self.steps.places[at] else { return false };
+        let [below, above] = [self.sides[place], self.sides[place + 1]];
+        let variance = |side: &PredictedValue| side.population(&self.initial.covariance) + side.process;
+        let moves = |of: &dyn Fn(&PredictedValue) -> f64, size: f64| {
+            (of(above) - of(below)).abs() > FAINT * MOST_OF_A_VALUE * size
+        };
+        moves(&|side| side.mean, self.value.mean.abs() + size) || moves(&variance, variance(self.value))
+    }
+}

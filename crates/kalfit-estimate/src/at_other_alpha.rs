@@ -1,0 +1,284 @@
+//! The objective of a finished search under reductions at another α, in the same coordinates: what mixed second derivatives
+//! of α, μ and Σ are made of.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::class::Class;
+use crate::classes::Classes;
+use crate::covariance::{CoordinateForm, CovarianceMap};
+use crate::initial_law;
+use crate::levels;
+use crate::local::Objective;
+use crate::newton;
+use crate::newton::NewtonIterate;
+use crate::order::Order;
+use crate::order::SumsWanted;
+use crate::point::Point;
+use crate::problem::Problem;
+use crate::structure::Assumed;
+use crate::sums::Sums;
+use crate::{Criterion, FinalState, Structure};
+use kalfit_algebra::symmetric;
+use kalfit_filter::reduce::{ReductionRef, Reductions};
+use kalfit_filter::score::InitialLaw;
+use kalfit_model::remote::Question;
+use kalfit_model::{Alpha, StructureError};
+use rayon::prelude::*;
+
+/// The objective at one point under some reductions.
+#[derive(Debug)]
+pub struct Reevaluation {
+    pub(crate) problem: Problem,
+    pub(crate) point: Point,
+    pub(crate) sums: Sums,
+}
+
+/// A place that a search of tests that are elsewhere is about to reach.
+pub struct UpcomingPoint {
+    problem: Problem,
+    point: Point,
+    assumed: Assumed,
+}
+
+impl FinalState {
+    /// The law of ξ_j where the search ended.
+    pub fn law(&self) -> InitialLaw {
+        initial_law::law_with(&self.problem, &self.newton_iterate.point, self.newton_iterate.near())
+    }
+
+    /// The same at a place of its own.
+    pub fn law_at(&self, place: &NewtonIterate) -> InitialLaw {
+        initial_law::law_with(&self.problem, &place.point, place.near())
+    }
+
+    /// ∂ℓ/∂Σ in the user's units: the objective changes by tr(G dΣ).
+    pub fn covariance_score(&self) -> DMatrix<f64> {
+        self.problem.score_out(&self.sums.score())
+    }
+
+    /// The objective at this point under other reductions of the same tests; `None` where it is not defined.
+    pub fn at_other_alpha(
+        &self,
+        reductions: &Reductions,
+        alpha: &Alpha,
+    ) -> Result<Option<Reevaluation>, StructureError> {
+        let home = (&*self.problem, &self.newton_iterate.point, self.newton_iterate.near());
+        Reevaluation::of(home, &self.evidence(reductions), &self.assumed.at(alpha))
+    }
+
+    /// Where a step along the tangent basis of this place leads, of tests that are elsewhere: nobody has answered yet what they say
+    /// there.
+    pub fn ahead(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<UpcomingPoint> {
+        let point = newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?;
+        let (problem, point) = self.carried_to(reductions, &self.assumed.at(alpha), point).ok()?;
+        let point = charted(&problem, &point);
+        Some(UpcomingPoint { problem, point, assumed: self.assumed.clone() })
+    }
+
+    /// A point of this problem in that of other reductions of the same tests.
+    fn carried_to(
+        &self,
+        reductions: &Reductions,
+        structure: &Structure<'_>,
+        point: Point,
+    ) -> Result<(Problem, Point), StructureError> {
+        let problem = Problem::within(&self.evidence(reductions), structure, &self.problem)?;
+        let root = carried(&self.problem.covariance, &problem.covariance, &point.root);
+        Ok((problem, Point { root, ..point }))
+    }
+
+    /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
+    /// is not defined.
+    pub fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<FinalState> {
+        self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?)
+    }
+
+    /// The state at another point of this problem, under other reductions of the same tests; `None` where it is not defined.
+    pub fn at(&self, reductions: &Reductions, alpha: &Alpha, point: Point) -> Option<FinalState> {
+        let structure = self.assumed.at(alpha);
+        let (problem, point) = self.carried_to(reductions, &structure, point).ok()?;
+        let charted = charted(&problem, &point);
+        problem.ends_soon(true); // nothing more is asked of this place
+        let place = problem.with_score(&charted, || {
+            NewtonIterate::new(&problem, &problem.covariance, point, self.newton_iterate.near())
+        })?;
+        // the restricted likelihood's second derivatives want the covariance of the mean at the place itself
+        let place = match place.near().cloned() {
+            Some(own) => NewtonIterate::new(&problem, &problem.covariance, place.point, Some(&own))?,
+            None => place,
+        };
+        problem.ends_soon(false);
+        let sums = match problem.criterion() {
+            Criterion::Ml => problem.at_end(&place)?,
+            Criterion::Reml => problem.sums(&place.point, Order::Expected, place.near())?,
+        };
+        let assumed = (&structure).into();
+        let settings = self.settings.clone();
+        Some(FinalState { problem: Arc::new(problem), newton_iterate: place, sums, assumed, settings, joint: None })
+    }
+
+    /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
+    pub fn gradient_of(&self, reduction: ReductionRef<'_>) -> DVector<f64> {
+        let class = self.class_of(reduction);
+        let sums = self.problem.of_class(&class, &self.newton_iterate.point, Order::First);
+        self.along(&sums, &self.problem, &self.newton_iterate.point)
+    }
+
+    /// Calls `of` with the numbers of the tests, and their sums of first order at this place, of each test, or of each unit where tests
+    /// stand in groups: of what is independent of the others. The order depends on nothing but the ids.
+    pub fn each_independent(&self, evidence: &Reductions, of: &mut dyn FnMut(&[usize], &Sums)) {
+        let classes = self.problem.classes.of(evidence);
+        let (point, regressors) = (&self.newton_iterate.point, &self.problem.mean.regressors[..]);
+        if let Some(units) = &classes.units {
+            let elements = &classes.elements;
+            let wanted = SumsWanted { elements, regressors, order: Order::First, flat: None };
+            return levels::each_unit(units, point, wanted, of);
+        }
+        let mut order: Vec<usize> = (0..evidence.len()).collect();
+        order.sort_by(|&a, &b| evidence.id(a).cmp(evidence.id(b)));
+        for j in order {
+            of(&[j], &self.problem.of_class(&classes.single(evidence, j), point, Order::First));
+        }
+    }
+
+    /// A gradient at this place along its tangent basis.
+    pub fn gradient_along(&self, sums: &Sums) -> DVector<f64> {
+        self.along(sums, &self.problem, &self.newton_iterate.point)
+    }
+
+    /// One test as a class of its own.
+    fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
+        let alone = std::iter::once(reduction).collect();
+        self.problem.classes.single(&self.evidence(&alone), 0)
+    }
+
+    /// A gradient in mean coordinates and Σ along the tangent basis.
+    fn along(&self, sums: &Sums, problem: &Problem, point: &Point) -> DVector<f64> {
+        let chart = problem.covariance.chart(&point.root);
+        let score = self.problem.covariance.elements.pack_score(&sums.score());
+        let of_psi = chart.jacobian_at(&chart.root).transposed_times(&score);
+        self.newton_iterate.tangent.pulled_back(problem.mean_jacobian(), &sums.mean_score, &of_psi)
+    }
+}
+
+impl UpcomingPoint {
+    /// Asks for what [`FinalState::at_other_alpha`] will ask for from there.
+    pub fn ask(&self, reductions: &Reductions, alpha: &Alpha) {
+        _ = Reevaluation::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
+    }
+
+    /// Asks how many tests there are, and how many inform each state there: what a fit tells of its end.
+    pub fn ask_counts(&self) {
+        _ = self.problem.told_counts();
+        self.problem.classes.remote.iter().for_each(|remote| _ = remote.ask(Question::Survey));
+    }
+}
+
+impl Reevaluation {
+    fn of(
+        (problem, point, near): (&Problem, &Point, Option<&DMatrix<f64>>),
+        reductions: &Reductions,
+        structure: &Structure<'_>,
+    ) -> Result<Option<Reevaluation>, StructureError> {
+        let own = Problem::within(reductions, structure, problem)?;
+        let root = carried(&problem.covariance, &own.covariance, &point.root);
+        let point = Point { root, ..point.clone() };
+        let sums = own.with_score(&point, || own.sums(&point, Order::First, near));
+        Ok(sums.map(|sums| Reevaluation { problem: own, point, sums }))
+    }
+
+    /// ∂ℓ/∂(μ in η, γ; σ pairs): of every element, whatever the structure holds.
+    pub fn scores(&self) -> DVector<f64> {
+        let of_sigma = self.problem.covariance.elements.pack_score(&self.sums.score());
+        DVector::from_iterator(
+            self.sums.mean_score.len() + of_sigma.len(),
+            self.sums.mean_score.iter().chain(of_sigma.iter()).copied(),
+        )
+    }
+
+    /// The gradient along the tangent basis of the place it was taken from.
+    pub fn gradient(&self, home: &FinalState) -> DVector<f64> {
+        home.along(&self.sums, &self.problem, &self.point)
+    }
+
+    /// The law of ξ_j at the point.
+    pub fn law(&self) -> InitialLaw {
+        initial_law::law_with(&self.problem, &self.point, self.sums.near())
+    }
+
+    /// Σ in the user's units.
+    pub fn covariance(&self) -> DMatrix<f64> {
+        self.problem.classes.frame.covariance_out(&self.point.covariance())
+    }
+
+    /// ∂ℓ/∂Σ in the user's units.
+    pub fn covariance_score(&self) -> DMatrix<f64> {
+        self.problem.score_out(&self.sums.score())
+    }
+}
+
+/// The point with its root in the chart that places have.
+fn charted(problem: &Problem, point: &Point) -> Point {
+    Point { root: problem.covariance.chart(&point.root).root, ..point.clone() }
+}
+
+/// The root with the same coordinates ψ where matrices of the structure follow α.
+fn carried(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
+    let parts = from.parts.iter().zip(&to.parts);
+    to.assembled(parts.map(|(old, new)| carried_part(&old.form, &new.form, old.of(root))))
+}
+
+fn carried_part(from: &CoordinateForm, to: &CoordinateForm, root: DMatrix<f64>) -> DMatrix<f64> {
+    match (from, to) {
+        (CoordinateForm::Scale(old), CoordinateForm::Scale(new)) => {
+            let star = old.norm_squared();
+            new * if star > 0.0 { (root.norm_squared() / star).sqrt() } else { 0.0 }
+        }
+        (CoordinateForm::StdDevs(old, _), CoordinateForm::StdDevs(new, _)) => {
+            let size = |i: usize| {
+                let unit = old.row(i).norm();
+                if unit > 0.0 { root.row(i).norm() / unit } else { 0.0 }
+            };
+            DMatrix::from_fn(new.nrows(), new.ncols(), |i, c| size(i) * new[(i, c)])
+        }
+        (_, CoordinateForm::Fixed(known)) => symmetric::square_root(known),
+        _ => root,
+    }
+}
+
+impl Problem {
+    /// ∂ℓ/∂Σ, or a part of it, in the user's units.
+    pub fn score_out(&self, score: &DMatrix<f64>) -> DMatrix<f64> {
+        let scale = &self.classes.frame.scale;
+        DMatrix::from_fn(score.nrows(), score.ncols(), |i, j| score[(i, j)] / (scale[i] * scale[j]))
+    }
+
+    /// Asks for a sum at a point of tests that are elsewhere together with what α's score is made of there, which is wanted next.
+    pub(super) fn with_score<T>(&self, point: &Point, ask: impl FnOnce() -> T) -> T {
+        let Some(remote) = &self.classes.remote else { return ask() };
+        remote.answers.together(|| {
+            if self.criterion() == Criterion::Ml && !remote.values.is_empty() {
+                let _ = remote.ask(Question::Score { law: initial_law::law_at(self, point).message() });
+            }
+            ask()
+        })
+    }
+
+    /// Numbers of the tests that are elsewhere that inform and observe each state, as if each stood alone; `None` where nobody has
+    /// answered, or nobody is asked.
+    pub fn told_counts(&self) -> Option<Vec<f64>> {
+        let remote = self.classes.remote.as_ref()?;
+        remote.ask(Question::Observability { frame: self.classes.apart().frame })
+    }
+
+    /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.
+    pub fn within(
+        reductions: &Reductions,
+        structure: &Structure<'_>,
+        like: &Problem,
+    ) -> Result<Problem, StructureError> {
+        Problem::of(Classes::within(reductions, &like.classes), structure, like.criterion())
+    }
+}

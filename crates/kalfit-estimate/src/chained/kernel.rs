@@ -1,0 +1,332 @@
+//! What tests in phases that share all matrices say at a point (theory §7).
+//!
+//! With σ_{i+1} = Eξ_{i+1} + G σ_i + w, E = [I; 0], and each phase's log p(z_i | σ_i) = constant - ½ ‖d_i - R_i σ_i‖², backwards
+//! from the last phase, where R̃ = R, d̃ = d:
+//!
+//! ```text
+//! S = I + R̃_{i+1} (EΣE' + CC') R̃_{i+1}' = U'U
+//! [R̃_i d̃_i] = what QR leaves of [R_i d_i] above U⁻ᵀ[R̃_{i+1}G  d̃_{i+1} - R̃_{i+1}Eμ]
+//! ```
+//!
+//! log|U| and the residual of the QR are what ℓ loses there. Forwards, with the root B_i and the mean m_i⁻ of the prior of σ_i given
+//! the phases before it, C_i a root of (P⁻⁻¹ + J_i)⁻¹ = B_i(I + B_i'J_iB_i)⁻¹B_i':
+//!
+//! ```text
+//! [U u] = what QR leaves of [I 0] above [R_iB_i  d_i - R_i m_i⁻]      C_i = B_iU⁻¹
+//! m_i = m_i⁻ + C_iu      m_{i+1}⁻ = Eμ + G m_i      B_{i+1} = [EF | G C_i | C]
+//! ```
+//!
+//! u is U⁻ᵀB_i'R_i'(d_i - R_i m_i⁻), but as a product of these it would lose digits with the square of R_i: all of them where a
+//! measurement is very exact.
+//!
+//! R̃_i, d̃_i say what this phase and all later ones know of σ_i, B_i and m_i⁻ what the earlier ones do, so with S = I + R̃BB'R̃'
+//! the formulas of one phase hold: r_i = R̃'S⁻¹(d̃ - R̃m⁻) and N_i = R̃'S⁻¹R̃. The blocks of W are W_ii = E'N_iE and W_ki =
+//! E'N_k F_{k-1}…F_i E, F_i = G_i(I - C_iC_i'J_i). No inverse of P⁻, Σ or J occurs; the cost is linear in the number of phases but for
+//! the blocks of W between phases.
+#![expect(non_snake_case, reason = "B, C, R, F, N are the letters of the theory")]
+
+use std::borrow::Cow;
+
+use nalgebra::DMatrix;
+
+use crate::chained::phase::PhaseView;
+use kalfit_algebra::algebra::Algebra;
+use kalfit_algebra::factors::Factors;
+use kalfit_algebra::rows::Rows;
+use kalfit_lanes::Real;
+
+/// F with Σ = FF' of all phases, lower triangular, its diagonal not negative.
+#[derive(Debug, Clone)]
+pub(crate) struct Root<'a>(Cow<'a, DMatrix<f64>>);
+
+impl<'a> Root<'a> {
+    /// Of any F, with the same FF'.
+    pub(crate) fn of(root: &'a DMatrix<f64>) -> Self {
+        let p = root.nrows();
+        if (0..p).all(|i| root[(i, i)] >= 0.0 && (i + 1..p).all(|c| root[(i, c)] == 0.0)) {
+            return Root(Cow::Borrowed(root));
+        }
+        Root(Cow::Owned(root.transpose().qr().r().transpose()))
+    }
+
+    /// F.
+    pub(crate) fn lower(&self) -> &DMatrix<f64> {
+        &self.0
+    }
+}
+
+/// Where phases meet a point: F and μ, both of all phases.
+pub(super) struct Prior<'a, T> {
+    pub(super) root: &'a Root<'a>,
+    pub(super) mean: &'a [T],
+}
+
+/// How much of what a class says is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ChainDetail {
+    /// r, and W within phases.
+    Phases,
+    /// And W between phases.
+    Between,
+    /// r, W within phases, and what posteriors need.
+    Posterior,
+}
+
+/// What a class says at a point. Matrices by rows.
+#[derive(Debug, Clone)]
+pub(crate) struct ChainTerms<T = f64> {
+    /// Σ_j of the quadratic forms.
+    pub(crate) quadratic: T,
+    /// |I + RΣR'| of a test is the square of the first times 2 to the second.
+    pub(crate) root_det: (T, T),
+    /// By phase r of the mean and of the columns of the scatter, p × columns.
+    pub(crate) r: Vec<Rows<T>>,
+    /// W_ki for k ≥ i, at k(k+1)/2 + i, p_k × p_i; without the blocks between phases if those were not asked for.
+    pub(crate) W: Vec<Option<Rows<T>>>,
+    /// Var[ξ_i | z] by phase, p_i × p_i, where it is asked for.
+    pub(crate) covariances: Vec<Rows<T>>,
+    /// What log|S| of the links alone is, as `root_det`: what ℓ at Σ = 0 loses to the noise between the phases; where it is asked for.
+    pub(crate) link_root_det: (T, T),
+}
+
+/// The phases of tests that share all matrices, and how many tests there are.
+pub(super) struct ChainPhases<'a, A: Algebra> {
+    pub(super) phases: &'a [PhaseView<A::Matrix, A::Data>],
+    pub(super) count: A::Number,
+}
+
+/// What the later phases and a phase itself know of its σ.
+struct PhaseInformation<A: Algebra> {
+    /// R̃.
+    factor: A::Matrix,
+    /// d̃.
+    data: A::Data,
+}
+
+impl<A: Algebra> ChainPhases<'_, A> {
+    /// All that the class says; `None` where the arithmetic would lose digits.
+    #[inline(always)]
+    pub(super) fn said(&self, prior: &Prior<'_, A::Number>, detail: ChainDetail) -> Option<ChainTerms<A::Number>> {
+        let (mut root_det, mut borne) = (RootDet::new(), true);
+        let (known, mut quadratic) = self.backward(prior, &mut root_det, &mut borne);
+        let phases = self.phases.len();
+        let (mut r, mut within) = (Vec::with_capacity(phases), Vec::with_capacity(phases));
+        let (mut N, mut carried, mut covariances) = (Vec::new(), Vec::new(), Vec::new());
+        let mut rest: Option<[A::Matrix; 2]> = None;
+        let (mut B, mut m) = (prior.root::<A>(&self.phases[0]), prior.mean::<A>(&self.phases[0]));
+        for (i, (phase, known)) in self.phases.iter().zip(&known).enumerate() {
+            let (own, next) = (phase.own.len(), self.phases.get(i + 1));
+            let upper = A::identity_plus(&[&A::times_upper_transpose(&B, &known.factor)], &mut borne);
+            let u = A::solved_data(&upper, A::less(known.data.clone(), &A::apply(&known.factor, &m)));
+            let Y = A::solved(&upper, known.factor.clone());
+            if i == 0 {
+                root_det.add::<A>(&upper);
+                quadratic = quadratic + A::squares(self.count, &u);
+            }
+            r.push(A::head(&A::apply_transpose(&Y, &u), own));
+            let information = A::transpose_times(&Y, &Y);
+            within.push(A::corner(&information, own, own));
+            if detail == ChainDetail::Between {
+                N.push(information);
+            }
+            if detail == ChainDetail::Posterior {
+                covariances.push(posterior_covariance::<A>(prior, phase, rest.as_ref(), known, &mut borne));
+            }
+            let Some(next) = next else { continue };
+            let link = next.link.as_ref().expect("later phases have links");
+            let step = PhaseUpdate::<A>::new(phase, (B, m));
+            m = A::plus(A::apply(&link.sensitivity, &step.mean), &prior.mean::<A>(next));
+            if detail == ChainDetail::Between {
+                carried.push(A::times(&link.sensitivity, &step.left(phase)));
+            }
+            let inherited = A::times_transpose(&step.root, &link.sensitivity);
+            rest = (detail == ChainDetail::Posterior).then(|| [inherited.clone(), link.root.clone()]);
+            B = prior.root::<A>(next);
+            A::absorb_rows(&mut B, inherited);
+            A::absorb_rows(&mut B, link.root.clone());
+        }
+        let W = if detail == ChainDetail::Between { self.blocks(within, &N, &carried) } else { alone(within) };
+        let link_root_det = match detail {
+            ChainDetail::Posterior => self.link_root_det(&mut borne).parts(),
+            _ => RootDet::new().parts(),
+        };
+        borne.then_some(ChainTerms { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
+    }
+
+    /// |S| of the links alone.
+    #[inline(always)]
+    fn link_root_det(&self, borne: &mut bool) -> RootDet<A::Number> {
+        let states = self.phases.iter().map(|phase| phase.own.end).max().unwrap_or(0);
+        let (root, mean) = (Root(Cow::Owned(DMatrix::zeros(states, states))), vec![A::Number::splat(0.0); states]);
+        let mut root_det = RootDet::new();
+        self.backward(&Prior { root: &root, mean: &mean }, &mut root_det, borne);
+        root_det
+    }
+
+    /// R̃_i and d̃_i of each phase, and what ℓ loses to residuals.
+    #[inline(always)]
+    fn backward(
+        &self,
+        prior: &Prior<'_, A::Number>,
+        root_det: &mut RootDet<A::Number>,
+        borne: &mut bool,
+    ) -> (Vec<PhaseInformation<A>>, A::Number) {
+        let mut lost = A::Number::splat(0.0);
+        let mut all: Vec<PhaseInformation<A>> = Vec::with_capacity(self.phases.len());
+        for (i, phase) in self.phases.iter().enumerate().rev() {
+            let (mut factor, mut data) = (phase.factor.clone(), phase.data.clone());
+            if let (Some(later), Some(next)) = (all.last(), self.phases.get(i + 1)) {
+                let link = next.link.as_ref().expect("later phases have links");
+                let own = A::times_upper_transpose(&prior.root::<A>(next), &later.factor);
+                let noise = A::times_upper_transpose(&link.root, &later.factor);
+                let spread = A::identity_plus(&[&own, &noise], borne);
+                root_det.add::<A>(&spread);
+                let residual = A::less(later.data.clone(), &A::apply(&later.factor, &prior.mean::<A>(next)));
+                let told = A::solved(&spread, A::times(&later.factor, &link.sensitivity));
+                let left = A::absorb(&mut factor, &mut data, told, A::solved_data(&spread, residual));
+                lost = lost + A::squares(self.count, &left);
+            }
+            all.push(PhaseInformation { factor, data });
+        }
+        all.reverse();
+        (all, lost)
+    }
+
+    /// W_ki = E'N_k F_{k-1}…F_i E; those within phases are given.
+    #[inline(always)]
+    fn blocks(
+        &self,
+        within: Vec<Rows<A::Number>>,
+        N: &[A::Matrix],
+        carried: &[A::Matrix],
+    ) -> Vec<Option<Rows<A::Number>>> {
+        let phases = self.phases.len();
+        let mut blocks = Vec::with_capacity(phases * (phases + 1) / 2);
+        for (k, own) in within.into_iter().enumerate() {
+            let (p, first) = (own.nrows(), blocks.len());
+            blocks.push(Some(own));
+            if k > 0 {
+                let mut row = A::times(&N[k], &carried[k - 1]);
+                blocks.push(Some(A::corner(&row, p, self.phases[k - 1].own.len())));
+                for i in (0..k - 1).rev() {
+                    row = A::times(&row, &carried[i]);
+                    blocks.push(Some(A::corner(&row, p, self.phases[i].own.len())));
+                }
+            }
+            blocks[first..].reverse();
+        }
+        blocks
+    }
+}
+
+/// Blocks within phases, and none between them.
+fn alone<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
+    let mut blocks = Vec::with_capacity(within.len() * (within.len() + 1) / 2);
+    for (k, own) in within.into_iter().enumerate() {
+        blocks.extend((0..k).map(|_| None));
+        blocks.push(Some(own));
+    }
+    blocks
+}
+
+impl<T: Real> Prior<'_, T> {
+    /// (EF)' of a phase.
+    #[inline(always)]
+    fn root<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
+        A::root_of(&self.root.0, &phase.own, &phase.factor)
+    }
+
+    /// Eμ for the mean of the tests; the columns of the scatter have none.
+    #[inline(always)]
+    fn mean<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Data {
+        A::mean_of(self.mean, &phase.own, &phase.data)
+    }
+}
+
+/// The posterior of σ_i given this phase and the earlier ones.
+struct PhaseUpdate<A: Algebra> {
+    /// C', by rows.
+    root: A::Matrix,
+    /// m.
+    mean: A::Data,
+}
+
+impl<A: Algebra> PhaseUpdate<A> {
+    /// From the prior of σ_i: B' and m⁻.
+    #[inline(always)]
+    fn new(phase: &PhaseView<A::Matrix, A::Data>, (B, prior): (A::Matrix, A::Data)) -> PhaseUpdate<A> {
+        let rows = A::transposed(&A::times_upper_transpose(&B, &phase.factor));
+        let residual = A::less(phase.data.clone(), &A::apply(&phase.factor, &prior));
+        let (upper, told) = A::identity_absorbing(rows, residual);
+        let root = A::solved(&upper, B);
+        let mean = A::plus(prior, &A::apply_transpose(&root, &told));
+        PhaseUpdate { root, mean }
+    }
+
+    /// I - CC'J.
+    #[inline(always)]
+    fn left(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
+        let seen = A::times_upper_transpose(&self.root, &phase.factor);
+        A::identity_less(&A::transpose_times(&self.root, &A::times(&seen, &phase.factor)))
+    }
+}
+
+/// Var[ξ_i | z]: with N° the information that all else gives on ξ_i, F(I + F'N°F)⁻¹F'. `rest` is a root of the prior of σ_i but for
+/// its own ξ_i, by rows.
+#[inline(always)]
+fn posterior_covariance<A: Algebra>(
+    prior: &Prior<'_, A::Number>,
+    phase: &PhaseView<A::Matrix, A::Data>,
+    rest: Option<&[A::Matrix; 2]>,
+    known: &PhaseInformation<A>,
+    borne: &mut bool,
+) -> Rows<A::Number> {
+    let p = phase.own.len();
+    let seen = match rest {
+        None => known.factor.clone(),
+        Some([inherited, noise]) => {
+            let inherited = A::times_upper_transpose(inherited, &known.factor);
+            let noise = A::times_upper_transpose(noise, &known.factor);
+            A::solved(&A::identity_plus(&[&inherited, &noise], borne), known.factor.clone())
+        }
+    };
+    let own = prior.root::<A>(phase);
+    let half = A::solved(&A::identity_plus(&[&A::times_transpose(&seen, &own)], borne), own);
+    A::corner(&A::transpose_times(&half, &half), p, p)
+}
+
+/// Upper triangular R with R'R = rows'rows; no more rows than columns.
+#[inline(always)]
+pub(super) fn compressed<F: Factors>(rows: Rows<F::Number>) -> Rows<F::Number> {
+    let q = rows.ncols();
+    let mut upper = Rows::zeros(q, q);
+    <F as Factors>::absorb(&mut upper, rows, q);
+    upper
+}
+
+/// |U|, as a product.
+struct RootDet<T> {
+    mantissa: T,
+    exponent: T,
+}
+
+impl<T: Real> RootDet<T> {
+    #[inline(always)]
+    fn new() -> RootDet<T> {
+        RootDet { mantissa: T::splat(1.0), exponent: T::splat(0.0) }
+    }
+
+    #[inline(always)]
+    fn parts(&self) -> (T, T) {
+        (self.mantissa, self.exponent)
+    }
+
+    #[inline(always)]
+    fn add<A: Algebra<Number = T>>(&mut self, factor: &A::Factor) {
+        for x in A::diagonal(factor) {
+            let (mantissa, exponent) = (self.mantissa * x).split();
+            self.mantissa = mantissa;
+            self.exponent = self.exponent + exponent;
+        }
+    }
+}

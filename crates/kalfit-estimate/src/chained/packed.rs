@@ -1,0 +1,254 @@
+//! Classes in phases of one shape, side by side.
+
+use std::borrow::Cow;
+use std::ops::Range;
+use std::slice::ChunksExact;
+use std::sync::Arc;
+
+use kalfit_lanes::{Lanes, Part, Real};
+
+use crate::chained::kernel::{ChainDetail, ChainPhases, ChainTerms, Prior, Root};
+use crate::chained::shape::is_careful;
+use crate::chained::{ChainShape, ChainedClass, LinkView, PhaseView, centre, columns, scales, told};
+use crate::frame::Frame;
+use kalfit_algebra::algebra::Algebra;
+use kalfit_algebra::factors::CrossFactors;
+use kalfit_algebra::fixed::Fixed;
+use kalfit_model::Chain;
+
+/// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
+#[derive(Debug, Clone)]
+pub(crate) struct Packed {
+    pub(crate) members: Vec<usize>,
+    shape: Arc<ChainShape>,
+    lanes: usize,
+    /// n of each, then all their numbers, entry by entry: of each phase the upper triangle of R by rows, d, G and C'.
+    numbers: Vec<f64>,
+}
+
+impl Packed {
+    /// Of classes by their numbers, at least one and at most as many as there are lanes; `of` has what each says.
+    pub(crate) fn new<'a>(
+        shape: Arc<ChainShape>,
+        members: Vec<usize>,
+        lanes: usize,
+        of: impl Fn(usize) -> Cow<'a, ChainedClass>,
+    ) -> Packed {
+        Packed::filled(shape, members, lanes, |member, to| {
+            let chained = of(member);
+            debug_assert!(chained.shape.columns > 0, "data of one test at least");
+            put(&chained, to, lanes);
+        })
+    }
+
+    /// Of classes as the estimator gathers them; `of` has the chains of the tests of each.
+    pub(crate) fn of_tests<'a>(
+        shape: Arc<ChainShape>,
+        members: Vec<usize>,
+        lanes: usize,
+        (ranges, frame): (&[Range<usize>], &Frame),
+        of: impl Fn(usize) -> Vec<&'a Chain>,
+    ) -> Packed {
+        Packed::filled(shape, members, lanes, |member, to| put_tests(&of(member), (ranges, frame), to, lanes))
+    }
+
+    /// Each class put by `put` where the first of every so many numbers stands.
+    fn filled(shape: Arc<ChainShape>, members: Vec<usize>, lanes: usize, put: impl Fn(usize, &mut [f64])) -> Packed {
+        let mut numbers = vec![0.0; shape.size() * lanes];
+        for (lane, &member) in members.iter().enumerate() {
+            put(member, &mut numbers[lane..]);
+        }
+        let mut packed = Packed { members, shape, lanes, numbers };
+        packed.fill();
+        packed
+    }
+
+    /// Fills the lanes that no class takes with the design of the first class, and no tests.
+    fn fill(&mut self) {
+        if self.members.len() == self.lanes {
+            return;
+        }
+        let empty = self.chained(0).without_tests();
+        for lane in self.members.len()..self.lanes {
+            put(&empty, &mut self.numbers[lane..], self.lanes);
+        }
+    }
+
+    /// Numbers of its classes.
+    pub(crate) fn members(&self) -> &[usize] {
+        &self.members
+    }
+
+    /// Of what shape its classes are.
+    pub(crate) fn shape(&self) -> &ChainShape {
+        &self.shape
+    }
+
+    /// How many tests each class has.
+    #[inline(always)]
+    pub(crate) fn count<T: Lanes>(&self) -> T {
+        T::load(&self.numbers)
+    }
+
+    /// The class in one lane.
+    pub(crate) fn chained(&self, lane: usize) -> ChainedClass {
+        let phases = self.phases::<CrossFactors<f64>>(self.lanes, |entry| entry[lane]);
+        ChainedClass { phases, shape: self.shape.clone(), count: self.numbers[lane], careful: false }
+    }
+
+    /// [`ChainedClass::at`] of all; `None` where one of them needs more care. Tests by themselves, with few states, by sizes that the
+    /// compiler knows.
+    #[inline(always)]
+    pub(crate) fn said<T: Lanes>(&self, mean: &[T], root: &Root<'_>, detail: ChainDetail) -> Option<ChainTerms<T>> {
+        debug_assert_eq!(T::COUNT, self.lanes, "packed for others");
+        let prior = Prior { root, mean };
+        let size = if self.shape.columns == 1 { Some(self.shape.widest()) } else { None };
+        match size {
+            Some(1) if T::OWN_SIZES >= 1 => self.by::<Fixed<T, 1>>(&prior, detail),
+            Some(2) if T::OWN_SIZES >= 2 => self.by::<Fixed<T, 2>>(&prior, detail),
+            Some(3) if T::OWN_SIZES >= 3 => self.by::<Fixed<T, 3>>(&prior, detail),
+            Some(4) if T::OWN_SIZES >= 4 => self.by::<Fixed<T, 4>>(&prior, detail),
+            Some(5 | 6) if T::OWN_SIZES >= 6 => self.by::<Fixed<T, 6>>(&prior, detail),
+            Some(7 | 8) if T::OWN_SIZES >= 8 => self.by::<Fixed<T, 8>>(&prior, detail),
+            _ => self.by::<CrossFactors<T>>(&prior, detail),
+        }
+    }
+
+    #[inline(always)]
+    fn by<A: Algebra<Number: Lanes>>(
+        &self,
+        prior: &Prior<'_, A::Number>,
+        detail: ChainDetail,
+    ) -> Option<ChainTerms<A::Number>> {
+        A::Number::apart(By::<A> { packed: self, prior, detail })
+    }
+
+    /// All phases; `number` reads an entry of `lanes` numbers.
+    #[inline(always)]
+    fn phases<A: Algebra>(
+        &self,
+        lanes: usize,
+        number: impl Fn(&[f64]) -> A::Number,
+    ) -> Vec<PhaseView<A::Matrix, A::Data>> {
+        let mut entries = self.numbers[lanes..].chunks_exact(lanes);
+        let mut phases = Vec::with_capacity(self.shape.phases.len());
+        let mut before = 0;
+        for phase in &self.shape.phases {
+            let (q, columns) = (phase.size, self.shape.columns);
+            let (mut factor, mut data, mut link) = (A::zeros(q, q), A::no_data(q, columns), None);
+            for i in 0..q {
+                read(&mut A::row_mut(&mut factor, i)[i..q], &mut entries, &number);
+            }
+            for i in 0..q {
+                read(&mut A::data_row_mut(&mut data, i)[..columns], &mut entries, &number);
+            }
+            if let Some(rows) = phase.noise {
+                let (mut sensitivity, mut root) = (A::zeros(q, before), A::zeros(rows, q));
+                for i in 0..q {
+                    read(&mut A::row_mut(&mut sensitivity, i)[..before], &mut entries, &number);
+                }
+                for i in 0..rows {
+                    read(&mut A::row_mut(&mut root, i)[..q], &mut entries, &number);
+                }
+                link = Some(LinkView { sensitivity, root });
+            }
+            phases.push(PhaseView { own: phase.own.clone(), factor, data, link });
+            before = q;
+        }
+        phases
+    }
+}
+
+impl ChainedClass {
+    /// Tests with equal matrices, at least one, in a frame; `ranges` says where the states of each phase of the model stand.
+    pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> ChainedClass {
+        let shape = Arc::new(ChainShape::of(chains, ranges));
+        let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
+        ChainedClass { careful: is_careful(chains), ..packed.chained(0) }
+    }
+}
+
+/// Reads entries into a row.
+#[inline(always)]
+fn read<T>(row: &mut [T], entries: &mut ChunksExact<'_, f64>, number: &impl Fn(&[f64]) -> T) {
+    for (x, entry) in row.iter_mut().zip(entries) {
+        *x = number(entry);
+    }
+}
+
+/// Puts the numbers of a class where the first of every so many stands.
+fn put(chained: &ChainedClass, to: &mut [f64], every: usize) {
+    let mut to = to.iter_mut().step_by(every);
+    let mut write = |numbers: &[f64]| numbers.iter().zip(&mut to).for_each(|(x, to)| *to = *x);
+    write(&[chained.count]);
+    for phase in &chained.phases {
+        for i in 0..phase.factor.nrows() {
+            write(&phase.factor.row(i)[i..]);
+        }
+        write(phase.data.as_slice());
+        if let Some(link) = &phase.link {
+            write(link.sensitivity.as_slice());
+            write(link.root.as_slice());
+        }
+    }
+}
+
+/// The same of a class as its tests are, which have equal matrices.
+fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: &mut [f64], every: usize) {
+    let mut at = 0;
+    let mut write = |x: f64| {
+        to[at] = x;
+        at += every;
+    };
+    write(chains.len() as f64);
+    let shared = (chains.len() > 1).then(|| columns(chains, ranges, frame));
+    let mut row = 0;
+    let (mut sigma, mut before) = (Vec::new(), Vec::new());
+    let (mut scale, mut scale_before) = (Vec::new(), Vec::new());
+    for (phase, own) in chains[0].phases.iter().zip(ranges) {
+        let q = phase.data.len();
+        scales(q, own, frame, &mut scale);
+        centre(phase, own, frame, &before, &mut sigma);
+        for i in 0..q {
+            let mut place = i * (i + 3) / 2;
+            for (k, scale) in scale.iter().enumerate().skip(i) {
+                write(phase.factor[place] * scale);
+                place += k + 1;
+            }
+        }
+        match &shared {
+            Some(columns) => (row..row + q).flat_map(|i| columns.row(i)).for_each(|x| write(*x)),
+            None => (0..q).for_each(|i| write(phase.data[i] - told(phase, i, &sigma))),
+        }
+        row += q;
+        if let Some(link) = &phase.link {
+            let sensitivity = link.sensitivity.as_slice();
+            for (i, scale) in scale.iter().enumerate() {
+                let row = sensitivity.iter().skip(i).step_by(q);
+                row.zip(&scale_before).for_each(|(x, before)| write(x * before / scale));
+            }
+            for column in link.root.as_slice().chunks_exact(q.max(1)) {
+                column.iter().zip(&scale).for_each(|(x, scale)| write(x / scale));
+            }
+        }
+        std::mem::swap(&mut sigma, &mut before);
+        std::mem::swap(&mut scale, &mut scale_before);
+    }
+}
+
+/// All that the classes say, by matrices of one kind.
+struct By<'a, A: Algebra> {
+    packed: &'a Packed,
+    prior: &'a Prior<'a, A::Number>,
+    detail: ChainDetail,
+}
+
+impl<A: Algebra<Number: Lanes>> Part for By<'_, A> {
+    type Output = Option<ChainTerms<A::Number>>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let phases = self.packed.phases::<A>(A::Number::COUNT, A::Number::load);
+        ChainPhases::<A> { phases: &phases, count: self.packed.count() }.said(self.prior, self.detail)
+    }
+}

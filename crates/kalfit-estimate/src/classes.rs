@@ -1,0 +1,498 @@
+//! The reductions as the estimator wants them: scaled, centred, and tests that share one R gathered into one class.
+//!
+//! Inside this module ξ = m + D η with a centre m near the population mean and a diagonal D that gives the average
+//! test unit information on each state, so that nothing here depends on the user's units. For a class of n tests
+//! with one R, only the mean of their d and its scatter matter: a class costs as much as one test. Tests in phases may be kept
+//! phase by phase ([`ChainedClass`](crate::ChainedClass)).
+
+use std::borrow::Cow;
+use std::ops::Range;
+use std::sync::Arc;
+
+use kalfit_lanes::Isa;
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::canonical::{Members, ordered};
+use crate::chained::{ChainShape, ChainStore, Packed, grouped};
+use crate::class::{Class, ClassRef};
+use crate::frame::Frame;
+use crate::frame::Pooled;
+use crate::gather::{gather, gather_chains};
+use crate::lanes::ClassBatches;
+use crate::levels::Units;
+use crate::listed::Listed;
+use crate::point::Point;
+use crate::residual::{NoiseScale, Residual};
+use kalfit_algebra::elements::Elements;
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Chain;
+use kalfit_model::Grouping;
+use kalfit_model::Path;
+use kalfit_model::remote::Remote;
+
+/// All reductions of an ensemble, ready for passes.
+#[derive(Debug, Clone)]
+pub struct Classes {
+    /// Where each class stands, in an order that does not depend on the order of the tests.
+    places: Arc<Vec<ClassIndex>>,
+    /// How much larger all noise is than where they were gathered; their numbers are those of this noise, but for the constants that
+    /// blocks know one by one.
+    noise: Option<NoiseScale>,
+    /// Those of a single test that are worked on side by side.
+    pub(crate) blocks: ClassBatches,
+    /// The same of several tests each.
+    pub(crate) shared: ClassBatches,
+    /// The others.
+    pub listed: Listed,
+    /// Numbers of those of them that are worked on one by one.
+    pub(crate) unbatched: Vec<usize>,
+    /// Those of them that are worked on side by side, in phases.
+    pub(crate) chains: Vec<Arc<Packed>>,
+    pub frame: Frame,
+    pub tests: usize,
+    /// Σ_j R_j'R_j, in η.
+    pub information: DMatrix<f64>,
+    /// The elements of Σ.
+    pub(crate) elements: Elements,
+    /// Number of tests that have each phase.
+    pub present: Vec<f64>,
+    /// Tests are kept phase by phase where that can be.
+    chained: bool,
+    /// Which tests are in which class; `None` where the classes are a part of others.
+    members: Option<Arc<Members>>,
+    /// Of which reductions they are.
+    stamp: Option<u64>,
+    /// Where tests stand in groups: the groups of the outermost level with all that stands in them, none of tests that are elsewhere.
+    pub units: Option<Arc<Units>>,
+    /// Where the tests are when they are elsewhere: then there are no classes here.
+    pub remote: Option<Remote>,
+}
+
+/// Where a class stands.
+#[derive(Debug, Clone, Copy)]
+struct ClassIndex {
+    kind: ClassKind,
+    at: u32,
+}
+
+/// How a class is worked on.
+#[derive(Debug, Clone, Copy)]
+enum ClassKind {
+    /// In blocks of single tests.
+    Single,
+    /// In blocks of several tests.
+    Several,
+    Listed,
+}
+
+/// Puts the class with a number into a place.
+type ClassFill<'a> = &'a (dyn Fn(usize, &mut Class) + Sync);
+
+/// Classes that one thread puts together.
+const CHUNK: usize = 64;
+
+impl Classes {
+    /// Gathers reductions with the states of each phase at these places and `regressors` covariates each. `chained`: keep tests
+    /// phase by phase where their reductions are.
+    pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, regressors: usize, chained: bool) -> Classes {
+        let elements = Elements::new(ranges);
+        let chained = chained && !elements.is_single();
+        if let Some(remote) = reductions.remote() {
+            return Classes::afar(remote, (elements, regressors), chained);
+        }
+        let members = ordered(reductions, chained);
+        let pooled = Pooled::all(reductions, members.tests(), (elements.states(), regressors));
+        Classes::gathered(reductions, members, (pooled.frame(), &pooled), (elements, chained))
+    }
+
+    /// The same in coordinates that are given.
+    pub(crate) fn within(reductions: &Reductions, like: &Classes) -> Classes {
+        like.again(reductions, like.chained)
+    }
+
+    /// With the groups that the tests stand in. All tests of the reductions, which must be in what is a test's own and what each of its
+    /// groups adds, are in some. Then the centre is that of the sum.
+    pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
+        let centre = self.frame.centred(grouping.depth() + 1);
+        if centre != self.frame {
+            self = Classes { frame: centre, ..self }.again(reductions, false);
+        }
+        let units = Units::new(reductions, &self, grouping).expect("every test is in a group");
+        if self.remote.is_none() {
+            self.present = units.counts(); // of tests that are elsewhere it is told
+        }
+        self.units = Some(Arc::new(units));
+        self
+    }
+
+    /// Those of tests that are elsewhere, as if each stood alone where it stands in groups.
+    pub(crate) fn apart(&self) -> Classes {
+        let Some(p) = self.units.as_ref().map(|units| units.states) else { return self.clone() };
+        Classes {
+            frame: self.frame.part(&(0..p)),
+            information: self.information.view((0, 0), (p, p)).into_owned(),
+            elements: Elements::new(self.elements.blocks()[..1].to_vec()),
+            present: self.present[..1].to_vec(),
+            units: None,
+            ..self.clone()
+        }
+    }
+
+    /// Other reductions, or in other ways, in the same coordinates.
+    fn again(&self, reductions: &Reductions, chained: bool) -> Classes {
+        if let Some(remote) = reductions.remote() {
+            return Classes { remote: Some(remote.clone()), ..self.clone() }; // what starts need is near enough
+        }
+        let classes = Classes::in_frame(reductions, &self.frame, self.elements.clone(), chained);
+        match &self.units {
+            Some(units) => classes.in_groups(reductions, &units.grouping),
+            None => classes,
+        }
+    }
+
+    /// Gathers reductions in coordinates that are given.
+    pub(super) fn in_frame(reductions: &Reductions, frame: &Frame, elements: Elements, chained: bool) -> Classes {
+        let chained = chained && !elements.is_single();
+        let members = ordered(reductions, chained);
+        let pooled = Pooled::all(reductions, members.tests(), (elements.states(), frame.covariate_scale.len()));
+        Classes::gathered(reductions, members, (frame.clone(), &pooled), (elements, chained))
+    }
+
+    /// Those of tests that are elsewhere, by what they say together: (their number, that of those that have each phase, the rest).
+    pub(super) fn of_survey(
+        remote: &Remote,
+        (tests, present, pooled): (usize, Vec<f64>, &Pooled),
+        (elements, chained): (Elements, bool),
+    ) -> Classes {
+        let frame = pooled.frame();
+        let found = (tests, pooled.information(&frame), present);
+        let classes = Classes::arranged((Vec::new(), &|_, _| {}), Vec::new(), (&frame, &elements, chained), found);
+        Classes { remote: Some(remote.clone()), ..classes }
+    }
+
+    fn gathered(
+        reductions: &Reductions,
+        members: Members,
+        (frame, pooled): (Frame, &Pooled),
+        (elements, chained): (Elements, bool),
+    ) -> Classes {
+        let found = (reductions.len(), pooled.information(&frame), present(reductions, &elements));
+        let classes = Classes::of_members(reductions, members, (&frame, &elements, chained), found);
+        Classes { stamp: Some(reductions.stamp()), ..classes }
+    }
+
+    fn of_members(
+        reductions: &Reductions,
+        members: Members,
+        (frame, elements, chained): (&Frame, &Elements, bool),
+        found: (usize, DMatrix<f64>, Vec<f64>),
+    ) -> Classes {
+        let chains = if chained { side_by_side(reductions, &members, (frame, elements)) } else { Vec::new() };
+        let lanes = in_lanes(&chains, members.len());
+        let in_blocks = elements.is_single() && !frame.scale.is_empty();
+        let apart = |j: usize| reductions.path(j) == Path::SquareRoot || reductions.exact(j).is_some();
+        let kind = |class: usize| match members.class(class) {
+            tests if !in_blocks || tests.iter().any(|&j| apart(j)) => ClassKind::Listed,
+            [_] => ClassKind::Single,
+            _ => ClassKind::Several,
+        };
+        let fill = |class: usize, room: &mut Class| {
+            let tests = members.class(class);
+            if chained && reductions.chain(tests[0]).is_some() {
+                gather_chains((reductions, tests), (frame, elements), lanes.get(class).cloned().flatten(), room);
+            } else {
+                gather(reductions, tests, frame, room);
+            }
+        };
+        let kinds = (0..members.len()).map(kind).collect();
+        let classes = Classes::arranged((kinds, &fill), chains, (frame, elements, chained), found);
+        Classes { members: Some(Arc::new(members)), ..classes }
+    }
+
+    /// The classes, and who is worked on side by side with whom; `fill` puts a class into a place.
+    fn arranged(
+        (kinds, fill): (Vec<ClassKind>, ClassFill<'_>),
+        chains: Vec<Arc<Packed>>,
+        (frame, elements, chained): (&Frame, &Elements, bool),
+        (tests, information, present): (usize, DMatrix<f64>, Vec<f64>),
+    ) -> Classes {
+        let (mut places, mut numbers) = (Vec::with_capacity(kinds.len()), [const { Vec::new() }; 3]);
+        for (class, kind) in kinds.into_iter().enumerate() {
+            let numbers: &mut Vec<usize> = &mut numbers[kind as usize];
+            places.push(ClassIndex { kind, at: numbers.len() as u32 });
+            numbers.push(class);
+        }
+        let [single, several, listed] = &numbers;
+        let (p, regressors) = (frame.scale.len(), frame.covariate_scale.len());
+        let filled = |several: bool, numbers: &[usize]| {
+            let fill = |at: usize, room: &mut Class| fill(numbers[at], room);
+            ClassBatches::filled((p, regressors, several), Isa::best(), numbers.len(), &fill)
+        };
+        let (blocks, shared) = (filled(false, single), filled(true, several));
+        let listed = list(listed, fill);
+        let alone = |&number: &usize| listed.get(number).chain.is_none_or(ChainStore::is_careful);
+        Classes {
+            unbatched: (0..listed.len()).filter(alone).collect(),
+            places: Arc::new(places),
+            noise: None,
+            blocks,
+            shared,
+            listed,
+            chains,
+            frame: frame.clone(),
+            tests,
+            information,
+            elements: elements.clone(),
+            present,
+            chained,
+            members: None,
+            stamp: None,
+            units: None,
+            remote: None,
+        }
+    }
+
+    /// How many they are.
+    pub fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// The class with this number; there is room for its numbers.
+    pub(crate) fn get<'a>(&'a self, number: usize, room: &'a mut Class) -> ClassRef<'a> {
+        if let ClassIndex { kind: ClassKind::Listed, at } = self.places[number] {
+            return self.listed.get(at as usize);
+        }
+        self.read(number, room);
+        room.view()
+    }
+
+    /// Puts the class with this number into a place.
+    fn read(&self, number: usize, class: &mut Class) {
+        let ClassIndex { kind, at } = self.places[number];
+        match kind {
+            ClassKind::Single => self.blocks.read(at as usize, class),
+            ClassKind::Several => self.shared.read(at as usize, class),
+            ClassKind::Listed => return class.set(self.listed.get(at as usize)),
+        }
+        class.constant += self.noise.as_ref().map_or(0.0, |noise| noise.change(number));
+    }
+
+    /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
+    pub fn of<'a>(&'a self, reductions: &Reductions) -> Cow<'a, Classes> {
+        let own = self.stamp.is_some_and(|stamp| stamp == reductions.stamp());
+        if own { Cow::Borrowed(self) } else { Cow::Owned(Classes::within(reductions, self)) }
+    }
+
+    /// The same as the classes of these reductions, which are those of the same tests in the same order at the noise of the classes.
+    pub(super) fn grounded(&self, reductions: &Reductions) -> Option<Classes> {
+        let members = self.members.as_ref().filter(|members| members.tests().len() == reductions.len());
+        let known = members.is_some() && self.units.is_none();
+        known.then(|| Classes { stamp: Some(reductions.stamp()), ..self.clone() })
+    }
+
+    /// Numbers of the tests of a class, by their ids, of the reductions that these are the classes of.
+    pub fn tests_of(&self, class: usize) -> &[usize] {
+        self.members.as_ref().expect("they are of reductions").class(class)
+    }
+
+    /// Every test has a class to itself, of those that these are the classes of.
+    pub fn are_single(&self) -> bool {
+        self.stamp.is_some() && self.len() == self.tests
+    }
+
+    /// Some tests, each a class to itself, in the same η. The pooled information is the share that goes with them.
+    pub fn each(&self, reductions: &Reductions, tests: &[usize]) -> Classes {
+        let share = tests.len() as f64 / reductions.len() as f64;
+        let present = self.present.iter().map(|tests| tests * share).collect();
+        let found = (tests.len(), &self.information * share, present);
+        Classes::of_members(reductions, Members::each(tests), (&self.frame, &self.elements, self.chained), found)
+    }
+
+    /// The same where all noise is λ times as large, from what each class says of it, in coordinates that are √λ times as large.
+    /// They are the classes of no reductions, and of tests in one phase.
+    pub(crate) fn with_noise(&self, variance: f64, told: &Arc<Vec<Residual>>) -> Classes {
+        debug_assert!(self.chains.is_empty(), "between phases noise has links of its own");
+        let noise = NoiseScale { variance, told: told.clone() };
+        let (mut changes, mut listed) = ([Residual::default(); 2], Vec::with_capacity(self.listed.len()));
+        for (place, told) in self.places.iter().zip(told.iter()) {
+            match place.kind {
+                ClassKind::Single => changes[0] = changes[0].and(*told),
+                ClassKind::Several => changes[1] = changes[1].and(*told),
+                ClassKind::Listed => listed.push(told.change(variance)),
+            }
+        }
+        let [single, several] = changes.map(|change| change.change(variance));
+        let size = variance.sqrt();
+        let change = told.iter().fold(Residual::default(), |sum, one| sum.and(*one)).change(variance);
+        let noise_unit = noise.unit();
+        let scale = self.frame.scale.iter().map(|s| s * size).collect();
+        Classes {
+            places: self.places.clone(),
+            blocks: self.blocks.shrunk(noise.unit(), single),
+            shared: self.shared.shrunk(noise.unit(), several),
+            listed: self.listed.shrunk(noise.unit(), |at| listed[at]),
+            noise: Some(noise),
+            unbatched: self.unbatched.clone(),
+            chains: Vec::new(),
+            frame: Frame { scale, ..self.frame.clone() },
+            information: self.information.clone(),
+            elements: self.elements.clone(),
+            present: self.present.clone(),
+            members: self.members.clone(),
+            stamp: None,
+            units: self.units.as_ref().map(|units| Arc::new(units.with_noise(noise_unit, change))),
+            remote: None,
+            ..*self
+        }
+    }
+
+    /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
+    pub(crate) fn thinned(&self, every: usize) -> Classes {
+        if let Some(units) = &self.units {
+            let units = units.thinned(every);
+            let present = units.counts();
+            let share = present[0] / self.tests as f64;
+            let information = &self.information * share;
+            return Classes {
+                tests: present[0] as usize,
+                information,
+                present,
+                units: Some(Arc::new(units)),
+                ..self.clone()
+            };
+        }
+        let numbers: Vec<usize> = (0..self.len()).skip(every / 2).step_by(every).collect();
+        let kinds = numbers.iter().map(|&number| self.places[number].kind).collect();
+        let chains = self.repacked(&numbers);
+        let lanes = in_lanes(&chains, numbers.len());
+        let fill = |at: usize, room: &mut Class| {
+            self.read(numbers[at], room);
+            room.chain = lanes.get(at).cloned().flatten().or(room.chain.take());
+        };
+        let mut room = Class::default();
+        let tests = numbers.iter().map(|&number| self.get(number, &mut room).count).sum::<f64>();
+        let share = tests / self.tests as f64;
+        let present = self.present.iter().map(|tests| tests * share).collect();
+        let found = (tests as usize, &self.information * share, present);
+        Classes::arranged((kinds, &fill), chains, (&self.frame, &self.elements, self.chained), found)
+    }
+
+    /// Those of some classes side by side that can be.
+    fn repacked(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
+        let lanes = Isa::best().lanes();
+        let mut room = Class::default();
+        let kept: Vec<Option<ChainStore>> =
+            numbers.iter().map(|&number| self.get(number, &mut room).chain.cloned()).collect();
+        let groups = grouped(kept.iter().map(|kept| kept.as_ref().and_then(ChainStore::shape)).enumerate(), lanes);
+        let of = |k: usize| kept[k].as_ref().expect("it has a shape").chained();
+        let pack = |(shape, numbers)| Arc::new(Packed::new(shape, numbers, lanes, of));
+        groups.into_par_iter().map(pack).collect()
+    }
+
+    /// The classes of the reductions, kept phase by phase, whatever these classes are.
+    pub fn by_phase(&self, reductions: &Reductions) -> Cow<'_, Classes> {
+        if self.chained {
+            return self.of(reductions);
+        }
+        Cow::Owned(self.again(reductions, true))
+    }
+
+    /// One test as a class of its own, in the same η.
+    pub fn single(&self, reductions: &Reductions, test: usize) -> Class {
+        let mut class = Class::default();
+        if self.chained && reductions.chain(test).is_some() {
+            gather_chains((reductions, &[test]), (&self.frame, &self.elements), None, &mut class);
+        } else {
+            gather(reductions, &[test], &self.frame, &mut class);
+        }
+        class
+    }
+
+    /// Some test measures something exactly.
+    pub(super) fn has_exact(&self) -> bool {
+        let p = self.dimension();
+        !self.is_chained() && (0..self.listed.len()).any(|number| self.listed.get(number).mean.len() > p)
+    }
+
+    /// A class whose exact rows have a singular covariance at a point, if there is one: standard deviations in units of what tests
+    /// differ by, given those of the rows before.
+    pub(super) fn collapsed(&self, point: &Point) -> Option<usize> {
+        const NONE: f64 = 1e-8;
+        let (p, mut room) = (self.dimension(), Class::default());
+        (0..self.len()).find(|&number| {
+            let class = self.get(number, &mut room);
+            let exact = class.factor.get(p * p..).filter(|exact| !exact.is_empty());
+            exact.is_some_and(|exact| {
+                let rows = DMatrix::from_row_slice(exact.len() / p, p, exact) * &point.root;
+                let root = rows.transpose().qr().r();
+                root.nrows() < root.ncols() || root.diagonal().iter().any(|own| own.abs() < NONE)
+            })
+        })
+    }
+
+    /// p.
+    pub fn dimension(&self) -> usize {
+        self.frame.scale.len()
+    }
+}
+
+/// Those with these numbers, one after the other.
+fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
+    let some = |numbers: &[usize]| {
+        let (mut listed, mut room) = (Listed::default(), Class::default());
+        for &number in numbers {
+            fill(number, &mut room);
+            listed.push(room.view());
+        }
+        listed
+    };
+    let parts: Vec<Listed> = numbers.par_chunks(CHUNK).map(some).collect();
+    let mut all = Listed::default();
+    parts.into_iter().for_each(|part| all.append(part));
+    all
+}
+
+/// How many tests have each phase: all have the first one; of tests that are not kept phase by phase, those that say something
+/// of its states.
+pub(super) fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> {
+    let has = |j: usize, f: usize, range: &Range<usize>| match reductions.chain(j) {
+        Some(chain) => f < chain.phases.len(),
+        None => range.clone().any(|k| reductions.factor(j)[k * (k + 1) / 2..][..=k].iter().any(|x| *x != 0.0)),
+    };
+    let count = |(f, range): (usize, &Range<usize>)| match f {
+        0 => reductions.len() as f64,
+        _ => (0..reductions.len()).filter(|&j| has(j, f, range)).count() as f64,
+    };
+    elements.blocks().iter().enumerate().map(count).collect()
+}
+
+/// Classes of tests in phases that can be worked on side by side, by their numbers.
+fn side_by_side(
+    reductions: &Reductions,
+    members: &Members,
+    (frame, elements): (&Frame, &Elements),
+) -> Vec<Arc<Packed>> {
+    let (ranges, lanes) = (elements.blocks(), Isa::best().lanes());
+    let chains_of =
+        |k: usize| -> Vec<&Chain> { members.class(k).iter().filter_map(|&j| reductions.chain(j)).collect() };
+    let shapes: Vec<Option<ChainShape>> =
+        (0..members.len()).into_par_iter().map(|k| ChainShape::side_by_side(&chains_of(k), ranges)).collect();
+    let groups = grouped(shapes.into_iter().map(|shape| shape.map(Cow::Owned)).enumerate(), lanes);
+    let pack = |(shape, numbers)| Arc::new(Packed::of_tests(shape, numbers, lanes, (ranges, frame), chains_of));
+    groups.into_par_iter().map(pack).collect()
+}
+
+/// Where each of so many classes in phases stands; of none where none is side by side with others.
+fn in_lanes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<ChainStore>> {
+    if chains.is_empty() {
+        return Vec::new();
+    }
+    let mut places = vec![None; classes];
+    for packed in chains {
+        for (lane, &number) in packed.members().iter().enumerate() {
+            places[number] = Some(ChainStore::Lane(packed.clone(), lane));
+        }
+    }
+    places
+}

@@ -1,0 +1,249 @@
+//! The structure of Σ in η: Σ = FF' with F linear in the solver's coordinates ψ, and linear constraints on Σ.
+//!
+//! Every structure of the model file has this form. Within a block Σ_b = L_b L_b' with L_b lower triangular in a pivoted
+//! order, so that a singular Σ shows as trailing columns that are zero; Σ = βΣ* is F = ψ root(Σ*); Σ = DRD is F = D root(R).
+//! Fixed and equal elements that no such form gives are constraints Σ_ab coefficient σ_ab = value. Each phase has its own form;
+//! between phases Σ is zero.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::frame::Frame;
+use crate::structure::Structure;
+use kalfit_algebra::elements::Elements;
+use kalfit_algebra::symmetric;
+use kalfit_algebra::symmetric::pairs;
+use kalfit_model::StructureError;
+
+/// How the Σ of a phase is built from coordinates. Matrices are those of the phase, states are counted over all phases.
+#[derive(Debug, Clone)]
+pub enum CoordinateForm {
+    /// Blocks Σ_b = L_b L_b'.
+    Factor(Vec<Vec<usize>>),
+    /// Σ = ψ² root root'.
+    Scale(DMatrix<f64>),
+    /// Σ = D root root' D, D = diag(ψ) over these states.
+    StdDevs(DMatrix<f64>, Vec<usize>),
+    /// Σ is this.
+    Fixed(DMatrix<f64>),
+}
+
+/// The structure of the Σ of one phase, in η.
+#[derive(Debug, Clone)]
+pub struct PhaseForm {
+    /// Its states.
+    pub states: Range<usize>,
+    pub form: CoordinateForm,
+    /// Its members are those of a linear covariance structure.
+    pub linear: bool,
+    /// Start value from the model.
+    pub start: Option<DMatrix<f64>>,
+}
+
+/// Σ coefficient × σ_pair = value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Constraint {
+    pub terms: Vec<(usize, usize, f64)>,
+    pub value: f64,
+}
+
+/// The structure of Σ, in η.
+#[derive(Debug, Clone)]
+pub struct CovarianceMap {
+    pub(crate) p: usize,
+    /// By phase.
+    pub parts: Vec<PhaseForm>,
+    pub constraints: Vec<Constraint>,
+    /// States whose variance is not held at zero.
+    pub random: Vec<usize>,
+    /// States whose means regression coefficients act on, in their order: their variances are what the coefficients are measured in.
+    pub(crate) regressors: Vec<usize>,
+    pub elements: Elements,
+}
+
+impl CovarianceMap {
+    pub(crate) fn new(structure: &Structure<'_>, frame: &Frame) -> Result<CovarianceMap, StructureError> {
+        let ranges = structure.ranges();
+        let elements = Elements::new(ranges.clone());
+        let mut all = CovarianceMap {
+            p: elements.states(),
+            parts: Vec::new(),
+            constraints: Vec::new(),
+            random: Vec::new(),
+            regressors: structure.regressions().iter().map(|r| r.element).collect(),
+            elements,
+        };
+        for (phase, range) in structure.phases.iter().zip(ranges) {
+            let own = CovarianceMap::of_phase(phase.covariance, structure.alpha, &frame.part(&range))?;
+            all.append(own, range.start);
+        }
+        Ok(all)
+    }
+
+    /// Takes in the structure of a phase whose states begin at `start`.
+    fn append(&mut self, phase: CovarianceMap, start: usize) {
+        self.parts.extend(phase.parts.into_iter().map(|part| part.moved(start as isize)));
+        self.random.extend(phase.random.iter().map(|i| start + i));
+        self.constraints.extend(phase.constraints.iter().map(|c| c.moved(start as isize)));
+    }
+
+    /// The structure of one phase by itself.
+    pub fn of_part(&self, part: &PhaseForm) -> CovarianceMap {
+        let states = &part.states;
+        let back = -(states.start as isize);
+        let own = |c: &&Constraint| c.terms.iter().all(|(i, _, _)| states.contains(i));
+        CovarianceMap {
+            p: states.len(),
+            parts: vec![part.moved(back)],
+            constraints: self.constraints.iter().filter(own).map(|c| c.moved(back)).collect(),
+            random: self.random.iter().filter(|i| states.contains(i)).map(|i| i - states.start).collect(),
+            regressors: Vec::new(),
+            elements: Elements::single(states.len()),
+        }
+    }
+
+    /// Blocks Σ_b = L_b L_b' of all phases that have such.
+    pub(crate) fn blocks(&self) -> impl Iterator<Item = &Vec<usize>> {
+        self.parts.iter().flat_map(|part| match &part.form {
+            CoordinateForm::Factor(blocks) => blocks.as_slice(),
+            _ => &[],
+        })
+    }
+
+    /// The form of the Σ that a state has part in.
+    pub fn form_of(&self, state: usize) -> &CoordinateForm {
+        &self.parts[self.elements.block_of(state)].form
+    }
+
+    /// A matrix with these blocks, one for each phase.
+    pub(crate) fn assembled(&self, parts: impl IntoIterator<Item = DMatrix<f64>>) -> DMatrix<f64> {
+        let mut whole = DMatrix::zeros(self.p, self.p);
+        for (part, own) in self.parts.iter().zip(parts) {
+            let start = part.states.start;
+            whole.view_mut((start, start), own.shape()).copy_from(&own);
+        }
+        whole
+    }
+
+    /// Whether element (i, j) is zero because of the form.
+    pub fn is_structural_zero(&self, i: usize, j: usize) -> bool {
+        match self.form_of(i) {
+            _ if self.elements.get(i, j).is_none() => true,
+            CoordinateForm::Factor(blocks) => !blocks.iter().any(|b| b.contains(&i) && b.contains(&j)),
+            _ => !(self.random.contains(&i) && self.random.contains(&j)),
+        }
+    }
+
+    /// Sets what the form makes zero to zero.
+    pub fn mask(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+        DMatrix::from_fn(self.p, self.p, |i, j| if self.is_structural_zero(i, j) { 0.0 } else { sigma[(i, j)] })
+    }
+
+    /// Values of the constraints' left sides minus their right sides.
+    pub fn residual(&self, sigma: &DMatrix<f64>) -> DVector<f64> {
+        let left = |c: &Constraint| c.terms.iter().map(|&(i, j, x)| x * sigma[(i, j)]).sum::<f64>();
+        DVector::from_iterator(self.constraints.len(), self.constraints.iter().map(|c| left(c) - c.value))
+    }
+
+    /// The largest residual beside the elements that it is about: a large variance elsewhere excuses nothing.
+    pub fn relative_residual(&self, sigma: &DMatrix<f64>, residual: &DVector<f64>) -> f64 {
+        let size = |c: &Constraint| {
+            let spread = |i: usize, j: usize| (sigma[(i, i)] * sigma[(j, j)]).max(0.0).sqrt();
+            c.value.abs() + c.terms.iter().map(|&(i, j, x)| x.abs() * spread(i, j)).sum::<f64>()
+        };
+        let relative = self.constraints.iter().zip(residual.iter()).map(|(c, r)| r.abs() / (1.0 + size(c)));
+        relative.fold(0.0, f64::max)
+    }
+
+    /// Number of free covariance quantities, as declared.
+    pub(crate) fn declared(&self) -> usize {
+        let of_form = |part: &PhaseForm| match &part.form {
+            CoordinateForm::Factor(blocks) => blocks.iter().map(|b| pairs(b.len())).sum(),
+            CoordinateForm::Scale(_) => 1,
+            CoordinateForm::StdDevs(_, states) => states.len(),
+            CoordinateForm::Fixed(_) => 0,
+        };
+        self.parts.iter().map(of_form).sum::<usize>() - self.constraints.len()
+    }
+
+    /// A root F of the structure's own shape from any Σ that is nearly of the structure.
+    pub fn root_of(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut root = DMatrix::zeros(self.p, self.p);
+        for part in &self.parts {
+            let start = part.states.start;
+            let mut whole = |own: DMatrix<f64>| root.view_mut((start, start), own.shape()).copy_from(&own);
+            match &part.form {
+                CoordinateForm::Factor(blocks) => {
+                    for block in blocks {
+                        let own = symmetric::square_root(&sub(sigma, block));
+                        place(&mut root, block, &own);
+                    }
+                }
+                CoordinateForm::Scale(star) => {
+                    let star_trace: f64 = star.norm_squared();
+                    let trace: f64 = part.states.clone().map(|i| sigma[(i, i)]).sum();
+                    whole(star * (trace.max(0.0) / star_trace.max(f64::MIN_POSITIVE)).sqrt());
+                }
+                CoordinateForm::StdDevs(correlation, states) => {
+                    let sd = |i| if states.contains(&i) { sigma[(i, i)].max(0.0).sqrt() } else { 0.0 };
+                    let n = part.states.len();
+                    whole(DMatrix::from_fn(n, n, |i, c| sd(start + i) * correlation[(i, c)]));
+                }
+                CoordinateForm::Fixed(known) => whole(symmetric::square_root(known)),
+            }
+        }
+        root
+    }
+}
+
+impl PhaseForm {
+    /// Its block of a matrix.
+    pub fn of(&self, matrix: &DMatrix<f64>) -> DMatrix<f64> {
+        let (start, n) = (self.states.start, self.states.len());
+        matrix.view((start, start), (n, n)).clone_owned()
+    }
+
+    /// A matrix of its own in the place of its block, zero elsewhere.
+    pub fn placed(&self, own: &DMatrix<f64>, p: usize) -> DMatrix<f64> {
+        let mut whole = DMatrix::zeros(p, p);
+        whole.view_mut((self.states.start, self.states.start), own.shape()).copy_from(own);
+        whole
+    }
+
+    /// The same for states that are counted from elsewhere.
+    fn moved(&self, by: isize) -> PhaseForm {
+        let at = |i: usize| i.strict_add_signed(by);
+        let form = match &self.form {
+            CoordinateForm::Factor(blocks) => {
+                CoordinateForm::Factor(blocks.iter().map(|block| block.iter().map(|&i| at(i)).collect()).collect())
+            }
+            CoordinateForm::StdDevs(root, states) => {
+                CoordinateForm::StdDevs(root.clone(), states.iter().map(|&i| at(i)).collect())
+            }
+            other => other.clone(),
+        };
+        PhaseForm { states: at(self.states.start)..at(self.states.end), form, ..self.clone() }
+    }
+}
+
+impl Constraint {
+    fn moved(&self, by: isize) -> Constraint {
+        let at = |i: usize| i.strict_add_signed(by);
+        Constraint { terms: self.terms.iter().map(|&(i, j, x)| (at(i), at(j), x)).collect(), ..self.clone() }
+    }
+}
+
+/// The rows and columns of a block.
+pub(crate) fn sub(matrix: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
+    DMatrix::from_fn(block.len(), block.len(), |i, j| matrix[(block[i], block[j])])
+}
+
+/// Writes a block's matrix into its rows and columns.
+pub(crate) fn place(into: &mut DMatrix<f64>, block: &[usize], own: &DMatrix<f64>) {
+    for i in 0..block.len() {
+        for j in 0..block.len() {
+            into[(block[i], block[j])] = own[(i, j)];
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! What classes say at a point, one after the other; those in phases side by side.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use kalfit_lanes::{Kernel, Lanes};
+use rayon::prelude::*;
+
+use crate::chained::{ChainDetail, Packed, Root};
+use crate::class::{Class, ClassRef};
+use crate::classes::Classes;
+use crate::point::{Point, Regressors};
+use crate::terms::ClassTerms;
+
+/// Classes that one thread takes at a time.
+const CHUNK: usize = 256;
+
+/// Classes by their numbers.
+type Numbered<'a, 'c> = &'a (dyn Fn(usize) -> ClassRef<'c> + Sync);
+
+/// Evaluates every class at a point and folds what each says, by `of`, into parts that begin as `start()`. Which classes make a part does
+/// not depend on threads.
+pub fn map_classes<T: Send>(
+    classes: &Classes,
+    regressors: &Regressors,
+    point: &Point,
+    detail: ChainDetail,
+    start: &(dyn Fn() -> T + Sync),
+    of: &(dyn Fn(&mut T, usize, ClassRef<'_>, &ClassTerms<'_>) + Sync),
+) -> Vec<T> {
+    let (isa, class) = (classes.blocks.isa(), &|k: usize| classes.listed.get(k));
+    let root = &Root::of(&point.root);
+    let parts = map_classes_and_packed(
+        classes,
+        &|| (start(), ClassTerms::new(point, regressors)),
+        &|(made, terms), k, class| {
+            terms.evaluate(class, detail);
+            of(made, k, class, terms);
+        },
+        &|(made, terms), packed| {
+            let of: &mut dyn FnMut(usize, &ClassTerms<'_>) = &mut |k, terms| of(made, k, class(k), terms);
+            isa.run(PackedTerms { packed, class, regressors, point, root, detail, terms, of });
+        },
+    );
+    parts.into_iter().map(|(made, _)| made).collect()
+}
+
+/// Classes by themselves are given to `one`, with their numbers, and those that are packed to `several`; what they make begins with
+/// `start`, whatever thread they are on.
+pub(super) fn map_classes_and_packed<T: Send>(
+    classes: &Classes,
+    start: &(dyn Fn() -> T + Sync),
+    one: &(dyn Fn(&mut T, usize, ClassRef<'_>) + Sync),
+    several: &(dyn Fn(&mut T, &Packed) + Sync),
+) -> Vec<T> {
+    // where some are packed all are listed, in their order
+    let packed = !classes.chains.is_empty();
+    let alone = if packed { classes.unbatched.clone() } else { (0..classes.len()).collect() };
+    let one_by_one = |numbers: &[usize]| {
+        let (mut made, mut room) = (start(), Class::default());
+        numbers.iter().for_each(|&k| one(&mut made, k, classes.get(k, &mut room)));
+        made
+    };
+    let side_by_side = |blocks: &[Arc<Packed>]| {
+        let mut made = start();
+        blocks.iter().for_each(|packed| several(&mut made, packed));
+        made
+    };
+    let mut parts: Vec<T> = alone.par_chunks(CHUNK).map(one_by_one).collect();
+    parts.par_extend(classes.chains.par_chunks(CHUNK / classes.blocks.isa().lanes()).map(side_by_side));
+    parts
+}
+
+struct PackedTerms<'a, 'b, 'c> {
+    packed: &'b Packed,
+    class: Numbered<'b, 'c>,
+    regressors: &'a Regressors,
+    point: &'a Point,
+    root: &'a Root<'a>,
+    detail: ChainDetail,
+    terms: &'b mut ClassTerms<'a>,
+    of: &'b mut dyn FnMut(usize, &ClassTerms<'_>),
+}
+
+impl Kernel for PackedTerms<'_, '_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let PackedTerms { packed, class, regressors, point, root, detail, terms, of } = self;
+        let covariates = packed.covariates::<T>(class, regressors.len());
+        let mean = packed.means(&covariates, point, regressors);
+        let said = packed.said::<T>(&mean, root, detail);
+        let ranges: Vec<Range<usize>> = packed.shape().ranges().cloned().collect();
+        for (lane, &k) in packed.members().iter().enumerate() {
+            match &said {
+                Some(said) => terms.take((&ranges, class(k)), said, detail, |x| x.lane(lane)),
+                None => terms.evaluate(class(k), detail),
+            }
+            of(k, terms);
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! The paper's DL algorithm: EM on the reductions, (8)-(11), with the constrained M-steps of theory §4.
+//!
+//! E-step: the posterior of every test, x̂_j = μ + Σ r_j and V_j = Σ - Σ W_j Σ. M-step: μ ← mean x̂_j, then
+//! Σ ← mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ, both under their constraints. ℓ cannot fall.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::Criterion;
+use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, place, sub};
+use crate::exact::maximise_exact;
+use crate::local::Objective;
+use crate::order::Order;
+use crate::point::Point;
+use crate::problem::Problem;
+use crate::sums::Sums;
+use kalfit_algebra::symmetric;
+
+/// Which conditional maximisation comes next, when μ and Σ cannot move together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ConditionalStep {
+    Mean,
+    Covariance,
+}
+
+/// What a pass must give EM: the information on the mean between phases only where the mean may need least squares.
+pub(crate) fn order(problem: &Problem) -> Order {
+    let (p, mean) = (problem.classes.dimension(), &problem.mean);
+    let closed = mean.basis.ncols() == p && mean.regressors.is_empty() && problem.covariance.random.len() == p;
+    if closed && problem.criterion() == Criterion::Ml { Order::First } else { Order::Mean }
+}
+
+/// One EM step from the sums at a point. Where μ has no closed form beside Σ (a singular Σ with a constrained mean,
+/// or a regression), μ and Σ take turns: generalised least squares for μ, EM for Σ (ECM). So they do under the restricted
+/// likelihood, where the mean is missing data too, with a flat prior: its uncertainty adds to the second moment.
+pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut ConditionalStep) -> Point {
+    let tests = counts(problem);
+    let sigma = point.covariance();
+    let mu = DVector::from_column_slice(&point.mean);
+    let p = mu.len();
+    let shift = (&sigma * sums.mean_score.rows(0, p)).component_div(&tests); // mean x̂_j - μ
+    let together = (problem.mean.regressors.is_empty() && problem.criterion() == Criterion::Ml)
+        .then(|| problem.mean.maximise(&(&mu + &shift), &sigma))
+        .flatten();
+    let random = problem.covariance.random.len() == p;
+    let next_mean = match together {
+        Some(next) if random => next,
+        _ => {
+            if *turn == ConditionalStep::Mean {
+                *turn = ConditionalStep::Covariance;
+                return problem.move_mean(point, problem.least_squares_step(sums).as_slice());
+            }
+            *turn = ConditionalStep::Mean;
+            mu.clone()
+        }
+    };
+    let delta = &next_mean - &mu;
+    let second = second_moment(&sigma, sums, &shift, &delta, &tests);
+    let map = &problem.covariance;
+    let of = |(part, tests): (&PhaseForm, &f64)| {
+        maximise(&map.of_part(part), &part.of(&second), part.of(&point.root), tests.max(1.0))
+    };
+    let root = map.assembled(map.parts.iter().zip(&problem.classes.present).map(of));
+    Point { mean: next_mean.as_slice().to_vec(), coefficients: point.coefficients.clone(), root }
+}
+
+/// For each element the number of tests that have its phase: an M-step averages over those.
+fn counts(problem: &Problem) -> DVector<f64> {
+    let (classes, p) = (&problem.classes, problem.classes.dimension());
+    DVector::from_fn(p, |i, _| classes.present[classes.elements.block_of(i)].max(1.0))
+}
+
+/// M̄ = mean (V_j + (x̂_j - μ)(x̂_j - μ)') with the new μ = old μ + δ, (9): as x̂_j = old μ + Σr_j and V_j = Σ - ΣW_jΣ, that is
+/// Σ - Σ (∑_j (W_j - r_j r_j')) Σ / n - sδ' - δs' + δδ', where ∑ adds over tests and s = mean (x̂_j - old μ).
+fn second_moment(
+    sigma: &DMatrix<f64>,
+    sums: &Sums,
+    shift: &DVector<f64>,
+    delta: &DVector<f64>,
+    tests: &DVector<f64>,
+) -> DMatrix<f64> {
+    let lost = sigma * (&sums.weight - sums.moment()) * sigma;
+    let spread = DMatrix::from_fn(lost.nrows(), lost.ncols(), |i, j| sigma[(i, j)] - lost[(i, j)] / tests[i]);
+    spread - shift * delta.transpose() - delta * shift.transpose() + delta * delta.transpose()
+}
+
+/// The Σ of the structure of one phase that maximises -log|Σ| - tr(Σ⁻¹M̄), as a root.
+fn maximise(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
+    match &map.parts[0].form {
+        CoordinateForm::Fixed(_) => root,
+        CoordinateForm::Factor(_) if map.constraints.is_empty() => map.root_of(&map.mask(second)),
+        CoordinateForm::Factor(blocks) => match regression_form(map, blocks, second) {
+            Some(sigma) => map.root_of(&sigma),
+            None => maximise_exact(map, second, root, n),
+        },
+        CoordinateForm::Scale(star) => {
+            let inverse = symmetric::pseudo_inverse(&(star * star.transpose()));
+            let rank = (&inverse * star * star.transpose()).trace();
+            star * ((inverse * second).trace() / rank).max(0.0).sqrt()
+        }
+        CoordinateForm::StdDevs(correlation, states) => correlation_step(correlation, states, second),
+    }
+}
+
+/// (23) where it applies, block by block: every fixed element lies in the rows of a set 2 whose rows are all fixed. Then with
+/// B = Σ12 Σ22⁻¹, Σ11 = [I -B] M̄ [I -B]' + B Σ22 B'.
+fn regression_form(map: &CovarianceMap, blocks: &[Vec<usize>], second: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let fixed = |i: usize, j: usize| {
+        let found = map.constraints.iter().find(|c| c.terms.len() == 1 && same(c.terms[0], i, j));
+        found.map(|c| c.value)
+    };
+    if map.constraints.iter().any(|c| c.terms.len() != 1) {
+        return None;
+    }
+    let mut sigma = DMatrix::zeros(map.p, map.p);
+    for block in blocks {
+        let held: Vec<usize> =
+            block.iter().copied().filter(|&i| block.iter().all(|&j| fixed(i, j).is_some())).collect();
+        let free: Vec<usize> = block.iter().copied().filter(|i| !held.contains(i)).collect();
+        if free.iter().any(|&i| free.iter().any(|&j| fixed(i, j).is_some())) {
+            return None;
+        }
+        let entry = |i: usize, j: usize| fixed(i, j).expect("rows of the held set are fixed");
+        let sigma22 = DMatrix::from_fn(held.len(), held.len(), |i, j| entry(held[i], held[j]));
+        let sigma12 = DMatrix::from_fn(free.len(), held.len(), |i, j| entry(free[i], held[j]));
+        let b = if held.is_empty() {
+            DMatrix::zeros(free.len(), 0)
+        } else {
+            &sigma12 * sigma22.clone().cholesky()?.inverse()
+        };
+        let own = sub(second, &free);
+        let mixed = DMatrix::from_fn(free.len(), held.len(), |i, j| second[(free[i], held[j])]);
+        let part = &mixed * b.transpose();
+        let sigma11 = own - &part - part.transpose() + &b * (sub(second, &held) + &sigma22) * b.transpose();
+        place(&mut sigma, &free, &sigma11);
+        place(&mut sigma, &held, &sigma22);
+        for (i, &f) in free.iter().enumerate() {
+            for (j, &h) in held.iter().enumerate() {
+                sigma[(f, h)] = sigma12[(i, j)];
+                sigma[(h, f)] = sigma12[(i, j)];
+            }
+        }
+    }
+    Some(sigma)
+}
+
+fn same(term: (usize, usize, f64), i: usize, j: usize) -> bool {
+    (term.0, term.1) == (i, j) || (term.0, term.1) == (j, i)
+}
+
+/// Σ = D R D with R given (35): with u_i = 1/σ_i, minimise the strictly convex -2 Σ log u_i + u'(R⁻¹∘M̄)u by Newton's method.
+fn correlation_step(root: &DMatrix<f64>, states: &[usize], second: &DMatrix<f64>) -> DMatrix<f64> {
+    let own = DMatrix::from_fn(states.len(), root.ncols(), |i, c| root[(states[i], c)]);
+    let inverse = symmetric::pseudo_inverse(&(&own * own.transpose()));
+    let a = inverse.component_mul(&sub(second, states));
+    let n = states.len();
+    let mut u = DVector::from_fn(n, |i, _| a[(i, i)].max(f64::MIN_POSITIVE).sqrt().recip());
+    for _ in 0..100 {
+        let gradient = &a * &u - u.map(f64::recip);
+        let hessian = &a + DMatrix::from_diagonal(&u.map(|x| x.powi(-2)));
+        let Some(factor) = hessian.cholesky() else { break };
+        let step = factor.solve(&gradient);
+        let decrement = gradient.dot(&step);
+        // self-concordant: the damped step keeps u positive and always descends
+        u -= step / (1.0 + decrement.max(0.0).sqrt());
+        if decrement < 1e-28 {
+            break;
+        }
+    }
+    let mut sd = DVector::zeros(root.nrows());
+    states.iter().enumerate().for_each(|(k, &i)| sd[i] = u[k].recip());
+    DMatrix::from_fn(root.nrows(), root.ncols(), |i, c| sd[i] * root[(i, c)])
+}

@@ -1,0 +1,62 @@
+//! Why there is no estimate.
+
+use kalfit_model::StructureError;
+
+/// Why there is no estimate.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// There are no tests.
+    #[error("there are no tests")]
+    NoTests,
+    /// The structure of Σ cannot be.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
+    /// Two tests have the same id.
+    #[error("two tests have the id `{id}`")]
+    DuplicateTest {
+        /// The id.
+        id: String,
+    },
+    /// A test of which is not known which groups it stands in, under a model with levels.
+    #[error("the model has levels of groups, and the groups of test `{test}` are not known")]
+    Ungrouped {
+        /// Its id.
+        test: String,
+    },
+    /// A test that measures estimated states without noise, under a model with levels.
+    #[error(
+        "test `{test}` measures a combination of estimated states without any noise, which levels of groups do not take"
+    )]
+    ExactInGroups {
+        /// Its id.
+        test: String,
+    },
+    /// A test that is not kept phase by phase, where each phase is to be taken by itself.
+    #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
+    NoPhases {
+        /// Its id.
+        test: String,
+    },
+    /// The restricted likelihood of phases taken by themselves.
+    #[error("the restricted likelihood is not available for phases that are fitted separately (`marginal`)")]
+    RestrictedMarginal,
+    /// Σ became singular along what tests measure without noise.
+    #[error(
+        "the log-likelihood has no maximum: it grows without bound as the covariance becomes singular along what test `{test}` measures without any noise"
+    )]
+    Unbounded {
+        /// The id of one of these tests.
+        test: String,
+    },
+    /// ℓ is not a finite number at the start.
+    #[error("the log-likelihood is not finite at the start values")]
+    NotFinite,
+    /// A step lowered the log-likelihood, which EM cannot do: the arithmetic has broken down.
+    #[error("an EM step lowered the log-likelihood from {before} to {after}; the problem is too ill-conditioned")]
+    NotMonotone {
+        /// ℓ before the step.
+        before: f64,
+        /// ℓ after it.
+        after: f64,
+    },
+}

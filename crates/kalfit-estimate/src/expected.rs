@@ -1,0 +1,139 @@
+//! The estimator's state at a given population, with the expected information: what a search would find there on average,
+//! before anything is measured (theory §3).
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::covariance::CovarianceMap;
+use crate::curvature::Curvature;
+use crate::local::{Local, Tangent};
+use crate::order::Order;
+use crate::point::Point;
+use crate::sums::Sums;
+use crate::{FinalState, FitError, NewtonIterate, Problem, Settings, Structure};
+use kalfit_algebra::elements::Element;
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Chain;
+use kalfit_model::Population;
+
+/// How far, in standard deviations, a population may be off the structure: it went through a file.
+const ROUNDING: f64 = 1e-6;
+
+/// Why there is no such state.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ExpectedError {
+    Fit(FitError),
+    /// An element of the population is not what the structure makes it.
+    Off {
+        element: Element,
+        found: f64,
+        expected: f64,
+    },
+}
+
+impl From<FitError> for ExpectedError {
+    fn from(error: FitError) -> ExpectedError {
+        ExpectedError::Fit(error)
+    }
+}
+
+/// The state at a population that was checked. What the reductions say of the measurements is not read.
+pub fn at_population(
+    reductions: &Reductions,
+    structure: &Structure<'_>,
+    population: &Population,
+) -> Result<FinalState, ExpectedError> {
+    let mut blanks = reductions.clone();
+    for number in 0..blanks.len() {
+        let test = blanks.get_mut(number);
+        (*test.constant, *test.residual) = (0.0, None);
+        test.data.fill(0.0);
+        test.chain.into_iter().for_each(Chain::blank);
+    }
+    let settings = Settings::default();
+    let problem = super::problem(&blanks, structure, &settings)?;
+    let mut point = point(&problem, population)?;
+    let sums = problem.likelihood(&point, Order::Expected);
+    let local = local(&sums);
+    let tangent = Tangent::new(&local, &problem.mean.jacobian(), &problem.covariance, &point.root);
+    if tangent.information.iter().any(|x| !x.is_finite()) {
+        return Err(FitError::NotFinite.into());
+    }
+    point.root = tangent.chart.root.clone();
+    let place = NewtonIterate { curvature: Curvature::new(&tangent), point, local, tangent };
+    Ok(FinalState {
+        problem: Arc::new(problem),
+        newton_iterate: place,
+        sums,
+        assumed: structure.into(),
+        settings,
+        joint: None,
+    })
+}
+
+/// At the truth the score is zero on average, the information of μ is Σ E'WE, that of Σ is ½ Σ tr(W D W E), and they are
+/// uncorrelated.
+fn local(sums: &Sums) -> Local {
+    let (m, p) = (sums.mean_score.len(), sums.weight.nrows());
+    Local {
+        value: 0.0,
+        mean_score: DVector::zeros(m),
+        mean_information: sums.mean_information.clone(),
+        score: DMatrix::zeros(p, p),
+        cross: DMatrix::zeros(m, sums.elements.count()),
+        information: Arc::new(sums.expected_information()),
+        weight: sums.weight.clone(),
+        mean_covariance: None,
+    }
+}
+
+/// The population in η, which must be on the structure.
+fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedError> {
+    let (map, frame) = (&problem.mean, &problem.classes.frame);
+    let mean = DVector::from_vec(frame.mean_in(&population.mean));
+    let away = &mean - &map.offset;
+    let on = &map.offset + &map.basis * (map.basis.transpose() * &away);
+    for i in 0..mean.len() {
+        if (mean[i] - on[i]).abs() > ROUNDING * (1.0 + on[i].abs()) {
+            let (found, expected) = (population.mean[i], frame.centre[i] + frame.scale[i] * on[i]);
+            return Err(ExpectedError::Off { element: Element::Mean(i), found, expected });
+        }
+    }
+    let coefficients = population.coefficients.iter().zip(&map.coefficient_scale).map(|(c, s)| c * s).collect();
+    let root = root(&problem.covariance, &frame.covariance_in(&population.covariance)).map_err(|(i, j, on)| {
+        let expected = on * frame.scale[i] * frame.scale[j];
+        let element = Element::Covariance(i, j);
+        ExpectedError::Off { element, found: population.covariance[(i, j)], expected }
+    })?;
+    Ok(Point { mean: on.as_slice().to_vec(), coefficients, root })
+}
+
+/// Variances that are this part of the largest are none.
+const NOTHING: f64 = 1e-18;
+
+/// A root of Σ of the structure's own shape, or the element (i, j, value on the structure) that is farthest off it.
+fn root(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, (usize, usize, f64)> {
+    let root = map.root_of(&map.mask(sigma));
+    let on = &root * root.transpose();
+    // in η all states are of one size: what is far smaller than the largest is rounding beside a zero
+    let largest = (0..map.p).fold(0.0, |most: f64, i| most.max(sigma[(i, i)]));
+    let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(NOTHING * largest).sqrt();
+    let (mut worst, mut most) = (None, ROUNDING);
+    let mut note = |i: usize, j: usize, away: f64, value: f64| {
+        let unit = (size(i) * size(j)).max(f64::MIN_POSITIVE);
+        if away.abs() > most * unit {
+            (worst, most) = (Some((i, j, value)), away.abs() / unit);
+        }
+    };
+    for i in 0..map.p {
+        for j in 0..=i {
+            note(i, j, sigma[(i, j)] - on[(i, j)], on[(i, j)]);
+        }
+    }
+    for (constraint, away) in map.constraints.iter().zip(map.residual(sigma).iter()) {
+        let (i, j, x) = constraint.terms[0];
+        note(i, j, away / x, sigma[(i, j)] - away / x);
+    }
+    worst.map_or(Ok(root), Err)
+}

@@ -1,0 +1,177 @@
+//! The coordinates that estimation works in, from all tests together.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use kalfit_algebra::symmetric;
+use kalfit_algebra::symmetric::{pair, pairs};
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::ExactRows;
+
+pub(crate) use kalfit_model::remote::Coordinates as Frame;
+
+/// Tests that are added up by themselves.
+const CHUNK: usize = 1024;
+
+/// What tests say together.
+pub(super) struct Pooled {
+    /// Σ R'R, packed.
+    information: Vec<f64>,
+    /// Tests that inform each state.
+    informed: Vec<f64>,
+    /// Σ R'd.
+    y: Vec<f64>,
+    /// Σ of the squares of each covariate.
+    squares: Vec<f64>,
+    tests: f64,
+}
+
+impl Pooled {
+    /// The coordinates η. Centre: pooled least squares. Scale: the average informed test has unit information on each state.
+    pub(super) fn frame(&self) -> Frame {
+        let Pooled { information, informed, y, squares, tests } = self;
+        let p = y.len();
+        let entry = |i: usize, k: usize| information[pair(i.max(k), i.min(k))];
+        let unit = |i: usize| if entry(i, i) > 0.0 { (informed[i] / entry(i, i)).sqrt() } else { 1.0 };
+        let scale: Vec<f64> = (0..p).map(unit).collect();
+        let scaled = DMatrix::from_fn(p, p, |i, k| scale[i] * entry(i, k) * scale[k]);
+        let right = DVector::from_fn(p, |i, _| scale[i] * y[i]);
+        let solution = symmetric::pseudo_solve(&scaled, &right);
+        let centre = (0..p).map(|i| scale[i] * solution[i]).collect();
+        let n = tests.max(1.0);
+        let covariate_scale = squares.iter().map(|&s| if s > 0.0 { (s / n).sqrt() } else { 1.0 }).collect();
+        Frame { centre, scale, covariate_scale }
+    }
+
+    pub(super) fn none((p, regressors): (usize, usize)) -> Pooled {
+        Pooled {
+            information: vec![0.0; pairs(p)],
+            informed: vec![0.0; p],
+            y: vec![0.0; p],
+            squares: vec![0.0; regressors],
+            tests: 0.0,
+        }
+    }
+
+    /// All of the reductions; `order` is one that does not depend on theirs.
+    pub(super) fn all(reductions: &Reductions, order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
+        let units = &exact_units(reductions, order);
+        let of = |part| Pooled::of((reductions, units), part, (p, regressors));
+        let parts: Vec<Pooled> = order.par_chunks(CHUNK).map(of).collect();
+        parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
+    }
+
+    /// As a list that adds.
+    pub(super) fn numbers(&self) -> Vec<f64> {
+        let Pooled { information, informed, y, squares, tests } = self;
+        [information, informed, y, squares].into_iter().flatten().copied().chain([*tests]).collect()
+    }
+
+    /// From such a list; `None` where it is not of the right length.
+    pub(super) fn of_numbers((p, regressors): (usize, usize), numbers: &[f64]) -> Option<Pooled> {
+        let (information, rest) = numbers.split_at_checked(pairs(p))?;
+        let (informed, rest) = rest.split_at_checked(p)?;
+        let (y, rest) = rest.split_at_checked(p)?;
+        let (squares, rest) = rest.split_at_checked(regressors)?;
+        let [tests] = *rest else { return None };
+        let [information, informed, y, squares] = [information, informed, y, squares].map(<[f64]>::to_vec);
+        Some(Pooled { information, informed, y, squares, tests })
+    }
+
+    /// Σ R'R in units of the frame.
+    pub(super) fn information(&self, frame: &Frame) -> DMatrix<f64> {
+        let (p, scale) = (self.y.len(), &frame.scale);
+        DMatrix::from_fn(p, p, |i, k| scale[i] * self.information[pair(i, k)] * scale[k])
+    }
+
+    fn of((reductions, units): (&Reductions, &[f64]), tests: &[usize], (p, regressors): (usize, usize)) -> Pooled {
+        let mut sum = Pooled { tests: tests.len() as f64, ..Pooled::none((p, regressors)) };
+        for &j in tests {
+            let (factor, data) = (reductions.factor(j), reductions.data(j));
+            for k in 0..p {
+                let column = &factor[pair(k, 0)..][..=k];
+                for i in 0..=k {
+                    sum.information[pair(k, i)] += dot(&factor[pair(i, 0)..][..=i], column);
+                }
+                sum.informed[k] += f64::from(u8::from(column.iter().any(|x| *x != 0.0)));
+                sum.y[k] += dot(column, data);
+            }
+            if let Some(exact) = reductions.exact(j) {
+                sum.add_exact(exact, units, factor);
+            }
+            sum.squares.iter_mut().zip(reductions.covariates(j)).for_each(|(s, x)| *s += x * x);
+        }
+        sum
+    }
+
+    /// Adds what a test measures exactly as if it were known to these units: they are but to find coordinates by.
+    fn add_exact(&mut self, exact: &ExactRows, units: &[f64], factor: &[f64]) {
+        let p = self.y.len();
+        for ((row, value), unit) in exact.rows(p).zip(units) {
+            let weight = unit.powi(-2);
+            for k in 0..p {
+                (0..=k).for_each(|i| self.information[pair(k, i)] += weight * row[i] * row[k]);
+                self.y[k] += weight * row[k] * value;
+            }
+        }
+        for k in 0..p {
+            let known = factor[pair(k, 0)..][..=k].iter().any(|x| *x != 0.0);
+            let told = exact.rows(p).any(|(row, _)| row[k] != 0.0);
+            self.informed[k] += f64::from(u8::from(told && !known));
+        }
+    }
+
+    fn and(mut self, other: &Pooled) -> Pooled {
+        let add = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        add(&mut self.information, &other.information);
+        add(&mut self.informed, &other.informed);
+        add(&mut self.y, &other.y);
+        add(&mut self.squares, &other.squares);
+        self.tests += other.tests;
+        self
+    }
+}
+
+/// How much the first, second, … of the values that tests measure exactly differ from test to test, or else how large they are.
+fn exact_units(reductions: &Reductions, order: &[usize]) -> Vec<f64> {
+    let mut found: Vec<Spread> = Vec::new();
+    for exact in order.iter().filter_map(|&j| reductions.exact(j)) {
+        found.resize_with(found.len().max(exact.values.len()), Spread::default);
+        found.iter_mut().zip(&exact.values).for_each(|(spread, value)| spread.add(*value));
+    }
+    found.iter().map(Spread::unit).collect()
+}
+
+/// Mean and scatter of numbers.
+#[derive(Debug, Default)]
+struct Spread {
+    count: f64,
+    mean: f64,
+    squares: f64,
+}
+
+impl Spread {
+    fn add(&mut self, value: f64) {
+        let off = value - self.mean;
+        self.count += 1.0;
+        self.mean += off / self.count;
+        self.squares += off * (value - self.mean);
+    }
+
+    fn unit(&self) -> f64 {
+        let deviation = (self.squares / self.count).sqrt();
+        [deviation, self.mean.abs(), 1.0].into_iter().find(|unit| unit.is_normal()).unwrap_or(1.0)
+    }
+}
+
+/// Of the first numbers, as many as both have: four sums side by side.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let size = a.len().min(b.len());
+    let (a, b) = (a[..size].chunks_exact(4), b[..size].chunks_exact(4));
+    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
+    let mut sums = [0.0; 4];
+    for (a, b) in a.zip(b) {
+        (0..4).for_each(|k| sums[k] += a[k] * b[k]);
+    }
+    (sums[0] + sums[2]) + (sums[1] + sums[3]) + rest
+}

@@ -1,0 +1,88 @@
+//! The law of ξ_j at a point of the search (theory §6), and the posteriors that tests of one unit share.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::frame::Frame;
+use crate::levels::{self, TestPosterior, Units};
+use crate::point::{Point, Regressors};
+use crate::problem::Problem;
+use kalfit_algebra::symmetric;
+use kalfit_filter::score::{InitialLaw, JointPosteriors};
+use kalfit_model::remote::InGroups;
+
+/// The law of ξ_j at a point whose μ is taken as known.
+pub fn law_at(problem: &Problem, point: &Point) -> InitialLaw {
+    law_with(problem, point, None)
+}
+
+/// The law of ξ_j at a point; `mean_covariance` is that of the free mean coordinates, under the restricted likelihood.
+pub(crate) fn law_with(problem: &Problem, point: &Point, mean_covariance: Option<&DMatrix<f64>>) -> InitialLaw {
+    let frame = &problem.classes.frame;
+    let (all, units) = (frame.scale.len(), problem.mean_units());
+    let coefficients = point.coefficients.iter().zip(&problem.mean.coefficient_scale).map(|(c, s)| c / s);
+    // of a test in groups ξ is the sum over the levels
+    let levels = problem.classes.units.as_ref().map_or(1, |units| units.levels());
+    let p = all / levels;
+    let mean = frame.mean_out(&point.mean);
+    let half = mean_covariance.map(|covariance| {
+        let half = problem.mean.jacobian() * symmetric::square_root(covariance);
+        let sum = |k: usize, c: usize| (0..levels).map(|l| half[(l * p + k, c)]).sum::<f64>();
+        let entry = |k: usize, c: usize| if k < p { sum(k, c) } else { half[(k - p + all, c)] };
+        DMatrix::from_fn(half.nrows() - all + p, half.ncols(), entry)
+    });
+    let in_units = |half: &DMatrix<f64>| {
+        DMatrix::from_fn(half.nrows(), half.ncols(), |k, c| units[if k < p { k } else { k - p + all }] * half[(k, c)])
+    };
+    let given = |units: &Arc<Units>| match problem.classes.remote {
+        Some(_) => JointPosteriors::Elsewhere(InGroups { frame: frame.clone(), place: point.told() }),
+        None => joint_posteriors((units, frame), (point, &problem.mean.regressors), half.as_ref()),
+    };
+    InitialLaw {
+        mean: DVector::from_fn(p, |i, _| (0..levels).map(|l| mean[l * p + i]).sum()),
+        regression: problem.mean.regressors.iter().copied().zip(coefficients).collect(),
+        root: DMatrix::from_fn(p, levels * point.root.ncols(), |i, c| {
+            let (l, c) = (c / point.root.ncols(), c % point.root.ncols());
+            frame.scale[l * p + i] * point.root[(l * p + i, c)]
+        }),
+        mean_half: half.as_ref().map(in_units),
+        given: problem.classes.units.as_ref().map(given).map(Arc::new),
+    }
+}
+
+/// A law whose tests' posteriors are given all tests of these units, at a point.
+pub(crate) fn within_units(
+    law: InitialLaw,
+    (units, frame): (&Units, &Frame),
+    (point, regressors): (&Point, &Regressors),
+) -> InitialLaw {
+    InitialLaw { given: Some(Arc::new(joint_posteriors((units, frame), (point, regressors), None))), ..law }
+}
+
+/// The posteriors of all tests of these units. `half`: a root of the covariance of the mean coordinates of a test, under the restricted likelihood.
+fn joint_posteriors(
+    (units, frame): (&Units, &Frame),
+    (point, regressors): (&Point, &Regressors),
+    half: Option<&DMatrix<f64>>,
+) -> JointPosteriors {
+    let p = units.states;
+    let found = levels::posteriors(units, (point, regressors), None, half.is_some());
+    let one = |test: &TestPosterior| {
+        if test.mean.is_empty() {
+            return (DVector::zeros(0), DMatrix::zeros(0, 0)); // a test that is not among the reductions
+        }
+        let own = symmetric::square_root(&DMatrix::from_row_slice(p, p, &test.covariance));
+        let extra = half.map(|half| DMatrix::from_row_slice(p, half.nrows(), &test.moved) * half);
+        let columns = p + extra.as_ref().map_or(0, DMatrix::ncols);
+        let entry = |i: usize, c: usize| match (c.checked_sub(p), &extra) {
+            (Some(c), Some(extra)) => extra[(i, c)],
+            _ => own[(i, c)],
+        };
+        let mean = (0..p).map(|i| frame.centre[i] + frame.scale[i] * test.mean[i]);
+        let root = DMatrix::from_fn(p, columns, |i, c| frame.scale[i] * entry(i, c));
+        (DVector::from_iterator(p, mean), root)
+    };
+    JointPosteriors::Here { grouping: units.grouping.clone(), tests: found.tests.par_iter().map(one).collect() }
+}

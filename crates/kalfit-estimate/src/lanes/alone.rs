@@ -1,0 +1,50 @@
+//! Classes one by one.
+
+use std::ops::Range;
+
+use crate::chained::{ChainDetail, ChainStore, ChainTerms, Root};
+use crate::class::ClassRef;
+use crate::lanes::any::ClassWorkspace;
+use crate::lanes::layout::ClassLayout;
+use crate::lanes::whole::InBlock;
+use crate::point::{Point, Regressors};
+
+/// Evaluates classes one by one at a point.
+#[derive(Debug)]
+pub(crate) struct ClassEvaluator<'a> {
+    point: &'a Point,
+    regressors: &'a Regressors,
+    root: Root<'a>,
+    room: ClassWorkspace<f64>,
+    /// A class as a block of one lane.
+    block: Vec<f64>,
+}
+
+impl<'a> ClassEvaluator<'a> {
+    pub(crate) fn new(point: &'a Point, regressors: &'a Regressors) -> ClassEvaluator<'a> {
+        let root = Root::of(&point.root);
+        let room = ClassWorkspace::new(&point.mean, root.lower(), 1);
+        ClassEvaluator { point, regressors, root, room, block: Vec::new() }
+    }
+
+    /// What a class says that is kept phase by phase.
+    pub(crate) fn in_phases(&self, class: ClassRef<'_>, chain: &ChainStore, detail: ChainDetail) -> ChainTerms {
+        chain.chained().at(&self.point.mean_of(class, self.regressors), &self.root, detail)
+    }
+
+    /// What another one says; where the states of each phase stand.
+    pub(crate) fn whole<'b>(&'b mut self, class: ClassRef<'_>, phases: &'b [Range<usize>]) -> InBlock<'b, f64> {
+        let p = self.point.mean.len();
+        let exact = class.mean.len() - p;
+        let several = !class.scatter.is_empty();
+        let layout = ClassLayout { p, exact, covariates: class.covariates.len(), several };
+        self.block.clear();
+        self.block.resize(layout.size(), 0.0);
+        layout.put(class, (&mut self.block, 0, 1));
+        self.room.resize(exact, 1 + class.scatter.len() / layout.rows().max(1));
+        self.room.move_mean(class.covariates, self.point, self.regressors);
+        let evaluate = if class.square_root { ClassWorkspace::evaluate_by_qr } else { ClassWorkspace::evaluate };
+        let det = evaluate(&mut self.room, &self.block, 1.0);
+        InBlock { room: &self.room, det, count: Some(class.count), phases }
+    }
+}

@@ -1,0 +1,247 @@
+//! What tests with one J each say at a point, a block of them side by side or one by itself, for any number of states: the formulas
+//! of [`super::dense`], row by row. One elimination takes S to D⁻¹-free triangular form and R and d with it:
+//!
+//! ```text
+//! [S R d-Rμ] → [DL' U u]      U = L⁻¹R, u = L⁻¹(d-Rμ)      [W r; r' u'D⁻¹u] = [U u]'D⁻¹[U u]
+//! ```
+//!
+//! Of classes of several tests u has further columns, of the vectors of their scatter. Rows C that are measured exactly stand before those
+//! of R, and have no noise in S (theory §13): S = diag(0, I) + [C; R]Σ[C; R]'.
+#![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
+
+use kalfit_lanes::Lanes;
+use nalgebra::DMatrix;
+
+use crate::lanes::rows::add_weighed;
+use crate::point::{Point, Regressors};
+use kalfit_algebra::fold::fold;
+
+/// The room that one block needs, and what it says at last. Matrices by rows.
+#[derive(Debug)]
+pub(super) struct ClassWorkspace<T> {
+    p: usize,
+    /// q, rows of C.
+    exact: usize,
+    /// Columns of u.
+    columns: usize,
+    /// μ of each test.
+    mean: Vec<T>,
+    /// F.
+    F: DMatrix<f64>,
+    /// (RF)', p × (q + p).
+    X: Vec<T>,
+    /// [S R d-Rμ], then [DL' U u]: (q + p) × (q + 2p + columns); S from its diagonal on.
+    rows: Vec<T>,
+    /// D⁻¹.
+    inverse: Vec<T>,
+    minus_inverse: Vec<T>,
+    /// The lower triangle of [W r; r' u'D⁻¹u], (p + columns) × (p + columns).
+    W: Vec<T>,
+}
+
+impl<T: Lanes> ClassWorkspace<T> {
+    /// For a point: μ and F, lower triangular; and so many columns of u.
+    pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize) -> ClassWorkspace<T> {
+        let p = mean.len();
+        let zeros = |size: usize| vec![T::splat(0.0); size];
+        ClassWorkspace {
+            p,
+            exact: 0,
+            columns,
+            mean: mean.iter().map(|&x| T::splat(x)).collect(),
+            F: root.clone(),
+            X: zeros(p * p),
+            rows: zeros(p * (2 * p + columns)),
+            inverse: zeros(p),
+            minus_inverse: zeros(p),
+            W: zeros((p + columns) * (p + columns)),
+        }
+    }
+
+    /// Makes room for so many rows of C and columns of u.
+    pub(super) fn resize(&mut self, exact: usize, columns: usize) {
+        (self.exact, self.columns) = (exact, columns);
+        let (height, width, zero) = (self.height(), self.width(), T::splat(0.0));
+        self.X.resize(self.p * height, zero);
+        self.rows.resize(height * (height + width), zero);
+        self.inverse.resize(height, zero);
+        self.minus_inverse.resize(height, zero);
+        self.W.resize(width * width, zero);
+    }
+
+    /// Moves μ by the regressions.
+    #[inline(always)]
+    pub(super) fn move_mean(&mut self, covariates: &[T], point: &Point, regressors: &Regressors) {
+        for &element in regressors {
+            self.mean[element] = T::splat(point.mean[element]);
+        }
+        for (c, &element) in regressors.iter().enumerate() {
+            self.mean[element] = covariates[c].fma(T::splat(point.coefficients[c]), self.mean[element]);
+        }
+    }
+
+    /// Rows of C and R.
+    #[inline(always)]
+    fn height(&self) -> usize {
+        self.exact + self.p
+    }
+
+    /// Numbers of a row of [R d-Rμ].
+    #[inline(always)]
+    fn width(&self) -> usize {
+        self.p + self.columns
+    }
+
+    /// Evaluates a block: R by columns, C by rows, d and g, then vectors of the scatter for the other columns of u, in lanes. |S| as
+    /// mantissa × 2^exponent. d and the scatter are so many times as large as they stand there.
+    #[inline(always)]
+    pub(super) fn evaluate(&mut self, block: &[f64], unit: f64) -> (T, T) {
+        self.load(block, unit);
+        self.spread(block);
+        self.cover();
+        let det = self.eliminate(None);
+        self.weigh();
+        det
+    }
+
+    /// [0 R d-Rμ].
+    #[inline(always)]
+    fn load(&mut self, block: &[f64], unit: f64) {
+        let (p, exact, height) = (self.p, self.exact, self.height());
+        let (wide, unit) = (height + self.width(), T::splat(unit));
+        self.rows.fill(T::splat(0.0));
+        let mut next = block.chunks_exact(T::COUNT);
+        for k in 0..p {
+            for row in self.rows.chunks_exact_mut(wide).skip(exact).take(k + 1) {
+                if let Some(x) = next.next() {
+                    row[height + k] = T::load(x);
+                }
+            }
+        }
+        for row in self.rows.chunks_exact_mut(wide).take(exact) {
+            for (to, x) in row[height..height + p].iter_mut().zip(&mut next) {
+                *to = T::load(x);
+            }
+        }
+        for column in 0..self.columns {
+            let (first, last) = self.rows.split_at_mut(exact * wide);
+            for row in last.chunks_exact_mut(wide).chain(first.chunks_exact_mut(wide)) {
+                let Some(x) = next.next() else { break };
+                let mut residual = T::load(x) * unit;
+                for k in 0..if column == 0 { p } else { 0 } {
+                    residual = row[height + k].fnma(self.mean[k], residual);
+                }
+                row[height + p + column] = residual;
+            }
+        }
+    }
+
+    /// (RF)': row c is Σ_k F_kc (column k of R).
+    #[inline(always)]
+    fn spread(&mut self, block: &[f64]) {
+        let (p, exact, height) = (self.p, self.exact, self.height());
+        self.X.fill(T::splat(0.0));
+        for (c, row) in self.X.chunks_exact_mut(height.max(1)).enumerate() {
+            for k in c..p {
+                let (factor, column) = (T::splat(self.F[(k, c)]), &block[k * (k + 1) / 2 * T::COUNT..]);
+                for (x, r) in row[exact..=exact + k].iter_mut().zip(column.chunks_exact(T::COUNT)) {
+                    *x = factor.fma(T::load(r), *x);
+                }
+                for (i, x) in row[..exact].iter_mut().enumerate() {
+                    *x = factor.fma(T::load(&block[(p * (p + 1) / 2 + i * p + k) * T::COUNT..]), *x);
+                }
+            }
+        }
+    }
+
+    /// S = I + RF(RF)'.
+    #[inline(always)]
+    fn cover(&mut self) {
+        let (p, exact, height) = (self.p, self.exact, self.height());
+        let wide = height + self.width();
+        for i in 0..height {
+            let row = &mut self.rows[i * wide..][i..height];
+            row[0] = T::splat(if i < exact { 0.0 } else { 1.0 });
+            add_weighed(row, p, (&self.X[i..], height, 0), None);
+        }
+    }
+
+    /// [S R d-Rμ] → [DL' U u]. Of S a root may be known, upper triangular by rows with S = root' root: S itself is then not read.
+    #[inline(always)]
+    fn eliminate(&mut self, root: Option<&[T]>) -> (T, T) {
+        let (exact, height) = (self.exact, self.height());
+        let wide = height + self.width();
+        let (mut mantissa, mut exponent) = (T::splat(1.0), T::splat(0.0));
+        for i in 0..height {
+            let (done, row) = self.rows.split_at_mut(i * wide);
+            let row = &mut row[i..wide];
+            if i > 0 {
+                add_weighed(row, i, (&done[i..], wide, 0), Some(&self.minus_inverse));
+            }
+            if let Some(root) = root {
+                let known = &root[i * height..][i..height];
+                for (s, x) in row.iter_mut().zip(known) {
+                    *s = known[0] * *x;
+                }
+            }
+            // S ⪰ diag(0, I), so no pivot of R is below one; rounding must not make it so. Where Σ is zero along C nothing is likely
+            let pivot = row[0].maximum(T::splat(if i < exact { f64::MIN_POSITIVE } else { 1.0 }));
+            self.inverse[i] = pivot.recip();
+            self.minus_inverse[i] = -self.inverse[i];
+            let (m, e) = (mantissa * pivot).split();
+            (mantissa, exponent) = (m, exponent + e);
+        }
+        (mantissa, exponent)
+    }
+
+    /// [W r; r' u'D⁻¹u].
+    #[inline(always)]
+    fn weigh(&mut self) {
+        let (height, width) = (self.height(), self.width());
+        let wide = height + width;
+        self.W.fill(T::splat(0.0));
+        for a in 0..width {
+            let to = &mut self.W[a * width..][..a + 1];
+            add_weighed(to, height, (&self.rows[height..], wide, a), Some(&self.inverse));
+        }
+    }
+
+    /// Columns of u.
+    #[inline(always)]
+    pub(super) fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// r of a column of u.
+    #[inline(always)]
+    pub(super) fn r_of(&self, column: usize) -> &[T] {
+        &self.row(self.p + column)[..self.p]
+    }
+
+    /// u'D⁻¹u of a column.
+    #[inline(always)]
+    pub(super) fn quadratic(&self, column: usize) -> T {
+        self.row(self.p + column)[self.p + column]
+    }
+
+    /// Row a of the lower triangle of [W r; r' u'D⁻¹u].
+    #[inline(always)]
+    pub(super) fn row(&self, a: usize) -> &[T] {
+        &self.W[a * self.width()..][..a + 1]
+    }
+}
+
+impl ClassWorkspace<f64> {
+    /// The same as [`Self::evaluate`] without forming S: the rows of (RF)' folded into I by QR.
+    pub(super) fn evaluate_by_qr(&mut self, block: &[f64], unit: f64) -> (f64, f64) {
+        self.load(block, unit);
+        self.spread(block);
+        let height = self.height();
+        let mut root = vec![0.0; height * height];
+        (self.exact..height).for_each(|i| root[i * height + i] = 1.0);
+        fold(&mut root, &mut self.X, height);
+        let det = self.eliminate(Some(&root));
+        self.weigh();
+        det
+    }
+}

@@ -1,0 +1,109 @@
+//! Passes over blocks of classes in phases.
+
+use std::sync::Arc;
+
+use kalfit_lanes::{Kernel, Lanes};
+
+use crate::chained::{ChainTerms, Packed, Root};
+use crate::lanes::accumulator::{Accumulator, ClassSums, Contribution};
+use crate::listed::Listed;
+use crate::order::SumsWanted;
+use crate::point::Point;
+use kalfit_algebra::symmetric::pair;
+
+/// One pass over some blocks.
+pub(crate) struct ChainKernel<'a> {
+    pub(crate) blocks: &'a [Arc<Packed>],
+    pub(crate) classes: &'a Listed,
+    pub(crate) point: &'a Point,
+    pub(crate) wanted: SumsWanted<'a>,
+}
+
+/// What a pass finds.
+pub(crate) struct ChainSums {
+    pub(crate) totals: ClassSums,
+    /// Σ constant.
+    pub(crate) constant: f64,
+    /// Classes that need more care than this.
+    pub(crate) refused: Vec<usize>,
+}
+
+impl Kernel for ChainKernel<'_> {
+    type Output = ChainSums;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> ChainSums {
+        let ChainKernel { classes, point, wanted, .. } = self;
+        let mut sums = Accumulator::<T>::new(wanted);
+        let (mut constant, mut refused) = (0.0, Vec::new());
+        let root = Root::of(&point.root);
+        for block in self.blocks {
+            let covariates = block.covariates::<T>(|member| classes.get(member), wanted.regressors.len());
+            let mean = block.means(&covariates, point, wanted.regressors);
+            match block.said::<T>(&mean, &root, wanted.detail()) {
+                Some(said) => {
+                    for &member in block.members() {
+                        constant += classes.get(member).constant;
+                    }
+                    sums.add(&InPhases { said: &said, count: block.count() }, &covariates);
+                }
+                None => refused.extend_from_slice(block.members()),
+            }
+        }
+        ChainSums { totals: sums.totals(), constant, refused }
+    }
+}
+
+/// What a block says.
+pub(crate) struct InPhases<'a, T> {
+    pub(crate) said: &'a ChainTerms<T>,
+    pub(crate) count: T,
+}
+
+impl<T: Lanes> Contribution<T> for InPhases<'_, T> {
+    #[inline(always)]
+    fn phases(&self) -> usize {
+        self.said.r.len()
+    }
+
+    #[inline(always)]
+    fn count(&self) -> Option<T> {
+        Some(self.count)
+    }
+
+    #[inline(always)]
+    fn det(&self) -> (T, T) {
+        let (mantissa, exponent) = self.said.root_det;
+        (mantissa * mantissa, exponent + exponent)
+    }
+
+    #[inline(always)]
+    fn quadratic(&self) -> T {
+        self.said.quadratic
+    }
+
+    #[inline(always)]
+    fn r(&self, k: usize, a: usize) -> T {
+        self.said.r[k][(a, 0)]
+    }
+
+    #[inline(always)]
+    fn weight(&self, (k, a): (usize, usize), i: usize) -> &[T] {
+        match &self.said.W[pair(k, i)] {
+            Some(weight) => weight.row(a),
+            None => unreachable!("it was asked for"),
+        }
+    }
+
+    #[inline(always)]
+    fn outer(&self, (k, a): (usize, usize), i: usize, to: &mut [T]) {
+        let (x, other) = (self.said.r[k].row(a), &self.said.r[i]);
+        for (b, to) in to.iter_mut().enumerate() {
+            let y = other.row(b);
+            *to = self.count * x[0] * y[0];
+            for c in 1..x.len() {
+                *to = x[c].fma(y[c], *to);
+            }
+        }
+    }
+}

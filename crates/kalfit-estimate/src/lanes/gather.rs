@@ -1,0 +1,154 @@
+//! Sums of products over tests side by side: Σ a b' over vectors a, b.
+
+use kalfit_lanes::{Lanes, Part};
+use rayon::prelude::*;
+
+use kalfit_algebra::parts::{ColumnWork, in_parts};
+
+/// Blocks whose products are added together: each sum is then read and written once for so many, and summed over its lanes once.
+const TOGETHER: usize = 16;
+
+/// So many sums, and more, are worked on by several threads, so many rows by each at a time.
+const MANY: usize = 1 << 20;
+const STRIP: usize = 64;
+
+/// Σ a b'. Products of a few blocks are added together.
+#[derive(Debug, Clone)]
+pub(super) struct Gather<T> {
+    rows: usize,
+    columns: usize,
+    /// Block after block.
+    left: Vec<T>,
+    right: Vec<T>,
+    filled: usize,
+    /// Over all lanes, by rows.
+    sum: Vec<f64>,
+}
+
+impl<T: Lanes> Gather<T> {
+    /// Of products that are wanted, or of none.
+    pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> Gather<T> {
+        let rows = if wanted { rows } else { 0 };
+        let room = |size: usize| vec![T::splat(0.0); size * if wanted { TOGETHER } else { 0 }];
+        Gather { rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
+    }
+
+    /// Room for the next a and b, both to be written whole.
+    #[inline(always)]
+    pub(super) fn next(&mut self) -> (&mut [T], &mut [T]) {
+        if self.filled == TOGETHER {
+            self.settle();
+        }
+        let at = self.filled;
+        self.filled += 1;
+        let (rows, columns) = (self.rows, self.columns);
+        (&mut self.left[at * rows..][..rows], &mut self.right[at * columns..][..columns])
+    }
+
+    #[inline(always)]
+    fn settle(&mut self) {
+        let Gather { rows, columns, left, right, filled, sum } = self;
+        let strip = |(at, sum): (usize, &mut [f64])| {
+            T::apart(RowSums {
+                left: &left[at * STRIP..],
+                rows: *rows,
+                blocks: *filled,
+                right,
+                columns: *columns,
+                sum,
+            });
+        };
+        if sum.len() < MANY {
+            strip((0, &mut sum[..]));
+        } else {
+            sum.par_chunks_mut(STRIP * *columns).enumerate().for_each(strip);
+        }
+        *filled = 0;
+    }
+
+    /// The sums, by rows.
+    #[inline(always)]
+    pub(super) fn total(mut self) -> Vec<f64> {
+        self.settle();
+        self.sum
+    }
+}
+
+/// Adds what is gathered to some rows of the sums.
+struct RowSums<'a, T> {
+    /// From the first of these rows on; and how far it is from block to block.
+    left: &'a [T],
+    rows: usize,
+    blocks: usize,
+    right: &'a [T],
+    columns: usize,
+    sum: &'a mut [f64],
+}
+
+/// Rows that are worked on at once.
+const TALLEST: usize = 4;
+
+impl<T: Lanes> Part for RowSums<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(mut self) {
+        let count = self.sum.len() / self.columns.max(1);
+        let mut row = 0;
+        while row < count {
+            let left = count - row;
+            match left.div_ceil(left.div_ceil(TALLEST)) {
+                1 => row += some_rows::<T, 1>(&mut self, row),
+                2 => row += some_rows::<T, 2>(&mut self, row),
+                3 => row += some_rows::<T, 3>(&mut self, row),
+                _ => row += some_rows::<T, TALLEST>(&mut self, row),
+            }
+        }
+    }
+}
+
+/// Adds to so many rows of the sums; says how many.
+#[inline(always)]
+fn some_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> usize {
+    let RowSums { left, rows, blocks, right, columns, ref mut sum } = *all;
+    let sum = &mut sum[row * columns..][..M * columns];
+    in_parts(0, &mut Tile::<T, M> { left: &left[row..], rows, blocks, right, columns, sum });
+    M
+}
+
+/// M rows of the sums.
+struct Tile<'a, T, const M: usize> {
+    /// M numbers of each block, so far apart.
+    left: &'a [T],
+    rows: usize,
+    blocks: usize,
+    right: &'a [T],
+    columns: usize,
+    sum: &'a mut [f64],
+}
+
+impl<T: Lanes, const M: usize> ColumnWork for Tile<'_, T, M> {
+    #[inline(always)]
+    fn count(&self) -> usize {
+        self.columns
+    }
+
+    #[inline(always)]
+    fn part<const N: usize>(&mut self, from: usize) {
+        let mut sums = [[T::splat(0.0); N]; M];
+        for k in 0..self.blocks {
+            let a = &self.left[k * self.rows..][..M];
+            let b = &self.right[k * self.columns + from..][..N];
+            for m in 0..M {
+                for n in 0..N {
+                    sums[m][n] = a[m].fma(b[n], sums[m][n]);
+                }
+            }
+        }
+        for m in 0..M {
+            for n in 0..N {
+                self.sum[m * self.columns + from + n] += sums[m][n].sum();
+            }
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! What stands in a block, and where.
+
+use crate::class::{Class, ClassRef};
+use kalfit_algebra::symmetric::{pair, pairs};
+
+/// What stands in a block, each number of all its classes side by side: R by columns, C by rows, d and g, the vectors of the scatter of
+/// classes of several tests, the covariates, and n of classes of several tests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct ClassLayout {
+    pub(super) p: usize,
+    /// q, the rows of C.
+    pub(super) exact: usize,
+    pub(super) covariates: usize,
+    pub(super) several: bool,
+}
+
+impl ClassLayout {
+    /// Where the vectors of the scatter stand.
+    pub(super) fn scatter(&self) -> usize {
+        pairs(self.p) + self.exact * self.p + self.rows()
+    }
+
+    /// Rows of R and C.
+    pub(super) fn rows(&self) -> usize {
+        self.p + self.exact
+    }
+
+    /// Where the covariates stand.
+    pub(super) fn covariates(&self) -> usize {
+        self.scatter() + if self.several { self.rows() * self.rows() } else { 0 }
+    }
+
+    /// Where n stands, if it does.
+    pub(super) fn count(&self) -> usize {
+        self.covariates() + self.covariates
+    }
+
+    /// Numbers of a class.
+    pub(super) fn size(&self) -> usize {
+        self.count() + usize::from(self.several)
+    }
+
+    /// Puts a class into a lane of a block that held nothing there.
+    pub(super) fn put(&self, class: ClassRef<'_>, (block, lane, lanes): (&mut [f64], usize, usize)) {
+        let p = self.p;
+        let triangle = (0..p).flat_map(|k| (0..=k).map(move |i| class.factor[i * p + k]));
+        let mut put = |from: usize, numbers: &mut dyn Iterator<Item = f64>| {
+            block[from * lanes..].chunks_exact_mut(lanes).zip(numbers).for_each(|(entry, x)| entry[lane] = x);
+        };
+        let exact = class.factor[p * p..].iter().copied();
+        put(0, &mut triangle.chain(exact).chain(class.mean.iter().copied()));
+        put(self.scatter(), &mut class.scatter.iter().copied());
+        put(self.covariates(), &mut class.covariates.iter().copied());
+        if self.several {
+            put(self.count(), &mut std::iter::once(class.count));
+        }
+    }
+
+    /// Takes the class in a lane out of a block, d and its scatter so many times as large, its constant apart.
+    pub(super) fn read(&self, (block, lane, lanes): (&[f64], usize, usize), unit: f64, class: &mut Class) {
+        let p = self.p;
+        let number = |at: usize| block[at * lanes + lane];
+        let copy = |to: &mut Vec<f64>, from: usize, size: usize| {
+            to.clear();
+            to.extend((from..from + size).map(number));
+        };
+        class.count = if self.several { number(self.count()) } else { 1.0 };
+        class.factor.clear();
+        class.factor.resize(p * p, 0.0);
+        for k in 0..p {
+            (0..=k).for_each(|i| class.factor[i * p + k] = number(pair(k, i)));
+        }
+        // vectors beyond those that there are hold zeros
+        let vectors = if self.several { p.min(class.count as usize) } else { 0 };
+        copy(&mut class.mean, pairs(p), p);
+        copy(&mut class.scatter, self.scatter(), vectors * p);
+        copy(&mut class.covariates, self.covariates(), self.covariates);
+        class.mean.iter_mut().chain(&mut class.scatter).for_each(|x| *x *= unit);
+        (class.square_root, class.chain) = (false, None);
+    }
+}

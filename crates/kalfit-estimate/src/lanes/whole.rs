@@ -1,0 +1,144 @@
+//! Passes over blocks of classes: of few states by sizes that the compiler knows, else of any number of states.
+
+use std::ops::Range;
+
+use kalfit_lanes::{Counted, Flops, Kernel, Lanes};
+use nalgebra::DMatrix;
+
+use crate::lanes::accumulator::{Accumulator, ClassSums, Contribution};
+use crate::lanes::any::ClassWorkspace;
+use crate::lanes::layout::ClassLayout;
+use crate::lanes::rows::add_one;
+use crate::order::Order;
+use crate::order::SumsWanted;
+use crate::point::Point;
+use kalfit_algebra::elements::Elements;
+use kalfit_algebra::symmetric::pairs;
+
+/// One pass over some blocks.
+pub(super) struct BlockPass<'a> {
+    pub(super) blocks: &'a [f64],
+    pub(super) layout: ClassLayout,
+    /// How many times as large as in the blocks d and what classes scatter are.
+    pub(super) unit: f64,
+    pub(super) point: &'a Point,
+    /// F with Σ = FF', lower triangular.
+    pub(super) root: &'a DMatrix<f64>,
+    pub(super) wanted: SumsWanted<'a>,
+}
+
+impl Kernel for BlockPass<'_> {
+    type Output = ClassSums;
+
+    /// Few states by sizes that the compiler knows, so that all of a block stays in registers.
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> ClassSums {
+        if self.layout.several || self.layout.covariates > 0 || self.wanted.flat.is_some() {
+            return self.any::<T>();
+        }
+        match self.layout.p {
+            1 if T::OWN_SIZES >= 1 => self.sized::<T, 1>(),
+            2 if T::OWN_SIZES >= 2 => self.sized::<T, 2>(),
+            3 if T::OWN_SIZES >= 3 => self.sized::<T, 3>(),
+            4 if T::OWN_SIZES >= 4 => self.sized::<T, 4>(),
+            5 if T::OWN_SIZES >= 5 => self.sized::<T, 5>(),
+            6 if T::OWN_SIZES >= 6 => self.sized::<T, 6>(),
+            7 if T::OWN_SIZES >= 7 => self.sized::<T, 7>(),
+            8 if T::OWN_SIZES >= 8 => self.sized::<T, 8>(),
+            9 if T::OWN_SIZES >= 9 => self.sized::<T, 9>(),
+            10 if T::OWN_SIZES >= 10 => self.sized::<T, 10>(),
+            _ => self.any::<T>(),
+        }
+    }
+}
+
+impl BlockPass<'_> {
+    #[inline(always)]
+    fn any<T: Lanes>(self) -> ClassSums {
+        let columns = if self.layout.several { 1 + self.layout.p } else { 1 };
+        let mut room = ClassWorkspace::<T>::new(&self.point.mean, self.root, columns);
+        let mut sums = Accumulator::<T>::new(self.wanted);
+        let mut covariates = vec![T::splat(0.0); self.layout.covariates];
+        let count_at = self.layout.count() * T::COUNT;
+        for block in self.blocks.chunks_exact(self.layout.size() * T::COUNT) {
+            let own = block[self.layout.covariates() * T::COUNT..].chunks_exact(T::COUNT);
+            for (to, x) in covariates.iter_mut().zip(own) {
+                *to = T::load(x);
+            }
+            room.move_mean(&covariates, self.point, self.wanted.regressors);
+            let det = room.evaluate(block, self.unit);
+            let count = if self.layout.several { Some(T::load(&block[count_at..])) } else { None };
+            sums.add(&InBlock { room: &room, det, count, phases: self.wanted.elements.blocks() }, &covariates);
+        }
+        sums.totals()
+    }
+}
+
+/// Floating-point operations on one test of p states, counted as they are done: those of the kernel, and of adding what it says to the
+/// sums of first derivatives.
+pub(crate) fn flops_of_a_test(p: usize) -> Flops {
+    let elements = Elements::single(p);
+    let wanted = SumsWanted { elements: &elements, regressors: &[], order: Order::Mean, flat: None };
+    let (mut sums, block) = (Accumulator::new(wanted), vec![0.0; pairs(p) + p]);
+    let mut room = ClassWorkspace::<Counted>::new(&vec![0.0; p], &DMatrix::identity(p, p), 1);
+    Counted::count(|| {
+        let det = room.evaluate(&block, 1.0);
+        sums.add(&InBlock { room: &room, det, count: None, phases: elements.blocks() }, &[]);
+    })
+}
+
+/// What a block says.
+pub(crate) struct InBlock<'a, T> {
+    pub(super) room: &'a ClassWorkspace<T>,
+    pub(super) det: (T, T),
+    pub(super) count: Option<T>,
+    /// Where the states of each phase stand.
+    pub(super) phases: &'a [Range<usize>],
+}
+
+impl<T: Lanes> Contribution<T> for InBlock<'_, T> {
+    #[inline(always)]
+    fn phases(&self) -> usize {
+        self.phases.len()
+    }
+
+    #[inline(always)]
+    fn count(&self) -> Option<T> {
+        self.count
+    }
+
+    #[inline(always)]
+    fn det(&self) -> (T, T) {
+        self.det
+    }
+
+    #[inline(always)]
+    fn quadratic(&self) -> T {
+        let mut sum = self.count.unwrap_or(T::splat(1.0)) * self.room.quadratic(0);
+        for column in 1..self.room.columns() {
+            sum = sum + self.room.quadratic(column);
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn r(&self, k: usize, a: usize) -> T {
+        self.room.r_of(0)[self.phases[k].start + a]
+    }
+
+    #[inline(always)]
+    fn weight(&self, (k, a): (usize, usize), i: usize) -> &[T] {
+        &self.room.row(self.phases[k].start + a)[self.phases[i].start..]
+    }
+
+    #[inline(always)]
+    fn outer(&self, (k, a): (usize, usize), i: usize, to: &mut [T]) {
+        to.fill(T::splat(0.0));
+        for column in 0..self.room.columns() {
+            let r = self.room.r_of(column);
+            let own = r[self.phases[k].start + a];
+            let weight = if column == 0 { self.count.unwrap_or(T::splat(1.0)) * own } else { own };
+            add_one(to, weight, &r[self.phases[i].start..]);
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! Units that are walked through together: in columns where their designs are the same, in lanes where they are not.
+
+use std::ops::Range;
+
+use kalfit_lanes::{Lanes, MOST};
+
+use crate::levels::batches::UnitBatch;
+use crate::levels::design::{Leaf, UnitDesign, UnitGroup, UnitTest};
+use crate::levels::units::Units;
+use kalfit_algebra::rows::Rows;
+
+/// What is known of some units.
+pub(super) struct BatchData<'a, T> {
+    /// The groups, those of inner levels before those that they stand in; the last one is the unit.
+    pub(super) groups: &'a [UnitGroup],
+    /// Of each test the number of its leaf among these, and its group.
+    pub(super) tests: Vec<UnitTest>,
+    pub(super) leaves: Vec<Leaf<T>>,
+    /// d of the tests from the centre on: of each test p rows of a number for each column.
+    pub(super) data: Vec<Rows<T>>,
+    /// How many units stand in columns.
+    pub(super) columns: usize,
+}
+
+impl<'a> BatchData<'a, f64> {
+    /// Some units of a design, a column each.
+    pub(super) fn alike(units: &Units, design: &'a UnitDesign, some: Range<usize>) -> BatchData<'a, f64> {
+        let mut leaves: Vec<Leaf> = Vec::new();
+        let mut last = None;
+        let tests = design.tests.iter().map(|member| {
+            // tests of one leaf in a group stand one after the other
+            if last != Some(member.leaf) {
+                leaves.push(units.leaves[member.leaf].clone());
+                last = Some(member.leaf);
+            }
+            UnitTest { leaf: leaves.len() - 1, group: member.group }
+        });
+        let columns = some.len();
+        let of = |data: &Rows| Rows::from_fn(data.nrows(), columns, |i, at| data[(i, some.start + at)]);
+        let tests = tests.collect();
+        BatchData { groups: &design.groups, tests, leaves, data: design.data.iter().map(of).collect(), columns }
+    }
+}
+
+impl<T> BatchData<'_, T> {
+    /// Whether a group is another one, or stands in it.
+    pub(super) fn stands_in(&self, mut group: usize, other: usize) -> bool {
+        while group != other && self.groups[group].parent != group {
+            group = self.groups[group].parent;
+        }
+        group == other
+    }
+}
+
+impl<'a, T: Lanes> BatchData<'a, T> {
+    /// The units of a batch, a lane each. Lanes without a unit, and tests that a unit does not have, hold zeros: they add nothing.
+    #[inline(always)]
+    pub(super) fn of(units: &Units, batch: &'a UnitBatch) -> BatchData<'a, T> {
+        let p = units.states;
+        let (mut tests, mut leaves, mut data) = (Vec::new(), Vec::new(), Vec::new());
+        for (test, &group) in batch.tests.iter().enumerate() {
+            let mut found = [None; MOST];
+            for (lane, found) in batch.lanes.iter().zip(&mut found) {
+                if let Some(number) = lane.tests[test] {
+                    let design = &units.designs[lane.design];
+                    *found = Some((&units.leaves[design.tests[number].leaf], &design.data[number], lane.unit));
+                }
+            }
+            tests.push(UnitTest { leaf: test, group });
+            leaves.push(side_by_side(&found, p));
+            let mut own = Rows::zeros(p, 1);
+            for i in 0..p {
+                own[(i, 0)] = in_lanes(
+                    &found,
+                    #[inline(always)]
+                    |&(_, data, unit)| data[(i, unit)],
+                );
+            }
+            data.push(own);
+        }
+        BatchData { groups: &batch.groups, tests, leaves, data, columns: 1 }
+    }
+}
+
+/// A test in each lane: its leaf, its data, and its column there.
+type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
+
+#[inline(always)]
+fn side_by_side<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
+    let regressors = found.iter().flatten().next().map_or(0, |(leaf, ..)| leaf.covariates.len());
+    let mut leaf = Leaf { factor: Rows::zeros(p, p), covariates: Vec::with_capacity(regressors) };
+    for i in 0..p {
+        for k in i..p {
+            leaf.factor[(i, k)] = in_lanes(
+                found,
+                #[inline(always)]
+                |(leaf, ..)| leaf.factor[(i, k)],
+            );
+        }
+    }
+    for c in 0..regressors {
+        leaf.covariates.push(in_lanes(
+            found,
+            #[inline(always)]
+            |(leaf, ..)| leaf.covariates[c],
+        ));
+    }
+    leaf
+}
+
+/// A number of each test, zero where there is none.
+#[inline(always)]
+fn in_lanes<T: Lanes>(found: &TestLanes<'_>, number: impl Fn(&(&Leaf, &Rows, usize)) -> f64) -> T {
+    let mut all = [0.0; MOST];
+    for (to, test) in all.iter_mut().zip(found) {
+        if let Some(test) = test {
+            *to = number(test);
+        }
+    }
+    T::load(&all)
+}

@@ -1,0 +1,131 @@
+//! Units that are walked through side by side though their tests differ: one in each lane.
+
+use kalfit_lanes::{Isa, MOST};
+
+use crate::levels::design::{UnitDesign, UnitGroup};
+
+/// As many units as the machine has lanes, or fewer, laid out alike: where a unit has fewer groups or tests than another, an empty one
+/// stands, of which nothing is said.
+#[derive(Debug, Clone)]
+pub(super) struct UnitBatch {
+    /// The groups, those of inner levels before those that they stand in; the last one is the unit.
+    pub(super) groups: Vec<UnitGroup>,
+    /// The group of each test.
+    pub(super) tests: Vec<usize>,
+    /// The units in the lanes.
+    pub(super) lanes: Vec<UnitInLane>,
+}
+
+/// A unit in a lane.
+#[derive(Debug, Clone)]
+pub(super) struct UnitInLane {
+    /// The number of its design, and which of the units of the design it is.
+    pub(super) design: usize,
+    pub(super) unit: usize,
+    /// Of each test of the batch the number of its test in the design.
+    pub(super) tests: Vec<Option<usize>>,
+}
+
+/// Batches of the units whose design too few others have. How many share one lane by lane depends on the machine; the rest on the
+/// tests alone.
+pub(super) fn batches(designs: &[UnitDesign]) -> Vec<UnitBatch> {
+    let isa = Isa::best();
+    let few = |(number, design): (usize, &UnitDesign)| {
+        let units = if design.is_shared() { 0 } else { design.units.len() };
+        let shape = UnitShape::of(design, &design.contents(), design.groups.len() - 1);
+        (0..units).map(move |unit| (shape.clone(), number, unit)).collect::<Vec<_>>()
+    };
+    let mut units: Vec<(UnitShape, usize, usize)> = designs.iter().enumerate().flat_map(few).collect();
+    units.sort_by_cached_key(|(shape, design, unit)| (shape.size(), shape.signature(), *design, *unit));
+    units.chunks(isa.lanes().min(MOST)).map(|units| UnitBatch::of(units, designs)).collect()
+}
+
+impl UnitDesign {
+    /// So many units have the design that their matrices, worked out once, are cheaper than side by side.
+    pub(super) fn is_shared(&self) -> bool {
+        self.units.len() >= Isa::best().lanes()
+    }
+
+    /// What stands in each group.
+    fn contents(&self) -> Vec<Contents> {
+        let mut all = vec![Contents::default(); self.groups.len()];
+        for (group, node) in self.groups.iter().enumerate().filter(|(group, node)| node.parent != *group) {
+            all[node.parent].inner.push(group);
+        }
+        self.tests.iter().enumerate().for_each(|(test, member)| all[member.group].tests.push(test));
+        all
+    }
+}
+
+/// What stands in a group: groups, and the tests that are in none of them.
+#[derive(Debug, Clone, Default)]
+struct Contents {
+    inner: Vec<usize>,
+    tests: Vec<usize>,
+}
+
+/// How many groups and tests stand in a group.
+#[derive(Debug, Clone)]
+struct UnitShape {
+    level: usize,
+    tests: usize,
+    inner: Vec<UnitShape>,
+}
+
+impl UnitShape {
+    fn of(design: &UnitDesign, contents: &[Contents], group: usize) -> UnitShape {
+        let inner = contents[group].inner.iter().map(|&inner| UnitShape::of(design, contents, inner)).collect();
+        UnitShape { level: design.groups[group].level, tests: contents[group].tests.len(), inner }
+    }
+
+    /// Tests in all.
+    fn size(&self) -> usize {
+        self.tests + self.inner.iter().map(UnitShape::size).sum::<usize>()
+    }
+
+    /// Equal for equal shapes.
+    fn signature(&self) -> Vec<usize> {
+        let inner = self.inner.iter().flat_map(UnitShape::signature);
+        [self.tests, self.inner.len()].into_iter().chain(inner).collect()
+    }
+
+    /// Makes room for another one of its level.
+    fn widen(&mut self, other: &UnitShape) {
+        self.tests = self.tests.max(other.tests);
+        self.inner.iter_mut().zip(&other.inner).for_each(|(own, other)| own.widen(other));
+        let more = other.inner.get(self.inner.len()..).unwrap_or_default();
+        self.inner.extend_from_slice(more);
+    }
+
+    /// Groups and the group of each test, inner ones first; tells the group's number.
+    fn lay(&self, groups: &mut Vec<UnitGroup>, tests: &mut Vec<usize>) -> usize {
+        let inner: Vec<usize> = self.inner.iter().map(|shape| shape.lay(groups, tests)).collect();
+        let own = groups.len();
+        groups.push(UnitGroup { level: self.level, parent: own });
+        inner.into_iter().for_each(|child| groups[child].parent = own);
+        tests.extend(std::iter::repeat_n(own, self.tests));
+        own
+    }
+
+    /// The tests of a group of a design in the places of this shape, in the order of [`UnitShape::lay`].
+    fn place(&self, contents: &[Contents], group: Option<usize>, places: &mut Vec<Option<usize>>) {
+        let inner = |at: usize| contents[group?].inner.get(at).copied();
+        self.inner.iter().enumerate().for_each(|(at, shape)| shape.place(contents, inner(at), places));
+        places.extend((0..self.tests).map(|at| contents[group?].tests.get(at).copied()));
+    }
+}
+
+impl UnitBatch {
+    fn of(units: &[(UnitShape, usize, usize)], designs: &[UnitDesign]) -> UnitBatch {
+        let mut shape = units[0].0.clone();
+        units.iter().for_each(|(other, ..)| shape.widen(other));
+        let (mut groups, mut tests) = (Vec::new(), Vec::new());
+        shape.lay(&mut groups, &mut tests);
+        let lane = |&(_, number, unit): &(UnitShape, usize, usize)| {
+            let (design, mut places) = (&designs[number], Vec::with_capacity(tests.len()));
+            shape.place(&design.contents(), Some(design.groups.len() - 1), &mut places);
+            UnitInLane { design: number, unit, tests: places }
+        };
+        UnitBatch { lanes: units.iter().map(lane).collect(), groups, tests }
+    }
+}

@@ -1,0 +1,87 @@
+//! First variances of each level by moments.
+
+use nalgebra::DVector;
+
+use crate::levels::design::{Leaf, UnitDesign};
+use crate::levels::units::Units;
+
+impl Units {
+    /// With J and y - Jμ of all that stands in a group, the sums of (y - Jμ)_i² - J_ii and of J_ii² over the groups of each level, tests
+    /// first.
+    pub(crate) fn excess(&self, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
+        let (levels, p) = (self.levels(), self.states);
+        let centre: Vec<f64> = (0..p).map(|i| (0..levels).map(|l| mean[l * p + i]).sum()).collect();
+        let (mut excess, mut squares) = (DVector::zeros(levels * p), DVector::zeros(levels * p));
+        for design in self.designs.iter() {
+            design.moments(&self.leaves, (&centre, self.unit), &mut |level, i, y, information| {
+                excess[level * p + i] += y * y - information;
+                squares[level * p + i] += information * information;
+            });
+        }
+        (excess, squares)
+    }
+
+    /// A variance for each state at each level by moments, as if the states were uncorrelated: that [excess](Units::excess) of level k has
+    /// the mean Σ_l v_l N_min(k,l), N_l = Σ J_ii² over those of level l. By levels, tests first; none where the groups say nothing.
+    pub(crate) fn variances(&self, (excess, squares): (&DVector<f64>, &DVector<f64>)) -> Vec<Vec<Option<f64>>> {
+        let (levels, p) = (self.levels(), self.states);
+        let of_level = |sums: &DVector<f64>, i: usize| (0..levels).map(|l| sums[l * p + i]).collect::<Vec<f64>>();
+        let of_state = |i: usize| solved(&of_level(excess, i), &of_level(squares, i));
+        let by_state: Vec<Vec<Option<f64>>> = (0..p).map(of_state).collect();
+        (0..levels).map(|level| by_state.iter().map(|found| found[level]).collect()).collect()
+    }
+}
+
+/// Variances of one state at all levels, the outermost first found: differences of the equations of neighbouring levels.
+fn solved(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
+    // e_k = Σ_l v_l N_min(k,l), so e_k - e_(k-1) = (N_k - N_(k-1)) Σ_(l≥k) v_l
+    let mut above = 0.0;
+    let mut found: Vec<Option<f64>> = (0..excess.len())
+        .rev()
+        .map(|k| {
+            let (e, n) = match k {
+                0 => (excess[0], squares[0]),
+                _ => (excess[k] - excess[k - 1], squares[k] - squares[k - 1]),
+            };
+            let together = (n > 0.0).then(|| (e / n).max(above))?;
+            let own = together - above;
+            above = together;
+            Some(own)
+        })
+        .collect();
+    found.reverse();
+    found
+}
+
+impl UnitDesign {
+    /// Calls `of` with the level, the state, (y - Jμ)_i and J_ii of each test and of all that stands in each group.
+    fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), of: &mut dyn FnMut(usize, usize, f64, f64)) {
+        let p = mean.len();
+        for unit in 0..self.units.len() {
+            let mut sums = vec![(vec![0.0; p], vec![0.0; p]); self.groups.len()];
+            for (member, data) in self.tests.iter().zip(&self.data) {
+                let factor = &leaves[member.leaf].factor;
+                let dot = |row: usize, x: &dyn Fn(usize) -> f64| (row..p).map(|k| factor[(row, k)] * x(k)).sum::<f64>();
+                let left: Vec<f64> = (0..p).map(|row| scale * data[(row, unit)] - dot(row, &|k| mean[k])).collect();
+                let (y, information) = &mut sums[member.group];
+                for i in 0..p {
+                    let own: f64 = (0..=i).map(|row| factor[(row, i)] * left[row]).sum();
+                    let square: f64 = (0..=i).map(|row| factor[(row, i)].powi(2)).sum();
+                    of(0, i, own, square);
+                    y[i] += own;
+                    information[i] += square;
+                }
+            }
+            for (at, node) in self.groups.iter().enumerate() {
+                let (y, information) = std::mem::take(&mut sums[at]);
+                for i in 0..p {
+                    of(node.level, i, y[i], information[i]);
+                    if node.parent != at {
+                        sums[node.parent].0[i] += y[i];
+                        sums[node.parent].1[i] += information[i];
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! One pass over the units: ℓ and its derivatives, as sums over tests in one block for each level.
+
+use std::ops::Range;
+
+use kalfit_lanes::{Isa, Kernel, Lanes};
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::levels::batch_data::BatchData;
+use crate::levels::batches::UnitBatch;
+use crate::levels::design::UnitDesign;
+use crate::levels::totals::{UnitSums, Wish};
+use crate::levels::units::Units;
+use crate::levels::walk::LevelLaws;
+use crate::order::Order;
+use crate::order::{FlatMean, SumsWanted};
+use crate::point::Point;
+use crate::sums::{OfLevels, Sums};
+use kalfit_algebra::rows::Rows;
+
+/// Most units of one design that are walked through at once.
+const TOGETHER: usize = 64;
+/// Tasks there are at most; fixed, so that sums have the same bits for any number of threads.
+const TASKS: usize = 64;
+
+/// ℓ and its derivatives at a point. The mean is the sum of those of all levels, so what is said of one is said of each.
+pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums {
+    let flat = wanted.flat.map(|flat| (folded(flat, units.states, units.levels()), flat.covariance));
+    let wish = Wish {
+        flat: flat.as_ref().map(|(jacobian, covariance)| (jacobian, *covariance)),
+        ..Wish::of(units, wanted, wanted.order)
+    };
+    let pieces = pieces(units);
+    let of_part = |pieces: &[UnitWork<'_>]| {
+        let shared = pieces.iter().filter_map(UnitWork::columns);
+        let columns = in_columns(units, (point, wanted), shared, wish);
+        let batches = pieces.iter().filter_map(UnitWork::batch).collect();
+        columns.and(Isa::best().run(UnitKernel { units, point, wanted, wish, batches }))
+    };
+    let parts: Vec<UnitSums> = pieces.par_chunks(pieces.len().div_ceil(TASKS).max(1)).map(of_part).collect();
+    sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(wish), UnitSums::and), wanted)
+}
+
+/// Calls `of` with the numbers of the reductions of each unit and its sums of first order, the constants of its tests apart.
+pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
+    let wish = Wish::of(units, wanted, Order::First);
+    for design in units.designs.iter() {
+        for (number, unit) in design.units.iter().enumerate() {
+            let alone = std::iter::once((design, number..number + 1));
+            let totals = in_columns(units, (point, wanted), alone, wish);
+            of(&unit.tests, &sums((units, 0.0), totals, wanted));
+        }
+    }
+}
+
+impl Wish<'_> {
+    fn of(units: &Units, wanted: SumsWanted<'_>, order: Order) -> Self {
+        let (states, levels) = (units.states, units.levels());
+        Wish { order, states, levels, coordinates: states + wanted.regressors.len(), flat: None }
+    }
+}
+
+/// Units that are walked through together.
+enum UnitWork<'a> {
+    /// Some units of one design.
+    Columns(&'a UnitDesign, Range<usize>),
+    Batch(&'a UnitBatch),
+}
+
+impl<'a> UnitWork<'a> {
+    fn columns(&self) -> Option<(&'a UnitDesign, Range<usize>)> {
+        match self {
+            UnitWork::Columns(design, units) => Some((design, units.clone())),
+            UnitWork::Batch(_) => None,
+        }
+    }
+
+    fn batch(&self) -> Option<&'a UnitBatch> {
+        match self {
+            UnitWork::Columns(..) => None,
+            UnitWork::Batch(batch) => Some(batch),
+        }
+    }
+}
+
+fn pieces<'a>(units: &'a Units) -> Vec<UnitWork<'a>> {
+    let of = |design: &'a UnitDesign| {
+        let count = design.units.len();
+        (0..count).step_by(TOGETHER).map(move |from| UnitWork::Columns(design, from..(from + TOGETHER).min(count)))
+    };
+    let shared = units.designs.iter().filter(|design| design.is_shared()).flat_map(of);
+    shared.chain(units.batches.iter().map(UnitWork::Batch)).collect()
+}
+
+/// Sums over units whose designs are shared.
+fn in_columns<'a>(
+    units: &Units,
+    (point, wanted): (&Point, SumsWanted<'_>),
+    pieces: impl Iterator<Item = (&'a UnitDesign, Range<usize>)>,
+    wish: Wish<'_>,
+) -> UnitSums {
+    let at = LevelLaws::new(units, point, wanted.regressors);
+    let mut totals = UnitSums::zero(wish);
+    pieces.for_each(|(design, some)| totals.take(&at, &BatchData::alike(units, design, some), wish));
+    totals
+}
+
+/// Units of some batches, in lanes.
+struct UnitKernel<'a> {
+    units: &'a Units,
+    point: &'a Point,
+    wanted: SumsWanted<'a>,
+    wish: Wish<'a>,
+    batches: Vec<&'a UnitBatch>,
+}
+
+impl Kernel for UnitKernel<'_> {
+    type Output = UnitSums;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> UnitSums {
+        let at = LevelLaws::<T>::new(self.units, self.point, self.wanted.regressors);
+        let mut totals = UnitSums::<T>::zero(self.wish);
+        for batch in self.batches {
+            totals.take(&at, &BatchData::of(self.units, batch), self.wish);
+        }
+        totals.of_all_lanes()
+    }
+}
+
+/// d(μ, coefficients) / d(free mean coordinates): the mean is the sum over the levels.
+fn folded(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
+    let all = flat.jacobian;
+    DMatrix::from_fn(all.nrows() - p * (levels - 1), all.ncols(), |row, c| match row.checked_sub(p) {
+        None => (0..levels).map(|l| all[(l * p + row, c)]).sum(),
+        Some(regressor) => all[(p * levels + regressor, c)],
+    })
+}
+
+fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'_>) -> Sums {
+    let (p, levels) = (units.states, units.levels());
+    let mut sums = wanted.zero_in_groups();
+    let all = sums.mean_score.len();
+    // of each mean coordinate of all levels the one that it is
+    let own = |m: usize| if m < p * levels { m % p } else { m - p * (levels - 1) };
+    sums.value = constant + totals.value;
+    sums.quadratic = totals.quadratic;
+    sums.mean_score.iter_mut().enumerate().for_each(|(m, to)| *to = totals.score[(own(m), 0)]);
+    sums.mean_information = DMatrix::from_fn(all, all, |m, n| totals.information[(own(m), own(n))]);
+    for (level, (outer, weight)) in totals.outer.iter().zip(&totals.weight).enumerate() {
+        let at = (level * p, level * p);
+        sums.outer.view_mut(at, (p, p)).copy_from(&matrix(outer));
+        sums.weight.view_mut(at, (p, p)).copy_from(&matrix(weight));
+    }
+    sums.spread = matrix(&totals.spread);
+    let cross = DMatrix::from_fn(if totals.cross.ncols() > 0 { all } else { 0 }, totals.cross.ncols(), |m, e| {
+        totals.cross[(own(m), e)]
+    });
+    let symmetric = |a: &Rows| {
+        let a = matrix(a);
+        (&a + a.transpose()) * 0.5
+    };
+    sums.of_levels =
+        Some(OfLevels { observed: symmetric(&totals.observed), cross, expected: symmetric(&totals.expected) });
+    sums
+}
+
+fn matrix(rows: &Rows) -> DMatrix<f64> {
+    DMatrix::from_fn(rows.nrows(), rows.ncols(), |i, k| rows[(i, k)])
+}

@@ -1,0 +1,166 @@
+//! The posterior of ξ of every test, and of the mean of every group, given all tests of its unit (theory §11).
+
+use rayon::prelude::*;
+
+use crate::levels::batch_data::BatchData;
+use crate::levels::design::{UnitDesign, UnitMembers};
+use crate::levels::units::Units;
+use crate::levels::walk::{GroupMean, LevelLaws, Walked};
+use crate::point::{Point, Regressors};
+use kalfit_algebra::rows::Rows;
+
+/// What is known of every test and group of an ensemble, in η.
+#[derive(Debug, Clone)]
+pub struct LevelPosteriors {
+    /// Of the tests, by their numbers in the grouping.
+    pub tests: Vec<TestPosterior>,
+    /// Of the groups, level by level from the innermost on, by their numbers.
+    pub groups: Vec<Vec<ScaledGroupPosterior>>,
+}
+
+/// ξ of a test given all tests of its unit.
+#[derive(Debug, Clone, Default)]
+pub struct TestPosterior {
+    pub mean: Vec<f64>,
+    /// V, p × p by rows.
+    pub covariance: Vec<f64>,
+    /// What its mean coordinates do to the posterior mean, p × coordinates by rows; nothing where that was not asked for.
+    pub(crate) moved: Vec<f64>,
+}
+
+/// The mean of the members of a group given all tests of its unit, and how far the group is from the population by itself.
+#[derive(Debug, Clone, Default)]
+pub struct ScaledGroupPosterior {
+    pub mean: Vec<f64>,
+    /// V, p × p by rows.
+    pub covariance: Vec<f64>,
+    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ) of all that its tests say, Σ that of its level and those above.
+    pub squared: f64,
+    /// Rank of J.
+    pub degrees_of_freedom: usize,
+    /// Squares of how far its tests and inner groups are from each other: of all that its tests say, less `squared`.
+    pub within: f64,
+    /// log p of the measurements of all its tests by themselves.
+    pub log_density: f64,
+    /// What the mean coordinates do to its mean, p × coordinates by rows; nothing where that was not asked for.
+    pub follows: Vec<f64>,
+}
+
+/// A test by the number of its reduction, or a group by its level and number.
+enum MemberId {
+    Test(usize, TestPosterior),
+    Group(usize, usize, ScaledGroupPosterior),
+}
+
+/// The posteriors at a point. `constants`: those of the reductions, without which the log densities lack them; `coordinates`: with what
+/// the mean coordinates do to the posteriors.
+pub fn posteriors(
+    units: &Units,
+    (point, regressors): (&Point, &Regressors),
+    constants: Option<&[f64]>,
+    coordinates: bool,
+) -> LevelPosteriors {
+    let none;
+    let constants = match constants {
+        Some(constants) => constants,
+        None => {
+            none = vec![0.0; units.numbers.len()];
+            &none
+        }
+    };
+    let at = LevelLaws::new(units, point, regressors);
+    let above = Above::new(&at);
+    let of_design = |design: &UnitDesign| -> Vec<MemberId> {
+        let bundle = BatchData::alike(units, design, 0..design.units.len());
+        let walked = at.walked(&bundle, coordinates);
+        let all = (design.units.as_slice(), &bundle, &walked);
+        let tests = (0..design.tests.len()).flat_map(|t| of_test(&at, all, t));
+        tests.chain((0..design.groups.len()).flat_map(|g| of_group((&at, &above), all, (g, constants)))).collect()
+    };
+    let found: Vec<Vec<MemberId>> = units.designs.par_iter().map(of_design).collect();
+    let mut all = LevelPosteriors {
+        tests: vec![TestPosterior::default(); units.grouping.tests()],
+        groups: (0..units.grouping.depth())
+            .map(|level| vec![ScaledGroupPosterior::default(); units.grouping.groups(level).len()])
+            .collect(),
+    };
+    for one in found.into_iter().flatten() {
+        match one {
+            MemberId::Test(number, posterior) => all.tests[units.numbers[number]] = posterior,
+            MemberId::Group(level, number, posterior) => all.groups[level - 1][number] = posterior,
+        }
+    }
+    all
+}
+
+/// Units of one design, and what they say.
+type EqualUnits<'a> = (&'a [UnitMembers], &'a BatchData<'a, f64>, &'a Walked<f64>);
+
+fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize) -> Vec<MemberId> {
+    let (member, down) = (bundle.tests[t], &walked.tests[t]);
+    let weight = &walked.leaves[member.leaf].W;
+    let mean = GroupMean::of((weight, &down.r), &at.sigmas[0], Some(&walked.means[member.group]));
+    let leaf = &bundle.leaves[member.leaf];
+    let centre = at.mean_of(leaf);
+    let p = centre.len();
+    // with the mean coordinates by one the mean of ξ is that much further, and the data that much less
+    let moved: Vec<f64> = (0..p)
+        .flat_map(|i| (0..walked.before).map(move |c| (i, c)))
+        .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
+        .collect();
+    let one = |(unit, numbers): (usize, &UnitMembers)| {
+        let own = |i: usize| centre[i] + mean.mean[(i, walked.before + unit)];
+        let covariance = mean.covariance.as_slice().to_vec();
+        MemberId::Test(
+            numbers.tests[t],
+            TestPosterior { mean: (0..p).map(own).collect(), covariance, moved: moved.clone() },
+        )
+    };
+    units.iter().enumerate().map(one).collect()
+}
+
+/// Roots F' of the sum of the Σ of each level and those above.
+struct Above(Vec<Rows>);
+
+impl Above {
+    fn new(at: &LevelLaws<'_>) -> Above {
+        let of = |level: usize| {
+            let mut root = Rows::zeros(0, at.mean.len());
+            at.roots[level..].iter().for_each(|one| root.append(one));
+            root
+        };
+        Above((0..at.roots.len()).map(of).collect())
+    }
+}
+
+fn of_group(
+    (at, above): (&LevelLaws<'_>, &Above),
+    (units, bundle, walked): EqualUnits<'_>,
+    (g, constants): (usize, &[f64]),
+) -> Vec<MemberId> {
+    let (node, mean, up) = (bundle.groups[g], &walked.means[g], &walked.up[g]);
+    let p = at.mean.len();
+    let rank = up.rank();
+    let (squares, log_det) = up.apart(&above.0[node.level]);
+    let within = walked.within(bundle, g);
+    let members: Vec<usize> = (0..bundle.tests.len()).filter(|&t| bundle.stands_in(bundle.tests[t].group, g)).collect();
+    // with μ by one its mean is that much further, and the data that much less; of a coefficient by what is regressed on it
+    let follow = |(i, c): (usize, usize)| f64::from(u8::from(i == c)) - mean.mean[(i, c)];
+    let follows: Vec<f64> = (0..p).flat_map(|i| (0..walked.before).map(move |c| (i, c))).map(follow).collect();
+    let one = |(unit, numbers): (usize, &UnitMembers)| {
+        let column = walked.before + unit;
+        let constant: f64 = members.iter().map(|&t| constants[numbers.tests[t]]).sum();
+        let squared = squares[column];
+        let posterior = ScaledGroupPosterior {
+            mean: (0..p).map(|i| at.mean[i] + mean.mean[(i, column)]).collect(),
+            covariance: mean.covariance.as_slice().to_vec(),
+            squared,
+            degrees_of_freedom: rank,
+            within: within.1[column],
+            log_density: constant - 0.5 * (log_det + within.0 + within.1[column] + squared),
+            follows: follows.clone(),
+        };
+        MemberId::Group(node.level, numbers.groups[g], posterior)
+    };
+    units.iter().enumerate().map(one).collect()
+}

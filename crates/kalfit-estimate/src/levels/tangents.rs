@@ -1,0 +1,306 @@
+//! How what is said moves with an element of a Σ: derivatives of r and W̄ of every test and group (theory §11).
+//!
+//! With E the derivative of Σ of a level, W and s of that level's members move by -WEW and -WEs, and of the groups above them by
+//!
+//! ```text
+//! dW = G dJ G'      ds = G(dy - dJ Σ s)      G = (I+JΣ)⁻¹ = I - WΣ
+//! ```
+//!
+//! On the way down, with (dm̂, dV) of the mean of a group, its members have
+//!
+//! ```text
+//! dr = ds - dW m̂ - W dm̂      dW̄ = dW - dW V W - W V dW - W dV W
+//! ```
+#![expect(non_snake_case, reason = "W, V, E, G are the letters of the theory")]
+
+use kalfit_lanes::Lanes;
+
+use crate::levels::batch_data::BatchData;
+use crate::levels::walk::{Down, GroupMean, LevelLaws, Walked};
+use kalfit_algebra::rows::Rows;
+
+/// An element of the Σ of a level, in both of its places.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Along {
+    pub(super) level: usize,
+    pub(super) row: usize,
+    pub(super) column: usize,
+}
+
+/// What moves of a test or a group.
+pub(super) struct NodeTangent<'a, T> {
+    pub(super) level: usize,
+    /// Its number among the tests of the batch data; `None` for a group.
+    pub(super) test: Option<usize>,
+    pub(super) of: &'a Down<T>,
+    /// dr.
+    pub(super) r: &'a Rows<T>,
+    /// dW̄.
+    pub(super) weight: &'a Rows<T>,
+}
+
+/// Where what moves of one test after the other is worked out.
+pub(super) struct Scratch<T> {
+    r: Rows<T>,
+    weight: Rows<T>,
+    /// Er + dm̂, and E - EWV - VWE + dV.
+    shift: Rows<T>,
+    inner: Rows<T>,
+    half: Rows<T>,
+}
+
+impl<T: Lanes> Scratch<T> {
+    /// For p states and so many columns.
+    #[inline(always)]
+    pub(super) fn new(p: usize, columns: usize) -> Scratch<T> {
+        Scratch {
+            r: Rows::zeros(p, columns),
+            weight: Rows::zeros(p, p),
+            shift: Rows::zeros(p, columns),
+            inner: Rows::zeros(p, p),
+            half: Rows::zeros(p, p),
+        }
+    }
+}
+
+/// (dW, ds) or (dr, dW̄).
+type TangentPair<T> = (Rows<T>, Rows<T>);
+/// (dW, ds), where they are not zero.
+type WeightTangent<T> = Option<TangentPair<T>>;
+
+impl Along {
+    /// Both places of the element, the diagonal's once.
+    #[inline(always)]
+    fn places(self) -> impl Iterator<Item = (usize, usize)> {
+        let places = [(self.row, self.column), (self.column, self.row)];
+        places.into_iter().take(if self.row == self.column { 1 } else { 2 })
+    }
+
+    /// E.
+    #[inline(always)]
+    fn matrix<T: Lanes>(self, p: usize) -> Rows<T> {
+        let mut matrix = Rows::zeros(p, p);
+        for place in self.places() {
+            matrix[place] = T::splat(1.0);
+        }
+        matrix
+    }
+
+    /// Ex.
+    #[inline(always)]
+    fn times<T: Lanes>(self, x: &Rows<T>) -> Rows<T> {
+        let mut moved = Rows::zeros(x.nrows(), x.ncols());
+        for (i, k) in self.places() {
+            moved.row_mut(i).copy_from_slice(x.row(k));
+        }
+        moved
+    }
+
+    /// Tells what moves, groups first.
+    #[inline(always)]
+    pub(super) fn through<T: Lanes>(
+        self,
+        at: &LevelLaws<'_, T>,
+        (bundle, walked): (&BatchData<'_, T>, &Walked<T>),
+        scratch: &mut Scratch<T>,
+        mut tell: impl FnMut(NodeTangent<'_, T>),
+    ) {
+        let changes = self.up(at, bundle, walked);
+        let last = bundle.groups.len() - 1;
+        let mut means: Vec<GroupMean<T>> = Vec::with_capacity(bundle.groups.len()); // the last group first
+        for (own, node) in bundle.groups.iter().enumerate().rev() {
+            let above = match node.parent == own {
+                true => None,
+                false => Some((&walked.means[node.parent], &means[last - node.parent])),
+            };
+            let (up, down) = (&walked.up[own], &walked.down[own]);
+            let change = changes[own].as_ref();
+            let moved = moved((&up.W, down), change, above);
+            let here = (node.level == self.level).then_some(self);
+            let mean = inherited((&up.W, down, &at.sigmas[node.level]), (change, &moved), here, above);
+            means.push(mean);
+            tell(NodeTangent { level: node.level, test: None, of: down, r: &moved.0, weight: &moved.1 });
+        }
+        for (number, (member, down)) in bundle.tests.iter().zip(&walked.tests).enumerate() {
+            let moving = &means[last - member.group];
+            self.test((&walked.leaves[member.leaf].W, &walked.known[number]), down, moving, scratch);
+            tell(NodeTangent { level: 0, test: Some(number), of: down, r: &scratch.r, weight: &scratch.weight });
+        }
+    }
+
+    /// dr = -W(Er + dm̂) and dW̄ = -W(E - EWV - VWE + dV)W of a test, E where it is of the tests' own level.
+    #[inline(always)]
+    fn test<T: Lanes>(
+        self,
+        (W, known): (&Rows<T>, &Rows<T>),
+        down: &Down<T>,
+        moving: &GroupMean<T>,
+        scratch: &mut Scratch<T>,
+    ) {
+        let p = W.nrows();
+        let Scratch { r, weight, shift, inner, half } = scratch;
+        for i in 0..p {
+            shift.row_mut(i).copy_from_slice(moving.mean.row(i));
+            inner.row_mut(i).copy_from_slice(moving.covariance.row(i));
+        }
+        if self.level == 0 {
+            for (i, k) in self.places() {
+                for (to, &x) in shift.row_mut(i).iter_mut().zip(down.r.row(k)) {
+                    *to = *to + x;
+                }
+                inner[(i, k)] = inner[(i, k)] + T::splat(1.0);
+                for c in 0..p {
+                    let both = known[(k, c)];
+                    inner[(i, c)] = inner[(i, c)] - both;
+                    inner[(c, i)] = inner[(c, i)] - both;
+                }
+            }
+        }
+        product(-1.0, W, shift, r);
+        product(-1.0, W, inner, half);
+        product(1.0, half, W, weight);
+    }
+
+    /// Adds (dW, ds) of a member of its own level: -WEW and -WEs.
+    #[inline(always)]
+    fn add_own<T: Lanes>(self, (sum_W, sum_s): &mut TangentPair<T>, (W, s): (&Rows<T>, &Rows<T>)) {
+        for (i, k) in self.places() {
+            for row in 0..W.nrows() {
+                let x = W[(row, i)];
+                for (sum, &w) in sum_W.row_mut(row).iter_mut().zip(W.row(k)) {
+                    *sum = x.fnma(w, *sum);
+                }
+                for (sum, &s) in sum_s.row_mut(row).iter_mut().zip(s.row(k)) {
+                    *sum = x.fnma(s, *sum);
+                }
+            }
+        }
+    }
+
+    /// (dW, ds) of the groups.
+    #[inline(always)]
+    fn up<T: Lanes>(
+        self,
+        at: &LevelLaws<'_, T>,
+        bundle: &BatchData<'_, T>,
+        walked: &Walked<T>,
+    ) -> Vec<WeightTangent<T>> {
+        let mut gathered: Vec<WeightTangent<T>> = Vec::with_capacity(bundle.groups.len());
+        for _ in bundle.groups {
+            gathered.push(None);
+        }
+        let none = |W: &Rows<T>, s: &Rows<T>| (Rows::zeros(W.nrows(), W.nrows()), Rows::zeros(s.nrows(), s.ncols()));
+        if self.level == 0 {
+            for (member, s) in bundle.tests.iter().zip(&walked.said) {
+                let W = &walked.leaves[member.leaf].W;
+                self.add_own(gathered[member.group].get_or_insert_with(|| none(W, s)), (W, s));
+            }
+        }
+        for (own, node) in bundle.groups.iter().enumerate() {
+            let up = &walked.up[own];
+            let change = match gathered[own].take() {
+                _ if node.level == self.level => {
+                    let mut change = none(&up.W, &up.s);
+                    self.add_own(&mut change, (&up.W, &up.s));
+                    Some(change)
+                }
+                Some((J, y)) => {
+                    let sigma = &at.sigmas[node.level];
+                    let G = Rows::identity(sigma.nrows()).less(&up.W.times(sigma));
+                    let left = y.less(&J.times(&sigma.times(&up.s)));
+                    Some((G.times(&J).times_transpose(&G), G.times(&left)))
+                }
+                None => None,
+            };
+            if let (Some((W, s)), true) = (&change, node.parent != own) {
+                add(&mut gathered[node.parent], (W, s));
+            }
+            gathered[own] = change;
+        }
+        gathered
+    }
+}
+
+#[inline(always)]
+fn add<T: Lanes>(sum: &mut WeightTangent<T>, (W, s): (&Rows<T>, &Rows<T>)) {
+    *sum = Some(match sum.take() {
+        None => (W.clone(), s.clone()),
+        Some((sum_W, sum_s)) => (sum_W.plus(W), sum_s.plus(s)),
+    });
+}
+
+/// AB, so many times, into a matrix of its shape.
+#[inline(always)]
+fn product<T: Lanes>(scale: f64, a: &Rows<T>, b: &Rows<T>, into: &mut Rows<T>) {
+    for i in 0..a.nrows() {
+        into.row_mut(i).fill(T::splat(0.0));
+        for k in 0..a.ncols() {
+            let x = T::splat(scale) * a[(i, k)];
+            for (sum, &b) in into.row_mut(i).iter_mut().zip(b.row(k)) {
+                *sum = x.fma(b, *sum);
+            }
+        }
+    }
+}
+
+/// A + A'.
+#[inline(always)]
+fn twice<T: Lanes>(a: &Rows<T>) -> Rows<T> {
+    a.transposed().plus(a)
+}
+
+/// (dr, dW̄).
+#[inline(always)]
+fn moved<T: Lanes>(
+    (W, down): (&Rows<T>, &Down<T>),
+    change: Option<&TangentPair<T>>,
+    above: Option<(&GroupMean<T>, &GroupMean<T>)>,
+) -> TangentPair<T> {
+    let p = W.nrows();
+    let (mut r, mut weight) = match change {
+        Some((dW, ds)) => (ds.clone(), dW.clone()),
+        None => (Rows::zeros(p, down.r.ncols()), Rows::zeros(p, p)),
+    };
+    if let Some((mean, moving)) = above {
+        r = r.less(&W.times(&moving.mean));
+        weight = weight.less(&W.times(&moving.covariance).times(W));
+        if let Some((dW, _)) = change {
+            r = r.less(&dW.times(&mean.mean));
+            weight = weight.less(&twice(&dW.times(&mean.covariance).times(W)));
+        }
+    }
+    (r, weight)
+}
+
+/// (dm̂, dV) of the mean of the members of a group: of m̂ + Σr and TVT' + Σ - ΣWΣ with T = I - ΣW.
+#[inline(always)]
+fn inherited<T: Lanes>(
+    (W, down, sigma): (&Rows<T>, &Down<T>, &Rows<T>),
+    (change, moved): (Option<&TangentPair<T>>, &TangentPair<T>),
+    here: Option<Along>,
+    above: Option<(&GroupMean<T>, &GroupMean<T>)>,
+) -> GroupMean<T> {
+    let p = W.nrows();
+    let mut mean = sigma.times(&moved.0);
+    let mut covariance = Rows::zeros(p, p);
+    let mut turned = Rows::zeros(p, p); // dT
+    if let Some((dW, _)) = change {
+        let known = sigma.times(dW);
+        covariance = covariance.less(&known.times(sigma));
+        turned = turned.less(&known);
+    }
+    if let Some(along) = here {
+        mean = mean.plus(&along.times(&down.r));
+        let known = along.times(W);
+        covariance = covariance.plus(&along.matrix(p)).less(&twice(&known.times(sigma)));
+        turned = turned.less(&known);
+    }
+    if let Some((law, moving)) = above {
+        let rest = Rows::identity(p).less(&sigma.times(W));
+        mean = mean.plus(&moving.mean);
+        covariance = covariance
+            .plus(&rest.times(&moving.covariance).times_transpose(&rest))
+            .plus(&twice(&turned.times(&law.covariance).times_transpose(&rest)));
+    }
+    GroupMean { mean, covariance }
+}

@@ -1,0 +1,317 @@
+//! What units say, added up.
+
+use kalfit_lanes::Lanes;
+use nalgebra::DMatrix;
+
+use crate::levels::batch_data::BatchData;
+use crate::levels::tangents::{Along, NodeTangent, Scratch};
+use crate::levels::walk::{LevelLaws, Walked};
+use crate::order::Order;
+use kalfit_algebra::rows::Rows;
+use kalfit_algebra::symmetric::{pair, pairs};
+
+/// Sums over units. Mean coordinates are the p elements of μ, then the regression coefficients.
+#[derive(Debug, Clone)]
+pub(super) struct UnitSums<T = f64> {
+    /// ℓ, constants apart.
+    pub(super) value: T,
+    pub(super) quadratic: T,
+    /// Of the mean coordinates, a column.
+    pub(super) score: Rows<T>,
+    pub(super) information: Rows<T>,
+    /// Σ rr' and Σ W̄, by levels.
+    pub(super) outer: Vec<Rows<T>>,
+    pub(super) weight: Vec<Rows<T>>,
+    /// Of the restricted likelihood: Σ ½(X'r X'r' + …) by pairs of free mean coordinates, elements.
+    pub(super) spread: Rows<T>,
+    /// -∂²ℓ by two elements, and by a mean coordinate and an element.
+    pub(super) observed: Rows<T>,
+    pub(super) cross: Rows<T>,
+    pub(super) expected: Rows<T>,
+}
+
+/// What is to be added up.
+#[derive(Clone, Copy)]
+pub(super) struct Wish<'a> {
+    pub(super) order: Order,
+    /// How many states, levels and mean coordinates there are.
+    pub(super) states: usize,
+    pub(super) levels: usize,
+    pub(super) coordinates: usize,
+    /// Free mean coordinates of the restricted likelihood: the jacobian on (μ, coefficients), and their covariance where it is known.
+    pub(super) flat: Option<(&'a DMatrix<f64>, Option<&'a DMatrix<f64>>)>,
+}
+
+impl<T: Lanes> UnitSums<T> {
+    #[inline(always)]
+    pub(super) fn zero(wish: Wish<'_>) -> UnitSums<T> {
+        let Wish { states: p, levels, coordinates, .. } = wish;
+        let elements = levels * pairs(p);
+        let second = if wish.order >= Order::Second { elements } else { 0 };
+        let free = wish.flat.map_or(0, |(jacobian, _)| pairs(jacobian.ncols()));
+        let mut totals = UnitSums {
+            value: T::splat(0.0),
+            quadratic: T::splat(0.0),
+            score: Rows::zeros(coordinates, 1),
+            information: Rows::zeros(coordinates, coordinates),
+            outer: Vec::with_capacity(levels),
+            weight: Vec::with_capacity(levels),
+            spread: Rows::zeros(free, if free > 0 { elements } else { 0 }),
+            observed: Rows::zeros(second, second),
+            cross: Rows::zeros(if second > 0 { coordinates } else { 0 }, second),
+            expected: Rows::zeros(second, second),
+        };
+        for _ in 0..levels {
+            totals.outer.push(Rows::zeros(p, p));
+            totals.weight.push(Rows::zeros(p, p));
+        }
+        totals
+    }
+
+    /// Adds what some units say.
+    #[inline(always)]
+    pub(super) fn take(&mut self, at: &LevelLaws<'_, T>, bundle: &BatchData<'_, T>, wish: Wish<'_>) {
+        let coordinates = !at.regressors.is_empty() || wish.flat.is_some();
+        let walked = at.walked(bundle, coordinates);
+        let count = T::splat(walked.columns as f64);
+        self.value = self.value - T::splat(0.5) * (count * walked.log_det + walked.quadratic);
+        self.quadratic = self.quadratic + walked.quadratic;
+        for (node, down) in bundle.groups.iter().zip(&walked.down) {
+            self.first(node.level, (&down.r, &down.weight), (&walked, wish));
+        }
+        for down in &walked.tests {
+            self.first(0, (&down.r, &down.weight), (&walked, wish));
+        }
+        self.mean(at, bundle, &walked);
+        if wish.order >= Order::Second {
+            self.second(at, (bundle, &walked), wish);
+        }
+    }
+
+    /// Adds rr' and W̄ of a test or group.
+    #[inline(always)]
+    fn first(&mut self, level: usize, (r, weight): (&Rows<T>, &Rows<T>), (walked, wish): (&Walked<T>, Wish<'_>)) {
+        let count = T::splat(walked.columns as f64);
+        add(&mut self.weight[level], count, weight);
+        add_products(&mut self.outer[level], (r, r), walked.before);
+        if let Some((jacobian, _)) = wish.flat {
+            self.spread(level, &of_free(r, jacobian), count);
+        }
+    }
+
+    #[inline(always)]
+    fn mean(&mut self, at: &LevelLaws<'_, T>, bundle: &BatchData<'_, T>, walked: &Walked<T>) {
+        let count = T::splat(walked.columns as f64);
+        for (member, down) in bundle.tests.iter().zip(&walked.tests) {
+            for (c, (state, x)) in each_coordinate(at, &bundle.leaves[member.leaf].covariates).enumerate() {
+                let (before, rest) = down.r.row(state).split_at(walked.before);
+                let score = &mut self.score[(c, 0)];
+                for &r in rest {
+                    *score = x.fma(r, *score);
+                }
+                for (sum, &r) in self.information.row_mut(c).iter_mut().zip(before) {
+                    *sum = (count * x).fma(r, *sum);
+                }
+            }
+        }
+        if walked.before == 0 {
+            let unit = &walked.up[walked.up.len() - 1];
+            add(&mut self.information, count, &unit.W);
+        }
+    }
+
+    /// Adds ½ (r_c r_d' + r_d r_c') for each pair of free mean coordinates.
+    #[inline(always)]
+    fn spread(&mut self, level: usize, free: &Rows<T>, count: T) {
+        let (p, q) = (free.nrows(), free.ncols());
+        let (first, half) = (level * pairs(p), T::splat(0.5) * count);
+        for c in 0..q {
+            for d in 0..=c {
+                for k in 0..p {
+                    for l in 0..=k {
+                        let both = free[(k, c)] * free[(l, d)] + free[(l, c)] * free[(k, d)];
+                        let sum = &mut self.spread[(pair(c, d), first + pair(k, l))];
+                        *sum = half.fma(both, *sum);
+                    }
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn second(&mut self, at: &LevelLaws<'_, T>, (bundle, walked): (&BatchData<'_, T>, &Walked<T>), wish: Wish<'_>) {
+        let p = wish.states;
+        let mut scratch = Scratch::new(p, walked.before + walked.columns);
+        let mut along = Rows::zeros(p, p);
+        for level in 0..wish.levels {
+            for row in 0..p {
+                for column in 0..=row {
+                    let place = (level * pairs(p) + pair(row, column), &mut along);
+                    let element = Along { level, row, column };
+                    self.along(at, (bundle, walked), (element, place), (&mut scratch, wish));
+                }
+            }
+        }
+    }
+
+    /// Adds how all scores move along an element.
+    #[inline(always)]
+    fn along(
+        &mut self,
+        at: &LevelLaws<'_, T>,
+        (bundle, walked): (&BatchData<'_, T>, &Walked<T>),
+        (element, (e, sum)): (Along, (usize, &mut Rows<T>)),
+        (scratch, wish): (&mut Scratch<T>, Wish<'_>),
+    ) {
+        element.through(
+            at,
+            (bundle, walked),
+            scratch,
+            #[inline(always)]
+            |moved| {
+                self.moved(walked, (e, sum), &moved, wish);
+                if let Some(test) = moved.test {
+                    let covariates = &bundle.leaves[bundle.tests[test].leaf].covariates;
+                    for (c, (state, x)) in each_coordinate(at, covariates).enumerate() {
+                        let cross = &mut self.cross[(c, e)];
+                        for &r in &moved.r.row(state)[walked.before..] {
+                            *cross = x.fnma(r, *cross);
+                        }
+                    }
+                }
+            },
+        );
+    }
+
+    /// Adds how the scores of a test or group move along element e.
+    #[inline(always)]
+    fn moved(
+        &mut self,
+        walked: &Walked<T>,
+        (e, along): (usize, &mut Rows<T>),
+        moved: &NodeTangent<'_, T>,
+        wish: Wish<'_>,
+    ) {
+        let (p, count) = (wish.states, T::splat(walked.columns as f64));
+        for i in 0..p {
+            along.row_mut(i).fill(T::splat(0.0));
+        }
+        add_products(along, (moved.r, &moved.of.r), walked.before);
+        add_products(along, (&moved.of.r, moved.r), walked.before);
+        if let Some((jacobian, Some(covariance))) = wish.flat {
+            let (own, free) = (of_free(moved.r, jacobian), of_free(&moved.of.r, jacobian));
+            let both = own.times(&numbers(covariance)).times_transpose(&free);
+            add(along, count, &both);
+            add(along, count, &both.transposed());
+        }
+        for i in 0..p {
+            for k in 0..=i {
+                let row = moved.level * pairs(p) + pair(i, k);
+                let places = T::splat(if i == k { -0.5 } else { -1.0 });
+                let weight = count * moved.weight[(i, k)];
+                self.observed[(row, e)] = places.fma(along[(i, k)] - weight, self.observed[(row, e)]);
+                self.expected[(row, e)] = places.fma(weight, self.expected[(row, e)]);
+            }
+        }
+    }
+
+    /// The sums over all lanes.
+    #[inline(always)]
+    pub(super) fn of_all_lanes(&self) -> UnitSums {
+        let mut totals = UnitSums {
+            value: self.value.sum(),
+            quadratic: self.quadratic.sum(),
+            score: over_lanes(&self.score),
+            information: over_lanes(&self.information),
+            outer: Vec::with_capacity(self.outer.len()),
+            weight: Vec::with_capacity(self.weight.len()),
+            spread: over_lanes(&self.spread),
+            observed: over_lanes(&self.observed),
+            cross: over_lanes(&self.cross),
+            expected: over_lanes(&self.expected),
+        };
+        for (outer, weight) in self.outer.iter().zip(&self.weight) {
+            totals.outer.push(over_lanes(outer));
+            totals.weight.push(over_lanes(weight));
+        }
+        totals
+    }
+}
+
+impl UnitSums {
+    pub(super) fn and(mut self, other: UnitSums) -> UnitSums {
+        let levels = |own: Vec<Rows>, other: &[Rows]| own.into_iter().zip(other).map(|(a, b)| a.plus(b)).collect();
+        self.value += other.value;
+        self.quadratic += other.quadratic;
+        UnitSums {
+            score: self.score.plus(&other.score),
+            information: self.information.plus(&other.information),
+            outer: levels(self.outer, &other.outer),
+            weight: levels(self.weight, &other.weight),
+            spread: self.spread.plus(&other.spread),
+            observed: self.observed.plus(&other.observed),
+            cross: self.cross.plus(&other.cross),
+            expected: self.expected.plus(&other.expected),
+            ..self
+        }
+    }
+}
+
+/// Of each mean coordinate of a test the state that it moves, and how much.
+#[inline(always)]
+fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
+    let states = (0..at.mean.len()).map(
+        #[inline(always)]
+        |i| (i, T::splat(1.0)),
+    );
+    states.chain(at.regressors.iter().copied().zip(covariates.iter().copied()))
+}
+
+/// What free mean coordinates do, from what the mean coordinates do, which stand first.
+#[inline(always)]
+fn of_free<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
+    r.first_columns(jacobian.nrows()).times(&numbers(jacobian))
+}
+
+#[inline(always)]
+fn numbers<T: Lanes>(matrix: &DMatrix<f64>) -> Rows<T> {
+    Rows::from_fn(
+        matrix.nrows(),
+        matrix.ncols(),
+        #[inline(always)]
+        |i, k| T::splat(matrix[(i, k)]),
+    )
+}
+
+/// Adds AB' of the columns after the first ones.
+#[inline(always)]
+fn add_products<T: Lanes>(sum: &mut Rows<T>, (a, b): (&Rows<T>, &Rows<T>), before: usize) {
+    for i in 0..a.nrows() {
+        for k in 0..b.nrows() {
+            let mut product = T::splat(0.0);
+            for (&x, &y) in a.row(i)[before..].iter().zip(&b.row(k)[before..]) {
+                product = x.fma(y, product);
+            }
+            sum[(i, k)] = sum[(i, k)] + product;
+        }
+    }
+}
+
+#[inline(always)]
+fn add<T: Lanes>(sum: &mut Rows<T>, scale: T, more: &Rows<T>) {
+    for i in 0..more.nrows() {
+        for (sum, &x) in sum.row_mut(i).iter_mut().zip(more.row(i)) {
+            *sum = scale.fma(x, *sum);
+        }
+    }
+}
+
+#[inline(always)]
+fn over_lanes<T: Lanes>(rows: &Rows<T>) -> Rows {
+    Rows::from_fn(
+        rows.nrows(),
+        rows.ncols(),
+        #[inline(always)]
+        |i, k| rows[(i, k)].sum(),
+    )
+}

@@ -1,0 +1,172 @@
+//! Tests gathered as what stands in one group of the outermost level.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::classes::Classes;
+use crate::frame::Frame;
+use crate::levels::batches::{UnitBatch, batches};
+use crate::levels::design::{Leaf, UnitDesign, UnitMembers, UnitTest};
+use crate::levels::trees::{GroupTree, Laid, trees};
+use kalfit_algebra::rows::Rows;
+use kalfit_algebra::symmetric::pair;
+use kalfit_filter::reduce::{ReductionRef, Reductions};
+use kalfit_model::Grouping;
+use kalfit_model::Reduction;
+
+/// All tests of an ensemble, by the groups of the outermost level ("units") and these by their design.
+#[derive(Debug, Clone)]
+pub struct Units {
+    /// p, the states of a test.
+    pub states: usize,
+    pub grouping: Arc<Grouping>,
+    /// The number of each reduction's test in the grouping.
+    pub(super) numbers: Arc<Vec<usize>>,
+    /// Σ constant over the tests.
+    pub(super) constant: f64,
+    /// What d of the designs is multiplied by.
+    pub(super) unit: f64,
+    /// Designs of tests.
+    pub(super) leaves: Arc<Vec<Leaf>>,
+    /// Designs of units.
+    pub(super) designs: Arc<Vec<UnitDesign>>,
+    /// Which units are walked through side by side.
+    pub(super) batches: Arc<Vec<UnitBatch>>,
+}
+
+impl Units {
+    /// Of reductions with the classes they are of; `Err` with the id of a test that is in no group.
+    pub(crate) fn new(reductions: &Reductions, classes: &Classes, grouping: &Arc<Grouping>) -> Result<Units, String> {
+        let frame = &classes.frame;
+        let states = frame.scale.len() / (grouping.depth() + 1);
+        let mut leaf_of = vec![0; reductions.len()];
+        for leaf in 0..classes.len() {
+            classes.tests_of(leaf).iter().for_each(|&j| leaf_of[j] = leaf);
+        }
+        let leaf = |number: usize| {
+            let (class, p) = (classes.listed.get(number), frame.scale.len());
+            let factor = Rows::from_fn(states, states, |i, k| class.factor[i * p + k]);
+            Leaf { factor, covariates: class.covariates.to_vec() }
+        };
+        let numbers: Option<Vec<usize>> = (0..reductions.len()).map(|j| grouping.number(reductions.id(j))).collect();
+        let Some(numbers) = numbers else {
+            let apart = reductions.iter().find(|reduction| grouping.number(reduction.test).is_none());
+            return Err(apart.map_or(String::new(), |reduction| reduction.test.to_owned()));
+        };
+        let mut of_design: HashMap<usize, usize> = HashMap::new();
+        let mut found: Vec<Vec<GroupTree>> = Vec::new();
+        for tree in trees(reductions, &leaf_of, (grouping, &numbers)) {
+            let at = *of_design.entry(tree.kind).or_insert(found.len());
+            if at == found.len() {
+                found.push(Vec::new());
+            }
+            found[at].push(tree);
+        }
+        let design = |trees: &Vec<GroupTree>| UnitDesign::of(trees, reductions, frame, states);
+        let designs: Vec<UnitDesign> = found.par_iter().map(design).collect();
+        Ok(Units {
+            states,
+            grouping: grouping.clone(),
+            numbers: Arc::new(numbers),
+            constant: (0..classes.len()).map(|number| classes.listed.get(number).constant).sum(),
+            unit: 1.0,
+            leaves: Arc::new((0..classes.len()).into_par_iter().map(leaf).collect()),
+            batches: Arc::new(batches(&designs)),
+            designs: Arc::new(designs),
+        })
+    }
+
+    /// The same with other noise: d so many times as large, and this much more of Σ constant.
+    pub(crate) fn with_noise(&self, unit: f64, change: f64) -> Units {
+        Units { unit: self.unit * unit, constant: self.constant + change, ..self.clone() }
+    }
+
+    /// Every so-many-th unit.
+    pub(crate) fn thinned(&self, every: usize) -> Units {
+        let mut first = 0;
+        let mut designs = Vec::new();
+        for design in self.designs.iter() {
+            let kept: Vec<usize> = (0..design.units.len()).filter(|unit| (first + unit) % every == every / 2).collect();
+            first += design.units.len();
+            if !kept.is_empty() {
+                designs.push(design.some(&kept));
+            }
+        }
+        let kept: usize = designs.iter().map(|design| design.units.len()).sum();
+        let constant = self.constant * kept as f64 / first.max(1) as f64;
+        Units { batches: Arc::new(batches(&designs)), designs: Arc::new(designs), constant, ..self.clone() }
+    }
+
+    /// How many units there are.
+    pub(crate) fn len(&self) -> usize {
+        self.designs.iter().map(|design| design.units.len()).sum()
+    }
+
+    /// Number of levels, that of the tests among them.
+    pub(crate) fn levels(&self) -> usize {
+        self.grouping.depth() + 1
+    }
+
+    /// How many there are of each level, tests first.
+    pub(crate) fn counts(&self) -> Vec<f64> {
+        let mut counts = vec![0.0; self.levels()];
+        for design in self.designs.iter() {
+            let units = design.units.len() as f64;
+            counts[0] += units * design.tests.len() as f64;
+            design.groups.iter().for_each(|group| counts[group.level] += units);
+        }
+        counts
+    }
+}
+
+impl UnitDesign {
+    /// Of units that are alike.
+    fn of(trees: &[GroupTree], reductions: &Reductions, frame: &Frame, p: usize) -> UnitDesign {
+        let laid: Vec<Laid> = trees.iter().map(Laid::of).collect();
+        let tests: Vec<UnitTest> = laid[0].tests.iter().map(|(member, _)| *member).collect();
+        let of_test = |t: usize| {
+            let mut data = Rows::zeros(p, laid.len());
+            for (unit, one) in laid.iter().enumerate() {
+                let reduction = reductions.get(one.tests[t].1);
+                for i in 0..p {
+                    data[(i, unit)] = from_centre(reduction, frame, i);
+                }
+            }
+            data
+        };
+        UnitDesign {
+            data: (0..tests.len()).map(of_test).collect(),
+            tests,
+            groups: laid[0].groups.iter().map(|(node, _)| *node).collect(),
+            units: laid
+                .iter()
+                .map(|one| UnitMembers {
+                    tests: one.tests.iter().map(|(_, j)| *j).collect(),
+                    groups: one.groups.iter().map(|(_, group)| *group).collect(),
+                })
+                .collect(),
+        }
+    }
+}
+
+/// (d - R × the centre)_i of a test whose reduction is [`stacked`].
+fn from_centre(reduction: ReductionRef<'_>, frame: &Frame, i: usize) -> f64 {
+    let moved = (i..reduction.data.len()).map(|k| reduction.factor[pair(k, 0) + i] * frame.centre[k]);
+    reduction.data[i] - moved.sum::<f64>()
+}
+
+/// The reduction of a test in what is its own and what each of its groups adds: d - R(γ + β_1 + …).
+pub(crate) fn stacked(reduction: ReductionRef<'_>, levels: usize) -> Reduction {
+    let p = reduction.data.len();
+    let mut data = reduction.data.to_vec();
+    data.resize(p * levels, 0.0);
+    let mut factor = Vec::with_capacity(pair(p * levels, 0));
+    for column in 0..p * levels {
+        let k = column % p;
+        factor.extend_from_slice(&reduction.factor[pair(k, 0)..][..=k]);
+        factor.resize(pair(column + 1, 0), 0.0);
+    }
+    Reduction { data, factor, ..reduction.into() }
+}

@@ -1,0 +1,395 @@
+//! Through the groups of units that are walked through together, from the tests up and down again.
+#![expect(non_snake_case, reason = "R, U, W, V are the letters of the theory")]
+
+use kalfit_lanes::{Lanes, MOST, Part};
+
+use crate::levels::batch_data::BatchData;
+use crate::levels::design::Leaf;
+use crate::levels::units::Units;
+use crate::point::{Point, Regressors};
+use kalfit_algebra::factors::{Factors, Rotations};
+use kalfit_algebra::rows::Rows;
+
+/// What is smaller than this part of its column is rounding.
+const ROUNDING: f64 = 1e-10;
+
+/// The Σ of each level and the mean, at a point.
+pub(super) struct LevelLaws<'a, T = f64> {
+    pub(super) regressors: &'a Regressors,
+    /// μ, the sum of the means of all levels.
+    pub(super) mean: Vec<T>,
+    coefficients: Vec<T>,
+    /// F' of each level, Σ = FF', tests first.
+    pub(super) roots: Vec<Rows<T>>,
+    pub(super) sigmas: Vec<Rows<T>>,
+    /// What d of the designs is multiplied by.
+    unit: T,
+}
+
+/// What the matrices of a reduction say once what is its own is integrated out.
+pub(super) struct Integrated<T> {
+    /// U with U'U = I + RΣR'.
+    upper: Rows<T>,
+    /// B = U⁻ᵀR.
+    half: Rows<T>,
+    /// W = B'B.
+    pub(super) W: Rows<T>,
+    /// log|I + RΣR'|.
+    log_det: T,
+}
+
+/// A node on the way up: what it says of the mean of its group.
+pub(super) struct Up<T> {
+    pub(super) W: Rows<T>,
+    /// s, a column for each column of the batch data after those of the mean coordinates.
+    pub(super) s: Rows<T>,
+    /// [R | d] of all that its members say of their mean, by columns as s.
+    said: Rows<T>,
+    /// Squares of each column that are left of its members, its tests apart from that in inner groups.
+    left: Vec<T>,
+    /// log|…| of its members.
+    log_det: T,
+}
+
+/// A node on the way down.
+pub(super) struct Down<T> {
+    /// r, by columns as [`Up::s`].
+    pub(super) r: Rows<T>,
+    /// W̄.
+    pub(super) weight: Rows<T>,
+}
+
+/// The posterior of the mean of the members of a group.
+pub(super) struct GroupMean<T> {
+    /// Less its own mean, by columns as [`Down::r`].
+    pub(super) mean: Rows<T>,
+    /// V.
+    pub(super) covariance: Rows<T>,
+}
+
+/// What units that are walked through together say at a point.
+pub(super) struct Walked<T> {
+    /// Columns before those of the units: what the mean coordinates do.
+    pub(super) before: usize,
+    /// How many units stand in columns.
+    pub(super) columns: usize,
+    /// log|…| of the units in one column.
+    pub(super) log_det: T,
+    /// Squares that are left, of all columns.
+    pub(super) quadratic: T,
+    /// What tests of each leaf say of the mean of their group.
+    pub(super) leaves: Vec<Integrated<T>>,
+    /// Of the groups.
+    pub(super) up: Vec<Up<T>>,
+    pub(super) down: Vec<Down<T>>,
+    pub(super) means: Vec<GroupMean<T>>,
+    /// s of the tests, what else is known of them, and WV with V of the mean of their group.
+    pub(super) said: Vec<Rows<T>>,
+    pub(super) tests: Vec<Down<T>>,
+    pub(super) known: Vec<Rows<T>>,
+}
+
+impl<'a, T: Lanes> LevelLaws<'a, T> {
+    #[inline(always)]
+    pub(super) fn new(units: &Units, point: &Point, regressors: &'a Regressors) -> LevelLaws<'a, T> {
+        let (p, levels) = (units.states, units.levels());
+        let mut at = LevelLaws {
+            regressors,
+            mean: Vec::with_capacity(p),
+            coefficients: Vec::with_capacity(regressors.len()),
+            roots: Vec::with_capacity(levels),
+            sigmas: Vec::with_capacity(levels),
+            unit: T::splat(units.unit),
+        };
+        for i in 0..p {
+            let mut mean = 0.0;
+            for l in 0..levels {
+                mean += point.mean[l * p + i];
+            }
+            at.mean.push(T::splat(mean));
+        }
+        for c in 0..regressors.len() {
+            at.coefficients.push(T::splat(point.coefficients[c]));
+        }
+        for l in 0..levels {
+            let mut root = Rows::zeros(p, p);
+            for i in 0..p {
+                for k in 0..p {
+                    root[(k, i)] = T::splat(point.root[(l * p + i, l * p + k)]);
+                }
+            }
+            at.sigmas.push(root.transpose_times(&root));
+            at.roots.push(root);
+        }
+        at
+    }
+
+    /// μ of the tests of a leaf.
+    #[inline(always)]
+    pub(super) fn mean_of(&self, leaf: &Leaf<T>) -> Vec<T> {
+        let mut mean = self.mean.clone();
+        for (c, &element) in self.regressors.iter().enumerate() {
+            mean[element] = leaf.covariates[c].fma(self.coefficients[c], mean[element]);
+        }
+        mean
+    }
+
+    /// d - Rμ of a test, after R times what each mean coordinate does to ξ, if that is wanted.
+    #[inline(always)]
+    fn data(&self, (leaf, data): (&Leaf<T>, &Rows<T>), before: usize) -> Rows<T> {
+        let (p, mean) = (self.mean.len(), self.mean_of(leaf));
+        let mut all = Rows::zeros(p, before + data.ncols());
+        for i in 0..p {
+            let factor = leaf.factor.row(i);
+            let mut moved = T::splat(0.0);
+            for k in i..p {
+                moved = factor[k].fma(mean[k], moved);
+            }
+            let (first, rest) = all.row_mut(i).split_at_mut(before);
+            for (c, x) in first.iter_mut().enumerate() {
+                *x = match c.checked_sub(p) {
+                    None => factor[c],
+                    Some(c) => leaf.covariates[c] * factor[self.regressors[c]],
+                };
+            }
+            for (to, &d) in rest.iter_mut().zip(data.row(i)) {
+                *to = self.unit * d - moved;
+            }
+        }
+        all
+    }
+
+    /// Up and down through some units; with what the mean coordinates do, if that is wanted.
+    #[inline(always)]
+    pub(super) fn walked(&self, bundle: &BatchData<'_, T>, coordinates: bool) -> Walked<T> {
+        let before = if coordinates { self.mean.len() + self.regressors.len() } else { 0 };
+        let (groups, tests) = (bundle.groups.len(), bundle.tests.len());
+        let mut walked = Walked {
+            before,
+            columns: bundle.columns,
+            log_det: T::splat(0.0),
+            quadratic: T::splat(0.0),
+            leaves: Vec::with_capacity(bundle.leaves.len()),
+            up: Vec::with_capacity(groups),
+            down: Vec::with_capacity(groups),
+            means: Vec::with_capacity(groups),
+            said: Vec::with_capacity(tests),
+            tests: Vec::with_capacity(tests),
+            known: Vec::with_capacity(tests),
+        };
+        for leaf in &bundle.leaves {
+            walked.leaves.push(Integrated::of(&leaf.factor, &self.roots[0]));
+        }
+        self.up(bundle, &mut walked);
+        self.down(bundle, &mut walked);
+        walked
+    }
+
+    /// From the tests to the units.
+    #[inline(always)]
+    fn up(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
+        let p = self.mean.len();
+        let width = p + walked.before + bundle.columns;
+        let mut gathered = Vec::with_capacity(bundle.groups.len());
+        for _ in bundle.groups {
+            gathered.push(Gathered::none(p, width));
+        }
+        for (member, data) in bundle.tests.iter().zip(&bundle.data) {
+            let solved = &walked.leaves[member.leaf];
+            let own = self.data((&bundle.leaves[member.leaf], data), walked.before);
+            let left = Rows::solved_below(&solved.upper, own);
+            walked.said.push(solved.half.transpose_times(&left));
+            gathered[member.group].take(solved, &left);
+        }
+        for (at, node) in bundle.groups.iter().enumerate() {
+            let own = std::mem::replace(&mut gathered[at], Gathered::none(0, 0));
+            let solved = Integrated::of(&own.upper.first_columns(p), &self.roots[node.level]);
+            let left = Rows::solved_below(&solved.upper, own.upper.last_columns(width - p));
+            let s = solved.half.transpose_times(&left);
+            walked.log_det = walked.log_det + own.log_det;
+            walked.quadratic = walked.quadratic + total(&own.left[walked.before..]);
+            if node.parent == at {
+                walked.log_det = walked.log_det + solved.log_det;
+                walked.quadratic = walked.quadratic + total(&squares(&left)[walked.before..]);
+            } else {
+                gathered[node.parent].take(&solved, &left);
+            }
+            walked.up.push(Up { W: solved.W, s, said: own.upper, left: own.left, log_det: own.log_det });
+        }
+    }
+
+    /// From the units to the tests.
+    #[inline(always)]
+    fn down(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
+        // the last group is the unit: they are found from the last one on
+        for (at, node) in bundle.groups.iter().enumerate().rev() {
+            let (up, found) = (&walked.up[at], bundle.groups.len() - 1);
+            let above = if node.parent == at { None } else { Some(&walked.means[found - node.parent]) };
+            let own = Down::of((&up.W, up.s.clone()), above);
+            let mean = GroupMean::of((&up.W, &own.r), &self.sigmas[node.level], above);
+            walked.means.push(mean);
+            walked.down.push(own);
+        }
+        walked.means.reverse();
+        walked.down.reverse();
+        for (member, s) in bundle.tests.iter().zip(&walked.said) {
+            let (W, mean) = (&walked.leaves[member.leaf].W, &walked.means[member.group]);
+            let known = W.times(&mean.covariance);
+            let r = s.clone().less(&W.times(&mean.mean));
+            walked.tests.push(Down { r, weight: W.clone().less(&known.times(W)) });
+            walked.known.push(known);
+        }
+    }
+}
+
+impl LevelLaws<'_> {
+    /// What a mean coordinate does to a state of the tests of a leaf.
+    pub(super) fn effect(&self, leaf: &Leaf, state: usize, coordinate: usize) -> f64 {
+        match coordinate.checked_sub(self.mean.len()) {
+            None => f64::from(u8::from(coordinate == state)),
+            Some(c) if self.regressors[c] == state => leaf.covariates[c],
+            Some(_) => 0.0,
+        }
+    }
+}
+
+impl Walked<f64> {
+    /// log|…| of all that stands in a group, but of the group itself, and the squares of each column that are left of it.
+    pub(super) fn within(&self, bundle: &BatchData<'_, f64>, group: usize) -> (f64, Vec<f64>) {
+        let inner = (0..bundle.groups.len()).filter(|&own| bundle.stands_in(own, group));
+        let mut sum = (0.0, vec![0.0; self.before + self.columns]);
+        for up in inner.map(|own| &self.up[own]) {
+            sum.0 += up.log_det;
+            sum.1.iter_mut().zip(&up.left).for_each(|(sum, x)| *sum += x);
+        }
+        sum
+    }
+}
+
+impl Up<f64> {
+    /// The squares of each column and log|I + RΣR'| where the group is by itself; `root`: F' of the Σ that it has then.
+    pub(super) fn apart(&self, root: &Rows) -> (Vec<f64>, f64) {
+        let p = self.said.nrows();
+        let solved = Integrated::of(&self.said.first_columns(p), root);
+        let left = Rows::solved_below(&solved.upper, self.said.last_columns(self.said.ncols() - p));
+        (squares(&left), solved.log_det)
+    }
+
+    /// Rank of R. Folding leaves rounding where tests say the same: that counts for nothing.
+    pub(super) fn rank(&self) -> usize {
+        let p = self.said.nrows();
+        let size = |k: usize| (0..=k).map(|i| self.said[(i, k)].powi(2)).sum::<f64>().sqrt();
+        let sizes: Vec<f64> = (0..p).map(size).collect();
+        (0..p).filter(|&i| (i..p).any(|k| self.said[(i, k)].abs() > ROUNDING * sizes[k])).count()
+    }
+}
+
+/// What the members of a group say together.
+struct Gathered<T> {
+    /// [R | d].
+    upper: Rows<T>,
+    /// Squares of each column that are left.
+    left: Vec<T>,
+    log_det: T,
+}
+
+impl<T: Lanes> Gathered<T> {
+    #[inline(always)]
+    fn none(p: usize, width: usize) -> Gathered<T> {
+        let zero = T::splat(0.0);
+        Gathered { upper: Rows::zeros(p, width), left: vec![zero; width - p], log_det: zero }
+    }
+
+    /// Folds in what a member says.
+    #[inline(always)]
+    fn take(&mut self, solved: &Integrated<T>, data: &Rows<T>) {
+        let p = self.upper.nrows();
+        let rest = Rotations::absorb(&mut self.upper, solved.half.beside(data), p);
+        for i in 0..p {
+            for (sum, &x) in self.left.iter_mut().zip(&rest.row(i)[p..]) {
+                *sum = x.fma(x, *sum);
+            }
+        }
+        self.log_det = self.log_det + solved.log_det;
+    }
+}
+
+#[inline(always)]
+fn total<T: Lanes>(of: &[T]) -> T {
+    let mut sum = T::splat(0.0);
+    for &x in of {
+        sum = sum + x;
+    }
+    sum
+}
+
+/// Sum of squares of each column.
+#[inline(always)]
+fn squares<T: Lanes>(left: &Rows<T>) -> Vec<T> {
+    let mut sums = vec![T::splat(0.0); left.ncols()];
+    for i in 0..left.nrows() {
+        for (sum, &x) in sums.iter_mut().zip(left.row(i)) {
+            *sum = x.fma(x, *sum);
+        }
+    }
+    sums
+}
+
+impl<T: Lanes> Integrated<T> {
+    /// From R and F'.
+    #[inline(always)]
+    fn of(factor: &Rows<T>, root: &Rows<T>) -> Integrated<T> {
+        let upper = Rotations::identity_plus(&root.times_transpose(factor));
+        let log_det = T::apart(LogDet(&upper));
+        let half = Rows::solved_below(&upper, factor.clone());
+        Integrated { W: half.transpose_times(&half), half, upper, log_det }
+    }
+}
+
+/// log|U'U| in each lane.
+struct LogDet<'a, T>(&'a Rows<T>);
+
+impl<T: Lanes> Part for LogDet<'_, T> {
+    type Output = T;
+
+    #[inline(always)]
+    fn run(self) -> T {
+        let mut sums = [0.0; MOST];
+        for i in 0..self.0.nrows() {
+            let mut diagonal = [1.0; MOST];
+            self.0[(i, i)].store(&mut diagonal);
+            for lane in 0..T::COUNT {
+                sums[lane] += 2.0 * diagonal[lane].ln();
+            }
+        }
+        T::load(&sums)
+    }
+}
+
+impl<T: Lanes> Down<T> {
+    #[inline(always)]
+    fn of((W, s): (&Rows<T>, Rows<T>), above: Option<&GroupMean<T>>) -> Down<T> {
+        match above {
+            None => Down { r: s, weight: W.clone() },
+            Some(above) => {
+                Down { r: s.less(&W.times(&above.mean)), weight: W.clone().less(&W.times(&above.covariance).times(W)) }
+            }
+        }
+    }
+}
+
+impl<T: Lanes> GroupMean<T> {
+    #[inline(always)]
+    pub(super) fn of((W, r): (&Rows<T>, &Rows<T>), sigma: &Rows<T>, above: Option<&GroupMean<T>>) -> GroupMean<T> {
+        let (own, known) = (sigma.times(r), sigma.times(W));
+        let left = sigma.clone().less(&known.times(sigma));
+        match above {
+            None => GroupMean { mean: own, covariance: left },
+            Some(above) => {
+                let rest = Rows::identity(known.nrows()).less(&known);
+                let inherited = rest.times(&above.covariance).times_transpose(&rest);
+                GroupMean { mean: own.plus(&above.mean), covariance: left.plus(&inherited) }
+            }
+        }
+    }
+}

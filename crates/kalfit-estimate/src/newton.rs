@@ -1,0 +1,341 @@
+//! Newton's method in (μ, ψ) with the exact Hessian (theory §3).
+//!
+//! Eigenvalues of the Hessian by absolute value, Levenberg damping, every accepted step raises the value. It stops on
+//! the Newton decrement, never on a small change of the value.
+
+use std::sync::Arc;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::chart::Chart;
+use crate::covariance::CovarianceMap;
+use crate::curvature::Curvature;
+use crate::local::{Local, Objective, Tangent};
+use crate::point::Point;
+use kalfit_algebra::folded::Folded;
+use kalfit_algebra::symmetric;
+
+/// A point with all that is known there.
+#[derive(Debug, Clone)]
+pub struct NewtonIterate {
+    pub point: Point,
+    pub local: Local,
+    pub tangent: Tangent,
+    pub(crate) curvature: Curvature,
+}
+
+impl NewtonIterate {
+    /// Evaluates the objective: one pass.
+    pub fn new(
+        objective: &dyn Objective,
+        map: &CovarianceMap,
+        point: Point,
+        near: Option<&DMatrix<f64>>,
+    ) -> Option<NewtonIterate> {
+        NewtonIterate::at(objective.local(&point, near)?, objective.mean_jacobian(), map, point)
+    }
+
+    /// The place where this is known; `None` where it is not finite, or so far out that its derivatives overflow.
+    pub fn at(
+        local: Local,
+        mean_jacobian: &DMatrix<f64>,
+        map: &CovarianceMap,
+        mut point: Point,
+    ) -> Option<NewtonIterate> {
+        if !local.value.is_finite() {
+            return None;
+        }
+        let tangent = Tangent::new(&local, mean_jacobian, map, &point.root);
+        point.root = tangent.chart.root.clone();
+        let curvature = Curvature::new(&tangent);
+        let place = NewtonIterate { point, local, tangent, curvature };
+        place.decrement().is_finite().then_some(place)
+    }
+
+    /// What places near by may take from this one.
+    pub fn near(&self) -> Option<&DMatrix<f64>> {
+        self.local.mean_covariance.as_ref()
+    }
+
+    pub(crate) fn decrement(&self) -> f64 {
+        self.curvature.decrement()
+    }
+
+    /// Another place that is to take the place of this one, if `make` finds it. Meanwhile large matrices of this one are put aside: those
+    /// by elements of Σ in half their memory, what follows from them not at all. They are back where nothing is found; of this place
+    /// nothing may be asked where something is.
+    pub(crate) fn surpassed(
+        &mut self,
+        objective: &dyn Objective,
+        make: impl FnOnce(&NewtonIterate) -> Option<NewtonIterate>,
+    ) -> Option<NewtonIterate> {
+        self.slim();
+        let own = Arc::get_mut(&mut self.local.information).filter(|own| own.nrows() >= LARGE);
+        let folded = own.map(|own| Folded::of(std::mem::replace(own, DMatrix::zeros(0, 0))));
+        let next = make(self);
+        if next.is_none() {
+            if let Some(folded) = folded {
+                self.local.information = Arc::new(folded.unfolded());
+            }
+            self.restore(objective);
+        }
+        next
+    }
+
+    /// Drops what is large and follows from the rest.
+    pub(crate) fn slim(&mut self) {
+        if self.tangent.information.nrows() >= LARGE {
+            self.tangent.information = DMatrix::zeros(0, 0);
+        }
+    }
+
+    /// Works out again what was dropped.
+    pub(crate) fn restore(&mut self, objective: &dyn Objective) {
+        if self.tangent.information.is_empty() {
+            self.tangent.inform(&self.local, objective.mean_jacobian());
+        }
+    }
+}
+
+/// Rows of a matrix that is large.
+const LARGE: usize = 500;
+
+/// What became of one attempt to step.
+pub(crate) enum Attempt {
+    /// A better place.
+    Better(Box<NewtonIterate>),
+    /// No damping helped.
+    Failed,
+    /// The step promised less than the rounding errors of the value, and the value fell: it cannot tell any step from another.
+    Blind,
+}
+
+/// Damping that is remembered from step to step.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Damping(f64);
+
+/// How often one step is tried with more damping before the safeguard takes over.
+const TRIES: usize = 6;
+
+impl Damping {
+    /// Steps from `place`, with more damping until the value rises. Of the place nothing may be asked after a better one is found.
+    pub(crate) fn attempt(
+        &mut self,
+        objective: &dyn Objective,
+        map: &CovarianceMap,
+        place: &mut NewtonIterate,
+    ) -> Attempt {
+        let slack = 1e-13 * place.local.value.abs().max(1.0);
+        self.0 = self.0.max(place.curvature.doubtful());
+        for _ in 0..TRIES {
+            let (step, promised) = place.curvature.step(&place.tangent.information, self.0);
+            let point = moved(objective, map, place, &step);
+            let mut gain = None;
+            let next = place.surpassed(objective, |place| {
+                let next = NewtonIterate::new(objective, map, point?, place.near())?;
+                let gain = *gain.insert(next.local.value - place.local.value);
+                (gain >= -slack && (gain >= 0.05 * promised || promised <= slack)).then_some(next)
+            });
+            let gain = gain.unwrap_or(f64::NEG_INFINITY);
+            if let Some(next) = next {
+                self.judge(gain / promised);
+                return Attempt::Better(Box::new(next));
+            }
+            if gain > f64::NEG_INFINITY && promised <= slack {
+                return Attempt::Blind;
+            }
+            self.0 = place.curvature.shorter(&place.tangent.information, self.0, gain);
+        }
+        Attempt::Failed
+    }
+}
+
+impl Damping {
+    /// Less damping after a step that gave what it promised, more after one that did not.
+    fn judge(&mut self, ratio: f64) {
+        if ratio > 0.75 {
+            self.0 *= 0.1;
+        } else if ratio < 0.25 {
+            self.0 *= 4.0;
+        }
+        if self.0 < 1e-6 {
+            self.0 = 0.0;
+        }
+    }
+}
+
+/// The point after a step along the tangent basis, brought back onto the constraints.
+pub(crate) fn moved(
+    objective: &dyn Objective,
+    map: &CovarianceMap,
+    place: &NewtonIterate,
+    step: &DVector<f64>,
+) -> Option<Point> {
+    let free = place.tangent.basis.times(step);
+    let q = place.tangent.mean;
+    let mut point = objective.move_mean(&place.point, &free.as_slice()[..q]);
+    let step = free.rows(q, free.len() - q).clone_owned();
+    point.root = retract(map, &place.tangent.chart, step)?;
+    Some(point)
+}
+
+impl CovarianceMap {
+    /// The root nearby whose FF' meets the constraints, if there is one.
+    pub fn onto(&self, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let chart = self.chart(root);
+        let still = DVector::zeros(chart.coordinates.len());
+        retract(self, &chart, still)
+    }
+}
+
+/// F after a step ψ, with ψ corrected by Newton's method until Σ = FF' meets the constraints.
+fn retract(map: &CovarianceMap, chart: &Chart, mut step: DVector<f64>) -> Option<DMatrix<f64>> {
+    let mut root = chart.moved(step.as_slice());
+    if map.constraints.is_empty() {
+        return Some(root);
+    }
+    let normals = crate::local::normals(&map.constraints, &map.elements);
+    let mut previous = f64::INFINITY;
+    for _ in 0..60 {
+        let sigma = &root * root.transpose();
+        let residual = map.residual(&sigma);
+        let size = map.relative_residual(&sigma, &residual);
+        if size <= 1e-15 || (size <= 1e-12 && size >= 0.5 * previous) {
+            return Some(root);
+        }
+        previous = size;
+        let slope = chart.jacobian_at(&root).after(&normals);
+        step -= slope.transpose() * symmetric::pseudo_solve(&(&slope * slope.transpose()), &residual);
+        root = chart.moved(step.as_slice());
+    }
+    (previous <= 1e-10).then_some(root)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use super::*;
+    use crate::covariance::{CoordinateForm, PhaseForm};
+    use kalfit_algebra::elements::Elements;
+
+    /// A value of one mean whose model is everywhere slope x - ½ x²; where it has been asked.
+    struct LineStep<F> {
+        slope: f64,
+        value: F,
+        jacobian: DMatrix<f64>,
+        asked: RefCell<Vec<f64>>,
+    }
+
+    impl<F: Fn(f64) -> Option<f64>> Objective for LineStep<F> {
+        fn local(&self, point: &Point, _: Option<&DMatrix<f64>>) -> Option<Local> {
+            self.asked.borrow_mut().push(point.mean[0]);
+            let zero = || DMatrix::zeros(1, 1);
+            Some(Local {
+                value: (self.value)(point.mean[0])?,
+                mean_score: DVector::from_element(1, self.slope),
+                mean_information: DMatrix::identity(1, 1),
+                score: zero(),
+                cross: zero(),
+                information: Arc::new(zero()),
+                weight: zero(),
+                mean_covariance: None,
+            })
+        }
+
+        fn mean_jacobian(&self) -> &DMatrix<f64> {
+            &self.jacobian
+        }
+
+        fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+            Point { mean: vec![point.mean[0] + step[0]], ..point.clone() }
+        }
+    }
+
+    /// One attempt from zero, with this much damping before it: where it ends, what is left of the damping, where it asked.
+    fn attempt(slope: f64, damping: f64, value: impl Fn(f64) -> Option<f64>) -> (Attempt, f64, Vec<f64>) {
+        let objective = LineStep { slope, value, jacobian: DMatrix::identity(1, 1), asked: RefCell::default() };
+        let fixed =
+            PhaseForm { states: 0..1, form: CoordinateForm::Fixed(DMatrix::zeros(1, 1)), linear: false, start: None };
+        let map = CovarianceMap {
+            p: 1,
+            parts: vec![fixed],
+            constraints: Vec::new(),
+            random: Vec::new(),
+            regressors: Vec::new(),
+            elements: Elements::single(1),
+        };
+        let point = Point { mean: vec![0.0], coefficients: Vec::new(), root: DMatrix::zeros(1, 1) };
+        let mut place = NewtonIterate::new(&objective, &map, point, None).expect("a finite place");
+        objective.asked.borrow_mut().clear();
+        let mut damping = Damping(damping);
+        let end = damping.attempt(&objective, &map, &mut place);
+        (end, damping.0, objective.asked.into_inner())
+    }
+
+    fn better(end: &Attempt) -> f64 {
+        match end {
+            Attempt::Better(place) => place.point.mean[0],
+            Attempt::Failed => panic!("no step was good"),
+            Attempt::Blind => panic!("no step was promising"),
+        }
+    }
+
+    #[test]
+    fn a_step_must_give_a_twentieth_of_what_it_promised() {
+        // the whole step promises ½
+        let far = |part: f64| move |x: f64| Some(if x > 0.9 { 0.5 * part } else { 0.4 * x });
+        for (part, accepted) in [(0.051, true), (0.049, false), (-0.2, false), (0.9, true)] {
+            let (end, _, asked) = attempt(1.0, 0.0, far(part));
+            assert!((asked[0] - 1.0).abs() < 1e-12, "{asked:?}: the whole step first");
+            assert_eq!(asked.len() == 1, accepted, "{part}: {asked:?}");
+            assert_eq!((better(&end) - 1.0).abs() < 1e-12, accepted, "{part}: {}", better(&end));
+        }
+    }
+
+    #[test]
+    fn steps_grow_shorter_until_one_is_good() {
+        let (end, damping, asked) = attempt(1.0, 0.0, |x| Some(if x > 0.1 { -1.0 } else { x }));
+        assert!(better(&end) > 0.02 && better(&end) <= 0.1, "{}", better(&end));
+        assert!(asked.windows(2).all(|two| two[1] < 0.51 * two[0] && two[1] > 0.24 * two[0]), "{asked:?}");
+        assert!(damping > 1.0, "{damping}: what helped is remembered");
+        // where there is no value at all, each is a quarter of the last
+        let (_, _, asked) = attempt(1.0, 0.0, |x| (x < 0.1).then_some(x));
+        assert!(asked.windows(2).all(|two| (two[1] / two[0] - 0.25).abs() < 1e-3), "{asked:?}");
+        // none is good
+        let (end, _, asked) = attempt(1.0, 0.0, |x| Some(-x.abs()));
+        assert!(matches!(end, Attempt::Failed), "all fall");
+        assert_eq!(asked.len(), TRIES, "{asked:?}");
+    }
+
+    #[test]
+    fn what_promises_less_than_rounding_is_blind() {
+        // ½ slope² beside 1e-13, and of the second try a quarter as far less than half as much
+        for (slope, blind, tries) in [(4e-7, true, 1), (5e-7, true, 2), (1e-3, false, TRIES)] {
+            let (end, _, asked) = attempt(slope, 0.0, |x| Some(-x.abs()));
+            assert_eq!((matches!(end, Attempt::Blind), asked.len()), (blind, tries), "{slope}: {asked:?}");
+        }
+        // nor is it refused for falling by less
+        let (end, ..) = attempt(4e-7, 0.0, |x| Some(if x == 0.0 { 0.0 } else { -0.9e-13 }));
+        assert!((better(&end) - 4e-7).abs() < 1e-18, "{}", better(&end));
+    }
+
+    #[test]
+    fn damping_follows_what_steps_give() {
+        for (before, part, after) in [
+            (0.5, 0.76, 0.05),
+            (0.5, 0.74, 0.5),
+            (0.5, 0.26, 0.5),
+            (0.5, 0.24, 2.0),
+            (9e-6, 1.0, 0.0),
+            (2e-5, 1.0, 2e-6),
+            (2.5e-7, 0.24, 1e-6),
+        ] {
+            // ½ slope² / (1 + damping)² (1 + 2 damping) is what a damped step promises
+            let promised = 0.5 * (1.0 + 2.0 * before) / f64::powi(1.0 + before, 2);
+            let (end, damping, _) = attempt(1.0, before, |x| Some(if x == 0.0 { 0.0 } else { part * promised }));
+            assert!((better(&end) - 1.0 / (1.0 + before)).abs() < 1e-12, "{}", better(&end));
+            assert!((damping - after).abs() < 1e-12, "{before} after {part}: {damping}, not {after}");
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! One pass over the classes: ℓ(μ, Σ) and its derivatives (theory §3), the sums that every solver lives on.
+
+use std::sync::Arc;
+
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::chained::{ChainDetail, Packed};
+use crate::class::{Class, ClassRef};
+use crate::classes::Classes;
+use crate::lanes::{Accumulator, ChainKernel, ChainSums, ClassEvaluator, ClassSums, InPhases};
+use crate::levels;
+use crate::order::Order;
+use crate::order::{FlatMean, SumsWanted, most_tasks};
+use crate::point::{Point, Regressors};
+use crate::remote;
+use crate::sums::{OfLevels, Sums};
+use kalfit_algebra::elements::Elements;
+
+/// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
+const CHUNK: usize = 128;
+
+/// Most tasks that tests in phases are summed by: each needs much room for second derivatives.
+const CHAIN_TASKS: usize = 16;
+
+impl SumsWanted<'_> {
+    pub(super) fn zero(&self) -> Sums {
+        Sums::zero(self.elements, self.regressors.len(), self.order, self.flat)
+    }
+
+    /// Of tests in groups: their second derivatives are matrices of their own.
+    pub(super) fn zero_in_groups(self) -> Sums {
+        let mut zero = SumsWanted { order: self.order.min(Order::Mean), ..self }.zero();
+        let second = if self.order >= Order::Second { self.elements.count() } else { 0 };
+        let of = |rows: usize| DMatrix::zeros(if second > 0 { rows } else { 0 }, second);
+        let coordinates = zero.mean_score.len();
+        zero.of_levels = Some(OfLevels { observed: of(second), cross: of(coordinates), expected: of(second) });
+        zero
+    }
+
+    /// W between phases is wanted.
+    pub(super) fn between(&self) -> bool {
+        self.order >= Order::Mean
+    }
+
+    pub(super) fn detail(&self) -> ChainDetail {
+        if self.between() { ChainDetail::Between } else { ChainDetail::Phases }
+    }
+}
+
+/// ℓ and its derivatives at a point.
+pub(crate) fn pass(
+    classes: &Classes,
+    regressors: &Regressors,
+    point: &Point,
+    order: Order,
+    flat: Option<&FlatMean<'_>>,
+) -> Sums {
+    let wanted = wanted(&classes.elements, regressors, order, flat);
+    if let Some(remote) = &classes.remote {
+        return remote::pass((remote, classes), point, wanted);
+    }
+    if let Some(units) = &classes.units {
+        return levels::pass(units, point, wanted);
+    }
+    let apart: Vec<ClassRef<'_>> = classes.unbatched.iter().map(|&number| classes.listed.get(number)).collect();
+    let mut sums = one_by_one(&apart, point, wanted);
+    sums.value += classes.blocks.constant() + classes.shared.constant();
+    classes.blocks.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
+    classes.shared.totals(point, wanted).into_iter().for_each(|totals| sums.take(totals));
+    let refused = add_chains(&mut sums, classes, point, wanted);
+    if refused.is_empty() { sums } else { sums.and(1.0, &one_by_one(&refused, point, wanted)) }
+}
+
+/// ℓ where it is -∞, for those who add up what some places say.
+const NO_LIKELIHOOD: f64 = -1e300;
+
+/// The same as it is told to those who have no classes. They also ask without spread what the tests inform of the mean, where ℓ is -∞ if
+/// something is measured exactly.
+pub(super) fn told_pass(
+    classes: &Classes,
+    regressors: &Regressors,
+    point: &Point,
+    order: Order,
+    flat: Option<&FlatMean<'_>>,
+) -> Sums {
+    if order != Order::Mean || point.root.amax() > 0.0 || !classes.has_exact() {
+        return pass(classes, regressors, point, order, flat);
+    }
+    let wanted = wanted(&classes.elements, regressors, order, flat);
+    let mut sums = wanted.zero();
+    (sums.value, sums.mean_information) = (NO_LIKELIHOOD, classes.mean_information(regressors));
+    sums
+}
+
+/// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
+fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
+    let isa = classes.blocks.isa();
+    let of = |blocks: &[Arc<Packed>]| isa.run(ChainKernel { blocks, classes: &classes.listed, point, wanted });
+    let each = classes.chains.len().div_ceil(CHAIN_TASKS).max(CHUNK / isa.lanes());
+    let all: Vec<ChainSums> = classes.chains.par_chunks(each).map(of).collect();
+    let mut left = Vec::new();
+    for ChainSums { totals, constant, refused } in all {
+        sums.value += constant;
+        sums.take(totals);
+        left.extend(refused.into_iter().map(|number| classes.listed.get(number)));
+    }
+    left
+}
+
+/// Sums over classes one by one.
+pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWanted<'_>) -> Sums {
+    let of_chunk = |chunk: &[ClassRef<'_>]| {
+        let (mut sums, mut at) = (Accumulator::new(wanted), ClassEvaluator::new(point, wanted.regressors));
+        for &class in chunk {
+            if let Some(chain) = class.chain {
+                let said = &at.in_phases(class, chain, wanted.detail());
+                sums.add(&InPhases { said, count: class.count }, class.covariates);
+            } else {
+                sums.add(&at.whole(class, wanted.elements.blocks()), class.covariates);
+            }
+        }
+        (chunk.iter().map(|class| class.constant).sum(), sums.totals())
+    };
+    let each = CHUNK.max(classes.len().div_ceil(most_tasks(wanted.elements.states())));
+    let chunks: Vec<(f64, ClassSums)> = classes.par_chunks(each).map(of_chunk).collect();
+    let mut sums = wanted.zero();
+    for (constant, totals) in chunks {
+        sums.value += constant;
+        sums.take(totals);
+    }
+    sums
+}
+
+/// What one class says by itself.
+pub(crate) fn of_class(
+    classes: &Classes,
+    class: &Class,
+    (regressors, flat): (&Regressors, Option<&FlatMean<'_>>),
+    point: &Point,
+    order: Order,
+) -> Sums {
+    one_by_one(&[class.view()], point, wanted(&classes.elements, regressors, order, flat))
+}
+
+/// Regressions and the restricted likelihood need all of the information on the mean.
+fn wanted<'a>(
+    elements: &'a Elements,
+    regressors: &'a Regressors,
+    order: Order,
+    flat: Option<&'a FlatMean<'a>>,
+) -> SumsWanted<'a> {
+    let least = if regressors.is_empty() && flat.is_none() { Order::First } else { Order::Mean };
+    SumsWanted { elements, regressors, order: order.max(least), flat }
+}

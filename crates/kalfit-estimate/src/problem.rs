@@ -1,0 +1,278 @@
+//! The problem as a whole: classes, the structure of μ and Σ, and a count of the passes.
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::class::Class;
+use crate::classes::Classes;
+use crate::covariance::CovarianceMap;
+use crate::local::{Local, Objective};
+use crate::mean::MeanMap;
+use crate::newton::NewtonIterate;
+use crate::order::FlatMean;
+use crate::order::Order;
+use crate::pass::{of_class, pass};
+use crate::point::Point;
+use crate::reml::Restriction;
+use crate::sums::Sums;
+use crate::{Combination, Criterion, Structure};
+use kalfit_algebra::symmetric;
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::{Population, StructureError};
+
+/// What is maximised: ℓ(μ, Σ) of the reductions under a structure, with what the restricted likelihood adds to it.
+#[derive(Debug)]
+pub struct Problem {
+    pub classes: Classes,
+    pub mean: MeanMap,
+    pub covariance: CovarianceMap,
+    mean_jacobian: DMatrix<f64>,
+    restriction: Option<Restriction>,
+    passes: AtomicUsize,
+    /// The search looks for its end: what it finds of a place may be the last.
+    ending: AtomicBool,
+    /// The last place that it looked at since, with all that is known there.
+    last: Mutex<Option<(Point, Sums)>>,
+}
+
+impl Problem {
+    pub fn new(
+        reductions: &Reductions,
+        structure: &Structure<'_>,
+        (criterion, combination): (Criterion, Combination),
+    ) -> Result<Problem, StructureError> {
+        let chained = combination != Combination::Stacked;
+        let classes = Classes::new(reductions, structure.ranges(), structure.regressions().len(), chained);
+        let classes = match &structure.grouping {
+            Some(grouping) => classes.in_groups(reductions, grouping),
+            None => classes,
+        };
+        Problem::of(classes, structure, criterion)
+    }
+
+    /// The problem of these classes.
+    pub(crate) fn of(
+        classes: Classes,
+        structure: &Structure<'_>,
+        criterion: Criterion,
+    ) -> Result<Problem, StructureError> {
+        let mean = MeanMap::new(structure, &classes.frame);
+        let covariance = CovarianceMap::new(structure, &classes.frame)?;
+        let mean_jacobian = mean.jacobian();
+        let restriction = (criterion == Criterion::Reml).then(|| {
+            let at_zero = classes.mean_information(&mean.regressors);
+            Restriction::new(
+                &(mean_jacobian.transpose() * at_zero * &mean_jacobian),
+                &mean.by_user(structure, &classes.frame),
+            )
+        });
+        Ok(Problem {
+            classes,
+            mean,
+            covariance,
+            mean_jacobian,
+            restriction,
+            passes: AtomicUsize::new(0),
+            ending: AtomicBool::new(false),
+            last: Mutex::new(None),
+        })
+    }
+
+    /// A level of groups, by its block of Σ, has one group only.
+    pub fn is_one_group(&self, level: usize) -> bool {
+        level > 0 && self.classes.units.is_some() && self.classes.present[level] <= 1.0
+    }
+
+    /// The problem of tests in groups as if each stood alone, and the same point there: with the covariances of all levels together.
+    pub fn apart(&self, structure: &Structure<'_>, point: &Point, reductions: &Reductions) -> Option<(Problem, Point)> {
+        let first = Structure { phases: structure.phases[..1].to_vec(), grouping: None, ..structure.clone() };
+        let alone = match self.classes.remote {
+            Some(_) => Problem::of(self.classes.apart(), &first, Criterion::Ml),
+            None => Problem::new(reductions, &first, (Criterion::Ml, Combination::Stacked)),
+        };
+        let alone = alone.ok()?;
+        let (p, frame) = (alone.classes.dimension(), &alone.classes.frame);
+        let Population { mean, covariance, .. } = self.values_of(point).together(p);
+        let root = symmetric::square_root(&frame.covariance_in(&covariance));
+        let point = Point { mean: frame.mean_in(&mean), coefficients: point.coefficients.clone(), root };
+        Some((alone, point))
+    }
+
+    /// What is maximised and its derivatives: one pass over the classes. The restricted likelihood's second derivatives hold
+    /// the covariance C⁻¹ of the mean under the sum over classes, and C is such a sum itself: there `near` stands for it, from
+    /// a place near by. They are exact when that place is this one, and nothing else depends on it.
+    /// `None` where the restricted likelihood is not defined.
+    pub(crate) fn sums(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Option<Sums> {
+        let sums = self.unrestricted(point, order, near);
+        if self.classes.remote.is_some() && sums.value.is_nan() {
+            return None; // nobody has answered
+        }
+        self.restricted(sums)
+    }
+
+    /// The same before the restricted likelihood adds its own.
+    pub fn unrestricted(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Sums {
+        self.count_pass();
+        pass(&self.classes, &self.mean.regressors, point, order, self.flat(near).as_ref())
+    }
+
+    /// With what the restricted likelihood adds, if that is maximised.
+    fn restricted(&self, sums: Sums) -> Option<Sums> {
+        let Some(restriction) = &self.restriction else { return Some(sums) };
+        let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
+        let restricted = restriction.at(&information, sums.spread(), &self.classes.elements)?;
+        Some(sums.restrict(restricted))
+    }
+
+    /// What the restricted likelihood wants of every class.
+    fn flat<'a>(&'a self, near: Option<&'a DMatrix<f64>>) -> Option<FlatMean<'a>> {
+        self.restriction.as_ref().map(|_| FlatMean { jacobian: &self.mean_jacobian, covariance: near })
+    }
+
+    /// Whether without one class of tests the others inform the same directions of the mean, as far as that matters, from the
+    /// [`unrestricted`](Problem::unrestricted) sums over all at a point.
+    pub fn informed_without(&self, all: &Sums, class: &Class, point: &Point) -> bool {
+        let Some(restriction) = &self.restriction else { return true };
+        let free = |of: &DMatrix<f64>| self.mean_jacobian.transpose() * of * &self.mean_jacobian;
+        let own = self.of_class(class, point, Order::Mean);
+        restriction.informs(&free(&(&all.mean_information - &own.mean_information)), &free(&all.mean_information))
+    }
+
+    /// All that is maximised without one class of tests, from the [`unrestricted`](Problem::unrestricted) sums over all at the same
+    /// point and `near`: the restricted likelihood is that of the others by themselves, as long as they inform the same directions
+    /// of the mean, but for a constant.
+    pub fn without(&self, all: Sums, class: &Class, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Sums> {
+        let flat = self.flat(near);
+        let own = of_class(&self.classes, class, (&self.mean.regressors, flat.as_ref()), point, Order::Second);
+        self.restricted(all.and(-1.0, &own))
+    }
+
+    /// Whether the next place may be the last one, of which the expected information is wanted too: it is then found in the same pass.
+    pub(crate) fn ends_soon(&self, soon: bool) {
+        self.ending.store(soon && self.restriction.is_none(), Ordering::Relaxed);
+    }
+
+    /// All that is known of a place where the search ends: one pass, if the search did not do it.
+    pub(crate) fn at_end(&self, place: &NewtonIterate) -> Option<Sums> {
+        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
+        match last {
+            Some((point, sums)) if point == place.point => Some(sums),
+            other => {
+                drop(other);
+                self.sums(&place.point, Order::Expected, None).map(Sums::at_rest)
+            }
+        }
+    }
+
+    /// ℓ and its derivatives, whatever is maximised: one pass.
+    pub fn likelihood(&self, point: &Point, order: Order) -> Sums {
+        self.count_pass();
+        pass(&self.classes, &self.mean.regressors, point, order, None)
+    }
+
+    /// What one class says by itself.
+    pub(crate) fn of_class(&self, class: &Class, point: &Point, order: Order) -> Sums {
+        of_class(&self.classes, class, (&self.mean.regressors, None), point, order)
+    }
+
+    /// What is maximised.
+    pub(crate) fn criterion(&self) -> Criterion {
+        if self.restriction.is_some() { Criterion::Reml } else { Criterion::Ml }
+    }
+
+    /// Directions of the mean that the restricted likelihood has integrated out; none under maximum likelihood.
+    pub(crate) fn informed(&self) -> usize {
+        self.restriction.as_ref().map_or(0, Restriction::rank)
+    }
+
+    /// Counts one pass over the classes.
+    fn count_pass(&self) {
+        self.passes.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Passes so far.
+    pub(crate) fn passes(&self) -> usize {
+        self.passes.load(Ordering::Relaxed)
+    }
+
+    /// A point in the user's units. Fixed elements get exactly their values.
+    pub fn values_of(&self, point: &Point) -> Population {
+        let frame = &self.classes.frame;
+        let mut covariance = frame.covariance_out(&point.covariance());
+        for constraint in self.covariance.constraints.iter().filter(|c| c.terms.len() == 1) {
+            let (i, j, unit) = constraint.terms[0];
+            let value = constraint.value / unit * frame.scale[i] * frame.scale[j];
+            covariance[(i, j)] = value;
+            covariance[(j, i)] = value;
+        }
+        let mut mean = frame.mean_out(&point.mean);
+        for (value, exact) in mean.iter_mut().zip(&self.mean.fixed) {
+            *value = exact.unwrap_or(*value);
+        }
+        let coefficients = point.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c / s).collect();
+        Population { mean, coefficients, covariance }
+    }
+
+    /// What one unit in η of each mean coordinate is in the user's units.
+    pub fn mean_units(&self) -> Vec<f64> {
+        let coefficients = self.mean.coefficient_scale.iter().map(|scale| scale.recip());
+        self.classes.frame.scale.iter().copied().chain(coefficients).collect()
+    }
+
+    /// The point of values that meet the structure.
+    pub fn point_of(&self, values: &Population) -> Point {
+        let frame = &self.classes.frame;
+        Point {
+            mean: frame.mean_in(&values.mean),
+            coefficients: values.coefficients.iter().zip(&self.mean.coefficient_scale).map(|(c, s)| c * s).collect(),
+            root: self.covariance.root_of(&frame.covariance_in(&values.covariance)),
+        }
+    }
+
+    /// The free mean coordinates that maximise ℓ at the Σ of these sums: generalised least squares (theory §3).
+    pub(crate) fn least_squares_step(&self, sums: &Sums) -> DVector<f64> {
+        let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
+        let score = self.mean_jacobian.transpose() * &sums.mean_score;
+        scaled_solve(&information, &score)
+    }
+}
+
+/// Solves a x = b for positive semidefinite a after scaling to unit diagonal.
+pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
+    let n = b.len();
+    let unit = |i: usize| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 0.0 };
+    let scale = DVector::from_fn(n, |i, _| unit(i));
+    let scaled = DMatrix::from_fn(n, n, |i, j| scale[i] * a[(i, j)] * scale[j]);
+    symmetric::pseudo_solve(&scaled, &b.component_mul(&scale)).component_mul(&scale)
+}
+
+impl Objective for Problem {
+    fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        let ending = self.ending.load(Ordering::Relaxed);
+        // what tests that are elsewhere say costs a round, however much they are asked
+        if !ending && (self.classes.remote.is_none() || self.restriction.is_some()) {
+            return Some(Local::of(&mut self.sums(point, Order::Second, near)?));
+        }
+        let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        *last() = None; // its room is wanted
+        let asked = || self.sums(point, Order::Expected, near);
+        let sums = if ending { self.with_score(point, asked) } else { asked() }?;
+        let mut sums = sums.settled();
+        let local = Local::of(&mut sums);
+        *last() = Some((point.clone(), sums.at_rest()));
+        Some(local)
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        &self.mean_jacobian
+    }
+
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+        let q = self.mean.basis.ncols();
+        let moved = DVector::from_column_slice(&point.mean) + &self.mean.basis * DVector::from_column_slice(&step[..q]);
+        let coefficients = point.coefficients.iter().zip(&step[q..]).map(|(c, s)| c + s).collect();
+        Point { mean: moved.as_slice().to_vec(), coefficients, root: point.root.clone() }
+    }
+}

@@ -1,0 +1,132 @@
+//! Multipliers that are not determined: at a singular Σ, combinations Λ of constraints with ΛΣ = 0 change no first-order condition.
+//!
+//! The certificate asks for *some* multipliers with -(G - Λ) ⪰ 0 on the null space of Σ. Those combinations are therefore chosen
+//! so that the largest eigenvalue there is as small as can be. Where it stays positive, the matrix P ⪰ 0 that proves it is a
+//! direction in which Σ may grow: it keeps the constraints, tr(PΛ) = 0.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::covariance::Constraint;
+use crate::local::natural_sizes;
+use kalfit_algebra::symmetric;
+
+/// Steps for each sharpness.
+const STEPS: usize = 80;
+/// Sharpness of the smooth maximum, in units of the largest element.
+const SHARPNESS: [f64; 6] = [1.0, 4.0, 16.0, 64.0, 256.0, 1024.0];
+/// Squared effect, in natural sizes, below which a combination changes nothing.
+const NOTHING: f64 = 1e-9;
+
+/// Matrices Λ (p × p), combinations of the constraints, with ΛF = 0.
+pub(crate) fn undetermined(constraints: &[Constraint], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
+    let (p, n) = root.shape();
+    let mut matrices: Vec<DMatrix<f64>> = constraints.iter().map(|c| matrix(c, p)).collect();
+    if matrices.is_empty() {
+        return Vec::new();
+    }
+    let sizes = natural_sizes(root);
+    let unit = DMatrix::from_fn(p, n, |i, c| root[(i, c)] / sizes[i]);
+    let mut effects = DMatrix::zeros(p * n, matrices.len());
+    for (m, lambda) in matrices.iter_mut().enumerate() {
+        let scaled = |matrix: &DMatrix<f64>| DMatrix::from_fn(p, p, |i, j| sizes[i] * matrix[(i, j)] * sizes[j]);
+        *lambda /= scaled(lambda).norm();
+        effects.column_mut(m).copy_from_slice((scaled(lambda) * &unit).as_slice());
+    }
+    let (values, vectors) = symmetric::eigen(&(effects.transpose() * &effects));
+    let combined =
+        |k: usize| matrices.iter().zip(vectors.column(k).iter()).fold(DMatrix::zeros(p, p), |sum, (m, v)| sum + m * *v);
+    (0..values.len()).filter(|&k| values[k] <= NOTHING).map(combined).collect()
+}
+
+fn matrix(constraint: &Constraint, p: usize) -> DMatrix<f64> {
+    let mut matrix = DMatrix::zeros(p, p);
+    for &(i, j, x) in &constraint.terms {
+        matrix[(i, j)] += 0.5 * x;
+        matrix[(j, i)] += 0.5 * x;
+    }
+    matrix
+}
+
+/// (A - Σ t_m S_m, P): the largest eigenvalue as small as the S_m can make it, and the density matrix P that proves it.
+pub(crate) fn relax(a: &DMatrix<f64>, free: &[DMatrix<f64>]) -> (DMatrix<f64>, DMatrix<f64>) {
+    let free = orthonormal(free);
+    let mut best = a.clone();
+    let mut proof = density(a, f64::INFINITY).1;
+    if free.is_empty() {
+        return (best, proof);
+    }
+    let size = a.amax().max(f64::MIN_POSITIVE);
+    let mut now = a.clone();
+    let mut least = f64::INFINITY;
+    for sharpness in SHARPNESS.map(|s| s / size) {
+        for _ in 0..STEPS {
+            let (largest, p) = density(&now, sharpness);
+            if largest < least {
+                (least, best, proof) = (largest, now.clone(), p.clone());
+            }
+            let slopes: Vec<f64> = free.iter().map(|s| p.component_mul(s).sum()).collect();
+            free.iter().zip(&slopes).for_each(|(s, slope)| now -= s * (slope / sharpness));
+        }
+    }
+    (best, proof)
+}
+
+/// The largest eigenvalue, and exp(sharpness × A) scaled to trace one.
+fn density(a: &DMatrix<f64>, sharpness: f64) -> (f64, DMatrix<f64>) {
+    let (values, vectors) = symmetric::eigen(a);
+    let largest = values.last().copied().unwrap_or(0.0);
+    let weight = |v: &f64| if *v == largest { 1.0 } else { (sharpness * (v - largest)).exp() };
+    let weights = DVector::from_iterator(values.len(), values.iter().map(weight));
+    let weights = &weights / weights.sum();
+    (largest, &vectors * DMatrix::from_diagonal(&weights) * vectors.transpose())
+}
+
+/// Matrices with the same span, orthonormal in tr(ST).
+fn orthonormal(free: &[DMatrix<f64>]) -> Vec<DMatrix<f64>> {
+    let n = free.len();
+    let gram = DMatrix::from_fn(n, n, |a, b| free[a].component_mul(&free[b]).sum());
+    let (values, vectors) = symmetric::eigen(&gram);
+    let floor = values.last().copied().unwrap_or(0.0) * NOTHING;
+    (0..n)
+        .filter(|&k| values[k] > floor && values[k] > 0.0)
+        .map(|k| {
+            let zero = DMatrix::zeros(free[0].nrows(), free[0].ncols());
+            free.iter().zip(vectors.column(k).iter()).fold(zero, |sum, (s, v)| sum + s * (*v / values[k].sqrt()))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_eigenvalue_is_made_as_small_as_can_be() {
+        // diag(3, -1) less t diag(1, -1): both are one at t = 2
+        let a = DMatrix::from_diagonal(&DVector::from_column_slice(&[3.0, -1.0]));
+        let s = DMatrix::from_diagonal(&DVector::from_column_slice(&[2.0, -2.0]));
+        let (best, p) = relax(&a, std::slice::from_ref(&s));
+        let largest = *symmetric::eigen(&best).0.last().expect("two");
+        assert!((largest - 1.0).abs() < 0.02, "{largest} 1");
+        assert!(p.component_mul(&s).sum().abs() < 0.2, "{p}");
+        // two directions that can make all three eigenvalues alike, seen from other axes
+        let turn = DMatrix::from_fn(3, 3, |i, k| ((3 * i + 5 * k + 1) as f64).sin()).qr().q();
+        let seen = |diagonal: [f64; 3]| {
+            &turn * DMatrix::from_diagonal(&DVector::from_column_slice(&diagonal)) * turn.transpose()
+        };
+        let free = [seen([1.0, -1.0, 0.0]), seen([0.5, 1.0, -1.5])];
+        for of in [[3.0_f64, -1.0, 0.4], [-2.0, 5.0, 0.0], [0.1, 0.2, -4.0]] {
+            let (size, mean) = (of.iter().fold(0.0, |most: f64, x| most.max(x.abs())), of.iter().sum::<f64>() / 3.0);
+            let (best, p) = relax(&seen(of), &free);
+            let largest = *symmetric::eigen(&best).0.last().expect("three");
+            assert!(largest >= mean - 1e-12 && largest < mean + 2e-3 * size, "{of:?}: {largest} {mean}");
+            assert!((best.trace() - 3.0 * mean).abs() < 1e-12 * size, "only along the free ones: {best}");
+            // P is a third of I
+            let bound = p.component_mul(&seen(of)).sum();
+            assert!((p.trace() - 1.0).abs() < 1e-12 && (bound - mean).abs() < 0.1 * size, "{of:?}: {bound} {mean}");
+        }
+        // a free direction with a trace makes it as negative as one likes
+        let (best, _) = relax(&a, &[DMatrix::identity(2, 2)]);
+        assert!(*symmetric::eigen(&best).0.last().expect("two") < 0.0);
+    }
+}

@@ -1,0 +1,139 @@
+//! The restricted likelihood (theory §3): what the data say of Σ once the mean has taken its share.
+//!
+//! With μ_j = m0 + X_jβ, X_j = E_jB, and C = Σ_j X_j'W_jX_j the information on β at a known Σ,
+//!
+//! ```text
+//! ℓ_R(Σ) = max_β ℓ(β, Σ) + a(Σ)        a = -½ log|C| + ½ q log 2π
+//! da[D] = ½ Σ_j tr(C⁻¹ X_j'W_j D W_jX_j)
+//! -d²a[D,E] = Σ_j tr(W_jX_j C⁻¹ X_j'W_j D W_j E) - ½ tr(C⁻¹ Ċ[D] C⁻¹ Ċ[E])        Ċ[D] = -Σ_j X_j'W_j D W_jX_j
+//! ```
+//!
+//! a does not depend on β, so the search is over (β, Σ) jointly as under maximum likelihood. β counts in the user's units.
+//! A direction of β that no test informs has no place in |C|: the determinant is then the product of the non-zero
+//! eigenvalues of C in the user's coordinates and q their number. That is a convention; fits that leave the same directions
+//! uninformed can be compared, others not.
+
+use nalgebra::{DMatrix, DVector};
+
+use kalfit_algebra::echelon::echelon;
+use kalfit_algebra::elements::Elements;
+use kalfit_algebra::symmetric;
+use kalfit_algebra::symmetric::{pair, pairs};
+
+/// Scaled eigenvalues of the information on β below this are zero: no test informs that direction.
+const UNINFORMED: f64 = 1e-10;
+
+/// What a(Σ) needs to know beside C: which directions of β are informed, and the user's units.
+#[derive(Debug, Clone)]
+pub(crate) struct Restriction {
+    /// Directions Z of β (in η) that stand for the informed ones, q × rank.
+    informed: DMatrix<f64>,
+    /// ½ rank log 2π, less half of what turns log|Z'CZ| into the log-determinant in the user's coordinates.
+    constant: f64,
+}
+
+/// a(Σ) at a point, with its derivatives.
+#[derive(Debug, Clone)]
+pub(crate) struct RemlTerm {
+    /// a.
+    pub(crate) value: f64,
+    /// V = C⁻¹ on the informed directions, zero elsewhere: covariance of β at a known Σ, in η (q × q).
+    pub(crate) covariance: DMatrix<f64>,
+    /// A = ½ Σ W X V X'W: a changes by tr(A dΣ).
+    pub(crate) score: DMatrix<f64>,
+    /// ½ tr(V Ċ[D] V Ċ[E]), elements × elements.
+    pub(crate) curvature: DMatrix<f64>,
+}
+
+impl Restriction {
+    /// From the information on the free mean coordinates at Σ = 0 (q × q, in η) and the derivative of those coordinates by the
+    /// user's β (q × q).
+    pub(crate) fn new(information: &DMatrix<f64>, by_user: &DMatrix<f64>) -> Restriction {
+        let q = information.nrows();
+        let user = by_user.transpose() * information * by_user;
+        // coordinates of unit information, so that neither units nor a large element hide a rank
+        let unit = DVector::from_fn(q, |i, _| if user[(i, i)] > 0.0 { user[(i, i)].sqrt().recip() } else { 1.0 });
+        let (values, vectors) = symmetric::eigen(&DMatrix::from_fn(q, q, |i, j| unit[i] * user[(i, j)] * unit[j]));
+        let empty: Vec<usize> = (0..q).filter(|&k| values[k] < UNINFORMED).collect();
+        let (pivots, echelon) = echelon(vectors.select_columns(&empty));
+        let kept: Vec<usize> = (0..q).filter(|i| !pivots.contains(i)).collect();
+        let informed = DMatrix::from_fn(q, kept.len(), |i, c| by_user[(i, kept[c])] * unit[kept[c]]);
+        // with a null space [I; X] the product of the non-zero eigenvalues is |C_kept| |I + X'X|
+        let x =
+            DMatrix::from_fn(kept.len(), pivots.len(), |i, c| echelon[(kept[i], c)] * unit[kept[i]] / unit[pivots[c]]);
+        let spread = DMatrix::identity(pivots.len(), pivots.len()) + x.transpose() * &x;
+        let log_units: f64 = kept.iter().map(|&i| unit[i].ln()).sum();
+        let constant = 0.5 * kept.len() as f64 * std::f64::consts::TAU.ln() + log_units - 0.5 * log_det(&spread);
+        Restriction { informed, constant }
+    }
+
+    /// q, the number of informed directions.
+    pub(crate) fn rank(&self) -> usize {
+        self.informed.ncols()
+    }
+
+    /// Whether this C informs every direction that another one does, even if much less.
+    pub(crate) fn informs(&self, information: &DMatrix<f64>, whole: &DMatrix<f64>) -> bool {
+        let own = |of: &DMatrix<f64>| self.informed.transpose() * of * &self.informed;
+        let Some(unit) = own(whole).cholesky() else { return false };
+        let half = unit.l().solve_lower_triangular(&own(information));
+        let both = half.and_then(|half| unit.l().solve_lower_triangular(&half.transpose()));
+        both.is_some_and(|scaled| symmetric::eigen(&scaled).0.first().is_none_or(|least| *least > UNINFORMED))
+    }
+
+    /// a and its derivatives from C (q × q) and Σ_j (X'W ⊗ WX) (pairs of β × elements). `None` where C is not
+    /// positive definite on the informed directions.
+    pub(crate) fn at(
+        &self,
+        information: &DMatrix<f64>,
+        spread: &DMatrix<f64>,
+        elements: &Elements,
+    ) -> Option<RemlTerm> {
+        let own = self.informed.transpose() * information * &self.informed;
+        let factor = own.cholesky()?.l();
+        let half = factor.solve_lower_triangular(&self.informed.transpose())?.transpose(); // V = half half'
+        let covariance = &half * half.transpose();
+        let value = self.constant - factor.diagonal().iter().map(|x| x.ln()).sum::<f64>();
+        let score = score(&covariance, spread, elements);
+        let curvature = curvature(&half, spread, elements);
+        Some(RemlTerm { value, covariance, score, curvature })
+    }
+}
+
+/// ½ Σ_cd V_cd × (the part of the spread of β_c and β_d).
+fn score(covariance: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) -> DMatrix<f64> {
+    let q = covariance.nrows();
+    let weights = packed_weights(covariance);
+    let packed = spread.transpose() * DVector::from_fn(pairs(q), |k, _| 0.5 * weights[k]);
+    elements.unpack(&packed)
+}
+
+/// The elements of a symmetric matrix, those off the diagonal counted twice.
+fn packed_weights(matrix: &DMatrix<f64>) -> DVector<f64> {
+    let q = matrix.nrows();
+    let mut packed = DVector::zeros(pairs(q));
+    for c in 0..q {
+        for d in 0..=c {
+            packed[pair(c, d)] = if c == d { matrix[(c, c)] } else { 2.0 * matrix[(c, d)] };
+        }
+    }
+    packed
+}
+
+/// ½ tr(Y_s Y_t) with Y_s = half' Ċ[σ_s] half.
+fn curvature(half: &DMatrix<f64>, spread: &DMatrix<f64>, elements: &Elements) -> DMatrix<f64> {
+    let (q, rank) = half.shape();
+    let mut y = DMatrix::zeros(rank * rank, elements.count());
+    for (s, (k, l)) in elements.all().enumerate() {
+        let places = if k == l { 1.0 } else { 2.0 };
+        let slope = DMatrix::from_fn(q, q, |c, d| places * spread[(pair(c, d), s)]);
+        let along = half.transpose() * slope * half;
+        y.column_mut(s).copy_from_slice(along.as_slice());
+    }
+    y.transpose() * y * 0.5
+}
+
+fn log_det(positive: &DMatrix<f64>) -> f64 {
+    let factor = positive.clone().cholesky().expect("I + X'X is positive definite");
+    2.0 * factor.l().diagonal().iter().map(|x| x.ln()).sum::<f64>()
+}

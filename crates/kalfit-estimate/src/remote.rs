@@ -1,0 +1,105 @@
+//! Sums over tests that are elsewhere: what is asked for, and how an answer is read.
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::classes::Classes;
+use crate::frame::Frame;
+use crate::frame::Pooled;
+use crate::order::SumsWanted;
+use crate::point::Point;
+use crate::sums::Sums;
+use kalfit_algebra::elements::Elements;
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Path;
+use kalfit_model::remote::{Flat, Place, Question, Remote};
+
+/// Counts of the tests of one place or of all, at the head of its answer to [`Question::Survey`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counts {
+    pub tests: usize,
+    pub steps: usize,
+    pub observations: usize,
+    pub square_root_tests: usize,
+    /// Added place by place: what two have in common counts twice.
+    pub designs: usize,
+}
+
+impl Counts {
+    const LENGTH: usize = 5;
+
+    /// Of the tests behind reductions, wherever they are.
+    pub fn of(reductions: &Reductions) -> Counts {
+        if let Some(remote) = reductions.remote() {
+            let survey = remote.ask(Question::Survey).unwrap_or_default();
+            return survey.first_chunk().map_or_else(Counts::default, |head| Counts::read(*head));
+        }
+        let mut designs = reductions.designs().to_vec();
+        designs.par_sort_unstable();
+        designs.dedup();
+        Counts {
+            tests: reductions.len(),
+            steps: reductions.steps().iter().sum(),
+            observations: reductions.observations().iter().sum(),
+            square_root_tests: reductions.paths().iter().filter(|path| **path == Path::SquareRoot).count(),
+            designs: designs.len(),
+        }
+    }
+
+    pub(super) fn numbers(self) -> [f64; Self::LENGTH] {
+        [self.tests, self.steps, self.observations, self.square_root_tests, self.designs].map(|n| n as f64)
+    }
+
+    fn read(head: [f64; Self::LENGTH]) -> Counts {
+        let [tests, steps, observations, square_root_tests, designs] = head.map(|n| n as usize);
+        Counts { tests, steps, observations, square_root_tests, designs }
+    }
+}
+
+impl Classes {
+    /// Those of tests that are elsewhere, in the coordinates that all of them together suggest.
+    pub(super) fn afar(remote: &Remote, (elements, regressors): (Elements, usize), chained: bool) -> Classes {
+        let (blocks, sizes) = (elements.blocks().len(), (elements.states(), regressors));
+        let told = || {
+            let numbers = remote.ask(Question::Survey)?;
+            let (head, rest) = numbers.split_first_chunk()?;
+            let (present, pooled) = rest.split_at_checked(blocks)?;
+            Some((Counts::read(*head).tests, present.to_vec(), Pooled::of_numbers(sizes, pooled)?))
+        };
+        let (tests, present, pooled) = told().unwrap_or_else(|| (0, vec![0.0; blocks], Pooled::none(sizes)));
+        Classes::of_survey(remote, (tests, present, &pooled), (elements, chained))
+    }
+}
+
+/// ℓ and its derivatives at a point; NaN where nobody has answered.
+pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted: SumsWanted<'_>) -> Sums {
+    let flat = wanted.flat.map(|flat| Flat {
+        free: flat.jacobian.ncols(),
+        jacobian: list(flat.jacobian),
+        covariance: flat.covariance.map(list),
+    });
+    let (frame, place) = (classes.frame.clone(), point.told());
+    let answer = remote.ask(Question::Pass { frame, place, detail: wanted.order, flat });
+    let zero = || if classes.units.is_some() { wanted.zero_in_groups() } else { wanted.zero() };
+    answer.and_then(|numbers| zero().of_numbers(&numbers)).unwrap_or_else(|| zero().unknown())
+}
+
+/// [`Classes::excess`] of tests that are elsewhere; zero where nobody has answered.
+pub(super) fn excess(remote: &Remote, frame: &Frame, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
+    let p = mean.len();
+    let answer = remote.ask(Question::Excess { frame: frame.clone(), mean: mean.as_slice().to_vec() });
+    let numbers = answer.filter(|numbers| numbers.len() == 2 * p).unwrap_or_else(|| vec![0.0; 2 * p]);
+    (DVector::from_column_slice(&numbers[..p]), DVector::from_column_slice(&numbers[p..]))
+}
+
+impl Point {
+    /// As others are told of it.
+    pub(super) fn told(&self) -> Place {
+        Place { mean: self.mean.clone(), coefficients: self.coefficients.clone(), root: list(&self.root) }
+    }
+}
+
+/// A matrix as a list by columns.
+pub(super) fn list(matrix: &DMatrix<f64>) -> Vec<f64> {
+    matrix.as_slice().to_vec()
+}

@@ -1,0 +1,154 @@
+//! Where a search ended.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use nalgebra::DMatrix;
+
+use crate::certificate::Certificate;
+use crate::covariance::CoordinateForm;
+use crate::error::FitError;
+use crate::evidence::evidence;
+use crate::joint_law::JointLaw;
+use crate::newton::NewtonIterate;
+use crate::order::Order;
+use crate::problem::Problem;
+use crate::rounding::rounding;
+use crate::settings::{Combination, Criterion, Settings, Solver, Stop};
+use crate::structure::{Assumed, Structure};
+use crate::sums::Sums;
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Grouping;
+use kalfit_model::Population;
+
+/// Where the search ended, in the user's units.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// μ (p).
+    pub mean: Vec<f64>,
+    /// Regression coefficients, in the order of [`Structure::regressions`].
+    pub coefficients: Vec<f64>,
+    /// Σ (p × p). Fixed elements have exactly their values.
+    pub covariance: DMatrix<f64>,
+    /// ℓ, or under [`Criterion::Reml`] the restricted ℓ_R; every constant included. It is that of all phases together, also where
+    /// something else was maximised.
+    pub log_likelihood: f64,
+    /// What was maximised instead, under [`Combination::Marginal`] in several phases: the sum of the log-densities of the phases'
+    /// least-squares differences. Standard errors within a phase, the certificate and the trace are of it.
+    pub composite: Option<f64>,
+    /// The optimality certificate.
+    pub certificate: Certificate,
+    /// Why the search stopped.
+    pub stop: Stop,
+    /// ℓ after each accepted step.
+    pub trace: Vec<f64>,
+    /// Iterations of the solver; each uses the reductions of all tests.
+    pub passes: usize,
+    /// Number of classes of tests with one information matrix.
+    pub classes: usize,
+    /// Solver that was used.
+    pub solver: Solver,
+    /// What was maximised.
+    pub criterion: Criterion,
+    /// What inference needs: the problem, the final point in its own coordinates, and the derivatives there.
+    pub state: FinalState,
+}
+
+impl Estimate {
+    /// With the log-likelihood of all phases together, where something else was maximised.
+    pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
+        let classes = &self.state.problem.classes;
+        if self.stop != Stop::Certified
+            && let Some(class) = classes.collapsed(&self.state.newton_iterate.point)
+        {
+            return Err(FitError::Unbounded { test: reductions.id(classes.tests_of(class)[0]).to_owned() });
+        }
+        if self.state.is_marginal() {
+            let (problem, point) = (&self.state.problem, &self.state.newton_iterate.point);
+            let whole = Problem::within(reductions, &self.state.structure(), problem)?;
+            self.composite = Some(self.log_likelihood);
+            self.log_likelihood = whole.likelihood(point, Order::First).value;
+        }
+        Ok(self)
+    }
+
+    /// The groups that the tests stand in, where the model has levels.
+    pub fn grouping(&self) -> Option<&Arc<Grouping>> {
+        self.state.problem.classes.units.as_ref().map(|units| &units.grouping)
+    }
+
+    /// Number of free mean quantities, as declared: elements of μ and regression coefficients.
+    pub fn declared_mean(&self) -> usize {
+        let mean = &self.state.problem.mean;
+        mean.basis.ncols() + mean.regressors.len()
+    }
+
+    /// Number of free covariance quantities, as declared.
+    pub fn declared_covariance(&self) -> usize {
+        self.state.problem.covariance.declared()
+    }
+
+    /// β of a phase's Σ = βΣ*; zero for other structures.
+    pub fn covariance_scale(&self, phase: usize) -> f64 {
+        let part = &self.state.problem.covariance.parts[phase];
+        let sigma = self.state.newton_iterate.point.covariance();
+        match &part.form {
+            CoordinateForm::Scale(star) => {
+                part.states.clone().map(|i| sigma[(i, i)]).sum::<f64>() / star.norm_squared()
+            }
+            _ => 0.0,
+        }
+    }
+}
+
+impl From<&Estimate> for Population {
+    fn from(estimate: &Estimate) -> Population {
+        Population {
+            mean: estimate.mean.clone(),
+            coefficients: estimate.coefficients.clone(),
+            covariance: estimate.covariance.clone(),
+        }
+    }
+}
+
+/// The end of the search in the estimator's own coordinates.
+#[derive(Debug, Clone)]
+pub struct FinalState {
+    pub problem: Arc<Problem>,
+    pub newton_iterate: NewtonIterate,
+    pub sums: Sums,
+    pub(crate) assumed: Assumed,
+    pub settings: Settings,
+    /// What standard errors are made of where dynamic parameters are estimated too, with their uncertainty in it.
+    pub joint: Option<JointLaw>,
+}
+
+impl FinalState {
+    /// The reductions whose likelihood was maximised, from those that the estimate was made from.
+    pub fn evidence<'a>(&self, reductions: &'a Reductions) -> Cow<'a, Reductions> {
+        evidence(reductions, &self.structure(), &self.settings).expect("the estimate was made from such")
+    }
+
+    /// Each phase was taken by itself.
+    pub fn is_marginal(&self) -> bool {
+        let levels = self.problem.classes.units.is_some();
+        self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single() && !levels
+    }
+
+    /// What rounding leaves open, by mean coordinate (elements of μ, then regression coefficients), in standard errors.
+    pub fn rounding(&self) -> Vec<f64> {
+        rounding(&self.problem.classes.frame, &self.newton_iterate)
+    }
+
+    /// The structure that was assumed.
+    pub fn structure(&self) -> Structure<'_> {
+        self.assumed.structure()
+    }
+
+    /// dΣ in the user's units as a column over the elements of Σ, in η.
+    pub fn elements_in(&self, derivative: &DMatrix<f64>) -> Vec<f64> {
+        let scale = &self.problem.classes.frame.scale;
+        let elements = &self.problem.covariance.elements;
+        elements.all().map(|(i, j)| derivative[(i, j)] / (scale[i] * scale[j])).collect()
+    }
+}

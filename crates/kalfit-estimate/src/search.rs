@@ -1,0 +1,389 @@
+//! The search: DL/EM, or Fisher scoring followed by Newton's method with EM as the safeguard.
+
+use std::sync::Arc;
+
+use nalgebra::DMatrix;
+
+use crate::certificate::{Certificate, certificate};
+use crate::climb::{escaped, slid};
+use crate::em;
+use crate::em::ConditionalStep;
+use crate::error::FitError;
+use crate::local::{Local, Objective};
+use crate::newton::{Attempt, Damping, NewtonIterate};
+use crate::order::Order;
+use crate::point::Point;
+use crate::problem::Problem;
+use crate::result::{Estimate, FinalState};
+use crate::rounding::rounding;
+use crate::settings::{Progress, Settings, Silent, Solver, Step, Stop};
+use crate::sums::Sums;
+use crate::{Criterion, Structure, pilot, quadratic, scoring, start, unobserved};
+use kalfit_model::Population;
+
+/// Most scoring steps before Newton's method takes over.
+const SCORING_STEPS: usize = 5;
+/// Newton's method takes over once scoring promises, or has just given, no more than this of ℓ.
+const ENOUGH: f64 = 0.5;
+/// … or has given less than this part of what it promised.
+const KEPT: f64 = 0.7;
+/// Newton's method in ψ is left to itself while it takes the decrement down by this, unless the model in Σ costs little: up to
+/// so many mean coordinates and elements of Σ.
+const FAST: f64 = 0.1;
+const CHEAP: usize = 120;
+/// Where no step raises ℓ any more, for rounding, so many tolerances are near enough: a millionth of a standard error.
+const NEAR_ENOUGH: f64 = 1e2;
+/// From a place with a decrement below this the next step is likely to be the last: Newton's method squares it, more or less.
+const NEAR_END: f64 = 1e-3;
+/// Decrement that ends a search on a part of the tests: far below the sampling error that it has from all.
+const ROUGH: f64 = 1e-2;
+/// EM passes between two looks at the certificate.
+const EM_LOOK: usize = 16;
+/// A trailing column of the factor this small (in η) is tried at exactly zero when the search has ended.
+const SNAP: f64 = 1e-5;
+/// The same, once, of a column this small where the model in Σ finds no step: where only few matrices of a lower rank meet the
+/// constraints, the decrement is not to be trusted near them.
+const SMALL: f64 = 1e-3;
+
+/// Where a search begins.
+pub(crate) enum Beginning<'a> {
+    /// At a start of its own, from the model file or from the data.
+    Open,
+    /// At values near the optimum, which need not meet the structure.
+    Near(&'a Population),
+    /// At a point near the optimum.
+    At(Point),
+}
+
+pub(crate) struct Search<'a> {
+    problem: Problem,
+    settings: &'a Settings,
+    progress: &'a mut dyn Progress,
+    trace: Vec<f64>,
+}
+
+impl<'a> Search<'a> {
+    pub(crate) fn new(problem: Problem, settings: &'a Settings, progress: &'a mut dyn Progress) -> Self {
+        Search { problem, settings, progress, trace: Vec::new() }
+    }
+
+    /// To the optimum; from a start that is not known to be near it by way of a part of the tests, or by Fisher scoring.
+    pub(crate) fn run(mut self, beginning: Beginning<'_>, structure: &Structure<'_>) -> Result<Estimate, FitError> {
+        let is_near = !matches!(beginning, Beginning::Open);
+        let start = match beginning {
+            Beginning::Open => start::start(&self.problem, structure)?,
+            Beginning::Near(values) => start::near(&self.problem, values)?,
+            Beginning::At(point) => point,
+        };
+        let (place, stop) = match self.settings.solver {
+            Solver::Newton => {
+                let began = start.root.clone();
+                let first = match is_near {
+                    true => self.place(start, None)?,
+                    false => match self.piloted(&start, structure)? {
+                        Some(place) => place,
+                        None => self.scored_start(start)?,
+                    },
+                };
+                let (place, stop) = self.newton(first)?;
+                (self.restored(place, &began)?, stop)
+            }
+            Solver::Em => self.em(start)?,
+        };
+        self.finish(place, stop, structure)
+    }
+
+    fn accept(&mut self, value: f64, decrement: Option<f64>) {
+        self.trace.push(value);
+        self.progress.step(Step { passes: self.problem.passes(), log_likelihood: value, decrement });
+    }
+
+    /// Why the search must end here, wherever it is.
+    fn ends(&self) -> Option<Stop> {
+        if self.progress.stops() {
+            return Some(Stop::Interrupted);
+        }
+        (self.problem.passes() >= self.settings.max_passes).then_some(Stop::PassLimit)
+    }
+
+    fn place(&self, point: Point, near: Option<&DMatrix<f64>>) -> Result<NewtonIterate, FitError> {
+        NewtonIterate::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
+    }
+
+    /// The place where these are the sums.
+    fn known(&self, point: Point, mut sums: Sums) -> Result<NewtonIterate, FitError> {
+        let problem = &self.problem;
+        NewtonIterate::at(Local::of(&mut sums), problem.mean_jacobian(), &problem.covariance, point)
+            .ok_or(FitError::NotFinite)
+    }
+
+    /// Newton, and EM where Newton finds no step.
+    fn newton(&mut self, mut place: NewtonIterate) -> Result<(NewtonIterate, Stop), FitError> {
+        self.accept(place.local.value, Some(place.decrement()));
+        let mut damping = Damping::default();
+        let mut failures = 0;
+        let mut before = f64::INFINITY;
+        let mut tried_at_zero = false;
+        let tests = self.problem.classes.tests as f64;
+        loop {
+            if place.decrement() <= self.settings.tolerance {
+                let (objective, map) = (&self.problem, &self.problem.covariance);
+                match escaped(objective, map, tests, &mut place).or_else(|| slid(objective, map, &mut place)) {
+                    Some(better) => place = better,
+                    None => return Ok((place, Stop::Certified)),
+                }
+            }
+            if let Some(stop) = self.ends() {
+                return Ok((place, stop));
+            }
+            self.problem.ends_soon(place.decrement() < NEAR_END);
+            let fast = place.decrement() < FAST * before;
+            before = place.decrement();
+            if !fast || place.local.gradient_size() <= CHEAP {
+                let mut next = quadratic::step(&self.problem, &self.problem.covariance, tests, &mut place);
+                if next.is_none() && place.decrement() < NEAR_END && !std::mem::replace(&mut tried_at_zero, true) {
+                    let closer = 0.5 * place.decrement();
+                    next = self.snapped(&mut place, SMALL, closer)?;
+                }
+                if let Some(next) = next {
+                    place = next;
+                    self.accept(place.local.value, Some(place.decrement()));
+                    continue;
+                }
+            }
+            match damping.attempt(&self.problem, &self.problem.covariance, &mut place) {
+                Attempt::Better(next) => {
+                    place = *next;
+                    failures = 0;
+                }
+                Attempt::Blind if place.decrement() <= NEAR_ENOUGH * self.settings.tolerance => {
+                    return Ok((place, Stop::Certified));
+                }
+                Attempt::Failed | Attempt::Blind => {
+                    failures += 1;
+                    match self.safeguard(&mut place, failures <= 3)? {
+                        Some(next) => place = next,
+                        _ if place.decrement() <= NEAR_ENOUGH * self.settings.tolerance => {
+                            return Ok((place, Stop::Certified));
+                        }
+                        _ => return Ok((place, Stop::Stalled)),
+                    }
+                }
+            }
+            self.accept(place.local.value, Some(place.decrement()));
+        }
+    }
+
+    /// The best place of a part of the tests, where they are very many; `None` where it is no better than the start may be.
+    fn piloted(&self, start: &Point, structure: &Structure<'_>) -> Result<Option<NewtonIterate>, FitError> {
+        let Some(problem) = pilot::problem(&self.problem, structure)? else { return Ok(None) };
+        let settings = Settings { tolerance: ROUGH.max(self.settings.tolerance), ..self.settings.clone() };
+        let mut silent = Silent;
+        let mut search = Search::new(problem, &settings, &mut silent);
+        let ended = search.scored_start(start.clone()).and_then(|scored| search.newton(scored));
+        let Ok((end, Stop::Certified)) = ended else { return Ok(None) };
+        let point = start::onward(&self.problem, &search.problem, &end.point)?;
+        Ok(self.place(point, None).ok())
+    }
+
+    /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
+    /// better point is kept, which needs no new pass.
+    fn scored_start(&mut self, start: Point) -> Result<NewtonIterate, FitError> {
+        let mut best: Option<(Sums, Point)> = None;
+        let mut point = start;
+        let mut expected = 0.0;
+        for _ in 0..SCORING_STEPS {
+            let near = best.as_ref().and_then(|(sums, _)| sums.near());
+            point = scoring::prepared(&self.problem, point).ok_or(FitError::NotFinite)?;
+            let sums = self.problem.sums(&point, Order::Expected, near).ok_or(FitError::NotFinite)?;
+            let before = best.as_ref().map(|(sums, _)| sums.value);
+            if let Some((kept, at)) = best.take_if(|(kept, _)| sums.value.is_nan() || sums.value < kept.value) {
+                drop(sums);
+                return self.known(at, kept);
+            }
+            self.accept(sums.value, None);
+            let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
+            drop(best.take()); // of many states there is no room for both
+            let (next, promised) = scoring::step(&self.problem, &point, &sums);
+            let kept_its_word = gained >= KEPT * expected;
+            expected = promised;
+            best = Some((sums.without_expected(), point));
+            point = next;
+            if promised < ENOUGH || gained < ENOUGH || !kept_its_word || self.progress.stops() {
+                break;
+            }
+        }
+        let place = self.place(point, best.as_ref().and_then(|(sums, _)| sums.near()))?;
+        match best.filter(|(sums, _)| sums.value > place.local.value) {
+            Some((sums, point)) => self.known(point, sums),
+            None => Ok(place),
+        }
+    }
+
+    /// An EM step, where it raises ℓ and is wanted.
+    fn safeguard(&mut self, place: &mut NewtonIterate, wanted: bool) -> Result<Option<NewtonIterate>, FitError> {
+        let sums = self.problem.sums(&place.point, Order::Mean, None).ok_or(FitError::NotFinite)?;
+        let next = em::step(&self.problem, &place.point, &sums, &mut ConditionalStep::Covariance);
+        self.surpassed(place, next, |next, place| wanted && next.local.value > place.local.value)
+    }
+
+    /// The place at a point, where it is good: of the other one nothing may be asked then.
+    fn surpassed(
+        &self,
+        place: &mut NewtonIterate,
+        point: Point,
+        good: impl FnOnce(&NewtonIterate, &NewtonIterate) -> bool,
+    ) -> Result<Option<NewtonIterate>, FitError> {
+        let mut failed = None;
+        let next = place.surpassed(&self.problem, |place| {
+            let next = self.place(point, place.near()).map_err(|error| failed = Some(error)).ok()?;
+            good(&next, place).then_some(next)
+        });
+        failed.map_or(Ok(next), Err)
+    }
+
+    /// The paper's algorithm. ℓ is checked to rise at every step; the certificate is looked at now and then.
+    fn em(&mut self, mut point: Point) -> Result<(NewtonIterate, Stop), FitError> {
+        let mut turn = ConditionalStep::Mean;
+        let mut before = f64::NEG_INFINITY;
+        let mut steps = 0_usize;
+        let order = em::order(&self.problem);
+        loop {
+            let sums = self.problem.sums(&point, order, None).ok_or(FitError::NotFinite)?;
+            if self.problem.criterion() == Criterion::Reml && turn == ConditionalStep::Mean {
+                // the restricted likelihood is that at the mean of least squares, which comes first
+                point = em::step(&self.problem, &point, &sums, &mut turn);
+                continue;
+            }
+            if !sums.value.is_finite() {
+                return Err(FitError::NotFinite);
+            }
+            if sums.value < before - 1e-9 * (1.0 + before.abs()) {
+                return Err(FitError::NotMonotone { before, after: sums.value });
+            }
+            before = sums.value;
+            self.accept(sums.value, None);
+            if steps.is_multiple_of(EM_LOOK) || self.ends().is_some() {
+                let place = self.place(point.clone(), sums.near())?;
+                if place.decrement() <= self.settings.tolerance {
+                    return Ok((place, Stop::Certified));
+                }
+                if let Some(stop) = self.ends() {
+                    return Ok((place, stop));
+                }
+            }
+            point = em::step(&self.problem, &point, &sums, &mut turn);
+            steps += 1;
+        }
+    }
+
+    /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
+    fn finish(
+        mut self,
+        mut place: NewtonIterate,
+        mut stop: Stop,
+        structure: &Structure<'_>,
+    ) -> Result<Estimate, FitError> {
+        let enough = place.decrement().max(self.settings.tolerance);
+        place = self.snapped(&mut place, SNAP, enough)?.unwrap_or(place);
+        if self.problem.criterion() == Criterion::Reml {
+            // the second derivatives are exact once the covariance of the mean is that of this very place
+            let same = place.point.clone();
+            place = self.surpassed(&mut place, same, |_, _| true)?.unwrap_or(place);
+        }
+        let passes = self.problem.passes();
+        self.problem.ends_soon(false);
+        let sums = self.problem.at_end(&place).ok_or(FitError::NotFinite)?;
+        let certificate = certified(&self.problem, &place);
+        if stop == Stop::Certified && !certificate.holds(NEAR_ENOUGH * self.settings.tolerance) {
+            stop = Stop::Stalled;
+        }
+        let settings = self.settings.clone();
+        let state = FinalState {
+            newton_iterate: place,
+            sums,
+            problem: Arc::new(self.problem),
+            assumed: structure.into(),
+            settings,
+            joint: None,
+        };
+        Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
+    }
+
+    /// What no test observes put back to the law it started with, where Newton's steps have moved it.
+    fn restored(&mut self, mut place: NewtonIterate, start: &DMatrix<f64>) -> Result<NewtonIterate, FitError> {
+        let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
+        let Some(root) = unobserved::restored(map, information, start, &place.point.root) else { return Ok(place) };
+        let point = Point { root, ..place.point.clone() };
+        let enough = place.decrement().max(self.settings.tolerance);
+        let fine = |next: &NewtonIterate, place: &NewtonIterate| is_as_good(next, place) && next.decrement() <= enough;
+        Ok(self.surpassed(&mut place, point, fine)?.unwrap_or(place))
+    }
+
+    /// The place with trailing columns of the factor up to this size set to zero; `None` where there are none, where ℓ minds, or where the
+    /// decrement is more than `enough`.
+    fn snapped(
+        &mut self,
+        place: &mut NewtonIterate,
+        size: f64,
+        enough: f64,
+    ) -> Result<Option<NewtonIterate>, FitError> {
+        let mut root = place.point.root.clone();
+        let mut changed = false;
+        for block in self.problem.covariance.blocks() {
+            for &c in block {
+                let largest = block.iter().map(|&i| root[(i, c)].abs()).fold(0.0, f64::max);
+                if largest > 0.0 && largest < size {
+                    block.iter().for_each(|&i| root[(i, c)] = 0.0);
+                    changed = true;
+                }
+            }
+        }
+        if !changed {
+            return Ok(None);
+        }
+        let Some(root) = self.problem.covariance.onto(&root) else { return Ok(None) };
+        let point = Point { root, ..place.point.clone() };
+        self.surpassed(place, point, |next, place| is_as_good(next, place) && next.decrement() <= enough)
+    }
+}
+
+/// ℓ is no less, but for rounding.
+fn is_as_good(next: &NewtonIterate, place: &NewtonIterate) -> bool {
+    next.local.value >= place.local.value - 1e-9
+}
+
+impl Estimate {
+    /// What is known at a place that no search has ended at.
+    pub fn unfinished(state: FinalState) -> Estimate {
+        let certificate = certified(&state.problem, &state.newton_iterate);
+        leave(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
+    }
+}
+
+/// The certificate of a place, with what rounding leaves open there.
+fn certified(problem: &Problem, place: &NewtonIterate) -> Certificate {
+    let (certificate, _) = certificate(&problem.covariance, place, problem.classes.tests as f64);
+    certificate.with_rounding(&rounding(&problem.classes.frame, place))
+}
+
+/// The estimate in the user's units.
+fn leave(state: FinalState, certificate: Certificate, stop: Stop, trace: Vec<f64>, solver: Solver) -> Estimate {
+    let problem = &state.problem;
+    let Population { mean, coefficients, covariance } = problem.values_of(&state.newton_iterate.point);
+    Estimate {
+        mean,
+        coefficients,
+        covariance,
+        log_likelihood: state.sums.value,
+        composite: None,
+        certificate,
+        stop,
+        trace,
+        passes: problem.passes(),
+        classes: problem.classes.len(),
+        criterion: problem.criterion(),
+        solver,
+        state,
+    }
+}

@@ -1,0 +1,150 @@
+//! How to search, whom to tell, and why a search stopped.
+
+/// How μ and Σ are sought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Solver {
+    /// Fisher scoring, then Newton's method with the exact Hessian in (μ, L), EM as safeguard.
+    #[default]
+    Newton,
+    /// The paper's DL algorithm, (8)-(11), with its constrained forms.
+    Em,
+}
+
+/// What is maximised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Criterion {
+    /// ℓ(μ, Σ).
+    #[default]
+    Ml,
+    /// The restricted log-likelihood ℓ_R(Σ) = ℓ(μ̂(Σ), Σ) - ½ log|Σ_j B'W_jB| + ½ q log 2π, with μ = m0 + Bβ in the user's
+    /// units and q = dim β, regression coefficients included; μ̂ is that of generalised least squares. Directions of β that
+    /// no test informs are left out of the determinant (the product of its non-zero eigenvalues is meant) and of q.
+    Reml,
+}
+
+/// How the phases of a test are put together (theory §7). For tests in one phase all are the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Combination {
+    /// Phase by phase, at a cost linear in the number of phases. Exact.
+    #[default]
+    Chain,
+    /// All phases as one big test: the reference. Exact.
+    Stacked,
+    /// Each phase by its least-squares differences from the phase before, their correlation over phases ignored: the paper's
+    /// quick analysis. It throws information away and approximates nothing.
+    Marginal,
+}
+
+/// Settings of a fit of μ and Σ.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// How to search.
+    pub solver: Solver,
+    /// What is maximised.
+    pub criterion: Criterion,
+    /// How phases are put together.
+    pub phases: Combination,
+    /// Stop when the Newton decrement is at most this: the distance to the optimum in standard errors. Where rounding keeps every step
+    /// from raising ℓ, a hundred times as much is near enough.
+    pub tolerance: f64,
+    /// Largest number of passes over the reductions.
+    pub max_passes: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings {
+            solver: Solver::Newton,
+            criterion: Criterion::Ml,
+            phases: Combination::Chain,
+            tolerance: 1e-8,
+            max_passes: 200,
+        }
+    }
+}
+
+impl Settings {
+    /// Default settings of a solver: EM needs many more passes than Newton's method.
+    pub fn of(solver: Solver) -> Settings {
+        let max_passes = match solver {
+            Solver::Newton => 200,
+            Solver::Em => 20_000,
+        };
+        Settings { solver, max_passes, ..Settings::default() }
+    }
+}
+
+/// What the search tells as it goes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Passes over the reductions so far.
+    pub passes: usize,
+    /// Log-likelihood now.
+    pub log_likelihood: f64,
+    /// Newton decrement, where it is known: distance to the optimum in standard errors.
+    pub decrement: Option<f64>,
+}
+
+/// What is done beside the steps of a search.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Stage<'a> {
+    /// Start values of free parameters are sought.
+    StartValues {
+        /// Filter runs that it took so far.
+        filter_runs: usize,
+    },
+    /// The filters run over all data, at new values of free parameters.
+    Filters {
+        /// Filter runs that the search took so far.
+        filter_runs: usize,
+    },
+    /// EM over free parameters gains slowly here, and another method would take far fewer runs.
+    Slow,
+    /// An end of an interval by profile likelihood is sought.
+    Interval {
+        /// What the interval is of: `` `tau` ``, or ``the mean of `bias` ``.
+        of: &'a str,
+        /// The upper end, not the lower one.
+        is_upper: bool,
+        /// Filter runs since the search ended; none where α is known.
+        filter_runs: usize,
+    },
+}
+
+/// Listens to the search, and to what is inferred from its end: there in whatever thread works at it.
+pub trait Progress: Send {
+    /// Called when something begins that may take long, before the first step and between steps.
+    fn stage(&mut self, _: Stage<'_>) {}
+
+    /// Called after each accepted step.
+    fn step(&mut self, step: Step);
+
+    /// True once the search is to end where it is, with [`Stop::Interrupted`](crate::Stop::Interrupted). It is asked
+    /// between steps; while intervals by profile likelihood are sought, before each run of the filters: those from standard errors
+    /// stand for them then; and while the expected information is worked out, for which the observed one stands then.
+    fn stops(&self) -> bool {
+        false
+    }
+}
+
+/// Listens to nothing.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn step(&mut self, _: Step) {}
+}
+
+/// Why the search stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stop {
+    /// The certificate holds.
+    Certified,
+    /// The passes ran out first.
+    PassLimit,
+    /// [`Progress::stops`](crate::Progress::stops) asked for it.
+    Interrupted,
+    /// No step raises ℓ, yet the certificate does not hold.
+    Stalled,
+}

@@ -1,0 +1,153 @@
+//! What is assumed of μ and Σ, phase by phase. Quantities of all phases stand in a row, first those of the first phase;
+//! states of different phases are independent (theory §7).
+
+use std::borrow::Cow;
+use std::ops::Range;
+use std::sync::Arc;
+
+use nalgebra::DMatrix;
+
+use kalfit_model::Grouping;
+use kalfit_model::{Alpha, CovarianceStructure, GroupLevel, MeanElement, MeanStructure, PhasedModel, Regression};
+
+/// What is assumed of μ and Σ.
+#[derive(Debug, Clone)]
+pub struct Structure<'a> {
+    /// Of each phase. What groups of tests add to a test's ξ stands like further phases after the only one, level by level from the
+    /// innermost on: independent of it and of each other, with the mean zero.
+    pub phases: Vec<PhaseStructure<'a>>,
+    /// Parameters that matrices of the covariance structures refer to.
+    pub alpha: &'a Alpha,
+    /// Which tests are of one group, where the model has levels.
+    pub grouping: Option<Arc<Grouping>>,
+}
+
+/// What is assumed of the μ and Σ of one phase, or of what the groups of a level add.
+#[derive(Debug, Clone)]
+pub struct PhaseStructure<'a> {
+    /// Of μ.
+    pub mean: Cow<'a, MeanStructure>,
+    /// Of Σ.
+    pub covariance: &'a CovarianceStructure,
+}
+
+impl<'a> Structure<'a> {
+    /// The structure of a model, with its parameters at α; of a model with levels, whose tests are in these groups.
+    pub fn of(model: &'a PhasedModel, alpha: &'a Alpha, grouping: Option<&Arc<Grouping>>) -> Structure<'a> {
+        let of = |phase: &'a kalfit_model::Phase| PhaseStructure {
+            mean: Cow::Borrowed(&phase.model.mean),
+            covariance: &phase.model.covariance,
+        };
+        let p = model.dimension();
+        let of_level = |level: &'a GroupLevel| PhaseStructure {
+            mean: Cow::Owned(MeanStructure::zero(p)),
+            covariance: &level.covariance,
+        };
+        let phases = model.phases.iter().map(of).chain(model.levels.iter().rev().map(of_level));
+        Structure { phases: phases.collect(), alpha, grouping: grouping.cloned() }
+    }
+
+    /// The structure of one phase.
+    pub fn single(mean: &'a MeanStructure, covariance: &'a CovarianceStructure, alpha: &'a Alpha) -> Structure<'a> {
+        Structure { phases: vec![PhaseStructure { mean: Cow::Borrowed(mean), covariance }], alpha, grouping: None }
+    }
+
+    /// p, the number of states that a test's reduction is in: of all phases, but of a level's groups not once more.
+    pub fn reduced_dimension(&self) -> usize {
+        match self.grouping {
+            Some(_) => self.phases[0].mean.elements.len(),
+            None => self.dimension(),
+        }
+    }
+
+    /// Σ_i p_i.
+    pub fn dimension(&self) -> usize {
+        self.phases.iter().map(|phase| phase.mean.elements.len()).sum()
+    }
+
+    /// Where the elements of each phase stand among those of all.
+    pub fn ranges(&self) -> Vec<Range<usize>> {
+        let mut end = 0;
+        let range = |phase: &PhaseStructure<'_>| {
+            let start = end;
+            end += phase.mean.elements.len();
+            start..end
+        };
+        self.phases.iter().map(range).collect()
+    }
+
+    /// The regressions of all phases, on elements of all phases.
+    pub fn regressions(&self) -> Vec<Regression> {
+        let of = |(phase, range): (&PhaseStructure<'_>, Range<usize>)| -> Vec<Regression> {
+            let moved = |r: &Regression| Regression { element: range.start + r.element, ..r.clone() };
+            phase.mean.regression.iter().map(moved).collect()
+        };
+        self.phases.iter().zip(self.ranges()).flat_map(of).collect()
+    }
+
+    /// What was said of the elements of μ, ties among the elements of all phases.
+    pub fn elements(&self) -> Vec<MeanElement> {
+        let of = |(phase, range): (&PhaseStructure<'_>, Range<usize>)| -> Vec<MeanElement> {
+            let moved = |element: &MeanElement| match element {
+                MeanElement::Tied { constant, terms } => MeanElement::Tied {
+                    constant: *constant,
+                    terms: terms.iter().map(|&(k, weight)| (range.start + k, weight)).collect(),
+                },
+                other => other.clone(),
+            };
+            phase.mean.elements.iter().map(moved).collect()
+        };
+        self.phases.iter().zip(self.ranges()).flat_map(of).collect()
+    }
+
+    /// Start values of the elements of μ, where given.
+    pub(crate) fn mean_start(&self) -> Vec<Option<f64>> {
+        self.phases.iter().flat_map(|phase| phase.mean.start.iter().copied()).collect()
+    }
+
+    /// (m0, B): μ = m0 + Bβ, without the regressions; elements of different phases share no β. Shapes P and P × q.
+    pub(crate) fn basis(&self) -> (Vec<f64>, DMatrix<f64>) {
+        let parts: Vec<(Vec<f64>, DMatrix<f64>)> = self.phases.iter().map(|phase| phase.mean.basis()).collect();
+        let (p, q) = (self.dimension(), parts.iter().map(|(_, b)| b.ncols()).sum());
+        let (mut offset, mut basis) = (Vec::with_capacity(p), DMatrix::zeros(p, q));
+        let mut column = 0;
+        for (m0, b) in parts {
+            basis.view_mut((offset.len(), column), b.shape()).copy_from(&b);
+            offset.extend(m0);
+            column += b.ncols();
+        }
+        (offset, basis)
+    }
+}
+
+/// A structure of its own.
+#[derive(Debug, Clone)]
+pub(crate) struct Assumed {
+    phases: Vec<(MeanStructure, CovarianceStructure)>,
+    pub(crate) alpha: Alpha,
+    grouping: Option<Arc<Grouping>>,
+}
+
+impl From<&Structure<'_>> for Assumed {
+    fn from(structure: &Structure<'_>) -> Assumed {
+        let own = |phase: &PhaseStructure<'_>| (phase.mean.clone().into_owned(), phase.covariance.clone());
+        let phases = structure.phases.iter().map(own).collect();
+        Assumed { phases, alpha: structure.alpha.clone(), grouping: structure.grouping.clone() }
+    }
+}
+
+impl Assumed {
+    /// The structure, to be looked at.
+    pub(crate) fn structure(&self) -> Structure<'_> {
+        self.at(&self.alpha)
+    }
+
+    /// The same with other parameters.
+    pub(crate) fn at<'a>(&'a self, alpha: &'a Alpha) -> Structure<'a> {
+        let of = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure {
+            mean: Cow::Borrowed(mean),
+            covariance,
+        };
+        Structure { phases: self.phases.iter().map(of).collect(), alpha, grouping: self.grouping.clone() }
+    }
+}

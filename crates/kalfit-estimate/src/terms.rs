@@ -1,0 +1,138 @@
+//! What one class of tests says at a point, for those who look at classes one by one. With S = I + RΣR' = LDL', U = L⁻¹R and
+//! u = L⁻¹(d - Rμ), which needs no inverse of R, J or Σ and no square root:
+//!
+//! ```text
+//! ℓ = constant - ½ log|D| - ½ u'D⁻¹u      W = U'D⁻¹U = (I+JΣ)⁻¹J      r = U'D⁻¹u = (I+JΣ)⁻¹(y - Jμ)
+//! ```
+#![expect(non_snake_case, reason = "W is the letter of the theory")]
+
+use std::ops::Range;
+
+use crate::chained::{ChainDetail, ChainTerms};
+use crate::class::ClassRef;
+use crate::lanes::{ClassEvaluator, Contribution};
+use crate::point::{Point, Regressors};
+use kalfit_algebra::rows::Rows;
+use kalfit_lanes::Real;
+
+/// What one class says at a point, and the room to work it out. Matrices p × p by rows.
+#[derive(Debug)]
+pub struct ClassTerms<'a> {
+    at: ClassEvaluator<'a>,
+    /// |S| of one test as mantissa × 2^exponent.
+    det: (f64, f64),
+    /// Σ_j u_j'D⁻¹u_j over the class.
+    pub quadratic: f64,
+    /// (I+JΣ)⁻¹(y - Jμ) of the class mean.
+    pub r: Vec<f64>,
+    /// (I+JΣ)⁻¹J.
+    pub(crate) W: Vec<f64>,
+    /// Σ_j r_j r_j' over the class.
+    pub(crate) outer: Vec<f64>,
+    /// Of tests kept phase by phase, Var[ξ_i | z] of each phase, where it was asked for ([`ChainDetail::Posterior`]).
+    pub covariances: Vec<Rows<f64>>,
+    /// And log|S| of the links alone.
+    pub link_log_det: f64,
+}
+
+impl<'a> ClassTerms<'a> {
+    pub fn new(point: &'a Point, regressors: &'a Regressors) -> ClassTerms<'a> {
+        let p = point.mean.len();
+        ClassTerms {
+            at: ClassEvaluator::new(point, regressors),
+            det: (1.0, 0.0),
+            quadratic: 0.0,
+            r: vec![0.0; p],
+            W: vec![0.0; p * p],
+            outer: vec![0.0; p * p],
+            covariances: Vec::new(),
+            link_log_det: 0.0,
+        }
+    }
+
+    /// All that the class says; of tests kept phase by phase in as much detail as is wanted, with zeros where nothing is: between
+    /// phases, or, for posteriors, in all of W and Σ r r'.
+    pub fn evaluate(&mut self, class: ClassRef<'_>, detail: ChainDetail) {
+        if let Some(chain) = class.chain {
+            let said = self.at.in_phases(class, chain, detail);
+            return self.take((&chain.ranges(), class), &said, detail, |x| x);
+        }
+        let p = self.r.len();
+        let all = 0..p;
+        let said = self.at.whole(class, std::slice::from_ref(&all));
+        (self.det, self.quadratic) = (said.det(), said.quadratic());
+        for a in 0..p {
+            self.r[a] = said.r(0, a);
+            for (b, &w) in said.weight((0, a), 0).iter().enumerate() {
+                (self.W[a * p + b], self.W[b * p + a]) = (w, w);
+            }
+            said.outer((0, a), 0, &mut self.outer[a * p..][..p]);
+        }
+    }
+
+    /// Σ_j ℓ_j over the class.
+    pub fn value(&self, class: ClassRef<'_>) -> f64 {
+        let (mantissa, exponent) = self.det;
+        let log_det = mantissa.ln() + exponent * std::f64::consts::LN_2;
+        class.constant - 0.5 * (class.count * log_det + self.quadratic)
+    }
+
+    /// What a class in phases says, as far as it is wanted; where the states of its phases stand.
+    #[inline(always)]
+    pub(crate) fn take<N: Real>(
+        &mut self,
+        (ranges, class): (&[Range<usize>], ClassRef<'_>),
+        said: &ChainTerms<N>,
+        detail: ChainDetail,
+        of: impl Fn(N) -> f64,
+    ) {
+        let (mantissa, exponent) = said.root_det;
+        self.det = (of(mantissa) * of(mantissa), 2.0 * of(exponent));
+        self.quadratic = of(said.quadratic);
+        [&mut self.r, &mut self.W, &mut self.outer].into_iter().for_each(|all| all.fill(0.0));
+        for (r, own) in said.r.iter().zip(ranges) {
+            for (a, to) in self.r[own.clone()].iter_mut().enumerate() {
+                *to = of(r[(a, 0)]);
+            }
+        }
+        if detail == ChainDetail::Posterior {
+            let (mantissa, exponent) = said.link_root_det;
+            self.link_log_det = 2.0 * (of(mantissa).ln() + of(exponent) * std::f64::consts::LN_2);
+            let lane = |m: &Rows<N>| Rows::from_fn(m.nrows(), m.ncols(), |i, k| of(m[(i, k)]));
+            self.covariances = said.covariances.iter().map(lane).collect();
+        } else {
+            self.take_pairs((ranges, class), said, of);
+        }
+    }
+
+    /// W and Σ r r' of each pair of phases of which W is known.
+    #[inline(always)]
+    fn take_pairs<N: Real>(
+        &mut self,
+        (own, class): (&[Range<usize>], ClassRef<'_>),
+        said: &ChainTerms<N>,
+        of: impl Fn(N) -> f64,
+    ) {
+        let p = self.r.len();
+        let mut blocks = said.W.iter();
+        for (k, one) in own.iter().enumerate() {
+            for (i, other) in own[..=k].iter().enumerate() {
+                let Some(block) = blocks.next().and_then(Option::as_ref) else { continue };
+                for a in 0..one.len() {
+                    for b in 0..other.len() {
+                        let (x, y) = (said.r[k].row(a), said.r[i].row(b));
+                        let mut outer = class.count * self.r[one.start + a] * self.r[other.start + b];
+                        for (&x, &y) in x[1..].iter().zip(&y[1..]) {
+                            outer += of(x) * of(y);
+                        }
+                        let at = (one.start + a) * p + other.start + b;
+                        let mirror = (other.start + b) * p + one.start + a;
+                        let w = of(block[(a, b)]);
+                        (self.W[at], self.W[mirror]) = (w, w);
+                        (self.outer[at], self.outer[mirror]) = (outer, outer);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! What no test observes keeps the law it started with (theory §5).
+//!
+//! Where J_jn = 0 for all tests, ℓ sees only o = V'ξ, V spanning the rest. EM leaves the law of ξ given o as it was; Newton's
+//! steps wander along such directions, to no loss or gain. With Σ0 the start and K = Σ0V(V'Σ0V)⁻¹ that law is kept by
+//!
+//! ```text
+//! Σ = K (V'ΣV) K' + (Σ0 - K (V'Σ0V) K')
+//! ```
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, sub};
+use kalfit_algebra::symmetric;
+
+/// Scaled information below this is none.
+const NONE: f64 = 1e-10;
+
+/// The root of Σ with the same law of what is observed, and the start's law of the rest given that. `None` where all is
+/// observed, or constraints tie the rest to it.
+pub(crate) fn restored(
+    map: &CovarianceMap,
+    information: &DMatrix<f64>,
+    start: &DMatrix<f64>,
+    root: &DMatrix<f64>,
+) -> Option<DMatrix<f64>> {
+    let loose = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
+    let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
+        CoordinateForm::Factor(blocks) => blocks.as_slice(),
+        _ => &[],
+    });
+    let mut found = root.clone();
+    let mut changed = false;
+    for block in blocks {
+        let Some(observed) = observed(&sub(information, block)) else { continue };
+        let rows = |root: &DMatrix<f64>| DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
+        let own = kept(&rows(start), &rows(root), &observed);
+        for (k, &i) in block.iter().enumerate() {
+            (0..root.ncols()).for_each(|c| found[(i, c)] = 0.0);
+            for (c, &at) in block.iter().enumerate() {
+                found[(i, at)] = own[(k, c)];
+            }
+        }
+        changed = true;
+    }
+    changed.then_some(found)
+}
+
+/// V with orthonormal columns: the directions that are observed, where some are not.
+fn observed(information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let range = symmetric::range(information, |value| value >= NONE);
+    (range.ncols() < information.nrows()).then_some(range)
+}
+
+/// A square root of K S K' + Σ0 - K (V'Σ0V) K', S = V'FF'V.
+fn kept(start: &DMatrix<f64>, root: &DMatrix<f64>, v: &DMatrix<f64>) -> DMatrix<f64> {
+    let (n, o) = v.shape();
+    let sigma = start * start.transpose();
+    let of_seen = v.transpose() * &sigma * v;
+    let size = DVector::from_vec(symmetric::sizes(&of_seen)).map(f64::recip);
+    let scale = DMatrix::from_diagonal(&size);
+    let gain = &sigma * v * &scale * symmetric::pseudo_inverse(&(&scale * &of_seen * &scale)) * &scale;
+    // (I - KV') Σ0 (I - KV')', whose rank is at most n - o
+    let rest = (DMatrix::identity(n, n) - &gain * v.transpose()) * start;
+    let rest = rest.svd(true, false);
+    let directions = rest.u.expect("asked for");
+    let seen = (v.transpose() * root).transpose().qr().r().transpose(); // S = seen seen', o × o
+    let known = gain * seen;
+    DMatrix::from_fn(
+        n,
+        n,
+        |i, c| if c < o { known[(i, c)] } else { directions[(i, c - o)] * rest.singular_values[c - o] },
+    )
+}

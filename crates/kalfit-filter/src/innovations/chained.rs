@@ -1,0 +1,217 @@
+//! Innovations of tests in phases: one filter over all phases, from the factors of each (theory §7).
+//!
+//! The filter of a phase runs with σ = 0, as for its reduction, and leaves e, S and T of each measurement: given σ, its innovation
+//! is e - Tσ, of variance S. σ itself is known in law from all that came before, in the phase and in earlier ones ([`EnteringLaw`]), so
+//! that the innovation of the test is e - Tσ̂, of variance S + T Var(σ) T'. After the last step the law of σ becomes that of the
+//! next phase's, by the link between them. What Σ adds is carried in square roots: it may be singular, zero or huge. Where nothing
+//! of a test is like that, [`PhaseFilters`] is the faster way.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::innovations::innovation::Innovation;
+use crate::innovations::law::EnteringLaw;
+use crate::innovations::phase_prior::PhasePrior;
+use crate::innovations::plain::{PhaseFilters, PhaseWorkspace};
+use crate::innovations::rows;
+use crate::innovations::rows::Figures;
+use crate::innovations::series::Innovations;
+use crate::reduce::{
+    Gains, GatheredCells, PhasedReducer, PhasedWork, ReduceError, ReduceErrorKind, ReductionRef, Terminal, Workspace,
+    refuse,
+};
+use kalfit_algebra::symmetric;
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Phase, PhasedModel, Population};
+use kalfit_model::{Evidence, Inherited, PhasedTest};
+
+/// The filter of tests in phases at (α, μ, Σ).
+#[derive(Debug)]
+pub struct ChainedFilter {
+    reducer: PhasedReducer,
+    phases: Vec<PhasePrior>,
+    plain: PhaseFilters,
+}
+
+/// Work space for a test.
+pub(crate) struct InnovationWorkspace {
+    phases: PhasedWork,
+    plain: Vec<PhaseWorkspace>,
+}
+
+/// Takes the rows of a phase, by its place, into the law of its σ.
+pub(crate) type GainsVisitor<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut EnteringLaw) + 'a;
+
+impl ChainedFilter {
+    /// `initial` is of the shape of the model.
+    pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<ChainedFilter, ReduceError> {
+        let reducer = PhasedReducer::new(model, alpha)?;
+        let start = |(phase, own): (&Phase, Population)| -> Result<PhasePrior, ReduceError> {
+            if !symmetric::is_semidefinite(&own.covariance) {
+                let (least, largest) = symmetric::scaled_range(&own.covariance);
+                let kind = ReduceErrorKind::NotSemidefinite { left: least, variance: largest };
+                let what = format!("covariance of the initial state of phase `{}`", phase.name);
+                return Err(refuse(None, &what, kind));
+            }
+            Ok(PhasePrior {
+                regressions: phase.model.mean.regression.iter().map(|r| r.element).zip(own.coefficients).collect(),
+                root: symmetric::square_root(&own.covariance),
+                covariance: own.covariance,
+                time: phase.model.clock.time,
+                filtered: phase.filter.is_some(),
+                mean: own.mean,
+            })
+        };
+        let phases = model.phases.iter().zip(initial.apart(model)).map(start).collect::<Result<_, _>>()?;
+        Ok(ChainedFilter { reducer, phases, plain: PhaseFilters::new(model, alpha)? })
+    }
+
+    pub fn reducer(&self) -> &PhasedReducer {
+        &self.reducer
+    }
+
+    pub(crate) fn workspace(&self) -> InnovationWorkspace {
+        InnovationWorkspace { phases: self.reducer.workspace(), plain: self.plain.workspace() }
+    }
+
+    /// The innovations of tests; `None` where no phase is given by rows alone.
+    pub(crate) fn innovations(
+        &self,
+        tests: &[PhasedTest],
+        room: &mut InnovationWorkspace,
+    ) -> Vec<Result<Option<Innovations>, ReduceError>> {
+        let carries = self.reducer.phases();
+        let plain = self.plain.series(tests, (&self.phases, carries), (&mut room.plain, &mut room.phases.cells));
+        tests.iter().zip(plain).map(|(whole, series)| self.one(whole, series, &mut room.phases)).collect()
+    }
+
+    /// The innovations of a test; `plain`: where that was a way to have them. Covariances that are not sound may be only rounding;
+    /// what else is wrong is said by the careful way.
+    fn one(
+        &self,
+        whole: &PhasedTest,
+        plain: Option<Vec<Innovation>>,
+        work: &mut PhasedWork,
+    ) -> Result<Option<Innovations>, ReduceError> {
+        self.reducer.check(whole)?;
+        let (series, rest, seen) = match plain {
+            Some(series) => (series, 0.0, true),
+            None => self.careful(whole, work)?,
+        };
+        if !rows::are_finite(&series) {
+            return Err(refuse(Some(&whole.id), "innovations", ReduceErrorKind::NotFinite));
+        }
+        Ok(seen.then(|| Innovations::new(whole.id.to_string(), series, rest)))
+    }
+
+    /// In square roots: the innovations, log p of phases without any, and whether there are phases with some.
+    fn careful(&self, whole: &PhasedTest, work: &mut PhasedWork) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
+        let (mut series, mut seen) = (Vec::new(), false);
+        let rest = self.through(whole, work, &mut |(at, rows), gains, work, law| {
+            let take = |e: f64, weight: f64, sensitivity: &[f64]| {
+                let (value, variance) = law.take(e, sensitivity, weight);
+                Figures { value, variance, standardised: value / variance.sqrt() }
+            };
+            series.extend(rows::series((at, rows, self.phases[at].time), gains, work, take));
+            seen = true;
+        })?;
+        Ok((series, rest, seen))
+    }
+
+    /// Phase by phase through a test, in square roots. `take` takes the rows of a phase that is filtered here into the law of its σ, and
+    /// leaves x̂_K in the work space. Log p of the other phases.
+    pub fn through(
+        &self,
+        whole: &PhasedTest,
+        work: &mut PhasedWork,
+        take: &mut GainsVisitor<'_>,
+    ) -> Result<f64, ReduceError> {
+        let mut rest = 0.0;
+        let mut before: Option<After> = None;
+        for (at, evidence) in whole.phases.iter().enumerate() {
+            let room = (&mut work.phases[at], &mut work.cells);
+            let linked = at + 1 < whole.phases.len();
+            let after = match evidence {
+                Evidence::Rows(rows) if !self.phases[at].filtered => {
+                    self.filtered((at, rows), room, before.as_ref(), take)?
+                }
+                _ => self.given(at, (whole, linked), room, before.as_ref(), &mut rest)?,
+            };
+            before = Some(after);
+        }
+        Ok(rest)
+    }
+
+    /// A phase whose rows are filtered here.
+    fn filtered(
+        &self,
+        (at, rows): (usize, &Test),
+        (work, cells): (&mut Workspace, &mut GatheredCells),
+        before: Option<&After>,
+        take: &mut GainsVisitor<'_>,
+    ) -> Result<After, ReduceError> {
+        let (start, phase) = (&self.phases[at], &self.reducer.phases()[at]);
+        let link = before.map(|before| Ok((before, phase.inherited(rows, cells)?))).transpose()?;
+        let found = phase.reducer.with_gains(rows, work, |gains, work| {
+            let q = work.design.frame.p;
+            let mut law =
+                start.law(&work.covariates, q, link.as_ref().map(|(before, inherited)| before.link(inherited)));
+            take((at, rows), gains, work, &mut law);
+            let states = &phase.reducer.preparer().order.states;
+            After { law: law.posterior(), terminal: gains.terminal(states, &work.pass.x) }
+        });
+        found.map_err(|error| phase.named(error))
+    }
+
+    /// A phase that is known otherwise than by rows; adds its log p given all earlier phases.
+    fn given(
+        &self,
+        at: usize,
+        (whole, linked): (&PhasedTest, bool),
+        room: (&mut Workspace, &mut GatheredCells),
+        before: Option<&After>,
+        log_density: &mut f64,
+    ) -> Result<After, ReduceError> {
+        let part = self.reducer.phases()[at].part((&whole.id, &whole.phases[at]), room, (false, linked))?;
+        let reduction = &part.reduction;
+        let link = before.map(|before| before.link(part.inherits()));
+        let mut law = self.phases[at].law(&reduction.covariates, reduction.data.len(), link);
+        *log_density += absorb(reduction.view(), &mut law);
+        Ok(After { law: law.posterior(), terminal: part.into_piece().terminal })
+    }
+}
+
+/// A phase when its measurements have come in.
+struct After {
+    /// Mean and root of σ.
+    law: (DVector<f64>, DMatrix<f64>),
+    /// x_K given σ.
+    terminal: Option<Terminal>,
+}
+
+impl After {
+    /// What it hands on: mean and root of what the next phase inherits.
+    fn link(&self, inherited: &Inherited) -> (DVector<f64>, DMatrix<f64>) {
+        let Inherited { transition, input } = inherited;
+        let Terminal { mean, sensitivity, root } = self.terminal.as_ref().expect("another phase follows");
+        let (m, f) = &self.law;
+        let state = mean + sensitivity * m;
+        let (carried, own) = (sensitivity * f, root.ncols());
+        let mut all = carried.resize_horizontally(f.ncols() + own, 0.0);
+        all.columns_mut(f.ncols(), own).copy_from(root);
+        (transition * state + input, transition * all)
+    }
+}
+
+/// Takes in what is known of a phase otherwise than by rows; its log p given all earlier phases.
+fn absorb(phase: ReductionRef<'_>, law: &mut EnteringLaw) -> f64 {
+    let q = phase.data.len();
+    let mut log_density = phase.constant;
+    let mut line = vec![0.0; q];
+    for i in 0..q {
+        line.fill(0.0);
+        (i..q).for_each(|k| line[k] = phase.factor[i + k * (k + 1) / 2]);
+        let (value, variance) = law.take(phase.data[i], &line, 1.0);
+        log_density -= 0.5 * (variance.ln() + value * value / variance);
+    }
+    log_density
+}

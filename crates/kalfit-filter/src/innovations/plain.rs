@@ -1,0 +1,250 @@
+//! Innovations in plain covariances: one filter over all phases that starts from the known law of what enters.
+//!
+//! With nothing unknown, σ ~ N(m, C) is part of a and P0 of a phase, as Σ is of a test of one phase, and from the last step of a
+//! phase on
+//!
+//! ```text
+//! m = [μ_j; 0] + T x̂_K + t        C = EΣE' + T P_K T'
+//! ```
+//!
+//! Tests are filtered side by side, phase after phase, and to the same bits whatever else is in the batch. Those that go better by themselves share
+//! the covariance run of their design.
+
+use kalfit_lanes::Isa;
+use nalgebra::{DMatrix, DVector};
+
+use crate::innovations::innovation::Innovation;
+use crate::innovations::phase_prior::PhasePrior;
+use crate::innovations::rows;
+use crate::innovations::rows::Figures;
+use crate::reduce::{
+    BatchWorkspace, EnteringMoments, Gains, GatheredCells, PhaseReducer, ReduceError, Reducer, Skeleton, Terminal,
+    Workspace,
+};
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Phase, PhasedModel};
+use kalfit_model::{Evidence, Inherited, PhasedTest};
+
+/// The filters of the phases.
+#[derive(Debug)]
+pub(super) struct PhaseFilters {
+    phases: Vec<PhaseFilter>,
+}
+
+/// The filter of a phase that nothing unknown enters.
+#[derive(Debug)]
+struct PhaseFilter {
+    reducer: Reducer,
+    /// Through which states σ enters.
+    entering: Vec<usize>,
+    /// The only phase: no covariance is handed on, and it may come from square-root arrays.
+    alone: bool,
+}
+
+/// Work space of a phase, and tests that wait to be filtered side by side.
+#[derive(Debug)]
+pub(super) struct PhaseWorkspace {
+    work: Workspace,
+    beside: BatchWorkspace,
+    /// Tests with designs of their own, and room for them.
+    own: Vec<Skeleton>,
+    spare: Vec<Skeleton>,
+}
+
+/// What a phase leaves: its innovations, and the last state where another phase follows.
+type Left = (Vec<Innovation>, Option<Terminal>);
+
+/// A test on its way through the phases.
+#[derive(Debug, Default)]
+struct Track {
+    series: Vec<Innovation>,
+    /// The last state of the phase before.
+    before: Option<Terminal>,
+}
+
+/// A phase, and its rows in the tests of a batch that have it and are sound so far.
+struct PhaseBatch<'a> {
+    at: usize,
+    known: &'a PhaseFilter,
+    time: Option<usize>,
+    rows: Vec<Option<&'a Test>>,
+}
+
+impl PhaseFilters {
+    pub(super) fn new(model: &PhasedModel, alpha: &Alpha) -> Result<PhaseFilters, ReduceError> {
+        let last = model.phases.len() - 1;
+        let of = |(at, phase): (usize, &Phase)| -> Result<PhaseFilter, ReduceError> {
+            let reducer = Reducer::of_known_starts(&phase.entry_model(), alpha)?;
+            let reducer = if at < last { reducer.with_ends() } else { reducer };
+            Ok(PhaseFilter { reducer, entering: phase.entering(), alone: last == 0 })
+        };
+        Ok(PhaseFilters { phases: model.phases.iter().enumerate().map(of).collect::<Result<_, _>>()? })
+    }
+
+    pub(super) fn workspace(&self) -> Vec<PhaseWorkspace> {
+        let of = |PhaseFilter { reducer, .. }: &PhaseFilter| {
+            let (work, beside) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
+            PhaseWorkspace { work, beside, own: Vec::new(), spare: Vec::new() }
+        };
+        self.phases.iter().map(of).collect()
+    }
+
+    /// The innovations of tests; `None` where some phase is given otherwise than by rows, calls for square roots or is in error.
+    pub(super) fn series(
+        &self,
+        tests: &[PhasedTest],
+        (starts, carries): (&[PhasePrior], &[PhaseReducer]),
+        (room, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
+    ) -> Vec<Option<Vec<Innovation>>> {
+        let plain =
+            |(evidence, start): (&Evidence, &PhasePrior)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
+        let track = |test: &PhasedTest| test.phases.iter().zip(starts).all(plain).then(Track::default);
+        let mut tracks: Vec<Option<Track>> = tests.iter().map(track).collect();
+        for (at, (known, room)) in self.phases.iter().zip(room).enumerate() {
+            let rows = |(test, track): (_, &Option<Track>)| rows_of(test, at).filter(|_| track.is_some());
+            let rows: Vec<Option<&Test>> = tests.iter().zip(&tracks).map(rows).collect();
+            let stage = PhaseBatch { at, known, time: starts[at].time, rows };
+            stage.run((&starts[at], &carries[at]), &mut tracks, (room, cells));
+        }
+        tracks.into_iter().map(|track| track.map(|track| track.series)).collect()
+    }
+}
+
+/// The rows of a phase of a test.
+fn rows_of(test: &PhasedTest, at: usize) -> Option<&Test> {
+    match test.phases.get(at) {
+        Some(Evidence::Rows(rows)) => Some(rows),
+        _ => None,
+    }
+}
+
+/// e, S and e/√S where nothing is unknown.
+fn figures(value: f64, weight: f64) -> Figures {
+    let (variance, standardised) = (weight.recip(), value * weight.sqrt());
+    Figures { value, variance, standardised }
+}
+
+impl PhaseBatch<'_> {
+    /// The phase of all tests that have it.
+    fn run(
+        &self,
+        of: (&PhasePrior, &PhaseReducer),
+        tracks: &mut [Option<Track>],
+        (PhaseWorkspace { work, beside, own, spare }, cells): (&mut PhaseWorkspace, &mut GatheredCells),
+    ) {
+        let PhaseFilter { reducer, alone, .. } = self.known;
+        let members = self.rows.iter().enumerate().filter_map(|(number, rows)| Some((number, (*rows)?)));
+        let (numbers, tests): (Vec<usize>, Vec<&Test>) = members.unzip();
+        let mut entering: Vec<EnteringMoments> = tests.iter().map(|_| EnteringMoments::default()).collect();
+        for (place, (&number, rows)) in numbers.iter().zip(&tests).enumerate() {
+            let Some(track) = &mut tracks[number] else { continue };
+            let before = track.before.take();
+            let mut skeleton = spare.pop().unwrap_or_default();
+            if !reducer.preparer().skeleton(rows, place, work, &mut skeleton) {
+                spare.push(skeleton);
+                let found = self.by_itself(rows, of, before.as_ref(), (work, cells));
+                note(&mut tracks[number], found);
+                continue;
+            }
+            match self.known.entering((rows, &skeleton.covariates), of, before.as_ref(), cells) {
+                Some(law) => {
+                    entering[place] = law;
+                    own.push(skeleton);
+                }
+                None => tracks[number] = None,
+            }
+        }
+        let mut odd = Vec::new();
+        beside.pass(reducer, (&tests, own, &entering), &mut work.room, |skeleton, passed| {
+            let place = skeleton.number;
+            let found = passed.map(|passed| {
+                let each = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
+                let series = rows::listed((self.at, tests[place], self.time), skeleton.measured(), each);
+                (series, passed.end.map(|end| end.terminal()))
+            });
+            // those that call for square roots may go by themselves where there is one phase
+            if found.is_none() && *alone { odd.push(place) } else { note(&mut tracks[numbers[place]], found) }
+        });
+        spare.append(own);
+        for place in odd {
+            let found = self.by_itself(tests[place], of, None, (work, cells));
+            note(&mut tracks[numbers[place]], found);
+        }
+    }
+
+    /// The phase of a test by itself; `None` where it calls for square roots or is in error.
+    fn by_itself(
+        &self,
+        rows: &Test,
+        of: (&PhasePrior, &PhaseReducer),
+        before: Option<&Terminal>,
+        (work, cells): (&mut Workspace, &mut GatheredCells),
+    ) -> Option<Left> {
+        let PhaseFilter { reducer, .. } = self.known;
+        reducer.preparer().prepare(rows, work).ok()?;
+        let EnteringMoments { mean, variance } = self.known.entering((rows, &work.covariates), of, before, cells)?;
+        mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
+        variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
+        let look = |gains: &Gains, work: &mut Workspace| self.look(rows, gains, work);
+        reducer.with_prepared(rows, work, look).ok()?
+    }
+
+    /// What its gains leave; `None` where they call for square roots.
+    fn look(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<Left> {
+        if gains.turns.is_some() && !self.known.alone {
+            return None;
+        }
+        let found = rows::series((self.at, rows, self.time), gains, work, |e, weight, _| figures(e, weight));
+        let states = &self.known.reducer.preparer().order.states;
+        Some((found, gains.terminal(states, &work.pass.x)))
+    }
+}
+
+/// What a phase left of a test.
+fn note(track: &mut Option<Track>, found: Option<Left>) {
+    match (track.as_mut(), found) {
+        (Some(track), Some((found, terminal))) => {
+            if track.series.is_empty() {
+                track.series = found
+            } else {
+                track.series.extend(found)
+            }
+            track.before = terminal;
+        }
+        _ => *track = None,
+    }
+}
+
+impl PhaseFilter {
+    /// The law of σ of a test with these rows and covariates, where it enters a and P0; `None` where something is wrong with it.
+    fn entering(
+        &self,
+        (rows, covariates): (&Test, &[f64]),
+        (start, carry): (&PhasePrior, &PhaseReducer),
+        before: Option<&Terminal>,
+        cells: &mut GatheredCells,
+    ) -> Option<EnteringMoments> {
+        let q = self.entering.len();
+        let mut mean: DVector<f64> = start.mean_of(covariates, q);
+        let mut carried = DMatrix::zeros(q, 0);
+        if let Some(Terminal { mean: state, root, .. }) = before {
+            let inherited = carry.inherited(rows, cells).ok()?;
+            let Inherited { transition, input } = &*inherited;
+            mean += transition * state + input;
+            carried = transition * root;
+        }
+        let p = start.covariance.nrows();
+        let covariance = |i: usize, k: usize| {
+            let own = if i < p && k < p { start.covariance[(i, k)] } else { 0.0 };
+            own + (0..carried.ncols()).map(|c| carried[(i, c)] * carried[(k, c)]).sum::<f64>()
+        };
+        let order = &self.reducer.preparer().order;
+        let place = |row: usize| order.place[self.entering[row]];
+        let pairs = (0..q).flat_map(|i| (0..=i).map(move |k| (i, k)));
+        let variance = pairs.map(|(i, k)| {
+            let (a, b) = (place(i).max(place(k)), place(i).min(place(k)));
+            (a * order.frame.r + b, covariance(i, k))
+        });
+        Some(EnteringMoments { mean: (0..q).map(|i| (place(i), mean[i])).collect(), variance: variance.collect() })
+    }
+}

@@ -1,0 +1,53 @@
+//! From a data pass over rows to their innovations.
+
+use crate::innovations::innovation::Innovation;
+use crate::reduce::{Gains, Instance, Workspace, own_innovations};
+use kalfit_model::Test;
+
+/// e, S and e/√S of one measurement.
+pub(crate) struct Figures {
+    pub(crate) value: f64,
+    pub(crate) variance: f64,
+    pub(crate) standardised: f64,
+}
+
+/// Runs the data pass over the rows of a phase in the work space. `figures`: from e, 1/S and T of the filter to those of the
+/// innovation. A measurement that can only be one value says nothing and is left out; whether it was that value is the
+/// reduction's business.
+pub(crate) fn series(
+    place: (usize, &Test, Option<usize>),
+    gains: &Gains,
+    work: &mut Workspace,
+    mut figures: impl FnMut(f64, f64, &[f64]) -> Figures,
+) -> Vec<Innovation> {
+    own_innovations(gains, work);
+    let Workspace { design, instances, pass, .. } = work;
+    let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |_| step));
+    let each = pass.e.iter().enumerate().map(|(row, &e)| {
+        let (weight, _, sensitivity) = gains.row(row);
+        (weight > 0.0).then(|| figures(e, weight, sensitivity))
+    });
+    listed(place, steps.zip(instances.iter()), each)
+}
+
+/// Innovations, in the order of the measurements, which come with their steps; those that there are none of are left out. (Phase,
+/// rows, column of times.)
+pub(crate) fn listed(
+    (phase, rows, time): (usize, &Test, Option<usize>),
+    measured: impl Iterator<Item = (usize, Instance)>,
+    each: impl Iterator<Item = Option<Figures>>,
+) -> Vec<Innovation> {
+    let mut series = Vec::with_capacity(each.size_hint().1.unwrap_or(0));
+    for ((step, instance), figures) in measured.zip(each) {
+        if let Some(Figures { value, variance, standardised }) = figures {
+            let time = time.map(|column| rows.numbers(instance.row)[column]);
+            series.push(Innovation { phase, step, time, measurement: instance.meter, value, variance, standardised });
+        }
+    }
+    series
+}
+
+/// All figures are numbers.
+pub(crate) fn are_finite(series: &[Innovation]) -> bool {
+    series.iter().all(|one| one.standardised.is_finite() && one.variance.is_finite())
+}

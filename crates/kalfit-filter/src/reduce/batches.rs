@@ -1,0 +1,269 @@
+//! Tests with designs of their own, kept side by side for all values of α.
+//!
+//! ```text
+//! once:        cells ── Skeleton ──> BatchLayout steps, measurements and lengths of steps, a test in each lane
+//! at an α:     coefficients ── BatchValues ──> h, R, z - d, φ, Q, b, a, P0 in place ── filters ──> reductions
+//! its score:   BatchValues ── backward, pulled back column by column (score/phased/batches) ──> dℓ/dα
+//! ```
+//!
+//! Which tests share a shape, which cells each step reads and what is measured depends on the cells of the data alone, so it is
+//! found once. A test that lacks a measurement or a step of its batch has one that changes nothing. What is wrong with a test, or
+//! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
+
+pub(crate) mod batch_workspace;
+mod identity;
+mod layout;
+pub(crate) mod reduced;
+mod values;
+mod whitened;
+
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use kalfit_lanes::Isa;
+use rayon::iter::Either;
+use rayon::prelude::*;
+
+use crate::reduce::digest::Digest;
+use crate::reduce::lanes::DataWorkspace;
+use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
+use crate::reduce::reduced_tests::ReducedTests;
+use crate::reduce::reducer::{Reducer, ToEnd};
+use crate::reduce::replicates::Replicates;
+use batch_workspace::{size, width_for};
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Level};
+pub(crate) use layout::BatchLayout;
+use reduced::TestHeader;
+pub(crate) use values::BatchValues;
+
+/// Bytes of batches, with their numbers at one α.
+const BYTES: usize = 1 << 30;
+/// Chunks of batches for each thread.
+const SHARES: usize = 4;
+/// Most batches of a chunk: long tests are few.
+const MOST: usize = 8;
+
+/// Tests side by side.
+#[derive(Debug)]
+struct CachedBatch {
+    layout: BatchLayout,
+    own: Vec<TestHeader>,
+    /// Numbers at some α, that nobody has.
+    spare: Mutex<Vec<BatchValues>>,
+}
+
+/// Tests of an ensemble with designs of their own, side by side. Which of them go together depends on the ensemble, not on the
+/// order of its tests.
+#[derive(Debug, Default)]
+pub(crate) struct EnsembleBatches {
+    batches: Vec<CachedBatch>,
+    /// Tests without replicates that go by themselves, whatever α.
+    apart: Vec<usize>,
+    /// All others that are in no batch.
+    others: Replicates,
+}
+
+/// Batches at an α, after their filters.
+#[derive(Debug)]
+pub(crate) struct FilteredBatches {
+    of: Arc<EnsembleBatches>,
+    /// By batch.
+    values: Vec<BatchValues>,
+}
+
+impl EnsembleBatches {
+    /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
+    /// of those. `replicates`: of all tests.
+    pub(crate) fn new(
+        reducer: &Reducer,
+        (tests, replicates): (&[&Test], Replicates),
+        numbers: &[usize],
+        shared: &[usize],
+    ) -> EnsembleBatches {
+        let preparer = reducer.preparer();
+        if numbers.is_empty() || !preparer.has_columns() {
+            return EnsembleBatches { batches: Vec::new(), apart: Vec::new(), others: replicates };
+        }
+        let digest = |number: usize, work: &mut Workspace| {
+            preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
+        };
+        let mut work = reducer.workspace();
+        let shared: HashSet<u128> = shared.iter().filter_map(|&number| digest(number, &mut work)).collect();
+        let skeleton = |work: &mut Workspace, &number: &usize| {
+            let mut own = Skeleton::default();
+            let fits = preparer.skeleton(tests[number], number, work, &mut own);
+            let mut is_shared = || digest(number, work).is_none_or(|digest| shared.contains(&digest));
+            let found = if fits { Ok(own) } else { Err(number) };
+            (!fits || shared.is_empty() || !is_shared()).then_some(found)
+        };
+        let found = numbers.par_iter().map_init(|| reducer.workspace(), skeleton).flatten_iter();
+        let (mut skeletons, mut apart): (Vec<Skeleton>, Vec<usize>) =
+            found.partition_map(|found| found.map_or_else(Either::Right, Either::Left));
+        let mut is_alone = vec![false; tests.len()];
+        replicates.alone.iter().for_each(|&number| is_alone[number] = true);
+        apart.retain(|&number| is_alone[number]);
+        let id = |own: &Skeleton| &tests[own.number].id;
+        skeletons.par_sort_unstable_by(|a, b| a.by_shape(b).then_with(|| id(a).cmp(id(b))));
+        let mut bytes = 0;
+        let mut groups = groups(preparer, &skeletons);
+        groups.retain(|own| {
+            let own = size(preparer, own, width_for(own.len()).lanes());
+            let fits = bytes + own <= BYTES;
+            bytes += if fits { own } else { 0 };
+            fits
+        });
+        let batches: Vec<CachedBatch> =
+            groups.into_par_iter().map(|own| CachedBatch::new(reducer, tests, own)).collect();
+        let mut kept = vec![false; tests.len()];
+        batches.iter().flat_map(|batch| &batch.layout.tests).chain(&apart).for_each(|&number| kept[number] = true);
+        EnsembleBatches { batches, apart, others: replicates.without(&kept) }
+    }
+
+    /// What is found of all tests at the α of a reducer.
+    pub(crate) fn reduce(
+        self: &Arc<EnsembleBatches>,
+        reducer: &Reducer,
+        tests: &[&Test],
+    ) -> (ReducedTests, FilteredBatches) {
+        let (filtered, mut found) = self.filter_all(reducer, tests);
+        let odd = std::mem::take(&mut found.odd);
+        let root = |work: &mut Workspace, &number: &usize| match reducer.reduce_by_root(tests[number], work) {
+            Ok((reduction, class)) => Ok((reduction, reducer.ending(&class, work.pass.x.iter().copied()))),
+            Err(_) => reducer.to_end(tests[number], work),
+        };
+        let rooted: Vec<ToEnd> = odd.par_iter().map_init(|| reducer.workspace(), root).collect();
+        odd.into_iter().zip(rooted).for_each(|(number, rooted)| found.note(number, rooted));
+        let alone = |work: &mut Workspace, &number: &usize| reducer.to_end(tests[number], work);
+        let ends: Vec<ToEnd> = self.apart.par_iter().map_init(|| reducer.workspace(), alone).collect();
+        self.apart.iter().zip(ends).for_each(|(&number, end)| found.note(number, end));
+        found.take(vec![reducer.reduce_each(tests, &self.others)], tests.len());
+        (found, filtered)
+    }
+
+    /// Runs the filters of all batches at the α of a reducer.
+    fn filter_all(self: &Arc<EnsembleBatches>, reducer: &Reducer, tests: &[&Test]) -> (FilteredBatches, ReducedTests) {
+        let mut alpha = Digest::new();
+        add_to(&mut alpha, reducer.preparer().at().alpha);
+        let alpha = alpha.finish();
+        let share = |room: &mut DataWorkspace, batches: &[CachedBatch]| {
+            let mut found = ReducedTests::default();
+            let values = batches
+                .iter()
+                .map(|batch| batch.evaluate_and_filter((reducer, alpha), tests, room, &mut found))
+                .collect();
+            (values, found)
+        };
+        let many = (self.batches.len() / (SHARES * rayon::current_num_threads())).clamp(1, MOST);
+        let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
+            self.batches.par_chunks(many).map_init(DataWorkspace::default, share).collect();
+        let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = shares.into_iter().unzip();
+        let (values, mut all) = (values.into_iter().flatten().collect(), ReducedTests::default());
+        all.take(parts, tests.len());
+        (FilteredBatches { of: self.clone(), values }, all)
+    }
+
+    /// Numbers of the tests that are in batches.
+    pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
+        self.batches.iter().flat_map(|batch| &batch.layout.tests).copied()
+    }
+}
+
+/// Tests that go together, in order.
+fn groups<'a>(preparer: &Preparer, skeletons: &'a [Skeleton]) -> Vec<&'a [Skeleton]> {
+    let (mut left, mut groups) = (skeletons, Vec::new());
+    while !left.is_empty() {
+        let (group, rest) = left.split_at(batch_workspace::together(preparer, left, Isa::best().lanes()));
+        groups.push(group);
+        left = rest;
+    }
+    groups
+}
+
+/// All values of α.
+fn add_to(digest: &mut Digest, alpha: &Alpha) {
+    for level in &alpha.values {
+        match level {
+            Level::Common(value) => digest.numbers(&[*value]),
+            Level::Each { values, other, .. } => {
+                digest.count(values.len());
+                values.values().chain(other).for_each(|value| digest.numbers(&[*value]));
+            }
+        }
+    }
+}
+
+impl CachedBatch {
+    fn new(reducer: &Reducer, tests: &[&Test], own: &[Skeleton]) -> CachedBatch {
+        let preparer = reducer.preparer();
+        let width = width_for(own.len());
+        let (mut layout, mut values) = (BatchLayout::new(width, preparer), BatchValues::new(width));
+        layout.take(preparer, tests, own);
+        values.take(&layout, (preparer, tests));
+        let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
+        let digests = values.identities(&layout, &steps, &mut Vec::new());
+        let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| TestHeader {
+            digest: if values.sound[lane] { digest } else { own.number as u128 }, // which is like no other
+            covariates: own.covariates.clone(),
+            steps: own.len(),
+            observations: own.instances.len(),
+        });
+        CachedBatch { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
+    }
+
+    /// Evaluates the tests at the α of a reducer, whose digest this is, and runs their filters.
+    fn evaluate_and_filter(
+        &self,
+        (reducer, alpha): (&Reducer, u128),
+        tests: &[&Test],
+        room: &mut DataWorkspace,
+        found: &mut ReducedTests,
+    ) -> BatchValues {
+        let CachedBatch { layout, own, .. } = self;
+        let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut values = spare.unwrap_or_else(|| {
+            let mut values = BatchValues::new(width_for(own.len()));
+            values.take(layout, (reducer.preparer(), tests));
+            values
+        });
+        values.evaluate(layout, (reducer.preparer(), tests), false);
+        let digest = |own: &TestHeader| {
+            let mut digest = Digest::new();
+            digest.wide(own.digest);
+            digest.wide(alpha);
+            digest.finish()
+        };
+        values.reduce((layout, own), (reducer, digest), tests, room, found);
+        values
+    }
+}
+
+/// One batch at an α, after its filters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FilteredBatch<'a> {
+    pub(crate) layout: &'a BatchLayout,
+    pub(crate) values: &'a BatchValues,
+}
+
+impl FilteredBatch<'_> {
+    /// (lane, number) of each test that went with the others.
+    pub(crate) fn tests(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.layout.tests.iter().copied().enumerate().filter(|&(lane, _)| self.values.sound[lane])
+    }
+}
+
+impl FilteredBatches {
+    /// The batches, for several threads.
+    pub(crate) fn batches(&self) -> impl IndexedParallelIterator<Item = FilteredBatch<'_>> {
+        let both = self.of.batches.par_iter().zip(&self.values);
+        both.map(|(batch, values)| FilteredBatch { layout: &batch.layout, values })
+    }
+}
+
+impl Drop for FilteredBatches {
+    fn drop(&mut self) {
+        for (batch, values) in self.of.batches.iter().zip(self.values.drain(..)) {
+            batch.spare.lock().unwrap_or_else(PoisonError::into_inner).push(values);
+        }
+    }
+}

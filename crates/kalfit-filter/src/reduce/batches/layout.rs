@@ -1,0 +1,178 @@
+//! Where the numbers of tests in lanes stand: the steps and measurements of all of them, which no value of α changes.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use kalfit_lanes::Width;
+
+use crate::reduce::design::{Design, EqualSteps};
+use crate::reduce::instances::Instance;
+use crate::reduce::motion::Transitions;
+use crate::reduce::prepare::{Preparer, Skeleton, StartCells};
+use kalfit_model::Test;
+
+/// No row.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Tests side by side, at least one and no more than there are lanes. Number k of the test in a lane stands at k × lanes + lane.
+#[derive(Debug)]
+pub(crate) struct BatchLayout {
+    pub(crate) lanes: usize,
+    /// Number of the test in each lane.
+    pub(crate) tests: Vec<usize>,
+    /// The shape of their designs: each step is a run, and each row has a line of its own.
+    pub(crate) design: Design,
+    /// All tests have the same steps and measurements.
+    of_one: bool,
+    /// States of the line of each measurement of the model, and the places of its terms among them.
+    pub(super) shapes: Vec<(Vec<u32>, Vec<usize>)>,
+    /// The measurement of the model that each row is of.
+    pub(crate) meters: Vec<usize>,
+    /// 1 where a test has the measurement of a row, else 0.
+    pub(crate) measured: Vec<f64>,
+    /// The row of the test that it is read from.
+    pub(super) sources: Vec<u32>,
+    /// The length of its step.
+    pub(super) dt: Vec<f64>,
+    /// What was measured.
+    pub(super) z: Vec<f64>,
+    pub(crate) transitions: Transitions,
+    /// What the law of x_0 of each test is evaluated on; empty where all have one.
+    pub(crate) openings: Vec<StartCells>,
+}
+
+impl BatchLayout {
+    /// Of no test yet.
+    pub(super) fn new(width: Width, preparer: &Preparer) -> BatchLayout {
+        BatchLayout {
+            lanes: width.lanes(),
+            tests: Vec::new(),
+            design: Design::new(preparer.order.frame.clone()),
+            of_one: false,
+            shapes: preparer.meters.shapes(),
+            meters: Vec::new(),
+            measured: Vec::new(),
+            sources: Vec::new(),
+            dt: Vec::new(),
+            z: Vec::new(),
+            transitions: Transitions::default(),
+            openings: Vec::new(),
+        }
+    }
+
+    /// Of these tests, in place of others.
+    pub(super) fn take(&mut self, preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) {
+        let is_one = own.iter().all(|other| other.is_like(&own[0]));
+        if !(is_one && self.has_shape_of(&own[0])) {
+            self.shape(preparer, own);
+            self.of_one = is_one;
+        }
+        self.tests.clear();
+        self.tests.extend(own.iter().map(|skeleton| skeleton.number));
+        self.openings.clear();
+        self.openings.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
+        self.transitions.clear();
+        for (k, run) in self.design.runs.iter().enumerate().filter(|(_, run)| run.transition.is_some()) {
+            debug_assert_eq!(run.steps, k + 1, "each step is a run");
+            for lane in 0..self.lanes {
+                let step = own.get(lane).filter(|own| own.moves(k)).map(|own| &own.steps[k]);
+                self.transitions.dt.push(step.map_or(0.0, |step| step.dt));
+                self.transitions.moving.push(f64::from(u8::from(step.is_some())));
+                self.transitions.sources.push(step.map_or(NONE, |step| step.source));
+            }
+        }
+        let places = self.meters.len() * self.lanes;
+        self.sources.clear();
+        self.sources.resize(places, NONE);
+        for column in [&mut self.measured, &mut self.dt, &mut self.z] {
+            column.clear();
+            column.resize(places, 0.0);
+        }
+        own.iter().enumerate().for_each(|(lane, own)| self.seat(preparer, tests[own.number], (lane, own)));
+    }
+
+    /// Whether the tests before, which all had one shape, had that of this one.
+    fn has_shape_of(&self, own: &Skeleton) -> bool {
+        let step =
+            |(k, run): (usize, &EqualSteps)| (run.lines, run.transition.is_some()) == (own.steps[k].end, own.moves(k));
+        self.of_one
+            && self.design.runs.len() == own.len()
+            && self.design.runs.iter().enumerate().all(step)
+            && self.meters.iter().eq(own.instances.iter().map(|instance| &instance.meter))
+    }
+
+    /// The steps of these tests, and what is measured in them.
+    fn shape(&mut self, preparer: &Preparer, own: &[Skeleton]) {
+        self.meters.clear();
+        self.design.clear();
+        self.design.moves.push(Arc::new(preparer.plan.blank()));
+        for k in 0..own.iter().map(Skeleton::len).max().unwrap_or(0) {
+            self.measurements(own, k);
+            let (lines, moves) = (self.meters.len(), own.iter().any(|own| own.moves(k)));
+            let transition = moves.then_some(0);
+            self.design.runs.push(EqualSteps { transition, lines, count: 1, rows: lines, steps: k + 1 });
+        }
+        self.design.h.resize(self.design.states.len(), 0.0);
+        self.design.noise.resize(self.meters.len(), 1.0);
+    }
+
+    /// The lines of a step: what any of the tests measures there, in the order of each of them.
+    fn measurements(&mut self, own: &[Skeleton], k: usize) {
+        let first = self.meters.len();
+        let longest = own.iter().map(|own| own.of(k)).max_by_key(|own| own.len()).unwrap_or(&[]);
+        self.meters.extend(longest.iter().map(|instance| instance.meter));
+        for instance in own.iter().flat_map(|own| own.of(k)) {
+            // tests that do not measure the same have one row a step, in the order of the model
+            if !self.meters[first..].contains(&instance.meter) {
+                let place = self.meters[first..].partition_point(|&meter| meter < instance.meter);
+                self.meters.insert(first + place, instance.meter);
+            }
+        }
+        for &meter in &self.meters[first..] {
+            self.design.states.extend(&self.shapes[meter].0);
+            self.design.ends.push(self.design.states.len());
+        }
+    }
+
+    /// Where each measurement of a test is read from, and what it is.
+    fn seat(&mut self, preparer: &Preparer, test: &Test, (lane, own): (usize, &Skeleton)) {
+        let mut line = 0;
+        for (k, step) in own.steps.iter().enumerate() {
+            for &Instance { meter, row } in own.of(k) {
+                while self.meters[line] != meter {
+                    line += 1;
+                }
+                let place = line * self.lanes + lane;
+                self.sources[place] = row as u32;
+                self.measured[place] = 1.0;
+                self.dt[place] = step.dt;
+                self.z[place] = test.numbers(row)[preparer.meters.column(meter)];
+                line += 1;
+            }
+            line = self.design.runs[k].lines;
+        }
+    }
+
+    /// The lines among these that the test in a lane has.
+    pub(crate) fn rows_of(&self, lane: usize, lines: Range<usize>) -> impl Iterator<Item = usize> {
+        lines.filter(move |row| self.measured[row * self.lanes + lane] != 0.0)
+    }
+
+    /// Numbers of the terms of a line.
+    pub(super) fn terms(&self, row: usize) -> Range<usize> {
+        let first = if row == 0 { 0 } else { self.design.ends[row - 1] };
+        first..self.design.ends[row]
+    }
+
+    /// What these lines of one step are, at least one, and the length of the step.
+    pub(crate) fn instances_of(&self, lane: usize, rows: &[usize]) -> (Vec<Instance>, f64) {
+        let place = |row: usize| row * self.lanes + lane;
+        let instance = |&row: &usize| Instance { meter: self.meters[row], row: self.sources[place(row)] as usize };
+        (rows.iter().map(instance).collect(), self.dt[place(rows[0])])
+    }
+
+    /// How many transitions there are.
+    pub(crate) fn moves(&self) -> usize {
+        self.transitions.dt.len() / self.lanes
+    }
+}

@@ -1,0 +1,80 @@
+//! What the filters of tests in lanes have found, as reductions.
+
+use std::sync::Arc;
+
+use crate::reduce::batches::layout::BatchLayout;
+use crate::reduce::batches::values::BatchValues;
+use crate::reduce::data::Outcome;
+use crate::reduce::lanes::DataWorkspace;
+use crate::reduce::reduced_tests::ReducedTests;
+use crate::reduce::reducer::{Reducer, ReductionHeader};
+use crate::reduce::terminal::TerminalState;
+use kalfit_model::Path;
+use kalfit_model::Test;
+
+/// What a reduction has beside what its filter found; `digest`: of its design at the α where it was taken.
+#[derive(Debug)]
+pub(super) struct TestHeader {
+    pub(super) digest: u128,
+    pub(super) covariates: Vec<f64>,
+    pub(super) steps: usize,
+    pub(super) observations: usize,
+}
+
+impl BatchValues {
+    /// Runs the filters of tests that were evaluated; their reductions go to `found`. `digest`: of a design.
+    pub(super) fn reduce(
+        &mut self,
+        (layout, own): (&BatchLayout, &[TestHeader]),
+        (reducer, digest): (&Reducer, impl Fn(&TestHeader) -> u128),
+        tests: &[&Test],
+        room: &mut DataWorkspace,
+        found: &mut ReducedTests,
+    ) {
+        self.batch_filter.design_batch.with_ends = reducer.wants_ends();
+        self.batch_filter.run(&layout.design, own.len(), room);
+        for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
+            let Some((factor, outcome, end)) = self.lane_result(lane, (layout, own.observations), reducer, room) else {
+                self.sound[lane] = false;
+                found.odd.push(number);
+                continue;
+            };
+            let about = ReductionHeader {
+                factor,
+                covariates: &own.covariates,
+                steps: own.steps,
+                observations: own.observations,
+                path: Path::Information,
+                digest: digest(own),
+            };
+            found.reductions.put(reducer.counted_reduction(tests[number], &outcome, about));
+            found.numbers.push(number);
+            found.terminals.extend(end);
+        }
+    }
+
+    /// R and what the filter found of the test in a lane, and where it ends, if that is wanted; `None` where square-root arrays are
+    /// called for or something is not finite.
+    pub(super) fn lane_result(
+        &self,
+        lane: usize,
+        (layout, observations): (&BatchLayout, usize),
+        reducer: &Reducer,
+        room: &DataWorkspace,
+    ) -> Option<(&[f64], Outcome, Option<TerminalState>)> {
+        let (factor, determinant) = self.batch_filter.design_batch.found[lane].as_ref().filter(|_| self.sound[lane])?;
+        let outcome = self.batch_filter.block.outcome(lane, (observations, *determinant), room);
+        let end = match reducer.wants_ends() {
+            true => Some(self.end(lane, layout, reducer, room)?),
+            false => None,
+        };
+        outcome.is_finite().then_some((factor, outcome, end))
+    }
+
+    /// Where the test in a lane ends; `None` where that calls for square-root arrays.
+    fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, room: &DataWorkspace) -> Option<TerminalState> {
+        let states = &reducer.preparer().order.states;
+        let end = self.batch_filter.design_batch.end((lane, layout.lanes), states)?;
+        Some(TerminalState::new(Arc::new(end), states, self.batch_filter.block.last(lane, room)))
+    }
+}

@@ -1,0 +1,70 @@
+//! The data of a test, and what they say under a design.
+
+use kalfit_model::ExactRows;
+
+/// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
+pub(crate) const REFINE: f64 = 1e3;
+
+/// A measurement that can only be one value may miss it by this part of the size of its terms.
+pub(crate) const ROUNDING: f64 = 1e-10;
+
+/// The data of a test, in kernel order and whitened.
+#[derive(Debug, Clone, Default)]
+pub struct Data {
+    /// a, n numbers.
+    pub start: Vec<f64>,
+    /// b of the driven states, for each transition.
+    pub inputs: Vec<f64>,
+    /// z - d.
+    pub values: Vec<f64>,
+    /// |z| + |d|.
+    pub(crate) sizes: Vec<f64>,
+}
+
+impl Data {
+    /// Appends a measured value z, of which d is known.
+    #[inline(always)]
+    pub(crate) fn take(&mut self, z: f64, constant: f64) {
+        self.values.push(z - constant);
+        self.sizes.push(z.abs() + constant.abs());
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.start.clear();
+        self.inputs.clear();
+        self.values.clear();
+        self.sizes.clear();
+    }
+}
+
+/// What the data say under a design.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Outcome {
+    pub(crate) constant: f64,
+    /// The sum of squares that is left.
+    pub(crate) residual: f64,
+    /// d, p numbers.
+    pub(crate) data: Vec<f64>,
+    /// What was measured exactly.
+    pub(crate) exact: Option<Box<ExactRows>>,
+}
+
+impl Outcome {
+    /// Of d and what is left, for `active` measurements with this Σ log S.
+    pub(crate) fn new(data: Vec<f64>, residual: f64, active: usize, log_determinant: f64) -> Outcome {
+        let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
+        Outcome { constant: log_density - 0.5 * residual, residual, data, exact: None }
+    }
+
+    pub(crate) fn is_finite(&self) -> bool {
+        let exact = self.exact.iter().flat_map(|exact| &exact.values);
+        self.constant.is_finite() && self.data.iter().chain(exact).all(|d| d.is_finite())
+    }
+}
+
+/// Measurement `row` missed its only possible value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Miss {
+    pub(crate) row: usize,
+    pub(crate) residual: f64,
+}

@@ -1,0 +1,477 @@
+//! The design of a test: all that S, K, T, P and J depend on, in the order of states that suits the kernels.
+//!
+//! Kernel order: noise-reachable states first (those that P0 or process noise ever reaches; P lives on them alone),
+//! then other states that move, then those that never move. Random constants of the last kind live only in Ψ.
+
+mod identity;
+
+pub(crate) use identity::Identity;
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::reduce::digest::Digest;
+use crate::reduce::entries::Common;
+use crate::reduce::equal_steps::{FEW, is_most};
+use nalgebra::DMatrix;
+
+/// Row of Ψ that is dense.
+pub(crate) const DENSE: u32 = u32::MAX;
+/// Row of Ψ that is zero, always.
+pub(crate) const ZERO: u32 = u32::MAX - 1;
+
+/// The states of a model in the order of the kernels, and A.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StateFrame {
+    /// n, number of states.
+    pub n: usize,
+    /// p, number of uncertain initial values ξ.
+    pub p: usize,
+    /// Number of noise-reachable states.
+    pub r: usize,
+    /// For each state the column of ξ whose unit vector its row of Ψ always is, or [`DENSE`], or [`ZERO`].
+    pub(crate) rows: Vec<u32>,
+    /// A, n × p, row-major.
+    pub sensitivity: Vec<f64>,
+    /// States with a known input b.
+    pub driven: Vec<u32>,
+    /// Digest of the rest.
+    pub(crate) digest: u128,
+}
+
+impl StateFrame {
+    pub(crate) fn seal(mut self) -> StateFrame {
+        let mut digest = Digest::new();
+        digest.count(self.n);
+        digest.count(self.p);
+        digest.count(self.r);
+        self.rows.iter().for_each(|&row| digest.word(u64::from(row)));
+        digest.numbers(&self.sensitivity);
+        self.digest = digest.finish();
+        self
+    }
+
+    /// The same states without ξ.
+    pub(crate) fn without_unknowns(&self) -> StateFrame {
+        let frame = StateFrame { p: 0, rows: vec![ZERO; self.n], sensitivity: Vec::new(), ..self.clone() };
+        frame.seal()
+    }
+}
+
+/// A row of φ that is not a row of the identity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct TransitionRow {
+    pub(crate) state: u32,
+    /// Terms start..end; those up to `reach` are of noise-reachable states.
+    pub(crate) start: u32,
+    pub(crate) reach: u32,
+    pub(crate) end: u32,
+}
+
+/// Which entries of φ and Q a step has: no identity rows, no zeros. All transitions of a model have one.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Pattern {
+    /// In ascending order of state.
+    pub(crate) moved: Vec<TransitionRow>,
+    pub(crate) columns: Vec<u32>,
+    /// Entries i ≥ j of Q.
+    pub(crate) pairs: Vec<(u32, u32)>,
+    diagonal: bool,
+    digest: u128,
+}
+
+impl Pattern {
+    /// Appends row `state` of φ, with terms of these states, ascending.
+    pub(crate) fn push(&mut self, state: usize, reachable: usize, terms: impl Iterator<Item = usize>) {
+        let start = self.columns.len() as u32;
+        self.columns.extend(terms.map(|term| term as u32));
+        let reach = self.columns[start as usize..].iter().filter(|&&term| (term as usize) < reachable).count() as u32;
+        self.moved.push(TransitionRow {
+            state: state as u32,
+            start,
+            reach: start + reach,
+            end: self.columns.len() as u32,
+        });
+    }
+
+    pub(crate) fn seal(mut self) -> Pattern {
+        let mut digest = Digest::new();
+        digest.count(self.moved.len());
+        for row in &self.moved {
+            digest.word(u64::from(row.state) << 32 | u64::from(row.end - row.start));
+        }
+        self.columns.iter().for_each(|&column| digest.word(u64::from(column)));
+        self.pairs.iter().for_each(|&(i, j)| digest.word(u64::from(i) << 32 | u64::from(j)));
+        self.digest = digest.finish();
+        let own = |row: &TransitionRow| self.columns[row.start as usize..row.end as usize] == [row.state];
+        self.diagonal = self.moved.iter().all(own);
+        self
+    }
+
+    /// Rows of φ that move, where each has no term but its own state.
+    #[inline(always)]
+    pub(crate) fn diagonal(&self) -> Option<impl Iterator<Item = usize>> {
+        self.diagonal.then(|| self.moved.iter().map(|row| row.state as usize))
+    }
+}
+
+/// φ and Q of one step.
+#[derive(Debug, Clone)]
+pub struct Transition {
+    pub(crate) pattern: Arc<Pattern>,
+    pub(crate) phi: Vec<f64>,
+    pub(crate) q: Vec<f64>,
+}
+
+/// A transition as kernels read it.
+#[derive(Debug, Clone, Copy)]
+pub struct TransitionView<'a, E> {
+    pub(crate) pattern: &'a Pattern,
+    pub(crate) phi: E,
+    pub(crate) q: E,
+}
+
+impl Transition {
+    /// For one number at a time.
+    pub(crate) fn view(&self) -> TransitionView<'_, &[f64]> {
+        TransitionView { pattern: &self.pattern, phi: &self.phi, q: &self.q }
+    }
+
+    /// For lanes that share it.
+    #[inline(always)]
+    pub(crate) fn common(&self) -> TransitionView<'_, Common<'_>> {
+        TransitionView { pattern: &self.pattern, phi: Common(&self.phi), q: Common(&self.q) }
+    }
+
+    /// (row, column, entry) of φ, of the rows that move.
+    pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
+        let of = move |row: &TransitionRow| {
+            let (state, terms) = (row.state as usize, row.start as usize..row.end as usize);
+            terms.map(move |k| (state, self.pattern.columns[k] as usize, self.phi[k]))
+        };
+        self.pattern.moved.iter().flat_map(of)
+    }
+
+    /// φ on n states, `state` the one at each place.
+    pub fn phi_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
+        let mut phi = DMatrix::identity(n, n);
+        self.pattern.moved.iter().for_each(|row| phi.row_mut(state(row.state as usize)).fill(0.0));
+        self.entries().for_each(|(i, j, x)| phi[(state(i), state(j))] = x);
+        phi
+    }
+
+    /// Q on n states, `state` the one at each place.
+    pub fn noise_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
+        let mut noise = DMatrix::zeros(n, n);
+        for (&(i, j), &q) in self.pattern.pairs.iter().zip(&self.q) {
+            let (i, j) = (state(i as usize), state(j as usize));
+            noise[(i, j)] += q;
+            if i != j {
+                noise[(j, i)] += q;
+            }
+        }
+        noise
+    }
+
+    pub(crate) fn new(pattern: Arc<Pattern>, phi: Vec<f64>, q: Vec<f64>) -> Transition {
+        Transition { pattern, phi, q }
+    }
+
+    /// Of the pattern and all numbers.
+    pub(crate) fn digest(&self) -> u128 {
+        let mut digest = Digest::new();
+        digest.wide(self.pattern.digest);
+        digest.numbers(&self.phi);
+        digest.numbers(&self.q);
+        digest.finish()
+    }
+
+    fn same(&self, other: &Transition) -> bool {
+        (Arc::ptr_eq(&self.pattern, &other.pattern) || self.pattern == other.pattern)
+            && same_bits(&self.phi, &other.phi)
+            && same_bits(&self.q, &other.q)
+    }
+}
+
+/// Equal steps that follow each other: a transition, then scalar measurements, so many times.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct EqualSteps {
+    /// The transition's number, see [`Design::transition`].
+    pub(crate) transition: Option<u32>,
+    /// End of the lines of one step; they begin where those of the run before end.
+    pub(crate) lines: usize,
+    /// Number of steps.
+    pub(crate) count: usize,
+    /// End of its scalar measurements among those of the test.
+    pub(crate) rows: usize,
+    /// End of its steps among those of the test.
+    pub(crate) steps: usize,
+}
+
+impl EqualSteps {
+    /// Ends of its lines, rows and steps.
+    fn ends(&self) -> (usize, usize, usize) {
+        (self.lines, self.rows, self.steps)
+    }
+}
+
+/// The design of a test, scalar measurements whitened.
+///
+/// A *row* is a scalar measurement of the test. Rows of equal steps have one *line*: terms and noise are kept once.
+#[derive(Debug, Clone)]
+pub struct Design {
+    pub frame: Arc<StateFrame>,
+    /// P0 on the reachable states, r × r, row-major; the lower triangle counts.
+    pub variance: Vec<f64>,
+    /// The transitions, each for as many runs on end as have it.
+    pub(crate) moves: Vec<Arc<Transition>>,
+    pub(crate) runs: Vec<EqualSteps>,
+    /// End of the terms of each line.
+    pub(crate) ends: Vec<usize>,
+    /// States of the terms, ascending within a line.
+    pub(crate) states: Vec<u32>,
+    /// Their coefficients h.
+    pub(crate) h: Vec<f64>,
+    /// R, one variance for each line.
+    pub noise: Vec<f64>,
+    /// All steps are gone over one by one, as where tests stand side by side: most are in no long stretch of equal ones.
+    pub(crate) stepwise: bool,
+}
+
+/// A run and where it stands.
+#[derive(Debug, Clone)]
+pub struct Stretch<'a> {
+    pub(crate) transition: Option<&'a Arc<Transition>>,
+    pub(crate) lines: Range<usize>,
+    pub(crate) count: usize,
+    /// Its scalar measurements, step after step.
+    pub(crate) rows: Range<usize>,
+}
+
+/// One step of a test.
+#[derive(Debug, Clone)]
+pub struct DesignStep<'a> {
+    pub transition: Option<&'a Arc<Transition>>,
+    pub lines: Range<usize>,
+    /// Its scalar measurements: row `rows.start + i` has line `lines.start + i`.
+    pub rows: Range<usize>,
+}
+
+impl<'a> Stretch<'a> {
+    /// Its steps, in order.
+    pub(crate) fn steps(&self) -> impl DoubleEndedIterator<Item = DesignStep<'a>> + use<'a> {
+        let (transition, lines, row) = (self.transition, self.lines.clone(), self.rows.start);
+        let width = lines.len();
+        (0..self.count).map(move |k| {
+            let first = row + k * width;
+            DesignStep { transition, lines: lines.clone(), rows: first..first + width }
+        })
+    }
+}
+
+impl Design {
+    /// The pattern of the first transition, which is that of all where they are a model's.
+    pub(crate) fn pattern(&self) -> Option<&Arc<Pattern>> {
+        self.moves.first().map(|transition| &transition.pattern)
+    }
+
+    /// States that noise reaches or that move in a stretch: the first ones of the kernels' order.
+    pub(crate) fn moving(&self, stretch: &Stretch<'_>) -> usize {
+        let last = stretch.transition.and_then(|transition| transition.pattern.moved.last());
+        self.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
+    }
+
+    /// How many states move in a stretch of more than `few` equal steps of one scalar measurement, without known inputs.
+    pub(crate) fn equal_moving(&self, stretch: &Stretch<'_>, few: usize) -> Option<usize> {
+        let plain = stretch.count > few && stretch.lines.len() == 1 && self.frame.driven.is_empty();
+        plain.then(|| self.moving(stretch))
+    }
+
+    pub(crate) fn new(frame: Arc<StateFrame>) -> Design {
+        let variance = vec![0.0; frame.r * frame.r];
+        Design {
+            frame,
+            variance,
+            moves: Vec::new(),
+            runs: Vec::new(),
+            ends: Vec::new(),
+            states: Vec::new(),
+            h: Vec::new(),
+            noise: Vec::new(),
+            stepwise: false,
+        }
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.variance.fill(0.0);
+        self.moves.clear();
+        self.runs.clear();
+        self.ends.clear();
+        self.states.clear();
+        self.h.clear();
+        self.noise.clear();
+        self.stepwise = false;
+    }
+
+    /// Finds whether it is stepwise, once all steps are there.
+    pub(crate) fn complete(&mut self) {
+        let long = self.runs.iter().map(|run| run.count).filter(|&count| count > FEW).sum();
+        self.stepwise = !is_most(long, self.steps());
+    }
+
+    /// Whether so many equal steps are gone over at once, as far as they are equal.
+    #[inline(always)]
+    pub(crate) fn is_long(&self, count: usize) -> bool {
+        count > FEW && !self.stepwise
+    }
+
+    /// (states, coefficients) of a line.
+    #[inline(always)]
+    pub fn terms(&self, line: usize) -> (&[u32], &[f64]) {
+        let start = if line == 0 { 0 } else { self.ends[line - 1] };
+        (&self.states[start..self.ends[line]], &self.h[start..self.ends[line]])
+    }
+
+    /// Where the rows end that are of the same block of so many steps as a row: which rows those are does not depend on tests beside
+    /// this one.
+    pub(crate) fn block_end(&self, row: usize, steps: usize) -> usize {
+        let start = |run: usize| if run == 0 { (0, 0, 0) } else { self.runs[run - 1].ends() };
+        let run = self.runs.partition_point(|run| run.rows <= row);
+        let ((lines, rows, first), own) = (start(run), &self.runs[run]);
+        let step = first + (row - rows) / (own.lines - lines);
+        let last = (step / steps + 1) * steps;
+        let run = self.runs.partition_point(|run| run.steps <= last);
+        let ((lines, rows, first), Some(own)) = (start(run), self.runs.get(run)) else { return self.rows() };
+        rows + (last - first) * (own.lines - lines)
+    }
+
+    /// The transition of a run.
+    #[inline(always)]
+    pub(crate) fn transition(&self, run: &EqualSteps) -> Option<&Arc<Transition>> {
+        run.transition.map(|number| &self.moves[number as usize])
+    }
+
+    /// Number of scalar measurements.
+    pub(crate) fn rows(&self) -> usize {
+        self.runs.last().map_or(0, |run| run.rows)
+    }
+
+    /// Number of steps.
+    pub fn steps(&self) -> usize {
+        self.runs.last().map_or(0, |run| run.steps)
+    }
+
+    /// The step with this number.
+    pub fn step(&self, k: usize) -> DesignStep<'_> {
+        // where no steps are equal each is a run
+        let own = self.runs.get(k).is_some_and(|run| run.steps == k + 1);
+        let at = if own { k } else { self.runs.partition_point(|run| run.steps <= k) };
+        let run = &self.runs[at];
+        let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+        let first = row + (k + run.count - run.steps) * (run.lines - line);
+        let rows = first..first + run.lines - line;
+        DesignStep { transition: self.transition(run), lines: line..run.lines, rows }
+    }
+
+    /// Its runs, in order.
+    pub(crate) fn stretches(&self) -> impl DoubleEndedIterator<Item = Stretch<'_>> {
+        (0..self.runs.len()).map(|at| self.stretch(at))
+    }
+
+    /// The run with this number.
+    pub(crate) fn stretch(&self, at: usize) -> Stretch<'_> {
+        let run = &self.runs[at];
+        let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
+        Stretch { transition: self.transition(run), lines: line..run.lines, count: run.count, rows: row..run.rows }
+    }
+
+    /// All steps, in order.
+    pub fn each_step(&self) -> impl DoubleEndedIterator<Item = DesignStep<'_>> {
+        self.stretches().flat_map(|stretch| stretch.steps())
+    }
+
+    /// Appends a step whose lines were appended already: a run of its own.
+    pub(crate) fn push_step(&mut self, transition: Option<&Arc<Transition>>) {
+        let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
+        let lines = self.ends.len();
+        let transition = transition.map(|transition| {
+            if !self.is_latest(transition) {
+                self.moves.push(transition.clone());
+            }
+            self.moves.len() as u32 - 1
+        });
+        self.runs.push(EqualSteps { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
+    }
+
+    /// True for the very transition that came last.
+    ///
+    /// One made from other coefficients, or over another time, can be equal too, but its derivatives differ.
+    #[inline]
+    fn is_latest(&self, transition: &Arc<Transition>) -> bool {
+        self.moves.last().is_some_and(|last| Arc::ptr_eq(last, transition))
+    }
+
+    /// So many more steps like the last one.
+    pub(crate) fn repeat(&mut self, many: usize) {
+        let at = self.runs.len() - 1;
+        let before = if at == 0 { 0 } else { self.runs[at - 1].lines };
+        let run = &mut self.runs[at];
+        run.count += many;
+        run.steps += many;
+        run.rows += many * (run.lines - before);
+    }
+
+    /// [`Design::push_step`]; a step like the last one, with the very same transition, joins its run.
+    #[inline]
+    pub(crate) fn join_step(&mut self, transition: Option<&Arc<Transition>>) {
+        if self.is_repeated(transition) {
+            let line = self.runs[self.runs.len() - 1].lines;
+            let term = if line == 0 { 0 } else { self.ends[line - 1] };
+            self.ends.truncate(line);
+            self.noise.truncate(line);
+            self.states.truncate(term);
+            self.h.truncate(term);
+            self.repeat(1);
+        } else {
+            self.push_step(transition);
+        }
+    }
+
+    /// True when the lines that no run has yet, and this transition, are those of the last run.
+    #[inline]
+    fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {
+        let Some(at) = self.runs.len().checked_sub(1) else { return false };
+        let (lines, fresh) = (self.stretch(at).lines, self.runs[at].lines..self.ends.len());
+        let moves_alike = match (self.runs[at].transition, transition) {
+            (Some(_), Some(transition)) => self.is_latest(transition),
+            (None, None) => true,
+            _ => false,
+        };
+        let terms = |lines: &Range<usize>| {
+            let start = |line: usize| if line == 0 { 0 } else { self.ends[line - 1] };
+            start(lines.start)..start(lines.end)
+        };
+        let (old, new) = (terms(&lines), terms(&fresh));
+        let same_shape = || {
+            let length = |line: usize| self.terms(line).0.len();
+            lines.clone().zip(fresh.clone()).all(|(a, b)| length(a) == length(b))
+        };
+        lines.len() == fresh.len()
+            && moves_alike
+            && old.len() == new.len()
+            && same_bits(&self.h[old.clone()], &self.h[new.clone()])
+            && same_shape()
+            && self.states[old] == self.states[new]
+            && same_bits(&self.noise[lines], &self.noise[fresh])
+    }
+
+    /// Bytes it occupies, transitions apart.
+    pub(crate) fn bytes(&self) -> usize {
+        8 * (self.variance.len() + 6 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200
+    }
+}
+
+/// Equal bit for bit.
+pub fn same_bits(a: &[f64], b: &[f64]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
+}

@@ -1,0 +1,307 @@
+//! The motion of a model at α: its coefficients, and which states hang together.
+
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses, reads_data};
+use kalfit_model::{Motion, Scope};
+
+/// Coefficients in slots: fixed ones are in place, the others are evaluated on each step.
+#[derive(Debug, Clone, Default)]
+pub struct Table {
+    /// Values, 0 where they vary.
+    pub fixed: Vec<f64>,
+    /// (slot, coefficient, it is a variance).
+    pub(crate) varying: Vec<(usize, Coefficient, bool)>,
+    /// (slot, coefficient): those of the fixed that depend on free parameters.
+    pub(crate) free: Vec<(usize, Coefficient)>,
+}
+
+impl Table {
+    /// A slot for a coefficient; `None` for one that is zero.
+    fn add(&mut self, coefficient: Coefficient, variance: bool) -> Option<usize> {
+        if coefficient.is_zero() {
+            return None;
+        }
+        let slot = self.fixed.len();
+        self.fixed.push(coefficient.constant().unwrap_or(0.0));
+        match coefficient {
+            Coefficient::Fixed(_) => {}
+            free @ Coefficient::Free(..) => self.free.push((slot, free)),
+            varying @ Coefficient::Varying(..) => self.varying.push((slot, varying, variance)),
+        }
+        Some(slot)
+    }
+
+    /// All values on a row.
+    pub(crate) fn evaluate(
+        &self,
+        at: &ModelAt<'_>,
+        scope: &Scope<'_>,
+        values: &mut Vec<f64>,
+    ) -> Result<(), Box<Fault>> {
+        self.evaluate_some(at, scope, |_| true, values)
+    }
+
+    /// Values on a row, 0 where they vary and the slot is not needed.
+    pub(crate) fn evaluate_some(
+        &self,
+        at: &ModelAt<'_>,
+        scope: &Scope<'_>,
+        needed: impl Fn(usize) -> bool,
+        values: &mut Vec<f64>,
+    ) -> Result<(), Box<Fault>> {
+        values.clone_from(&self.fixed);
+        for (slot, coefficient, variance) in self.varying.iter().filter(|(slot, ..)| needed(*slot)) {
+            values[*slot] =
+                if *variance { at.variance_value(coefficient, scope)? } else { at.value(coefficient, scope)? };
+        }
+        Ok(())
+    }
+
+    /// True when the slot's value is read from the data.
+    pub(crate) fn reads_data(&self, slot: usize) -> bool {
+        self.varying.iter().any(|(s, coefficient, _)| *s == slot && reads_data(coefficient))
+    }
+}
+
+/// F and Q, m × m, from the slots of their entries (i, j, slot).
+pub(crate) fn matrices(
+    m: usize,
+    [rates, noise]: [&[(usize, usize, usize)]; 2],
+    value: impl Fn(usize) -> f64,
+) -> (Vec<f64>, Vec<f64>) {
+    let (mut f, mut q) = (vec![0.0; m * m], vec![0.0; m * m]);
+    for &(i, j, slot) in rates {
+        f[i * m + j] = value(slot);
+    }
+    for &(i, j, slot) in noise {
+        q[i * m + j] = value(slot);
+        q[j * m + i] = value(slot);
+    }
+    (f, q)
+}
+
+/// States of continuous motion that depend on each other. Indices i, j count within the component.
+#[derive(Debug, Clone, Default)]
+pub struct Component {
+    /// States of the model.
+    pub states: Vec<usize>,
+    /// (i, j, slot): dx_i/dt contains the coefficient times x_j.
+    pub(crate) rates: Vec<(usize, usize, usize)>,
+    /// (i, state, slot): it contains the coefficient times a state that is held over the step.
+    pub(crate) held: Vec<(usize, usize, usize)>,
+    /// (i, j, slot), i ≥ j: driving noise.
+    pub(crate) noise: Vec<(usize, usize, usize)>,
+    /// Slot of the input of each state, in [`Dynamics::inputs`].
+    pub inputs: Vec<Option<usize>>,
+    /// m × m: entry (i, j) of exp(Fδ) can be other than that of the identity, or i = j.
+    pub(crate) closure: Vec<bool>,
+}
+
+/// A state of discrete motion.
+#[derive(Debug, Clone)]
+pub struct Recursion {
+    pub state: usize,
+    /// (state, slot), ascending.
+    pub(crate) terms: Vec<(usize, usize)>,
+    pub input: Option<usize>,
+}
+
+/// The motion of a model at α.
+#[derive(Debug, Clone, Default)]
+pub struct Dynamics {
+    /// Coefficients of φ and Q.
+    pub table: Table,
+    /// Known inputs.
+    pub inputs: Table,
+    pub components: Vec<Component>,
+    pub recursions: Vec<Recursion>,
+    /// (state, state, slot): noise of discrete motion, each pair once.
+    pub(crate) noise: Vec<(usize, usize, usize)>,
+    /// Columns of all coefficients.
+    pub(crate) uses: Uses,
+}
+
+impl Dynamics {
+    pub(crate) fn new(at: &ModelAt<'_>) -> Result<Dynamics, Box<Fault>> {
+        let mut dynamics = Dynamics::default();
+        let covariances = dynamics.covariances(at)?;
+        let continuous = |i: usize| matches!(at.model.states[i].motion, Motion::Continuous { .. });
+        let n = at.model.states.len();
+        let mut links: Vec<(usize, usize)> = covariances.iter().map(|&(i, j, _)| (i, j)).collect();
+        let mut rates = Vec::new();
+        for i in 0..n {
+            match &at.model.states[i].motion {
+                Motion::Constant => {}
+                Motion::Continuous { derivative, noise_variance } => {
+                    let subject = Subject::Derivative(i);
+                    for (j, coefficient) in &derivative.terms {
+                        let coefficient = at.coefficient(coefficient, subject)?;
+                        if let Some(slot) = dynamics.slot(at, coefficient, false) {
+                            rates.push((i, *j, slot));
+                            links.push((i, *j));
+                        }
+                    }
+                    dynamics.own_noise(at, i, noise_variance)?;
+                }
+                Motion::Discrete { next, noise_variance } => {
+                    let mut terms = Vec::new();
+                    for (j, coefficient) in &next.terms {
+                        let coefficient = at.coefficient(coefficient, Subject::Next(i))?;
+                        terms.extend(dynamics.slot(at, coefficient, false).map(|slot| (*j, slot)));
+                    }
+                    let input = dynamics.input(at, &next.constant, Subject::Next(i))?;
+                    dynamics.recursions.push(Recursion { state: i, terms, input });
+                    dynamics.own_noise(at, i, noise_variance)?;
+                }
+            }
+        }
+        dynamics.noise.extend(covariances);
+        let nodes: Vec<usize> = (0..n).filter(|&i| continuous(i)).collect();
+        for states in connected(&nodes, &links) {
+            let component = dynamics.component(at, states, &rates)?;
+            dynamics.components.push(component);
+        }
+        dynamics.noise.retain(|&(i, _, _)| !continuous(i)); // the rest is in components
+        Ok(dynamics)
+    }
+
+    /// States with a known input.
+    pub(crate) fn driven(&self) -> impl Iterator<Item = usize> {
+        let recursions = self.recursions.iter().filter(|recursion| recursion.input.is_some()).map(|r| r.state);
+        let components = self.components.iter().flat_map(|component| {
+            let m = component.states.len();
+            let driven = move |&i: &usize| (0..m).any(|k| component.inputs[k].is_some() && component.depends(i, k));
+            (0..m).filter(driven).map(|i| component.states[i])
+        });
+        recursions.chain(components)
+    }
+
+    /// Noises of several states are correlated, and not the same on every row.
+    pub(crate) fn mixes_on_rows(&self) -> bool {
+        let varies = |slot: usize| self.table.varying.iter().any(|(other, ..)| *other == slot);
+        let mut noise = self.noise.iter().chain(self.components.iter().flat_map(|component| &component.noise));
+        noise.any(|&(i, j, slot)| i != j && varies(slot))
+    }
+
+    fn slot(&mut self, at: &ModelAt<'_>, coefficient: Coefficient, variance: bool) -> Option<usize> {
+        self.uses.add(&coefficient, at.alpha);
+        self.table.add(coefficient, variance)
+    }
+
+    fn input(
+        &mut self,
+        at: &ModelAt<'_>,
+        constant: &kalfit_model::Expression,
+        subject: Subject,
+    ) -> Result<Option<usize>, Box<Fault>> {
+        let coefficient = at.coefficient(constant, subject)?;
+        self.uses.add(&coefficient, at.alpha);
+        Ok(self.inputs.add(coefficient, false))
+    }
+
+    fn own_noise(&mut self, at: &ModelAt<'_>, i: usize, variance: &kalfit_model::Expression) -> Result<(), Box<Fault>> {
+        let coefficient = at.variance(variance, Subject::ProcessNoise(i))?;
+        if let Some(slot) = self.slot(at, coefficient, true) {
+            self.noise.push((i, i, slot));
+        }
+        Ok(())
+    }
+
+    /// process_noise_covariance, checked: (state, state, slot).
+    fn covariances(&mut self, at: &ModelAt<'_>) -> Result<Vec<(usize, usize, usize)>, Box<Fault>> {
+        let mut found = Vec::new();
+        for (i, j, expression) in &at.model.process_noise_covariance {
+            let (i, j) = (*i, *j);
+            let subject = Subject::ProcessCovariance(i, j);
+            let name = |i: usize| at.model.states[i].name.clone();
+            let continuous = |i: usize| matches!(at.model.states[i].motion, Motion::Continuous { .. });
+            if i == j {
+                return Err(Fault::new(subject, ReduceErrorKind::SelfCovariance { name: name(i) }));
+            }
+            if continuous(i) != continuous(j) {
+                let (a, b) = if continuous(i) { (i, j) } else { (j, i) };
+                let kind = ReduceErrorKind::MixedCovariance { continuous: name(a), discrete: name(b) };
+                return Err(Fault::new(subject, kind));
+            }
+            let coefficient = at.coefficient(expression, subject)?;
+            if let Some(slot) = self.slot(at, coefficient, false) {
+                found.push((i, j, slot));
+            }
+        }
+        Ok(found)
+    }
+
+    fn component(
+        &mut self,
+        at: &ModelAt<'_>,
+        states: Vec<usize>,
+        rates: &[(usize, usize, usize)],
+    ) -> Result<Component, Box<Fault>> {
+        let m = states.len();
+        let local = |state: usize| states.binary_search(&state).ok();
+        let mut component = Component { closure: vec![false; m * m], ..Component::default() };
+        for &(i, j, slot) in rates {
+            let Some(row) = local(i) else { continue };
+            match local(j) {
+                Some(column) => {
+                    component.rates.push((row, column, slot));
+                    component.closure[row * m + column] = true;
+                }
+                None => component.held.push((row, j, slot)),
+            }
+        }
+        for &(i, j, slot) in &self.noise {
+            if let (Some(i), Some(j)) = (local(i), local(j)) {
+                component.noise.push((i.max(j), i.min(j), slot));
+            }
+        }
+        for &state in &states {
+            let Motion::Continuous { derivative, .. } = &at.model.states[state].motion else { continue };
+            let input = self.input(at, &derivative.constant, Subject::Derivative(state))?;
+            component.inputs.push(input);
+        }
+        // Of the identity the diagonal counts only for what others depend on, see `Component::still`.
+        close(&mut component.closure, m);
+        component.states = states;
+        Ok(component)
+    }
+}
+
+impl Component {
+    /// Row i of φ is a row of the identity.
+    pub(crate) fn still(&self, i: usize) -> bool {
+        let m = self.states.len();
+        !self.closure[i * m..][..m].contains(&true) && self.held.iter().all(|&(row, ..)| row != i)
+    }
+
+    /// Entry (i, j) of φ, Γ can be other than zero.
+    pub(crate) fn depends(&self, i: usize, j: usize) -> bool {
+        i == j || self.closure[i * self.states.len() + j]
+    }
+}
+
+/// Transitive closure.
+pub(crate) fn close(reach: &mut [bool], m: usize) {
+    for k in 0..m {
+        for i in 0..m {
+            if reach[i * m + k] {
+                for j in 0..m {
+                    reach[i * m + j] |= reach[k * m + j];
+                }
+            }
+        }
+    }
+}
+
+/// Sets of nodes (ascending) that links connect; links to other nodes do not count.
+pub(crate) fn connected(nodes: &[usize], links: &[(usize, usize)]) -> Vec<Vec<usize>> {
+    let mut set: Vec<usize> = (0..nodes.len()).collect();
+    for (i, j) in links {
+        if let (Ok(i), Ok(j)) = (nodes.binary_search(i), nodes.binary_search(j)) {
+            let (keep, drop) = (set[i].min(set[j]), set[i].max(set[j]));
+            set.iter_mut().filter(|s| **s == drop).for_each(|s| *s = keep);
+        }
+    }
+    let members = |s: usize| nodes.iter().zip(&set).filter(|&(_, of)| *of == s).map(|(&node, _)| node).collect();
+    (0..nodes.len()).map(members).filter(|members: &Vec<usize>| !members.is_empty()).collect()
+}

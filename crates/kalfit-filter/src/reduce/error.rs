@@ -1,0 +1,338 @@
+//! Why a test has no reduction.
+
+use std::fmt;
+
+use crate::reduce::semidefinite::NotSemidefinite;
+use kalfit_model::{Label, Source};
+
+/// A refusal: which test, which row, what was computed, and what was wrong with it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReduceError {
+    /// Id of the test; `None` when the model at α is at fault, whatever the test.
+    pub test: Option<String>,
+    /// The row, where one is to blame.
+    pub row: Option<Source>,
+    /// What was being computed, in words: "noise variance of measurement `gyro`".
+    pub what: String,
+    /// What was wrong.
+    pub kind: Box<ReduceErrorKind>,
+}
+
+/// A cell of the data, as a message shows it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Cell {
+    /// Of a numeric column.
+    Number(f64),
+    /// Of a text column.
+    Text(Label),
+}
+
+impl fmt::Display for Cell {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Cell::Number(x) => write!(f, "{x}"),
+            Cell::Text(label) => write!(f, "text {}", label.index()),
+        }
+    }
+}
+
+/// What was wrong.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ReduceErrorKind {
+    /// A cell that is needed is empty.
+    #[error("the cell of column `{column}` is empty, and it is needed")]
+    MissingCell {
+        /// Name of the column.
+        column: String,
+    },
+    /// A parameter has no value at the level of the row.
+    #[error("parameter `{parameter}` has no value for the level of this row")]
+    NoLevel {
+        /// Name of the parameter.
+        parameter: String,
+        /// The level.
+        level: Label,
+    },
+    /// A coefficient is infinite or undefined.
+    #[error("the value is not a finite number")]
+    NotFinite,
+    /// A cell is infinite.
+    #[error("the cell of column `{column}` is {value}, expected a finite number")]
+    InfiniteCell {
+        /// Name of the column.
+        column: String,
+        /// The cell.
+        value: f64,
+    },
+    /// A variance is below zero.
+    #[error("found a variance of {value}, expected 0 or more")]
+    NegativeVariance {
+        /// The variance.
+        value: f64,
+    },
+    /// A covariance matrix is not positive semidefinite.
+    #[error(
+        "the covariance matrix is not positive semidefinite: {left:.3e} of variance {variance:.3e} is left after regression on the others"
+    )]
+    NotSemidefinite {
+        /// What is left of a variance when the others are given, or minus a covariance that no variance can carry.
+        left: f64,
+        /// That variance.
+        variance: f64,
+    },
+    /// A matrix is not symmetric.
+    #[error("the matrix is not symmetric: {upper} above the diagonal, {lower} below")]
+    NotSymmetric {
+        /// One entry.
+        upper: f64,
+        /// Its mirror image.
+        lower: f64,
+    },
+    /// A covariance joins a thing with itself.
+    #[error("found a covariance of `{name}` with itself, expected two different names")]
+    SelfCovariance {
+        /// Its name.
+        name: String,
+    },
+    /// A covariance joins continuous and discrete motion.
+    #[error("`{continuous}` moves in continuous time and `{discrete}` does not: their noises cannot be correlated")]
+    MixedCovariance {
+        /// State of continuous motion.
+        continuous: String,
+        /// The other state.
+        discrete: String,
+    },
+    /// Which instances of two measurements are correlated is not clear.
+    #[error("`{first}` and `{second}` are measured several times in different rows of one step")]
+    AmbiguousCovariance {
+        /// Name of the one.
+        first: String,
+        /// Name of the other.
+        second: String,
+    },
+    /// x_0 lies after the first row.
+    #[error("the initial time {initial} is later than the first row's time {first}")]
+    InitialTimeAfterStart {
+        /// Time of x_0.
+        initial: f64,
+        /// Time of the first row.
+        first: f64,
+    },
+    /// `initial_time` without `time`.
+    #[error("an initial time is given, but the rows have no times")]
+    InitialTimeWithoutTime,
+    /// The length of the step before the first row is needed and not known.
+    #[error("the time from x_0 to the first row is not known")]
+    UnknownFirstStep,
+    /// Times decrease.
+    #[error("time {time} follows time {previous}")]
+    TimeBackwards {
+        /// Time of the row before.
+        previous: f64,
+        /// Time of the row.
+        time: f64,
+    },
+    /// Times are so large that they do not tell the steps between them.
+    #[error(
+        "times as large as {time} are known to {grid:.3e}, which is no small part of a step ({step:.3e} on average)"
+    )]
+    TimesTooLarge {
+        /// The last time.
+        time: f64,
+        /// How far apart numbers of its size are.
+        grid: f64,
+        /// Mean length of a step.
+        step: f64,
+    },
+    /// A column that belongs to the test as a whole varies within it.
+    #[error("column `{column}` varies within the test: {first} and {second}")]
+    Varies {
+        /// Name of the column.
+        column: String,
+        /// A cell.
+        first: Cell,
+        /// A later cell.
+        second: Cell,
+    },
+    /// Rows of one step disagree in a column that its transition uses.
+    #[error("rows of one step disagree in column `{column}`: {first} and {second}")]
+    StepConflict {
+        /// Name of the column.
+        column: String,
+        /// A cell.
+        first: Cell,
+        /// A later cell.
+        second: Cell,
+    },
+    /// There is no stationary distribution.
+    #[error("the motion has no stationary distribution: it is not stable ({})", states.join(", "))]
+    Unstable {
+        /// States concerned.
+        states: Vec<String>,
+    },
+    /// A stationary state depends on one that is not.
+    #[error("`{state}` starts in its stationary distribution but depends on `{other}`, which does not")]
+    StationaryOpen {
+        /// The stationary state.
+        state: String,
+        /// What it depends on.
+        other: String,
+    },
+    /// Continuous and discrete stationary states depend on each other.
+    #[error(
+        "`{state}` and `{other}` have no stationary distribution together: one moves in continuous time, the other from step to step"
+    )]
+    StationaryMixed {
+        /// One state.
+        state: String,
+        /// The other.
+        other: String,
+    },
+    /// A stationary state has an input that depends on the data.
+    #[error("`{state}` starts in its stationary distribution, but its input depends on the data")]
+    StationaryInput {
+        /// The state.
+        state: String,
+    },
+    /// A measurement determines a combination of the estimated states exactly.
+    #[error("a combination of estimated states is measured without any noise")]
+    ExactMeasurement,
+    /// What was measured cannot be.
+    #[error("measured without any noise, the value is off by {residual:.3e}, which is impossible")]
+    Impossible {
+        /// Measured minus only possible value.
+        residual: f64,
+    },
+    /// A phase whose estimates are wanted has no filter.
+    #[error("it has no filter, so nothing makes estimates of it")]
+    NoFilter,
+    /// The filter takes other measurements of a test than the model.
+    #[error(
+        "by its own parameters the filter takes {found} measurements, and other ones than the {expected} of the model"
+    )]
+    OtherMeasurements {
+        /// How many the filter takes.
+        found: usize,
+        /// How many the model has.
+        expected: usize,
+    },
+    /// What estimates say of a direction in which they are not random is not so.
+    #[error("where they are not random, the estimates are off by {residual:.3e}, expected {allowed:.1e} at most")]
+    Inconsistent {
+        /// Estimate minus its only possible value, in standard deviations where elements are random.
+        residual: f64,
+        /// What rounding allows.
+        allowed: f64,
+    },
+    /// A free parameter decides something that jumps.
+    #[error("it depends on the free parameter `{parameter}`, expected parameters that are fixed")]
+    FreeParameter {
+        /// Its name.
+        parameter: String,
+    },
+    /// Something is missing of a phase that was reduced or estimated before.
+    #[error("the {what} is missing, and it is needed")]
+    Absent {
+        /// What.
+        what: &'static str,
+    },
+    /// A reduction made before has a row with a negative diagonal.
+    #[error("found {value} on the diagonal of the factor, expected 0 or more")]
+    NegativeDiagonal {
+        /// The entry.
+        value: f64,
+    },
+    /// The test has more phases than the model.
+    #[error("found {found} phases, expected {expected} at most")]
+    TooManyPhases {
+        /// Phases of the test.
+        found: usize,
+        /// Phases of the model.
+        expected: usize,
+    },
+    /// The test has no rows.
+    #[error("the test has no rows")]
+    NoRows,
+    /// A matrix or vector has the wrong shape.
+    #[error("found {} x {}, expected {} x {}", found.0, found.1, expected.0, expected.1)]
+    Shape {
+        /// Rows and columns found.
+        found: (usize, usize),
+        /// Rows and columns expected.
+        expected: (usize, usize),
+    },
+}
+
+impl From<NotSemidefinite> for ReduceErrorKind {
+    fn from(NotSemidefinite { left, variance }: NotSemidefinite) -> ReduceErrorKind {
+        ReduceErrorKind::NotSemidefinite { left, variance }
+    }
+}
+
+/// An error of a test, or of the model.
+pub(crate) fn refuse(test: Option<&str>, what: &str, kind: impl Into<ReduceErrorKind>) -> ReduceError {
+    ReduceError { test: test.map(str::to_owned), row: None, what: what.to_owned(), kind: Box::new(kind.into()) }
+}
+
+/// A matrix or vector has the shape that it must have.
+pub(crate) fn of_shape(found: (usize, usize), expected: (usize, usize)) -> Result<(), ReduceErrorKind> {
+    if found == expected { Ok(()) } else { Err(ReduceErrorKind::Shape { found, expected }) }
+}
+
+/// All numbers are finite.
+pub(crate) fn finite(numbers: &[f64]) -> Result<(), ReduceErrorKind> {
+    if numbers.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(ReduceErrorKind::NotFinite) }
+}
+
+impl fmt::Display for ReduceError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (&self.test, self.row) {
+            (Some(test), Some(row)) => write!(f, "test `{test}`, row {}: ", row.row)?,
+            (Some(test), None) => write!(f, "test `{test}`: ")?,
+            _ => {}
+        }
+        write!(f, "{}: {}", self.what, self.kind)
+    }
+}
+
+impl std::error::Error for ReduceError {}
+
+impl ReduceError {
+    /// What to do about it, where that is plain.
+    pub fn hint(&self) -> Option<&'static str> {
+        Some(match &*self.kind {
+            ReduceErrorKind::MissingCell { .. } => "fill the cell, or leave the measured value empty too",
+            ReduceErrorKind::NoLevel { .. } => "give the parameter a value for this level, or let it be estimated",
+            ReduceErrorKind::NegativeVariance { .. } => {
+                "a `noise` is a standard deviation; `variance` must be 0 or more"
+            }
+            ReduceErrorKind::NotSemidefinite { .. } => "make the covariances smaller or the variances larger",
+            ReduceErrorKind::AmbiguousCovariance { .. } => "put correlated measurements in the same row",
+            ReduceErrorKind::InitialTimeAfterStart { .. } => "`initial_time` must not be later than the first row",
+            ReduceErrorKind::InitialTimeWithoutTime => "give `time` in [data], or leave out `initial_time`",
+            ReduceErrorKind::UnknownFirstStep => "give `initial_time` in [data]",
+            ReduceErrorKind::TimeBackwards { .. } => "sort the rows of each test by time",
+            ReduceErrorKind::TimesTooLarge { .. } => {
+                "count times from the start of each test: subtract its first time before the data are written"
+            }
+            ReduceErrorKind::Varies { .. } => "such a column must have one value per test",
+            ReduceErrorKind::StepConflict { .. } => {
+                "rows of equal time are one step: give the value in one of them, or the same value in each"
+            }
+            ReduceErrorKind::Unstable { .. }
+            | ReduceErrorKind::StationaryOpen { .. }
+            | ReduceErrorKind::StationaryMixed { .. }
+            | ReduceErrorKind::StationaryInput { .. } => {
+                "give `initial = { mean, sigma }` or `initial = \"estimated\"`"
+            }
+            ReduceErrorKind::FreeParameter { .. } => {
+                "give the parameter a value: which rows count, and when x_0 is, cannot be estimated"
+            }
+            ReduceErrorKind::ExactMeasurement => "give the measurement some noise",
+            ReduceErrorKind::Impossible { .. } => {
+                "give the measurement or the process some noise, or correct the value"
+            }
+            _ => return None,
+        })
+    }
+}

@@ -1,0 +1,137 @@
+//! Which scalar measurements of a design are exact: those that determine h'Ψξ, for nothing else moves what they see (theory §13).
+//!
+//! One that is a combination of those before it says nothing, and must be what they make it.
+
+use crate::reduce::data::{Miss, ROUNDING};
+use kalfit_model::ExactRows;
+
+/// Entries that are this part of their terms are zero.
+pub(crate) const INSENSITIVE: f64 = 1e-11;
+
+/// The exact measurements of a design.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct ExactDesign {
+    /// C, q × p by rows.
+    pub(crate) coefficients: Vec<f64>,
+    /// All of them in their order, those that say nothing new too.
+    measurements: Vec<ExactMeasurement>,
+    /// C after elimination, of which row i is zero at the pivots of the rows before it.
+    reduced: Vec<f64>,
+    pivots: Vec<usize>,
+}
+
+/// One of them.
+#[derive(Debug, Clone)]
+struct ExactMeasurement {
+    row: usize,
+    /// How many times each of the reduced rows before it is taken away.
+    multipliers: Vec<f64>,
+    /// It says something that they do not.
+    is_new: bool,
+}
+
+impl ExactDesign {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.measurements.is_empty()
+    }
+
+    /// The rows of a test of which no value is known; `None` where there are none.
+    pub(crate) fn blank(&self) -> Option<Box<ExactRows>> {
+        let values = vec![0.0; self.pivots.len()];
+        (!self.is_empty()).then(|| Box::new(ExactRows { coefficients: self.coefficients.clone(), values }))
+    }
+
+    /// Whether a scalar measurement is among them.
+    pub(crate) fn has(&self, row: usize) -> bool {
+        self.measurements.binary_search_by_key(&row, |measurement| measurement.row).is_ok()
+    }
+
+    /// Their numbers among the scalar measurements.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = usize> {
+        self.measurements.iter().map(|measurement| measurement.row)
+    }
+
+    /// Numbers that it keeps.
+    pub(crate) fn len(&self) -> usize {
+        self.coefficients.len() + self.reduced.len() + self.pivots.len() * self.measurements.len()
+    }
+
+    /// Takes in scalar measurement `row`, whose sensitivity is T with terms of these sizes. Says whether it is new.
+    pub(crate) fn take(&mut self, row: usize, sensitivity: &[f64], mut terms: Vec<f64>) -> bool {
+        let p = sensitivity.len();
+        let (mut left, mut multipliers) = (sensitivity.to_vec(), Vec::with_capacity(self.pivots.len()));
+        for (&pivot, reduced) in self.pivots.iter().zip(self.reduced.chunks_exact(p)) {
+            let multiplier = left[pivot] / reduced[pivot];
+            for ((left, terms), reduced) in left.iter_mut().zip(&mut terms).zip(reduced) {
+                *left -= multiplier * reduced;
+                *terms += (multiplier * reduced).abs();
+            }
+            left[pivot] = 0.0;
+            multipliers.push(multiplier);
+        }
+        let seen = |k: usize| left[k].abs() > INSENSITIVE * terms[k];
+        // where the fewest digits were lost
+        let better = |a: &usize, b: &usize| (left[*a].abs() / terms[*a]).total_cmp(&(left[*b].abs() / terms[*b]));
+        let pivot = (0..p).rev().filter(|&k| seen(k)).max_by(better);
+        self.measurements.push(ExactMeasurement { row, multipliers, is_new: pivot.is_some() });
+        if let Some(pivot) = pivot {
+            self.coefficients.extend_from_slice(sensitivity);
+            self.reduced.extend_from_slice(&left);
+            self.pivots.push(pivot);
+        }
+        pivot.is_some()
+    }
+
+    /// C and g from the innovations at ξ = 0 of a test, and the sizes of their terms, in the order of these measurements.
+    pub(crate) fn rows_of(&self, e: &[f64], sizes: &[f64]) -> Result<ExactRows, Miss> {
+        let (mut values, mut reduced) = (Vec::new(), Vec::<(f64, f64)>::new());
+        for (measurement, &size) in self.measurements.iter().zip(sizes) {
+            let value = e[measurement.row];
+            let (mut left, mut size) = (value, size);
+            for (multiplier, (before, size_before)) in measurement.multipliers.iter().zip(&reduced) {
+                left -= multiplier * before;
+                size += (multiplier * size_before).abs();
+            }
+            if measurement.is_new {
+                values.push(value);
+                reduced.push((left, size));
+            } else if left.abs() > ROUNDING * size {
+                return Err(Miss { row: measurement.row, residual: left });
+            }
+        }
+        Ok(ExactRows { coefficients: self.coefficients.clone(), values })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of rows with the sizes of their own entries.
+    fn design(rows: &[[f64; 2]]) -> (ExactDesign, Vec<bool>) {
+        let mut design = ExactDesign::default();
+        let take = |(at, row): (usize, &[f64; 2])| design.take(at, row, row.iter().map(|x| x.abs()).collect());
+        let new = rows.iter().enumerate().map(take).collect();
+        (design, new)
+    }
+
+    #[test]
+    fn a_combination_of_rows_before_it_says_nothing_new() {
+        let (design, new) = design(&[[1.0, 2.0], [2.0, 4.0], [1e-3, 1.0], [7.0, -0.3]]);
+        assert_eq!(new, [true, false, true, false]);
+        assert_eq!(design.coefficients, [1.0, 2.0, 1e-3, 1.0]);
+        // ξ = (3, -1)
+        let e = [1.0, 2.0, 3e-3 - 1.0, 21.3];
+        assert_eq!(design.rows_of(&e, &[1.0; 4]).unwrap().values, [1.0, 3e-3 - 1.0]);
+        let miss = design.rows_of(&[1.0, 2.0, 3e-3 - 1.0, 21.4], &[1.0; 4]).unwrap_err();
+        assert!(miss.row == 3 && (miss.residual - 0.1).abs() < 1e-12, "{miss:?}");
+    }
+
+    #[test]
+    fn units_of_the_states_do_not_matter() {
+        for unit in [1e-12, 1.0, 1e12] {
+            let (_, new) = design(&[[1.0, 2.0 * unit], [1.0, 3.0 * unit], [3.0, 8.0 * unit]]);
+            assert_eq!(new, [true, true, false], "{unit}");
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! Which scalar measurement of a test is which: its measurement of the model and its row.
+
+/// One scalar measurement of a test.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Instance {
+    pub meter: usize,
+    /// Row of the test.
+    pub row: usize,
+}
+
+/// All scalar measurements of a test, in the order of the design. Those of steps that repeat are kept once.
+#[derive(Debug, Clone, Default)]
+pub struct Instances {
+    blocks: Vec<RepeatedEntries>,
+    entries: Vec<Instance>,
+    /// Where the entries of the last step begin.
+    step: usize,
+    /// First row of that step, the first time.
+    row: usize,
+    len: usize,
+}
+
+/// Entries that come `count` times, `height` rows later each time.
+#[derive(Debug, Clone, Copy)]
+struct RepeatedEntries {
+    first: usize,
+    /// Its first entry; its last one is before the first of the next block.
+    entry: usize,
+    count: usize,
+    height: usize,
+}
+
+impl Instances {
+    pub(crate) fn clear(&mut self) {
+        self.blocks.clear();
+        self.entries.clear();
+        (self.step, self.row, self.len) = (0, 0, 0);
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Begins a step whose first row is `row`.
+    pub(crate) fn begin(&mut self, row: usize) {
+        (self.step, self.row) = (self.entries.len(), row);
+        if self.blocks.last().is_none_or(|block| block.count > 1) {
+            self.blocks.push(RepeatedEntries { first: self.len, entry: self.step, count: 1, height: 0 });
+        }
+    }
+
+    /// Appends to the last step, which does not repeat yet.
+    pub(crate) fn push(&mut self, instance: Instance) {
+        self.entries.push(instance);
+        self.len += 1;
+    }
+
+    /// The entries of the last step, as they were the first time.
+    pub(crate) fn last_step(&self) -> &[Instance] {
+        &self.entries[self.step..]
+    }
+
+    /// First row of the last step, the first time.
+    pub(crate) fn first_row(&self) -> usize {
+        self.row
+    }
+
+    /// The last step `many` times more, each `height` rows later.
+    pub(crate) fn repeat(&mut self, many: usize, height: usize) {
+        let (width, last) = (self.entries.len() - self.step, self.blocks.len() - 1);
+        if width == 0 || many == 0 {
+            return;
+        }
+        let block = &mut self.blocks[last];
+        if block.entry == self.step {
+            (block.count, block.height) = (block.count + many, height);
+        } else {
+            self.blocks.push(RepeatedEntries { first: self.len - width, entry: self.step, count: 1 + many, height });
+        }
+        self.len += many * width;
+    }
+
+    /// The scalar measurement with this number.
+    pub fn get(&self, row: usize) -> Instance {
+        let at = self.blocks.partition_point(|block| block.first <= row) - 1;
+        let block = self.blocks[at];
+        let end = self.blocks.get(at + 1).map_or(self.entries.len(), |next| next.entry);
+        let (width, number) = (end - block.entry, row - block.first);
+        let Instance { meter, row } = self.entries[block.entry + number % width];
+        Instance { meter, row: row + number / width * block.height }
+    }
+
+    /// True when these scalar measurements, at least one, are all of one measurement of the model.
+    pub(crate) fn uniform(&self, rows: std::ops::Range<usize>) -> bool {
+        let meter = self.get(rows.start).meter;
+        let first = self.blocks.partition_point(|block| block.first <= rows.start) - 1;
+        let blocks = self.blocks[first..].iter().take_while(|block| block.first < rows.end);
+        blocks.enumerate().all(|(k, block)| {
+            let end = self.blocks.get(first + k + 1).map_or(self.entries.len(), |next| next.entry);
+            // a block that does not repeat has one entry for each row, and perhaps others before and after
+            let (from, to) = if block.count > 1 {
+                (block.entry, end)
+            } else {
+                let at = |row: usize| block.entry + row.saturating_sub(block.first);
+                (at(rows.start), at(rows.end).min(end))
+            };
+            self.entries[from..to].iter().all(|entry| entry.meter == meter)
+        })
+    }
+
+    /// Those of a step.
+    pub(crate) fn of(&self, rows: std::ops::Range<usize>) -> Vec<Instance> {
+        rows.map(|row| self.get(row)).collect()
+    }
+
+    /// All of them, in order.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = Instance> {
+        self.blocks.iter().enumerate().flat_map(|(at, block)| {
+            let end = self.blocks.get(at + 1).map_or(self.entries.len(), |next| next.entry);
+            let entries = &self.entries[block.entry..end];
+            (0..block.count).flat_map(move |k| {
+                entries.iter().map(move |&Instance { meter, row }| Instance { meter, row: row + k * block.height })
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeated_steps_are_as_if_written_out() {
+        let (mut short, mut long) = (Instances::default(), Vec::new());
+        let mut row = 0;
+        for (meters, repeats) in [(2, 0), (1, 0), (3, 4), (0, 2), (1, 1), (1, 0), (2, 3), (2, 1)] {
+            short.begin(row);
+            for meter in 0..meters {
+                short.push(Instance { meter, row: row + meter });
+            }
+            for _ in 0..=repeats {
+                long.extend((0..meters).map(|meter| Instance { meter, row: row + meter }));
+                row += 5;
+            }
+            for _ in 0..repeats {
+                short.repeat(1, 5);
+            }
+        }
+        assert_eq!(short.iter().collect::<Vec<_>>(), long);
+        assert_eq!((0..short.len()).map(|k| short.get(k)).collect::<Vec<_>>(), long);
+    }
+}

@@ -1,0 +1,75 @@
+//! Steps of long records, found once for all values of α: times decide them.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::reduce::steps::StepSpan;
+use kalfit_model::{Test, TestId};
+
+/// Rows from which a record is long.
+const LONG: usize = 1 << 10;
+/// Rows for each span, at least: other records are as long in spans as they are in rows.
+const PART: usize = 16;
+
+/// The steps of the long records of one ensemble, no two tests of which have one id.
+#[derive(Debug, Default)]
+pub(crate) struct KnownSteps(Mutex<HashMap<TestId, KnownSpans>>);
+
+#[derive(Debug)]
+struct KnownSpans {
+    rows: usize,
+    /// Bits of the time of x_0 that they begin from.
+    initial: Option<u64>,
+    spans: Arc<Vec<StepSpan>>,
+}
+
+impl KnownSteps {
+    /// Those of a test, if they were found before.
+    pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<StepSpan>>> {
+        if test.rows() < LONG {
+            return None;
+        }
+        let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = all.get(&test.id)?;
+        (known.rows == test.rows() && known.initial == initial.map(f64::to_bits)).then(|| known.spans.clone())
+    }
+
+    /// Remembers those of a test.
+    pub(crate) fn keep(&self, test: &Test, initial: Option<f64>, spans: &[StepSpan]) {
+        if test.rows() >= LONG && PART * spans.len() <= test.rows() {
+            let initial = initial.map(f64::to_bits);
+            let known = KnownSpans { rows: test.rows(), initial, spans: Arc::new(spans.to_vec()) };
+            self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(test.id.clone(), known);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use kalfit_model::Source;
+
+    fn record(rows: usize, dt: f64) -> Test {
+        let mut test = Test::new("long", 1, 0);
+        (0..rows).for_each(|k| test.push(&[dt * k as f64], &[], Source::default()));
+        test
+    }
+
+    #[test]
+    fn steps_are_those_of_the_same_rows_from_the_same_time() {
+        let known = KnownSteps::default();
+        let spans = |rows: usize| [StepSpan { rows: 0..rows, count: rows, dt: 0.5, moves: true }];
+        let (long, short) = (record(5000, 0.5), record(1000, 0.5));
+        known.keep(&long, Some(0.0), &spans(5000));
+        assert_eq!(known.of(&long, Some(0.0)).expect("they were kept")[..], spans(5000));
+        assert!(known.of(&long, Some(1.0)).is_none() && known.of(&long, None).is_none(), "from another time");
+        assert!(known.of(&record(5001, 0.5), Some(0.0)).is_none(), "of another length");
+        known.keep(&short, None, &spans(1000));
+        assert!(known.of(&short, None).is_none(), "short ones are found as quickly");
+        let each: Vec<StepSpan> =
+            (0..5000).map(|k| StepSpan { rows: k..k + 1, count: 1, dt: 0.5, moves: true }).collect();
+        known.keep(&long, None, &each);
+        assert!(known.of(&long, None).is_none(), "as many as there are rows");
+        assert!(known.of(&long, Some(0.0)).is_some(), "and those before are still there");
+    }
+}

@@ -1,0 +1,145 @@
+//! One test → one reduction (theory §2, the paper's (38), (39)).
+//!
+//! The filter runs once per test with ξ = 0 and carries the sensitivity Ψ of the filtered state to ξ. What it leaves
+//! is a [`Reduction`]: all that the test says about ξ.
+//!
+//! With x_0 = a + Aξ + ζ the filter's prediction at step k is x̂ + Ψξ, its innovation e - Tξ of variance S:
+//!
+//! ```text
+//! e = z - d - M x̂,  T = MΨ,  S = MPM' + R,  K = PM'S⁻¹          innovations of any ξ are e - Tξ                 (38)
+//! log p(z | ξ) = c + y'ξ - ½ ξ'Jξ                               the likelihood, the paper's (39)
+//! J = Σ T'S⁻¹T,  y = Σ T'S⁻¹e,  c = -½ Σ (log|2πS| + e'S⁻¹e)    sums over the steps
+//! ```
+//!
+//! J is the inverse of the paper's P(j) and may be singular; it is kept as a triangular root, and never inverted.
+//!
+//! ```text
+//! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
+//! Test ── prepare ──> Design + Data                      steps; matrix exponentials once per length and coefficients
+//! Design ── design_pass, else root ──> Gains             S, K, T, P, J: once per design class
+//! Gains + Data ── lanes (pass, least_squares) ──> Reduction    e, x̂, y, then d: once per test
+//! ```
+//!
+//! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for one number and for lanes
+//! (`root`, of square roots, has its own for P and J), and go over the steps in a `covariance_filter`: of one design in `design_pass`, of
+//! designs of one shape side by side in `lanes` (`design_batch`). Innovations, x̂ and y are in `lanes`, of one test or of many; equal
+//! steps go through a `scan`. One test has the bits that it has in a lane. Designs that covariances lose digits of go through `root`.
+//!
+//! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
+//!
+//! ```text
+//! rows ── PhasedModel::split ──> PhasedTest              rows, estimates or a reduction of each phase
+//! each phase ── Reducer (part, carry) ──> PhaseReduction its factor, its last state (end), what it inherits
+//! all phases ── stack ──> Reduction with its Chain       tests of one shape side by side
+//! ```
+//!
+//! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch_reducer, [`kalfit_lanes`]).
+//! Tests that differ in nothing but what was measured are found before (replicates): one of them is evaluated, and all have one data
+//! pass (exemplar, lanes); tests of designs of their own are evaluated, filtered and whitened side by side (batches): their steps are found
+//! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on what else is in
+//! the batch.
+//!
+//! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
+//! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
+
+mod batch_reducer;
+mod batches;
+mod carry;
+mod cell_mask;
+mod chunk_size;
+mod class;
+mod covariance_filter;
+mod data;
+mod design;
+mod design_pass;
+mod digest;
+mod dynamics;
+mod entries;
+mod equal_steps;
+mod error;
+mod exact_design;
+mod exemplar;
+mod flops;
+mod gains;
+mod groups;
+mod instances;
+mod kernel;
+mod known_steps;
+mod lanes;
+mod moment_path;
+mod motion;
+mod observe;
+mod order;
+mod outcome;
+mod part;
+mod phased;
+mod plain;
+mod plain_order;
+mod plain_reduction;
+mod prepare;
+mod reduced_tests;
+mod reducer;
+mod reductions;
+mod replicates;
+mod root;
+mod scan;
+mod schedule;
+mod semidefinite;
+mod settling;
+mod shared_store;
+mod stack;
+mod start;
+mod steps;
+mod subject;
+mod suboptimal;
+mod sums;
+mod terminal;
+
+pub use kalfit_model::{
+    Chain, ChainPhase, Estimates, Evidence, ExactRows, Inherited, Link, Path, PhaseReduction, PhasedTest, Phases,
+    Reduction, ReductionRef, SplitError, Terminal,
+};
+
+pub use error::{Cell, ReduceError, ReduceErrorKind};
+pub use flops::reduction_flops;
+pub use groups::{GroupingError, grouping, groups_of};
+pub use phased::PhasedReducer;
+pub use plain::{Plain, StepMatrices};
+pub use reducer::{Reducer, Work};
+pub use reductions::{Reductions, Rows};
+pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
+
+pub(crate) use batches::FilteredBatch;
+pub(crate) use batches::batch_workspace::{BatchWorkspace, EnteringMoments};
+pub(crate) use carry::Inherits;
+pub(crate) use chunk_size::chunk_size;
+pub use data::Data;
+pub use design::{Design, DesignStep, Pattern, StateFrame, Stretch, Transition, TransitionView, same_bits};
+pub use dynamics::{Component, Table};
+pub(crate) use entries::{Common, Entries, SideBySide};
+pub(crate) use error::{of_shape, refuse};
+pub use gains::{GainSpan, Gains};
+pub(crate) use instances::Instance;
+pub(crate) use kernel::{advance, correct_mean, innovation, mirror, predict, update};
+pub(crate) use known_steps::KnownSteps;
+pub(crate) use lanes::{DataBlock, DataView, DesignBatch, Numbers, at};
+pub(crate) use moment_path::MomentPath;
+pub use motion::{Evaluated, Filled, MotionPullback, Moves};
+pub(crate) use observe::Unwhitened;
+pub use part::PhaseReducer;
+pub use phased::{FilteredPhases, PhaseReplicates, PhasedBatches, PhasedWork};
+pub use prepare::{Preparer, Replay, Skeleton, Workspace};
+pub use reducer::own_innovations;
+pub(crate) use replicates::Replicates;
+pub(crate) use scan::{InvariantStep, Scan, with_states};
+pub use semidefinite::ldl;
+pub(crate) use settling::{SteadyState, SteadyStateMonitor};
+pub(crate) use shared_store::SharedStore;
+pub(crate) use start::{LawAdjoint, StartAdjoint};
+pub(crate) use steps::GatheredCells;
+pub use subject::{Coefficient, Fault, ModelAt, Subject, Uses};
+#[cfg(test)]
+pub(crate) use {
+    design::DENSE, design_pass::information_gains, lanes::DataWorkspace, outcome::outcome, root::root_gains,
+    schedule::GainsWork,
+};

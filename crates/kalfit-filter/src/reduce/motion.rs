@@ -1,0 +1,294 @@
+//! The transitions of a model's steps.
+
+mod backward;
+mod fill;
+mod pull;
+
+use std::sync::Arc;
+
+use crate::reduce::design::{Pattern, Transition, TransitionRow};
+use crate::reduce::dynamics::{Component, Dynamics, Recursion, matrices};
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::order::Order;
+use crate::reduce::semidefinite::ldl;
+use crate::reduce::subject::{Fault, Subject};
+use kalfit_algebra::exponential::flow;
+
+pub use backward::Evaluated;
+pub use fill::Filled;
+pub(crate) use fill::{MotionColumns, Transitions};
+pub use pull::MotionPullback;
+
+/// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
+/// other: φ, Γ, Q of the first component, each m × m, then of the next.
+#[derive(Debug, Clone)]
+pub struct MotionPlan {
+    pattern: Arc<Pattern>,
+    phi: Vec<EntrySource>,
+    q: Vec<EntrySource>,
+    /// b of each state of [`StateFrame::driven`](crate::reduce::design::StateFrame::driven).
+    drives: Vec<Drive>,
+    /// Start of each component's flow.
+    offsets: Vec<usize>,
+    /// Numbers in the flows of all components.
+    pub(crate) flow_len: usize,
+    /// Of each component of a single state.
+    singles: Vec<Single>,
+    /// For each entry of φ, that of the identity.
+    identity: Vec<f64>,
+}
+
+/// A component of one state.
+#[derive(Debug, Clone)]
+struct Single {
+    /// Where its flow begins.
+    offset: usize,
+    /// Slots of its rate and of its noise.
+    rate: Option<usize>,
+    noise: Option<usize>,
+}
+
+/// Where an entry of φ or Q comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum EntrySource {
+    /// A coefficient.
+    Slot(usize),
+    /// An entry of a flow.
+    Flow(usize),
+    /// Σ entry of a flow × coefficient: ΓG, for states that are held over the step.
+    Held(Vec<(usize, usize)>),
+}
+
+/// Where a known input comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Drive {
+    /// This slot of the inputs.
+    Slot(usize),
+    /// Σ entry of a flow × slot of the inputs: Γu.
+    Flow(Vec<(usize, usize)>),
+}
+
+/// What a step does to the states, whatever its inputs.
+#[derive(Debug, Clone)]
+pub struct Moves {
+    pub transition: Arc<Transition>,
+    /// The flows, where inputs need them.
+    flows: Vec<f64>,
+}
+
+/// How a state of the model moves.
+enum Mover<'a> {
+    Still,
+    Recursion(&'a Recursion),
+    /// State `i` of component `c`.
+    Component(usize, &'a Component, usize),
+}
+
+fn mover(dynamics: &Dynamics, state: usize) -> Mover<'_> {
+    if let Some(recursion) = dynamics.recursions.iter().find(|recursion| recursion.state == state) {
+        return Mover::Recursion(recursion);
+    }
+    for (c, component) in dynamics.components.iter().enumerate() {
+        if let Ok(i) = component.states.binary_search(&state) {
+            return Mover::Component(c, component, i);
+        }
+    }
+    Mover::Still
+}
+
+impl MotionPlan {
+    /// A transition of zeros.
+    pub(crate) fn blank(&self) -> Transition {
+        Transition::new(self.pattern.clone(), vec![0.0; self.phi.len()], vec![0.0; self.q.len()])
+    }
+
+    pub(crate) fn new(dynamics: &Dynamics, order: &Order) -> MotionPlan {
+        let mut offsets = Vec::new();
+        let mut flow_len = 0;
+        for component in &dynamics.components {
+            offsets.push(flow_len);
+            flow_len += 3 * component.states.len().pow(2);
+        }
+        let (mut pattern, mut phi, mut drives) = (Pattern::default(), Vec::new(), Vec::new());
+        for (place, &state) in order.states.iter().enumerate() {
+            let mover = mover(dynamics, state);
+            if let Some(mut row) = phi_row(&mover, &offsets, order) {
+                row.sort_by_key(|term| term.0);
+                pattern.push(place, order.frame.r, row.iter().map(|term| term.0));
+                phi.extend(row.into_iter().map(|term| term.1));
+            }
+            if order.frame.driven.contains(&(place as u32)) {
+                drives.push(drive(&mover, &offsets));
+            }
+        }
+        let mut noise = noise_entries(dynamics, order, &offsets);
+        noise.sort_by_key(|entry| entry.0);
+        pattern.pairs = noise.iter().map(|entry| entry.0).collect();
+        let q = noise.into_iter().map(|entry| entry.1).collect();
+        let (singles, pattern) = (singles(dynamics, &offsets), pattern.seal());
+        let identity = identity(&pattern);
+        MotionPlan { pattern: Arc::new(pattern), phi, q, drives, offsets, flow_len, singles, identity }
+    }
+
+    /// Nothing ever moves: a transition would change no state.
+    pub(crate) fn is_still(&self) -> bool {
+        self.pattern.moved.is_empty() && self.pattern.pairs.is_empty() && self.drives.is_empty()
+    }
+
+    /// φ, Q and Γ of steps of length `dt`. `values`: the dynamics' coefficients on the step; `filled`: work space; `spare`:
+    /// a transition that nobody else has, whose memory can be had. The same bits as side by side with others.
+    pub fn moves(
+        &self,
+        dynamics: &Dynamics,
+        values: &[f64],
+        dt: f64,
+        (filled, spare): (&mut Filled, Option<Arc<Transition>>),
+    ) -> Result<Moves, Box<Fault>> {
+        check_noise(dynamics, values)?;
+        if !self.fill_one(dynamics, values, dt, filled) {
+            return Err(self.overflow(dynamics, filled));
+        }
+        let fresh = || Arc::new(Transition::new(self.pattern.clone(), Vec::new(), Vec::new()));
+        let mut made = spare.unwrap_or_else(fresh);
+        let transition = Arc::get_mut(&mut made).expect("nobody else has it");
+        transition.phi.clear();
+        transition.phi.extend_from_slice(&filled.phi);
+        transition.q.clear();
+        transition.q.extend_from_slice(&filled.q);
+        let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
+        Ok(Moves { transition: made, flows: if kept { filled.flows.clone() } else { Vec::new() } })
+    }
+
+    /// What of a step is not finite.
+    fn overflow(&self, dynamics: &Dynamics, filled: &Filled) -> Box<Fault> {
+        let is_bad = |&(component, &offset): &(&Component, &usize)| {
+            let numbers = offset..offset + 3 * component.states.len().pow(2);
+            filled.flows[numbers].iter().any(|x| !x.is_finite())
+        };
+        let bad = dynamics.components.iter().zip(&self.offsets).find(is_bad);
+        let subject = bad.map_or(Subject::Transition, |(component, _)| Subject::Derivative(component.states[0]));
+        Fault::new(subject, ReduceErrorKind::NotFinite)
+    }
+}
+
+/// The components of a single state.
+fn singles(dynamics: &Dynamics, offsets: &[usize]) -> Vec<Single> {
+    let slot = |terms: &[(usize, usize, usize)]| terms.first().map(|&(.., slot)| slot);
+    let components = dynamics.components.iter().zip(offsets).filter(|(component, _)| component.states.len() == 1);
+    let single = |(component, &offset): (&Component, &usize)| Single {
+        offset,
+        rate: slot(&component.rates),
+        noise: slot(&component.noise),
+    };
+    components.map(single).collect()
+}
+
+/// For each entry of φ, that of the identity.
+fn identity(pattern: &Pattern) -> Vec<f64> {
+    let own = |row: &TransitionRow| {
+        let terms = &pattern.columns[row.start as usize..row.end as usize];
+        terms.iter().map(|&column| f64::from(u8::from(column == row.state))).collect::<Vec<f64>>()
+    };
+    pattern.moved.iter().flat_map(own).collect()
+}
+
+/// Row of φ: (place, entry); `None` for a row of the identity.
+fn phi_row(mover: &Mover<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(usize, EntrySource)>> {
+    match *mover {
+        Mover::Recursion(recursion) => {
+            Some(recursion.terms.iter().map(|&(state, slot)| (order.place[state], EntrySource::Slot(slot))).collect())
+        }
+        Mover::Component(c, component, i) if !component.still(i) => {
+            let m = component.states.len();
+            let inner = (0..m).filter(|&j| component.depends(i, j));
+            let mut row: Vec<(usize, EntrySource)> =
+                inner.map(|j| (order.place[component.states[j]], EntrySource::Flow(offsets[c] + i * m + j))).collect();
+            for &(k, state, slot) in component.held.iter().filter(|&&(k, ..)| component.depends(i, k)) {
+                let term = (offsets[c] + m * m + i * m + k, slot);
+                match row.iter_mut().find(|(place, _)| *place == order.place[state]) {
+                    Some((_, EntrySource::Held(terms))) => terms.push(term),
+                    _ => row.push((order.place[state], EntrySource::Held(vec![term]))),
+                }
+            }
+            Some(row)
+        }
+        _ => None,
+    }
+}
+
+fn drive(mover: &Mover<'_>, offsets: &[usize]) -> Drive {
+    match *mover {
+        Mover::Recursion(Recursion { input: Some(slot), .. }) => Drive::Slot(*slot),
+        Mover::Component(c, component, i) => {
+            let m = component.states.len();
+            let term = |k: usize| Some((offsets[c] + m * m + i * m + k, component.inputs[k]?));
+            Drive::Flow((0..m).filter(|&k| component.depends(i, k)).filter_map(term).collect())
+        }
+        _ => Drive::Flow(Vec::new()),
+    }
+}
+
+/// Entries i ≥ j of Q that can be other than zero.
+fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<((u32, u32), EntrySource)> {
+    let pair = |a: usize, b: usize| {
+        let (a, b) = (order.place[a], order.place[b]);
+        (a.max(b) as u32, a.min(b) as u32)
+    };
+    let mut entries: Vec<_> =
+        dynamics.noise.iter().map(|&(i, j, slot)| (pair(i, j), EntrySource::Slot(slot))).collect();
+    for (component, &offset) in dynamics.components.iter().zip(offsets) {
+        let m = component.states.len();
+        for i in 0..m {
+            for j in 0..=i {
+                let reaches = |k: usize, l: usize| component.depends(i, k) && component.depends(j, l);
+                if component.noise.iter().any(|&(k, l, _)| reaches(k, l) || reaches(l, k)) {
+                    let at = offset + 2 * m * m + i * m + j;
+                    entries.push((pair(component.states[i], component.states[j]), EntrySource::Flow(at)));
+                }
+            }
+        }
+    }
+    entries
+}
+
+/// Appends φ, Γ and Q of a component.
+fn append_flow(
+    component: &Component,
+    value: impl Fn(usize) -> f64,
+    dt: f64,
+    flows: &mut Vec<f64>,
+) -> Result<(), Box<Fault>> {
+    let m = component.states.len();
+    let (f, q) = matrices(m, [&component.rates, &component.noise], value);
+    let fault = |_| Fault::new(Subject::Derivative(component.states[0]), ReduceErrorKind::NotFinite);
+    let flow = flow(&f, &q, m, dt).map_err(fault)?;
+    [flow.phi, flow.gamma, flow.q].iter().for_each(|matrix| flows.extend(matrix));
+    Ok(())
+}
+
+/// Noises that are correlated must be positive semidefinite together; single variances were checked one by one.
+fn check_noise(dynamics: &Dynamics, values: &[f64]) -> Result<(), Box<Fault>> {
+    semidefinite(&dynamics.noise, values, |state| state)?;
+    dynamics.components.iter().try_for_each(|c| semidefinite(&c.noise, values, |i| c.states[i]))
+}
+
+fn semidefinite(
+    noise: &[(usize, usize, usize)],
+    values: &[f64],
+    name: impl Fn(usize) -> usize,
+) -> Result<(), Box<Fault>> {
+    if noise.iter().all(|(i, j, _)| i == j) {
+        return Ok(());
+    }
+    let mut states: Vec<usize> = noise.iter().flat_map(|&(i, j, _)| [i, j]).collect();
+    states.sort_unstable();
+    states.dedup();
+    let m = states.len();
+    let local = |state: &usize| states.binary_search(state).expect("every state of the noise is listed");
+    let mut q = vec![0.0; m * m];
+    for (i, j, slot) in noise {
+        let (i, j) = (local(i), local(j));
+        q[i.max(j) * m + i.min(j)] = values[*slot];
+    }
+    ldl(&mut q, m).map_err(|bad| Fault::new(Subject::ProcessNoise(name(states[0])), bad))
+}

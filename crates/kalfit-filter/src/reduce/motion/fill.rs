@@ -1,0 +1,331 @@
+//! The transitions of tests side by side, from coefficients to φ, Q and b.
+
+use std::collections::HashMap;
+
+use kalfit_lanes::{Isa, Kernel, Lanes, MOST, Width};
+
+use crate::reduce::dynamics::{Component, Dynamics, Table};
+use crate::reduce::lanes::BatchColumns;
+use crate::reduce::motion::{Drive, EntrySource, MotionPlan, Moves, append_flow, check_noise};
+use kalfit_algebra::exponential::scalar_flows;
+
+/// The transitions that lead to the steps of tests in lanes: number t of the test in a lane at t × lanes + lane.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Transitions {
+    /// Lengths; 0 where a test has none.
+    pub(crate) dt: Vec<f64>,
+    /// 1 where a test has one, else 0.
+    pub(crate) moving: Vec<f64>,
+    /// The row that its coefficients read.
+    pub(crate) sources: Vec<u32>,
+}
+
+/// What the motion is on all transitions of tests in lanes.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct MotionColumns {
+    /// Of each coefficient that varies, in the order of [`Table::varying`].
+    pub(crate) values: Vec<Vec<f64>>,
+    pub(crate) inputs: Vec<Vec<f64>>,
+    /// φ, Γ, Q of each component.
+    pub(super) flows: Vec<f64>,
+}
+
+/// A table of coefficients on transitions: the same on all of them, or a column.
+pub(super) struct SlotValues<'a> {
+    pub(super) fixed: &'a [f64],
+    /// Of each slot; none where all are the same.
+    columns: Vec<Option<&'a [f64]>>,
+}
+
+impl Transitions {
+    pub(crate) fn clear(&mut self) {
+        let Transitions { dt, moving, sources } = self;
+        dt.clear();
+        moving.clear();
+        sources.clear();
+    }
+}
+
+impl MotionColumns {
+    /// Numbers of zero, for so many coefficients and inputs that vary, on so many places.
+    pub(crate) fn blank(&mut self, varying: [usize; 2], places: usize) {
+        for (columns, varying) in [&mut self.values, &mut self.inputs].into_iter().zip(varying) {
+            columns.resize_with(varying, Vec::new);
+            for column in columns {
+                column.clear();
+                column.resize(places, 0.0);
+            }
+        }
+    }
+}
+
+impl<'a> SlotValues<'a> {
+    /// The same on all transitions.
+    fn steady(values: &[f64]) -> SlotValues<'_> {
+        SlotValues { fixed: values, columns: Vec::new() }
+    }
+
+    pub(super) fn new(table: &'a Table, columns: &'a [Vec<f64>]) -> SlotValues<'a> {
+        let mut slots = SlotValues { fixed: &table.fixed, columns: vec![None; table.fixed.len()] };
+        for ((slot, ..), column) in table.varying.iter().zip(columns) {
+            slots.columns[*slot] = Some(column);
+        }
+        slots
+    }
+
+    #[inline(always)]
+    pub(super) fn lanes<T: Lanes>(&self, slot: usize, place: usize) -> T {
+        match self.column(slot) {
+            Some(column) => T::load(&column[place..]),
+            None => T::splat(self.fixed[slot]),
+        }
+    }
+
+    pub(super) fn one(&self, slot: usize, place: usize) -> f64 {
+        self.column(slot).map_or(self.fixed[slot], |column| column[place])
+    }
+
+    #[inline(always)]
+    fn column(&self, slot: usize) -> Option<&'a [f64]> {
+        self.columns.get(slot).copied().flatten()
+    }
+
+    #[inline(always)]
+    pub(super) fn some<T: Lanes>(&self, slot: Option<usize>, place: usize) -> T {
+        match slot {
+            Some(slot) => self.lanes(slot, place),
+            None => T::splat(0.0),
+        }
+    }
+}
+
+/// One transition: its flows, and its entries of φ and of Q.
+#[derive(Debug, Clone, Default)]
+pub struct Filled {
+    step: Transitions,
+    pub(super) flows: Vec<f64>,
+    pub(super) phi: Vec<f64>,
+    pub(super) q: Vec<f64>,
+}
+
+impl MotionPlan {
+    /// φ, Q and b of transitions. Returns in which lanes all of them are finite: in none where the noises are no covariance.
+    pub(crate) fn fill(
+        &self,
+        width: Width,
+        dynamics: &Dynamics,
+        (steps, motion): (&Transitions, &mut MotionColumns),
+        out: BatchColumns<'_>,
+    ) -> [bool; MOST] {
+        if check_noise(dynamics, &dynamics.table.fixed).is_err() {
+            return [false; MOST];
+        }
+        let MotionColumns { values, inputs, flows } = motion;
+        flows.resize(self.flow_len * steps.dt.len(), 0.0);
+        let (values, inputs) = (SlotValues::new(&dynamics.table, values), SlotValues::new(&dynamics.inputs, inputs));
+        self.fill_coupled((dynamics, &values), steps, flows);
+        let sound = width.run(TransitionFill { plan: self, steps, values, flows, phi: out.phi, q: out.q });
+        width.run(Drives { plan: self, steps, inputs, flows, out: out.inputs });
+        sound
+    }
+
+    /// φ and Q of one transition, of length `dt`; true where all is finite.
+    pub(super) fn fill_one(&self, dynamics: &Dynamics, values: &[f64], dt: f64, filled: &mut Filled) -> bool {
+        let (Filled { step, flows, phi, q }, values) = (filled, SlotValues::steady(values));
+        for (column, numbers) in [(&mut *flows, self.flow_len), (&mut *phi, self.phi.len()), (&mut *q, self.q.len())] {
+            column.resize(numbers, 0.0);
+        }
+        for (column, x) in [(&mut step.dt, dt), (&mut step.moving, 1.0)] {
+            column.clear();
+            column.push(x);
+        }
+        self.fill_coupled((dynamics, &values), step, flows);
+        let alone = Isa::best().alone();
+        alone.run(TransitionFill { plan: self, steps: step, values, flows, phi, q })[0]
+    }
+
+    /// Appends b of the driven states, as beside others. `inputs`: values of the dynamics' inputs.
+    pub fn inputs(&self, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
+        if !self.drives.is_empty() {
+            Isa::best().alone().run(InputValues { drives: &self.drives, moves, inputs, out });
+        }
+    }
+
+    /// φ, Γ and Q of components of several states, transition by transition, those of one length and equal coefficients once. What
+    /// overflows is not a number.
+    fn fill_coupled(&self, (dynamics, values): (&Dynamics, &SlotValues<'_>), steps: &Transitions, flows: &mut [f64]) {
+        let coupled = dynamics.components.iter().zip(&self.offsets).filter(|(component, _)| component.states.len() > 1);
+        for (component, &offset) in coupled {
+            fill_coupled((component, offset), steps, values, flows);
+        }
+    }
+}
+
+fn fill_coupled(
+    (component, offset): (&Component, usize),
+    steps: &Transitions,
+    values: &SlotValues<'_>,
+    flows: &mut [f64],
+) {
+    let (places, m) = (steps.dt.len(), component.states.len());
+    let (mut known, mut own) = (HashMap::new(), Vec::new());
+    for place in 0..places {
+        own.clear();
+        if steps.moving[place] == 0.0 {
+            own.resize(3 * m * m, 0.0);
+            (0..m).for_each(|i| own[i * m + i] = 1.0);
+        } else {
+            let bits = component.slots().map(|slot| values.one(slot, place)).chain([steps.dt[place]]);
+            let before = *known.entry(bits.map(f64::to_bits).collect::<Vec<u64>>()).or_insert(place);
+            if before < place {
+                own.extend((0..3 * m * m).map(|k| flows[(offset + k) * places + before]));
+            } else if append_flow(component, |slot| values.one(slot, place), steps.dt[place], &mut own).is_err() {
+                own.resize(3 * m * m, f64::NAN);
+            }
+        }
+        own.iter().enumerate().for_each(|(k, &x)| flows[(offset + k) * places + place] = x);
+    }
+}
+
+/// Σ entry of a flow × coefficient.
+#[inline(always)]
+fn held<T: Lanes>(terms: &[(usize, usize)], flow: impl Fn(usize) -> T, slot: impl Fn(usize) -> T) -> T {
+    let mut sum = T::splat(0.0);
+    for &(at, own) in terms {
+        sum = slot(own).fma(flow(at), sum);
+    }
+    sum
+}
+
+/// φ and Q of transitions, the flows of single states on the way.
+struct TransitionFill<'a> {
+    plan: &'a MotionPlan,
+    steps: &'a Transitions,
+    values: SlotValues<'a>,
+    flows: &'a mut [f64],
+    phi: &'a mut [f64],
+    q: &'a mut [f64],
+}
+
+impl Kernel for TransitionFill<'_> {
+    /// In which lanes all is finite.
+    type Output = [bool; MOST];
+
+    #[inline(always)]
+    fn run<T: Lanes>(mut self) -> [bool; MOST] {
+        let (plan, places) = (self.plan, self.steps.dt.len());
+        let (terms, pairs) = (plan.phi.len(), plan.q.len());
+        let (zero, mut off) = (T::splat(0.0), T::splat(0.0));
+        for t in 0..places / T::COUNT {
+            let place = t * T::COUNT;
+            self.singles::<T>(place);
+            for k in 0..self.flows.len() / places {
+                off = self.flow::<T>(k, place).fma(zero, off);
+            }
+            for k in 0..terms {
+                let x = self.entry::<T>(&plan.phi[k], plan.identity[k], place);
+                x.store(&mut self.phi[(t * terms + k) * T::COUNT..]);
+                off = x.fma(zero, off);
+            }
+            for k in 0..pairs {
+                let x = self.entry::<T>(&plan.q[k], 0.0, place);
+                x.store(&mut self.q[(t * pairs + k) * T::COUNT..]);
+                off = x.fma(zero, off);
+            }
+        }
+        let mut sound = [false; MOST];
+        for lane in 0..T::COUNT {
+            sound[lane] = off.lane(lane) == 0.0;
+        }
+        sound
+    }
+}
+
+impl TransitionFill<'_> {
+    /// The flows of single states.
+    #[inline(always)]
+    fn singles<T: Lanes>(&mut self, place: usize) {
+        let places = self.steps.dt.len();
+        for single in &self.plan.singles {
+            let (f, q) = (self.values.some::<T>(single.rate, place), self.values.some::<T>(single.noise, place));
+            let flow = scalar_flows(f, q, T::load(&self.steps.dt[place..]));
+            for k in 0..3 {
+                flow[k].store(&mut self.flows[(single.offset + k) * places + place..]);
+            }
+        }
+    }
+
+    /// An entry of φ or Q; `rest` where there is no transition.
+    #[inline(always)]
+    fn entry<T: Lanes>(&self, entry: &EntrySource, rest: f64, place: usize) -> T {
+        match entry {
+            EntrySource::Slot(slot) => {
+                let moving = T::load(&self.steps.moving[place..]);
+                moving.fma(self.values.lanes(*slot, place), moving.fnma(T::splat(rest), T::splat(rest)))
+            }
+            EntrySource::Flow(at) => self.flow(*at, place),
+            EntrySource::Held(terms) => held(terms, |at| self.flow(at, place), |slot| self.values.lanes(slot, place)),
+        }
+    }
+
+    #[inline(always)]
+    fn flow<T: Lanes>(&self, at: usize, place: usize) -> T {
+        T::load(&self.flows[at * self.steps.dt.len() + place..])
+    }
+}
+
+/// b of transitions.
+struct Drives<'a> {
+    plan: &'a MotionPlan,
+    steps: &'a Transitions,
+    inputs: SlotValues<'a>,
+    flows: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl Kernel for Drives<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let Drives { plan, steps, inputs, flows, out } = self;
+        let (places, drives) = (steps.dt.len(), plan.drives.len());
+        for t in 0..places / T::COUNT {
+            let place = t * T::COUNT;
+            for (k, drive) in plan.drives.iter().enumerate() {
+                let x = match drive {
+                    Drive::Slot(slot) => T::load(&steps.moving[place..]) * inputs.lanes(*slot, place),
+                    Drive::Flow(terms) => {
+                        held(terms, |at| T::load(&flows[at * places + place..]), |slot| inputs.lanes(slot, place))
+                    }
+                };
+                x.store(&mut out[(t * drives + k) * T::COUNT..]);
+            }
+        }
+    }
+}
+
+/// b of one transition.
+struct InputValues<'a> {
+    drives: &'a [Drive],
+    moves: &'a Moves,
+    inputs: &'a [f64],
+    out: &'a mut Vec<f64>,
+}
+
+impl Kernel for InputValues<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) {
+        let InputValues { drives, moves, inputs, out } = self;
+        for drive in drives {
+            out.push(match drive {
+                Drive::Slot(slot) => inputs[*slot],
+                Drive::Flow(terms) => {
+                    held(terms, |at| T::splat(moves.flows[at]), |slot| T::splat(inputs[slot])).lane(0)
+                }
+            });
+        }
+    }
+}

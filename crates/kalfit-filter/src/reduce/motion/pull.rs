@@ -1,0 +1,257 @@
+//! The transitions of tests side by side: the way from their adjoints back to the coefficients of the motion.
+
+use kalfit_lanes::{Lanes, MOST};
+
+use crate::reduce::dynamics::{Component, Dynamics};
+use crate::reduce::motion::backward::{Evaluated, component_backward};
+use crate::reduce::motion::fill::{MotionColumns, SlotValues, Transitions};
+use crate::reduce::motion::{Drive, EntrySource, MotionPlan, Single};
+use kalfit_algebra::exponential::{scalar_flow, scalar_slope};
+
+impl Component {
+    /// Slots of its rates and noises.
+    pub(super) fn slots(&self) -> impl Iterator<Item = usize> {
+        self.rates.iter().chain(&self.noise).map(|&(.., slot)| slot)
+    }
+}
+
+impl MotionPlan {
+    /// Whether φ or b depends on Γ of a single state whose flow begins here.
+    fn holds_over(&self, offset: usize) -> bool {
+        let gamma = |terms: &[(usize, usize)]| terms.iter().any(|&(at, _)| at == offset + 1);
+        self.phi.iter().any(|entry| matches!(entry, EntrySource::Held(terms) if gamma(terms)))
+            || self.drives.iter().any(|drive| matches!(drive, Drive::Flow(terms) if gamma(terms)))
+    }
+
+    /// The way back from these transitions. `free`: coefficients that count.
+    pub(crate) fn back<'a>(
+        &'a self,
+        dynamics: &'a Dynamics,
+        (steps, motion): (&'a Transitions, &'a MotionColumns),
+        free: &'a [bool],
+    ) -> MotionPullback<'a> {
+        let back = |single| {
+            let &Single { offset, rate, .. } = single;
+            SingleBack { single, counts: rate.is_some_and(|slot| free[slot]), holds: self.holds_over(offset) }
+        };
+        let steady = |component: &Component| {
+            dynamics.table.varying.iter().all(|(slot, ..)| component.slots().all(|own| own != *slot))
+        };
+        let coupled = dynamics.components.iter().zip(&self.offsets).filter(|(component, _)| component.states.len() > 1);
+        let coupled = coupled.map(|(component, &offset)| Coupled {
+            component,
+            offset,
+            counts: component.counts(free),
+            steady: steady(component),
+        });
+        MotionPullback {
+            plan: self,
+            steps,
+            flows: &motion.flows,
+            singles: self.singles.iter().map(back).collect(),
+            coupled: coupled.collect(),
+            values: SlotValues::new(&dynamics.table, &motion.values),
+            inputs: SlotValues::new(&dynamics.inputs, &motion.inputs),
+        }
+    }
+}
+
+/// A component of several states.
+struct Coupled<'a> {
+    component: &'a Component,
+    offset: usize,
+    counts: bool,
+    /// Its coefficients are the same on all transitions.
+    steady: bool,
+}
+
+/// A component of one state.
+struct SingleBack<'a> {
+    single: &'a Single,
+    /// Its rate counts.
+    counts: bool,
+    /// φ or b depends on its Γ.
+    holds: bool,
+}
+
+/// The way from the adjoints of transitions back to the coefficients of the motion.
+pub struct MotionPullback<'a> {
+    plan: &'a MotionPlan,
+    steps: &'a Transitions,
+    flows: &'a [f64],
+    singles: Vec<SingleBack<'a>>,
+    coupled: Vec<Coupled<'a>>,
+    values: SlotValues<'a>,
+    inputs: SlotValues<'a>,
+}
+
+/// Adjoints of one transition, in lanes: of the flows (work space), of the coefficients and of the inputs.
+#[derive(Debug, Clone)]
+pub(crate) struct MotionBars<T> {
+    flows: Vec<T>,
+    /// Of coupled components with steady coefficients, summed over transitions of one length: of each lane the last one's place.
+    equal: Vec<T>,
+    last: [Option<usize>; MOST],
+    pub(crate) values: Vec<T>,
+    pub(crate) inputs: Vec<T>,
+}
+
+impl MotionPullback<'_> {
+    /// Adjoints of zero.
+    #[inline(always)]
+    pub(crate) fn zero<T: Lanes>(&self) -> MotionBars<T> {
+        let zero = T::splat(0.0);
+        let (flows, values, inputs) =
+            (vec![zero; self.plan.flow_len], self.values.fixed.len(), self.inputs.fixed.len());
+        let (equal, last) = (flows.clone(), [None; MOST]);
+        MotionBars { flows, equal, last, values: vec![zero; values], inputs: vec![zero; inputs] }
+    }
+
+    /// Adds ∂ℓ/∂coefficient of the transition with this number. `bars`: of its entries of φ, of Q (one off the diagonal for both
+    /// places) and of b, in lanes.
+    #[inline(always)]
+    pub(crate) fn pull<T: Lanes>(&self, number: usize, bars: &[f64], out: &mut MotionBars<T>) {
+        let (places, place) = (self.steps.dt.len(), number * T::COUNT);
+        let moving = T::load(&self.steps.moving[place..]);
+        out.flows.fill(T::splat(0.0));
+        let mut entries = bars.chunks_exact(T::COUNT);
+        for (entry, bar) in self.plan.phi.iter().chain(&self.plan.q).zip(&mut entries) {
+            let bar = T::load(bar);
+            match entry {
+                EntrySource::Slot(slot) => out.values[*slot] = moving.fma(bar, out.values[*slot]),
+                EntrySource::Flow(at) => out.flows[*at] = out.flows[*at] + bar,
+                EntrySource::Held(terms) => {
+                    for &(at, slot) in terms {
+                        out.flows[at] = self.values.lanes::<T>(slot, place).fma(bar, out.flows[at]);
+                        out.values[slot] = T::load(&self.flows[at * places + place..]).fma(bar, out.values[slot]);
+                    }
+                }
+            }
+        }
+        for (drive, bar) in self.plan.drives.iter().zip(entries) {
+            let bar = T::load(bar);
+            match drive {
+                Drive::Slot(slot) => out.inputs[*slot] = moving.fma(bar, out.inputs[*slot]),
+                Drive::Flow(terms) => {
+                    for &(at, slot) in terms {
+                        out.flows[at] = self.inputs.lanes::<T>(slot, place).fma(bar, out.flows[at]);
+                        out.inputs[slot] = T::load(&self.flows[at * places + place..]).fma(bar, out.inputs[slot]);
+                    }
+                }
+            }
+        }
+        for single in &self.singles {
+            self.single(single, place, out);
+        }
+        for lane in 0..T::COUNT {
+            if moving.lane(lane) != 0.0 && self.coupled.iter().any(|coupled| coupled.counts) {
+                self.coupled(lane, place + lane, out);
+            }
+        }
+    }
+
+    /// Adds what equal transitions have summed.
+    #[inline(always)]
+    pub(crate) fn finish<T: Lanes>(&self, out: &mut MotionBars<T>) {
+        for lane in 0..T::COUNT {
+            self.settle(lane, out);
+        }
+    }
+
+    /// The transition at a place of a lane, of coupled states: those of one length on end are summed.
+    fn coupled<T: Lanes>(&self, lane: usize, place: usize, out: &mut MotionBars<T>) {
+        let same = |before: usize| self.steps.dt[before].to_bits() == self.steps.dt[place].to_bits();
+        if !out.last[lane].is_some_and(same) {
+            self.settle(lane, out);
+            out.last[lane] = Some(place);
+        }
+        for Coupled { component, offset, steady, .. } in self.coupled.iter().filter(|coupled| coupled.counts) {
+            let range = *offset..offset + 3 * component.states.len().pow(2);
+            if *steady {
+                for k in range {
+                    out.equal[k] = added(out.equal[k], lane, out.flows[k].lane(lane));
+                }
+            } else {
+                let bars: Vec<f64> = out.flows[range].iter().map(|bar| bar.lane(lane)).collect();
+                self.component(component, (lane, place), &bars, out);
+            }
+        }
+    }
+
+    /// Adds what transitions of one length of a lane have summed.
+    fn settle<T: Lanes>(&self, lane: usize, out: &mut MotionBars<T>) {
+        let Some(place) = out.last[lane].take() else { return };
+        for Coupled { component, offset, .. } in self.coupled.iter().filter(|coupled| coupled.counts && coupled.steady)
+        {
+            let range = *offset..offset + 3 * component.states.len().pow(2);
+            let bars: Vec<f64> = out.equal[range.clone()].iter().map(|bar| bar.lane(lane)).collect();
+            range.zip(&bars).for_each(|(k, bar)| out.equal[k] = added(out.equal[k], lane, -bar));
+            self.component(component, (lane, place), &bars, out);
+        }
+    }
+
+    /// From φ, Γ and Q of coupled states to their rates and noises. What has no derivative is not a number.
+    fn component<T: Lanes>(
+        &self,
+        component: &Component,
+        (lane, place): (usize, usize),
+        bars: &[f64],
+        out: &mut MotionBars<T>,
+    ) {
+        let values: Vec<f64> = (0..self.values.fixed.len()).map(|slot| self.values.one(slot, place)).collect();
+        let step = Evaluated { values: &values, dt: self.steps.dt[place], flows: &[] };
+        let mut found = vec![0.0; values.len()];
+        if component_backward(component, &step, bars, &mut found).is_err() {
+            component.slots().for_each(|slot| found[slot] = f64::NAN);
+        }
+        for slot in component.slots() {
+            out.values[slot] = added(out.values[slot], lane, std::mem::take(&mut found[slot]));
+        }
+    }
+
+    /// From φ, Γ and Q of a single state to its rate and its noise.
+    #[inline(always)]
+    fn single<T: Lanes>(&self, back: &SingleBack<'_>, place: usize, out: &mut MotionBars<T>) {
+        let &SingleBack { single: &Single { offset, rate, noise }, counts, holds } = back;
+        let (places, two) = (self.steps.dt.len(), T::splat(2.0));
+        let (dt, phi) = (T::load(&self.steps.dt[place..]), T::load(&self.flows[offset * places + place..]));
+        let f = self.values.some::<T>(rate, place);
+        let mut slope = out.flows[offset] * dt * phi;
+        if holds && counts {
+            let gamma = T::load(&self.flows[(offset + 1) * places + place..]);
+            slope = out.flows[offset + 1].fma(scalar_slope(f, dt, (phi, gamma)), slope);
+        }
+        if let Some(slot) = noise {
+            let (q, bar) = (self.values.lanes::<T>(slot, place), out.flows[offset + 2]);
+            let integral = part(two * f, dt, q, T::load(&self.flows[(offset + 2) * places + place..]));
+            out.values[slot] = bar.fma(integral, out.values[slot]);
+            if counts {
+                slope = (bar * two * q).fma(scalar_slope(two * f, dt, (phi * phi, integral)), slope);
+            }
+        }
+        if let (Some(slot), true) = (rate, counts) {
+            out.values[slot] = out.values[slot] + slope;
+        }
+    }
+}
+
+/// With this much more in a lane.
+fn added<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
+    let mut all = [0.0; MOST];
+    numbers.store(&mut all);
+    all[lane] += more;
+    T::load(&all)
+}
+
+/// ∂Q/∂q of a single state: Q/q, or expm1(xδ)/x for a noise of zero.
+#[inline(always)]
+fn part<T: Lanes>(rate: T, dt: T, noise: T, q: T) -> T {
+    let mut all = [0.0; MOST];
+    (q / noise).store(&mut all);
+    for lane in 0..T::COUNT {
+        if noise.lane(lane) == 0.0 {
+            all[lane] = scalar_flow(rate.lane(lane), 0.0, dt.lane(lane))[1];
+        }
+    }
+    T::load(&all)
+}

@@ -1,0 +1,351 @@
+//! The measurements of a step: which there are, their equations and noise, whitened.
+
+mod backward;
+mod whiten;
+
+use crate::reduce::data::Data;
+use crate::reduce::design::Design;
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::instances::{Instance, Instances};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses};
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Scope};
+
+pub(crate) use backward::Unwhitened;
+pub(crate) use whiten::{Whitening, whiten};
+
+/// A measurement of the model at α.
+#[derive(Debug, Clone)]
+struct Meter {
+    column: usize,
+    filter: Option<Coefficient>,
+    /// (kernel state, h), ascending, without zeros.
+    terms: Vec<(u32, Coefficient)>,
+    constant: Coefficient,
+    noise: Coefficient,
+}
+
+/// All measurements of a model at α.
+#[derive(Debug, Clone)]
+pub(crate) struct Meters {
+    meters: Vec<Meter>,
+    /// (i, j, covariance).
+    pairs: Vec<(usize, usize, Coefficient)>,
+}
+
+/// Covariance of two measurements of a step, counted from its first.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Correlation {
+    pub(crate) i: usize,
+    pub(crate) j: usize,
+    pub(crate) value: f64,
+    /// Which covariance of the model.
+    pub(crate) pair: usize,
+    /// Row of the test that it was evaluated on.
+    pub(crate) row: usize,
+}
+
+impl Meters {
+    /// `place`: kernel index of each state.
+    pub(crate) fn new(at: &ModelAt<'_>, place: &[usize]) -> Result<Meters, Box<Fault>> {
+        let mut meters = Vec::with_capacity(at.model.measurements.len());
+        for (m, measurement) in at.model.measurements.iter().enumerate() {
+            let mut terms = Vec::new();
+            for (state, h) in &measurement.equation.terms {
+                let h = at.coefficient(h, Subject::Equation(m))?;
+                if !h.is_zero() {
+                    terms.push((place[*state] as u32, h));
+                }
+            }
+            terms.sort_by_key(|term| term.0);
+            let filter = measurement.filter.as_ref().map(|filter| at.coefficient(filter, Subject::Filter(m)));
+            meters.push(Meter {
+                column: measurement.column,
+                filter: filter.transpose()?,
+                terms,
+                constant: at.coefficient(&measurement.equation.constant, Subject::Equation(m))?,
+                noise: at.variance(&measurement.noise_variance, Subject::Noise(m))?,
+            });
+        }
+        let mut pairs = Vec::new();
+        for (i, j, covariance) in &at.model.noise_covariance {
+            let subject = Subject::NoiseCovariance(*i, *j);
+            if i == j {
+                let name = at.model.measurements[*i].name.clone();
+                return Err(Fault::new(subject, ReduceErrorKind::SelfCovariance { name }));
+            }
+            let covariance = at.coefficient(covariance, subject)?;
+            if !covariance.is_zero() {
+                pairs.push((*i, *j, covariance));
+            }
+        }
+        Ok(Meters { meters, pairs })
+    }
+
+    /// Appends the scalar measurements of rows `rows` of a test, one step, to design and data.
+    pub(crate) fn observe(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        (rows, dt): (std::ops::Range<usize>, f64),
+        out: &mut Observed<'_>,
+    ) -> Result<(), Box<Fault>> {
+        let (first, line) = (out.instances.len(), out.design.ends.len());
+        out.instances.begin(rows.start);
+        out.constants.clear();
+        for row in rows {
+            let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
+            for (m, meter) in self.meters.iter().enumerate() {
+                let z = scope.numbers[meter.column];
+                if !z.is_nan() && meter.take(at, m, z, &scope, out).map_err(|fault| fault.on(row))? {
+                    out.instances.push(Instance { meter: m, row });
+                }
+            }
+        }
+        let own = out.instances.last_step();
+        if self.pairs.is_empty() || own.len() < 2 {
+            return Ok(());
+        }
+        let row = own[0].row;
+        let found = self.covariances(at, test, dt, own)?;
+        if found.is_empty() {
+            return Ok(());
+        }
+        if let Some(covariances) = &mut out.covariances {
+            covariances.extend(found.iter().map(|c| (first + c.i, first + c.j, c.value)));
+            return Ok(());
+        }
+        let entries: Vec<(usize, usize, f64)> = found.iter().map(|c| (c.i, c.j, c.value)).collect();
+        whiten(out.design, out.data, line, &entries).map_err(|bad| Fault::new(Subject::StepNoise, bad).on(row))
+    }
+
+    /// Appends which measurements a row has; false where something is wrong with one.
+    #[inline]
+    pub(crate) fn measured(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        (row, dt): (usize, f64),
+        out: &mut Vec<Instance>,
+    ) -> bool {
+        let numbers = test.numbers(row);
+        self.meters.iter().enumerate().all(|(meter, own)| {
+            let z = numbers[own.column];
+            if z.is_nan() {
+                return true;
+            }
+            if let Some(filter) = &own.filter {
+                match at.value(filter, &Scope { numbers, texts: test.texts(row), step: dt, alpha: at.alpha }) {
+                    Ok(0.0) => return true,
+                    Ok(_) => {}
+                    Err(_) => return false,
+                }
+            }
+            out.push(Instance { meter, row });
+            z.is_finite()
+        })
+    }
+
+    /// Columns that lines, and which there are of them, depend on, and columns that only constants depend on.
+    pub(crate) fn uses(&self, alpha: &Alpha) -> (Uses, Uses) {
+        let (mut lines, mut constants) = (Uses::default(), Uses::default());
+        for meter in &self.meters {
+            let terms = meter.terms.iter().map(|(_, h)| h);
+            terms.chain(&meter.filter).chain([&meter.noise]).for_each(|c| lines.add(c, alpha));
+            constants.add(&meter.constant, alpha);
+        }
+        (lines, constants)
+    }
+
+    /// Kernel states of the line of each measurement, ascending, and the places of its own terms among them: whitened lines may have
+    /// the terms of all.
+    pub(crate) fn shapes(&self) -> Vec<(Vec<u32>, Vec<usize>)> {
+        let own = |meter: &Meter| meter.terms.iter().map(|(state, _)| *state).collect::<Vec<u32>>();
+        let mut all: Vec<u32> = self.meters.iter().flat_map(own).collect();
+        all.sort_unstable();
+        all.dedup();
+        let shape = |meter: &Meter| {
+            let (own, all) = (own(meter), &all);
+            let line = if self.pairs.is_empty() { own.clone() } else { all.clone() };
+            let place = |state: &u32| line.binary_search(state).expect("its own states are among them");
+            let places = own.iter().map(place).collect();
+            (line, places)
+        };
+        self.meters.iter().map(shape).collect()
+    }
+
+    /// How many measurements the model has.
+    pub(crate) fn count(&self) -> usize {
+        self.meters.len()
+    }
+
+    /// The column of a measurement.
+    pub(crate) fn column(&self, meter: usize) -> usize {
+        self.meters[meter].column
+    }
+
+    /// The columns of all measurements.
+    pub(crate) fn columns(&self) -> impl Iterator<Item = usize> {
+        self.meters.iter().map(|meter| meter.column)
+    }
+
+    /// True when the measurements of a step whose cells repeat are those of the step before but for their values.
+    pub(crate) fn can_repeat(&self) -> bool {
+        self.pairs.is_empty() // whitening mixes values
+    }
+
+    /// Appends the measured values of a step whose lines are those of the step before, `height` rows earlier. False, and nothing
+    /// is appended, where other values are measured or one is infinite. `fresh`: constants may differ.
+    #[inline]
+    pub(crate) fn repeat(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        ((first, height), dt): ((usize, usize), f64),
+        fresh: bool,
+        out: &mut Observed<'_>,
+    ) -> Result<bool, Box<Fault>> {
+        let measured = |row: usize, meter: &Meter| {
+            let (z, before) = (test.numbers(row)[meter.column], test.numbers(row - height)[meter.column]);
+            z.is_nan() == before.is_nan() && !z.is_infinite()
+        };
+        if !(first..first + height).all(|row| self.meters.iter().all(|meter| measured(row, meter))) {
+            return Ok(false);
+        }
+        let entries = out.instances.last_step();
+        for (entry, constant) in entries.iter().zip(out.constants.iter_mut()) {
+            let (meter, row) = (&self.meters[entry.meter], first + (entry.row - out.instances.first_row()));
+            let numbers = test.numbers(row);
+            if fresh {
+                let scope = Scope { numbers, texts: test.texts(row), step: dt, alpha: at.alpha };
+                *constant = at.value(&meter.constant, &scope).map_err(|fault| fault.on(row))?;
+            }
+            let z = numbers[meter.column];
+            out.data.take(z, *constant);
+        }
+        out.instances.repeat(1, height);
+        Ok(true)
+    }
+
+    /// Takes the values of at most `most` steps of one row like the last step, from row `first` on, of a test with nothing but
+    /// values to read; stops before a row that measures something else. Returns how many.
+    pub(crate) fn repeat_values(&self, test: &Test, first: usize, most: usize, out: &mut Observed<'_>) -> usize {
+        let entries = out.instances.last_step();
+        let mut is_taken = vec![false; self.meters.len()];
+        entries.iter().for_each(|entry| is_taken[entry.meter] = true);
+        let columns: Vec<(usize, bool)> =
+            self.meters.iter().zip(&is_taken).map(|(meter, &taken)| (meter.column, taken)).collect();
+        let taken: Vec<(usize, f64)> =
+            entries.iter().zip(&*out.constants).map(|(e, &d)| (self.meters[e.meter].column, d)).collect();
+        let mut many = 0;
+        while many < most {
+            let numbers = test.numbers(first + many);
+            let alike = |&(column, taken): &(usize, bool)| match numbers[column] {
+                z if taken => z.is_finite(),
+                z => z.is_nan(),
+            };
+            if !columns.iter().all(alike) {
+                break;
+            }
+            out.data.values.extend(taken.iter().map(|&(column, constant)| numbers[column] - constant));
+            out.data.sizes.extend(taken.iter().map(|&(column, constant)| numbers[column].abs() + constant.abs()));
+            many += 1;
+        }
+        out.instances.repeat(many, 1);
+        many
+    }
+
+    /// Covariances among the instances of a step.
+    pub(crate) fn covariances(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        dt: f64,
+        instances: &[Instance],
+    ) -> Result<Vec<Correlation>, Box<Fault>> {
+        let mut found = Vec::new();
+        for (pair, (i, j, covariance)) in self.pairs.iter().enumerate() {
+            let of = |meter: usize| {
+                instances.iter().enumerate().filter(move |(_, instance)| instance.meter == meter).map(|(k, _)| k)
+            };
+            let (firsts, seconds): (Vec<usize>, Vec<usize>) = (of(*i).collect(), of(*j).collect());
+            let partner = |a: usize| seconds.iter().copied().find(|&b| instances[b].row == instances[a].row);
+            let mut joined: Vec<(usize, usize)> = firsts.iter().filter_map(|&a| Some((a, partner(a)?))).collect();
+            if joined.len() < firsts.len() && joined.len() < seconds.len() {
+                if firsts.len() > 1 || seconds.len() > 1 {
+                    let name = |m: usize| at.model.measurements[m].name.clone();
+                    let kind = ReduceErrorKind::AmbiguousCovariance { first: name(*i), second: name(*j) };
+                    return Err(Fault::new(Subject::NoiseCovariance(*i, *j), kind).on(instances[firsts[0]].row));
+                }
+                joined.push((firsts[0], seconds[0]));
+            }
+            for (a, b) in joined {
+                let value = |k: usize| {
+                    let row = instances[k].row;
+                    let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };
+                    at.value(covariance, &scope).map_err(|fault| fault.on(row))
+                };
+                let (value, row) = match value(a) {
+                    Err(fault) if matches!(fault.kind, ReduceErrorKind::MissingCell { .. }) => {
+                        value(b).map(|value| (value, instances[b].row)).map_err(|_| fault)
+                    }
+                    other => other.map(|value| (value, instances[a].row)),
+                }?;
+                found.push(Correlation { i: a, j: b, value, pair, row });
+            }
+        }
+        Ok(found)
+    }
+}
+
+/// Where scalar measurements go.
+#[derive(Debug)]
+pub(crate) struct Observed<'a> {
+    pub(crate) design: &'a mut Design,
+    pub(crate) data: &'a mut Data,
+    pub(crate) instances: &'a mut Instances,
+    /// d of each scalar measurement of the last step.
+    pub(crate) constants: &'a mut Vec<f64>,
+    /// Where covariances go that are not to be whitened away.
+    pub(crate) covariances: Option<&'a mut Vec<(usize, usize, f64)>>,
+}
+
+impl Meter {
+    /// Takes the measured value, unless the filter says no.
+    fn take(
+        &self,
+        at: &ModelAt<'_>,
+        m: usize,
+        z: f64,
+        scope: &Scope<'_>,
+        out: &mut Observed<'_>,
+    ) -> Result<bool, Box<Fault>> {
+        if let Some(filter) = &self.filter
+            && at.value(filter, scope)? == 0.0
+        {
+            return Ok(false);
+        }
+        if z.is_infinite() {
+            let column = at.model.columns[self.column].name.clone();
+            return Err(Fault::new(Subject::Value(m), ReduceErrorKind::InfiniteCell { column, value: z }));
+        }
+        let (noise, constant) = self.line(at, scope, &mut out.design.h)?;
+        out.design.states.extend(self.terms.iter().map(|(state, _)| *state));
+        out.design.ends.push(out.design.states.len());
+        out.design.noise.push(noise);
+        out.constants.push(constant);
+        out.data.take(z, constant);
+        Ok(true)
+    }
+
+    /// Noise variance and constant; the coefficients of the terms are appended.
+    #[inline(always)]
+    fn line(&self, at: &ModelAt<'_>, scope: &Scope<'_>, h: &mut Vec<f64>) -> Result<(f64, f64), Box<Fault>> {
+        let noise = at.variance_value(&self.noise, scope)?;
+        let constant = at.value(&self.constant, scope)?;
+        for (_, coefficient) in &self.terms {
+            h.push(at.value(coefficient, scope)?);
+        }
+        Ok((noise, constant))
+    }
+}

@@ -1,0 +1,272 @@
+//! One phase of a test by itself, from whatever is known of it.
+
+use std::borrow::Cow;
+
+use nalgebra::DMatrix;
+
+use crate::reduce::carry::Inheritance;
+use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
+use crate::reduce::prepare::Workspace;
+use crate::reduce::reducer::{Reducer, ToEnd};
+use crate::reduce::steps::GatheredCells;
+use crate::reduce::subject::WHOLE;
+use crate::reduce::{EstimateReducer, FilterRunner, Terminal};
+use kalfit_model::Reduction;
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Model, Phase};
+use kalfit_model::{Estimates, Evidence, Inherited, PhaseReduction};
+
+/// Where a phase stands among the others.
+#[derive(Debug, Clone)]
+pub(crate) struct PhasePosition {
+    /// Its name; `None` for the only phase.
+    pub(crate) name: Option<String>,
+    /// States of the phase before; `None` for the first phase.
+    pub(crate) before: Option<usize>,
+    /// The model has a phase after it.
+    pub(crate) followed: bool,
+}
+
+/// One phase: its filter in its entering coordinates, and what it inherits.
+#[derive(Debug)]
+pub struct PhaseReducer {
+    place: PhasePosition,
+    pub reducer: Reducer,
+    /// `None` for the first phase.
+    pub(crate) inheritance: Option<Inheritance>,
+    /// p: its own ξ, the first of its coordinates.
+    pub own: usize,
+    /// What makes reductions of estimates.
+    estimates: EstimateReducer,
+    /// Its suboptimal filter.
+    filter: Option<FilterRunner>,
+    sizes: Sizes,
+}
+
+/// What a reduction made before must be like.
+#[derive(Debug, Clone, Copy)]
+struct Sizes {
+    /// Entering coordinates.
+    q: usize,
+    /// States.
+    n: usize,
+    regressions: usize,
+}
+
+/// What is known of one phase, owned or not.
+#[derive(Clone)]
+pub(crate) struct ReducedPhase<'a> {
+    pub(crate) reduction: Cow<'a, Reduction>,
+    /// `None` where no phase follows.
+    pub(crate) terminal: Option<Cow<'a, Terminal>>,
+    /// `None` for the first phase.
+    pub(crate) inherited: Option<Cow<'a, Inherited>>,
+}
+
+impl PhaseReducer {
+    /// `make`: how the reducer of its entering coordinates is made.
+    pub(crate) fn new(
+        (phase, alpha): (&Phase, &Alpha),
+        place: PhasePosition,
+        make: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
+    ) -> Result<PhaseReducer, ReduceError> {
+        let named = |error| of_phase(place.name.as_deref(), error);
+        let reducer = make(&phase.entry_model()).map_err(named)?;
+        let reducer = if place.followed { reducer.with_ends() } else { reducer };
+        let at = reducer.preparer().at();
+        let inheritance = place.before.map(|before| Inheritance::new(phase, before, &at)).transpose();
+        let inheritance = inheritance.map_err(|fault| named(fault.name(&phase.model, None)))?;
+        let sizes = Sizes {
+            q: at.model.estimated.len(),
+            n: at.model.states.len(),
+            regressions: at.model.mean.regression.len(),
+        };
+        let own = phase.model.dimension();
+        let estimates = EstimateReducer::new(phase, alpha).map_err(named)?;
+        let filter = phase.filter.as_ref().map(|_| FilterRunner::new(phase, alpha)).transpose().map_err(named)?;
+        Ok(PhaseReducer { place, reducer, inheritance, own, estimates, filter, sizes })
+    }
+
+    /// Rows of it are reduced by the optimal filter.
+    pub(crate) fn is_optimal(&self) -> bool {
+        self.filter.is_none()
+    }
+
+    /// An error of this phase, saying so where there are others.
+    pub fn named(&self, error: ReduceError) -> ReduceError {
+        of_phase(self.place.name.as_deref(), error)
+    }
+
+    /// Every step of every record in full.
+    pub(crate) fn unfrozen(self) -> PhaseReducer {
+        PhaseReducer { reducer: self.reducer.unfrozen(), ..self }
+    }
+
+    /// The phase of a test. `designs`: nothing measured is wanted; `linked`: the test has a phase after it.
+    pub(crate) fn part<'a>(
+        &'a self,
+        (id, evidence): (&str, &'a Evidence),
+        (work, cells): (&mut Workspace, &mut GatheredCells),
+        (designs, linked): (bool, bool),
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
+        let part = match (evidence, &self.filter) {
+            (Evidence::Rows(rows), None) => self.carried(rows, self.to_end(rows, work, designs), cells),
+            (Evidence::Rows(rows), Some(filter)) => {
+                filter.run(rows).and_then(|estimates| self.filtered(id, &estimates, cells))
+            }
+            (Evidence::Estimates(estimates), _) => self.filtered(id, estimates, cells),
+            (Evidence::Reduced(piece), _) => self.given(id, piece, linked),
+        };
+        part.map_err(|error| self.named(error))
+    }
+
+    /// The phase by a filter that need not be optimal, run here or elsewhere.
+    fn filtered<'a>(
+        &'a self,
+        id: &str,
+        estimates: &Estimates,
+        cells: &mut GatheredCells,
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
+        let (reduction, terminal) = self.estimates.reduce(id, estimates)?;
+        let at = self.reducer.preparer().at();
+        let inherited = self.inheritance.as_ref();
+        let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
+        let terminal = self.place.followed.then_some(Cow::Owned(terminal));
+        Ok(ReducedPhase { reduction: Cow::Owned(reduction), terminal, inherited })
+    }
+
+    fn to_end(&self, rows: &Test, work: &mut Workspace, designs: bool) -> ToEnd {
+        if designs {
+            let (reduction, class) = self.reducer.designed(rows, work)?;
+            return Ok((reduction, self.reducer.ending(&class, std::iter::repeat(0.0))));
+        }
+        self.reducer.to_end(rows, work)
+    }
+
+    /// The phase of a test whose rows were reduced by themselves.
+    pub(crate) fn joined<'a>(
+        &'a self,
+        rows: &Test,
+        found: ToEnd,
+        cells: &mut GatheredCells,
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
+        self.carried(rows, found, cells).map_err(|error| self.named(error))
+    }
+
+    fn carried<'a>(
+        &'a self,
+        rows: &Test,
+        found: ToEnd,
+        cells: &mut GatheredCells,
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
+        let (reduction, terminal) = found?;
+        self.refuse_exact(&rows.id, &reduction)?;
+        let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
+        Ok(ReducedPhase {
+            reduction: Cow::Owned(reduction),
+            terminal: terminal.map(|end| Cow::Owned(end.terminal())),
+            inherited,
+        })
+    }
+
+    /// Of several phases none may measure what is estimated without noise.
+    fn refuse_exact(&self, id: &str, reduction: &Reduction) -> Result<(), ReduceError> {
+        let refused = self.place.name.is_some() && reduction.exact.is_some();
+        if refused { Err(refuse(Some(id), WHOLE, ReduceErrorKind::ExactMeasurement)) } else { Ok(()) }
+    }
+
+    /// What a later phase with these rows inherits.
+    pub fn inherited(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
+        self.of_carry(rows, cells).map_err(|error| self.named(error))
+    }
+
+    fn of_carry(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
+        let inheritance = self.inheritance.as_ref().expect("a later phase inherits");
+        inheritance.of(&self.reducer.preparer().at(), rows, cells)
+    }
+
+    /// A reduction made before, if it is of this phase's shape.
+    fn given<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<ReducedPhase<'a>, ReduceError> {
+        let Sizes { q, n, regressions } = self.sizes;
+        let before = self.place.before;
+        let PhaseReduction { reduction, terminal, inherited, .. } = piece;
+        let refuse = |what: &str, kind: ReduceErrorKind| refuse(Some(id), what, kind);
+        let check = |what: &str, numbers: &[f64], found: (usize, usize), expected: (usize, usize)| {
+            of_shape(found, expected).and_then(|()| finite(numbers)).map_err(|kind| refuse(what, kind))
+        };
+        let row =
+            |what: &str, numbers: &[f64], expected: usize| check(what, numbers, (numbers.len(), 1), (expected, 1));
+        let matrix = |what: &str, found: &DMatrix<f64>, rows: usize, columns: usize| {
+            check(what, found.as_slice(), found.shape(), (rows, columns))
+        };
+        row("constant of the reduction", &[reduction.constant], 1)?;
+        row("data of the reduction", &reduction.data, q)?;
+        row("factor of the reduction", &reduction.factor, q * (q + 1) / 2)?;
+        row("covariates of the reduction", &reduction.covariates, regressions)?;
+        self.refuse_exact(id, reduction)?;
+        if let Some(exact) = &reduction.exact {
+            let rows = exact.values.len();
+            row("exact values of the reduction", &exact.values, rows)?;
+            row("exact rows of the reduction", &exact.coefficients, rows * q)?;
+        }
+        if let Some(value) = (0..q).map(|k| reduction.factor[k * (k + 3) / 2]).find(|diagonal| *diagonal < 0.0) {
+            return Err(refuse("factor of the reduction", ReduceErrorKind::NegativeDiagonal { value }));
+        }
+        if let Some(terminal) = terminal {
+            row("mean of the last state", terminal.mean.as_slice(), n)?;
+            matrix("sensitivity of the last state", &terminal.sensitivity, n, q)?;
+            matrix("covariance root of the last state", &terminal.root, n, terminal.root.ncols())?;
+        } else if linked {
+            return Err(refuse(WHOLE, ReduceErrorKind::Absent { what: "last state" }));
+        }
+        match (inherited, before) {
+            (Some(inherited), Some(before)) => {
+                matrix("transition from the phase before", &inherited.transition, q, before)?;
+                row("input from the phase before", inherited.input.as_slice(), q)?;
+            }
+            (None, Some(_)) => {
+                let kind = ReduceErrorKind::Absent { what: "transition from the phase before" };
+                return Err(refuse(WHOLE, kind));
+            }
+            (Some(inherited), None) => {
+                matrix("transition from the phase before", &inherited.transition, 0, 0)?;
+            }
+            (None, None) => {}
+        }
+        Ok(ReducedPhase {
+            reduction: Cow::Borrowed(reduction),
+            terminal: terminal.as_ref().map(Cow::Borrowed),
+            inherited: inherited.as_ref().filter(|_| before.is_some()).map(Cow::Borrowed),
+        })
+    }
+}
+
+impl ReducedPhase<'_> {
+    /// The phase by itself.
+    pub(crate) fn into_piece(self) -> PhaseReduction {
+        PhaseReduction {
+            reduction: self.reduction.into_owned(),
+            terminal: self.terminal.map(Cow::into_owned),
+            inherited: self.inherited.map(Cow::into_owned),
+            groups: Vec::new(),
+        }
+    }
+
+    /// What a later phase inherits.
+    pub(crate) fn inherits(&self) -> &Inherited {
+        self.inherited.as_ref().expect("a later phase inherits")
+    }
+
+    /// The last state of a phase that another follows.
+    pub(crate) fn last(&self) -> &Terminal {
+        self.terminal.as_ref().expect("a phase that another follows has an end")
+    }
+}
+
+/// Says of which phase an error is.
+fn of_phase(name: Option<&str>, error: ReduceError) -> ReduceError {
+    let Some(name) = name else { return error };
+    let what =
+        if error.what == WHOLE { format!("phase `{name}`") } else { format!("{} of phase `{name}`", error.what) };
+    ReduceError { what, ..error }
+}

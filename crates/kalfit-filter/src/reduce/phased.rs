@@ -1,0 +1,225 @@
+//! Tests in phases → reductions: each phase by its own filter, then all of them together (theory §7).
+
+mod batches;
+mod reduce;
+mod replicates;
+mod whole;
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::reduce::Reductions;
+use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
+use crate::reduce::known_steps::KnownSteps;
+use crate::reduce::part::{PhasePosition, PhaseReducer, ReducedPhase};
+use crate::reduce::prepare::Workspace;
+use crate::reduce::reducer::{Reducer, ToEnd, Work};
+use crate::reduce::steps::GatheredCells;
+use crate::reduce::subject::WHOLE;
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Model, PhasedModel, Slots};
+use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
+
+pub use batches::FilteredPhases;
+pub use batches::PhasedBatches;
+pub use replicates::PhaseReplicates;
+
+/// Reduces the tests of a model in phases at α.
+///
+/// As a [`Reducer`], it keeps what tests share from call to call, and what it returns depends as little on that, on threads, batches
+/// or the order of the tests.
+#[derive(Debug)]
+pub struct PhasedReducer {
+    phases: Vec<PhaseReducer>,
+    /// Σ p_i.
+    dimension: usize,
+    /// Regressions of all phases.
+    regressions: usize,
+}
+
+/// Work space for all passes over a test.
+#[derive(Debug)]
+pub struct PhasedWork {
+    /// That of each phase.
+    pub phases: Vec<Workspace>,
+    /// Room for what a carry is evaluated on.
+    pub cells: GatheredCells,
+}
+
+impl PhasedReducer {
+    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
+    pub fn new(model: &PhasedModel, alpha: &Alpha) -> Result<PhasedReducer, ReduceError> {
+        PhasedReducer::made(model, alpha, &|model| Reducer::new(model, alpha))
+    }
+
+    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α. Of several phases all
+    /// classes are wanted again, for what the phases say of each other.
+    pub fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
+        PhasedReducer::made(model, alpha, &|one| Reducer::scoring(one, alpha, slots))
+    }
+
+    /// The same where no backward pass is to come.
+    pub fn passing(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
+        PhasedReducer::made(model, alpha, &|model| Reducer::passing(model, alpha, slots))
+    }
+
+    fn made(
+        model: &PhasedModel,
+        alpha: &Alpha,
+        reducer: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
+    ) -> Result<PhasedReducer, ReduceError> {
+        let last = model.phases.len() - 1;
+        let phase = |at: usize| -> Result<PhaseReducer, ReduceError> {
+            let place = PhasePosition {
+                name: (!model.is_single()).then(|| model.phases[at].name.clone()),
+                before: at.checked_sub(1).map(|at| model.phases[at].model.states.len()),
+                followed: at < last,
+            };
+            PhaseReducer::new((&model.phases[at], alpha), place, reducer)
+        };
+        Ok(PhasedReducer {
+            phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
+            dimension: model.dimension(),
+            regressions: model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum(),
+        })
+    }
+
+    /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn unfrozen(mut self) -> PhasedReducer {
+        self.phases = self.phases.into_iter().map(PhaseReducer::unfrozen).collect();
+        self
+    }
+
+    /// Takes the steps that are known of the tests of each phase, and leaves what it finds with them.
+    pub(crate) fn share_steps(&mut self, steps: &[Arc<KnownSteps>]) {
+        for (phase, steps) in self.phases.iter_mut().zip(steps) {
+            phase.reducer.share_steps(steps.clone());
+        }
+    }
+
+    /// The phases, in order.
+    pub fn phases(&self) -> &[PhaseReducer] {
+        &self.phases
+    }
+
+    /// Work space for all passes.
+    pub fn workspace(&self) -> PhasedWork {
+        let phases = self.phases.iter().map(|phase| phase.reducer.workspace()).collect();
+        PhasedWork { phases, cells: GatheredCells::default() }
+    }
+
+    /// What has been done so far, over all phases.
+    pub fn work(&self) -> Work {
+        let add = |sum: Work, phase: &PhaseReducer| {
+            let one = phase.reducer.work();
+            Work {
+                design_runs: sum.design_runs + one.design_runs,
+                root_runs: sum.root_runs + one.root_runs,
+                data_runs: sum.data_runs + one.data_runs,
+                transitions: sum.transitions + one.transitions,
+            }
+        };
+        self.phases.iter().fold(Work::default(), add)
+    }
+
+    /// The only phase and the rows of all tests, where that is all there is.
+    fn plain<'a>(&'a self, tests: &'a [PhasedTest]) -> Option<(&'a PhaseReducer, Vec<&'a Test>)> {
+        let [phase] = &*self.phases else { return None };
+        let rows = |test: &'a PhasedTest| self.rows_of(0, test).filter(|_| test.phases.len() == 1);
+        Some((phase, tests.iter().map(rows).collect::<Option<_>>()?))
+    }
+
+    /// The rows of a phase of a test, where the optimal filter is to run over them.
+    pub(crate) fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
+        match test.phases.get(at)? {
+            Evidence::Rows(rows) if self.phases[at].is_optimal() => Some(rows),
+            _ => None,
+        }
+    }
+
+    /// The phases of tests, each by itself in its entering coordinates.
+    ///
+    /// # Errors
+    /// As [`PhasedReducer::reduce`].
+    pub fn pieces(&self, tests: &[PhasedTest]) -> Result<Vec<Vec<PhaseReduction>>, ReduceError> {
+        self.each(tests, &|test, work| self.pieces_of(test, work))
+    }
+
+    /// The phases of one test, as [`PhasedReducer::pieces`].
+    pub fn pieces_of(&self, test: &PhasedTest, work: &mut PhasedWork) -> Result<Vec<PhaseReduction>, ReduceError> {
+        Ok(self.parts(test, Vec::new(), work, false)?.into_iter().map(ReducedPhase::into_piece).collect())
+    }
+
+    /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which
+    /// values are missing. What was measured is not looked at; `data` and `constant` are zero, and there is no chain.
+    ///
+    /// # Errors
+    /// As [`PhasedReducer::reduce`].
+    pub fn reduce_designs(&self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
+        let all = self.each(tests, &|test, work| {
+            let mut reduction = self.whole(test, self.parts(test, Vec::new(), work, true))?;
+            reduction.constant = 0.0;
+            reduction.residual = None;
+            reduction.data.fill(0.0);
+            reduction.chain = None;
+            Ok(reduction)
+        })?;
+        Ok(all.into())
+    }
+
+    fn each<T: Send>(
+        &self,
+        tests: &[PhasedTest],
+        one: &(dyn Fn(&PhasedTest, &mut PhasedWork) -> Result<T, ReduceError> + Sync),
+    ) -> Result<Vec<T>, ReduceError> {
+        let all: Vec<Result<T, ReduceError>> =
+            tests.par_iter().map_init(|| self.workspace(), |work, test| one(test, work)).collect();
+        all.into_iter().collect()
+    }
+
+    /// A test has no more phases than the model, and one at least.
+    pub(crate) fn check(&self, test: &PhasedTest) -> Result<(), ReduceError> {
+        match (test.phases.len(), self.phases.len()) {
+            (0, _) => Err(refuse(Some(&test.id), WHOLE, ReduceErrorKind::NoRows)),
+            (found, expected) if found > expected => {
+                Err(refuse(Some(&test.id), WHOLE, ReduceErrorKind::TooManyPhases { found, expected }))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The phases of a test by themselves, `found` what the filters left of those that have rows for them, as far as they have run; of
+    /// `designs`, nothing that was measured.
+    fn parts<'a>(
+        &'a self,
+        test: &'a PhasedTest,
+        found: Vec<Option<ToEnd>>,
+        work: &mut PhasedWork,
+        designs: bool,
+    ) -> Result<Vec<ReducedPhase<'a>>, ReduceError> {
+        self.check(test)?;
+        let part = |((at, evidence), found): ((usize, &'a Evidence), Option<ToEnd>)| {
+            self.part((&test.id, at, evidence), found, work, (designs, at + 1 < test.phases.len()))
+        };
+        let found = found.into_iter().chain(std::iter::repeat_with(|| None));
+        test.phases.iter().enumerate().zip(found).map(part).collect()
+    }
+
+    /// One of them: (id of the test, phase, what is known of it).
+    fn part<'a>(
+        &'a self,
+        (id, at, evidence): (&str, usize, &'a Evidence),
+        found: Option<ToEnd>,
+        work: &mut PhasedWork,
+        (designs, linked): (bool, bool),
+    ) -> Result<ReducedPhase<'a>, ReduceError> {
+        let phase = &self.phases[at];
+        match (evidence, found) {
+            (Evidence::Rows(rows), Some(found)) => phase.joined(rows, found, &mut work.cells),
+            _ => phase.part((id, evidence), (&mut work.phases[at], &mut work.cells), (designs, linked)),
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! Tests in phases, each phase of each test among the rows of its like; those that are kept side by side, for all values of α.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::reduce::Reductions;
+use crate::reduce::batches::{EnsembleBatches, FilteredBatch, FilteredBatches};
+use crate::reduce::chunk_size::chunk_size;
+use crate::reduce::error::ReduceError;
+use crate::reduce::part::ReducedPhase;
+use crate::reduce::phased::replicates::PhaseReplicates;
+use crate::reduce::phased::{PhasedReducer, PhasedWork};
+use crate::reduce::reducer::ToEnd;
+use kalfit_model::Reduction;
+use kalfit_model::Test;
+use kalfit_model::{PhaseReduction, PhasedTest};
+
+/// How the phases of tests go together.
+#[derive(Debug)]
+pub struct PhasedBatches {
+    phases: Vec<Members>,
+    /// Whether a phase of a test is in a batch.
+    pub(crate) has: Vec<bool>,
+}
+
+/// The tests that have rows in a phase.
+#[derive(Debug)]
+struct Members {
+    /// By number, ascending.
+    numbers: Arc<Vec<usize>>,
+    batches: Arc<EnsembleBatches>,
+}
+
+/// Tests in phases at an α, after their filters.
+#[derive(Debug)]
+pub struct FilteredPhases {
+    phases: Vec<(Arc<Vec<usize>>, FilteredBatches)>,
+    /// By test, the phases of those that are in batches; empty where there is one phase.
+    pieces: Vec<Option<Vec<PhaseReduction>>>,
+}
+
+impl FilteredPhases {
+    /// The phases of a test by themselves, where they are known.
+    pub(crate) fn pieces(&self, number: usize) -> Option<&[PhaseReduction]> {
+        self.pieces.get(number)?.as_deref()
+    }
+
+    /// The numbers of the tests that have rows in a phase, and the batches of these, for several threads.
+    pub(crate) fn phase(&self, at: usize) -> (&[usize], impl IndexedParallelIterator<Item = FilteredBatch<'_>>) {
+        let (numbers, filtered) = &self.phases[at];
+        (numbers, filtered.batches())
+    }
+}
+
+impl PhasedReducer {
+    /// How the phases of tests go together. Of the tests with the numbers `alone`, those with designs of their own are kept side by
+    /// side; `shared`: some of each kind of the others.
+    pub(crate) fn batches(
+        &self,
+        tests: &[PhasedTest],
+        phases: Vec<PhaseReplicates>,
+        (alone, shared): (&[usize], &[usize]),
+    ) -> PhasedBatches {
+        let mut has = vec![false; tests.len()];
+        let mut phase = |(at, PhaseReplicates { numbers, replicates }): (usize, PhaseReplicates)| {
+            let rows: Vec<&Test> = numbers.iter().filter_map(|&number| self.rows_of(at, &tests[number])).collect();
+            let places = |wanted: &[usize]| -> Vec<usize> {
+                wanted.iter().filter_map(|number| numbers.binary_search(number).ok()).collect()
+            };
+            let reducer = &self.phases[at].reducer;
+            let batches = EnsembleBatches::new(reducer, (&rows, replicates), &places(alone), &places(shared));
+            batches.numbers().for_each(|place| has[numbers[place]] = true);
+            Members { numbers: Arc::new(numbers), batches: Arc::new(batches) }
+        };
+        let phases = phases.into_iter().enumerate().map(&mut phase).collect();
+        PhasedBatches { phases, has }
+    }
+
+    /// As [`PhasedReducer::reduce`], phases as they go together.
+    pub(crate) fn reduce_batches(
+        &self,
+        tests: &[PhasedTest],
+        batches: &PhasedBatches,
+    ) -> Result<(Reductions, FilteredPhases), ReduceError> {
+        let filter = |at: usize, rows: &[&Test]| {
+            let Members { numbers, batches: own } = &batches.phases[at];
+            let (found, filtered) = own.reduce(&self.phases[at].reducer, rows);
+            (found, (numbers.clone(), filtered))
+        };
+        if let Some((_, rows)) = self.plain(tests) {
+            let (found, phase) = filter(0, &rows);
+            return Ok((found.ordered()?, FilteredPhases { phases: vec![phase], pieces: Vec::new() }));
+        }
+        let mut found: Vec<Vec<Option<ToEnd>>> = tests.iter().map(|_| Vec::new()).collect();
+        let mut phases = Vec::with_capacity(self.phases.len());
+        for (at, Members { numbers, .. }) in batches.phases.iter().enumerate() {
+            let rows = numbers.iter().filter_map(|&number| self.rows_of(at, &tests[number]));
+            let (ends, phase) = filter(at, &rows.collect::<Vec<_>>());
+            found.iter_mut().for_each(|own| own.push(None));
+            let ends = numbers.iter().zip(ends.by_number(numbers.len()));
+            ends.for_each(|(&number, end)| found[number][at] = Some(end));
+            phases.push(phase);
+        }
+        let rows = tests.iter().map(PhasedTest::row_count).sum();
+        let size = chunk_size(tests.len(), rows);
+        let chunks = tests.par_chunks(size).zip(batches.has.par_chunks(size)).zip(found.into_par_iter().chunks(size));
+        let whole = |work: &mut PhasedWork, ((tests, has), found): ((&[PhasedTest], &[bool]), Vec<_>)| {
+            let parts: Vec<_> =
+                tests.iter().zip(found).map(|(test, found)| self.parts(test, found, work, false)).collect();
+            let pieces = parts.iter().zip(has).map(|(parts, &has)| pieces(parts.as_deref().ok().filter(|_| has)));
+            let pieces: Vec<_> = pieces.collect();
+            self.wholes(tests, parts).into_iter().zip(pieces).collect::<Vec<_>>()
+        };
+        let all: Vec<(Result<Reduction, ReduceError>, _)> =
+            chunks.map_init(|| self.workspace(), whole).flatten_iter().collect();
+        let (reductions, pieces): (Vec<_>, Vec<_>) = all.into_iter().unzip();
+        let reductions = reductions.into_iter().collect::<Result<_, _>>()?;
+        Ok((reductions, FilteredPhases { phases, pieces }))
+    }
+}
+
+/// The phases of a test by themselves.
+fn pieces(parts: Option<&[ReducedPhase<'_>]>) -> Option<Vec<PhaseReduction>> {
+    Some(parts?.iter().map(|part| part.clone().into_piece()).collect())
+}

@@ -1,0 +1,52 @@
+//! Tests in phases, many at a time: each phase of all of them, then each test as a whole.
+
+use rayon::prelude::*;
+
+use crate::reduce::Reductions;
+use crate::reduce::error::ReduceError;
+use crate::reduce::phased::{PhasedReducer, PhasedWork};
+use crate::reduce::reducer::ToEnd;
+use kalfit_model::Test;
+use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
+
+/// Tests whose phases are there at the same time.
+const MOST: usize = 1 << 12;
+
+impl PhasedReducer {
+    /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, zero rows and columns for phases that a
+    /// test lacks, with the [`Chain`](kalfit_model::Chain) where the model has several phases.
+    ///
+    /// # Errors
+    /// Of several tests in error, the first one's error; of several phases, the first one's.
+    pub fn reduce(&self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
+        if let Some((phase, rows)) = self.plain(tests) {
+            return phase.reducer.reduce_all(&rows);
+        }
+        let some = |tests: &[PhasedTest]| {
+            let batches = self.batches(tests, self.replicates(tests), (&[], &[]));
+            Ok(self.reduce_batches(tests, &batches)?.0)
+        };
+        Ok(Reductions::joined(tests.chunks(MOST).map(some).collect::<Result<_, _>>()?))
+    }
+
+    /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
+    ///
+    /// # Errors
+    /// Of several in error, the first one's error.
+    pub fn each_piece(&self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
+        let mut found: Vec<Option<ToEnd>> = phases.iter().map(|_| None).collect();
+        for (at, phase) in self.phases.iter().enumerate().filter(|(_, phase)| phase.is_optimal()) {
+            let own = phases.iter().enumerate().filter_map(|(number, &(_, of, evidence))| match evidence {
+                Evidence::Rows(rows) if of == at => Some((number, rows)),
+                _ => None,
+            });
+            let (numbers, rows): (Vec<usize>, Vec<&Test>) = own.unzip();
+            let ends = phase.reducer.reduce_each(&rows, &phase.reducer.replicates(&rows)).by_number(rows.len());
+            numbers.into_iter().zip(ends).for_each(|(number, end)| found[number] = Some(end));
+        }
+        let piece =
+            |work: &mut PhasedWork, (&phase, found)| Ok(self.part(phase, found, work, (false, false))?.into_piece());
+        let pieces = phases.par_iter().zip(found).map_init(|| self.workspace(), piece);
+        pieces.collect::<Vec<Result<PhaseReduction, ReduceError>>>().into_iter().collect()
+    }
+}

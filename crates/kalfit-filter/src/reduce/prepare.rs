@@ -1,0 +1,444 @@
+//! A test of a model, evaluated: its design and its data.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use kalfit_lanes::Isa;
+
+use crate::reduce::cell_mask::CellMask;
+use crate::reduce::data::Data;
+use crate::reduce::design::{Design, Transition};
+use crate::reduce::dynamics::Dynamics;
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::instances::{Instance, Instances};
+use crate::reduce::known_steps::KnownSteps;
+use crate::reduce::lanes::{DataBlock, DataWorkspace};
+use crate::reduce::motion::{Filled, MotionPlan, Moves};
+use crate::reduce::observe::{Meters, Observed};
+use crate::reduce::order::Order;
+use crate::reduce::schedule::GainsWork;
+use crate::reduce::shared_store::SharedStore;
+use crate::reduce::start::{ModelStart, StartMoments};
+use crate::reduce::steps::{GatheredCells, StepSpan, spans};
+use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses};
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Model, Scope};
+
+mod alike;
+mod opening;
+mod replay;
+mod skeleton;
+mod transition;
+
+use alike::looks;
+pub use replay::Replay;
+pub(crate) use replay::StartCells;
+pub use skeleton::Skeleton;
+use transition::Last;
+
+/// Bytes of transitions that are kept.
+const TRANSITION_BYTES: usize = 16 << 20;
+
+/// A model at α, ready to evaluate tests.
+#[derive(Debug)]
+pub struct Preparer {
+    pub model: Model,
+    alpha: Alpha,
+    /// Which parameters are free, where derivatives are wanted.
+    free: Vec<bool>,
+    pub dynamics: Dynamics,
+    pub start: ModelStart,
+    pub order: Order,
+    pub plan: MotionPlan,
+    pub(crate) meters: Meters,
+    /// Columns that φ, Q, h, R or which values count depend on: where their cells repeat, so do these.
+    shape: Uses,
+    /// Columns that only known inputs and constants depend on.
+    drive: Uses,
+    /// Nothing is read from the data but measured values and times.
+    plain: bool,
+    /// The dynamics depend on the length of a step alone.
+    steady: bool,
+    /// No transition calls for a matrix exponential.
+    quick: bool,
+    /// Tests can be evaluated column by column: noises of states that are correlated are the same on every row.
+    columnwise: bool,
+    /// The law of x_0, when no test changes it.
+    law: Option<StartMoments>,
+    /// Which cells decide all but measured values; `None` where values are mixed.
+    pub(crate) cell_mask: Option<CellMask>,
+    transitions: SharedStore<Vec<u64>, Result<Moves, Box<Fault>>>,
+    /// Steps that were found at another α; `None` where nobody keeps them.
+    pub(crate) steps: Option<Arc<KnownSteps>>,
+    /// Transitions computed for all tests.
+    pub(crate) computed: AtomicU64,
+}
+
+/// One step to be evaluated.
+#[derive(Debug, Clone)]
+struct StepRows {
+    rows: Range<usize>,
+    /// The rows whose cells the dynamics read.
+    source: Range<usize>,
+    dt: f64,
+    moves: bool,
+}
+
+/// One test evaluated, and the work space of all its passes.
+#[derive(Debug)]
+pub struct Workspace {
+    pub design: Design,
+    pub data: Data,
+    pub instances: Instances,
+    pub covariates: Vec<f64>,
+    /// When given, covariances (i, j, value) between scalar measurements of the test go here, and the measurements are not
+    /// whitened.
+    pub covariances: Option<Vec<(usize, usize, f64)>>,
+    pub(crate) gains: GainsWork,
+    /// Of this test by itself.
+    pub pass: DataWorkspace,
+    /// Of replicates, and of any tests side by side.
+    pub(crate) block: DataBlock,
+    pub(crate) room: DataWorkspace,
+    spans: Vec<StepSpan>,
+    /// Number of the first step of each span.
+    firsts: Vec<usize>,
+    constants: Vec<f64>,
+    whole: GatheredCells,
+    step: GatheredCells,
+    replay: Replay,
+    filled: Filled,
+    key: Vec<u64>,
+    last: Option<Last>,
+    /// Transitions that nobody has.
+    spare: Vec<Arc<Transition>>,
+}
+
+impl Workspace {
+    /// The rows of each step.
+    pub fn step_rows(&self) -> impl Iterator<Item = Range<usize>> {
+        self.spans.iter().flat_map(|span| (0..span.count).map(|number| span.step(number)))
+    }
+}
+
+impl Preparer {
+    pub fn new(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
+        Preparer::with_free(model, alpha, Vec::new())
+    }
+
+    /// With derivatives in mind: no coefficient that depends on a free parameter is left out for being zero at this α.
+    /// `free`: one for each parameter.
+    pub(crate) fn with_free(model: &Model, alpha: &Alpha, free: Vec<bool>) -> Result<Preparer, Box<Fault>> {
+        Preparer::made(model, alpha, free, false)
+    }
+
+    /// For tests that bring the law of their estimated states with them, as part of a and P0.
+    pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
+        let mut preparer = Preparer::made(model, alpha, Vec::new(), true)?;
+        preparer.order.frame = Arc::new(preparer.order.frame.without_unknowns());
+        Ok(preparer)
+    }
+
+    fn made(model: &Model, alpha: &Alpha, free: Vec<bool>, brought: bool) -> Result<Preparer, Box<Fault>> {
+        let at = ModelAt { model, alpha, free: &free };
+        let dynamics = Dynamics::new(&at)?;
+        let mut start = ModelStart::new(&at, &dynamics)?;
+        start.brought = brought;
+        let order = Order::new(&at, &dynamics, &start);
+        let meters = Meters::new(&at, &order.place)?;
+        let settled = !dynamics.table.varying.iter().any(|(slot, ..)| start.needs(*slot))
+            && !dynamics.inputs.varying.iter().any(|(slot, ..)| start.needs_input(*slot));
+        let law = if start.fixed && settled {
+            let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
+            Some(start.law(&at, &scope, &dynamics.table.fixed, &dynamics.inputs.fixed)?)
+        } else {
+            None
+        };
+        let (mut shape, mut drive) = meters.uses(alpha);
+        dynamics.table.varying.iter().for_each(|(_, coefficient, _)| shape.add(coefficient, alpha));
+        dynamics.inputs.varying.iter().for_each(|(_, coefficient, _)| drive.add(coefficient, alpha));
+        let looks = looks(&at, (&shape, &drive), (&dynamics, &start, &meters));
+        Ok(Preparer {
+            plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
+            shape,
+            drive,
+            quick: dynamics.components.iter().all(|component| component.states.len() == 1),
+            columnwise: !dynamics.mixes_on_rows(),
+            steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
+            model: model.clone(),
+            alpha: alpha.clone(),
+            free,
+            plan: MotionPlan::new(&dynamics, &order),
+            dynamics,
+            start,
+            order,
+            meters,
+            law,
+            cell_mask: looks,
+            transitions: SharedStore::new(TRANSITION_BYTES),
+            steps: None,
+            computed: AtomicU64::new(0),
+        })
+    }
+
+    pub fn at(&self) -> ModelAt<'_> {
+        ModelAt { model: &self.model, alpha: &self.alpha, free: &self.free }
+    }
+
+    /// Whether the noise of a measurement, zero here, is not so wherever the free values are.
+    pub(crate) fn has_free_noise(&self, test: &Test, Instance { meter, row }: Instance) -> bool {
+        let (at, other) = (self.at(), self.alpha.elsewhere(&self.free));
+        let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: f64::NAN, alpha: &other };
+        let moves = |noise: &Coefficient| match noise.source() {
+            Some((expression, _)) if at.depends(expression) => expression.evaluate(&scope) != Ok(0.0),
+            _ => false,
+        };
+        let own = self.meters.parts().nth(meter).map(|(noise, ..)| noise);
+        own.into_iter().chain(self.meters.pairs()).any(moves)
+    }
+
+    /// Whether tests can be evaluated column by column.
+    pub(crate) fn has_columns(&self) -> bool {
+        self.columnwise
+    }
+
+    /// The law of x_0, when no test changes it.
+    pub(crate) fn law(&self) -> Option<&StartMoments> {
+        self.law.as_ref()
+    }
+
+    pub fn workspace(&self) -> Workspace {
+        Workspace {
+            design: Design::new(self.order.frame.clone()),
+            data: Data::default(),
+            instances: Instances::default(),
+            firsts: Vec::new(),
+            constants: Vec::new(),
+            covariates: Vec::new(),
+            covariances: None,
+            gains: GainsWork::default(),
+            pass: DataWorkspace::default(),
+            block: DataBlock::new(Isa::best().into()),
+            room: DataWorkspace::default(),
+            spans: Vec::new(),
+            whole: GatheredCells::default(),
+            step: GatheredCells::default(),
+            replay: Replay::default(),
+            filled: Filled::default(),
+            key: Vec::new(),
+            last: None,
+            spare: Vec::new(),
+        }
+    }
+
+    /// Evaluates a test into the work space.
+    pub fn prepare(&self, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let at = self.at();
+        if test.rows() == 0 {
+            return Err(Fault::new(Subject::Test, ReduceErrorKind::NoRows));
+        }
+        work.clear_design();
+        work.data.clear();
+        work.instances.clear();
+        work.covariances.iter_mut().for_each(Vec::clear);
+        work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true))?;
+        let scope =
+            Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: f64::NAN, alpha: &self.alpha };
+        let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose()?;
+        self.spans(test, initial, &mut work.spans)?;
+        work.firsts.clear();
+        let mut first = 0;
+        for span in &work.spans {
+            work.firsts.push(first);
+            first += span.count;
+        }
+        self.covariates(&at, work)?;
+        self.begin(&at, test, work)?;
+        let mut source = 0..0; // rows of the step before
+        for at_span in 0..work.spans.len() {
+            let span = work.spans[at_span].clone();
+            source = self.span(&at, test, (&span, source), work)?;
+        }
+        work.design.complete();
+        Ok(())
+    }
+
+    /// The steps of a test; `initial` is the time of x_0. Where nothing ever moves no transition leads to them.
+    fn spans(&self, test: &Test, initial: Option<f64>, out: &mut Vec<StepSpan>) -> Result<(), Box<Fault>> {
+        if let Some(known) = self.steps.as_ref().and_then(|steps| steps.of(test, initial)) {
+            out.clone_from(&known);
+            return Ok(());
+        }
+        spans(&self.at(), test, initial, out)?;
+        if self.plan.is_still() {
+            out.iter_mut().for_each(|span| span.moves = false);
+        }
+        self.steps.iter().for_each(|steps| steps.keep(test, initial, out));
+        Ok(())
+    }
+
+    /// Evaluates the steps of a span; `source`: rows of the step before. Returns those of the last one.
+    fn span(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        (span, mut source): (&StepSpan, Range<usize>),
+        work: &mut Workspace,
+    ) -> Result<Range<usize>, Box<Fault>> {
+        let (height, mut repeats, mut number) = (span.height(), 0, 0);
+        while number < span.count {
+            let first = span.rows.start + number * height;
+            let rows = first..first + height;
+            if source.is_empty() || !self.clock_previous() {
+                source = rows.clone();
+            }
+            let moment = StepRows { rows: rows.clone(), source, dt: span.dt, moves: span.moves };
+            let again = number > 0 && self.shape.repeat(test, &rows);
+            repeats = if again { repeats + 1 } else { 0 };
+            // with inputs of the row before, that row must have repeated too
+            let enough = repeats > usize::from(self.clock_previous());
+            if !(enough && self.meters.can_repeat() && self.repeat(at, test, &moment, work)?) {
+                self.step(at, test, &moment, work)?;
+            }
+            source = rows;
+            number += 1;
+            if self.plain && height == 1 && number < span.count {
+                number += self.repeat_values(test, source.end, span.count - number, work);
+            }
+        }
+        Ok(source)
+    }
+
+    /// Takes as many steps as there are like the last one, of one row each, where only values are read from the data.
+    fn repeat_values(&self, test: &Test, first: usize, most: usize, work: &mut Workspace) -> usize {
+        let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
+        let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
+        let many = self.meters.repeat_values(test, first, most, &mut observed);
+        work.design.repeat(many);
+        let driven = self.order.frame.driven.len();
+        for _ in 0..many * usize::from(driven > 0) {
+            let last = work.data.inputs.len() - driven;
+            work.data.inputs.extend_from_within(last..);
+        }
+        many
+    }
+
+    /// Coefficients are read from the row before, not from a step's own.
+    pub(crate) fn clock_previous(&self) -> bool {
+        self.model.clock.previous_inputs
+    }
+
+    /// Evaluates a step in full.
+    fn step(&self, at: &ModelAt<'_>, test: &Test, moment: &StepRows, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        if moment.moves {
+            self.transition(at, test, moment, work)?;
+        }
+        let Workspace { design, data, instances, covariances, constants, last, .. } = &mut *work;
+        let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
+        self.meters.observe(at, test, (moment.rows.clone(), moment.dt), &mut observed)?;
+        let transition = last.as_ref().filter(|_| moment.moves).map(|last| &last.moves().transition);
+        design.join_step(transition);
+        Ok(())
+    }
+
+    /// A step whose φ, Q, h, R are those of the step before; false, and nothing is done, where it measures something else.
+    fn repeat(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        moment: &StepRows,
+        work: &mut Workspace,
+    ) -> Result<bool, Box<Fault>> {
+        let (driven, height) = (self.order.frame.driven.len(), moment.rows.len());
+        let driven_on = !self.drive.is_empty();
+        let fresh = driven_on && !self.drive.repeat(test, &moment.rows);
+        // the row before may have been the first with its cells
+        let fresh_inputs = fresh || (driven_on && self.clock_previous());
+        let inputs = work.data.inputs.len();
+        if driven > 0 && moment.moves {
+            if fresh_inputs {
+                self.evaluate(at, test, moment, work, Preparer::inputs)?;
+                let last = work.last.as_ref().expect("a step that repeats has had a transition");
+                self.plan.inputs(last.moves(), &work.replay.inputs, &mut work.data.inputs);
+            } else {
+                work.data.inputs.extend_from_within(inputs - driven..);
+            }
+        }
+        let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
+        let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
+        let same = self.meters.repeat(at, test, ((moment.rows.start, height), moment.dt), fresh, &mut observed)?;
+        if same {
+            work.design.repeat(1);
+        } else {
+            work.data.inputs.truncate(inputs);
+        }
+        Ok(same)
+    }
+
+    /// a and P0 of a test.
+    fn begin(&self, at: &ModelAt<'_>, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let own;
+        let law = match &self.law {
+            Some(law) => law,
+            None => {
+                let dt = work.spans[0].dt;
+                if self.start.settles() {
+                    let rows = work.spans[0].step(0);
+                    let moment = StepRows { source: rows.clone(), rows, dt, moves: true };
+                    self.evaluate(at, test, &moment, work, Preparer::settling)?;
+                }
+                let scope =
+                    Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: dt, alpha: &self.alpha };
+                own = self
+                    .start
+                    .law(at, &scope, &work.replay.values, &work.replay.inputs)
+                    .map_err(|fault| fault.on(0))?;
+                &own
+            }
+        };
+        let r = self.order.frame.r;
+        work.data.start.resize(law.mean.len(), 0.0);
+        for (state, &mean) in law.mean.iter().enumerate() {
+            work.data.start[self.order.place[state]] = mean;
+        }
+        for &(i, j, value) in &law.covariance {
+            let (i, j) = (self.order.place[i], self.order.place[j]);
+            // A variance of zero may belong to a state that noise never reaches.
+            if value != 0.0 {
+                work.design.variance[i.max(j) * r + i.min(j)] += value;
+            }
+        }
+        Ok(())
+    }
+
+    /// What of the dynamics is wanted on a step.
+    fn evaluate(
+        &self,
+        at: &ModelAt<'_>,
+        test: &Test,
+        moment: &StepRows,
+        work: &mut Workspace,
+        wanted: impl FnOnce(&Preparer, &Scope<'_>, &mut Replay) -> Result<(), Box<Fault>>,
+    ) -> Result<(), Box<Fault>> {
+        let scope = self.motion_scope(at, test, moment, &mut work.step)?;
+        wanted(self, &scope, &mut work.replay).map_err(|fault| fault.on(moment.source.start))
+    }
+
+    /// What the dynamics of a step are evaluated on. `cells`: work space for steps of several rows.
+    fn motion_scope<'a>(
+        &'a self,
+        at: &ModelAt<'_>,
+        test: &'a Test,
+        moment: &StepRows,
+        cells: &'a mut GatheredCells,
+    ) -> Result<Scope<'a>, Box<Fault>> {
+        let (numbers, texts) = if moment.source.len() == 1 {
+            (test.numbers(moment.source.start), test.texts(moment.source.start))
+        } else {
+            cells.gather(at, test, moment.source.clone(), (&self.dynamics.uses, false))?;
+            (&*cells.numbers, &*cells.texts)
+        };
+        Ok(Scope { numbers, texts, step: moment.dt, alpha: &self.alpha })
+    }
+}

@@ -1,0 +1,40 @@
+//! Which cells of a test count, and in how many stretches of equal steps.
+
+use crate::reduce::cell_mask::CellMask;
+use crate::reduce::dynamics::Dynamics;
+use crate::reduce::observe::Meters;
+use crate::reduce::prepare::Preparer;
+use crate::reduce::start::ModelStart;
+use crate::reduce::steps::{StepSpan, spans};
+use crate::reduce::subject::{ModelAt, Uses};
+use kalfit_model::Test;
+
+/// All that is read of a test but measured values and covariates; `None` where values are mixed. `shape` and `drive`: columns of
+/// the measurements and of the dynamics.
+pub(super) fn looks(
+    at: &ModelAt<'_>,
+    (shape, drive): (&Uses, &Uses),
+    (dynamics, start, meters): (&Dynamics, &ModelStart, &Meters),
+) -> Option<CellMask> {
+    let mut read = Uses::default();
+    for uses in [shape, drive, &dynamics.uses] {
+        read.extend(uses);
+    }
+    start.coefficients().chain(&start.initial_time).for_each(|coefficient| read.add(coefficient, at.alpha));
+    at.model.clock.time.iter().for_each(|&column| read.number(column));
+    meters.can_repeat().then(|| CellMask::new(at.model.columns.len(), &read, meters.columns()))
+}
+
+impl Preparer {
+    /// How many stretches of equal steps a test has, as its times and the cells that it is made from say, whatever α is; `None` where
+    /// its steps cannot be told, or inputs drive them.
+    pub(crate) fn stretches(&self, test: &Test) -> Option<usize> {
+        let mut steps = Vec::new();
+        spans(&self.at(), test, None, &mut steps).ok()?;
+        let changes = |span: &StepSpan| {
+            let later = (1..span.count).map(|number| span.step(number));
+            1 + later.filter(|rows| !self.shape.repeat(test, rows)).count()
+        };
+        self.order.frame.driven.is_empty().then(|| steps.iter().map(changes).sum())
+    }
+}

@@ -1,0 +1,68 @@
+//! Parts of a test that are needed apart from the rest: its covariates, how it starts, and the cells and constants d of its
+//! measurements.
+
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::instances::Instance;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::steps::StepSpan;
+use crate::reduce::subject::{Fault, ModelAt, Subject};
+use kalfit_model::Test;
+
+impl Preparer {
+    /// The covariates of a test into the work space: of tests that look alike, they alone differ beside the measured values.
+    pub(crate) fn covariates_of(&self, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        work.covariates.clear();
+        if self.start.uses.is_empty() {
+            return Ok(());
+        }
+        let at = self.at();
+        work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true))?;
+        self.covariates(&at, work)
+    }
+
+    /// Those of the test whose cells are in the work space.
+    pub(super) fn covariates(&self, at: &ModelAt<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        work.covariates.clear();
+        for (r, regression) in self.model.mean.regression.iter().enumerate() {
+            work.covariates.push(at.cell(&work.whole.numbers, regression.column, Subject::Regression(r))?);
+        }
+        Ok(())
+    }
+
+    /// a, P0 and covariates of a test of which only the columns constant within it are known, in one row. They go to the work
+    /// space as [`Preparer::prepare`] puts them there; nothing else of it is of use then. The length of the first step is not known.
+    pub(crate) fn open(&self, constants: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+        let at = self.at();
+        if constants.rows() == 0 {
+            return Err(Fault::new(Subject::Test, ReduceErrorKind::NoRows));
+        }
+        work.design.clear();
+        work.data.clear();
+        work.whole.gather(&at, constants, 0..1, (&self.start.uses, true))?;
+        work.spans.clear();
+        work.spans.push(StepSpan { rows: 0..1, count: 1, dt: f64::NAN, moves: true });
+        self.covariates(&at, work)?;
+        self.begin(&at, constants, work)
+    }
+
+    /// d of each scalar measurement of the test in the work space.
+    pub(crate) fn measured_constants(&self, test: &Test, work: &Workspace) -> Result<Vec<f64>, Box<Fault>> {
+        let mut constants = Vec::with_capacity(work.instances.len());
+        for (k, step) in work.design.each_step().enumerate() {
+            let instances = work.instances.of(step.rows);
+            self.meters.constants(&self.at(), test, (&instances, work.dt(k)), &mut constants)?;
+        }
+        Ok(constants)
+    }
+
+    /// Cell and d of each scalar measurement of the test in the work space: what is filtered is the number in the cell, less d.
+    pub(crate) fn measured_cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
+        let width = test.widths().0;
+        let cell = |Instance { meter, row }: Instance| row * width + self.meters.column(meter);
+        if let Some(constants) = self.meters.known_constants() {
+            return Ok(work.instances.iter().map(|own| (cell(own), constants[own.meter])).collect());
+        }
+        let constants = self.measured_constants(test, work)?;
+        Ok(work.instances.iter().map(cell).zip(constants).collect())
+    }
+}

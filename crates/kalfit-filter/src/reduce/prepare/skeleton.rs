@@ -1,0 +1,183 @@
+//! What of a test does not depend on α: its steps, and which of its cells each of them reads.
+
+use std::cmp::Ordering;
+
+use crate::reduce::equal_steps::EqualStepCount;
+use crate::reduce::instances::Instance;
+use crate::reduce::prepare::{Preparer, StartCells, Workspace};
+use kalfit_model::Scope;
+use kalfit_model::Test;
+
+/// Steps and scalar measurements of one test: no more than these.
+const MOST: usize = 1 << 23;
+
+/// The steps of a test, found from its cells alone.
+#[derive(Debug, Default)]
+pub struct Skeleton {
+    /// Number of the test.
+    pub(crate) number: usize,
+    pub(crate) covariates: Vec<f64>,
+    pub(crate) steps: Vec<StepCells>,
+    /// Scalar measurements, in the order of the design.
+    pub(crate) instances: Vec<Instance>,
+    /// Where tests have other laws of x_0.
+    pub(crate) opening: Option<StartCells>,
+    /// Each step is one row.
+    flat: bool,
+    /// Which measurements its steps have: a bit for each of those of the model in each step, the first bits first.
+    pattern: Vec<u64>,
+}
+
+/// A step.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StepCells {
+    pub(crate) moves: bool,
+    pub(crate) dt: f64,
+    /// The row that its motion reads.
+    pub(crate) source: u32,
+    /// End of its scalar measurements.
+    pub(crate) end: usize,
+}
+
+impl Skeleton {
+    /// Number of steps.
+    pub(crate) fn len(&self) -> usize {
+        self.steps.len()
+    }
+
+    /// Scalar measurements of a step; none where the test has ended.
+    pub(crate) fn of(&self, k: usize) -> &[Instance] {
+        let Some(step) = self.steps.get(k) else { return &[] };
+        let start = if k == 0 { 0 } else { self.steps[k - 1].end };
+        &self.instances[start..step.end]
+    }
+
+    /// A transition leads to a step.
+    pub(crate) fn moves(&self, k: usize) -> bool {
+        self.steps.get(k).is_some_and(|step| step.moves)
+    }
+
+    /// All scalar measurements, with the numbers of their steps.
+    pub(crate) fn measured(&self) -> impl Iterator<Item = (usize, Instance)> {
+        (0..self.steps.len()).flat_map(|k| self.of(k).iter().map(move |&instance| (k, instance)))
+    }
+
+    /// The order in which tests go together: by length, then by what they measure.
+    pub(crate) fn by_shape(&self, other: &Skeleton) -> Ordering {
+        other.len().cmp(&self.len()).then_with(|| other.pattern.cmp(&self.pattern))
+    }
+
+    /// Whether its steps have transitions and measurements as those of another one.
+    pub(crate) fn is_like(&self, other: &Skeleton) -> bool {
+        let step = |(own, other): (&StepCells, &StepCells)| (own.moves, own.end) == (other.moves, other.end);
+        (self.steps.len(), self.instances.len()) == (other.steps.len(), other.instances.len())
+            && self.steps.iter().zip(&other.steps).all(step)
+            && self.instances.iter().zip(&other.instances).all(|(own, other)| own.meter == other.meter)
+    }
+
+    /// Whether it goes beside another one that is at least as long, each with its measurements in its own order: those of a row stand
+    /// in the order of the model's; rows of one step must be the same in both.
+    pub(crate) fn goes_with(&self, longer: &Skeleton) -> bool {
+        let same = |k: usize| {
+            let (own, other) = (self.of(k), longer.of(k));
+            own.len() == other.len() && own.iter().zip(other).all(|(own, other)| own.meter == other.meter)
+        };
+        2 * self.len() >= longer.len() && (self.flat && longer.flat || (0..self.len()).all(same))
+    }
+
+    /// Room for another test.
+    fn clear(&mut self) {
+        let Skeleton { covariates, steps, instances, opening, pattern, .. } = self;
+        covariates.clear();
+        steps.clear();
+        instances.clear();
+        pattern.clear();
+        *opening = None;
+    }
+}
+
+impl Preparer {
+    /// The steps of a test, in place of those of another. False where something is wrong with it, or where it goes better by itself:
+    /// where cells are gathered from several rows, or most steps are in long stretches of equal ones. Which way a test goes depends on
+    /// its own cells.
+    pub(crate) fn skeleton(&self, test: &Test, number: usize, work: &mut Workspace, made: &mut Skeleton) -> bool {
+        made.clear();
+        made.number = number;
+        if !self.columnwise || !self.has_opened(test, work) {
+            return false;
+        }
+        made.covariates.extend(&work.covariates);
+        made.steps.reserve(test.rows());
+        made.instances.reserve(test.rows());
+        made.opening = self.law.is_none().then(|| work.opening());
+        made.flat = work.spans.iter().all(|span| span.height() == 1);
+        if !(made.flat || self.dynamics.uses.is_empty()) || !self.has_steps(test, work, made) {
+            return false;
+        }
+        !made.instances.is_empty() && made.steps.len() + made.instances.len() <= MOST
+    }
+
+    /// Finds the cells that a test has as a whole, and where its steps are; false where something is wrong.
+    fn has_opened(&self, test: &Test, work: &mut Workspace) -> bool {
+        let at = self.at();
+        if test.rows() == 0 || work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true)).is_err() {
+            return false;
+        }
+        let Workspace { whole, spans: steps, .. } = &mut *work;
+        let scope = Scope { numbers: &whole.numbers, texts: &whole.texts, step: f64::NAN, alpha: &self.alpha };
+        let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose();
+        let sound = initial.and_then(|initial| self.spans(test, initial, steps));
+        sound.is_ok() && self.covariates(&at, work).is_ok()
+    }
+
+    /// Appends the steps of the test in the work space; false where something is wrong with one, or most are in long stretches of
+    /// equal ones.
+    fn has_steps(&self, test: &Test, work: &Workspace, made: &mut Skeleton) -> bool {
+        let at = self.at();
+        let unknown = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
+        let mut count = EqualStepCount::new(work.spans.iter().map(|span| span.count).sum());
+        let mut before = 0..0;
+        for span in &work.spans {
+            if unknown(span.moves, span.dt) {
+                return false;
+            }
+            for number in 0..span.count {
+                let (rows, k, first) = (span.step(number), made.steps.len(), made.instances.len());
+                for row in rows.clone() {
+                    if !self.meters.measured(&at, test, (row, span.dt), &mut made.instances) {
+                        return false;
+                    }
+                }
+                for instance in &made.instances[first..] {
+                    note(&mut made.pattern, k * self.meters.count() + instance.meter);
+                }
+                let source = if self.clock_previous() && k > 0 { before.start } else { rows.start } as u32;
+                made.steps.push(StepCells { moves: span.moves, dt: span.dt, source, end: made.instances.len() });
+                let may_repeat = (number > 0 || self.plan.is_still()) && rows.len() == before.len();
+                let repeats = may_repeat && self.shape.repeat(test, &rows) && made.repeats(k);
+                if count.take(repeats) {
+                    return false;
+                }
+                before = rows;
+            }
+        }
+        true
+    }
+}
+
+/// Sets a bit.
+fn note(pattern: &mut Vec<u64>, bit: usize) {
+    let word = bit / 64;
+    if pattern.len() <= word {
+        pattern.resize(word + 1, 0);
+    }
+    pattern[word] |= 1 << (63 - bit % 64);
+}
+
+impl Skeleton {
+    /// A step has the measurements of the one before.
+    fn repeats(&self, k: usize) -> bool {
+        let (before, now) = (self.of(k - 1), self.of(k));
+        before.len() == now.len() && before.iter().zip(now).all(|(before, now)| before.meter == now.meter)
+    }
+}

@@ -1,0 +1,375 @@
+//! Tests → reductions.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::reduce::ReductionRef;
+use crate::reduce::class::{DesignClass, class_bytes};
+use crate::reduce::data::{Data, Miss, Outcome};
+use crate::reduce::design::Design;
+use crate::reduce::design_pass::information_gains;
+use crate::reduce::error::{ReduceError, ReduceErrorKind};
+use crate::reduce::gains::Gains;
+use crate::reduce::instances::{Instance, Instances};
+use crate::reduce::known_steps::KnownSteps;
+use crate::reduce::lanes::innovations;
+use crate::reduce::outcome::outcome;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::root::{RootError, root_gains};
+use crate::reduce::shared_store::SharedStore;
+use crate::reduce::subject::{Fault, Subject};
+use crate::reduce::terminal::TerminalState;
+use kalfit_model::Path;
+use kalfit_model::Reduction;
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Model, Slots};
+
+/// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
+const CLASS_BYTES: usize = 256 << 20;
+/// Beyond so many bytes, only those of them that a second test has.
+const EAGER_BYTES: usize = 256 << 10;
+
+/// Reduces the tests of a model at α.
+///
+/// It keeps transitions and design classes from call to call, so one reducer should serve all batches of an ensemble.
+/// Reductions do not depend on that, nor on threads, batches or the order of the tests: they are the same bit for bit.
+#[derive(Debug)]
+pub struct Reducer {
+    preparer: Preparer,
+    classes: SharedStore<Design, Result<Gains, RootError>>,
+    unfrozen: bool,
+    /// The last states are wanted.
+    ends: bool,
+    /// P and Ψ before equal steps are wanted.
+    paths: bool,
+    design_runs: AtomicU64,
+    root_runs: AtomicU64,
+    data_runs: AtomicU64,
+}
+
+/// A reduction, and where its test ends, if that is wanted.
+pub(crate) type ToEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
+
+/// What a reduction has from its test beside the data.
+#[derive(Debug)]
+pub(crate) struct ReductionHeader<'a> {
+    /// R, packed.
+    pub(crate) factor: &'a [f64],
+    pub(crate) covariates: &'a [f64],
+    pub(crate) steps: usize,
+    pub(crate) observations: usize,
+    pub(crate) path: Path,
+    pub(crate) digest: u128,
+}
+
+impl<'a> ReductionHeader<'a> {
+    /// Of a test with these gains.
+    pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> ReductionHeader<'a> {
+        let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
+        ReductionHeader { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
+    }
+
+    /// The reduction of a test.
+    fn reduction(self, test: &'a Test, outcome: &'a Outcome) -> ReductionRef<'a> {
+        ReductionRef {
+            test: &test.id,
+            constant: outcome.constant,
+            residual: Some(outcome.residual),
+            data: &outcome.data,
+            factor: self.factor,
+            covariates: self.covariates,
+            steps: self.steps,
+            observations: self.observations,
+            path: self.path,
+            design: self.digest,
+            chain: None,
+            exact: outcome.exact.as_deref(),
+        }
+    }
+}
+
+/// What a reducer has done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Work {
+    /// Designs whose covariance filter was run.
+    pub design_runs: u64,
+    /// Runs in square-root arrays; a design that is not kept may be run more than once.
+    pub root_runs: u64,
+    /// Data recursions run: one for each test.
+    pub data_runs: u64,
+    /// Transitions computed by matrix exponentials: one for each length of step and set of coefficients.
+    pub transitions: u64,
+}
+
+impl Reducer {
+    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
+    pub fn new(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
+        let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
+        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
+    }
+
+    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α, and every class is
+    /// wanted again by the backward pass.
+    pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
+        let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
+        let paths = slots.free().contains(&true);
+        Ok(Reducer { paths, ..Reducer::of(preparer, SharedStore::new(CLASS_BYTES)) })
+    }
+
+    /// The same where no backward pass is to come: what one test alone wants is not kept.
+    pub(crate) fn passing(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
+        let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
+        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
+    }
+
+    /// A reducer of tests that bring the law of their estimated states with them: nothing is unknown.
+    pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
+        let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
+        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
+    }
+
+    /// Takes steps that are known of tests of one ensemble, and leaves what it finds with them: it must reduce no other.
+    pub(crate) fn share_steps(&mut self, steps: Arc<KnownSteps>) {
+        self.preparer.steps = Some(steps);
+    }
+
+    fn of(preparer: Preparer, classes: SharedStore<Design, Result<Gains, RootError>>) -> Reducer {
+        Reducer {
+            preparer,
+            classes,
+            unfrozen: false,
+            ends: false,
+            paths: false,
+            design_runs: AtomicU64::new(0),
+            root_runs: AtomicU64::new(0),
+            data_runs: AtomicU64::new(0),
+        }
+    }
+
+    /// What evaluates tests.
+    pub fn preparer(&self) -> &Preparer {
+        &self.preparer
+    }
+
+    /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn unfrozen(mut self) -> Reducer {
+        self.unfrozen = true;
+        self
+    }
+
+    /// With the state after the last step of every test.
+    #[must_use]
+    pub(crate) fn with_ends(mut self) -> Reducer {
+        self.ends = true;
+        self
+    }
+
+    /// The state after the last step is wanted.
+    pub(crate) fn wants_ends(&self) -> bool {
+        self.ends
+    }
+
+    /// Where a test of a class ends, if that is wanted, with x̂ of its last step, in the order of the kernels.
+    pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<TerminalState> {
+        class.end().cloned().map(|end| TerminalState::new(end, &self.preparer.order.states, x))
+    }
+
+    /// Nothing is frozen.
+    pub(crate) fn is_unfrozen(&self) -> bool {
+        self.unfrozen
+    }
+
+    /// The reduction of a design and its class: information and covariates as of [`Reducer::reduce_one`], from times, inputs and which
+    /// values are missing. What was measured is not looked at, and `data` and `constant` are zero.
+    pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
+        self.with_class(test, (work, false), |digest, gains, work| {
+            if gains.factor.iter().any(|x| !x.is_finite()) {
+                return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
+            }
+            let exact = gains.turns.as_ref().and_then(|turns| turns.exact.blank());
+            let outcome = Outcome { data: vec![0.0; work.design.frame.p], exact, ..Outcome::default() };
+            let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
+            Ok(Reduction { residual: None, ..about.reduction(test, &outcome).into() })
+        })
+    }
+
+    /// What has been done so far.
+    pub fn work(&self) -> Work {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Work {
+            design_runs: read(&self.design_runs),
+            root_runs: read(&self.root_runs),
+            data_runs: read(&self.data_runs),
+            transitions: read(&self.preparer.computed),
+        }
+    }
+
+    /// Work space for all passes.
+    pub(crate) fn workspace(&self) -> Workspace {
+        let mut work = self.preparer.workspace();
+        work.gains.settling.off = self.unfrozen;
+        work.gains.keeps_paths = self.paths;
+        work
+    }
+
+    /// Evaluates a test into the work space, and calls `pass` with the gains of its design: for other passes over the data.
+    pub fn with_gains<T>(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
+    ) -> Result<T, ReduceError> {
+        self.preparer.prepare(test, work).map_err(|fault| self.named(*fault, test))?;
+        self.with_prepared(test, work, pass)
+    }
+
+    /// The same of the test in the work space.
+    pub(crate) fn with_prepared<T>(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+        pass: impl FnOnce(&Gains, &mut Workspace) -> T,
+    ) -> Result<T, ReduceError> {
+        let class = self.class(work.design.digest(), work, false);
+        let gains = self.sound(&class, (test, &work.instances)).map_err(|fault| self.named(*fault, test))?;
+        Ok(pass(gains, work))
+    }
+
+    /// Design, data and covariates of a test.
+    pub fn evaluated(&self, test: &Test, work: &mut Workspace) -> Result<(Design, Data, Vec<f64>), ReduceError> {
+        self.preparer.prepare(test, work).map_err(|fault| self.named(*fault, test))?;
+        Ok((work.design.clone(), work.data.clone(), work.covariates.clone()))
+    }
+
+    /// The reduction of a test, and its class; x̂_K is left in the work space.
+    pub(crate) fn reduce_one(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+    ) -> Result<(Reduction, DesignClass), ReduceError> {
+        self.with_class(test, (work, false), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
+    }
+
+    /// The same with where the test ends, if that is wanted.
+    pub(crate) fn to_end(&self, test: &Test, work: &mut Workspace) -> ToEnd {
+        let (reduction, class) = self.reduce_one(test, work)?;
+        Ok((reduction, self.ending(&class, work.pass.x.iter().copied())))
+    }
+
+    /// [`Reducer::reduce_one`] of a test whose design is known to call for square-root arrays.
+    pub(crate) fn reduce_by_root(
+        &self,
+        test: &Test,
+        work: &mut Workspace,
+    ) -> Result<(Reduction, DesignClass), ReduceError> {
+        self.with_class(test, (work, true), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
+    }
+
+    /// Evaluates a test, and reduces it under the gains of its class, found `by_root` or not.
+    fn with_class(
+        &self,
+        test: &Test,
+        (work, by_root): (&mut Workspace, bool),
+        reduce: impl FnOnce(u128, &Gains, &mut Workspace) -> Result<Reduction, Box<Fault>>,
+    ) -> Result<(Reduction, DesignClass), ReduceError> {
+        let found = self.preparer.prepare(test, work).and_then(|()| {
+            let digest = work.design.digest();
+            let class = self.class(digest, work, by_root);
+            let gains = self.sound(&class, (test, &work.instances))?;
+            Ok((reduce(digest, gains, work)?, class))
+        });
+        found.map_err(|fault| self.named(*fault, test))
+    }
+
+    /// The gains of a class, if there are any. A noise that is zero at these free values and not at others makes no exact rows: ℓ is
+    /// looked for above zero of it.
+    fn sound<'c>(
+        &self,
+        class: &'c DesignClass,
+        (test, instances): (&Test, &Instances),
+    ) -> Result<&'c Gains, Box<Fault>> {
+        let gains = class.gains().as_ref().map_err(|&error| root_fault(error))?;
+        let exact = gains.turns.iter().flat_map(|turns| turns.exact.rows());
+        match exact.map(|row| instances.get(row)).find(|instance| self.preparer.has_free_noise(test, *instance)) {
+            Some(Instance { meter, row }) => {
+                Err(Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row))
+            }
+            None => Ok(gains),
+        }
+    }
+
+    /// The reduction of the test in the work space under these gains.
+    fn reduce_prepared(
+        &self,
+        test: &Test,
+        (digest, gains): (u128, &Gains),
+        work: &mut Workspace,
+    ) -> Result<Reduction, Box<Fault>> {
+        let outcome = outcome(&work.design, gains, &work.data, &mut work.pass).map_err(|miss| {
+            let Instance { meter, row } = work.instances.get(miss.row);
+            Fault::new(Subject::Value(meter), impossible(miss)).on(row)
+        })?;
+        if !outcome.is_finite() {
+            return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
+        }
+        let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
+        Ok(self.counted_reduction(test, &outcome, about).into())
+    }
+
+    /// The reduction of a test; counts its data run.
+    pub(crate) fn counted_reduction<'a>(
+        &self,
+        test: &'a Test,
+        outcome: &'a Outcome,
+        about: ReductionHeader<'a>,
+    ) -> ReductionRef<'a> {
+        self.data_runs.fetch_add(1, Ordering::Relaxed);
+        about.reduction(test, outcome)
+    }
+
+    /// A fault of a test, with names.
+    pub(crate) fn named(&self, fault: Fault, test: &Test) -> ReduceError {
+        fault.name(&self.preparer.model, Some(test))
+    }
+
+    /// Takes note of a design whose filter was run side by side with others.
+    pub(crate) fn count_design_run(&self, digest: u128) {
+        // threads that meet one design at the same time count once: the work told of does not depend on threads
+        self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
+    }
+
+    /// The design class of the test in the work space; `by_root`: its design is known to call for square-root arrays.
+    pub(crate) fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
+        let Workspace { design, gains, .. } = work;
+        let states = self.ends.then_some(&*self.preparer.order.states);
+        let make = |design: &Design| {
+            self.count_design_run(digest);
+            if !by_root && let Some(gains) = information_gains(design, states, gains) {
+                return Ok(gains);
+            }
+            self.root_runs.fetch_add(1, Ordering::Relaxed);
+            root_gains(design, states, self.paths)
+        };
+        let design = &*design;
+        DesignClass(self.classes.get(digest, |known| known.same(design), || design.clone(), make, class_bytes))
+    }
+}
+
+/// The innovations of the test in the work space, for σ = 0, to `pass.e`; x̂_K is left there too. The same bits as side by side.
+pub fn own_innovations(gains: &Gains, work: &mut Workspace) {
+    let Workspace { design, data, pass, .. } = work;
+    innovations((design, gains), data, pass, &mut ());
+}
+
+pub(crate) fn impossible(miss: Miss) -> ReduceErrorKind {
+    ReduceErrorKind::Impossible { residual: miss.residual }
+}
+
+fn root_fault(error: RootError) -> Box<Fault> {
+    match error {
+        RootError::NotSemidefinite(bad) => Fault::new(Subject::Transition, bad),
+        RootError::NotFinite => Fault::new(Subject::Test, ReduceErrorKind::NotFinite),
+    }
+}

@@ -1,0 +1,384 @@
+//! The reductions of an ensemble, column by column.
+
+use std::ops::Range;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::iter::{IndexedParallelIterator, IntoParallelIterator, ParallelIterator};
+
+use kalfit_algebra::row_lists::RowLists;
+use kalfit_model::Chain;
+use kalfit_model::ExactRows;
+use kalfit_model::Path;
+use kalfit_model::remote::Remote;
+use kalfit_model::{Rare, Texts};
+use kalfit_model::{Reduction, ReductionRef};
+
+/// The [`Reduction`]s of tests, in their order: what all of them have of one kind stands together, so that a million short tests
+/// are a few pieces of memory, read from front to back.
+///
+/// ```
+/// use kalfit::{Reduction, Reductions};
+/// # use kalfit::reduce::Path;
+/// # let test = |id: &str| Reduction {
+/// #     test: id.into(), constant: 0.0, residual: None, data: vec![0.5], factor: vec![2.0], covariates: vec![], steps: 1,
+/// #     observations: 1, path: Path::Information, design: 0, chain: None, exact: None,
+/// # };
+/// let reductions: Reductions = ["a", "b"].map(test).into_iter().collect();
+/// assert_eq!((reductions.len(), reductions.get(1).test, reductions.get(1).data), (2, "b", &[0.5][..]));
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct Reductions {
+    /// Which reductions these are: no others have it but clones. It is given when somebody asks, and lost with any change.
+    stamp: OnceLock<u64>,
+    ids: Texts,
+    constants: Vec<f64>,
+    residuals: Vec<Option<f64>>,
+    data: RowLists,
+    factors: RowLists,
+    covariates: RowLists,
+    steps: Vec<usize>,
+    observations: Vec<usize>,
+    paths: Vec<Path>,
+    designs: Vec<u128>,
+    chains: Rare<Box<Chain>>,
+    exact: Rare<Box<ExactRows>>,
+    /// Where they are when none is here.
+    remote: Option<Remote>,
+}
+
+/// What may change of one test.
+pub struct ReductionMut<'a> {
+    pub constant: &'a mut f64,
+    pub residual: &'a mut Option<f64>,
+    pub data: &'a mut [f64],
+    pub factor: &'a mut [f64],
+    pub chain: Option<&'a mut Chain>,
+    pub exact: Option<&'a mut ExactRows>,
+}
+
+impl Reductions {
+    /// No reductions.
+    pub fn new() -> Reductions {
+        Reductions::default()
+    }
+
+    /// Reductions that are elsewhere: none is here, but sums over them can be asked for.
+    pub fn elsewhere(remote: Remote) -> Reductions {
+        Reductions { remote: Some(remote), ..Reductions::default() }
+    }
+
+    /// Where they are, when they are elsewhere.
+    pub fn remote(&self) -> Option<&Remote> {
+        self.remote.as_ref()
+    }
+
+    /// Number of tests.
+    pub fn len(&self) -> usize {
+        self.constants.len()
+    }
+
+    /// Whether there are no tests.
+    pub fn is_empty(&self) -> bool {
+        self.constants.is_empty()
+    }
+
+    /// The test with this number.
+    ///
+    /// # Panics
+    /// Where there are not as many tests.
+    pub fn get(&self, number: usize) -> ReductionRef<'_> {
+        ReductionRef {
+            test: self.id(number),
+            constant: self.constants[number],
+            residual: self.residuals[number],
+            data: self.data.row(number),
+            factor: self.factor(number),
+            covariates: self.covariates(number),
+            steps: self.steps[number],
+            observations: self.observations[number],
+            path: self.paths[number],
+            design: self.designs[number],
+            chain: self.chain(number),
+            exact: self.exact(number),
+        }
+    }
+
+    /// All tests, in their order.
+    pub fn iter(&self) -> Rows<'_> {
+        Rows { of: self, numbers: 0..self.len() }
+    }
+
+    /// All tests, for several threads.
+    pub fn par_iter(&self) -> impl IndexedParallelIterator<Item = ReductionRef<'_>> {
+        (0..self.len()).into_par_iter().map(|number| self.get(number))
+    }
+
+    /// Those tests that are named by their numbers, in the order of these.
+    #[must_use]
+    pub fn select(&self, numbers: &[usize]) -> Reductions {
+        numbers.iter().map(|&number| self.get(number)).collect()
+    }
+
+    /// The same in the order of the numbers of these tests.
+    pub(crate) fn in_order(self, numbers: &[usize]) -> Reductions {
+        if numbers.is_sorted() {
+            return self;
+        }
+        let mut places: Vec<usize> = (0..numbers.len()).collect();
+        places.sort_by_key(|&place| numbers[place]); // they mostly stand in a few ascending rows
+        self.select(&places)
+    }
+
+    /// Adds a test.
+    pub fn push(&mut self, reduction: Reduction) {
+        self.put(reduction.view());
+        self.put_apart(reduction.chain, reduction.exact);
+    }
+
+    /// Adds all tests of others.
+    pub fn append(&mut self, mut others: Reductions) {
+        if self.is_empty() {
+            *self = others;
+            return;
+        }
+        self.stamp.take();
+        let (own, more) = (self.len(), others.len());
+        self.chains.append(own, others.chains);
+        self.exact.append(own, others.exact);
+        self.ids.append(&others.ids);
+        self.data.append(own, &others.data, more);
+        self.factors.append(own, &others.factors, more);
+        self.covariates.append(own, &others.covariates, more);
+        self.constants.append(&mut others.constants);
+        self.residuals.append(&mut others.residuals);
+        self.steps.append(&mut others.steps);
+        self.observations.append(&mut others.observations);
+        self.paths.append(&mut others.paths);
+        self.designs.append(&mut others.designs);
+    }
+
+    /// All of some reductions, one after the other.
+    pub(crate) fn joined(parts: Vec<Reductions>) -> Reductions {
+        let (mut all, tests) = (Reductions::new(), parts.iter().map(Reductions::len).sum());
+        all.take(parts, tests);
+        all
+    }
+
+    /// Adds all tests of others, one after the other, of so many that there are at last.
+    pub(crate) fn take(&mut self, others: Vec<Reductions>, tests: usize) {
+        let mut others = others.into_iter();
+        if self.is_empty() {
+            *self = others.next().unwrap_or_default();
+        }
+        let more = tests - self.len();
+        self.ids.reserve(others.as_slice().iter().map(|part| &part.ids));
+        [&mut self.steps, &mut self.observations].into_iter().for_each(|x| x.reserve_exact(more));
+        [&mut self.data, &mut self.factors, &mut self.covariates].into_iter().for_each(|x| x.reserve(more));
+        self.constants.reserve_exact(more);
+        self.residuals.reserve_exact(more);
+        self.paths.reserve_exact(more);
+        self.designs.reserve_exact(more);
+        others.for_each(|part| self.append(part));
+    }
+
+    /// The number of these reductions: others have another, but clones have the same.
+    pub fn stamp(&self) -> u64 {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        *self.stamp.get_or_init(|| NEXT.fetch_add(1, Ordering::Relaxed))
+    }
+
+    /// c' of a test.
+    pub fn constant(&self, number: usize) -> f64 {
+        self.constants[number]
+    }
+
+    /// Which arithmetic made a test.
+    pub fn path(&self, number: usize) -> Path {
+        self.paths[number]
+    }
+
+    /// The same of each test.
+    pub fn paths(&self) -> &[Path] {
+        &self.paths
+    }
+
+    /// Number of steps of each test.
+    pub fn steps(&self) -> &[usize] {
+        &self.steps
+    }
+
+    /// Number of scalar measurements of each test that were used.
+    pub fn observations(&self) -> &[usize] {
+        &self.observations
+    }
+
+    /// Digest of the design of each test.
+    pub fn designs(&self) -> &[u128] {
+        &self.designs
+    }
+
+    /// The sum of squares that is left of a test, if it is known, and how many measurements it has.
+    pub fn residual(&self, number: usize) -> (Option<f64>, usize) {
+        (self.residuals[number], self.observations[number])
+    }
+
+    /// d of a test.
+    pub fn data(&self, number: usize) -> &[f64] {
+        self.data.row(number)
+    }
+
+    /// Id of a test.
+    pub fn id(&self, number: usize) -> &str {
+        self.ids.get(number)
+    }
+
+    /// R of a test.
+    pub fn factor(&self, number: usize) -> &[f64] {
+        self.factors.row(number)
+    }
+
+    /// Covariates of a test.
+    pub fn covariates(&self, number: usize) -> &[f64] {
+        self.covariates.row(number)
+    }
+
+    /// What a test says phase by phase.
+    pub fn chain(&self, number: usize) -> Option<&Chain> {
+        self.chains.get(number).map(Box::as_ref)
+    }
+
+    /// What a test measured exactly.
+    pub fn exact(&self, number: usize) -> Option<&ExactRows> {
+        self.exact.get(number).map(Box::as_ref)
+    }
+
+    /// Whether any test measured something exactly.
+    pub fn has_exact(&self) -> bool {
+        self.exact.is_any()
+    }
+
+    /// The test with this number, to be changed.
+    pub fn get_mut(&mut self, number: usize) -> ReductionMut<'_> {
+        self.stamp.take();
+        ReductionMut {
+            constant: &mut self.constants[number],
+            residual: &mut self.residuals[number],
+            data: self.data.row_mut(number),
+            factor: self.factors.row_mut(number),
+            chain: self.chains.get_mut(number).map(Box::as_mut),
+            exact: self.exact.get_mut(number).map(Box::as_mut),
+        }
+    }
+
+    /// The same tests, with these of their covariates alone.
+    #[must_use]
+    pub fn with_covariates(mut self, places: &[usize]) -> Reductions {
+        self.stamp.take();
+        let mut covariates = RowLists::default();
+        for number in 0..self.len() {
+            covariates.push(number, places.iter().map(|&at| self.covariates(number)[at]));
+        }
+        self.covariates = covariates;
+        self
+    }
+
+    /// Adds a test, but for its chain and what it measured exactly.
+    pub(super) fn put(&mut self, one: ReductionRef<'_>) {
+        self.stamp.take();
+        let number = self.len();
+        self.ids.push(one.test);
+        self.constants.push(one.constant);
+        self.residuals.push(one.residual);
+        self.data.push(number, one.data.iter().copied());
+        self.factors.push(number, one.factor.iter().copied());
+        self.covariates.push(number, one.covariates.iter().copied());
+        self.steps.push(one.steps);
+        self.observations.push(one.observations);
+        self.paths.push(one.path);
+        self.designs.push(one.design);
+    }
+
+    /// The chain of the last test, and what it measured exactly.
+    pub(super) fn put_apart(&mut self, chain: Option<Box<Chain>>, exact: Option<Box<ExactRows>>) {
+        let last = self.len() - 1;
+        self.chains.set(last, chain);
+        self.exact.set(last, exact);
+    }
+}
+
+/// The tests of [`Reductions`], one after the other.
+#[derive(Debug, Clone)]
+pub struct Rows<'a> {
+    of: &'a Reductions,
+    numbers: Range<usize>,
+}
+
+impl<'a> Iterator for Rows<'a> {
+    type Item = ReductionRef<'a>;
+
+    fn next(&mut self) -> Option<ReductionRef<'a>> {
+        self.numbers.next().map(|number| self.of.get(number))
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        self.numbers.size_hint()
+    }
+}
+
+impl DoubleEndedIterator for Rows<'_> {
+    fn next_back(&mut self) -> Option<Self::Item> {
+        self.numbers.next_back().map(|number| self.of.get(number))
+    }
+}
+
+impl ExactSizeIterator for Rows<'_> {}
+
+impl<'a> IntoIterator for &'a Reductions {
+    type Item = ReductionRef<'a>;
+    type IntoIter = Rows<'a>;
+
+    fn into_iter(self) -> Rows<'a> {
+        self.iter()
+    }
+}
+
+impl PartialEq for Reductions {
+    fn eq(&self, other: &Reductions) -> bool {
+        self.iter().eq(other.iter())
+    }
+}
+
+impl Extend<Reduction> for Reductions {
+    fn extend<I: IntoIterator<Item = Reduction>>(&mut self, all: I) {
+        all.into_iter().for_each(|one| self.push(one));
+    }
+}
+
+impl FromIterator<Reduction> for Reductions {
+    fn from_iter<I: IntoIterator<Item = Reduction>>(all: I) -> Reductions {
+        let mut reductions = Reductions::new();
+        reductions.extend(all);
+        reductions
+    }
+}
+
+impl<'a> FromIterator<ReductionRef<'a>> for Reductions {
+    fn from_iter<I: IntoIterator<Item = ReductionRef<'a>>>(all: I) -> Reductions {
+        let mut reductions = Reductions::new();
+        for one in all {
+            reductions.put(one);
+            reductions.put_apart(one.chain.cloned().map(Box::new), one.exact.cloned().map(Box::new));
+        }
+        reductions
+    }
+}
+
+impl From<Vec<Reduction>> for Reductions {
+    fn from(all: Vec<Reduction>) -> Reductions {
+        all.into_iter().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;

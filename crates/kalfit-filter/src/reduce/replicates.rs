@@ -1,0 +1,214 @@
+//! Which tests are replicates: tests that differ in nothing but what was measured.
+
+use rayon::prelude::*;
+
+use crate::reduce::cell_mask::CellMask;
+use kalfit_model::Test;
+
+/// Tests that are compared at a time.
+const SHARE: usize = 256;
+
+/// Tests whose sets are reduced together, at least: so many that their cells stay in the caches,
+const LIST: usize = 1 << 11;
+/// and so many times as many as there are sets, as one test of each is evaluated.
+const LARGE: usize = 64;
+
+/// Some tests of an ensemble, by number, each in a set of replicates or alone. It depends on their cells alone.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Replicates {
+    /// Sets of two tests or more, ascending; in the order of their first tests.
+    pub(crate) sets: Vec<Vec<usize>>,
+    /// Tests that are in none, ascending.
+    pub(crate) alone: Vec<usize>,
+}
+
+impl Replicates {
+    /// All of so many tests alone.
+    pub(crate) fn none(tests: usize) -> Replicates {
+        Replicates { sets: Vec::new(), alone: (0..tests).collect() }
+    }
+
+    /// Those of all tests; `mask` says what counts of a test, `None` where no two are known to be alike.
+    pub(crate) fn of(mask: Option<&CellMask>, tests: &[&Test]) -> Replicates {
+        let Some(mask) = mask else { return Replicates::none(tests.len()) };
+        let mut firsts = neighbours(mask, tests);
+        let mut left: Vec<usize> = (0..tests.len()).filter(|&number| firsts[number] == number).collect();
+        // most tests of designs of their own differ from the first rows on
+        let mut whole = false;
+        while left.len() > 1 {
+            let mut hashes: Vec<(u64, usize)> =
+                left.par_iter().map(|&number| (mask.hash(tests[number], whole), number)).collect();
+            hashes.par_sort_unstable();
+            for run in hashes.chunk_by(|a, b| a.0 == b.0) {
+                run.iter().for_each(|&(_, number)| firsts[number] = run[0].1);
+            }
+            let differs = |&number: &usize| {
+                let first = firsts[number];
+                (first != number && !mask.has_same(tests[number], tests[first])).then_some(number)
+            };
+            left = left.par_iter().filter_map(differs).collect();
+            left.iter().for_each(|&number| firsts[number] = number);
+            whole = true;
+        }
+        // neighbours of a test are where it is
+        (0..tests.len()).for_each(|number| firsts[number] = firsts[firsts[number]]);
+        Replicates::from_firsts(&firsts)
+    }
+
+    /// From the first test that each is like, which may be itself.
+    pub(crate) fn from_firsts(firsts: &[usize]) -> Replicates {
+        let (mut sizes, mut places) = (vec![0; firsts.len()], vec![0; firsts.len()]);
+        firsts.iter().for_each(|&first| sizes[first] += 1);
+        let mut found = Replicates::default();
+        for (number, &first) in firsts.iter().enumerate() {
+            if sizes[first] == 1 {
+                found.alone.push(number);
+                continue;
+            }
+            if number == first {
+                places[first] = found.sets.len();
+                found.sets.push(Vec::with_capacity(sizes[first]));
+            }
+            found.sets[places[first]].push(number);
+        }
+        found
+    }
+
+    /// Number of tests.
+    pub(crate) fn len(&self) -> usize {
+        self.alone.len() + self.sets.iter().map(Vec::len).sum::<usize>()
+    }
+
+    /// Without tests that are marked, each by its number.
+    pub(crate) fn without(self, marked: &[bool]) -> Replicates {
+        self.regrouped(|number| !marked[number], |set| set.len() > 1)
+    }
+
+    /// Sets for which this is true; the tests of others are alone.
+    pub(crate) fn retain(self, is_kept: impl Fn(&[usize]) -> bool) -> Replicates {
+        self.regrouped(|_| true, is_kept)
+    }
+
+    fn regrouped(self, has: impl Fn(usize) -> bool, is_kept: impl Fn(&[usize]) -> bool) -> Replicates {
+        let mut found = Replicates { sets: Vec::new(), alone: self.alone };
+        found.alone.retain(|&number| has(number));
+        for mut set in self.sets {
+            set.retain(|&number| has(number));
+            if is_kept(&set) {
+                found.sets.push(set);
+            } else {
+                found.alone.extend(set);
+            }
+        }
+        found.sets.sort_unstable_by_key(|set| set[0]);
+        found.alone.sort_unstable();
+        found
+    }
+
+    /// The parts of all sets, those of tests that stand together in one list. Lists are longer than there are sets by far.
+    pub(crate) fn lists(&self) -> Vec<Vec<&[usize]>> {
+        let long = LIST.max(LARGE * self.sets.len());
+        let last = self.sets.iter().filter_map(|set| set.last()).max();
+        let mut lists = vec![Vec::new(); last.map_or(0, |last| last / long + 1)];
+        for part in self.sets.iter().flat_map(|set| set.chunk_by(|a, b| a / long == b / long)) {
+            lists[part[0] / long].push(part);
+        }
+        lists
+    }
+}
+
+/// The first test that each is like as far as that is seen from tests before it: designs often stand together.
+fn neighbours(mask: &CellMask, tests: &[&Test]) -> Vec<usize> {
+    let mut firsts: Vec<usize> = (0..tests.len()).collect();
+    firsts.par_chunks_mut(SHARE).for_each(|some| {
+        for k in 1..some.len() {
+            if mask.has_same(tests[some[k]], tests[some[k - 1]]) {
+                some[k] = some[k - 1];
+            }
+        }
+    });
+    firsts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reduce::subject::Uses;
+    use kalfit_fixtures::by_hand::Lcg;
+    use kalfit_model::{Label, Source};
+
+    const VALUES: [f64; 4] = [0.0, -0.0, 2.5, f64::NAN];
+
+    /// Tests of a few lengths that mostly have the cells of a few kinds: one read, one measured, one of no account, and two texts.
+    fn drawn(tests: usize, random: &mut impl FnMut(usize) -> usize) -> Vec<Test> {
+        let one = |number: usize| {
+            let (kind, rows) = (random(3), [0, 3, 8, 9, 13][random(5)]);
+            let mut test = Test::new(format!("t{number}"), 3, 2);
+            let odd = if random(3) == 0 { random(14) } else { 99 };
+            for row in 0..rows {
+                let texts = [Label::literal(if row == odd { random(2) } else { kind }), Label::literal(random(3))];
+                let x = if row == odd { random(4) } else { (row + kind / 2) % 4 };
+                let y = if row == odd + 1 { f64::NAN } else { random(5) as f64 };
+                test.push(&[VALUES[x], y, random(9) as f64], &texts, Source::default());
+            }
+            test
+        };
+        (0..tests).map(one).collect()
+    }
+
+    /// All that counts is the same, cell by cell.
+    fn are_alike(a: &Test, b: &Test) -> bool {
+        let row = |row: usize| {
+            let (x, y) = (a.numbers(row), b.numbers(row));
+            (x[0].to_bits(), x[1].is_nan(), a.texts(row)[0]) == (y[0].to_bits(), y[1].is_nan(), b.texts(row)[0])
+        };
+        a.rows() == b.rows() && (0..a.rows()).all(row)
+    }
+
+    #[test]
+    fn replicates_are_those_that_all_pairs_say() {
+        let mut seed = Lcg(11);
+        let mut random = |below: usize| ((0.5 + seed.next()) * below as f64) as usize % below;
+        let mask = CellMask::new(3, &Uses { numbers: vec![0], texts: vec![0] }, [1].into_iter());
+        let mut many = 0;
+        for round in 0..300 {
+            let tests = drawn(1 + 2 * (round % 20), &mut random);
+            let tests: Vec<&Test> = tests.iter().collect();
+            let mut sets: Vec<Vec<usize>> = Vec::new();
+            for (number, test) in tests.iter().enumerate() {
+                match sets.iter_mut().find(|set| are_alike(test, tests[set[0]])) {
+                    Some(set) => set.push(number),
+                    None => sets.push(vec![number]),
+                }
+            }
+            let (sets, alone): (Vec<_>, Vec<_>) = sets.into_iter().partition(|set| set.len() > 1);
+            many += sets.len();
+            let expected = Replicates { sets, alone: alone.concat() };
+            let found = Replicates::of(Some(&mask), &tests);
+            assert_eq!(found, expected, "round {round}");
+            assert_eq!(found.lists().concat().concat(), found.sets.concat(), "all of them");
+            // without every third test
+            let marked: Vec<bool> = (0..tests.len()).map(|number| number % 3 == 0).collect();
+            let left: Vec<&Test> =
+                tests.iter().zip(&marked).filter(|(_, marked)| !**marked).map(|(test, _)| *test).collect();
+            let numbers: Vec<usize> = (0..tests.len()).filter(|&number| !marked[number]).collect();
+            let by_number = |places: Vec<usize>| places.into_iter().map(|place| numbers[place]).collect::<Vec<_>>();
+            let Replicates { sets, alone } = Replicates::of(Some(&mask), &left);
+            let expected = Replicates { sets: sets.into_iter().map(by_number).collect(), alone: by_number(alone) };
+            assert_eq!(found.without(&marked), expected, "round {round}");
+        }
+        assert!(many > 1000, "{many} sets");
+    }
+
+    #[test]
+    fn lists_have_tests_that_stand_together() {
+        let (even, odd) = ((0..5000).step_by(2).collect(), (1..9999).step_by(2).collect());
+        let all = Replicates { sets: vec![even, odd], alone: Vec::new() };
+        let lists = all.lists();
+        assert_eq!(lists.iter().map(Vec::len).collect::<Vec<_>>(), [2, 2, 2, 1, 1]);
+        for (at, list) in lists.iter().enumerate() {
+            assert!(list.concat().iter().all(|number| number / LIST == at), "list {at}");
+        }
+        assert_eq!(lists.concat().concat().len(), 2500 + 4999);
+    }
+}

@@ -1,0 +1,206 @@
+//! Joining a phase and what is known of all after it, for one test or for tests side by side.
+#![expect(non_snake_case, reason = "the letters of the theory: G, C, A the rows on σ")]
+
+use kalfit_lanes::{Lanes, MOST, interleaved};
+use nalgebra::DMatrix;
+
+use crate::reduce::stack::phase::StackPhase;
+use crate::reduce::stack::square::StackArray;
+use kalfit_algebra::fold::fold_rows;
+
+/// One phase of tests whose phases have the same sizes, a test in each lane.
+pub(super) struct JoinedPhase<T> {
+    /// p.
+    pub(super) own: usize,
+    /// R, packed by columns.
+    factor: Vec<T>,
+    /// `None` for the first phase.
+    pub(super) link: Option<GivenLink<T>>,
+    /// d, q numbers, and g of the link that leads here.
+    data: Vec<T>,
+    mean: Vec<T>,
+}
+
+/// The link that leads to a phase, matrices by columns.
+pub(super) struct GivenLink<T> {
+    /// G, q × so many columns.
+    pub(super) G: Matrix<T>,
+    /// C, q × so many columns.
+    pub(super) C: Matrix<T>,
+}
+
+/// A matrix by columns.
+pub(super) struct Matrix<T> {
+    rows: usize,
+    columns: usize,
+    entries: Vec<T>,
+}
+
+/// Memory that one join leaves to the next.
+pub(super) struct JoinWorkspace<T> {
+    array: Vec<T>,
+    rows: Vec<T>,
+}
+
+impl<T> Default for JoinWorkspace<T> {
+    fn default() -> JoinWorkspace<T> {
+        JoinWorkspace { array: Vec::new(), rows: Vec::new() }
+    }
+}
+
+/// Numbers of tests side by side, one test after the other.
+#[inline(always)]
+pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
+    let mut all = Vec::with_capacity(tests);
+    for _ in 0..tests {
+        all.push(Vec::with_capacity(numbers.len()));
+    }
+    let mut one = [0.0; MOST];
+    for x in numbers {
+        x.store(&mut one);
+        for (own, x) in all.iter_mut().zip(one) {
+            own.push(x);
+        }
+    }
+    all
+}
+
+impl<T: Lanes> JoinedPhase<T> {
+    /// The phase with this number of tests whose phases have the same sizes, at least one and no more than there are lanes.
+    #[inline(always)]
+    pub(super) fn new(tests: &[&[StackPhase<'_>]], at: usize) -> JoinedPhase<T> {
+        let (count, first) = (tests.len(), &tests[0][at]);
+        let mut link = None;
+        if let Some(like) = first.link {
+            let sensitivity = Matrix::new(like[0], count, |lane| link_of(&tests[lane][at])[0].as_slice());
+            let root = Matrix::new(like[1], count, |lane| link_of(&tests[lane][at])[1].as_slice());
+            let transition = Matrix::new(like[2], count, |lane| link_of(&tests[lane][at])[2].as_slice());
+            link = Some(GivenLink { G: transition.times(&sensitivity), C: transition.times(&root).narrowed() });
+        }
+        let mean = interleaved(count, |lane| tests[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
+        let data = interleaved(count, |lane| tests[lane][at].data);
+        let factor = interleaved(count, |lane| tests[lane][at].factor);
+        JoinedPhase { own: first.own, factor, link, data, mean }
+    }
+
+    /// What is known of the last phase.
+    #[inline(always)]
+    pub(super) fn last(&self, memory: Vec<T>) -> StackArray<T> {
+        let mut array = StackArray::zeros(self.data.len(), memory);
+        array.put_packed(0, &self.factor, self.data.len());
+        array.put_data(0, &self.data);
+        array
+    }
+
+    /// Joins it with what is known of all phases after it, `next` the first of these: the rows on (σ_i, ξ_{i+1}, …), and the diagonal
+    /// of u's own rows. What is left of the data joins the residual sum of squares.
+    #[inline(always)]
+    pub(super) fn join(
+        &self,
+        next: &JoinedPhase<T>,
+        later: StackArray<T>,
+        residual: &mut T,
+        room: &mut JoinWorkspace<T>,
+    ) -> (StackArray<T>, Vec<T>) {
+        let GivenLink { G, C } = next.link.as_ref().expect("a later phase has a link");
+        let (u, from, q, own) = (C.columns, G.columns, next.data.len(), next.own);
+        let size = u + from + own + later.width - q;
+        let mut array = StackArray::zeros(size, std::mem::take(&mut room.array));
+        for k in 0..u {
+            array.entries[k * (array.stride + 1)] = T::splat(1.0);
+        }
+        array.put_packed(u, &self.factor, from);
+        array.put_data(u, &self.data);
+        later.copy_from(q, &mut array, u + from + own);
+        let rows = &mut room.rows;
+        rows.clear();
+        rows.resize(q * array.stride, T::splat(0.0));
+        for (i, row) in rows.chunks_exact_mut(array.stride.max(1)).enumerate() {
+            let (A, B) = later.row(i).split_at(q);
+            for c in 0..u {
+                row[c] = dot(&A[i..], &C.column(c)[i..]);
+            }
+            for c in 0..from {
+                row[u + c] = dot(&A[i..], &G.column(c)[i..]);
+            }
+            let rest = &mut row[u + from..];
+            rest[..own].copy_from_slice(&A[..own]);
+            rest[own..][..B.len()].copy_from_slice(B);
+            row[array.width] = later.data(i) - dot(&A[i..], &next.mean[i..]);
+        }
+        fold_rows(&mut array.entries, rows, (array.width, array.stride));
+        for row in rows.chunks_exact(array.stride) {
+            *residual = *residual + row[array.width] * row[array.width];
+        }
+        let mut diagonal = Vec::with_capacity(u);
+        for k in 0..u {
+            diagonal.push(array.row(k)[k]);
+        }
+        let mut rest = StackArray::zeros(array.width - u, later.entries);
+        array.copy_from(u, &mut rest, 0);
+        room.array = array.entries;
+        (rest, diagonal)
+    }
+}
+
+fn link_of<'a>(phase: &StackPhase<'a>) -> [&'a DMatrix<f64>; 3] {
+    phase.link.expect("all tests have this link")
+}
+
+/// Σ ab.
+#[inline(always)]
+fn dot<T: Lanes>(a: &[T], b: &[T]) -> T {
+    let mut sum = T::splat(0.0);
+    for (&a, &b) in a.iter().zip(b) {
+        sum = sum + a * b;
+    }
+    sum
+}
+
+impl<T: Lanes> Matrix<T> {
+    #[inline(always)]
+    fn new<'a>(like: &DMatrix<f64>, tests: usize, entries: impl Fn(usize) -> &'a [f64]) -> Matrix<T> {
+        Matrix { rows: like.nrows(), columns: like.ncols(), entries: interleaved(tests, entries) }
+    }
+
+    #[inline(always)]
+    fn column(&self, c: usize) -> &[T] {
+        &self.entries[c * self.rows..][..self.rows]
+    }
+
+    #[inline(always)]
+    fn times(&self, other: &Matrix<T>) -> Matrix<T> {
+        let mut entries = vec![T::splat(0.0); self.rows * other.columns];
+        for c in 0..other.columns {
+            let to = &mut entries[c * self.rows..][..self.rows];
+            for (k, &x) in other.column(c).iter().enumerate() {
+                for (to, &own) in to.iter_mut().zip(self.column(k)) {
+                    *to = *to + own * x;
+                }
+            }
+        }
+        Matrix { rows: self.rows, columns: other.columns, entries }
+    }
+
+    /// A root of AA' with no more columns than rows.
+    #[inline(always)]
+    fn narrowed(self) -> Matrix<T> {
+        let q = self.rows;
+        if self.columns <= q {
+            return self;
+        }
+        let (mut U, mut rows) = (vec![T::splat(0.0); q * q], self.entries); // A' by rows is A by columns
+        fold_rows(&mut U, &mut rows, (q, q));
+        Matrix { rows: q, columns: q, entries: U } // U' by columns is U by rows
+    }
+
+    /// The matrices of the tests.
+    #[inline(always)]
+    pub(super) fn apart(&self, tests: usize) -> Vec<DMatrix<f64>> {
+        let mut all = Vec::with_capacity(tests);
+        for entries in apart(&self.entries, tests) {
+            all.push(DMatrix::from_vec(self.rows, self.columns, entries));
+        }
+        all
+    }
+}

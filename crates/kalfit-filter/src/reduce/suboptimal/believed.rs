@@ -1,0 +1,107 @@
+//! What a filter believes: its covariance, and the gains that follow.
+#![expect(non_snake_case, reason = "the letters of the theory: K, L, M, P, Q, R, S, U")]
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::reduce::suboptimal::matrices::{append, fold};
+use kalfit_algebra::symmetric;
+use kalfit_model::Filter;
+
+/// What is left of a measurement, the others of its step known, is nothing when it is this part of its deviation.
+const REPEATED: f64 = 1e-13;
+/// A measurement whose deviation is this part of what it was without measurements is known already.
+const KNOWN: f64 = 1e-12;
+/// Correlation of a state with an innovation that is rounding error. It must not become a gain: nothing would be left of it in
+/// an estimate of another size, yet it would be all that the estimate's covariance speaks of.
+const UNRELATED: f64 = 1e-13;
+
+/// The covariance of [x_k; x_0] as the filter has it: its own, right or wrong.
+#[derive(Debug, Clone)]
+pub(super) struct Believed<'a> {
+    filter: &'a Filter,
+    /// U with UU' = P, 2n × any number of columns.
+    U: DMatrix<f64>,
+    /// Covariance of x_k without measurements: the measure of what is zero.
+    open: DMatrix<f64>,
+}
+
+/// White innovations of a step: e = Lw for the measurements that say something.
+struct Whitened {
+    kept: Vec<usize>,
+    L: DMatrix<f64>,
+    /// Covariance of [x_k; x_0] with w.
+    C: DMatrix<f64>,
+}
+
+impl<'a> Believed<'a> {
+    pub(super) fn new(filter: &'a Filter) -> Believed<'a> {
+        let (n, open) = (filter.covariance.nrows(), filter.covariance.clone());
+        let mut root = symmetric::square_root(&open);
+        (0..n).filter(|&i| open[(i, i)] == 0.0).for_each(|i| root.row_mut(i).fill(0.0));
+        Believed { filter, U: DMatrix::from_fn(2 * n, n, |i, j| root[(i % n, j)]), open }
+    }
+
+    pub(super) fn predict(&mut self, phi: &DMatrix<f64>, Q: &DMatrix<f64>, root: &DMatrix<f64>) {
+        let n = phi.nrows();
+        let moved = phi * self.U.rows(0, n);
+        self.U.rows_mut(0, n).copy_from(&moved);
+        append(&mut self.U, 0, root);
+        self.open = phi * &self.open * phi.transpose() + Q;
+    }
+
+    /// Takes all measurements of a step at once; `noise` is a root of R. Returns [K; K⁰], 2n × m, rows of considered states zero
+    /// in both: the gain minimises the variance of each other state, and none of it goes to these. (Schmidt 1966)
+    ///
+    /// Joseph's form, P ← (I - KM)P(I - KM)' + KRK', which holds for any gain, by roots.
+    pub(super) fn update(&mut self, M: &DMatrix<f64>, noise: &DMatrix<f64>) -> DMatrix<f64> {
+        let n = M.ncols();
+        fold(&mut self.U);
+        let MU = M * self.U.rows(0, n);
+        let Whitened { kept, L, C } = self.whiten(M, &MU, noise);
+        let gain = L.transpose().solve_upper_triangular(&C.transpose()).unwrap_or_else(|| DMatrix::zeros(0, 2 * n));
+        let mut K = DMatrix::zeros(2 * n, M.nrows());
+        for (k, &i) in kept.iter().enumerate() {
+            K.set_column(i, &gain.row(k).transpose());
+        }
+        for &state in &self.filter.consider {
+            K.row_mut(state).fill(0.0);
+            K.row_mut(n + state).fill(0.0);
+        }
+        self.U -= &K * MU;
+        append(&mut self.U, 0, &(&K * noise));
+        K
+    }
+
+    /// Gram and Schmidt, twice, on the rows of [MU R^½].
+    fn whiten(&self, M: &DMatrix<f64>, MU: &DMatrix<f64>, noise: &DMatrix<f64>) -> Whitened {
+        let (m, n, c) = (M.nrows(), M.ncols(), MU.ncols());
+        let width = c + noise.ncols();
+        let row = |i: usize| DVector::from_fn(width, |j, _| if j < c { MU[(i, j)] } else { noise[(i, j - c)] });
+        let (mut kept, mut basis, mut parts): (Vec<usize>, Vec<DVector<f64>>, Vec<Vec<f64>>) = Default::default();
+        for i in 0..m {
+            let mut left = row(i);
+            let size = left.norm();
+            let open: f64 = (0..n).map(|j| M[(i, j)].abs() * self.open[(j, j)].max(0.0).sqrt()).sum();
+            let mut part = vec![0.0; basis.len()];
+            for (k, own) in (0..2).flat_map(|_| basis.iter().enumerate()) {
+                let along = own.dot(&left);
+                left.axpy(-along, own, 1.0);
+                part[k] += along;
+            }
+            let length = left.norm();
+            if size > KNOWN * open && length > REPEATED * size {
+                part.push(length);
+                basis.push(left / length);
+                parts.push(part);
+                kept.push(i);
+            }
+        }
+        let L = DMatrix::from_fn(kept.len(), kept.len(), |i, k| if k <= i { parts[i][k] } else { 0.0 });
+        let C = DMatrix::from_fn(2 * n, kept.len(), |i, k| {
+            let own = self.U.row(i);
+            let covariance: f64 = own.iter().zip(&basis[k]).map(|(u, w)| u * w).sum();
+            if covariance.abs() > UNRELATED * own.norm() { covariance } else { 0.0 }
+        });
+        Whitened { kept, L, C }
+    }
+}

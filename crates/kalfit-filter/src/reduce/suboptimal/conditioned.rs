@@ -1,0 +1,227 @@
+//! What estimates say of x_0, by conditioning on the space in which they are random (theory §8): all of it that does not depend
+//! on their values.
+#![expect(non_snake_case, reason = "the letters of the theory: B, D, E, G, N, S, T, U, V, W, phi")]
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::reduce::suboptimal::jacobi::SingularValues;
+use kalfit_model::Estimates;
+
+/// Directions of ŝ whose standard deviation is this part of the largest, elements scaled to one, are not random.
+const CERTAIN: f64 = 1e-10;
+/// A sum this part of its terms is zero.
+const CANCELLED: f64 = 1e-9;
+/// Rounding of a relation is at most so many times what is seen of it.
+const DOUBT: f64 = 1e4;
+/// Values that are certain may miss by this part of their terms, and by this many standard deviations of their elements: files
+/// keep so many digits.
+const ROUNDING: f64 = 1e-9;
+const UNNOTICED: f64 = 1e-4;
+
+/// A combination of ξ would be known exactly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct ExactCombination;
+
+/// Where estimates start from: x_0 = a + Eσ + Pη, η white.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct EstimateStart<'a> {
+    /// The states that E picks, q of them.
+    pub(super) entering: &'a [usize],
+    /// P, a root of P0: n × l.
+    pub(super) root: DMatrix<f64>,
+}
+
+/// With η = V_B η_B + V_0 η', where η_B is what certain combinations of ŝ tell of ζ, and η' the rest of it:
+///
+/// ```text
+/// u = ŝ - s̄ - Sa         y_B = B u = T_B σ + η_B         y = W u - C y_B = T σ + G η' + w,   w, η', η_B white
+/// x_K = φa + s̄_1 + φEσ + (φPV_B) η_B + (φPV_0) η' + (D_1 V) w + rest × white
+/// ```
+#[derive(Debug, Clone)]
+pub(super) struct Conditioned {
+    /// W, r × m.
+    pub(super) W: DMatrix<f64>,
+    /// B.
+    pub(super) B: DMatrix<f64>,
+    /// C.
+    pub(super) C: DMatrix<f64>,
+    /// N: N u is certain to be zero.
+    N: DMatrix<f64>,
+    /// What of each N u would not be noticed.
+    slack: DVector<f64>,
+    /// [G T; 0 T_B], the first `free` columns of η'.
+    pub(super) rows: DMatrix<f64>,
+    /// Elements of η'.
+    pub(super) free: usize,
+    /// ½ log |Γ_hh| over an orthonormal basis of its range, in the units of ŝ.
+    pub(super) log_volume: f64,
+    /// ½ log |cov(ŝ)| at σ and η' known, likewise.
+    pub(super) log_spread: f64,
+    /// φE, n × q.
+    pub(super) phi_E: DMatrix<f64>,
+    /// φPV_B.
+    pub(super) from_taken: DMatrix<f64>,
+    /// φPV_0.
+    pub(super) from_free: DMatrix<f64>,
+    /// D_1V.
+    pub(super) from_white: DMatrix<f64>,
+    /// What remains of x_K's noise at w known.
+    pub(super) rest: DMatrix<f64>,
+}
+
+impl Conditioned {
+    pub(super) fn new(estimates: &Estimates, entry: &EstimateStart<'_>) -> Result<Conditioned, ExactCombination> {
+        let Estimates { sensitivities: S, transition: phi, root, .. } = estimates;
+        let (n, m) = (phi.nrows(), S.nrows());
+        let (D_1, D_h) = (root.rows(0, n), root.rows(n, m));
+        let deviation: Vec<f64> = D_h.row_iter().map(|row| row.norm()).collect();
+        let size: Vec<f64> = deviation.iter().map(|s| if *s > 0.0 { *s } else { 1.0 }).collect();
+        let scaled = |a: &DMatrix<f64>| DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[j]);
+        let whole = SingularValues::of(&DMatrix::from_fn(m, D_h.ncols(), |i, j| D_h[(i, j)] / size[i]));
+        let r = whole.rank(CERTAIN);
+        let U = whole.left.columns(0, r).into_owned();
+        let V = DMatrix::from_fn(D_h.ncols(), r, |i, k| whole.image[(i, k)] / whole.values[k]);
+        let W = scaled(&DMatrix::from_fn(r, m, |k, i| U[(i, k)] / whole.values[k]));
+        let certain = scaled(&whole.left.columns(r, m - r).transpose());
+        let (WS, SP) = (&W * S, S * &entry.root);
+        let relations = Relations { rows: &certain, grain: grain(&whole, r, &deviation), WS: &WS };
+        let Taken { V_B, V_0, T_B, B, left, log_values, basis } = relations.taken(S, entry)?;
+        let C = &W * &SP * &V_B;
+        let G = &W * &SP * &V_0;
+        let T = WS.select_columns(entry.entering) - &C * &T_B;
+        let N = left * &certain;
+        let slack = N.map(f64::abs) * DVector::from_vec(deviation) * UNNOTICED;
+        let (k, q) = (V_0.ncols(), entry.entering.len());
+        let mut rows = DMatrix::zeros(r + T_B.nrows(), k + q);
+        rows.view_mut((0, 0), (r, k)).copy_from(&G);
+        rows.view_mut((0, k), (r, q)).copy_from(&T);
+        rows.view_mut((r, k), T_B.shape()).copy_from(&T_B);
+        let logs: f64 = whole.values[..r].iter().map(|x| x.ln()).sum();
+        let mut random = U.clone().resize_horizontally(r + basis.ncols(), 0.0);
+        random.columns_mut(r, basis.ncols()).copy_from(&(whole.left.columns(r, m - r) * basis));
+        let from_white = D_1 * &V;
+        Ok(Conditioned {
+            log_volume: logs + log_spread(&U, &size),
+            log_spread: logs + log_values + log_spread(&random, &size),
+            rest: D_1 - &from_white * V.transpose(),
+            from_taken: phi * &entry.root * V_B,
+            from_free: phi * &entry.root * V_0,
+            phi_E: phi.select_columns(entry.entering),
+            free: k,
+            W,
+            B,
+            C,
+            N,
+            slack,
+            rows,
+            from_white,
+        })
+    }
+
+    /// Checks what is certain of u, each element of which is a sum of terms this large. The error: (found, allowed).
+    pub(super) fn check(&self, u: &DVector<f64>, terms: &DVector<f64>) -> Result<(), (f64, f64)> {
+        let (off, sizes) = (&self.N * u, self.N.map(f64::abs) * terms);
+        for ((off, size), slack) in off.iter().zip(&sizes).zip(&self.slack) {
+            let allowed = ROUNDING * size + slack;
+            if off.abs() > allowed {
+                return Err((off.abs(), allowed));
+            }
+        }
+        Ok(())
+    }
+
+    /// Bytes it occupies.
+    pub(super) fn bytes(&self) -> usize {
+        let Conditioned { W, B, C, N, rows, phi_E, from_taken, from_free, from_white, rest, .. } = self;
+        let all = [W, B, C, N, rows, phi_E, from_taken, from_free, from_white, rest];
+        8 * all.iter().map(|matrix| matrix.len()).sum::<usize>() + 400
+    }
+}
+
+/// What certain combinations of ŝ tell of η and σ: B u = V_B'η + T_B σ.
+struct Taken {
+    V_B: DMatrix<f64>,
+    /// The rest of the space of η.
+    V_0: DMatrix<f64>,
+    T_B: DMatrix<f64>,
+    B: DMatrix<f64>,
+    /// Rows: combinations of the certain ones that stay certain at σ.
+    left: DMatrix<f64>,
+    /// Σ log of the standard deviations of the others.
+    log_values: f64,
+    /// Columns: these others.
+    basis: DMatrix<f64>,
+}
+
+/// Combinations of ŝ that are not random given x_0, as far as rounding lets them be told.
+///
+/// N is a null space of D_h but for ε: N u stands within so many deviations of NS(x_0 - a), and N leans on the range of D_h by
+/// ε/λ for each of its singular values λ, which leaves ε × WS in a sensitivity that is zero. Both say the same: taken as a
+/// measurement with deviation ε, the relation must tell more of a state than all else does. What tells less is rounding error,
+/// however it compares with the terms it was summed from: N itself has entries that are rounding error.
+struct Relations<'a> {
+    /// N.
+    rows: &'a DMatrix<f64>,
+    /// ε of each row.
+    grain: DVector<f64>,
+    /// WS: the whitened sensitivities of all else.
+    WS: &'a DMatrix<f64>,
+}
+
+impl Relations<'_> {
+    fn taken(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<Taken, ExactCombination> {
+        let rounding = |told: &[f64]| DMatrix::from_fn(self.grain.len(), told.len(), |i, j| self.grain[i] * told[j]);
+        let told = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
+        let (NS, E) = (clean(self.rows, S, &rounding(&told(self.WS))), entry.entering);
+        // of η, white, its law tells too
+        let told: Vec<f64> = told(&(self.WS * &entry.root)).iter().map(|told| told.hypot(1.0)).collect();
+        let NP = clean(&NS, &entry.root, &rounding(&told));
+        let (k, l) = NP.shape();
+        let known = SingularValues::of(&NP);
+        let b = known.rank(CERTAIN);
+        let V_B = DMatrix::from_fn(l, b, |i, j| known.image[(i, j)] / known.values[j]);
+        let basis = known.left.columns(0, b).into_owned();
+        let pick = DMatrix::from_fn(b, k, |j, i| basis[(i, j)] / known.values[j]);
+        let left = known.left.columns(b, k - b).transpose();
+        let NE = NS.select_columns(E);
+        if clean(&left, &NE, &DMatrix::zeros(k - b, E.len())).iter().any(|x| *x != 0.0) {
+            return Err(ExactCombination);
+        }
+        // the complement of V_B: directions that VV' leaves alone
+        let rest = SingularValues::of(&(DMatrix::identity(l, l) - &V_B * V_B.transpose()));
+        let V_0 = rest.left.columns(0, l - b).into_owned();
+        let log_values = known.values[..b].iter().map(|x| x.ln()).sum();
+        Ok(Taken { T_B: &pick * NE, B: pick * self.rows, V_B, V_0, left, log_values, basis })
+    }
+}
+
+/// ε of each relation, in deviations: its own, zero but for rounding, or what the largest one leaves. Elements that are no sums of
+/// noises at all have none.
+fn grain(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
+    let m = deviation.len();
+    let least = whole.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
+    let random = |i: usize| (0..m).any(|row| deviation[row] > 0.0 && whole.left[(row, i)] != 0.0);
+    DVector::from_fn(m - r, |i, _| if random(r + i) { DOUBT * whole.values[r + i].max(least) } else { 0.0 })
+}
+
+/// AB, entries that are rounding error set to zero: of the sum, or this much of its terms.
+fn clean(a: &DMatrix<f64>, b: &DMatrix<f64>, rounding: &DMatrix<f64>) -> DMatrix<f64> {
+    let (product, size) = (a * b, a.map(f64::abs) * b.map(f64::abs));
+    product.zip_zip_map(
+        &size,
+        rounding,
+        |x, size, rounding| if x.abs() <= CANCELLED * size + rounding { 0.0 } else { x },
+    )
+}
+
+/// ½ log |Q'S²Q| for Q with orthonormal columns and S = diag(size).
+fn log_spread(Q: &DMatrix<f64>, size: &[f64]) -> f64 {
+    if Q.nrows() == Q.ncols() {
+        return size.iter().map(|s| s.ln()).sum();
+    }
+    // large rows first and columns pivoted, so that rows of very different size do no harm
+    let mut order: Vec<usize> = (0..Q.nrows()).collect();
+    order.sort_by(|&i, &j| size[j].total_cmp(&size[i]));
+    let sorted = DMatrix::from_fn(Q.nrows(), Q.ncols(), |i, j| size[order[i]] * Q[(order[i], j)]);
+    sorted.col_piv_qr().r().diagonal().iter().map(|x| x.abs().ln()).sum()
+}

@@ -1,0 +1,150 @@
+//! The truth and the filter carried together, s = [x_k; x̂_k; x̂_{0|k}] (theory §8): all of it that does not depend on data.
+#![expect(non_snake_case, reason = "the letters of the theory: D, F, K, M, Q, R, S")]
+
+use std::sync::Arc;
+
+use nalgebra::DMatrix;
+
+use crate::reduce::design::Transition;
+use crate::reduce::error::ReduceErrorKind;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::semidefinite::NotSemidefinite;
+use crate::reduce::subject::{Fault, Subject};
+use crate::reduce::suboptimal::believed::Believed;
+use crate::reduce::suboptimal::matrices::{Matrices, append, fold, root_of};
+use kalfit_model::Filter;
+
+/// What tests share that the filter processes alike.
+#[derive(Debug, Clone)]
+pub(super) struct FilterDesign {
+    /// [K; K⁰] of each scalar measurement of the test, 2n numbers each, states in the filter's kernel order.
+    pub(super) gains: Vec<f64>,
+    /// S of the whole of s, 3n × n.
+    pub(super) sensitivity: DMatrix<f64>,
+    /// D with DD' = Γ, 3n × at most 3n.
+    pub(super) root: DMatrix<f64>,
+}
+
+/// A model ready to evaluate tests, and the test evaluated.
+pub(super) type EvaluatedModel<'a> = (&'a Preparer, &'a Workspace);
+
+/// Runs the truth and the filter through a test.
+pub(super) fn run(
+    truth: EvaluatedModel<'_>,
+    own: EvaluatedModel<'_>,
+    filter: &Filter,
+) -> Result<FilterDesign, Box<Fault>> {
+    let n = truth.0.order.states.len();
+    let (true_matrices, own_matrices) = (Matrices::new(truth.0, truth.1), Matrices::new(own.0, own.1));
+    let mut joint = JointMoments::new(n);
+    let mut believed = Believed::new(filter);
+    let mut gains = Vec::with_capacity(2 * n * truth.1.design.rows());
+    let (mut true_motion, mut own_motion) = (Remembered::default(), Remembered::default());
+    for (step, own_step) in truth.1.design.each_step().zip(own.1.design.each_step()) {
+        let moved = true_motion.of(&true_matrices, step.transition)?;
+        let own_moved = own_motion.of(&own_matrices, own_step.transition)?;
+        joint.predict(moved, own_moved);
+        if let Some(motion) = own_moved {
+            believed.predict(&motion.phi, &motion.Q, &motion.root);
+        }
+        if step.rows.is_empty() {
+            continue;
+        }
+        let row = truth.1.instances.get(step.rows.start).row;
+        let refuse = |bad: NotSemidefinite| Fault::new(Subject::StepNoise, bad).on(row);
+        let (M, own_M) = (true_matrices.measurement(&step), own_matrices.measurement(&own_step));
+        let root = root_of(&true_matrices.noise(&step)).map_err(refuse)?;
+        let own_root = root_of(&own_matrices.noise(&own_step)).map_err(refuse)?;
+        let K = believed.update(&own_M, &own_root);
+        joint.update((&M, &own_M), &K, &root);
+        for column in K.column_iter() {
+            let states = &own.0.order.states;
+            gains.extend((0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(at(&column, n)));
+        }
+    }
+    let JointMoments { sensitivity, mut root, .. } = joint;
+    fold(&mut root);
+    if gains.iter().chain(&sensitivity).chain(&root).all(|x| x.is_finite()) {
+        Ok(FilterDesign { gains, sensitivity, root })
+    } else {
+        Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite))
+    }
+}
+
+fn at<'a>(column: &'a nalgebra::DVectorView<'_, f64>, n: usize) -> impl Fn((usize, usize)) -> f64 + 'a {
+    move |(half, state)| column[half * n + state]
+}
+
+/// The last transition in matrices: steps that follow each other often have the same.
+#[derive(Debug, Default)]
+struct Remembered(Option<(Arc<Transition>, StepMotion)>);
+
+/// φ, Q and a root of Q.
+#[derive(Debug, Clone)]
+struct StepMotion {
+    phi: DMatrix<f64>,
+    Q: DMatrix<f64>,
+    root: DMatrix<f64>,
+}
+
+impl Remembered {
+    fn of(
+        &mut self,
+        matrices: &Matrices<'_>,
+        transition: Option<&Arc<Transition>>,
+    ) -> Result<Option<&StepMotion>, Box<Fault>> {
+        let Some(transition) = transition else { return Ok(None) };
+        if !self.0.as_ref().is_some_and(|(known, _)| Arc::ptr_eq(known, transition)) {
+            let (phi, Q) = matrices.motion(transition);
+            let root = root_of(&Q).map_err(|bad| Fault::new(Subject::Transition, bad))?;
+            self.0 = Some((transition.clone(), StepMotion { phi, Q, root }));
+        }
+        Ok(self.0.as_ref().map(|(_, moving)| moving))
+    }
+}
+
+/// S and D of s = [x; x̂; x̂_0].
+#[derive(Debug, Clone)]
+struct JointMoments {
+    n: usize,
+    /// S, 3n × n.
+    sensitivity: DMatrix<f64>,
+    /// D, 3n × any number of columns. Γ = DD' is never formed: that would cost half the digits of what is nearly certain.
+    root: DMatrix<f64>,
+}
+
+impl JointMoments {
+    /// S_0 = [I; 0; 0], Γ_0 = 0.
+    fn new(n: usize) -> JointMoments {
+        let mut sensitivity = DMatrix::zeros(3 * n, n);
+        sensitivity.view_mut((0, 0), (n, n)).fill_with_identity();
+        JointMoments { n, sensitivity, root: DMatrix::zeros(3 * n, 0) }
+    }
+
+    /// The truth moves by its φ and noise, x̂ by the filter's φ, x̂_0 stays.
+    fn predict(&mut self, truth: Option<&StepMotion>, own: Option<&StepMotion>) {
+        let n = self.n;
+        for all in [&mut self.sensitivity, &mut self.root] {
+            for (first, motion) in [(0, truth), (n, own)] {
+                if let Some(motion) = motion {
+                    let moved = &motion.phi * all.rows(first, n);
+                    all.rows_mut(first, n).copy_from(&moved);
+                }
+            }
+        }
+        if let Some(motion) = truth {
+            append(&mut self.root, 0, &motion.root);
+        }
+    }
+
+    /// x̂ += Ke and x̂_0 += K⁰e, with e = Mx + v - M_f x̂.
+    fn update(&mut self, (M, own_M): (&DMatrix<f64>, &DMatrix<f64>), K: &DMatrix<f64>, noise: &DMatrix<f64>) {
+        let n = self.n;
+        for all in [&mut self.sensitivity, &mut self.root] {
+            let e = M * all.rows(0, n) - own_M * all.rows(n, n);
+            let mut estimates = all.rows_mut(n, 2 * n);
+            estimates += K * e;
+        }
+        append(&mut self.root, n, &(K * noise));
+    }
+}

@@ -1,0 +1,248 @@
+//! A filter, optimal or not, run over tests: its estimates, and how they depend on the truth.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::reduce::design::Design;
+use crate::reduce::digest::Digest;
+use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
+use crate::reduce::kernel;
+use crate::reduce::prepare::{Preparer, Workspace};
+use crate::reduce::shared_store::{SharedStore, StoreEntry};
+use crate::reduce::subject::{Fault, Subject};
+use crate::reduce::suboptimal::joint;
+use crate::reduce::suboptimal::joint::FilterDesign;
+use crate::reduce::suboptimal::known::{check, constants, without_start};
+use kalfit_model::Estimates;
+use kalfit_model::Test;
+use kalfit_model::{Alpha, Filter, Level, Phase};
+
+/// Bytes of gains that are kept.
+const CLASS_BYTES: usize = 256 << 20;
+
+type NoiseCovariances = Vec<(usize, usize, f64)>;
+type FilterDesignResult = Result<FilterDesign, Box<Fault>>;
+
+/// What gains, S and Γ depend on: design and covariances of noises, of the truth and of the filter.
+#[derive(Debug, Clone)]
+struct FilterClass {
+    designs: [Design; 2],
+    covariances: [NoiseCovariances; 2],
+}
+
+/// Runs the `[filter]` of a phase over tests (theory §8).
+///
+/// The truth has the model's φ, M, Q, R, b, d at α; the filter has its own, where it believes otherwise, and its own prior of
+/// all states at x_0. Its gain is the joint one of all measurements of a step, rows of considered states zero, in the filter
+/// and in the fixed-point smoother of x_0.
+///
+/// The filter's own parameters are those of α unless [`Filter::parameters`] says otherwise. Tests that the filter processes
+/// alike share its gains. Estimates do not depend on that, nor on threads or the order of the tests.
+#[derive(Debug)]
+pub struct FilterRunner {
+    filter: Filter,
+    truth: Preparer,
+    own: Preparer,
+    classes: SharedStore<FilterClass, FilterDesignResult>,
+}
+
+/// Room for one test.
+struct RunWorkspace {
+    truth: Workspace,
+    own: Workspace,
+    /// Filter's kernel order; x̂ and s̄_2 side by side, n × 2, and x̂_0 and s̄_3.
+    now: Vec<f64>,
+    first: Vec<f64>,
+    /// s̄_1, the truth's kernel order.
+    drift: Vec<f64>,
+    moved: Vec<f64>,
+}
+
+impl FilterRunner {
+    /// A runner of the phase's filter at α.
+    ///
+    /// # Errors
+    /// A phase without a filter ([`ReduceErrorKind::NoFilter`]); a prior that is not of the model's states, not finite or not
+    /// positive semidefinite; coefficients without a value, whatever the data.
+    pub fn new(phase: &Phase, alpha: &Alpha) -> Result<FilterRunner, ReduceError> {
+        let Some(filter) = &phase.filter else {
+            return Err(refuse(None, &format!("phase `{}`", phase.name), ReduceErrorKind::NoFilter));
+        };
+        check(filter, &phase.model).map_err(|(what, kind)| refuse(None, what, kind))?;
+        let model = without_start(&phase.model);
+        let mut believed = alpha.clone();
+        for &(parameter, value) in &filter.parameters {
+            let count = believed.values.len();
+            let kind = ReduceErrorKind::Shape { found: (parameter + 1, 1), expected: (count, 1) };
+            let wrong = || refuse(None, "parameter of the filter", kind);
+            *believed.values.get_mut(parameter).ok_or_else(wrong)? = Level::Common(value);
+        }
+        let truth = Preparer::new(&model, alpha).map_err(|fault| fault.name(&model, None))?;
+        let own = Preparer::new(&model, &believed).map_err(|fault| of_filter(fault.name(&model, None)))?;
+        Ok(FilterRunner { filter: filter.clone(), truth, own, classes: SharedStore::new(CLASS_BYTES) })
+    }
+
+    /// The filter's estimates of a test, ŝ = [x̂_K; x̂_{0|K}], 2n numbers, and how they depend on x_0 and on noise. `test` has
+    /// the rows of the phase.
+    ///
+    /// # Errors
+    /// Cells that are missing, covariances that are none, and whatever else keeps a test from being reduced.
+    pub fn run(&self, test: &Test) -> Result<Estimates, ReduceError> {
+        self.run_in(test, &mut self.room())
+    }
+
+    /// The estimates of many tests, in their order; of several tests in error, the first one's error.
+    pub fn run_all(&self, tests: &[Test]) -> Result<Vec<Estimates>, ReduceError> {
+        let all: Vec<Result<Estimates, ReduceError>> =
+            tests.par_iter().map_init(|| self.room(), |room, test| self.run_in(test, room)).collect();
+        all.into_iter().collect()
+    }
+
+    fn room(&self) -> RunWorkspace {
+        let workspace = |preparer: &Preparer| {
+            let mut work = preparer.workspace();
+            work.covariances = Some(Vec::new());
+            work
+        };
+        let (truth, own) = (workspace(&self.truth), workspace(&self.own));
+        RunWorkspace { truth, own, now: Vec::new(), first: Vec::new(), drift: Vec::new(), moved: Vec::new() }
+    }
+
+    fn run_in(&self, test: &Test, room: &mut RunWorkspace) -> Result<Estimates, ReduceError> {
+        let model = &self.truth.model;
+        let named = |fault: Box<Fault>| fault.name(model, Some(test));
+        self.truth.prepare(test, &mut room.truth).map_err(named)?;
+        self.own.prepare(test, &mut room.own).map_err(|fault| of_filter(named(fault)))?;
+        let (found, expected) = (room.own.instances.len(), room.truth.instances.len());
+        if found != expected || !room.own.instances.iter().eq(room.truth.instances.iter()) {
+            return Err(named(Fault::new(Subject::Test, ReduceErrorKind::OtherMeasurements { found, expected })));
+        }
+        let entry = self.class(room);
+        let class = entry.value().as_ref().map_err(|fault| named(fault.clone()))?;
+        let shift = self.shift(test, room).map_err(named)?;
+        self.pass(class, shift.as_deref(), room);
+        let estimates = self.estimates(class, test, room);
+        let sound = estimates.estimates.iter().chain(&estimates.offsets).chain(&estimates.drift).all(|x| x.is_finite());
+        if sound { Ok(estimates) } else { Err(named(Fault::new(Subject::Test, ReduceErrorKind::NotFinite))) }
+    }
+
+    /// What the test in the room shares with others like it.
+    fn class(&self, room: &RunWorkspace) -> Arc<StoreEntry<FilterClass, FilterDesignResult>> {
+        let sides = [&room.truth, &room.own];
+        let covariances = |work: &Workspace| work.covariances.clone().unwrap_or_default();
+        let mut digest = Digest::new();
+        for side in sides {
+            digest.wide(side.design.digest());
+            for &(i, j, value) in side.covariances.iter().flatten() {
+                digest.count(i);
+                digest.count(j);
+                digest.numbers(&[value]);
+            }
+        }
+        let same = |known: &FilterClass| {
+            let alike = |(a, b): (&NoiseCovariances, &Workspace)| b.covariances.as_ref() == Some(a);
+            known.designs.iter().zip(sides).all(|(a, b)| a.same(&b.design))
+                && known.covariances.iter().zip(sides).all(alike)
+        };
+        self.classes.get(
+            digest.finish(),
+            same,
+            || FilterClass { designs: sides.map(|side| side.design.clone()), covariances: sides.map(covariances) },
+            |_| joint::run((&self.truth, &room.truth), (&self.own, &room.own), &self.filter),
+            |class, made| {
+                let numbers = made.as_ref().map_or(0, |made| made.gains.len() + 2 * made.root.len());
+                class.designs.iter().map(Design::bytes).sum::<usize>()
+                    + class.covariances.iter().map(|c| 24 * c.len()).sum::<usize>()
+                    + 8 * numbers
+            },
+        )
+    }
+
+    /// d - d_f of each measurement; `None` where the filter has no parameters of its own, so that they are the same.
+    fn shift(&self, test: &Test, room: &RunWorkspace) -> Result<Option<Vec<f64>>, Box<Fault>> {
+        if self.filter.parameters.is_empty() {
+            return Ok(None);
+        }
+        let constants = self.truth.measured_constants(test, &room.truth)?;
+        let own = self.own.measured_constants(test, &room.own)?;
+        Ok(Some(constants.iter().zip(&own).map(|(a, b)| a - b).collect()))
+    }
+
+    /// x̂ over the data, and s̄: the same over what x_0 = 0 without noise would give.
+    fn pass(&self, class: &FilterDesign, shift: Option<&[f64]>, room: &mut RunWorkspace) {
+        let RunWorkspace { truth, own, now, first, drift, moved } = room;
+        let n = self.filter.mean.len();
+        now.clear();
+        now.extend(self.own.order.states.iter().flat_map(|&state| [self.filter.mean[state]; 2]));
+        first.clone_from(now);
+        drift.clear();
+        drift.resize(n, 0.0);
+        let (mut true_input, mut own_input) = (0, 0);
+        for (step, own_step) in truth.design.each_step().zip(own.design.each_step()) {
+            if let Some(transition) = step.transition {
+                kernel::advance(drift, 1, transition.view(), moved);
+                for &state in &truth.design.frame.driven {
+                    drift[state as usize] += truth.data.inputs[true_input];
+                    true_input += 1;
+                }
+            }
+            if let Some(transition) = own_step.transition {
+                kernel::advance(now, 2, transition.view(), moved);
+                for &state in &own.design.frame.driven {
+                    let input = own.data.inputs[own_input];
+                    now[2 * state as usize..][..2].iter_mut().for_each(|x| *x += input);
+                    own_input += 1;
+                }
+            }
+            // all innovations of a step before any update: its gain is the joint one
+            moved.clear();
+            for (i, row) in step.rows.clone().enumerate() {
+                let (line, own_line) = (step.lines.start + i, own_step.lines.start + i);
+                let mut e = [own.data.values[row], shift.map_or(0.0, |shift| shift[row])];
+                let (states, h) = truth.design.terms(line);
+                e[1] += states.iter().zip(h).map(|(&state, h)| h * drift[state as usize]).sum::<f64>();
+                let (states, h) = own.design.terms(own_line);
+                for (k, e) in e.iter_mut().enumerate() {
+                    *e -= states.iter().zip(h).map(|(&state, h)| h * now[2 * state as usize + k]).sum::<f64>();
+                }
+                moved.extend(e);
+            }
+            for (e, row) in moved.chunks_exact(2).zip(step.rows) {
+                let (gain, gain_of_first) = class.gains[2 * n * row..][..2 * n].split_at(n);
+                for (x, gain) in now.chunks_exact_mut(2).zip(gain).chain(first.chunks_exact_mut(2).zip(gain_of_first)) {
+                    x[0] += gain * e[0];
+                    x[1] += gain * e[1];
+                }
+            }
+        }
+    }
+
+    fn estimates(&self, class: &FilterDesign, test: &Test, room: &RunWorkspace) -> Estimates {
+        let n = self.filter.mean.len();
+        let place = &self.own.order.place;
+        let both = |k: usize| {
+            let half = |x: &[f64]| (0..n).map(|state| x[2 * place[state] + k]).collect::<Vec<f64>>();
+            let mut all = half(&room.now);
+            all.extend(half(&room.first));
+            nalgebra::DVector::from_vec(all)
+        };
+        Estimates {
+            estimates: both(0),
+            offsets: both(1),
+            sensitivities: class.sensitivity.rows(n, 2 * n).into_owned(),
+            transition: class.sensitivity.rows(0, n).into_owned(),
+            drift: nalgebra::DVector::from_fn(n, |state, _| room.drift[self.truth.order.place[state]]),
+            root: class.root.clone(),
+            constants: constants(&self.truth.model, test),
+            steps: room.truth.design.steps(),
+            observations: room.truth.design.rows(),
+        }
+    }
+}
+
+/// It is the filter that cannot be run, not the model.
+fn of_filter(mut error: ReduceError) -> ReduceError {
+    error.what.push_str(", as the filter has it");
+    error
+}

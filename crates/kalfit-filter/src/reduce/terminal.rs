@@ -1,0 +1,87 @@
+//! The state after the last step of a test.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, U with U'U = P")]
+
+use std::sync::Arc;
+
+pub(super) use kalfit_model::Terminal;
+use nalgebra::{DMatrix, DVector};
+
+use crate::reduce::semidefinite::information_root;
+
+/// A scaled pivot of P_K below this is too ill-conditioned for plain covariance arithmetic: the next phase may measure just
+/// the combination of states that it belongs to.
+const LEAST_PIVOT: f64 = 1e-8;
+
+/// Ψ_K and a root of P_K, states in the order of the model: as far as the design decides it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct TerminalRoot {
+    /// Ψ_K, n × p.
+    pub(crate) sensitivity: DMatrix<f64>,
+    /// C with CC' = P_K, n × any number of columns.
+    pub(crate) root: DMatrix<f64>,
+}
+
+impl TerminalRoot {
+    /// From Ψ (row-major) and U, r × r, row-major, with U'U = P, in the kernels' order; `states`: the state at each of its places.
+    pub(crate) fn new(states: &[usize], Psi: &[f64], U: &[f64], r: usize) -> TerminalRoot {
+        TerminalRoot::of_root(states, Psi, r, |row, place| U[row * r + place])
+    }
+
+    /// From the lower triangle of P, r × r, row-major; `None` where its root calls for square-root arrays.
+    pub(crate) fn of_covariance(states: &[usize], Psi: &[f64], P: &[f64], r: usize) -> Option<TerminalRoot> {
+        let mut packed = Vec::with_capacity(r * (r + 1) / 2);
+        (0..r).for_each(|k| packed.extend_from_slice(&P[k * r..=k * r + k]));
+        let (root, least) = information_root(&packed, r, LEAST_PIVOT);
+        let U = |row: usize, place: usize| if row <= place { root[row + place * (place + 1) / 2] } else { 0.0 };
+        (least >= LEAST_PIVOT).then(|| TerminalRoot::of_root(states, Psi, r, U))
+    }
+
+    /// Rows of U that are zero are left out.
+    fn of_root(states: &[usize], Psi: &[f64], r: usize, U: impl Fn(usize, usize) -> f64) -> TerminalRoot {
+        let (n, p) = (states.len(), Psi.len() / states.len().max(1));
+        let is_kept = |row: &usize| (0..r).any(|place| U(*row, place) != 0.0);
+        let kept = || (0..r).filter(is_kept).enumerate();
+        let mut end = TerminalRoot { sensitivity: DMatrix::zeros(n, p), root: DMatrix::zeros(n, kept().count()) };
+        for (place, &state) in states.iter().enumerate() {
+            for c in 0..p {
+                end.sensitivity[(state, c)] = Psi[place * p + c];
+            }
+        }
+        for (c, row) in kept() {
+            states.iter().take(r).enumerate().for_each(|(place, &state)| end.root[(state, c)] = U(row, place));
+        }
+        end
+    }
+
+    /// Bytes it occupies.
+    pub(crate) fn bytes(&self) -> usize {
+        8 * (self.sensitivity.len() + self.root.len())
+    }
+}
+
+/// Where a test ends; tests of one design share what does not depend on their data.
+#[derive(Debug, Clone)]
+pub(crate) struct TerminalState {
+    mean: DVector<f64>,
+    root: Arc<TerminalRoot>,
+}
+
+impl TerminalState {
+    /// With x̂_K, in the kernels' order.
+    pub(crate) fn new(root: Arc<TerminalRoot>, states: &[usize], x: impl Iterator<Item = f64>) -> TerminalState {
+        TerminalState { mean: placed(states, x), root }
+    }
+
+    /// By itself.
+    pub(crate) fn terminal(self) -> Terminal {
+        let TerminalRoot { sensitivity, root } = Arc::unwrap_or_clone(self.root);
+        Terminal { mean: self.mean, sensitivity, root }
+    }
+}
+
+/// A state in the order of the model.
+fn placed(states: &[usize], x: impl Iterator<Item = f64>) -> DVector<f64> {
+    let mut out = DVector::zeros(states.len());
+    states.iter().zip(x).for_each(|(&state, x)| out[state] = x);
+    out
+}

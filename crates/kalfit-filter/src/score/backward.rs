@@ -1,0 +1,166 @@
+//! The backward pass: adjoints of everything a test's likelihood depends on, from its last step to its first (theory §6).
+//!
+//! ξ is not known but has the posterior mean x̂ and covariance V = CC'. The forward filter runs from x_0 = a + Ax̂, so that
+//! its innovations are ē = e - Tx̂ and its states x̄ = x̂_k + Ψx̂; the columns of C ride along as sensitivities. Then
+//!
+//! ```text
+//! u = ē/S - K'r        υ = TC/S - K'ρ        D = 1/S + K'NK
+//! ∂ℓ/∂R = ½(u² + υυ' - D)        ∂ℓ/∂d = u
+//! r ← r + hu        ρ ← ρ + hυ
+//! ∂ℓ/∂h = u (x̄⁻ + P⁻r) - (Ψ⁻C - P⁻ρ)υ' - P⁻(h/S - (I-Kh')'NK)
+//! N ← hh'/S + (I-Kh')'N(I-Kh')
+//! ∂ℓ/∂Q = ½(rr' + ρρ' - N)        ∂ℓ/∂b = r
+//! ∂ℓ/∂φ = r (x̄ + Pφ'r)' - ρ(ΨC - Pφ'ρ)' - NφP
+//! r ← φ'r        ρ ← φ'ρ        N ← φ'Nφ
+//! ```
+//!
+//! line by line from the top, beginning with the r, ρ, N of later steps, one scalar measurement after the other, the last one first
+//! (in the line of ∂ℓ/∂φ, r and ρ are those before φ'r and φ'ρ); r, u, ρ, υ are the theory's r̄, ū, ρC, υC.
+//! After the last step they are zero, or what later phases say of the state there ([`TerminalAdjoint`]).
+//!
+//! The steps of flat arrays stand in `kernel`, `filtered` and `adjoint`, for one test and for lanes (`batch`).
+//!
+//! What the forward filter passes through is not remembered: its innovations are, and its state every so many steps, from which
+//! the steps between are run again when the way back comes to them. Many equal steps go through kernels of known size
+//! (`equal_backward`), which sum their adjoints and stop renewing N and ρ where these no longer change; P and Ψ before each of them
+//! are known from the design pass.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
+
+mod adjoint;
+mod batch;
+mod data_adjoint;
+mod design_adjoint;
+mod equal;
+mod equal_backward;
+mod filtered;
+mod forward;
+mod input;
+mod kernel;
+mod record_segments;
+mod scalar_measurement;
+mod sink;
+mod smooth;
+#[cfg(test)]
+mod tests;
+mod work;
+
+use crate::reduce::DesignStep;
+use adjoint::{Adjoint, ScalarAdjoint};
+use work::{Segment, SegmentKind};
+
+pub(crate) use batch::{BatchAdjoints, BatchBackward};
+pub(crate) use data_adjoint::DataSums;
+pub(crate) use equal::EqualStretch;
+pub use filtered::FilterSnapshot;
+pub use input::AdjointsWanted;
+pub use input::BackwardInput;
+pub(crate) use input::TerminalAdjoint;
+pub(crate) use kernel::{absorb, advance_transposed, smoothing_error};
+pub(crate) use record_segments::{RecordSegment, RecordSegments};
+pub(crate) use sink::{MeasurementAdjoint, Sink, TransitionAdjoint};
+pub use smooth::Smoothed;
+pub(crate) use smooth::{SmoothedNoise, SmoothedTest};
+pub use work::BackwardWork;
+
+impl BackwardInput<'_> {
+    /// The adjoints of the test, into the sink.
+    pub(crate) fn backward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
+        self.forward(work, sink);
+        self.back(work, sink)
+    }
+
+    /// The way back, once the way forth has been gone.
+    pub(crate) fn back<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
+        work.adjoint.begin(&self.unknown(), self.after());
+        for at in (0..work.parts.len()).rev() {
+            let part = work.parts[at];
+            match part.kind {
+                SegmentKind::Equal(pass) => {
+                    if self.tracked() {
+                        work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
+                    }
+                    pass(self, &part, work);
+                    sink.measured(part.steps.0, &work.measured)?;
+                    if self.design.stretch(part.stretch).transition.is_some() {
+                        sink.moved(part.steps.0, &work.moved)?;
+                    }
+                }
+                SegmentKind::Steps => self.steps_back(&part, at + 1 < work.parts.len(), work, sink)?,
+            }
+        }
+        work.adjoint.start_covariance_adjoint(&self.unknown(), &mut work.variance);
+        sink.started(&work.adjoint.r, &work.variance)
+    }
+
+    /// Back through steps one by one; `again`: the forward filter has gone on since, and runs over them again.
+    fn steps_back<S: Sink>(
+        &self,
+        part: &Segment,
+        again: bool,
+        work: &mut BackwardWork,
+        sink: &mut S,
+    ) -> Result<(), S::Error> {
+        if again && self.tracked() {
+            work.now.load(&work.marks[part.mark..][..self.stride()], self.sizes());
+            self.forward_steps(part, work);
+        }
+        let BackwardWork { e, left, before, adjoint, measured, moved, .. } = work;
+        let stride = self.stride();
+        let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
+        let (mut transitions, mut rows) = (left.len() / stride.max(1), before.len() / stride.max(1));
+        let mut k = part.steps.1;
+        for step in part.steps(self.design).rev() {
+            k -= 1;
+            if !step.rows.is_empty() {
+                rows = rows.saturating_sub(step.rows.len());
+                let first = rows;
+                let before = |place: usize| FilterSnapshot::new(&before[seen(before, first + place)], self.sizes());
+                self.measured_back(&step, e, before, (adjoint, measured));
+                sink.measured(k, measured)?;
+            }
+            if let Some(transition) = step.transition {
+                transitions = transitions.saturating_sub(1);
+                let left =
+                    self.wanted.motion.then(|| FilterSnapshot::new(&left[seen(left, transitions)], self.sizes()));
+                adjoint.moved(&self.unknown(), transition.view(), left, moved);
+                sink.moved(k, moved)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The measurements of one step, the last first. `before`: the filter before a measurement with this place in the step.
+    fn measured_back<'s>(
+        &self,
+        step: &DesignStep<'_>,
+        e: &[f64],
+        before: impl Fn(usize) -> FilterSnapshot<'s>,
+        (adjoint, bar): (&mut Adjoint, &mut MeasurementAdjoint),
+    ) {
+        let (n, m) = (self.design.frame.n, step.rows.len());
+        let equations = if self.wanted.equation { m * n } else { 0 };
+        for (list, size) in [(&mut bar.noise, m), (&mut bar.value, m), (&mut bar.h, equations)] {
+            list.clear();
+            list.resize(size, 0.0);
+        }
+        for (place, (line, row)) in step.lines.clone().zip(step.rows.clone()).enumerate().rev() {
+            let line = self.line((line, row));
+            if line.weight == 0.0 {
+                continue; // it can only be what it is: K and T are zero
+            }
+            let h = if self.wanted.equation { Some((&mut bar.h[place * n..][..n], before(place))) } else { None };
+            let bar = ScalarAdjoint { noise: &mut bar.noise[place], value: &mut bar.value[place], h };
+            adjoint.measured(&line, e[row], &self.unknown(), bar);
+        }
+    }
+
+    /// (r, ρ, N) after the last step, where that is not zero.
+    fn after(&self) -> Option<[&[f64]; 3]> {
+        self.ending.map(|ending| [&*ending.r, &*ending.rho, &*ending.N])
+    }
+
+    /// Adjoints of φ or h are wanted, so that P and ΨC are needed.
+    fn tracked(&self) -> bool {
+        self.unknown().tracked()
+    }
+}

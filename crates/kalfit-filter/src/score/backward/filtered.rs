@@ -1,0 +1,221 @@
+//! The forward filter at ξ = x̂ under the gains of a design, step by step.
+#![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S")]
+
+use kalfit_lanes::Real;
+use nalgebra::{DMatrix, DMatrixView};
+
+use crate::reduce::{Entries, TransitionView, advance, correct_mean, innovation, mirror, predict, update};
+use crate::score::backward::input::BackwardInput;
+use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
+
+/// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
+#[derive(Debug, Clone)]
+pub(super) struct FilteredMoments<T = f64> {
+    pub(super) x: Vec<T>,
+    pub(super) P: Vec<T>,
+    pub(super) Psi: Vec<T>,
+    rows: Vec<T>,
+    G: Vec<T>,
+    K: Vec<T>,
+    T: Vec<T>,
+}
+
+impl<T> Default for FilteredMoments<T> {
+    fn default() -> FilteredMoments<T> {
+        FilteredMoments {
+            x: Vec::new(),
+            P: Vec::new(),
+            Psi: Vec::new(),
+            rows: Vec::new(),
+            G: Vec::new(),
+            K: Vec::new(),
+            T: Vec::new(),
+        }
+    }
+}
+
+/// What [`FilteredMoments::save`] has kept, to read.
+#[derive(Debug, Clone, Copy)]
+pub struct FilterSnapshot<'a, T = f64> {
+    pub x: &'a [T],
+    pub(crate) P: &'a [T],
+    pub(crate) Psi: &'a [T],
+}
+
+impl<'a, T> FilterSnapshot<'a, T> {
+    /// Of n states, r of them noisy.
+    #[inline(always)]
+    pub(super) fn new(kept: &'a [T], (n, r): (usize, usize)) -> FilterSnapshot<'a, T> {
+        let (x, rest) = kept.split_at(n);
+        let (P, Psi) = rest.split_at(r * r);
+        FilterSnapshot { x, P, Psi }
+    }
+}
+
+impl FilterSnapshot<'_> {
+    /// Ψ, n × q.
+    pub fn sensitivity(&self) -> DMatrix<f64> {
+        let n = self.x.len();
+        DMatrix::from_row_slice(n, self.Psi.len() / n.max(1), self.Psi)
+    }
+
+    /// Adds P, which is zero beyond the noisy states, to a covariance of all states.
+    pub fn add_noise(&self, covariance: &mut DMatrix<f64>) {
+        let r = self.P.len().isqrt();
+        let mut noisy = covariance.view_mut((0, 0), (r, r));
+        noisy += DMatrixView::from_slice(self.P, r, r); // symmetric
+    }
+}
+
+/// x_0 before ξ is known: a (n), and P0 (r × r, the lower triangle counts).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Begin<'a, T, E> {
+    pub(super) start: E,
+    pub(super) variance: E,
+    /// x̂.
+    pub(super) mean: &'a [T],
+}
+
+impl<T: Real> FilteredMoments<T> {
+    /// x_0 = a + Ax̂, P0 and AC.
+    #[inline(always)]
+    pub(super) fn begin<E: Entries<T>>(&mut self, begin: &Begin<'_, T, E>, unknown: &PosteriorRoot<'_, T>) {
+        let frame = unknown.frame;
+        let (n, p, r, c) = (frame.n, frame.p, frame.r, unknown.columns);
+        self.x.clear();
+        for i in 0..n {
+            self.x.push(begin.start.entry(i));
+        }
+        self.P.clear();
+        self.Psi.clear();
+        if unknown.tracked() {
+            for ij in 0..r * r {
+                self.P.push(begin.variance.entry((ij / r).max(ij % r) * r + (ij / r).min(ij % r)));
+            }
+            self.Psi.resize(n * c, T::splat(0.0));
+        }
+        for i in 0..n {
+            for k in 0..p {
+                let a = frame.sensitivity[i * p + k];
+                if a == 0.0 {
+                    continue;
+                }
+                let a = T::splat(a);
+                self.x[i] = a.fma(begin.mean[k], self.x[i]);
+                if unknown.tracked() {
+                    let Psi = &mut self.Psi[i * c..][..c];
+                    for (Psi, &root) in Psi.iter_mut().zip(&unknown.root[k * c..][..c]) {
+                        *Psi = a.fma(root, *Psi);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Its state, to read.
+    pub(super) fn seen(&self) -> FilterSnapshot<'_, T> {
+        FilterSnapshot { x: &self.x, P: &self.P, Psi: &self.Psi }
+    }
+
+    #[inline(always)]
+    pub(super) fn save(&self, out: &mut Vec<T>) {
+        out.extend_from_slice(&self.x);
+        out.extend_from_slice(&self.P);
+        out.extend_from_slice(&self.Psi);
+    }
+
+    /// Takes what [`FilteredMoments::save`] has kept.
+    #[inline(always)]
+    pub(super) fn load(&mut self, kept: &[T], sizes: (usize, usize)) {
+        let seen = FilterSnapshot::new(kept, sizes);
+        for (own, seen) in [(&mut self.x, seen.x), (&mut self.P, seen.P), (&mut self.Psi, seen.Psi)] {
+            own.clear();
+            own.extend_from_slice(seen);
+        }
+    }
+
+    /// Over a transition, with its known inputs.
+    #[inline(always)]
+    pub(super) fn advance<E: Entries<T>>(
+        &mut self,
+        transition: TransitionView<'_, E>,
+        inputs: E,
+        unknown: &PosteriorRoot<'_, T>,
+    ) {
+        let (r, c) = (unknown.frame.r, unknown.columns);
+        advance(&mut self.x, 1, transition, &mut self.rows);
+        for (k, &state) in unknown.frame.driven.iter().enumerate() {
+            self.x[state as usize] = self.x[state as usize] + inputs.entry(k);
+        }
+        if !self.Psi.is_empty() {
+            advance(&mut self.Psi, c, transition, &mut self.rows);
+        }
+        if !self.P.is_empty() {
+            predict(&mut self.P, r, transition, &mut self.rows);
+            mirror(&mut self.P, r);
+        }
+    }
+
+    /// The update by a measurement.
+    #[inline(always)]
+    pub(super) fn measure<E: Entries<T>>(
+        &mut self,
+        line: &ScalarMeasurement<'_, T, E>,
+        e: T,
+        unknown: &PosteriorRoot<'_, T>,
+    ) {
+        let (r, c) = (unknown.frame.r, unknown.columns);
+        correct_mean(line.K, e, &mut self.x[..r]);
+        if !self.Psi.is_empty() {
+            unknown.times_root(line.T, &mut self.T);
+            for i in 0..r {
+                let K = line.K.entry(i);
+                for k in 0..c {
+                    self.Psi[i * c + k] = K.fnma(self.T[k], self.Psi[i * c + k]);
+                }
+            }
+        }
+        if !self.P.is_empty() {
+            self.spread(r, line);
+        }
+    }
+
+    /// The update of P, by gains of its own: those of the design may have come from square-root arrays, or be those of other steps
+    /// where they rest, and P would leave what is true under any but its own.
+    #[inline(always)]
+    fn spread<E: Entries<T>>(&mut self, r: usize, line: &ScalarMeasurement<'_, T, E>) {
+        let FilteredMoments { P, G, K, .. } = self;
+        for own in [&mut *G, &mut *K] {
+            own.clear();
+            own.resize(r, T::splat(0.0));
+        }
+        update(r, (line.states, line.h), line.noise, P, (G, K));
+        mirror(P, r);
+    }
+}
+
+impl BackwardInput<'_> {
+    /// The filter at the start of the test.
+    pub(super) fn begin(&self, now: &mut FilteredMoments) {
+        let begin = Begin { start: self.start, variance: &*self.design.variance, mean: &self.moments.mean };
+        now.begin(&begin, &self.unknown());
+    }
+
+    /// The innovation of a row, which goes to the end of `e` unless it is there already; and the update by it.
+    pub(super) fn measure(&self, now: &mut FilteredMoments, (line, row): (usize, usize), e: &mut Vec<f64>) {
+        let line = self.line((line, row));
+        if row == e.len() {
+            e.push(innovation(&now.x, (line.states, line.h), self.values[row]));
+        }
+        if line.weight == 0.0 {
+            return; // it can only be what it is
+        }
+        now.measure(&line, e[row], &self.unknown());
+    }
+
+    /// (n, r): what [`FilterSnapshot::new`] needs to read a kept state.
+    pub(super) fn sizes(&self) -> (usize, usize) {
+        let frame = &self.design.frame;
+        (frame.n, frame.r)
+    }
+}

@@ -1,0 +1,52 @@
+//! What the backward pass of a test begins with.
+#![expect(non_snake_case, reason = "the letters of the theory: N")]
+
+use crate::reduce::{Design, Gains, Workspace};
+use crate::score::moments::Moments;
+
+/// What the pullback asks of a backward pass.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct AdjointsWanted {
+    /// ∂ℓ/∂φ.
+    pub motion: bool,
+    /// ∂ℓ/∂h.
+    pub equation: bool,
+}
+
+/// One test as the pass sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct BackwardInput<'a> {
+    pub(crate) design: &'a Design,
+    pub(crate) gains: &'a Gains,
+    pub(crate) start: &'a [f64],
+    pub(crate) inputs: &'a [f64],
+    pub(crate) values: &'a [f64],
+    /// All data are zero: only what the design says is asked for.
+    pub(crate) blank: bool,
+    pub(crate) moments: &'a Moments,
+    /// Where later phases say something of the last state.
+    pub(crate) ending: Option<&'a TerminalAdjoint>,
+    pub(crate) wanted: AdjointsWanted,
+}
+
+impl<'a> BackwardInput<'a> {
+    /// Of the test in a work space under the gains of its design.
+    pub fn of(
+        (work, gains): (&'a Workspace, &'a Gains),
+        (moments, ending): (&'a Moments, Option<&'a TerminalAdjoint>),
+        wanted: AdjointsWanted,
+    ) -> BackwardInput<'a> {
+        let (design, data) = (&work.design, &work.data);
+        let (start, inputs, values) = (&data.start, &data.inputs, &data.values);
+        BackwardInput { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
+    }
+}
+
+/// r (n), ρ (n × columns) and N (r × r) after the last step, in kernel order: adjoints of x_K from the phases that follow
+/// (theory §7).
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TerminalAdjoint {
+    pub(crate) r: Vec<f64>,
+    pub(crate) rho: Vec<f64>,
+    pub(crate) N: Vec<f64>,
+}

@@ -1,0 +1,195 @@
+//! Moments of states and noises, from the adjoints of the backward pass (theory §6).
+//!
+//! ```text
+//! E[x] = x̄ + Pr        Var[x] = P - PNP + BB'        B = ΨC - Pρ
+//! E[w] = Qr        E[ww'] = Q + Q(rr' + ρρ' - N)Q        Cov[w, x] = -Q(ρB' + NφP)
+//! ```
+#![expect(non_snake_case, reason = "the letters of the theory: P, B, N")]
+
+use crate::reduce::{DesignStep, Transition};
+use crate::score::backward::filtered::FilterSnapshot;
+use crate::score::backward::forward::FilterPosition;
+use crate::score::backward::input::BackwardInput;
+use crate::score::backward::kernel::{dot, outer_entry, times_phi};
+use crate::score::backward::work::BackwardWork;
+
+/// The moments of a test.
+#[derive(Debug)]
+pub(crate) struct SmoothedTest {
+    /// Of x_0, then of the state after each step.
+    pub(crate) states: Vec<Smoothed>,
+    /// Of the noise of the transition to each step; none where there is no transition.
+    pub(crate) noises: Vec<Option<SmoothedNoise>>,
+    /// ∂ℓ/∂a (n).
+    pub(crate) mean: Vec<f64>,
+    /// ∂ℓ/∂P0 (r × r, each place by itself).
+    pub(crate) variance: Vec<f64>,
+}
+
+/// E[x] and Var[x] at one time, given all data of the test.
+#[derive(Debug, Clone, Default)]
+pub struct Smoothed {
+    /// n numbers.
+    pub mean: Vec<f64>,
+    /// n × n.
+    pub variance: Vec<f64>,
+}
+
+/// Moments of the noise w of one transition given all data of the test, on the r noise-reachable states.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct SmoothedNoise {
+    /// E[w] (r).
+    pub(crate) mean: Vec<f64>,
+    /// E[ww'] (r × r).
+    pub(crate) second: Vec<f64>,
+    /// Cov[w, x] with the state x before the transition (r × n).
+    pub(crate) cross: Vec<f64>,
+}
+
+impl SmoothedNoise {
+    /// E[w] = Qr, E[ww'] = Q + Q(rr' + ρρ' - N)Q, with r, ρ, N before they move on.
+    pub(super) fn at(
+        &mut self,
+        transition: &Transition,
+        (adjoint, rho, N): (&[f64], &[f64], &[f64]),
+        (r, c): (usize, usize),
+    ) {
+        let q = transition.noise_of(r, |i| i);
+        let q = q.as_slice(); // symmetric
+        self.mean.clear();
+        self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], &adjoint[..r])));
+        let g: Vec<f64> = (0..r * r).map(|ij| outer_entry(adjoint, rho, c, ij / r, ij % r) - N[ij]).collect();
+        let qg = product(q, &g, r, r);
+        self.second = product(&qg, q, r, r);
+        self.second.iter_mut().zip(q).for_each(|(second, q)| *second += q);
+    }
+
+    /// Cov[w, x] = -Q(ρB' + NφP), `N` being Nφ, `rho` φ'ρ.
+    pub(super) fn across(
+        &mut self,
+        transition: &Transition,
+        left: FilterSnapshot<'_>,
+        (rho, rho_before): (&[f64], &[f64]),
+        (N, r, c): (&[f64], usize, usize),
+    ) {
+        let n = left.x.len();
+        let B = left.smoothed_sensitivity(rho, r, c);
+        let mut inner = vec![0.0; r * n];
+        for i in 0..r {
+            for j in 0..n {
+                inner[i * n + j] = -dot(&rho_before[i * c..][..c], &B[j * c..][..c]);
+            }
+            for j in 0..r {
+                inner[i * n + j] -= (0..r).map(|m| N[i * r + m] * left.P[m * r + j]).sum::<f64>();
+            }
+        }
+        self.cross = product(transition.noise_of(r, |i| i).as_slice(), &inner, r, n);
+    }
+}
+
+/// AB with A r × r, B r × n.
+fn product(a: &[f64], b: &[f64], r: usize, n: usize) -> Vec<f64> {
+    let mut out = vec![0.0; r * n];
+    for i in 0..r {
+        for (k, &a) in a[i * r..][..r].iter().enumerate().filter(|(_, a)| **a != 0.0) {
+            out[i * n..][..n].iter_mut().zip(&b[k * n..]).for_each(|(out, b)| *out += a * b);
+        }
+    }
+    out
+}
+
+impl FilterSnapshot<'_> {
+    /// ΨC - Pρ (n × c): what the smoothed state owes to ξ.
+    fn smoothed_sensitivity(&self, rho: &[f64], r: usize, c: usize) -> Vec<f64> {
+        let mut B = self.Psi.to_vec();
+        for i in 0..r {
+            for j in 0..r {
+                let P = self.P[i * r + j];
+                (0..c).for_each(|k| B[i * c + k] -= P * rho[j * c + k]);
+            }
+        }
+        B
+    }
+
+    /// The state given all data: x̄ + Pr, and P - PNP + BB'.
+    pub(super) fn smooth(&self, adjoint: &[f64], rho: &[f64], (N, r, c): (&[f64], usize, usize), out: &mut Smoothed) {
+        let n = self.x.len();
+        let B = self.smoothed_sensitivity(rho, r, c);
+        out.mean.clear();
+        out.mean.extend_from_slice(self.x);
+        out.variance.clear();
+        out.variance.extend((0..n * n).map(|ij| dot(&B[ij / n * c..][..c], &B[ij % n * c..][..c])));
+        let PNP = product(&product(self.P, N, r, r), self.P, r, r);
+        for i in 0..r {
+            out.mean[i] += dot(&self.P[i * r..][..r], &adjoint[..r]);
+            (0..r).for_each(|j| out.variance[i * n + j] += self.P[i * r + j] - PNP[i * r + j]);
+        }
+    }
+}
+
+impl BackwardInput<'_> {
+    /// The moments of the test: step by step, every state of the forward filter remembered. `wanted.motion` must be set, so that the
+    /// filter keeps P and ΨC.
+    pub(crate) fn smooth(&self, work: &mut BackwardWork) -> SmoothedTest {
+        let (r, c) = (self.design.frame.r, self.moments.columns);
+        let stride = self.stride();
+        let (mut ends, mut left) = (Vec::new(), Vec::new());
+        self.forward_keeping_all(work, &mut ends, &mut left);
+        let BackwardWork { e, adjoint, measured, moved, variance, .. } = work;
+        adjoint.begin(&self.unknown(), self.after());
+        let seen = |kept: &'_ [f64], at: usize| at * stride..kept.len().min((at + 1) * stride);
+        let (mut k, mut transitions) = (self.design.steps(), left.len() / stride.max(1));
+        let (mut states, mut noises) = (vec![Smoothed::default(); k + 1], vec![None; k]);
+        for step in self.design.each_step().rev() {
+            let end = FilterSnapshot::new(&ends[seen(&ends, k)], self.sizes());
+            end.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[k]);
+            k -= 1;
+            self.measured_back(&step, e, |_| end, (adjoint, measured));
+            let Some(transition) = step.transition else { continue };
+            transitions -= 1;
+            let before = FilterSnapshot::new(&left[seen(&left, transitions)], self.sizes());
+            let mut noise = SmoothedNoise::default();
+            noise.at(transition, (&adjoint.r, &adjoint.rho, &adjoint.N), (r, c));
+            let mut turned = adjoint.N.clone();
+            times_phi(&mut turned, r, transition.view(), &mut Vec::new());
+            let rho = adjoint.rho.clone();
+            adjoint.moved(&self.unknown(), transition.view(), None, moved);
+            noise.across(transition, before, (&adjoint.rho, &rho), (&turned, r, c));
+            noises[k] = Some(noise);
+        }
+        let start = FilterSnapshot::new(&ends[seen(&ends, 0)], self.sizes());
+        start.smooth(&adjoint.r, &adjoint.rho, (&adjoint.N, r, c), &mut states[0]);
+        adjoint.start_covariance_adjoint(&self.unknown(), variance);
+        SmoothedTest { states, noises, mean: adjoint.r.clone(), variance: variance.clone() }
+    }
+
+    /// The filter at ξ = x̂, step by step: tells its state before the measurements of a step (`measured` false) and after them. `e`: what
+    /// the data pass left. `wanted.motion` must be set.
+    pub fn filtered_states(
+        &self,
+        work: &mut BackwardWork,
+        e: &[f64],
+        mut tell: impl FnMut(&DesignStep<'_>, bool, FilterSnapshot<'_>),
+    ) {
+        let BackwardWork { now, .. } = work;
+        self.begin(now);
+        self.each_position(self.design.each_step(), 0, (now, &mut e.to_vec()), |at, step, now| match at {
+            FilterPosition::Arrives => tell(step, false, now.seen()),
+            FilterPosition::Ends => tell(step, true, now.seen()),
+            FilterPosition::Moves | FilterPosition::Measures => {}
+        });
+    }
+
+    /// The filter at ξ = x̂: its state at the start and after each step, and before each transition.
+    fn forward_keeping_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
+        let BackwardWork { e, now, .. } = work;
+        e.clear();
+        self.begin(now);
+        now.save(ends);
+        self.each_position(self.design.each_step(), 0, (now, e), |at, _, now| match at {
+            FilterPosition::Moves => now.save(left),
+            FilterPosition::Ends => now.save(ends),
+            FilterPosition::Arrives | FilterPosition::Measures => {}
+        });
+    }
+}

@@ -1,0 +1,368 @@
+//! The data's part of the backward pass of tests that share all else, a test in each lane. Of steps one by one:
+//!
+//! ```text
+//! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
+//! ∂ℓ/∂Q: ½rr'        ∂ℓ/∂b: r        ∂ℓ/∂φ: r (x̄ + Pφ'r)'        r ← φ'r
+//! ```
+#![expect(non_snake_case, reason = "the letters of the theory: P, K")]
+
+use kalfit_lanes::{Kernel, Lanes, MOST};
+
+use crate::reduce::{
+    Common, Design, DesignStep, Gains, Scan, Transition, advance, at, correct_mean, innovation, with_states,
+};
+use crate::score::backward::{
+    AdjointsWanted, DataSums, EqualStretch, RecordSegment, RecordSegments, absorb, advance_transposed, smoothing_error,
+};
+use crate::score::classes::equal::EqualDataBackward;
+use crate::score::pullback::{PullbackFactors, ResponseEntry};
+use kalfit_model::Test;
+
+/// What tests share.
+#[derive(Debug)]
+pub(super) struct ClassShared<'a> {
+    pub(super) design: &'a Design,
+    pub(super) gains: &'a Gains,
+    pub(super) start: &'a [f64],
+    pub(super) inputs: &'a [f64],
+    /// Cell and d of each scalar measurement.
+    pub(super) cells: &'a [(usize, f64)],
+    pub(super) record: &'a RecordSegments<'a>,
+    pub(super) wanted: AdjointsWanted,
+    /// Of the steps that stand for all.
+    pub(super) response: &'a PullbackFactors,
+}
+
+/// One of the tests: what it alone has.
+#[derive(Debug, Clone)]
+pub(crate) struct ClassMember<'a> {
+    pub(crate) test: &'a Test,
+    /// x̂ of ξ, in the order of the kernels.
+    pub(crate) mean: Vec<f64>,
+    /// r after the last step, from which its later phases begin; empty where none follow.
+    pub(crate) ending: Vec<f64>,
+}
+
+/// Σ factor × adjoint of each test: as many numbers as slots answer, one test after the other.
+pub(super) struct DataBackward<'a> {
+    pub(super) shared: &'a ClassShared<'a>,
+    pub(super) tests: &'a [ClassMember<'a>],
+}
+
+impl Kernel for DataBackward<'_> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> Vec<f64> {
+        let slots = self.shared.response.slots.len();
+        let mut found = vec![0.0; self.tests.len() * slots];
+        let mut pass = DataBackwardState::<T>::new(self.shared);
+        let mut lanes = [0.0; MOST];
+        for (tests, found) in self.tests.chunks(T::COUNT).zip(found.chunks_mut((T::COUNT * slots).max(1))) {
+            pass.forth(self.shared, tests);
+            pass.back(self.shared, tests);
+            for (slot, sum) in pass.sums.iter().enumerate() {
+                sum.store(&mut lanes);
+                for lane in 0..tests.len() {
+                    found[lane * slots + slot] = lanes[lane];
+                }
+            }
+        }
+        found
+    }
+}
+
+/// A block of tests on its way.
+struct DataBackwardState<T> {
+    /// x̄ on the way forth, r on the way back.
+    x: Vec<T>,
+    /// r where a transition ends, of the states that move.
+    moved: Vec<T>,
+    work: Vec<T>,
+    /// z - d on the way forth, ē from there on, of each scalar measurement; of the tests beside each other.
+    e: Vec<f64>,
+    /// x̄ before each transition, and before each measurement, of the steps that stand for all, where P is wanted too.
+    left: Vec<T>,
+    before: Vec<T>,
+    /// x̄ before equal steps, of all states, and of those that move at the beginning of each block; segment after segment.
+    marks: Vec<T>,
+    /// By slot.
+    sums: Vec<T>,
+}
+
+/// Numbers of the measurement and the transition that come next, among those of the steps that stand for all.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cursor {
+    row: usize,
+    transition: usize,
+}
+
+/// The same number of each test; lanes beyond the last test are as the last one.
+#[inline(always)]
+fn each<T: Lanes>(tests: &[ClassMember<'_>], mut number: impl FnMut(&ClassMember<'_>) -> f64) -> T {
+    let mut lanes = [0.0; MOST];
+    for lane in 0..T::COUNT {
+        lanes[lane] = number(&tests[lane.min(tests.len() - 1)]);
+    }
+    T::load(&lanes)
+}
+
+impl<T: Lanes> DataBackwardState<T> {
+    fn new(shared: &ClassShared<'_>) -> DataBackwardState<T> {
+        let (zero, n, response) = (T::splat(0.0), shared.design.frame.n, shared.response);
+        let wanted = |is: bool, many: usize| if is { many * n } else { 0 };
+        DataBackwardState {
+            x: vec![zero; n],
+            moved: vec![zero; n],
+            work: Vec::new(),
+            e: vec![0.0; shared.cells.len() * T::COUNT],
+            left: vec![zero; wanted(shared.wanted.motion, response.moves.len())],
+            before: vec![zero; wanted(shared.wanted.equation, response.rows.len())],
+            marks: Vec::new(),
+            sums: vec![zero; response.slots.len()],
+        }
+    }
+
+    /// x_0 = a + Ax̂ and the filter from there.
+    #[inline(always)]
+    fn forth(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
+        let frame = &*shared.design.frame;
+        let (n, p) = (frame.n, frame.p);
+        for i in 0..n {
+            self.x[i] = T::splat(shared.start[i]);
+        }
+        for k in 0..p {
+            let mean = each::<T>(tests, |own| own.mean[k]);
+            for i in 0..n {
+                let A = frame.sensitivity[i * p + k];
+                if A != 0.0 {
+                    self.x[i] = T::splat(A).fma(mean, self.x[i]);
+                }
+            }
+        }
+        let numbers: [&[f64]; MOST] = std::array::from_fn(|lane| tests[lane.min(tests.len() - 1)].test.all_numbers());
+        for (e, &(cell, d)) in self.e.chunks_exact_mut(T::COUNT).zip(shared.cells) {
+            for lane in 0..T::COUNT {
+                e[lane] = numbers[lane][cell] - d;
+            }
+        }
+        self.marks.clear();
+        let (mut at, mut input) = (Cursor::default(), 0);
+        for segment in &shared.record.segments {
+            match segment {
+                RecordSegment::Steps(steps) => {
+                    for step in steps {
+                        self.step_forth(shared, step, (&mut at, &mut input));
+                    }
+                }
+                RecordSegment::Equal(equal) => {
+                    self.equal_forth(shared, equal);
+                    at.row += 1;
+                    at.transition += usize::from(equal.stretch.transition.is_some());
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn step_forth(&mut self, shared: &ClassShared<'_>, step: &DesignStep<'_>, (now, input): (&mut Cursor, &mut usize)) {
+        let frame = &*shared.design.frame;
+        let (n, r) = (frame.n, frame.r);
+        if let Some(transition) = step.transition {
+            if !self.left.is_empty() {
+                self.left[now.transition * n..][..n].copy_from_slice(&self.x);
+            }
+            advance(&mut self.x, 1, transition.common(), &mut self.work);
+            for &state in &frame.driven {
+                self.x[state as usize] = self.x[state as usize] + T::splat(shared.inputs[*input]);
+                *input += 1;
+            }
+            now.transition += 1;
+        }
+        for (line, row) in step.lines.clone().zip(step.rows.clone()) {
+            if !self.before.is_empty() {
+                self.before[now.row * n..][..n].copy_from_slice(&self.x);
+            }
+            let ((states, h), (_, K, _)) = (shared.design.terms(line), shared.gains.row(row));
+            let e = innovation(&self.x, (states, Common(h)), at::<T>(&self.e, row));
+            correct_mean(Common(K), e, &mut self.x[..r]);
+            e.store(&mut self.e[row * T::COUNT..]);
+            now.row += 1;
+        }
+    }
+
+    #[inline(always)]
+    fn equal_forth(&mut self, shared: &ClassShared<'_>, equal: &EqualStretch<'_>) {
+        let DataBackwardState { x, e, marks, .. } = self;
+        marks.extend_from_slice(x);
+        let (stretch, gains) = (&equal.stretch, (shared.gains, equal.piece));
+        let e = &mut e[stretch.rows.start * T::COUNT..stretch.rows.end * T::COUNT];
+        Scan { design: shared.design, stretch, gains, x, e, marks: Some((marks, equal.block)) }.run(equal.states);
+    }
+
+    /// From what later phases say of the last state back to x_0.
+    #[inline(always)]
+    fn back(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
+        for i in 0..self.x.len() {
+            self.x[i] = each::<T>(tests, |own| own.ending.get(i).copied().unwrap_or(0.0));
+        }
+        for sum in &mut self.sums {
+            *sum = T::splat(0.0);
+        }
+        let response = shared.response;
+        let mut at = Cursor { row: response.rows.len(), transition: response.moves.len() };
+        for segment in shared.record.segments.iter().rev() {
+            match segment {
+                RecordSegment::Steps(steps) => {
+                    for step in steps.iter().rev() {
+                        self.step_back(shared, step, &mut at);
+                    }
+                }
+                RecordSegment::Equal(equal) => {
+                    at.row -= 1;
+                    at.transition -= usize::from(equal.stretch.transition.is_some());
+                    self.equal_back(shared, equal, at);
+                }
+            }
+        }
+        for entry in response.entries(&response.mean) {
+            self.add(response, entry, self.x[entry.i]);
+        }
+        for entry in response.entries(&response.variance) {
+            self.add(response, entry, T::splat(0.5) * self.x[entry.i] * self.x[entry.j]);
+        }
+    }
+
+    #[inline(always)]
+    fn step_back(&mut self, shared: &ClassShared<'_>, step: &DesignStep<'_>, at: &mut Cursor) {
+        for (line, row) in step.lines.clone().zip(step.rows.clone()).rev() {
+            at.row -= 1;
+            self.measured(shared, (line, row), at.row);
+        }
+        if let Some(transition) = step.transition {
+            at.transition -= 1;
+            self.moved(shared, transition, at.transition);
+        }
+    }
+
+    #[inline(always)]
+    fn equal_back(&mut self, shared: &ClassShared<'_>, equal: &EqualStretch<'_>, at: Cursor) {
+        let (n, states) = (self.x.len(), equal.states);
+        let start = self.marks.len() - n - equal.blocks().count() * states;
+        let DataBackwardState { x: r, e, marks, .. } = &mut *self;
+        let (first, marks) = marks[start..].split_at(n);
+        let first = first.to_vec();
+        let e = &e[equal.stretch.rows.start * T::COUNT..equal.stretch.rows.end * T::COUNT];
+        with_states!(states, N => {
+            let answers = T::apart(EqualDataBackward::<T, N> { stretch: equal, first: &first, marks, e, r });
+            self.answered(shared, equal, (at, &first), &answers);
+        });
+        self.marks.truncate(start);
+    }
+
+    /// Takes the adjoints of equal steps to the slots, and to the states that rest: `first`: x̄ before them.
+    #[inline(always)]
+    fn answered<const N: usize>(
+        &mut self,
+        shared: &ClassShared<'_>,
+        equal: &EqualStretch<'_>,
+        (at, first): (Cursor, &[T]),
+        answers: &DataSums<T, N>,
+    ) {
+        let (response, half) = (shared.response, T::splat(0.5));
+        let own = &response.rows[at.row];
+        self.add_span(response, own.noise, half * answers.uu);
+        self.add_span(response, own.value, -answers.u);
+        for entry in response.entries(&own.h) {
+            let bar = if entry.i < N { answers.h[entry.i] } else { answers.u * first[entry.i] };
+            self.add(response, entry, bar);
+        }
+        let (states, h) = shared.design.terms(equal.stretch.lines.start);
+        for (&state, &h) in states.iter().zip(h).filter(|(state, _)| **state as usize >= N) {
+            self.x[state as usize] = T::splat(h).fma(answers.u, self.x[state as usize]);
+        }
+        let Some(transition) = equal.stretch.transition else { return };
+        let (own, pattern) = (&response.moves[at.transition], &transition.pattern);
+        for entry in response.entries(&own.q) {
+            let both = answers.rr[entry.i.max(entry.j)][entry.i.min(entry.j)];
+            self.add(response, entry, if entry.i == entry.j { half * both } else { both });
+        }
+        for entry in response.entries(&own.phi) {
+            let i = pattern.moved[entry.i].state as usize;
+            let bar = if entry.j < N { answers.phi[i][entry.j] } else { answers.r[i] * first[entry.j] };
+            self.add(response, entry, bar);
+        }
+        for (i, j, phi) in transition.entries().filter(|&(_, j, _)| j >= N) {
+            self.x[j] = T::splat(phi).fma(answers.r[i], self.x[j]);
+        }
+    }
+
+    /// A scalar measurement on its way back.
+    #[inline(always)]
+    fn measured(&mut self, shared: &ClassShared<'_>, (line, row): (usize, usize), standing: usize) {
+        let (weight, K, _) = shared.gains.row(row);
+        if weight == 0.0 {
+            return; // it can only be what it is
+        }
+        let (states, h) = shared.design.terms(line);
+        let (response, own) = (shared.response, &shared.response.rows[standing]);
+        let u = smoothing_error(at(&self.e, row), (T::splat(weight), Common(K)), &self.x[..K.len()]);
+        self.add_span(response, own.noise, T::splat(0.5) * u * u);
+        self.add_span(response, own.value, -u);
+        absorb((states, Common(h)), &[u], &mut self.x);
+        let (n, r) = (self.x.len(), K.len());
+        for entry in response.entries(&own.h) {
+            let P = shared.record.before.get((standing * r + entry.i) * r..).unwrap_or(&[]);
+            let smoothed = self.smoothed(self.before[standing * n + entry.i], (entry.i < r).then_some(&P[..r]));
+            self.add(response, entry, u * smoothed);
+        }
+    }
+
+    /// A transition on its way back.
+    #[inline(always)]
+    fn moved(&mut self, shared: &ClassShared<'_>, transition: &Transition, number: usize) {
+        let (response, own) = (shared.response, &shared.response.moves[number]);
+        let (n, r, pattern) = (self.x.len(), shared.design.frame.r, &transition.pattern);
+        for entry in response.entries(&own.input) {
+            self.add(response, entry, self.x[entry.i]);
+        }
+        for entry in response.entries(&own.q) {
+            let both = self.x[entry.i] * self.x[entry.j];
+            self.add(response, entry, if entry.i == entry.j { T::splat(0.5) * both } else { both });
+        }
+        for (place, row) in pattern.moved.iter().enumerate() {
+            self.moved[place] = self.x[row.state as usize];
+        }
+        advance_transposed(&mut self.x, (n, 1), transition.common(), &mut self.work);
+        for entry in response.entries(&own.phi) {
+            let P = shared.record.left.get((number * r + entry.j) * r..).unwrap_or(&[]);
+            let smoothed = self.smoothed(self.left[number * n + entry.j], (entry.j < r).then_some(&P[..r]));
+            self.add(response, entry, self.moved[entry.i] * smoothed);
+        }
+    }
+
+    /// x̄ + P r of one state, with its row of P if it is a noisy one.
+    #[inline(always)]
+    fn smoothed(&self, x: T, P: Option<&[f64]>) -> T {
+        let mut smoothed = x;
+        if let Some(P) = P {
+            for (l, &P) in P.iter().enumerate() {
+                smoothed = T::splat(P).fma(self.x[l], smoothed);
+            }
+        }
+        smoothed
+    }
+
+    #[inline(always)]
+    fn add(&mut self, response: &PullbackFactors, entry: &ResponseEntry, bar: T) {
+        self.add_span(response, entry.span, bar);
+    }
+
+    #[inline(always)]
+    fn add_span(&mut self, response: &PullbackFactors, span: (u32, u32), bar: T) {
+        for &(slot, factor) in response.factors(span) {
+            let sum = &mut self.sums[slot as usize];
+            *sum = T::splat(factor).fma(bar, *sum);
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! dℓ/dα of a test, exactly, by one backward pass (theory §6), whatever the number of parameters.
+//!
+//! ```text
+//! Test at α, moments (x̂, V) of ξ ── backward ──> adjoints of φ, Q, M, R, b, d, a, P0 ── pullback ──> dℓ/dα
+//! ```
+
+mod backward;
+mod batching;
+#[cfg(test)]
+pub(crate) mod by_differences;
+mod classes;
+mod complete;
+mod expected;
+mod initial_law;
+mod levels;
+mod moments;
+mod phased;
+mod pullback;
+mod smoother;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Range;
+
+use crate::reduce::{Fault, ReduceError, Reducer, Workspace};
+use backward::{MeasurementAdjoint, Sink, TerminalAdjoint, TransitionAdjoint};
+use kalfit_model::Slots;
+use kalfit_model::Test;
+use pullback::{Adjoints, Pullback};
+
+use smoother::SmoothedPhase;
+
+pub use backward::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Smoothed};
+pub use batching::Batching;
+pub(crate) use classes::classes_of;
+pub use initial_law::{InitialLaw, JointPosteriors, by_columns};
+pub use levels::{Levels, carried, dependences};
+pub use moments::{Known, Moments, expected_square};
+pub use phased::{PhasedComplete, PhasedScorer};
+pub use pullback::{Gradient, add};
+pub use smoother::{PhaseLaws, SmootherPlan};
+
+/// Scores of tests at the α of a reducer.
+#[derive(Debug)]
+pub(crate) struct Scorer<'a> {
+    reducer: &'a Reducer,
+    pullback: Pullback<'a>,
+}
+
+impl<'a> Scorer<'a> {
+    /// `reducer` must know the slots ([`Reducer::scoring`]).
+    pub(crate) fn new(reducer: &'a Reducer, slots: &'a Slots) -> Result<Scorer<'a>, ReduceError> {
+        let pullback =
+            Pullback::new(reducer.preparer(), slots).map_err(|fault| fault.name(&reducer.preparer().model, None))?;
+        Ok(Scorer { reducer, pullback })
+    }
+
+    /// What a phase's later ones say of its last state, where there are any.
+    fn ending_of(&self, smooth: &SmoothedPhase) -> Option<TerminalAdjoint> {
+        smooth.later.is_some().then(|| self.ending(smooth, smooth.moments.columns))
+    }
+
+    /// The same in the order of the kernels, zero where there is no later phase; ρ with so many columns, those beyond its own zero.
+    fn ending(&self, smooth: &SmoothedPhase, columns: usize) -> TerminalAdjoint {
+        let order = &self.reducer.preparer().order;
+        let (n, r) = (order.frame.n, order.frame.r);
+        let mut ending = TerminalAdjoint { r: vec![0.0; n], rho: vec![0.0; n * columns], N: vec![0.0; r * r] };
+        let Some(later) = &smooth.later else { return ending };
+        for (i, &at) in order.place.iter().enumerate() {
+            ending.r[at] = later.r[i];
+            (0..later.rho.ncols()).for_each(|k| ending.rho[at * columns + k] = later.rho[(i, k)]);
+            for (j, &to) in order.place.iter().enumerate().filter(|(_, to)| at.max(**to) < r) {
+                ending.N[at * r + to] = later.N[(i, j)];
+            }
+        }
+        ending
+    }
+
+    /// What the pullback asks of a backward pass.
+    fn wanted(&self) -> AdjointsWanted {
+        AdjointsWanted { motion: self.pullback.needs_rates(), equation: self.pullback.needs_equation() }
+    }
+
+    /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
+    pub(crate) fn alone(
+        &self,
+        test: &Test,
+        (moments, ending): (&Moments, Option<&TerminalAdjoint>),
+        (work, backward, adjoints): (&mut Workspace, &mut BackwardWork, &mut Adjoints<'_>),
+    ) -> Result<Gradient, ReduceError> {
+        backward.set_unfrozen(self.reducer.is_unfrozen());
+        let result = self.reducer.with_gains(test, work, |gains, work| {
+            let input = BackwardInput::of((work, gains), (moments, ending), self.wanted());
+            let done = input.backward(backward, &mut PullbackSink { adjoints, test, work });
+            adjoints.finished(done, test, work)
+        })?;
+        result.map_err(|fault| self.reducer.named(*fault, test))
+    }
+}
+
+/// Takes the adjoints of a test on to the chain rule.
+struct PullbackSink<'a, 'b> {
+    adjoints: &'a mut Adjoints<'b>,
+    test: &'a Test,
+    work: &'a Workspace,
+}
+
+impl Sink for PullbackSink<'_, '_> {
+    type Error = Box<Fault>;
+
+    fn accepts_sums(&mut self, steps: Range<usize>) -> bool {
+        self.adjoints.uniform(self.test, steps, self.work)
+    }
+
+    fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Box<Fault>> {
+        self.adjoints.step_measured(self.test, k, self.work, bar)
+    }
+
+    fn moved(&mut self, k: usize, bar: &TransitionAdjoint) -> Result<(), Box<Fault>> {
+        self.adjoints.step_moved(self.test, k, self.work, bar)
+    }
+
+    fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Box<Fault>> {
+        self.adjoints.started(self.test, self.work, mean, variance)
+    }
+}

@@ -1,0 +1,84 @@
+//! Scores of tests that are filter side by side.
+
+#[cfg(test)]
+mod tests;
+
+use rayon::prelude::*;
+
+use crate::reduce::FilteredBatch;
+use crate::score::Scorer;
+use crate::score::backward::{BatchBackward, TerminalAdjoint};
+use crate::score::moments::Moments;
+use crate::score::phased::design_classes::ScoredEnsemble;
+use crate::score::phased::unclassed::TestScore;
+use crate::score::phased::{PhasedScorer, ScoreWorkspace};
+use crate::score::pullback::Gradient;
+use crate::score::smoother::SmoothedPhase;
+use kalfit_model::Test;
+
+/// No place.
+const NONE: usize = usize::MAX;
+
+/// The test in a lane, by its place among those asked about, and what its pass begins from.
+type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
+
+impl PhasedScorer<'_> {
+    /// What a phase says of the tests with these numbers that are in its batches, by their places among them; those with which
+    /// something is wrong are left out.
+    pub(super) fn in_batches(
+        &self,
+        at: usize,
+        of: ScoredEnsemble<'_>,
+        numbers: &[usize],
+        known: &[TestScore],
+    ) -> Vec<(usize, Gradient)> {
+        let Some(filtered) = of.filtered else { return Vec::new() };
+        let (members, batches) = filtered.phase(at);
+        let rows = |&number: &usize| self.reducer.rows_of(at, &of.tests[number]).expect("members have rows");
+        let rows: Vec<&Test> = members.iter().map(rows).collect();
+        let mut places = vec![NONE; of.tests.len()];
+        numbers.iter().enumerate().for_each(|(place, &number)| places[number] = place);
+        let lane = |(lane, member): (usize, usize)| {
+            let place = places[members[member]];
+            Some((lane, place, known.get(place)?.phases.get(at)?))
+        };
+        let batch = |room: &mut ScoreWorkspace<'_>, batch: FilteredBatch<'_>| {
+            let own: Vec<LaneStart<'_>> = batch.tests().filter_map(lane).collect();
+            self.phases[at].batch(at, (&own, &rows), batch, room)
+        };
+        batches.map_init(|| self.room(), batch).flatten_iter().collect()
+    }
+}
+
+impl Scorer<'_> {
+    fn batch(
+        &self,
+        at: usize,
+        (own, rows): (&[LaneStart<'_>], &[&Test]),
+        batch: FilteredBatch<'_>,
+        room: &mut ScoreWorkspace<'_>,
+    ) -> Vec<(usize, Gradient)> {
+        let Some(columns) = own.iter().map(|(.., smooth)| smooth.moments.columns).max() else { return Vec::new() };
+        let told: Vec<Moments> = own.iter().map(|(.., smooth)| smooth.moments.clone().widened(columns)).collect();
+        let later: Vec<TerminalAdjoint> = match own.iter().any(|(.., smooth)| smooth.later.is_some()) {
+            true => own.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
+            false => Vec::new(),
+        };
+        // lanes of other tests are not looked at
+        let mut moments: Vec<&Moments> = vec![&told[0]; batch.layout.tests.len()];
+        own.iter().zip(&told).for_each(|(&(lane, ..), told)| moments[lane] = told);
+        let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);
+        own.iter().zip(&later).for_each(|(&(lane, ..), later)| endings[lane] = later);
+        let (filter, shape, wanted) = (&batch.values.batch_filter, &batch.layout.design, self.wanted());
+        let (moments, endings) = (&*moments, &*endings);
+        let pass =
+            BatchBackward { block: &filter.block, designs: &filter.design_batch, shape, moments, endings, wanted };
+        let mut bars = filter.block.width().run(pass);
+        let pulled = self.pullback.pull(batch, rows, &mut bars);
+        let (adjoints, work) = (&mut room.adjoints[at], &room.work.phases[at]);
+        let score = |&(lane, place, _): &LaneStart<'_>| {
+            Some((place, adjoints.of_lane((batch, &bars, &pulled), lane, rows, work).ok()?))
+        };
+        own.iter().filter_map(score).collect()
+    }
+}

@@ -1,0 +1,183 @@
+//! The adjoints of one test on their way to dℓ/dα: where they begin, and where they end.
+
+use std::ops::Range;
+
+use crate::reduce::{Fault, GatheredCells, LawAdjoint, Replay, StartAdjoint, Unwhitened, Workspace};
+use crate::score::backward::MeasurementAdjoint;
+use crate::score::pullback::Pullback;
+use crate::score::pullback::groups::Groups;
+use crate::score::pullback::taps::{CellRead, Gradient, Pending};
+use kalfit_model::Scope;
+use kalfit_model::Test;
+
+/// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
+#[derive(Debug)]
+pub(crate) struct Adjoints<'a> {
+    pub(super) pullback: &'a Pullback<'a>,
+    pub(super) pending: Pending,
+    pub(super) moving: Moving,
+    pub(super) measuring: Measuring,
+    pub(super) replay: Replay,
+    pub(super) start: StartAdjoint,
+}
+
+/// What has come of the steps of a test.
+#[derive(Debug, Clone)]
+pub(super) struct Moving {
+    pub(super) groups: Groups,
+    /// Entries of φ, of Q.
+    pub(super) entries: (usize, usize),
+    pub(super) cells: GatheredCells,
+    /// Sums of one group; adjoints of its coefficients.
+    pub(super) sums: Vec<f64>,
+    pub(super) bars: Vec<f64>,
+    pub(super) flows: Vec<f64>,
+}
+
+/// Room for measurements whose noises are correlated.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Measuring {
+    pub(super) raw: Vec<f64>,
+    pub(super) back: Unwhitened,
+    /// Of the measurements before they were whitened.
+    pub(super) bars: MeasurementAdjoint,
+}
+
+impl Moving {
+    pub(super) fn new(pullback: &Pullback<'_>) -> Moving {
+        let preparer = pullback.preparer;
+        let (phi, q) = preparer.plan.entries();
+        let flows = preparer.plan.flow_len;
+        Moving {
+            groups: Groups::new(phi + q + flows, if pullback.needs.inputs { flows } else { 0 }),
+            entries: (phi, q),
+            cells: GatheredCells::default(),
+            sums: Vec::new(),
+            bars: Vec::new(),
+            flows: Vec::new(),
+        }
+    }
+}
+
+impl Pullback<'_> {
+    /// An accumulator, for one test after the other.
+    pub(crate) fn adjoints(&self) -> Adjoints<'_> {
+        Adjoints {
+            pullback: self,
+            pending: Pending::new(&self.taps, &self.preparer.at(), self.slots),
+            moving: Moving::new(self),
+            measuring: Measuring::default(),
+            replay: Replay::default(),
+            start: StartAdjoint::default(),
+        }
+    }
+}
+
+impl Adjoints<'_> {
+    /// True when equal steps of one measurement each have coefficients that depend on the free values in the same way, so that
+    /// the sums of their adjoints, as those of the first of them, give the same gradient.
+    pub(crate) fn uniform(&self, test: &Test, steps: Range<usize>, work: &Workspace) -> bool {
+        let pullback = self.pullback;
+        let (first, last) = (work.design.step(steps.start).rows, work.design.step(steps.end - 1).rows);
+        if first.is_empty() || !work.instances.uniform(first.start..last.end) {
+            return false;
+        }
+        let Some(reads) = &pullback.cells else { return true };
+        if !work.same_dt(&steps) {
+            return false;
+        }
+        let rows = work.rows_of(&steps, pullback.preparer.clock_previous());
+        let (numbers, texts) = (test.numbers(rows.start), test.texts(rows.start));
+        reads.iter().all(|read| match *read {
+            CellRead::Step => true,
+            CellRead::Number(column) => {
+                rows.clone().all(|row| test.numbers(row)[column].to_bits() == numbers[column].to_bits())
+            }
+            CellRead::Text(column) => rows.clone().all(|row| test.texts(row)[column] == texts[column]),
+        })
+    }
+
+    /// The start of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`:
+    /// ∂ℓ/∂P0, r × r, symmetric, the derivative to each place by itself. Not read unless `Pullback::needs_start`.
+    pub(crate) fn started(
+        &mut self,
+        test: &Test,
+        work: &Workspace,
+        mean: &[f64],
+        variance: &[f64],
+    ) -> Result<(), Box<Fault>> {
+        let pullback = self.pullback;
+        if !pullback.needs.start {
+            return Ok(());
+        }
+        let mut cells = std::mem::take(&mut self.moving.cells);
+        let starting = pullback.preparer.starting(work);
+        if pullback.preparer.start.settles() {
+            let settled = pullback.preparer.settled(test, work, &mut cells)?;
+            self.started_at((&settled, &starting), mean, variance)?;
+        } else {
+            self.started_at((&starting, &starting), mean, variance)?;
+        }
+        self.moving.cells = cells;
+        Ok(())
+    }
+
+    /// The same of a test whose stationary law, and whose law of x_0, were evaluated on these.
+    pub(super) fn started_at(
+        &mut self,
+        (settled, starting): (&Scope<'_>, &Scope<'_>),
+        mean: &[f64],
+        variance: &[f64],
+    ) -> Result<(), Box<Fault>> {
+        let Adjoints { pullback, pending, replay, start: out, .. } = self;
+        if !pullback.needs.start {
+            return Ok(());
+        }
+        let (preparer, context) = (pullback.preparer, pullback.context());
+        let law = LawAdjoint { place: &preparer.order.place, r: preparer.order.frame.r, mean, variance };
+        if !preparer.start.settles() {
+            preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
+        } else {
+            preparer.settling(settled, replay)?;
+            preparer.start.backward(&context.at, (&replay.values, &replay.inputs), &law, out)?;
+            let slots = pullback.values.iter().zip(&out.values).chain(pullback.inputs.iter().zip(&out.inputs));
+            for (tap, &bar) in slots {
+                if let Some(tap) = *tap {
+                    pending.add(&context, tap, bar, settled)?;
+                }
+            }
+        }
+        for (tap, &bar) in pullback.start.iter().zip(&out.coefficients) {
+            if let Some(tap) = *tap {
+                pending.add(&context, tap, bar, starting)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The gradient of the test; the next one can begin.
+    pub(crate) fn finish(&mut self, test: &Test, work: &Workspace) -> Result<Gradient, Box<Fault>> {
+        let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.pullback.context()));
+        self.clear();
+        result
+    }
+
+    /// The gradient once all was given; where that went wrong, what was given is forgotten.
+    pub(crate) fn finished(
+        &mut self,
+        given: Result<(), Box<Fault>>,
+        test: &Test,
+        work: &Workspace,
+    ) -> Result<Gradient, Box<Fault>> {
+        if given.is_err() {
+            self.clear();
+        }
+        given.and_then(|()| self.finish(test, work))
+    }
+
+    /// Forgets what was given so far.
+    pub(super) fn clear(&mut self) {
+        self.pending.clear();
+        self.moving.groups.clear();
+    }
+}

@@ -1,0 +1,95 @@
+//! Steps of one transition, their adjoints summed, so that the way back through the exponential is gone once for all of them.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use crate::reduce::Transition;
+use crate::score::pullback::taps::CellRead;
+use kalfit_model::Scope;
+
+/// More distinct transitions than this are not kept apart in memory.
+const MOST: usize = 1024;
+
+/// The groups of a test so far.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Groups {
+    /// Numbers in the sums of one group, and in its flows.
+    sizes: (usize, usize),
+    last: Option<(Arc<Transition>, usize)>,
+    known: HashMap<Vec<u64>, usize>,
+    /// A step of each group.
+    pub(super) steps: Vec<usize>,
+    sums: Vec<f64>,
+    flows: Vec<f64>,
+    /// Cells of the last group, then scratch.
+    cells: Vec<u64>,
+    key: Vec<u64>,
+}
+
+impl Groups {
+    pub(super) fn new(sums: usize, flows: usize) -> Groups {
+        Groups { sizes: (sums, flows), ..Groups::default() }
+    }
+
+    /// The group of a step, when it is that of the step seen last. `reads`: cells that coefficients with free values read.
+    #[inline]
+    pub(super) fn again(
+        &self,
+        transition: &Arc<Transition>,
+        reads: &[CellRead],
+        scope: Option<&Scope<'_>>,
+    ) -> Option<usize> {
+        let (known, group) = self.last.as_ref()?;
+        let same = |scope: &Scope<'_>| reads.iter().zip(&self.cells).all(|(read, &bits)| read.bits(scope) == bits);
+        (Arc::ptr_eq(known, transition) && (reads.is_empty() || scope.is_some_and(same))).then_some(*group)
+    }
+
+    /// The group of a step, and whether it is new. Transitions are told apart by what they are `made` from, and by the cells: which
+    /// of them share memory depends on other tests.
+    pub(super) fn find(
+        &mut self,
+        (transition, k): (&Arc<Transition>, usize),
+        (reads, scope): (&[CellRead], &Scope<'_>),
+        made: impl Iterator<Item = f64>,
+    ) -> (usize, bool) {
+        self.cells.clear();
+        self.cells.extend(reads.iter().map(|read| read.bits(scope)));
+        self.key.clear();
+        self.key.extend(made.map(f64::to_bits));
+        self.key.extend_from_slice(&self.cells);
+        let next = self.steps.len();
+        let group = match self.known.get(&self.key) {
+            Some(&group) => group,
+            None => {
+                self.known.insert(self.key.clone(), next);
+                self.steps.push(k);
+                self.sums.resize(self.sums.len() + self.sizes.0, 0.0);
+                self.flows.resize(self.flows.len() + self.sizes.1, 0.0);
+                next
+            }
+        };
+        self.last = Some((transition.clone(), group));
+        (group, group == next)
+    }
+
+    /// No group should be added before those there are have been dealt with.
+    pub(super) fn full(&self) -> bool {
+        self.steps.len() >= MOST
+    }
+
+    pub(super) fn sums(&mut self, group: usize) -> &mut [f64] {
+        &mut self.sums[group * self.sizes.0..][..self.sizes.0]
+    }
+
+    pub(super) fn flows(&mut self, group: usize) -> &mut [f64] {
+        &mut self.flows[group * self.sizes.1..][..self.sizes.1]
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.last = None;
+        self.known.clear();
+        self.steps.clear();
+        self.sums.clear();
+        self.flows.clear();
+    }
+}

@@ -1,0 +1,277 @@
+//! How the free values answer to the adjoints of a test: the chain rule at a design as a list of factors, gone through once with
+//! each adjoint in turn at one and the others at zero.
+//!
+//! ```text
+//! dℓ/dα = Σ over the adjoints of steps and start of factor × adjoint
+//! ```
+
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::reduce::{Fault, Workspace};
+use crate::score::backward::{MeasurementAdjoint, TransitionAdjoint};
+use crate::score::pullback::adjoints::Adjoints;
+use crate::score::pullback::taps::Gradient;
+use kalfit_model::Test;
+
+/// Where factors stand, from and to.
+pub(crate) type FactorSpan = (u32, u32);
+
+/// The answer to one adjoint of a matrix or of a list.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ResponseEntry {
+    /// Row, or place in the list.
+    pub(crate) i: usize,
+    /// Column; zero in a list.
+    pub(crate) j: usize,
+    pub(crate) span: FactorSpan,
+}
+
+/// The answers to one scalar measurement.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct RowResponse {
+    /// To ∂ℓ/∂R.
+    pub(crate) noise: FactorSpan,
+    /// To ∂ℓ/∂(z - d).
+    pub(crate) value: FactorSpan,
+    /// To ∂ℓ/∂h: entries by state.
+    pub(crate) h: Range<usize>,
+}
+
+/// The answers to one transition: entries of each kind.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct MoveResponse {
+    /// By place among the rows of φ that move, and column.
+    pub(crate) phi: Range<usize>,
+    /// By states; an adjoint off the diagonal is that of both places.
+    pub(crate) q: Range<usize>,
+    /// By state.
+    pub(crate) input: Range<usize>,
+}
+
+/// The answers to all adjoints of a test.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PullbackFactors {
+    /// The free values that answer, ascending.
+    pub(crate) slots: Vec<usize>,
+    /// (place among the slots, factor).
+    factors: Vec<(u32, f64)>,
+    entries: Vec<ResponseEntry>,
+    /// One for each scalar measurement of the steps that were asked about.
+    pub(crate) rows: Vec<RowResponse>,
+    /// One for each transition to them.
+    pub(crate) moves: Vec<MoveResponse>,
+    /// To ∂ℓ/∂a, by state.
+    pub(crate) mean: Range<usize>,
+    /// To ∂ℓ/∂P0, by states; an adjoint off the diagonal stands for both places, each by itself.
+    pub(crate) variance: Range<usize>,
+}
+
+impl PullbackFactors {
+    /// (place among the slots, factor) of a span.
+    #[inline(always)]
+    pub(crate) fn factors(&self, (from, to): FactorSpan) -> &[(u32, f64)] {
+        &self.factors[from as usize..to as usize]
+    }
+
+    #[inline(always)]
+    pub(crate) fn entries(&self, range: &Range<usize>) -> &[ResponseEntry] {
+        &self.entries[range.clone()]
+    }
+
+    /// Turns numbers of slots into places among those that answer.
+    fn settle(mut self) -> PullbackFactors {
+        let mut slots: Vec<usize> = self.factors.iter().map(|&(slot, _)| slot as usize).collect();
+        slots.sort_unstable();
+        slots.dedup();
+        for (slot, _) in &mut self.factors {
+            *slot = slots.binary_search(&(*slot as usize)).expect("it is among them") as u32;
+        }
+        PullbackFactors { slots, ..self }
+    }
+}
+
+/// What one transition's answers depend on: which one it is, and the cells that free coefficients read.
+type MoveKey = (usize, Vec<u64>);
+
+struct Asking<'a, 'b> {
+    adjoints: &'a mut Adjoints<'b>,
+    test: &'a Test,
+    work: &'a Workspace,
+    response: PullbackFactors,
+    known: HashMap<MoveKey, MoveResponse>,
+}
+
+impl Adjoints<'_> {
+    /// The answers of these steps, ascending, and of the start of the test in the work space, after
+    /// [`Preparer::prepare`](crate::reduce::Preparer::prepare).
+    ///
+    /// # Errors
+    /// Where a derivative is not finite; there may be none where the adjoint is zero.
+    pub(crate) fn response(
+        &mut self,
+        (test, work): (&Test, &Workspace),
+        steps: impl Iterator<Item = usize>,
+    ) -> Result<PullbackFactors, Box<Fault>> {
+        let mut asking =
+            Asking { adjoints: self, test, work, response: PullbackFactors::default(), known: HashMap::new() };
+        let done = asking.all(steps);
+        let response = asking.response;
+        if done.is_err() {
+            self.clear();
+        }
+        done.map(|()| response.settle())
+    }
+
+    /// How many adjoints one transition is asked about.
+    pub(crate) fn adjoint_count(&self, work: &Workspace) -> usize {
+        let (needs, frame) = (self.pullback.needs, &work.design.frame);
+        let (phi, q) = self.pullback.preparer.plan.entries();
+        let inputs = needs.rates || needs.inputs;
+        usize::from(needs.rates) * phi + usize::from(needs.noise) * q + usize::from(inputs) * frame.driven.len()
+    }
+}
+
+impl Asking<'_, '_> {
+    fn all(&mut self, steps: impl Iterator<Item = usize>) -> Result<(), Box<Fault>> {
+        let work = self.work;
+        for k in steps {
+            let step = work.design.step(k);
+            if let Some(transition) = step.transition {
+                let own = self.transition(k, Arc::as_ptr(transition) as usize)?;
+                self.response.moves.push(own);
+            }
+            for place in 0..step.rows.len() {
+                let own = self.measurement(k, place, step.rows.len(), step.rows.start + place)?;
+                self.response.rows.push(own);
+            }
+        }
+        self.start()
+    }
+
+    /// Takes the answer to what was given to the adjoints.
+    fn answer(&mut self) -> Result<FactorSpan, Box<Fault>> {
+        let gradient: Gradient = self.adjoints.finish(self.test, self.work)?;
+        let from = self.response.factors.len() as u32;
+        self.response.factors.extend(gradient.iter().map(|&(slot, factor)| (slot as u32, factor)));
+        Ok((from, self.response.factors.len() as u32))
+    }
+
+    /// Keeps an answer, if there is one.
+    fn enter(&mut self, (i, j): (usize, usize)) -> Result<(), Box<Fault>> {
+        let span = self.answer()?;
+        if span.0 < span.1 {
+            self.response.entries.push(ResponseEntry { i, j, span });
+        }
+        Ok(())
+    }
+
+    fn transition(&mut self, k: usize, which: usize) -> Result<MoveResponse, Box<Fault>> {
+        let work = self.work;
+        let (needs, frame) = (self.adjoints.pullback.needs, &work.design.frame);
+        if !(needs.rates || needs.noise || needs.inputs) {
+            return Ok(MoveResponse::default());
+        }
+        let key = (which, self.adjoints.cells(self.test, k, work)?);
+        // known inputs may be others at each step
+        if let Some(own) = self.known.get(&key).filter(|_| frame.driven.is_empty()) {
+            return Ok(own.clone());
+        }
+        let transition = work.design.step(k).transition.expect("there is one");
+        let pattern = &transition.pattern;
+        let zeros = |many: usize| vec![0.0; many];
+        let (phi, q, input) = (zeros(transition.phi.len()), zeros(transition.q.len()), zeros(frame.driven.len()));
+        let mut bar = TransitionAdjoint { phi, q, input };
+        let mut own = MoveResponse::default();
+        own.phi.start = self.response.entries.len();
+        if needs.rates {
+            for (place, row) in pattern.moved.iter().enumerate() {
+                for at in row.start as usize..row.end as usize {
+                    bar.phi[at] = 1.0;
+                    self.moved(k, &bar, (place, pattern.columns[at] as usize))?;
+                    bar.phi[at] = 0.0;
+                }
+            }
+        }
+        own.phi.end = self.response.entries.len();
+        if needs.noise {
+            for (at, &(i, j)) in pattern.pairs.iter().enumerate() {
+                bar.q[at] = 1.0;
+                self.moved(k, &bar, (i as usize, j as usize))?;
+                bar.q[at] = 0.0;
+            }
+        }
+        own.q = own.phi.end..self.response.entries.len();
+        if needs.rates || needs.inputs {
+            for (at, &state) in frame.driven.iter().enumerate() {
+                bar.input[at] = 1.0;
+                self.moved(k, &bar, (state as usize, 0))?;
+                bar.input[at] = 0.0;
+            }
+        }
+        own.input = own.q.end..self.response.entries.len();
+        self.known.insert(key, own.clone());
+        Ok(own)
+    }
+
+    fn moved(&mut self, k: usize, bar: &TransitionAdjoint, at: (usize, usize)) -> Result<(), Box<Fault>> {
+        self.adjoints.step_moved(self.test, k, self.work, bar)?;
+        self.enter(at)
+    }
+
+    /// A scalar measurement: the one at a place of `many` of step `k`.
+    fn measurement(&mut self, k: usize, place: usize, many: usize, row: usize) -> Result<RowResponse, Box<Fault>> {
+        let n = self.work.design.frame.n;
+        let pullback = self.adjoints.pullback;
+        let taps = &pullback.meters[self.work.instances.get(row).meter];
+        let mut own = RowResponse::default();
+        let mut bar = MeasurementAdjoint { noise: vec![0.0; many], value: vec![0.0; many], h: vec![0.0; many * n] };
+        let mut ask = |asking: &mut Self, list: fn(&mut MeasurementAdjoint) -> &mut Vec<f64>, at: usize| {
+            list(&mut bar)[at] = 1.0;
+            let done = asking.adjoints.step_measured(asking.test, k, asking.work, &bar);
+            list(&mut bar)[at] = 0.0;
+            done
+        };
+        if taps.noise.is_some() {
+            ask(self, |bar| &mut bar.noise, place)?;
+            own.noise = self.answer()?;
+        }
+        if taps.constant.is_some() {
+            ask(self, |bar| &mut bar.value, place)?;
+            own.value = self.answer()?;
+        }
+        own.h.start = self.response.entries.len();
+        for &(state, _) in &taps.terms {
+            ask(self, |bar| &mut bar.h, place * n + state)?;
+            self.enter((state, 0))?;
+        }
+        own.h.end = self.response.entries.len();
+        Ok(own)
+    }
+
+    fn start(&mut self) -> Result<(), Box<Fault>> {
+        let (n, r) = (self.work.design.frame.n, self.work.design.frame.r);
+        let from = self.response.entries.len();
+        (self.response.mean, self.response.variance) = (from..from, from..from);
+        if !self.adjoints.pullback.needs.start {
+            return Ok(());
+        }
+        let (mut mean, mut variance) = (vec![0.0; n], vec![0.0; r * r]);
+        for state in 0..n {
+            mean[state] = 1.0;
+            self.adjoints.started(self.test, self.work, &mean, &variance)?;
+            self.enter((state, 0))?;
+            mean[state] = 0.0;
+        }
+        self.response.mean.end = self.response.entries.len();
+        for (i, j) in (0..r).flat_map(|i| (0..=i).map(move |j| (i, j))) {
+            (variance[i * r + j], variance[j * r + i]) = (1.0, 1.0);
+            self.adjoints.started(self.test, self.work, &mean, &variance)?;
+            self.enter((i, j))?;
+            (variance[i * r + j], variance[j * r + i]) = (0.0, 0.0);
+        }
+        self.response.variance = self.response.mean.end..self.response.entries.len();
+        Ok(())
+    }
+}

@@ -1,0 +1,125 @@
+//! The smoother over the phases of one test (theory §7): what all phases say of each, and what phases say of those before.
+//!
+//! ```text
+//! backward  (R_I, d_I) ──> on x_K: S = I + R EΣE'R' ──> on σ: S = I + R P_K R' ──> folded with the phase's own (R, d)
+//! forward   prior of σ_1 ──> given z_1 ──> link ──> prior of σ_2 ──> …
+//! together  prior of σ_i and all that phases i, i+1, … say of it
+//! ```
+//!
+//! Roots of covariances and of information only: nothing is inverted but I + AA'. What does not depend on the data is a [`SmootherPlan`],
+//! which tests of one design share; each test then costs products of matrices with vectors.
+//!
+//! Under the restricted likelihood directions of the mean ride along: E[σ_i | all] moves by M_i when the mean moves by X, and ℓ_R
+//! holds -½ X'WX, the quadratic part of ℓ.
+#![expect(non_snake_case, reason = "the letters of the theory: R, P, M, N, T")]
+
+mod plan;
+mod values;
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::reduce::Terminal;
+use crate::score::InitialLaw;
+use crate::score::moments::Moments;
+use kalfit_model::{Inherited, PhaseReduction};
+
+pub(crate) use plan::PlanKey;
+pub use plan::SmootherPlan;
+
+/// What the passes through one phase begin from.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct SmoothedPhase {
+    /// Moments of its σ given all phases.
+    pub(crate) moments: Moments,
+    /// What later phases say of its last state; `None` where none follows.
+    pub(crate) later: Option<LaterAdjoint>,
+    /// Derivatives to what it inherits; `None` for the first phase.
+    pub(crate) inherited: Option<InheritanceAdjoint>,
+}
+
+/// Adjoints of x_K, in the order of the model's states: r (n), ρ (n × columns of the moments), N (n × n).
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct LaterAdjoint {
+    pub(crate) r: DVector<f64>,
+    pub(crate) rho: DMatrix<f64>,
+    pub(crate) N: DMatrix<f64>,
+}
+
+/// ∂ℓ/∂T and ∂ℓ/∂t of σ = [ξ; 0] + T x_K + t.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct InheritanceAdjoint {
+    /// q × n of the phase before.
+    pub(crate) transition: DMatrix<f64>,
+    /// q numbers.
+    pub(crate) input: DVector<f64>,
+}
+
+/// The law of ξ in the phases of one test.
+#[derive(Debug, Clone)]
+pub struct PhaseLaws {
+    laws: Vec<PhaseLaw>,
+    /// Regressions move the directions of the mean, so that tests with others do not share a plan.
+    covariates: Vec<f64>,
+}
+
+/// That of one phase: ξ ~ N(μ, FF'), and directions X of μ.
+#[derive(Debug, Clone)]
+struct PhaseLaw {
+    mean: DVector<f64>,
+    root: DMatrix<f64>,
+    directions: DMatrix<f64>,
+}
+
+impl PhaseLaws {
+    /// `ranges`: where each phase stands among the elements of μ; `covariates`: of all phases, in a row.
+    pub fn new(law: &InitialLaw, ranges: &[Range<usize>], covariates: &[f64]) -> PhaseLaws {
+        let mean = law.mean_of(covariates);
+        let extra = law.mean_root_of(covariates);
+        let covariates = if extra.is_some() { covariates.to_vec() } else { Vec::new() };
+        let extra = extra.unwrap_or_else(|| DMatrix::zeros(mean.len(), 0));
+        let of = |range: &Range<usize>| {
+            let rows = law.root.rows_range(range.clone());
+            let kept: Vec<usize> = (0..rows.ncols()).filter(|&c| rows.column(c).amax() > 0.0).collect();
+            PhaseLaw {
+                mean: mean.rows_range(range.clone()).into_owned(),
+                root: rows.select_columns(&kept),
+                directions: extra.rows_range(range.clone()).into_owned(),
+            }
+        };
+        PhaseLaws { laws: ranges.iter().map(of).collect(), covariates }
+    }
+}
+
+impl PhaseLaw {
+    /// E X, with rows for the states that only inherit.
+    fn entering(x: &DMatrix<f64>, q: usize) -> DMatrix<f64> {
+        let mut out = DMatrix::zeros(q, x.ncols());
+        out.rows_mut(0, x.nrows()).copy_from(x);
+        out
+    }
+
+    /// Eμ + t.
+    fn mean(&self, q: usize, input: Option<&DVector<f64>>) -> DVector<f64> {
+        let mut out = input.cloned().unwrap_or_else(|| DVector::zeros(q));
+        out.rows_mut(0, self.mean.len()).zip_apply(&self.mean, |out, mean| *out += mean);
+        out
+    }
+}
+
+fn terminal(piece: &PhaseReduction) -> &Terminal {
+    piece.terminal.as_ref().expect("a phase that others follow has a last state")
+}
+
+fn inherited(piece: &PhaseReduction) -> &Inherited {
+    piece.inherited.as_ref().expect("a phase that follows another inherits")
+}
+
+/// [A B].
+fn beside(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut both = DMatrix::zeros(a.nrows(), a.ncols() + b.ncols());
+    both.columns_mut(0, a.ncols()).copy_from(a);
+    both.columns_mut(a.ncols(), b.ncols()).copy_from(b);
+    both
+}

@@ -1,0 +1,225 @@
+//! Scores of long records against differences of ℓ.
+
+use nalgebra::{DMatrix, DVector};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+
+use super::*;
+use crate::score::InitialLaw;
+use crate::score::by_differences::likelihood;
+use crate::score::classes::ClassMember;
+use crate::score::moments::moments;
+use kalfit_fixtures::by_hand;
+use kalfit_fixtures::by_hand::{
+    alpha, continuous, gauss_markov, known, linear, meter, minus, number, over, square, state,
+};
+use kalfit_fixtures::slope;
+use kalfit_model::{Initial, Model, Motion, Parameter, Value};
+use kalfit_model::{Labels, Source};
+
+/// z = bias + scale·walk + drift + level + v; α = (q, τ, σ, r, scale, level), of which the first `free` are free.
+fn model(free: usize) -> Model {
+    let walk = continuous(Vec::new(), number(0.0), square(alpha(0)));
+    let states = vec![
+        state("bias", Motion::Constant, Initial::Estimated),
+        state("walk", walk, known(number(0.0), number(0.0))),
+        state("drift", gauss_markov(2, alpha(1), alpha(2)), Initial::Stationary),
+    ];
+    let parameter = |k: usize| Parameter {
+        value: if k < free { Value::Free { start: None } } else { Value::Fixed(VALUES[k]) },
+        ..by_hand::parameter(&format!("a{k}"), None, None, false)
+    };
+    let equation = linear(vec![(0, number(1.0)), (1, alpha(4)), (2, number(1.0))], alpha(5));
+    let (parameters, meter) = ((0..VALUES.len()).map(parameter).collect(), meter("z", 1, equation, square(alpha(3))));
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter])
+}
+
+const VALUES: [f64; 6] = [0.05, 2.0, 0.4, 0.8, 1.3, 0.1];
+
+/// What the model says of it, simulated.
+fn record(rows: u32) -> Test {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut normal = || -> f64 { rng.sample(StandardNormal) };
+    let [q, tau, sigma, r, scale, level] = VALUES;
+    let (step, bias) = (0.01, 0.7);
+    let keep = (-step / tau).exp();
+    let (mut walk, mut drift) = (0.0, sigma * normal());
+    let mut test = Test::new("long", 2, 0);
+    for k in 0..rows {
+        let z = bias + scale * walk + drift + level + r * normal();
+        test.push(&[f64::from(k) * step, z], &[], Source { file: 0, row: u64::from(k) });
+        walk += q * step.sqrt() * normal();
+        drift = keep * drift + sigma * (1.0 - keep * keep).sqrt() * normal();
+    }
+    test
+}
+
+fn law() -> InitialLaw {
+    InitialLaw::known(DVector::from_vec(vec![0.4]), DMatrix::from_vec(1, 1, vec![0.6]))
+}
+
+impl Scorer<'_> {
+    /// dℓ_j/dα of each test, one by one, with the moments of its ξ.
+    fn scores(&self, tests: &[Test], moments: &[Moments]) -> Result<Vec<Gradient>, ReduceError> {
+        let room = || (self.reducer.workspace(), BackwardWork::default(), self.pullback.adjoints());
+        let one = |room: &mut (Workspace, BackwardWork, Adjoints<'_>), (test, moments): (&Test, &Moments)| {
+            let (work, backward, adjoints) = room;
+            self.alone(test, (moments, None), (work, backward, adjoints))
+        };
+        tests.par_iter().zip(moments).map_init(room, |room, pair| one(room, pair)).collect()
+    }
+}
+
+fn at(model: &Model, slots: &Slots, values: &[f64], test: &Test, unfrozen: bool) -> (f64, Gradient) {
+    let reducer = Reducer::scoring(model, &slots.alpha(model, values), slots).expect("sound");
+    let reducer = if unfrozen { reducer.unfrozen() } else { reducer };
+    let tests = std::slice::from_ref(test);
+    let reductions = reducer.reduce(tests).expect("sound");
+    let moments = vec![moments(reductions.get(0), &law())];
+    let scorer = Scorer::new(&reducer, slots).expect("differentiable");
+    (likelihood(reductions.get(0), &law()), scorer.scores(tests, &moments).expect("sound").remove(0))
+}
+
+#[test]
+fn the_score_of_a_long_record_equals_differences() {
+    let test = record(100_000);
+    for free in [1, 4, 6] {
+        let model = model(free);
+        let slots = Slots::new(&model, &Labels::default(), std::slice::from_ref(&test));
+        let values = &VALUES[..free];
+        let (_, score) = at(&model, &slots, values, &test, false);
+        let (_, full) = at(&model, &slots, values, &test, true);
+        for slot in 0..free {
+            let ell = |x: f64| {
+                let mut moved = values.to_vec();
+                moved[slot] += x;
+                at(&model, &slots, &moved, &test, false).0
+            };
+            let expected = slope(ell, 2e-3 * values[slot]);
+            let (found, full) = (score[slot].1, full[slot].1);
+            // ℓ is about 1e5, and is told apart to 1e-10 of that
+            let bound = 1e-6 * expected.abs() + 1e-4 / values[slot];
+            assert!((found - expected).abs() <= bound, "{free}, slot {slot}: {found} against {expected}");
+            let size = full.abs().max(1.0 / values[slot]);
+            assert!((found - full).abs() <= 1e-8 * size, "{free}, slot {slot}: {found}, unfrozen {full}");
+        }
+    }
+}
+
+/// z = bias + x + v with x' = speed + ½, speed' = drift, seldom measured: between measurements x becomes far more uncertain than they
+/// are. α = (τ, σ) of the drift.
+fn coasting(noise: f64) -> Model {
+    let states = vec![
+        state("bias", Motion::Constant, Initial::Estimated),
+        state("x", continuous(vec![(2, number(1.0))], number(0.5), number(0.0)), known(number(0.0), number(1.0))),
+        state("speed", continuous(vec![(3, number(1.0))], number(0.0), number(0.0)), known(number(0.0), number(1.0))),
+        state("drift", gauss_markov(3, alpha(0), alpha(1)), known(number(0.0), number(0.5))),
+    ];
+    let parameters = (0..2).map(|k| by_hand::parameter(&format!("a{k}"), None, None, false)).collect();
+    let equation = linear(vec![(0, number(1.0)), (1, number(1.0))], number(0.0));
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter("z", 1, equation, number(noise))])
+}
+
+/// P and the gains must agree, or P leaves what is true at every measurement.
+#[test]
+fn the_score_of_a_process_that_coasts_equals_differences() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut normal = || -> f64 { rng.sample(StandardNormal) };
+    for (noise, values) in [(1.0, [100.0, 0.7]), (1e-12, [100.0, 7.0])] {
+        let [tau, sigma]: [f64; 2] = values;
+        let (mut test, mut x, mut speed, mut drift) = (Test::new("coasting", 2, 0), 0.0, 0.0, 0.5 * normal());
+        for k in 0..400_u32 {
+            test.push(&[10.0 * f64::from(k), 0.4 + x + normal()], &[], Source { file: 0, row: u64::from(k) });
+            for _ in 0..10 {
+                x += speed + 0.5 + 0.5 * drift;
+                speed += drift;
+                drift = drift * (-1.0 / tau).exp() + sigma * (2.0 / tau).sqrt() * normal();
+            }
+        }
+        let model = coasting(noise);
+        let slots = Slots::new(&model, &Labels::default(), std::slice::from_ref(&test));
+        let (_, score) = at(&model, &slots, &values, &test, false);
+        for slot in 0..2 {
+            let ell = |x: f64| {
+                let mut moved = values;
+                moved[slot] += x;
+                at(&model, &slots, &moved, &test, false).0
+            };
+            let expected = slope(ell, 2e-3 * values[slot]);
+            let bound = 1e-5 * (expected.abs() + 1.0 / values[slot]);
+            let found = score[slot].1;
+            assert!((found - expected).abs() <= bound, "noise {noise}, slot {slot}: {found} against {expected}");
+        }
+    }
+}
+
+#[test]
+fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
+    let tests: Vec<Test> = (0..4).map(|k| record(3000 + 700 * k)).collect();
+    let model = model(6);
+    let slots = Slots::new(&model, &Labels::default(), &tests);
+    let reducer = Reducer::scoring(&model, &slots.alpha(&model, &VALUES), &slots).expect("sound");
+    let reductions = reducer.reduce(&tests).expect("sound");
+    let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
+    let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
+    let together = scorer.scores(&tests, &moments).expect("sound");
+    for k in 0..tests.len() {
+        let alone = scorer.scores(&tests[k..=k], &moments[k..=k]).expect("sound");
+        assert_eq!(alone[0], together[k]);
+    }
+}
+
+/// A record with rows that are missing, and values.
+fn gappy(number: u32) -> Test {
+    let mut rng = ChaCha8Rng::seed_from_u64(u64::from(number));
+    let long = record(6000);
+    let mut test = Test::new(format!("gappy {number}"), 2, 0);
+    for row in (0..long.rows()).filter(|row| !(1700..1703).contains(row) && !(4000..4900).contains(row)) {
+        let numbers = long.numbers(row);
+        let noise: f64 = rng.sample(StandardNormal);
+        let z = if row == 2500 || row == 2502 { f64::NAN } else { numbers[1] + 0.3 * noise };
+        test.push(&[numbers[0], z], &[], long.source(row));
+    }
+    test
+}
+
+/// z = bias + x + v with x' = -x/τ, which no noise drives; τ is free.
+fn decaying() -> Model {
+    let decay = continuous(vec![(1, minus(over(number(1.0), alpha(0))))], number(0.0), number(0.0));
+    let states =
+        vec![state("bias", Motion::Constant, Initial::Estimated), state("x", decay, known(number(1.0), number(0.0)))];
+    let equation = linear(vec![(0, number(1.0)), (1, number(1.0))], number(0.0));
+    let parameters = vec![by_hand::parameter("tau", None, None, true)];
+    by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter("z", 1, equation, number(1.0))])
+}
+
+#[test]
+fn long_records_that_are_alike_are_scored_as_one_by_one() {
+    let tests: Vec<Test> = (0..3).map(gappy).collect();
+    let models = [1, 4, 6].into_iter().map(|free| (free, model(free), VALUES)).chain([(1, decaying(), [20.0; 6])]);
+    for (free, model, values) in models {
+        let slots = Slots::new(&model, &Labels::default(), &tests);
+        let reducer = Reducer::scoring(&model, &slots.alpha(&model, &values[..free]), &slots).expect("sound");
+        let reductions = reducer.reduce(&tests).expect("sound");
+        let moments: Vec<Moments> = reductions.iter().map(|reduction| moments(reduction, &law())).collect();
+        let scorer = Scorer::new(&reducer, &slots).expect("differentiable");
+        let told =
+            |(test, moments): (_, &Moments)| ClassMember { test, mean: moments.mean.clone(), ending: Vec::new() };
+        let told: Vec<ClassMember<'_>> = tests.iter().zip(&moments).map(told).collect();
+        let (mut work, mut backward, mut adjoints) =
+            (reducer.workspace(), BackwardWork::default(), scorer.pullback.adjoints());
+        let room = (&mut work, &mut backward, &mut adjoints);
+        let together = scorer.of_class(&told, (&moments[0], None), room).expect("sound").expect("they are alike");
+        let alone = scorer.scores(&tests, &moments).expect("sound");
+        for (number, (found, expected)) in together.iter().zip(&alone).enumerate() {
+            assert_eq!(found.len(), free, "each value counts");
+            for ((slot, found), (at, expected)) in found.iter().zip(expected) {
+                assert_eq!(slot, at);
+                let off = (found - expected).abs() / (1.0 + expected.abs());
+                assert!(off < 1e-10, "{free} free, test {number}, value {slot}: {found}, alone {expected}");
+            }
+        }
+    }
+}

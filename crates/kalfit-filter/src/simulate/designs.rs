@@ -1,0 +1,110 @@
+//! The design of an ensemble: the tests that give times, inputs and missingness, and the ids of what is drawn for them.
+
+use std::collections::BTreeSet;
+
+use crate::reduce::grouping;
+use crate::simulate::SimulateError;
+use kalfit_model::Grouping;
+use kalfit_model::PhasedModel;
+use kalfit_model::PhasedTest;
+
+/// Tests to draw for, at least one, with ids of their own. Test j of an ensemble is drawn for test j mod n of the n tests here.
+#[derive(Debug, Clone)]
+pub struct Designs {
+    tests: Vec<PhasedTest>,
+    mark: String,
+    grouping: Option<Grouping>,
+}
+
+impl Designs {
+    /// Takes the tests of a design.
+    ///
+    /// # Errors
+    /// No tests, or two with one id.
+    pub fn new(tests: Vec<PhasedTest>) -> Result<Designs, SimulateError> {
+        if tests.is_empty() {
+            return Err(SimulateError::NoTests);
+        }
+        let mut ids = BTreeSet::new();
+        if let Some(twice) = tests.iter().find(|test| !ids.insert(test.id.as_str())) {
+            return Err(SimulateError::DuplicateTest { id: twice.id.to_string() });
+        }
+        let mut mark = "#".to_owned();
+        while ids.iter().any(|id| id.trim_end_matches(|c: char| c.is_ascii_digit()).ends_with(&mark)) {
+            mark.push('#');
+        }
+        Ok(Designs { tests, mark, grouping: None })
+    }
+
+    /// The tests of a design for a model with levels, in the groups that their rows name; the same for other models. Each time round the
+    /// groups are new ones of the same names.
+    ///
+    /// # Errors
+    /// As [`Designs::new`]; a test of which the groups are not known.
+    pub fn of(model: &PhasedModel, tests: Vec<PhasedTest>) -> Result<Designs, SimulateError> {
+        let grouping = grouping(model, &tests)?;
+        Ok(Designs { grouping, ..Designs::new(tests)? })
+    }
+
+    /// Where the tests stand in groups: of each group of test `index`, from the innermost level on, a number that no other group of the
+    /// ensemble has, those of other rounds among them.
+    pub(super) fn groups(&self, index: u64) -> Option<Vec<u64>> {
+        let grouping = self.grouping.as_ref()?;
+        let (round, all) = (index / self.tests.len() as u64, (0..grouping.depth()).map(|l| grouping.groups(l).len()));
+        let firsts: Vec<usize> = all.scan(0, |end, count| Some(std::mem::replace(end, *end + count))).collect();
+        let total: usize = (0..grouping.depth()).map(|l| grouping.groups(l).len()).sum();
+        let number = grouping.number(&self.design(index).id)?;
+        let of_level =
+            |(level, first): (usize, usize)| round * total as u64 + (first + grouping.group_of(number, level)) as u64;
+        Some(firsts.into_iter().enumerate().map(of_level).collect())
+    }
+
+    /// The tests of the design.
+    pub fn tests(&self) -> &[PhasedTest] {
+        &self.tests
+    }
+
+    /// The test that test `index` of an ensemble is drawn for.
+    pub fn design(&self, index: u64) -> &PhasedTest {
+        let n = self.tests.len() as u64;
+        &self.tests[usize::try_from(index % n).expect("a remainder is below the number of tests")]
+    }
+
+    /// Id of test `index` of an ensemble: that of its design the first time round, `id#2` the second time. More than one `#`
+    /// stands there when the design has an id that ends in `#` and digits itself, so that no two ids are equal.
+    pub fn id(&self, index: u64) -> String {
+        let design = self.design(index);
+        match index / self.tests.len() as u64 {
+            0 => design.id.to_string(),
+            round => format!("{}{}{}", design.id, self.mark, round + 1),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use kalfit_model::Test;
+
+    fn designs(ids: &[&str]) -> Result<Designs, SimulateError> {
+        Designs::new(ids.iter().map(|id| Test::new(*id, 0, 0).into()).collect())
+    }
+
+    #[test]
+    fn ids_of_an_ensemble_differ_whatever_the_ids_of_the_design() {
+        for ids in [&["a", "b"][..], &["a", "a#2"], &["a", "a#", "a##2", "#3"], &["007", "7", ""]] {
+            let designs = designs(ids).expect("ids differ");
+            let all: BTreeSet<String> = (0..40).map(|index| designs.id(index)).collect();
+            assert_eq!(all.len(), 40, "{ids:?} become {all:?}");
+        }
+        let plain = designs(&["a", "b"]).expect("ids differ");
+        let first: Vec<String> = (0..5).map(|index| plain.id(index)).collect();
+        assert_eq!(first, ["a", "b", "a#2", "b#2", "a#3"]);
+    }
+
+    #[test]
+    fn a_design_needs_tests_with_ids_of_their_own() {
+        assert_eq!(designs(&[]).err(), Some(SimulateError::NoTests));
+        assert_eq!(designs(&["a", "b", "a"]).err(), Some(SimulateError::DuplicateTest { id: "a".to_owned() }));
+    }
+}

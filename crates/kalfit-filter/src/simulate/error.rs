@@ -1,0 +1,102 @@
+//! Why an ensemble cannot be drawn.
+
+use crate::reduce::{GroupingError, ReduceError};
+use kalfit_model::PopulationError;
+use kalfit_model::Source;
+
+/// A refusal to draw.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SimulateError {
+    /// The population does not fit the model.
+    #[error("the population cannot be drawn from: {0}")]
+    Population(#[from] PopulationError),
+    /// The model at α does not work on a test of the design.
+    #[error(transparent)]
+    Reduce(#[from] ReduceError),
+    /// The groups of the design's tests are not known, and the model has levels.
+    #[error(transparent)]
+    Grouping(#[from] GroupingError),
+    /// The design was taken without its groups, and the model has levels.
+    #[error("the model has levels of groups, and the groups of the tests of the design are not known")]
+    Ungrouped,
+    /// There is no design to draw for.
+    #[error("the design has no tests")]
+    NoTests,
+    /// Two tests of the design have one id.
+    #[error("two tests of the design have the id `{id}`")]
+    DuplicateTest {
+        /// The id.
+        id: String,
+    },
+    /// A phase of a design is not given by its rows.
+    #[error(
+        "test `{test}`: phase `{phase}` is given by {found}, expected its rows: they tell times, inputs and missing values"
+    )]
+    NoRows {
+        /// Id of the test.
+        test: String,
+        /// Name of the phase.
+        phase: String,
+        /// `a reduction` or `estimates`.
+        found: &'static str,
+    },
+    /// A design has other phases than the model.
+    #[error("test `{test}` has {found} phases, expected between 1 and {expected}")]
+    Phases {
+        /// Id of the test.
+        test: String,
+        /// How many it has.
+        found: usize,
+        /// How many the model has.
+        expected: usize,
+    },
+    /// A measured column is an input too.
+    #[error(
+        "column `{column}` contains measurements and is also used as an input: a drawn value would change the model that it is drawn from"
+    )]
+    MeasuredInput {
+        /// Name of the column.
+        column: String,
+    },
+    /// Two measurements read one cell.
+    #[error(
+        "test `{test}`: measurements `{first}` and `{second}` read the same cell of column `{column}`, which can hold one value only"
+    )]
+    SharedCell {
+        /// Id of the test.
+        test: String,
+        /// The row.
+        row: Source,
+        /// Name of the column.
+        column: String,
+        /// Name of one measurement.
+        first: String,
+        /// Name of the other.
+        second: String,
+    },
+    /// A drawn value is too large to be a number.
+    #[error("test `{test}`: the drawn value of column `{column}` is not a finite number")]
+    NotFinite {
+        /// Id of the test.
+        test: String,
+        /// The row.
+        row: Source,
+        /// Name of the column.
+        column: String,
+    },
+}
+
+impl SimulateError {
+    /// What to do about it, where that is plain.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            SimulateError::Reduce(error) => error.hint(),
+            SimulateError::MeasuredInput { .. } => Some("read the input from a column of its own"),
+            SimulateError::SharedCell { .. } => {
+                Some("tell the rows of the two apart with `where`, or give each measurement a column")
+            }
+            SimulateError::DuplicateTest { .. } => Some("give each test an id of its own"),
+            _ => None,
+        }
+    }
+}

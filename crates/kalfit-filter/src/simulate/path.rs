@@ -1,0 +1,187 @@
+//! The path of one test, from its initial state to its last measurement. (theory §1)
+#![expect(non_snake_case, reason = "the letters of the theory: P0, Q, R, F with FF' = Q")]
+
+use std::collections::HashMap;
+
+use nalgebra::DMatrix;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::reduce::{Design, DesignStep, Fault, GatheredCells, Preparer, Subject, Transition, Workspace, advance, ldl};
+use kalfit_algebra::symmetric;
+use kalfit_model::{Model, Population};
+
+/// Roots of Q that are kept.
+const MOST_ROOTS: usize = 1024;
+
+/// A root of Q: kernel states with process noise, and F over them.
+#[derive(Debug, Clone)]
+struct NoiseRoot {
+    states: Vec<usize>,
+    F: DMatrix<f64>,
+}
+
+/// Work space of the draws of one thread for one phase; the evaluated rows stand in `work`, their measurements not whitened.
+#[derive(Debug)]
+pub(super) struct DrawWorkspace {
+    pub(super) work: Workspace,
+    /// Room for what a carry is evaluated on.
+    pub(super) cells: GatheredCells,
+    /// Drawn values, one for each instance of `work`.
+    pub(super) values: Vec<f64>,
+    x: Vec<f64>,
+    moved: Vec<f64>,
+    noises: HashMap<u128, NoiseRoot>,
+    /// P0 of the last test, and its root.
+    start: (Vec<f64>, DMatrix<f64>),
+}
+
+impl DrawWorkspace {
+    pub(super) fn new(preparer: &Preparer) -> DrawWorkspace {
+        let mut work = preparer.workspace();
+        work.covariances = Some(Vec::new());
+        let start = (Vec::new(), DMatrix::zeros(0, 0));
+        DrawWorkspace {
+            work,
+            cells: GatheredCells::default(),
+            values: Vec::new(),
+            x: Vec::new(),
+            moved: Vec::new(),
+            noises: HashMap::new(),
+            start,
+        }
+    }
+
+    /// ξ ~ N(μ_j, Σ), with `root` a root of Σ.
+    pub(super) fn draw_initial(
+        &self,
+        model: &Model,
+        population: &Population,
+        root: &DMatrix<f64>,
+        random: &mut ChaCha8Rng,
+    ) -> Vec<f64> {
+        let mut xi = population.mean.clone();
+        let regressions = model.mean.regression.iter().zip(&population.coefficients).zip(&self.work.covariates);
+        for ((regression, coefficient), covariate) in regressions {
+            xi[regression.element] += coefficient * covariate;
+        }
+        add_noise(root, random, |i, value| xi[i] += value);
+        xi
+    }
+
+    /// The measured values of the phase, given what enters it.
+    pub(super) fn draw_values(&mut self, entering: &[f64], random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
+        self.start(entering, random);
+        self.values.clear();
+        let (work, mut input) = (&self.work, 0);
+        for step in work.design.each_step() {
+            if let Some(transition) = step.transition {
+                advance(&mut self.x, 1, transition.view(), &mut self.moved);
+                for &state in &work.design.frame.driven {
+                    self.x[state as usize] += work.data.inputs[input];
+                    input += 1;
+                }
+                let noise = noise_of(&mut self.noises, transition);
+                add_noise(&noise.F, random, |i, value| self.x[noise.states[i]] += value);
+            }
+            measure(work, &self.x, &step, &mut self.values, random)?;
+        }
+        Ok(())
+    }
+
+    /// The state after the last step, by place in the kernels.
+    pub(super) fn last(&self) -> &[f64] {
+        &self.x
+    }
+
+    /// x_0 = a + Eσ + ζ.
+    fn start(&mut self, entering: &[f64], random: &mut ChaCha8Rng) {
+        let Design { frame, variance, .. } = &self.work.design;
+        let (p, r) = (frame.p, frame.r);
+        self.x.clone_from(&self.work.data.start);
+        for (state, x) in self.x.iter_mut().enumerate() {
+            *x += frame.sensitivity[state * p..][..p].iter().zip(entering).map(|(a, xi)| a * xi).sum::<f64>();
+        }
+        if self.start.0 != *variance || self.start.1.nrows() != r {
+            let P0 = DMatrix::from_fn(r, r, |i, j| variance[i.max(j) * r + i.min(j)]);
+            self.start = (variance.clone(), symmetric::square_root(&P0));
+        }
+        add_noise(&self.start.1, random, |i, value| self.x[i] += value);
+    }
+}
+
+/// Appends z = Mx + d + v of one step, correlated noise by R = LDL'.
+fn measure(
+    work: &Workspace,
+    x: &[f64],
+    step: &DesignStep<'_>,
+    values: &mut Vec<f64>,
+    random: &mut ChaCha8Rng,
+) -> Result<(), Box<Fault>> {
+    let first = values.len();
+    for (line, row) in step.lines.clone().zip(step.rows.clone()) {
+        let (states, h) = work.design.terms(line);
+        let known: f64 = states.iter().zip(h).map(|(&state, h)| h * x[state as usize]).sum();
+        // the design's measured values were set to zero, so that z - d is -d
+        values.push(known - work.data.values[row]);
+    }
+    let joint = joint_noise(work, step)?;
+    let m = step.rows.len();
+    let variance = |i: usize| joint.as_ref().map_or(work.design.noise[step.lines.start + i], |R| R[i * m + i]);
+    let white: Vec<f64> = (0..m).map(|i| variance(i).sqrt() * normal(random)).collect();
+    for (i, value) in values[first..].iter_mut().enumerate() {
+        let others = joint.iter().flat_map(|R| (0..i).map(|k| R[i * m + k] * white[k]));
+        *value += white[i] + others.sum::<f64>();
+    }
+    Ok(())
+}
+
+/// L and D of R = LDL' for the measurements of a step, m × m, row-major; `None` when they are not correlated.
+fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64>>, Box<Fault>> {
+    let (rows, line) = (step.rows.clone(), step.lines.start);
+    let covariances = work.covariances.as_deref().unwrap_or_default();
+    // those of one step stand together, step after step
+    let begin = covariances.partition_point(|&(i, ..)| i < rows.start);
+    let own = covariances[begin..].iter().take_while(|(i, ..)| *i < rows.end);
+    let m = rows.len();
+    let mut R: Option<Vec<f64>> = None;
+    for &(i, j, value) in own {
+        let R = R.get_or_insert_with(|| {
+            let variance = |k: usize| if k / m == k % m { work.design.noise[line + k / m] } else { 0.0 };
+            (0..m * m).map(variance).collect()
+        });
+        R[(i.max(j) - rows.start) * m + i.min(j) - rows.start] += value;
+    }
+    if let Some(R) = &mut R {
+        ldl(R, m).map_err(|bad| Fault::new(Subject::StepNoise, bad).on(work.instances.get(rows.start).row))?;
+    }
+    Ok(R)
+}
+
+/// The root of a transition's Q, from memory where it is known.
+fn noise_of<'a>(noises: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
+    if noises.len() >= MOST_ROOTS && !noises.contains_key(&transition.digest()) {
+        noises.clear();
+    }
+    noises.entry(transition.digest()).or_insert_with(|| {
+        let pairs = &transition.pattern.pairs;
+        let mut states: Vec<usize> = pairs.iter().flat_map(|&(i, j)| [i as usize, j as usize]).collect();
+        states.sort_unstable();
+        states.dedup();
+        let local = |state: usize| states.binary_search(&state).expect("every state of a pair is listed");
+        let Q = transition.noise_of(states.len(), local);
+        NoiseRoot { F: symmetric::square_root(&Q), states }
+    })
+}
+
+/// Adds Fε, ε ~ N(0, I), element by element.
+pub(super) fn add_noise(F: &DMatrix<f64>, random: &mut ChaCha8Rng, mut add: impl FnMut(usize, f64)) {
+    for c in 0..F.ncols() {
+        let epsilon = normal(random);
+        (0..F.nrows()).for_each(|i| add(i, F[(i, c)] * epsilon));
+    }
+}
+
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(random)
+}

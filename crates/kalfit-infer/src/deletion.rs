@@ -1,0 +1,154 @@
+//! Exact deletion: the answer without one test, and how well that answer predicts the test (theory §9).
+//!
+//! The reductions are kept, so the ensemble without test j costs a few Newton steps from the optimum of all. The first of
+//! them is free: the sums over the others are the sums over all, less what the test says.
+
+use nalgebra::DMatrix;
+
+use crate::posterior::distance;
+use crate::posteriors::Distance;
+use crate::progress::SharedProgress;
+use kalfit_estimate::Order;
+use kalfit_estimate::{
+    Class, ClimbLimits, CovarianceMap, Criterion, Estimate, Local, NewtonIterate, Objective, Point, Problem, Silent,
+    Stop, Sums, climb, fit_from,
+};
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::Population;
+
+/// The fit without one test.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Deletion {
+    /// μ, Σ and regression coefficients without the test.
+    pub estimate: Population,
+    /// log p of the test's measurements at that estimate: its predictive density.
+    pub log_density: f64,
+    /// Distance of the test from the population that the others describe.
+    pub distance: Distance,
+    /// 2 (ℓ(θ̂) - ℓ(θ̂₋ⱼ)), ℓ of all tests: how far the test pulls the estimate (Cook's likelihood displacement).
+    pub displacement: f64,
+}
+
+/// Steps of one deletion before a search of its own takes over.
+const STEPS: usize = 12;
+
+/// The fit without each test that stands in no group, in the order of the reductions. `None` where the others alone have no certified
+/// optimum, and for the only test; of all once nobody waits any longer.
+pub(super) fn alone(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    progress: &SharedProgress<'_>,
+) -> Option<Vec<Option<Deletion>>> {
+    if reductions.len() < 2 {
+        return Some(vec![None; reductions.len()]);
+    }
+    let all = &All::of(estimate);
+    let without = |j: usize| {
+        let others = match climbed(estimate, all, (reductions, j)) {
+            Some(others) => others,
+            None => Others { point: searched(estimate, reductions, &[j])?.0, log_likelihood: None },
+        };
+        Some(deletion(estimate, all, (reductions, j), &others))
+    };
+    progress.each(reductions.len(), without)
+}
+
+/// Rough number of multiplications that [`deletions`](super::deletions) takes: of each step the pass, and what is done with its Hessian.
+pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
+    let (p, free) = (estimate.mean.len() as f64, estimate.state.newton_iterate.tangent.basis.ncols() as f64);
+    // without shortcuts where tests stand in groups: whole fits, from near their ends, of the tests and of groups
+    let each = if estimate.grouping().is_some() { 60.0 } else { 3.0 };
+    each * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
+}
+
+/// All tests at their estimate.
+struct All {
+    sums: Sums,
+    /// ℓ.
+    log_likelihood: f64,
+}
+
+impl All {
+    fn of(estimate: &Estimate) -> All {
+        let (problem, place) = (&estimate.state.problem, &estimate.state.newton_iterate);
+        let sums = problem.unrestricted(&place.point, Order::Second, place.near());
+        All { log_likelihood: sums.value, sums }
+    }
+}
+
+/// Where the others have their optimum.
+struct Others {
+    point: Point,
+    /// ℓ of them there, where it is known.
+    log_likelihood: Option<f64>,
+}
+
+/// All tests but one.
+struct Without<'a> {
+    problem: &'a Problem,
+    test: Class,
+}
+
+impl Without<'_> {
+    fn from(&self, all: Sums, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        Some(Local::of(&mut self.problem.without(all, &self.test, point, near)?))
+    }
+}
+
+impl Objective for Without<'_> {
+    fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        self.from(self.problem.unrestricted(point, Order::Second, near), point, near)
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        self.problem.mean_jacobian()
+    }
+
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+        self.problem.move_mean(point, step)
+    }
+}
+
+/// Newton steps from the optimum of all tests, in its coordinates.
+fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)) -> Option<Others> {
+    let state = &estimate.state;
+    let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
+    let objective = Without { problem, test: problem.classes.single(reductions, j) };
+    if !problem.informed_without(&all.sums, &objective.test, &state.newton_iterate.point) {
+        return None; // log|ΣX'WX| is over fewer directions
+    }
+    let local = objective.from(all.sums.clone(), &state.newton_iterate.point, state.newton_iterate.near())?;
+    let start = NewtonIterate::at(local, objective.mean_jacobian(), map, state.newton_iterate.point.clone())?;
+    let limits = ClimbLimits { tolerance: state.settings.tolerance, steps: STEPS };
+    let (place, stop) = climb(&objective, map, problem.classes.tests as f64 - 1.0, start, limits);
+    let log_likelihood = (estimate.criterion == Criterion::Ml).then_some(place.local.value);
+    (stop == Stop::Certified).then_some(Others { point: place.point, log_likelihood })
+}
+
+/// A search without some tests, from the optimum of all: its end in the coordinates of the estimate of all, and the other tests.
+pub(super) fn searched(estimate: &Estimate, reductions: &Reductions, removed: &[usize]) -> Option<(Point, Reductions)> {
+    let kept: Vec<usize> = (0..reductions.len()).filter(|j| !removed.contains(j)).collect();
+    if kept.is_empty() {
+        return None;
+    }
+    let (state, others) = (&estimate.state, reductions.select(&kept));
+    let start = Population::from(estimate);
+    let found = fit_from(&others, &state.structure(), &start, &state.settings, &mut Silent).ok()?;
+    let point = || state.problem.point_of(&Population::from(&found));
+    (found.stop == Stop::Certified).then(|| (point(), others))
+}
+
+fn deletion(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize), others: &Others) -> Deletion {
+    let (problem, point) = (&estimate.state.problem, &others.point);
+    let (log_density, distance) = distance(problem, point, reductions, j);
+    let there = match others.log_likelihood {
+        Some(of_others) => of_others + log_density,
+        None => problem.likelihood(point, Order::First).value,
+    };
+    Deletion {
+        estimate: problem.values_of(point),
+        log_density,
+        distance,
+        displacement: (2.0 * (all.log_likelihood - there)).max(0.0),
+    }
+}

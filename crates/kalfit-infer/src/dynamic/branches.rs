@@ -1,0 +1,108 @@
+//! Branches of a profile: ℓ over a held value is the highest of several maxima, and which of them is highest changes along the way.
+
+use kalfit_search::DynamicFit;
+use kalfit_search::ProfileLikelihood;
+use kalfit_search::alike;
+use kalfit_search::{ExchangeablePair, ordered};
+
+/// An end with ℓ lower by more is nowhere within an interval: half of χ²₁'s 95 % quantile.
+pub(super) const WITHIN: f64 = 1.9208;
+/// So many ends are kept, none but those that differ by more than this part.
+const MOST: usize = 6;
+pub(super) const ALIKE: f64 = 1e-3;
+
+/// Other ends of the searches from which a profile may be higher than from the best, as they are sought: the highest first.
+pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
+    let least = fit.estimate.log_likelihood - WITHIN;
+    let mut kept = vec![fit.sought.clone()];
+    for end in fit.others.iter().filter(|end| end.log_likelihood >= least) {
+        let sought = objective.sought(&end.values);
+        if kept.len() <= MOST && !kept.iter().any(|other| alike(other, &sought, ALIKE)) {
+            kept.push(sought);
+        }
+    }
+    kept.split_off(1)
+}
+
+/// The same for the value in a slot: other ends, and the best and the others with each process that the value's own may be exchanged
+/// for in its place. An exchange that leaves the value where it is leads nowhere else.
+pub(super) fn others_of_value(
+    objective: &ProfileLikelihood<'_>,
+    (best, others): (&[f64], &[Vec<f64>]),
+    slot: usize,
+) -> Vec<Vec<f64>> {
+    let moving = |pair: &ExchangeablePair| pair.pairs.iter().any(|&(s, t)| s == slot || t == slot);
+    let (own, rest): (Vec<ExchangeablePair>, Vec<_>) = objective.twins.iter().cloned().partition(moving);
+    let place = |values: &[f64]| {
+        let mut place = ordered(&rest, values);
+        place[slot] = 0.0; // held elsewhere
+        place
+    };
+    let ends = std::iter::once(best).chain(others.iter().map(Vec::as_slice));
+    let orders = ends.flat_map(|end| std::iter::once(end.to_vec()).chain(own.iter().map(|pair| pair.exchanged(end))));
+    let (mut kept, mut seen) = (Vec::new(), vec![place(best)]);
+    for values in orders {
+        let place = place(&values);
+        if kept.len() < MOST && !seen.iter().any(|other| alike(other, &place, ALIKE)) {
+            kept.push(values);
+            seen.push(place);
+        }
+    }
+    kept
+}
+
+/// The highest of what is found from nearby and from places of other branches, until one is higher than `enough`.
+pub(super) fn highest<T>(
+    nearby: Option<T>,
+    others: &[Vec<f64>],
+    (value, enough): (impl Fn(&T) -> f64, f64),
+    from: impl Fn(&[f64]) -> Option<T>,
+) -> Option<T> {
+    let height = |found: &Option<T>| found.as_ref().map_or(f64::NEG_INFINITY, &value);
+    let mut best = nearby;
+    for other in others {
+        if height(&best) > enough {
+            break;
+        }
+        let found = from(other);
+        best = if height(&found) > height(&best) { found } else { best };
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use kalfit_model::build::{constant, free, gauss_markov, measurement, name};
+    use kalfit_model::{PhasedModel, Slots};
+    use kalfit_search::Settings;
+
+    #[test]
+    fn each_process_comes_in_the_place_of_the_one_whose_value_is_held() {
+        let model = kalfit_model::Model::builder("")
+            .time("t")
+            .state(constant("bias"))
+            .state(gauss_markov("one", "tau1", "sigma1"))
+            .state(gauss_markov("two", "tau2", "sigma2"))
+            .state(gauss_markov("three", "tau3", "sigma3"))
+            .measurement(measurement("y", name("bias") + name("one") + name("two") + name("three"), "noise"));
+        let names = ["tau1", "sigma1", "tau2", "sigma2", "tau3", "sigma3", "noise"];
+        let model: PhasedModel =
+            names.into_iter().fold(model, |model, name| model.parameter(free(name))).build().unwrap();
+        let (slots, settings) =
+            (Slots::new(model.shared(), &kalfit_model::Labels::default(), &[]), Settings::default());
+        let objective = ProfileLikelihood::new(&model, &[], &slots, &settings);
+        let best = [1.0, 0.1, 2.0, 0.2, 3.0, 0.3, 0.9];
+        let of = |others: &[Vec<f64>], slot: usize| others_of_value(&objective, (&best, others), slot);
+        let (second, third) = (vec![2.0, 0.2, 1.0, 0.1, 3.0, 0.3, 0.9], vec![3.0, 0.3, 2.0, 0.2, 1.0, 0.1, 0.9]);
+        assert_eq!(of(&[], 0), [second.clone(), third.clone()], "of the five other orders");
+        assert_eq!(of(&[], 1), [second, third]);
+        assert_eq!(of(&[], 6), Vec::<Vec<f64>>::new(), "an exchange leaves the noise where it is");
+        // an end that differs by what is held, or by the order of the rest, begins no other branch
+        assert_eq!(of(&[vec![7.0, 0.1, 2.0, 0.2, 3.0, 0.3, 0.9]], 0).len(), 4, "it does in another place");
+        assert_eq!(of(&[vec![1.0, 0.1, 3.0, 0.3, 2.0, 0.2, 0.9]], 0), of(&[], 0));
+        let many: Vec<Vec<f64>> = (2..9).map(|k| best.iter().map(|x| f64::from(k) * x).collect()).collect();
+        let kept = of(&many, 0);
+        assert_eq!((kept.len(), &kept[2]), (MOST, &many[0]), "the highest first");
+    }
+}

@@ -1,0 +1,286 @@
+//! Expected information of (α, μ, Σ) together (theory §13): of a test, Σ_k ½ tr(S⁻¹S_aS⁻¹S_b) + E[e_a'S⁻¹e_b] over its innovations e,
+//! with their tangents along each coordinate. One filter carries P, the predicted state x̂ and the tangents of both; what of x̂ and of
+//! its tangents is random comes from the innovations before, which are white.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::SharedProgress;
+use crate::dynamic::stepwise::{
+    GroupedTest, LineValues, MotionValues, RecordMoments, RecordPoint, TimeStep, TimeSteps,
+};
+use kalfit_filter::reduce::ReduceError;
+use kalfit_filter::score::InitialLaw;
+use kalfit_model::Alpha;
+use kalfit_model::Evidence;
+use kalfit_search::ProfileLikelihood;
+use kalfit_search::ValueCovariances;
+use kalfit_search::{DynamicError, DynamicFit};
+
+/// Step of a coordinate of α, and of the tangent basis in standard errors, for differences of coefficients.
+const STEP: f64 = 1e-4;
+/// After so many moments of a record it is asked whether somebody still waits.
+const ASKED: usize = 4096;
+
+/// Covariances from the expected information; `None` where values of single tests are free, where some side is not defined, and when
+/// nobody waits any longer.
+pub(super) fn expected(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    progress: &SharedProgress<'_>,
+) -> Result<Option<ValueCovariances>, DynamicError> {
+    let shared = fit.joint.shared();
+    let Some(directions) = Directions::of(objective, fit, shared)? else { return Ok(None) };
+    let units = units(objective);
+    let one = |k: usize| -> Result<DMatrix<f64>, DynamicError> {
+        directions.information(&units[k], progress).map_err(|error| DynamicError::Reduce(Box::new(error)))
+    };
+    let Some(all) = progress.each(units.len(), one) else { return Ok(None) };
+    let n = directions.all.len();
+    let sum = all.into_iter().try_fold(DMatrix::zeros(n, n), |sum, one| one.map(|one| sum + one))?;
+    Ok(if progress.stops() { None } else { fit.joint.covariances_of(&sum) })
+}
+
+/// Tests are rows, which the optimal filter runs over: those of which it is worked out.
+pub(super) fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
+    let is_rows = |evidence: &Evidence| matches!(evidence, Evidence::Rows(_));
+    let all_rows = objective.tests.iter().all(|test| test.phases.iter().all(is_rows));
+    all_rows && objective.model.phases.iter().all(|phase| phase.filter.is_none())
+}
+
+/// Tests that know of each other, in an order that does not depend on theirs: those of one group of the outermost level, or each by
+/// itself.
+fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
+    let Some(grouping) = objective.grouping() else {
+        return objective
+            .order()
+            .iter()
+            .map(|&j| vec![GroupedTest { test: &objective.tests[j], groups: Vec::new() }])
+            .collect();
+    };
+    let mut units: BTreeMap<usize, Vec<GroupedTest<'a>>> = BTreeMap::new();
+    for &j in objective.order() {
+        let groups: Vec<usize> = (0..grouping.depth()).map(|level| grouping.group_of(j, level)).collect();
+        let unit = units.entry(groups.last().copied().unwrap_or(j)).or_default();
+        unit.push(GroupedTest { test: &objective.tests[j], groups });
+    }
+    let mut units: Vec<Vec<GroupedTest<'a>>> = units.into_values().collect();
+    // groups within groups one after the other
+    units
+        .iter_mut()
+        .for_each(|unit| unit.sort_by_key(|member| member.groups.iter().rev().copied().collect::<Vec<_>>()));
+    units
+}
+
+/// The place of a fit, and places to both sides of it along each coordinate, with the distance between them.
+struct Directions {
+    home: RecordPoint,
+    all: Vec<([RecordPoint; 2], f64)>,
+}
+
+impl Directions {
+    /// `None` where (μ, Σ) have no law to some side.
+    fn of(
+        objective: &ProfileLikelihood<'_>,
+        fit: &DynamicFit,
+        shared: &[usize],
+    ) -> Result<Option<Directions>, DynamicError> {
+        let state = &fit.estimate.state;
+        let place = |alpha: &Alpha, law: InitialLaw| RecordPoint::new(objective, alpha, law);
+        let mut all = Vec::new();
+        for &s in shared {
+            let coordinate = &objective.coordinates[s];
+            let step = coordinate.step(fit.sought[s], STEP);
+            let values = [1.0, -1.0].map(|sign| coordinate.moved(fit.sought[s], sign * step));
+            let at = |value: f64| -> Result<Option<RecordPoint>, DynamicError> {
+                let mut sought = fit.sought.clone();
+                sought[s] = value;
+                let alpha = objective.alpha(&sought);
+                let there = state.at_other_alpha(&fit.reductions, &alpha).ok().flatten();
+                there.map(|there| place(&alpha, there.law())).transpose()
+            };
+            let width = coordinate.of_value(values[0]) - coordinate.of_value(values[1]);
+            let (Some(up), Some(down)) = (at(values[0])?, at(values[1])?) else { return Ok(None) };
+            all.push(([up, down], width));
+        }
+        let tangent = &state.newton_iterate.tangent;
+        for i in 0..tangent.gradient.len() {
+            let information = tangent.information[(i, i)];
+            let step = STEP * if information > 0.0 { information.sqrt().recip() } else { tangent.sizes[i] };
+            let at = |sign: f64| -> Result<Option<RecordPoint>, DynamicError> {
+                let mut along = DVector::zeros(tangent.gradient.len());
+                along[i] = sign * step;
+                let there = state.moved(&fit.reductions, &fit.alpha, &along);
+                there.map(|there| place(&fit.alpha, there.law())).transpose()
+            };
+            let (Some(up), Some(down)) = (at(1.0)?, at(-1.0)?) else { return Ok(None) };
+            all.push(([up, down], 2.0 * step));
+        }
+        Ok(Some(Directions { home: place(&fit.alpha, state.law())?, all }))
+    }
+
+    /// What tests that know of each other are expected to say; only a part of it when nobody waits any longer.
+    fn information(
+        &self,
+        unit: &[GroupedTest<'_>],
+        progress: &SharedProgress<'_>,
+    ) -> Result<DMatrix<f64>, ReduceError> {
+        let home = self.home.record(unit)?;
+        let sides = |([up, down], width): &([RecordPoint; 2], f64)| -> Result<RecordPair, ReduceError> {
+            Ok(RecordPair { up: up.record(unit)?, down: down.record(unit)?, width: *width })
+        };
+        let pairs: Vec<RecordPair> = self.all.iter().map(sides).collect::<Result<_, _>>()?;
+        Ok(Carried::new(pairs.len()).over(&home, &pairs, progress))
+    }
+}
+
+/// Records at both sides, and the distance between them.
+struct RecordPair {
+    up: RecordMoments,
+    down: RecordMoments,
+    width: f64,
+}
+
+impl RecordPair {
+    fn slope<T>(&self, up: T, down: T) -> T
+    where
+        T: std::ops::Sub<Output = T> + std::ops::Mul<f64, Output = T>,
+    {
+        // a value between two bounds that meet has no sides
+        if self.width == 0.0 { (up - down) * 0.0 } else { (up - down) * self.width.recip() }
+    }
+
+    /// Slopes of a moment, which is `own` at home.
+    fn moment(&self, own: &TimeStep, up: TimeStep, down: TimeStep) -> TimeStep {
+        let motion = own.motion.as_ref().map(|own| match (up.motion, down.motion) {
+            (Some(up), Some(down)) => MotionValues {
+                phi: self.slope(up.phi, down.phi),
+                noise: self.slope(up.noise, down.noise),
+                input: self.slope(up.input, down.input),
+            },
+            _ => MotionValues::still(own.phi.shape()),
+        });
+        let line = |(up, down): (LineValues, LineValues)| LineValues {
+            h: self.slope(up.h, down.h),
+            noise: self.slope(up.noise, down.noise),
+            value: self.slope(up.value, down.value),
+        };
+        TimeStep { motion, lines: up.lines.into_iter().zip(down.lines).map(line).collect() }
+    }
+}
+
+/// What the filter carries: P and its tangents; mean and covariance of u = (x̂, tangents of x̂), one after the other.
+struct Carried {
+    n: usize,
+    variance: DMatrix<f64>,
+    slopes: Vec<DMatrix<f64>>,
+    mean: DVector<f64>,
+    spread: DMatrix<f64>,
+    information: DMatrix<f64>,
+}
+
+impl Carried {
+    /// Before anything has entered, with so many coordinates.
+    fn new(k: usize) -> Carried {
+        Carried {
+            n: 0,
+            variance: DMatrix::zeros(0, 0),
+            slopes: vec![DMatrix::zeros(0, 0); k],
+            mean: DVector::zeros(0),
+            spread: DMatrix::zeros(0, 0),
+            information: DMatrix::zeros(k, k),
+        }
+    }
+
+    /// All moments of a record, as long as somebody waits.
+    fn over(mut self, home: &RecordMoments, pairs: &[RecordPair], progress: &SharedProgress<'_>) -> DMatrix<f64> {
+        let mut beside: Vec<[TimeSteps<'_>; 2]> =
+            pairs.iter().map(|pair| [pair.up.moments(), pair.down.moments()]).collect();
+        for (number, own) in home.moments().enumerate() {
+            if number % ASKED == ASKED - 1 && progress.stops() {
+                break;
+            }
+            let sides = pairs.iter().zip(&mut beside);
+            let slopes: Option<Vec<TimeStep>> =
+                sides.map(|(pair, [up, down])| Some(pair.moment(&own, up.next()?, down.next()?))).collect();
+            let Some(slopes) = slopes else { break };
+            if let Some(motion) = &own.motion {
+                let slopes: Vec<&MotionValues> = slopes.iter().filter_map(|slope| slope.motion.as_ref()).collect();
+                self.advance(motion, &slopes);
+            }
+            for (k, line) in own.lines.iter().enumerate() {
+                let slopes: Vec<&LineValues> = slopes.iter().map(|slope| &slope.lines[k]).collect();
+                self.measure(line, &slopes);
+            }
+        }
+        self.information
+    }
+
+    /// Over a motion: x̂ → φx̂ + b, P → φPφ' + Q.
+    fn advance(&mut self, own: &MotionValues, slopes: &[&MotionValues]) {
+        let ((to, from), k) = (own.phi.shape(), slopes.len());
+        let mut map = DMatrix::zeros(to * (k + 1), from * (k + 1));
+        map.view_mut((0, 0), (to, from)).copy_from(&own.phi);
+        let mut input = DVector::zeros(to * (k + 1));
+        input.rows_mut(0, to).copy_from(&own.input);
+        let before = std::mem::replace(&mut self.variance, DMatrix::zeros(0, 0));
+        for (a, slope) in slopes.iter().enumerate() {
+            map.view_mut((to * (a + 1), from * (a + 1)), (to, from)).copy_from(&own.phi);
+            map.view_mut((to * (a + 1), 0), (to, from)).copy_from(&slope.phi);
+            input.rows_mut(to * (a + 1), to).copy_from(&slope.input);
+            let turned = &slope.phi * &before * own.phi.transpose();
+            self.slopes[a] =
+                &own.phi * &self.slopes[a] * own.phi.transpose() + &turned + turned.transpose() + &slope.noise;
+        }
+        self.n = to;
+        self.variance = &own.phi * before * own.phi.transpose() + &own.noise;
+        self.mean = &map * &self.mean + input;
+        self.spread = &map * &self.spread * map.transpose();
+    }
+
+    /// A measurement z = h'x + d + v: its innovation is informative through its variance and its mean, and updates what is carried.
+    fn measure(&mut self, own: &LineValues, slopes: &[&LineValues]) {
+        let n = self.n;
+        let carried = &self.variance * &own.h;
+        let variance = own.h.dot(&carried) + own.noise;
+        if variance <= 0.0 {
+            return; // it can only be one value, and says nothing
+        }
+        let gain = &carried / variance;
+        let k = slopes.len();
+        // e_a = value_a - h_a'x̂ - h'x̂_a = value_a - (column a of `seen`)'u
+        let mut seen = DMatrix::zeros(self.mean.len(), k);
+        let mut turned = DVector::zeros(k); // S_a
+        let mut gains = DMatrix::zeros(n, k); // K_a
+        for (a, slope) in slopes.iter().enumerate() {
+            seen.view_mut((0, a), (n, 1)).copy_from(&slope.h);
+            seen.view_mut((n * (a + 1), a), (n, 1)).copy_from(&own.h);
+            let from = &self.slopes[a] * &own.h + &self.variance * &slope.h;
+            turned[a] = own.h.dot(&(&self.slopes[a] * &own.h)) + 2.0 * slope.h.dot(&carried) + slope.noise;
+            gains.set_column(a, &((from - &gain * turned[a]) / variance));
+        }
+        let expected = DVector::from_fn(k, |a, _| slopes[a].value) - seen.tr_mul(&self.mean);
+        let with = &self.spread * &seen;
+        let among = seen.tr_mul(&with);
+        self.information += (&turned * turned.transpose()) * (0.5 / (variance * variance))
+            + (&expected * expected.transpose() + &among) / variance;
+        // x̂_a → x̂_a + K_a e + K e_a, x̂ → x̂ + K e
+        let mut through = DMatrix::zeros(self.mean.len(), k);
+        let mut white = DVector::zeros(self.mean.len());
+        white.rows_mut(0, n).copy_from(&gain);
+        for a in 0..k {
+            through.view_mut((n * (a + 1), a), (n, 1)).copy_from(&gain);
+            white.rows_mut(n * (a + 1), n).copy_from(&gains.column(a));
+        }
+        self.mean += &through * &expected;
+        let crossed = &with * through.transpose();
+        self.spread += &through * among * through.transpose() - &crossed - crossed.transpose();
+        self.spread.ger(variance, &white, &white, 1.0);
+        for (a, slope) in self.slopes.iter_mut().enumerate() {
+            let crossed = gains.column(a) * gain.transpose() * variance;
+            *slope -= &crossed + crossed.transpose() + &gain * gain.transpose() * turned[a];
+        }
+        self.variance -= &gain * gain.transpose() * variance;
+    }
+}

@@ -1,0 +1,152 @@
+//! What each number of a fit with free α is worth.
+
+use crate::dynamic::mixed::mixed;
+use crate::dynamic::{expected, interval, law, profile, sandwich};
+use crate::{Choices, Inference, IntervalKind, QUANTILE, SharedProgress, StdErrors, inferred, sensitivities};
+use kalfit_estimate::{Criterion, Estimate, JointLaw, Progress, Stop};
+use kalfit_model::Labels;
+use kalfit_model::PhasedModel;
+use kalfit_model::PhasedTest;
+use kalfit_search::BeforeRuns;
+use kalfit_search::ProfileLikelihood;
+use kalfit_search::ValueCovariances;
+use kalfit_search::{Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, flat};
+
+/// A logarithm with a standard error beyond this is not determined by the data.
+const UNDETERMINED: f64 = 10.0;
+
+/// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α. Whoever waits hears which
+/// interval is sought; once nobody does, intervals are those from standard errors, these from the observed information where the
+/// expected one is not complete, and fits without each test are left out.
+pub fn infer(
+    model: &PhasedModel,
+    (labels, tests): (&Labels, &[PhasedTest]),
+    fit: &DynamicFit,
+    choices: Choices,
+    progress: &mut dyn Progress,
+) -> Result<(Inference, Vec<ParameterInference>), DynamicError> {
+    let progress = &SharedProgress::new(progress, Some(model));
+    let ml = fit.estimate.criterion == Criterion::Ml;
+    let objective = match fit.reductions.remote() {
+        Some(remote) => {
+            ProfileLikelihood::elsewhere(model, (&fit.slots, &fit.settings), (&remote.answers, fit.values.clone()))
+        }
+        None => ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings),
+    };
+    let (estimate, observed) = with_law(&objective, fit);
+    let spread = |mut covariances: ValueCovariances| {
+        covariances.without_flat(&observed);
+        spread(&objective, fit, covariances)
+    };
+    // by profiles only once the maximum is certain
+    let mut wald = Choices { intervals: IntervalKind::Wald, ..choices };
+    let asked = match choices.std_errors {
+        StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&objective, fit, &observed)?)),
+        StdErrors::Expected if ml => of_expectation(&objective, fit, progress)?.map(spread),
+        _ => None,
+    };
+    if asked.is_none() {
+        wald.std_errors = StdErrors::Observed;
+    }
+    let (mut inference, mut parameters) = match &asked {
+        Some(asked) => {
+            let mut other = fit.estimate.clone();
+            other.state.joint = Some(law::joint(model, fit, asked));
+            let inference = inferred(&other, &fit.reductions, wald, progress);
+            // score tests stay those of the observed information
+            let inference = Inference { sensitivities: sensitivities(&estimate), ..inference };
+            (inference, parameter_inferences(model, fit, asked))
+        }
+        None => {
+            let inference = inferred(&estimate, &fit.reductions, wald, progress);
+            (inference, parameter_inferences(model, fit, &observed))
+        }
+    };
+    if choices.intervals == IntervalKind::Profile && fit.stop == Stop::Certified {
+        let from_errors = (inference.intervals.clone(), parameters.clone());
+        let goes_on = |runs| progress.goes_on(runs);
+        let objective = objective.while_waited_for(BeforeRuns(&goes_on));
+        let worth = (&mut inference, &mut parameters[..]);
+        let found = profiles((&objective, fit), (&estimate, &observed), worth, (labels, progress));
+        if progress.stops() {
+            (inference.intervals, parameters) = from_errors;
+        } else {
+            found?;
+        }
+    }
+    Ok((inference, parameters))
+}
+
+/// Puts profile intervals in the place of those from standard errors.
+fn profiles(
+    (objective, fit): (&ProfileLikelihood<'_>, &DynamicFit),
+    (estimate, observed): (&Estimate, &ValueCovariances),
+    (inference, parameters): (&mut Inference, &mut [ParameterInference]),
+    (labels, progress): (&Labels, &SharedProgress<'_>),
+) -> Result<(), DynamicError> {
+    let kept = interval::profiles(objective, fit, observed, parameters, (labels, progress))?;
+    if fit.estimate.stop == Stop::Certified {
+        profile::profiles((objective, fit), estimate, observed, (inference, parameters), progress);
+    }
+    inference.intervals.unprofiled += kept;
+    Ok(())
+}
+
+/// The estimate with the law of (α, μ, Σ) from the observed information, and that law.
+pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (Estimate, ValueCovariances) {
+    let observed = spread(objective, fit, fit.joint.covariances_beside(&flat::looked_at(objective, fit)));
+    let joint = law::joint(objective.model, fit, &observed);
+    let mut estimate = fit.estimate.clone();
+    estimate.state.joint = Some(JointLaw { mixed: mixed(objective, fit, &observed), ..joint });
+    (estimate, observed)
+}
+
+/// Covariances with those of noises that are as large as their variances allow.
+fn spread(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, mut covariances: ValueCovariances) -> ValueCovariances {
+    let known = (&fit.slots, &objective.coordinates[..]);
+    objective.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
+    covariances
+}
+
+/// Covariances from the expected information, where it is worked out; `None` when nobody waits any longer.
+fn of_expectation(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    progress: &SharedProgress<'_>,
+) -> Result<Option<ValueCovariances>, DynamicError> {
+    let found = if expected::is_possible(objective) { expected::expected(objective, fit, progress)? } else { None };
+    if found.is_none() && !progress.stops() {
+        let parameter = fit.slots.slots().first().map_or(0, |slot| slot.parameter);
+        return Err(DynamicError::Expected { parameter: objective.model.shared().parameters[parameter].name.clone() });
+    }
+    Ok(found)
+}
+
+/// Standard errors by the delta method; intervals by Wald in the coordinate, so that those of positive values are positive.
+fn parameter_inferences(
+    model: &PhasedModel,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+) -> Vec<ParameterInference> {
+    let coordinates = Coordinate::of(model, &fit.slots);
+    let one = |s: usize| {
+        let (coordinate, value) = (coordinates[s], fit.values[s]);
+        let nothing = |standing| ParameterInference { std_error: None, interval: None, standing };
+        if fit.standing[s] != Standing::Inside {
+            return nothing(fit.standing[s]);
+        }
+        let Some(error) = covariances.alpha[s].map(f64::sqrt).filter(|e| e.is_finite()) else {
+            return nothing(Standing::Unidentified);
+        };
+        if coordinate.log && error > UNDETERMINED {
+            return nothing(Standing::Unidentified);
+        }
+        let ends = [-QUANTILE, QUANTILE].map(|quantile| coordinate.moved(value, quantile * error));
+        ParameterInference {
+            std_error: Some(error * coordinate.slope(value)),
+            interval: Some(ends.map(Some)),
+            standing: Standing::Inside,
+        }
+    };
+    (0..fit.values.len()).map(one).collect()
+}

@@ -1,0 +1,224 @@
+//! Profile-likelihood intervals of α: where the best ℓ with one value held is χ²₁'s 95 % quantile, halved, below the maximum.
+//!
+//! The best ℓ is that of the highest branch: other ends of the searches, and what is found around an end, are tried before a value is
+//! called unlikely.
+
+use crate::dynamic::branches::{ALIKE, highest, others, others_of_value};
+use crate::{Held, Holds, Profile, QUANTILE, SharedProgress};
+use kalfit_model::Labels;
+use kalfit_model::Population;
+use kalfit_search::ValueCovariances;
+use kalfit_search::alike;
+use kalfit_search::explore;
+use kalfit_search::slot_name;
+use kalfit_search::{DynamicError, DynamicFit, ParameterInference, Standing};
+use kalfit_search::{ProfileLikelihood, ProfilePoint};
+use kalfit_search::{SearchEnd, SearchState};
+
+/// A logarithm this far away has no limit there.
+const FAR: f64 = 25.0;
+/// A value at zero is followed from this part of what the data suggest for it.
+const TRACE: f64 = 1e-6;
+/// Logarithms move no further than this at first.
+const STRIDE: f64 = 3.0;
+
+/// Intervals of up to so many values are profiled; Wald's stand for those of more.
+pub const MOST_PROFILED: usize = 40;
+
+/// Profile intervals in the place of Wald's, at values that the data determine and at those on a bound; how many of those keep Wald's:
+/// covariances of noises, which move with the variances beside them, and all where there are very many.
+pub(crate) fn profiles(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+    parameters: &mut [ParameterInference],
+    (labels, progress): (&Labels, &SharedProgress<'_>),
+) -> Result<usize, DynamicError> {
+    let is_open = |parameter: &ParameterInference| {
+        matches!(parameter.standing, Standing::Inside | Standing::Lower | Standing::Upper)
+    };
+    if fit.values.len() > MOST_PROFILED {
+        return Ok(parameters.iter().filter(|parameter| is_open(parameter)).count());
+    }
+    let mut kept = 0;
+    let near = Population::from(&fit.estimate);
+    let best = objective.solve(&fit.sought, Some(&near))?;
+    let others = others(objective, fit);
+    for (slot, parameter) in parameters.iter_mut().enumerate() {
+        if is_open(parameter) && objective.edges.has(slot) {
+            kept += 1;
+        } else if is_open(parameter) {
+            let error = covariances.alpha[slot].map(f64::sqrt);
+            let others = others_of_value(objective, (&best.values, &others), slot);
+            let name = slot_name(objective.model.shared(), labels, objective.slots, slot);
+            parameter.interval = Some(HeldValue::new((objective, &best), slot, progress).ends(name, others, error));
+        }
+    }
+    Ok(kept)
+}
+
+/// The value in a slot, held at a way of its coordinate from its maximum; from where nothing can be felt yet if that is zero, as from
+/// there no logarithm leads away.
+struct HeldValue<'b, 'a, 'p> {
+    objective: &'b ProfileLikelihood<'a>,
+    best: &'b ProfilePoint,
+    slot: usize,
+    /// Where ways begin.
+    from: f64,
+    progress: &'b SharedProgress<'p>,
+}
+
+/// The best ℓ with the value held, and places of other branches.
+#[derive(Clone)]
+struct Branch {
+    home: ProfilePoint,
+    others: Vec<Vec<f64>>,
+    /// It was not known before.
+    is_new: bool,
+}
+
+impl Holds for HeldValue<'_, '_, '_> {
+    const PRECISION: f64 = 1e-4;
+    const ATTAINS_LIMITS: bool = true;
+    type What = ();
+    type Near = Branch;
+
+    fn held(&self, (): (), way: f64, near: &Branch) -> Option<Held<Branch>> {
+        let found = self.highest(near, self.objective.coordinates[self.slot].moved(self.from, way));
+        // where ℓ is not defined a value is as unlikely as can be
+        let nowhere = || Held { value: f64::NEG_INFINITY, slope: 0.0, near: near.clone() };
+        let held =
+            |found: Branch| Held { value: found.home.value(), slope: found.home.gradient[self.slot], near: found };
+        Some(found.map_or_else(nowhere, held))
+    }
+
+    fn is_on_new_branch(near: &Branch) -> bool {
+        near.is_new
+    }
+}
+
+impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
+    fn new(
+        (objective, best): (&'b ProfileLikelihood<'a>, &'b ProfilePoint),
+        slot: usize,
+        progress: &'b SharedProgress<'p>,
+    ) -> HeldValue<'b, 'a, 'p> {
+        let value = best.values[slot];
+        let from =
+            if objective.coordinates[slot].log && value == 0.0 { TRACE * objective.units()[slot] } else { value };
+        HeldValue { objective, best, slot, from, progress }
+    }
+
+    /// Both ends; `error` is the standard error of the coordinate, if it has one. `None` where no value is unlikely enough.
+    fn ends(&self, name: String, others: Vec<Vec<f64>>, error: Option<f64>) -> [Option<f64>; 2] {
+        let coordinate = self.objective.coordinates[self.slot];
+        let (far, longest) = if coordinate.log { (FAR, STRIDE) } else { (f64::INFINITY, f64::INFINITY) };
+        let bounds = [coordinate.lower, coordinate.upper];
+        let way = |bound: f64| (coordinate.of_value(bound) - coordinate.of_value(self.from)).clamp(-far, far);
+        let limits = bounds.map(|bound| Some(way(bound)).filter(|limit| limit.is_finite()));
+        let maximum = self.best.value();
+        let (centre, quantile, progress) = (0.0, QUANTILE, self.progress);
+        let profile = Profile { holder: self, what: (), name, centre, maximum, quantile, limits, progress };
+        let start = Branch { home: self.best.clone(), others, is_new: false };
+        let one = |(side, sign): (usize, f64)| {
+            let bound = bounds[side];
+            if self.best.values[self.slot] == bound {
+                return Some(bound);
+            }
+            match profile.end(&start, sign * self.first_step(error).min(longest))? {
+                // every value down to zero, or up to infinity, may be
+                end if limits[side] == Some(end) => Some(bound).filter(|bound| bound.is_finite()),
+                end => Some(coordinate.moved(self.from, end)),
+            }
+        };
+        [(0, -1.0), (1, 1.0)].map(one)
+    }
+
+    /// About how far an end is: by the standard error, or at a bound by the slope there.
+    fn first_step(&self, error: Option<f64>) -> f64 {
+        let slope = self.best.gradient[self.slot].abs();
+        match error {
+            Some(error) => QUANTILE * error,
+            None if !self.objective.coordinates[self.slot].log && slope > 0.0 => 0.5 * QUANTILE * QUANTILE / slope,
+            None => 0.5 * QUANTILE,
+        }
+    }
+
+    /// The best ℓ with the value held here: from nearby, where that is too low from other ends, and at the quantile from around it.
+    fn highest(&self, near: &Branch, tried: f64) -> Option<Branch> {
+        let from = |values: &[f64]| self.held_from(&near.home, values, tried);
+        let at = |root: f64| self.best.value() - 0.5 * root * root;
+        let value = |end: &SearchEnd| end.home.value();
+        let likely = at(QUANTILE - Self::PRECISION);
+        let end = highest(from(&near.home.values), &near.others, (value, likely), from)?;
+        let mut others = near.others.clone();
+        if value(&end) > likely || value(&end) < at(QUANTILE + Self::PRECISION) {
+            return Some(Branch { home: end.home, others, is_new: false });
+        }
+        let before = end.home.values.clone();
+        let mut progress = self.progress;
+        let home = explore::around(self.objective, end, self.slot, &mut progress).home; // ℓ may be higher elsewhere
+        let is_new = !alike(&before, &home.values, ALIKE);
+        if is_new {
+            others.push(home.values.clone());
+        }
+        Some(Branch { home, others, is_new })
+    }
+
+    /// The same from these values alone.
+    fn held_from(&self, near: &ProfilePoint, values: &[f64], tried: f64) -> Option<SearchEnd> {
+        let mut values = values.to_vec();
+        values[self.slot] = tried;
+        let population = Population::from(&near.estimate);
+        let home = self.objective.solve(&values, Some(&population)).ok()?;
+        let mut progress = self.progress;
+        let mut search = SearchState::new(self.objective, &mut progress, home);
+        search.hold(self.slot);
+        let end = search.run().ok()?;
+        debug_assert!(end.home.values[self.slot] == tried, "a held value stays");
+        Some(end)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dynamic::branches::WITHIN;
+    use kalfit_estimate::Silent;
+    use kalfit_fixtures::bench::{twins, with_processes};
+    use kalfit_model::Slots;
+    use kalfit_search::{Settings, fit};
+
+    #[test]
+    fn exchangeable_values_have_one_profile() {
+        let model = twins();
+        let tests = with_processes(&[(1.0, 0.5), (30.0, 1.5)], 0.02, (16, 24));
+        let labels = Labels::new(&model.shared().literals);
+        let (settings, slots) = (Settings::default(), Slots::in_phases(&model, &labels, &tests));
+        let fit = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit");
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+        let best = objective.solve(&fit.sought, None).expect("defined");
+        let others = others(&objective, &fit);
+        let mut silent = Silent;
+        let progress = SharedProgress::new(&mut silent, None);
+        let profile = |slot: usize, value: f64| {
+            let others = others_of_value(&objective, (&best.values, &others), slot);
+            let start = Branch { home: best.clone(), others, is_new: false };
+            let found = HeldValue::new((&objective, &best), slot, &progress).highest(&start, value).expect("defined");
+            best.value() - found.home.value()
+        };
+        let (mut likely, mut unlikely) = (0, 0);
+        for (a, b) in [(0, 2), (1, 3)] {
+            let between = |part: f64| fit.values[a] * (fit.values[b] / fit.values[a]).powf(part);
+            for value in [-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5].map(between) {
+                let (one, other) = (profile(a, value), profile(b, value));
+                // what is likely enough is looked for no further
+                let (least, most) = (one.min(other), one.max(other));
+                let same = most - least < 1e-6;
+                assert!(same || most < WITHIN, "{a} and {b} at {value}: ℓ falls by {one} and {other}");
+                (likely, unlikely) = if most < WITHIN { (likely + 1, unlikely) } else { (likely, unlikely + 1) };
+            }
+        }
+        assert!(likely >= 4 && unlikely >= 2, "{likely} and {unlikely}");
+    }
+}

@@ -1,0 +1,125 @@
+//! Limits by profile likelihood of means that are predicted, where α is free: such a mean is linear in (μ, γ), with weights that
+//! hang on α.
+
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+use crate::dynamic::inference::with_law;
+use crate::dynamic::outer::{HeldQuantity, Outer, WarmStart};
+use crate::{AsymptoticLaw, Held, HeldMaximum, Holder, Holds, MeanCombination, Profile, SharedProgress};
+use kalfit_estimate::{Estimate, Point, Progress};
+use kalfit_model::PhasedTest;
+use kalfit_model::{Alpha, PhasedModel, Population};
+use kalfit_search::BeforeRuns;
+use kalfit_search::DynamicFit;
+use kalfit_search::ProfileLikelihood;
+
+/// Step of a coordinate for derivatives of weights.
+const STEP: f64 = 1e-4;
+/// A quantity that nothing moves by more than this part of itself is known.
+const FAINT: f64 = 1e-12;
+
+/// All predicted means at an α, in one order; `None` where they have no value.
+pub type MeansAt<'a> = &'a (dyn Fn(&Alpha) -> Option<Vec<MeanCombination>> + Sync);
+
+/// Between which values the likelihood-ratio test keeps each predicted mean: those whose ℓ_max, over α, μ and Σ, is within half the
+/// square of `quantile` of the maximum. Both are the estimate where nothing that was estimated moves it; `None` where an end is not
+/// found, as is none once nobody waits any longer.
+pub fn mean_limits(
+    (model, tests): (&PhasedModel, &[PhasedTest]),
+    fit: &DynamicFit,
+    (means, quantile): (MeansAt<'_>, f64),
+    progress: &mut dyn Progress,
+) -> Vec<Option<[f64; 2]>> {
+    let progress = &SharedProgress::new(progress, Some(model));
+    let objective = ProfileLikelihood::new(model, tests, &fit.slots, &fit.settings);
+    let (estimate, covariances) = with_law(&objective, fit);
+    let goes_on = |runs| progress.goes_on(runs);
+    let objective = objective.while_waited_for(BeforeRuns(&goes_on));
+    let Some(home) = means(&fit.alpha) else { return Vec::new() };
+    let outer = Outer::new((&objective, fit), &estimate, &covariances);
+    let population = Population::from(&estimate);
+    let means = Means { outer: &outer, means, fit };
+    let limits = |number: usize| {
+        let centre = home[number].value(&population);
+        let mean = LimitedMean { means: &means, number };
+        let moved = home[number].weights.amax().max(mean.slopes(&outer).amax());
+        if moved <= FAINT * centre.abs() {
+            return Some([centre; 2]);
+        }
+        let step = quantile * outer.error(mean)?;
+        let maximum = estimate.state.newton_iterate.local.value;
+        let (name, limits) = (format!("predicted mean {}", number + 1), [None; 2]);
+        let profile = Profile { holder: &means, what: number, name, centre, maximum, quantile, limits, progress };
+        profile.ends(&WarmStart::best(fit, &estimate), step)
+    };
+    (0..home.len()).into_par_iter().map(limits).collect()
+}
+
+/// Predicted means over α.
+struct Means<'o, 'b, 'a> {
+    outer: &'o Outer<'b, 'a>,
+    means: MeansAt<'o>,
+    fit: &'o DynamicFit,
+}
+
+impl Holds for Means<'_, '_, '_> {
+    const PRECISION: f64 = 1e-4;
+    /// Its number.
+    type What = usize;
+    type Near = WarmStart;
+
+    fn held(&self, what: usize, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
+        self.outer.highest(LimitedMean { means: self, number: what }, x, near)
+    }
+}
+
+/// One of them.
+#[derive(Clone, Copy)]
+struct LimitedMean<'m, 'o, 'b, 'a> {
+    means: &'m Means<'o, 'b, 'a>,
+    number: usize,
+}
+
+impl LimitedMean<'_, '_, '_, '_> {
+    fn at(self, alpha: &Alpha) -> Option<MeanCombination> {
+        (self.means.means)(alpha)?.into_iter().nth(self.number)
+    }
+}
+
+impl HeldQuantity for LimitedMean<'_, '_, '_, '_> {
+    fn maximum(self, (holder, alpha): (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum> {
+        let MeanCombination { weights, constant } = self.at(alpha)?;
+        holder.combination(&weights, x - constant, near)
+    }
+
+    fn value(self, outer: &Outer<'_, '_>) -> Option<f64> {
+        Some(self.at(&self.means.fit.alpha)?.value(&Population::from(outer.estimate)))
+    }
+
+    fn along(self, law: &AsymptoticLaw<'_>, _: &Estimate) -> DVector<f64> {
+        let weights = self.at(&self.means.fit.alpha).map_or_else(|| DVector::zeros(0), |own| own.weights);
+        law.derivative_of_means(&weights)
+    }
+
+    fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64> {
+        let here = self.slopes_at(outer, &self.means.fit.sought, &Population::from(outer.estimate));
+        here.unwrap_or_else(|| DVector::zeros(outer.slots.len()))
+    }
+
+    fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>> {
+        let slope = |&s: &usize| {
+            let coordinate = &outer.objective.coordinates[s];
+            let step = coordinate.step(values[s], STEP);
+            let side = |sign: f64| {
+                let mut values = values.to_vec();
+                values[s] = coordinate.moved(values[s], sign * step);
+                Some((coordinate.of_value(values[s]), self.at(&outer.objective.alpha(&values))?.value(there)))
+            };
+            let ((below, low), (above, high)) = (side(-1.0)?, side(1.0)?);
+            Some(if above > below { (high - low) / (above - below) } else { 0.0 })
+        };
+        let all: Vec<f64> = outer.slots.iter().map(slope).collect::<Option<_>>()?;
+        Some(DVector::from_vec(all))
+    }
+}

@@ -1,0 +1,71 @@
+//! How the scores of all elements of (μ, Σ) change with α: what the score test of a constraint wants of α.
+//!
+//! The information of (α, μ, Σ) is along the free directions of (μ, Σ). An element that a constraint holds is in none of them, so what
+//! it shares with α is worked out for itself, by differences of exact scores at fixed (μ, Σ).
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::holds_any;
+use kalfit_estimate::Mixed;
+use kalfit_search::DynamicFit;
+use kalfit_search::ProfileLikelihood;
+use kalfit_search::ValueCovariances;
+use kalfit_search::two_sides;
+
+/// Steps, in logarithms and in parts of standard errors.
+const STEP: f64 = 1e-4;
+/// … but no more than this part of a value's size.
+const PART: f64 = 1e-2;
+/// With more values than this tests are made at the α found.
+const MOST: usize = 24;
+
+/// Of the values that move at the end of a fit; `None` where none does or no element is held, where very many values move or those of single tests
+/// do, and where ℓ is not defined beside the end.
+pub(super) fn mixed(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+) -> Option<Mixed> {
+    let shared = &covariances.shared;
+    if shared.is_empty() || shared.len() > MOST || !fit.joint.is_of_shared_values() || !holds_any(&fit.estimate.state) {
+        return None;
+    }
+    let rows: Option<Vec<DVector<f64>>> = shared.iter().map(|&s| row(objective, fit, covariances, s)).collect();
+    let rows = rows?;
+    let width = rows.first().map_or(0, DVector::len);
+    let (k, n) = (shared.len(), covariances.whole.nrows());
+    let turned: Vec<usize> = (k..n).chain(0..k).collect(); // the tangent basis first
+    Some(Mixed {
+        covariance: DMatrix::from_fn(n, n, |i, j| covariances.whole[(turned[i], turned[j])]),
+        information: DMatrix::from_fn(k, width, |i, j| rows[i][j]),
+    })
+}
+
+/// -∂²ℓ/∂α∂(every element) for one value, by differences to both sides where there are both.
+fn row(
+    objective: &ProfileLikelihood<'_>,
+    fit: &DynamicFit,
+    covariances: &ValueCovariances,
+    s: usize,
+) -> Option<DVector<f64>> {
+    let (coordinate, value) = (&objective.coordinates[s], fit.sought[s]);
+    let error = covariances.alpha[s].map(f64::sqrt);
+    let most = PART * value.abs().max(PART);
+    let step = if coordinate.log { STEP } else { error.map_or(most, |error| (STEP * error).min(most)) };
+    let at = |sign: f64| -> Option<(f64, DVector<f64>)> {
+        let mut values = fit.sought.clone();
+        values[s] = coordinate.moved(value, sign * step);
+        let place = coordinate.of_value(values[s]);
+        Some((place, scores(objective, fit, &values)?))
+    };
+    let [upper, lower] = two_sides(at(1.0), at(-1.0), || at(0.0))?;
+    let width = upper.0 - lower.0;
+    (width > 0.0).then(|| (lower.1 - upper.1) / width)
+}
+
+/// Scores of all elements at other values but the (μ, Σ) of the fit.
+fn scores(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, values: &[f64]) -> Option<DVector<f64>> {
+    let reduced = objective.reduce(values).ok()?;
+    let at = fit.estimate.state.at_other_alpha(&reduced.reductions, &objective.alpha(values)).ok()??;
+    Some(at.scores())
+}

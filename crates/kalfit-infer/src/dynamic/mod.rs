@@ -1,0 +1,21 @@
+//! How far free values of α can be trusted: standard errors, intervals and likelihood-ratio tests of a fit whose α was sought.
+
+mod branches;
+mod expected;
+mod inference;
+mod interval;
+mod law;
+mod mean_limits;
+mod mixed;
+mod outer;
+mod profile;
+mod ratio;
+mod sandwich;
+mod stepwise;
+#[cfg(test)]
+mod tests;
+
+pub use inference::infer;
+pub use interval::MOST_PROFILED;
+pub use mean_limits::{MeansAt, mean_limits};
+pub use ratio::{DynamicRatioError, dynamic_bootstrap, dynamic_bootstrap_while, dynamic_ratio, started};

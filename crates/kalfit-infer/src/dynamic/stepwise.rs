@@ -1,0 +1,334 @@
+//! Tests at an α, μ and Σ, step by step: how states move, and scalar measurements of them.
+//!
+//! What enters a phase is a motion like any other, from the last state of the phase before; the first one comes from nothing. The tests
+//! of a group follow each other, and the parts of ξ that its groups give stand before their states. Noises of a step that are
+//! correlated are states of that step.
+
+use nalgebra::{DMatrix, DVector};
+
+use kalfit_filter::reduce::{Data, Design, DesignStep, PhasedReducer, PhasedWork, ReduceError, Transition};
+use kalfit_filter::score::InitialLaw;
+use kalfit_model::Alpha;
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_search::DynamicError;
+use kalfit_search::ProfileLikelihood;
+
+/// A place in all coordinates.
+pub(super) struct RecordPoint {
+    reducer: PhasedReducer,
+    law: InitialLaw,
+    /// Roots of the covariances of tests and of their groups, from the innermost on.
+    roots: Vec<DMatrix<f64>>,
+}
+
+/// A test and its groups, from the innermost on.
+pub(super) struct GroupedTest<'t> {
+    pub(super) test: &'t PhasedTest,
+    pub(super) groups: Vec<usize>,
+}
+
+/// Tests that follow each other, at a place.
+pub(super) struct RecordMoments {
+    sections: Vec<Section>,
+}
+
+/// A phase of a test: what enters it, and its steps.
+struct Section {
+    entry: MotionValues,
+    design: Design,
+    data: Data,
+    /// (i, j, covariance) of noises of the same step, by scalar measurement.
+    covariances: Vec<(usize, usize, f64)>,
+    /// States that stand before those of the phase.
+    held: usize,
+}
+
+/// x → φx + b + w, w ~ N(0, Q), or the slopes of φ, Q and b; φ has as many columns as there were states.
+pub(super) struct MotionValues {
+    pub(super) phi: DMatrix<f64>,
+    pub(super) noise: DMatrix<f64>,
+    pub(super) input: DVector<f64>,
+}
+
+/// h, R and z - d of a scalar measurement, or their slopes.
+pub(super) struct LineValues {
+    pub(super) h: DVector<f64>,
+    pub(super) noise: f64,
+    pub(super) value: f64,
+}
+
+/// A motion and the measurements after it.
+pub(super) struct TimeStep {
+    pub(super) motion: Option<MotionValues>,
+    pub(super) lines: Vec<LineValues>,
+}
+
+impl RecordPoint {
+    pub(super) fn new(
+        objective: &ProfileLikelihood<'_>,
+        alpha: &Alpha,
+        law: InitialLaw,
+    ) -> Result<RecordPoint, DynamicError> {
+        let reducer = PhasedReducer::scoring(objective.model, alpha, objective.slots).map_err(Box::new)?;
+        let levels = objective.model.levels.len() + 1;
+        let width = law.root.ncols() / levels;
+        let roots = (0..levels).map(|level| law.root.columns(level * width, width).into_owned()).collect();
+        Ok(RecordPoint { reducer, law, roots })
+    }
+
+    /// Tests one after the other.
+    pub(super) fn record(&self, members: &[GroupedTest<'_>]) -> Result<RecordMoments, ReduceError> {
+        let mut work = self.reducer.workspace();
+        work.phases.iter_mut().for_each(|phase| phase.covariances = Some(Vec::new()));
+        let mut sections: Vec<Section> = Vec::new();
+        for (k, member) in members.iter().enumerate() {
+            let last = k.checked_sub(1).map(|k| &members[k]).zip(sections.last().map(Section::states));
+            sections.extend(self.sections(member, last, &mut work)?);
+        }
+        Ok(RecordMoments { sections })
+    }
+
+    /// The phases of a test. `last`: the test before, and how many states it left.
+    fn sections(
+        &self,
+        member: &GroupedTest<'_>,
+        last: Option<(&GroupedTest<'_>, usize)>,
+        work: &mut PhasedWork,
+    ) -> Result<Vec<Section>, ReduceError> {
+        let held = member.groups.len() * self.law.root.nrows();
+        let (mut sections, mut covariates) = (Vec::new(), Vec::new());
+        for ((phase, evidence), room) in self.reducer.phases().iter().zip(&*member.test.phases).zip(&mut work.phases) {
+            let Evidence::Rows(rows) = evidence else { unreachable!("tests that are no rows were refused") };
+            let (design, data, own) = phase.reducer.evaluated(rows, room).map_err(|error| phase.named(error))?;
+            covariates.extend(own);
+            let covariances = room.covariances.clone().unwrap_or_default();
+            sections.push(Section { entry: MotionValues::still((0, 0)), design, data, covariances, held });
+        }
+        let mean = self.law.mean_of(&covariates);
+        let (mut first, mut before) = (0, last.map_or(0, |(_, states)| states));
+        for (at, section) in sections.iter_mut().enumerate() {
+            let own = self.reducer.phases()[at].own;
+            let a = section.sensitivity();
+            let mut entry = section.start(before, &a * mean.rows(first, own).insert_rows(own, a.ncols() - own, 0.0));
+            entry.spread(&(a.columns(0, own) * self.roots[0].rows(first, own)), held);
+            if at == 0 {
+                self.groups(&mut entry, &a.columns(0, own).into_owned(), (member, last.map(|(member, _)| member)));
+            } else {
+                self.carry((&mut entry, &a), (at, member, held), work)?;
+            }
+            section.entry = entry;
+            (first, before) = (first + own, section.states());
+        }
+        Ok(sections)
+    }
+
+    /// Adds what groups give: that of groups of the test before stays, other groups are new.
+    fn groups(
+        &self,
+        entry: &mut MotionValues,
+        a: &DMatrix<f64>,
+        (member, last): (&GroupedTest<'_>, Option<&GroupedTest<'_>>),
+    ) {
+        let (p, held) = (self.law.root.nrows(), member.groups.len() * self.law.root.nrows());
+        for (level, group) in member.groups.iter().enumerate() {
+            let place = level * p;
+            if last.is_some_and(|last| last.groups[level] == *group) {
+                entry.phi.view_mut((place, place), (p, p)).fill_with_identity();
+                entry.phi.view_mut((held, place), a.shape()).copy_from(a);
+                continue;
+            }
+            let root = &self.roots[level + 1];
+            let mut fresh = DMatrix::zeros(entry.phi.nrows(), root.ncols());
+            fresh.rows_mut(place, p).copy_from(root);
+            fresh.rows_mut(held, a.nrows()).copy_from(&(a * root));
+            entry.noise += &fresh * fresh.transpose();
+        }
+    }
+
+    /// Adds what a later phase inherits.
+    fn carry(
+        &self,
+        (entry, a): (&mut MotionValues, &DMatrix<f64>),
+        (at, member, held): (usize, &GroupedTest<'_>, usize),
+        work: &mut PhasedWork,
+    ) -> Result<(), ReduceError> {
+        let [before, phase] = [&self.reducer.phases()[at - 1], &self.reducer.phases()[at]];
+        let Evidence::Rows(rows) = &member.test.phases[at] else { unreachable!("tests that are no rows were refused") };
+        let inherited = phase.inherited(rows, &mut work.cells)?;
+        let carried = a * &inherited.transition;
+        for (state, &place) in before.reducer.preparer().order.place.iter().enumerate() {
+            entry.phi.view_mut((held, held + place), (a.nrows(), 1)).copy_from(&carried.column(state));
+        }
+        entry.phi.view_mut((0, 0), (held, held)).fill_with_identity();
+        let mut input = entry.input.rows_mut(held, a.nrows());
+        input += a * &inherited.input;
+        Ok(())
+    }
+}
+
+impl Section {
+    /// States that it ends with, its own and those before.
+    fn states(&self) -> usize {
+        self.held + self.design.frame.n
+    }
+
+    fn sensitivity(&self) -> DMatrix<f64> {
+        DMatrix::from_row_slice(self.design.frame.n, self.design.frame.p, &self.design.frame.sensitivity)
+    }
+
+    /// What enters it from `before` states, of which nothing is kept yet; `own`: what the mean gives.
+    fn start(&self, before: usize, own: DVector<f64>) -> MotionValues {
+        let (held, n, r) = (self.held, self.design.frame.n, self.design.frame.r);
+        let mut entry = MotionValues::still((held + n, before));
+        entry.input.rows_mut(held, n).copy_from(&(own + DVector::from_column_slice(&self.data.start)));
+        for i in 0..r {
+            for j in 0..r {
+                entry.noise[(held + i, held + j)] = self.design.variance[i.max(j) * r + i.min(j)];
+            }
+        }
+        entry
+    }
+}
+
+impl RecordMoments {
+    /// All moments, in order.
+    pub(super) fn moments(&self) -> TimeSteps<'_> {
+        TimeSteps { record: self, section: 0, step: None, inputs: 0, crossed: 0, extra: 0 }
+    }
+}
+
+/// A record on its way through its moments.
+pub(super) struct TimeSteps<'r> {
+    record: &'r RecordMoments,
+    section: usize,
+    /// The next step of the section; `None` before what enters it.
+    step: Option<usize>,
+    /// Inputs that were taken, and covariances of noises.
+    inputs: usize,
+    crossed: usize,
+    /// Noises that are states of the present step.
+    extra: usize,
+}
+
+impl Iterator for TimeSteps<'_> {
+    type Item = TimeStep;
+
+    fn next(&mut self) -> Option<TimeStep> {
+        let section = self.record.sections.get(self.section)?;
+        let Some(k) = self.step else {
+            (self.step, self.inputs, self.crossed) = (Some(0), 0, 0);
+            let entry = section.entry.with_noises(std::mem::take(&mut self.extra), &DMatrix::zeros(0, 0));
+            return Some(TimeStep { motion: Some(entry), lines: Vec::new() });
+        };
+        if k == section.design.steps() {
+            (self.section, self.step) = (self.section + 1, None);
+            return self.next();
+        }
+        self.step = Some(k + 1);
+        let step = section.design.step(k);
+        let crossed = self.crossed(section, &step);
+        let noises = section.noises(&step, crossed);
+        let motion = step.transition.map(|transition| self.motion(section, transition));
+        let before = std::mem::replace(&mut self.extra, noises.len());
+        let states = section.states();
+        let motion = match before + noises.len() {
+            0 => motion,
+            _ => {
+                let covariance = section.covariance(&step, &noises, crossed);
+                Some(motion.unwrap_or_else(|| MotionValues::none(states)).with_noises(before, &covariance))
+            }
+        };
+        let line =
+            |(line, row)| section.line((line, row), (states + noises.len(), noises.iter().position(|&at| at == row)));
+        Some(TimeStep { motion, lines: step.lines.zip(step.rows).map(line).collect() })
+    }
+}
+
+impl TimeSteps<'_> {
+    /// The covariances of noises of a step, which are taken.
+    fn crossed<'s>(&mut self, section: &'s Section, step: &DesignStep<'_>) -> &'s [(usize, usize, f64)] {
+        let left = &section.covariances[self.crossed..];
+        let own = left.iter().take_while(|(i, ..)| *i < step.rows.end).count();
+        self.crossed += own;
+        &left[..own]
+    }
+
+    /// φ, Q and b of a transition, which takes its inputs.
+    fn motion(&mut self, section: &Section, transition: &Transition) -> MotionValues {
+        let (n, held) = (section.design.frame.n, section.held);
+        let mut motion = MotionValues::none(held + n);
+        motion.phi.view_mut((held, held), (n, n)).copy_from(&transition.phi_of(n, |i| i));
+        motion.noise.view_mut((held, held), (n, n)).copy_from(&transition.noise_of(n, |i| i));
+        for &state in &section.design.frame.driven {
+            motion.input[held + state as usize] = section.data.inputs[self.inputs];
+            self.inputs += 1;
+        }
+        motion
+    }
+}
+
+impl Section {
+    /// Scalar measurements of a step whose noises are correlated.
+    fn noises(&self, step: &DesignStep<'_>, crossed: &[(usize, usize, f64)]) -> Vec<usize> {
+        let is_crossed = |row: &usize| crossed.iter().any(|(i, j, _)| i == row || j == row);
+        step.rows.clone().filter(is_crossed).collect()
+    }
+
+    /// Their covariance.
+    fn covariance(&self, step: &DesignStep<'_>, noises: &[usize], crossed: &[(usize, usize, f64)]) -> DMatrix<f64> {
+        let mut covariance = DMatrix::zeros(noises.len(), noises.len());
+        for (k, row) in noises.iter().enumerate() {
+            covariance[(k, k)] = self.design.noise[step.lines.start + row - step.rows.start];
+        }
+        let place = |row: usize| noises.iter().position(|&at| at == row);
+        for &(i, j, value) in crossed {
+            if let (Some(i), Some(j)) = (place(i), place(j)) {
+                covariance[(i, j)] += value;
+                covariance[(j, i)] += value;
+            }
+        }
+        covariance
+    }
+
+    /// A scalar measurement on so many states, `noise` the place of its noise among those that are states.
+    fn line(&self, (line, row): (usize, usize), (states, noise): (usize, Option<usize>)) -> LineValues {
+        let (of, terms) = self.design.terms(line);
+        let mut h = DVector::zeros(states);
+        of.iter().zip(terms).for_each(|(&state, &term)| h[self.held + state as usize] = term);
+        if let Some(place) = noise {
+            h[self.states() + place] = 1.0;
+        }
+        let own = if noise.is_some() { 0.0 } else { self.design.noise[line] };
+        LineValues { h, noise: own, value: self.data.values[row] }
+    }
+}
+
+impl MotionValues {
+    /// To nothing at all, of so many states from so many: slopes of what does not change.
+    pub(super) fn still((to, from): (usize, usize)) -> MotionValues {
+        MotionValues { phi: DMatrix::zeros(to, from), noise: DMatrix::zeros(to, to), input: DVector::zeros(to) }
+    }
+
+    /// Of n states that stay.
+    fn none(n: usize) -> MotionValues {
+        MotionValues { phi: DMatrix::identity(n, n), ..MotionValues::still((n, n)) }
+    }
+
+    /// Adds noise with this root to states from `first` on.
+    fn spread(&mut self, root: &DMatrix<f64>, first: usize) {
+        let n = root.nrows();
+        let mut noise = self.noise.view_mut((first, first), (n, n));
+        noise += root * root.transpose();
+    }
+
+    /// The same where so many noises were states before, and these are now.
+    fn with_noises(&self, before: usize, covariance: &DMatrix<f64>) -> MotionValues {
+        let ((to, from), now) = (self.phi.shape(), covariance.nrows());
+        let mut motion = MotionValues::still((to + now, from + before));
+        motion.phi.view_mut((0, 0), (to, from)).copy_from(&self.phi);
+        motion.noise.view_mut((0, 0), (to, to)).copy_from(&self.noise);
+        motion.noise.view_mut((to, to), (now, now)).copy_from(covariance);
+        motion.input.rows_mut(0, to).copy_from(&self.input);
+        motion
+    }
+}

@@ -1,0 +1,55 @@
+//! What is said of each test, whether tests stand in groups or not.
+
+use crate::deletion;
+use crate::deletion::Deletion;
+use crate::levels;
+use crate::levels::GroupPosterior;
+use crate::posterior;
+use crate::posteriors::Posteriors;
+use crate::progress::SharedProgress;
+use kalfit_estimate::{Estimate, Point, Problem, Silent};
+use kalfit_filter::reduce::Reductions;
+
+/// Posteriors of all tests, in their order.
+pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Posteriors {
+    estimated(estimate, reductions).0
+}
+
+/// What is known of the tests, and of the groups of each level, the innermost first, at an estimate.
+pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Posteriors, Vec<Vec<GroupPosterior>>) {
+    let (problem, point) = (&estimate.state.problem, &estimate.state.newton_iterate.point);
+    match estimate.grouping() {
+        Some(_) => posteriors_at(problem, point, &estimate.state.evidence(reductions)),
+        None => posteriors_at(problem, point, reductions),
+    }
+}
+
+/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first, at any point. Of tests in groups the
+/// reductions are in what is a test's own and what each of its groups adds.
+pub fn posteriors_at(
+    problem: &Problem,
+    point: &Point,
+    reductions: &Reductions,
+) -> (Posteriors, Vec<Vec<GroupPosterior>>) {
+    levels::posteriors(problem, point, reductions)
+        .unwrap_or_else(|| (posterior::alone(problem, point, reductions), Vec::new()))
+}
+
+/// The fit without each test, in the order of the reductions. `None` where the others alone have no certified optimum, and for
+/// the only test.
+pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
+    deletions_while(estimate, reductions, &SharedProgress::new(&mut Silent, None)).unwrap_or_default()
+}
+
+/// As [`deletions`], as long as somebody waits; `None` when they no longer do.
+pub fn deletions_while(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    progress: &SharedProgress<'_>,
+) -> Option<Vec<Option<Deletion>>> {
+    let evidence = estimate.state.evidence(reductions);
+    match estimate.grouping() {
+        Some(_) => levels::deletions(estimate, &evidence, progress).map(|found| found.0),
+        None => deletion::alone(estimate, &evidence, progress),
+    }
+}

@@ -1,0 +1,93 @@
+//! The covariance of all that was estimated: of μ, the regression coefficients, the elements of Σ and the free values of α together.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimated::Estimated;
+use crate::law::AsymptoticLaw;
+
+/// The asymptotic covariance of the estimates, in the user's units. Numbers that are fixed, on a bound or at zero are not among them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EstimateCovariance {
+    /// What was estimated, in the order of the rows.
+    pub quantities: Vec<Estimated>,
+    /// Their covariance.
+    pub covariance: DMatrix<f64>,
+    /// Estimates that the data do not determine.
+    pub open: Vec<Estimated>,
+    /// Free variances, and free noise levels, whose estimate is zero.
+    pub at_zero: Vec<Estimated>,
+}
+
+/// Covariances of more numbers are not told.
+const MOST: usize = 200;
+/// Of something fixed, in η.
+const STILL: f64 = 1e-12;
+
+impl AsymptoticLaw<'_> {
+    /// The covariance of all that was estimated; `None` of very many numbers. `is_open`: whether the data do not determine one.
+    pub(super) fn estimates(&self, is_open: &dyn Fn(Estimated) -> bool) -> Option<EstimateCovariance> {
+        let joint = self.state.joint.as_ref();
+        let empty = DMatrix::zeros(0, 0);
+        let (law, free, moved) = match joint {
+            Some(joint) => (&joint.covariance, joint.slots.as_slice(), &joint.moves),
+            None => (self.coordinates(), &[][..], &empty),
+        };
+        let (rows, coordinates) = (self.jacobian().nrows(), self.jacobian().ncols());
+        let by_row = self.jacobian().transposed();
+        let elements = moved.nrows();
+        let mut all: Vec<(Estimated, DVector<f64>)> = Vec::new();
+        let mut open: Vec<Estimated> =
+            joint.map_or(Vec::new(), |joint| joint.open.iter().map(|&slot| Estimated::Value(slot)).collect());
+        for (row, quantity, unit) in self.quantities() {
+            if is_open(quantity) {
+                open.push(quantity);
+                continue;
+            }
+            let of_value = |c: usize| match row.checked_sub(rows - elements) {
+                Some(element) => moved[(element, c)],
+                None => 0.0,
+            };
+            let mut derivative = DVector::zeros(coordinates + free.len());
+            by_row.column(row).iter().for_each(|&(c, x)| derivative[c] = x);
+            (0..free.len()).for_each(|c| derivative[coordinates + c] = of_value(c));
+            if derivative.amax() > STILL {
+                all.push((quantity, derivative * unit));
+            }
+            if all.len() > MOST {
+                return None;
+            }
+        }
+        for (c, &(slot, slope)) in free.iter().enumerate() {
+            let mut derivative = DVector::zeros(coordinates + free.len());
+            derivative[coordinates + c] = slope;
+            all.push((Estimated::Value(slot), derivative));
+        }
+        if all.len() > MOST {
+            return None;
+        }
+        // of generalised least squares at the estimated Σ; with it the mean moves as it follows α alone
+        let followed = |mean: &DVector<f64>, other: &DVector<f64>| {
+            let Some(follows) = self.follows().filter(|_| !free.is_empty()) else { return 0.0 };
+            let by_values = follows.transpose() * mean.rows(0, coordinates);
+            by_values.dot(&(law.rows(coordinates, free.len()) * other))
+        };
+        let covariance = DMatrix::from_fn(all.len(), all.len(), |i, k| {
+            let ((first, a), (second, b)) = (&all[i], &all[k]);
+            match (self.mean_law(), is_of_mean(*first), is_of_mean(*second)) {
+                (None, ..) | (Some(_), false, false) => a.dot(&(law * b)),
+                (Some(mean), true, true) => a.rows(0, coordinates).dot(&(mean * b.rows(0, coordinates))),
+                (Some(_), true, false) => followed(a, b),
+                (Some(_), false, true) => followed(b, a),
+            }
+        });
+        let quantities = all.into_iter().map(|(quantity, _)| quantity).collect();
+        let at_zero =
+            joint.map_or(Vec::new(), |joint| joint.at_zero.iter().map(|&slot| Estimated::Value(slot)).collect());
+        let is_known = covariance.iter().all(|entry| entry.is_finite());
+        is_known.then_some(EstimateCovariance { quantities, covariance, open, at_zero })
+    }
+}
+
+fn is_of_mean(quantity: Estimated) -> bool {
+    matches!(quantity, Estimated::Mean(_) | Estimated::Coefficient(_))
+}

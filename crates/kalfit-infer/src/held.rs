@@ -1,0 +1,198 @@
+//! The maximum of ℓ with one quantity held at a value: what profile likelihoods are made of.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::holdable::Holdable;
+use crate::law::AsymptoticLaw;
+use kalfit_algebra::symmetric;
+use kalfit_estimate::{
+    ClimbLimits, Constraint, CoordinateForm, CovarianceMap, FinalState, Local, NewtonIterate, Objective, Point,
+    Problem, Stop, climb,
+};
+
+/// A maximum with one quantity held: a point of the profile.
+pub(crate) struct Held<N> {
+    /// Where it is, and where a search for another one nearby may begin.
+    pub(crate) near: N,
+    /// ℓ_max with the quantity held.
+    pub(crate) value: f64,
+    /// dℓ_max / d(value held): the Lagrange multiplier.
+    pub(crate) slope: f64,
+}
+
+/// With all that is known there.
+pub(crate) type HeldMaximum = Held<NewtonIterate>;
+
+impl HeldMaximum {
+    /// Where it is alone.
+    pub(super) fn point(self) -> Held<Point> {
+        Held { near: self.near.point, value: self.value, slope: self.slope }
+    }
+}
+
+/// Within this many standard errors a held maximum is found: ℓ is then right to half its square.
+const TOLERANCE: f64 = 1e-7;
+/// Steps of one climb.
+const STEPS: usize = 40;
+/// Turns of the linearisation of a correlation.
+const TURNS: usize = 30;
+
+/// ℓ with free mean coordinates restricted to the columns of Z.
+struct RestrictedMean<'a> {
+    problem: &'a Problem,
+    directions: DMatrix<f64>,
+    jacobian: DMatrix<f64>,
+}
+
+impl Objective for RestrictedMean<'_> {
+    fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
+        self.problem.local(point, near)
+    }
+
+    fn mean_jacobian(&self) -> &DMatrix<f64> {
+        &self.jacobian
+    }
+
+    fn move_mean(&self, point: &Point, step: &[f64]) -> Point {
+        let free = &self.directions * DVector::from_column_slice(&step[..self.directions.ncols()]);
+        self.problem.move_mean(point, free.as_slice())
+    }
+}
+
+/// Holds quantities near an estimate.
+pub(crate) struct Holder<'a> {
+    state: &'a FinalState,
+    law: AsymptoticLaw<'a>,
+    limits: ClimbLimits,
+}
+
+impl<'a> Holder<'a> {
+    pub(crate) fn new(state: &'a FinalState) -> Holder<'a> {
+        let tolerance = state.settings.tolerance.max(TOLERANCE);
+        Holder { state, law: AsymptoticLaw::new(state), limits: ClimbLimits { tolerance, steps: STEPS } }
+    }
+
+    /// The maximum with `what` held at `value`, from a point nearby. `None` where no certified one is found.
+    pub(crate) fn maximum(&self, what: Holdable, value: f64, near: &Point) -> Option<HeldMaximum> {
+        let frame = &self.state.problem.classes.frame;
+        match what {
+            Holdable::Mean(i) => {
+                let row = self.state.problem.mean.jacobian().row(i).transpose();
+                self.mean(&row, frame.scale[i], (value - frame.centre[i]) / frame.scale[i] - near.mean[i], near)
+            }
+            Holdable::Coefficient(c) => {
+                let map = &self.state.problem.mean;
+                let row = map.jacobian().row(frame.scale.len() + c).transpose();
+                let unit = map.coefficient_scale[c];
+                self.mean(&row, unit.recip(), value * unit - near.coefficients[c], near)
+            }
+            Holdable::StdDev(i) => {
+                let unit = frame.scale[i];
+                let found = self.covariance(vec![(i, i, 1.0)], (value / unit).powi(2), near)?;
+                let slope = found.slope * 2.0 * value / unit.powi(2);
+                Some(Held { slope, ..found })
+            }
+            Holdable::Covariance(i, j) => {
+                let unit = frame.scale[i] * frame.scale[j];
+                let found = self.covariance(vec![(i.max(j), i.min(j), 1.0)], value / unit, near)?;
+                Some(Held { slope: found.slope / unit, ..found })
+            }
+            Holdable::Correlation(i, j) => self.correlation((i.max(j), i.min(j)), value, near),
+        }
+    }
+
+    /// The maximum with weights'(μ, γ) held at `value`, in the user's units. `None` where no certified one is found.
+    pub(crate) fn combination(&self, weights: &DVector<f64>, value: f64, near: &Point) -> Option<HeldMaximum> {
+        let problem = &self.state.problem;
+        let row = problem.mean.jacobian().transpose() * self.scaled(weights);
+        let now = problem.values_of(near);
+        let now = now.mean.iter().chain(&now.coefficients).zip(weights.iter()).map(|(x, w)| x * w).sum::<f64>();
+        self.mean(&row, 1.0, value - now, near)
+    }
+
+    /// Derivatives by (b, γ) of what has these by (μ, γ).
+    fn scaled(&self, weights: &DVector<f64>) -> DVector<f64> {
+        weights.component_mul(&DVector::from_vec(self.state.problem.mean_units()))
+    }
+
+    /// row'(b, γ) moved by `shift` and held; `unit` is one unit of it in the user's.
+    fn mean(&self, row: &DVector<f64>, unit: f64, shift: f64, near: &Point) -> Option<HeldMaximum> {
+        let (problem, n) = (&*self.state.problem, row.len());
+        let size = row.norm_squared();
+        if size == 0.0 {
+            return None;
+        }
+        let (values, vectors) = symmetric::eigen(&(DMatrix::identity(n, n) - row * row.transpose() / size));
+        let kept: Vec<usize> = (0..n).filter(|&k| values[k] > 0.5).collect();
+        let directions = vectors.select_columns(&kept);
+        let jacobian = problem.mean.jacobian() * &directions;
+        let along = self.law.coordinates().view((0, 0), (n, n)) * row;
+        let along = if row.dot(&along) > 0.0 { along } else { row.clone() };
+        let moved = problem.move_mean(near, (&along * (shift / row.dot(&along))).as_slice());
+        let objective = RestrictedMean { problem, directions, jacobian };
+        let place = self.climb(&objective, &problem.covariance, moved)?;
+        let score = problem.mean.jacobian().transpose() * &place.local.mean_score;
+        let slope = score.dot(row) / size / unit;
+        Some(Held { value: place.local.value, slope, near: place })
+    }
+
+    /// Σ coefficient σ_pair held at a value, in η.
+    fn covariance(&self, terms: Vec<(usize, usize, f64)>, value: f64, near: &Point) -> Option<HeldMaximum> {
+        let problem = &*self.state.problem;
+        let mut map = problem.covariance.clone();
+        map.constraints.push(Constraint { terms, value });
+        let root = map.onto(&begin(&problem.covariance, &map.constraints, near))?;
+        let place = self.climb(problem, &map, Point { root, ..near.clone() })?;
+        let slope = *place.tangent.multipliers.last().expect("the constraint has a multiplier");
+        Some(Held { value: place.local.value, slope, near: place })
+    }
+
+    /// σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: there the two have the same value and the same
+    /// gradient, so a fixed point in t is the maximum on the curved constraint.
+    fn correlation(&self, (i, j): (usize, usize), rho: f64, near: &Point) -> Option<HeldMaximum> {
+        let mut near = near.clone();
+        let ratio = |point: &Point| {
+            let sigma = point.covariance();
+            let t = (sigma[(j, j)] / sigma[(i, i)]).sqrt();
+            (t.is_finite() && t > 0.0).then_some(t)
+        };
+        let mut t = ratio(&near)?;
+        for _ in 0..TURNS {
+            let terms = vec![(i, j, 2.0), (i, i, -rho * t), (j, j, -rho / t)];
+            let found = self.covariance(terms, 0.0, &near)?;
+            let next = ratio(&found.near.point)?;
+            if (next / t).ln().abs() < 1e-7 {
+                let sigma = found.near.point.covariance();
+                return Some(Held { slope: found.slope * (t * sigma[(i, i)] + sigma[(j, j)] / t), ..found });
+            }
+            (t, near) = (next, found.near.point);
+        }
+        None
+    }
+
+    fn climb(&self, objective: &dyn Objective, map: &CovarianceMap, start: Point) -> Option<NewtonIterate> {
+        let start = NewtonIterate::new(objective, map, start, self.state.newton_iterate.near())?;
+        let tests = self.state.problem.classes.tests as f64;
+        let (place, stop) = climb(objective, map, tests, start, self.limits);
+        (stop == Stop::Certified).then_some(place)
+    }
+}
+
+/// A root that is near to meeting the last constraint: where that holds a variance, its row and column are stretched to it, which
+/// keeps the correlations. From a variance of zero no step along F would lead away.
+fn begin(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
+    let Some(Constraint { terms, value }) = constraints.last() else { return near.root.clone() };
+    let &[(i, k, _)] = &terms[..] else { return near.root.clone() };
+    if i != k || !matches!(map.form_of(i), CoordinateForm::Factor(_)) {
+        return near.root.clone();
+    }
+    let mut sigma = near.covariance();
+    if sigma[(i, i)] > 1e-12 * value {
+        let stretch = (value / sigma[(i, i)]).sqrt();
+        sigma.row_mut(i).scale_mut(stretch);
+        sigma.column_mut(i).scale_mut(stretch);
+    } else {
+        sigma[(i, i)] = *value;
+    }
+    map.root_of(&sigma)
+}

@@ -1,0 +1,207 @@
+//! What the ensemble says nothing about (theory §5).
+//!
+//! For μ with its regression coefficients: the null space of Σ_j E_j'J_jE_j on what is free of them, μ_j = E_j(μ, γ). For Σ: the null space of the expected information
+//! ½ Σ_j tr(W_j D W_j E) on the free directions of Σ.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::direction::{Direction, NONE, Quantity, in_units, simplest};
+use crate::law::AsymptoticLaw;
+use crate::observability::{Observability, observability};
+use crate::phases::{PhaseObservability, phases};
+use crate::reason::{Explanation, Reason, explain};
+use kalfit_algebra::regular::Regular;
+use kalfit_algebra::sparse::Sparse;
+use kalfit_algebra::symmetric;
+use kalfit_estimate::{
+    Estimate, FinalState, FitError, FlatDirection, Objective, Point, Problem, Structure, Sums, harmonic, natural_sizes,
+};
+use kalfit_filter::reduce::Reductions;
+
+/// What takes part by less than this in a direction that differences show is not in it.
+const FAINT: f64 = 1e-3;
+
+/// What the data identify, why not all, and from which tests.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Examination {
+    /// Directions that the data do not determine.
+    pub unidentified: Vec<Direction>,
+    /// Why, for each of them.
+    pub explanations: Vec<Explanation>,
+    /// Which tests say what of each state.
+    pub observability: Observability,
+    /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
+    pub phases: Vec<PhaseObservability>,
+}
+
+/// All of it before any fit: at the start values.
+pub fn examine_at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<Examination, FitError> {
+    let (problem, point, sums) = kalfit_estimate::at_start(reductions, structure)?;
+    Ok(examination((&problem, &point, &sums), structure, (reductions, reductions), phases(&problem, reductions)))
+}
+
+/// `evidence`: what the estimate was made from, where that is not the reductions.
+pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &Reductions) -> Examination {
+    let state = &estimate.state;
+    let phases = phases(&state.problem, reductions);
+    let at = (&*state.problem, &state.newton_iterate.point, &state.sums);
+    let mut found = examination(at, &state.structure(), (evidence, reductions), phases);
+    for (direction, explanation) in with_parameters(state) {
+        match found.unidentified.iter().position(|other| is_same(other, &direction)) {
+            Some(at) => found.explanations[at].also(&explanation),
+            None => {
+                found.unidentified.push(direction);
+                found.explanations.push(explanation);
+            }
+        }
+    }
+    found
+}
+
+/// Directions of one quantity that are one but for rounding.
+fn is_same(one: &Direction, other: &Direction) -> bool {
+    let mut pairs = one.direction.iter().zip(&other.direction);
+    one.quantity == other.quantity && pairs.all(|(a, b)| (a - b).abs() < FAINT)
+}
+
+/// What mean and covariance do along directions in which ℓ does not change while dynamic parameters move.
+fn with_parameters(state: &FinalState) -> Vec<(Direction, Explanation)> {
+    let Some(joint) = state.joint.as_ref().filter(|joint| !joint.flat.is_empty()) else { return Vec::new() };
+    let law = AsymptoticLaw::new(state);
+    let (problem, scale) = (&state.problem, &state.problem.classes.frame.scale);
+    let means = problem.mean_units();
+    let elements: Vec<f64> = problem.covariance.elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
+    let of = |flat: &FlatDirection| {
+        let mut moved = law.jacobian().times(&flat.inner);
+        let first = moved.len() - elements.len();
+        moved.rows_mut(first, elements.len()).zip_apply(&flat.moves, |own, by_matrices| *own += by_matrices);
+        let least = FAINT * moved.amax();
+        moved.apply(|weight| *weight = if weight.abs() > least { *weight } else { 0.0 });
+        let parts = [(Quantity::Mean, 0, &means[..]), (Quantity::Covariance, first, &elements[..])].map(
+            |(quantity, at, units)| {
+                let own = moved.rows(at, units.len()).into_owned();
+                let explanation = Explanation {
+                    reason: Reason::WithParameters { parameters: flat.parameters.clone() },
+                    tests: Vec::new(),
+                };
+                (own.amax() > 0.0).then(|| (out(quantity, &own, units), explanation))
+            },
+        );
+        parts.into_iter().flatten()
+    };
+    joint.flat.iter().flat_map(of).collect()
+}
+
+fn examination(
+    (problem, point, sums): (&Problem, &Point, &Sums),
+    structure: &Structure<'_>,
+    (evidence, reductions): (&Reductions, &Reductions),
+    phases: Vec<PhaseObservability>,
+) -> Examination {
+    let unidentified = directions(problem, point, sums);
+    // what tests in groups say of their states they say by themselves
+    let alone = problem.classes.units.as_ref().and_then(|_| problem.apart(structure, point, reductions));
+    let (of, point, seen) = match &alone {
+        Some((alone, point)) => (alone, point, reductions),
+        None => (problem, point, evidence),
+    };
+    let p = of.classes.dimension();
+    let weight = sums.mean_information.view((0, 0), (p, p)).clone_owned();
+    let observability = observability(of, point, &weight, seen);
+    Examination { explanations: explain(problem, &unidentified, &observability), unidentified, observability, phases }
+}
+
+/// Unidentified directions at an estimate.
+pub fn identifiability(estimate: &Estimate) -> Vec<Direction> {
+    let state = &estimate.state;
+    directions(&state.problem, &state.newton_iterate.point, &state.sums)
+}
+
+pub fn directions(problem: &Problem, point: &Point, sums: &Sums) -> Vec<Direction> {
+    let chart = problem.covariance.chart(&point.root);
+    let free = problem.covariance.free_directions(&chart);
+    let mut found = mean_directions(problem);
+    found.extend(covariance_directions(problem, (&chart.root, &free), sums));
+    found.extend(of_single_groups(problem, &free.row_sizes()));
+    found
+}
+
+/// What the only group of a level adds, which is not told from the mean.
+fn of_single_groups(problem: &Problem, free: &[f64]) -> Vec<Direction> {
+    let elements = &problem.covariance.elements;
+    let alone = |&e: &usize| {
+        let (i, _) = elements.at(e).expect("an element");
+        problem.is_one_group(elements.block_of(i)) && free[e] > 0.0
+    };
+    let one = |e: usize| {
+        let direction = (0..elements.count()).map(|k| f64::from(u8::from(k == e))).collect();
+        Direction { quantity: Quantity::Covariance, direction }
+    };
+    (0..elements.count()).filter(alone).map(one).collect()
+}
+
+fn mean_directions(problem: &Problem) -> Vec<Direction> {
+    let (basis, regressors, pooled) = (problem.mean_jacobian(), &problem.mean.regressors, &problem.classes.information);
+    let information = match regressors.is_empty() {
+        true => basis.transpose() * pooled * basis,
+        false => basis.transpose() * problem.classes.mean_information(regressors) * basis,
+    };
+    let units = problem.mean_units();
+    // in η the average test has unit information on each element, so 1 is the natural size
+    null_space(&|| information.clone(), &vec![1.0; basis.ncols()], pooled.diagonal().amax())
+        .into_iter()
+        .map(|v| out(Quantity::Mean, &(basis * v), &units))
+        .collect()
+}
+
+/// A direction in η, in the user's units.
+fn out(quantity: Quantity, direction: &DVector<f64>, units: &[f64]) -> Direction {
+    Direction { quantity, direction: in_units(direction, units.iter()) }
+}
+
+fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Sparse), sums: &Sums) -> Vec<Direction> {
+    let information = || free.congruence_of(sums.expected_information());
+    let scale = &problem.classes.frame.scale;
+    let elements = &problem.covariance.elements;
+    let units: Vec<f64> = elements.all().map(|(i, j)| scale[i] * scale[j]).collect();
+    let sizes = natural_sizes(root);
+    let sizes: Vec<f64> = elements.all().map(|(i, j)| sizes[i] * sizes[j]).collect();
+    let own = free.columns().map(|c| harmonic(c.iter().map(|&(row, x)| (x, sizes[row])))).collect::<Vec<_>>();
+    null_space(&information, &own, 0.0)
+        .into_iter()
+        .map(|v| out(Quantity::Covariance, &free.times(&v), &units))
+        .collect()
+}
+
+/// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A coordinate is one
+/// itself when, in steps of its size, it has nothing beside the best known one and beside `elsewhere`. The information is made where it
+/// is wanted: of many states it is most of the memory there is.
+fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
+    let mut scaled = information();
+    let (n, diagonal) = (scaled.nrows(), scaled.diagonal());
+    let own = |i: usize| diagonal[i] * sizes[i].powi(2);
+    let largest = (0..n).map(own).fold(elsewhere, f64::max);
+    let known = |i: usize| own(i) > 1e-14 * largest;
+    let scale = DVector::from_fn(n, |i, _| if known(i) { diagonal[i].sqrt().recip() } else { 1.0 });
+    let rescale = |matrix: &mut DMatrix<f64>| {
+        for (j, mut column) in matrix.column_iter_mut().enumerate() {
+            for (i, x) in column.iter_mut().enumerate() {
+                *x = if known(i) && known(j) { scale[i] * *x * scale[j] } else { 0.0 };
+            }
+        }
+    };
+    rescale(&mut scaled);
+    let flat = if Regular::within(scaled).is_some() {
+        let unknown: Vec<usize> = (0..n).filter(|&i| !known(i)).collect();
+        let mut flat = DMatrix::zeros(n, unknown.len());
+        unknown.iter().enumerate().for_each(|(c, &i)| flat[(i, c)] = 1.0);
+        flat
+    } else {
+        let mut scaled = information();
+        rescale(&mut scaled);
+        let (values, vectors) = symmetric::eigen(&scaled);
+        vectors.select_columns(&(0..n).filter(|&k| values[k] < NONE).collect::<Vec<_>>())
+    };
+    let simple = simplest(flat);
+    simple.column_iter().map(|v| v.component_mul(&scale)).collect()
+}

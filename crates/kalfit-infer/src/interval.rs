@@ -1,0 +1,176 @@
+//! 95 % intervals: Wald's, on scales where the law is nearly normal, and by profile likelihood.
+
+use rayon::prelude::*;
+
+use crate::ends::{Holds, Profile};
+use crate::held::{Held, HeldMaximum, Holder};
+use crate::holdable::{Holdable, Quantities};
+use crate::information::Uncertainty;
+use crate::progress::SharedProgress;
+use kalfit_algebra::elements::Elements;
+use kalfit_estimate::{Criterion, Estimate, Point};
+
+/// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
+pub(crate) const QUANTILE: f64 = 1.959_963_984_540_054;
+
+/// How intervals are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum IntervalKind {
+    /// From standard errors: of means as they are, of standard deviations in logarithms, of correlations in Fisher's z.
+    #[default]
+    Wald,
+    /// Values that the likelihood-ratio test at 5 % does not reject.
+    Profile,
+}
+
+pub use kalfit_search::Interval;
+
+/// 95 % intervals in the user's units. `None` where a quantity is fixed or not identified.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Intervals {
+    /// How they were made.
+    pub kind: IntervalKind,
+    /// How many come from standard errors where profiles were asked for, those of means under the restricted likelihood apart.
+    pub unprofiled: usize,
+    /// The intervals; of the variances, the squares of those of the standard deviations.
+    pub ends: Quantities<Interval>,
+}
+
+impl Intervals {
+    fn none(kind: IntervalKind, estimate: &Estimate) -> Intervals {
+        let ends = Quantities::all(None, estimate.mean.len(), estimate.coefficients.len());
+        Intervals { kind, unprofiled: 0, ends }
+    }
+
+    pub(crate) fn set(&mut self, what: Holdable, interval: Interval) {
+        self.ends.set(what, interval);
+        if let Holdable::StdDev(i) = what {
+            self.ends.covariance[i][i] = interval.map(|ends| ends.map(|end| end.map(|s| s * s)));
+        }
+    }
+}
+
+/// Intervals from standard errors.
+pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
+    let mut found = Intervals::none(IntervalKind::Wald, estimate);
+    let elements = &estimate.state.problem.covariance.elements;
+    for what in quantities(elements, estimate.coefficients.len()) {
+        let value = value(estimate, what);
+        let interval = uncertainty.errors.of(what).zip(value).and_then(|(e, x)| {
+            let around = |centre: f64, e: f64| [centre - QUANTILE * e, centre + QUANTILE * e];
+            let ends = match what {
+                Holdable::StdDev(_) if x > 0.0 => around(x.ln(), e / x).map(f64::exp),
+                Holdable::Correlation(..) if x.abs() < 1.0 => around(x.atanh(), e / (1.0 - x * x)).map(f64::tanh),
+                Holdable::StdDev(_) | Holdable::Correlation(..) => return None,
+                _ => around(x, e),
+            };
+            ends.iter().all(|end| end.is_finite()).then(|| ends.map(Some))
+        });
+        found.set(what, interval);
+    }
+    found
+}
+
+/// Intervals by profile likelihood; of means under the restricted likelihood, which has no profile of them, Wald's. A quantity on the
+/// boundary has one too; one for which no certified maximum is found near an end has none there. `None` once nobody waits any longer.
+pub(super) fn profile(
+    estimate: &Estimate,
+    uncertainty: &Uncertainty,
+    free: &Quantities<bool>,
+    progress: &SharedProgress<'_>,
+) -> Option<Intervals> {
+    let mut found = Intervals::none(IntervalKind::Profile, estimate);
+    if estimate.criterion == Criterion::Reml {
+        let wald = wald(estimate, uncertainty).ends;
+        (found.ends.mean, found.ends.coefficients) = (wald.mean, wald.coefficients);
+    }
+    let wanted = profiled(estimate, free);
+    let holder = Holder::new(&estimate.state);
+    found.follow((estimate, uncertainty), &wanted, (&holder, &estimate.state.newton_iterate.point), progress);
+    (!progress.stops()).then_some(found)
+}
+
+/// Free quantities that have a profile: under the restricted likelihood means have none.
+pub(crate) fn profiled(estimate: &Estimate, free: &Quantities<bool>) -> Vec<Holdable> {
+    let elements = &estimate.state.problem.covariance.elements;
+    let of_mean = |what: &Holdable| matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_));
+    let has_profile = |what: &Holdable| estimate.criterion == Criterion::Ml || !of_mean(what);
+    let all = quantities(elements, estimate.coefficients.len()).into_iter();
+    all.filter(|what| free.of(*what) && value(estimate, *what).is_some() && has_profile(what)).collect()
+}
+
+impl Intervals {
+    /// Puts the profile intervals of some quantities in place; `start` is the maximum.
+    pub(crate) fn follow<H: Holds<What = Holdable>>(
+        &mut self,
+        (estimate, uncertainty): (&Estimate, &Uncertainty),
+        wanted: &[Holdable],
+        (holder, start): (&H, &H::Near),
+        progress: &SharedProgress<'_>,
+    ) {
+        let ends: Vec<Interval> = wanted
+            .par_iter()
+            .map(|&what| {
+                let centre = value(estimate, what)?;
+                let step = uncertainty.errors.of(what).map_or_else(|| guess(estimate, what), |e| QUANTILE * e);
+                let maximum = estimate.state.newton_iterate.local.value;
+                let (name, limits) = (progress.name(what), limits(what));
+                let profile = Profile { holder, what, name, centre, maximum, quantile: QUANTILE, limits, progress };
+                Some([profile.end(start, -step), profile.end(start, step)])
+            })
+            .collect();
+        wanted.iter().zip(ends).for_each(|(&what, interval)| self.set(what, interval));
+    }
+}
+
+pub(crate) fn quantities(elements: &Elements, coefficients: usize) -> Vec<Holdable> {
+    let p = elements.states();
+    let below = || elements.all().filter(|(i, j)| i != j);
+    let mut all = Vec::with_capacity(2 * p + coefficients + 2 * elements.count());
+    all.extend((0..p).map(Holdable::Mean));
+    all.extend((0..coefficients).map(Holdable::Coefficient));
+    all.extend((0..p).map(Holdable::StdDev));
+    all.extend(below().map(|(i, j)| Holdable::Covariance(i, j)));
+    all.extend(below().map(|(i, j)| Holdable::Correlation(i, j)));
+    all
+}
+
+pub(crate) fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
+    what.value(&estimate.mean, &estimate.coefficients, &estimate.covariance)
+}
+
+/// A first step for a quantity of Σ without a standard error, from Σ_j W_j alone.
+fn guess(estimate: &Estimate, what: Holdable) -> f64 {
+    let state = &estimate.state;
+    let (scale, weight) = (&state.problem.classes.frame.scale, &state.newton_iterate.local.weight);
+    let tests = state.problem.classes.tests as f64;
+    let unit = |i: usize| {
+        let own = weight[(i, i)];
+        scale[i] * if own > 0.0 { ((8.0 * tests).sqrt() / own).sqrt() } else { 1.0 }
+    };
+    match what {
+        Holdable::Mean(i) | Holdable::StdDev(i) => unit(i),
+        Holdable::Covariance(i, j) => unit(i) * unit(j),
+        Holdable::Correlation(..) => 0.5,
+        Holdable::Coefficient(_) => 1.0,
+    }
+}
+
+impl Holds for Holder<'_> {
+    const PRECISION: f64 = 1e-6;
+    type What = Holdable;
+    type Near = Point;
+
+    fn held(&self, what: Holdable, value: f64, near: &Point) -> Option<Held<Point>> {
+        self.maximum(what, value, near).map(HeldMaximum::point)
+    }
+}
+
+/// Values beyond which a quantity cannot go, below and above.
+fn limits(what: Holdable) -> [Option<f64>; 2] {
+    match what {
+        Holdable::StdDev(_) => [Some(0.0), None],
+        Holdable::Correlation(..) => [Some(-1.0), Some(1.0)],
+        _ => [None; 2],
+    }
+}

@@ -1,0 +1,158 @@
+//! What tests say of themselves and of each other where they stand in groups (theory §11): posteriors and distances of tests and of
+//! groups, and the answer without each of them.
+
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::deletion::{Deletion, searched};
+use crate::posterior::distance;
+use crate::posteriors::{Distance, Posteriors};
+use crate::progress::SharedProgress;
+use kalfit_algebra::symmetric;
+use kalfit_estimate::Order;
+use kalfit_estimate::{Estimate, LevelPosteriors, Point, Problem, TestPosterior, Units, level_posteriors};
+use kalfit_filter::reduce::Reductions;
+
+/// The answer without each test, or each group of a level.
+type Deletions = Vec<Option<Deletion>>;
+
+/// Results of one group.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroupPosterior {
+    /// log p of all measurements of its tests, by themselves.
+    pub log_likelihood: f64,
+    /// E[m | z] of the mean m of its members, regressions apart (p).
+    pub mean: Vec<f64>,
+    /// Var[m | z] (p × p).
+    pub covariance: DMatrix<f64>,
+    /// How far the group is from the population.
+    pub distance: Distance,
+    /// Squares of how far its tests and inner groups are from each other, χ² with as many degrees of freedom as the distances of its tests
+    /// have more than its own.
+    pub within: f64,
+    /// Number of its tests.
+    pub tests: usize,
+    /// How `mean` follows μ and the regression coefficients (p × (p + coefficients)); `None` without regressions.
+    pub follows: Option<DMatrix<f64>>,
+}
+
+/// Tests in groups, with their reductions in what is a test's own and what each of its groups adds.
+struct GroupedTests<'a> {
+    problem: &'a Problem,
+    evidence: &'a Reductions,
+    units: &'a Units,
+}
+
+impl GroupedTests<'_> {
+    fn at(&self, point: &Point) -> LevelPosteriors {
+        let constants: Vec<f64> = self.evidence.iter().map(|reduction| reduction.constant).collect();
+        let regressors = &self.problem.mean.regressors;
+        level_posteriors(self.units, (point, regressors), Some(&constants), !regressors.is_empty())
+    }
+
+    /// In the user's units.
+    fn covariance(&self, numbers: &[f64]) -> DMatrix<f64> {
+        let (p, scale) = (self.units.states, &self.problem.classes.frame.scale);
+        symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
+    }
+
+    /// In the user's units; `None` of nothing.
+    fn follows(&self, numbers: &[f64]) -> Option<DMatrix<f64>> {
+        let p = self.units.states;
+        let units = self.problem.mean_units();
+        let (own, coefficients) = (&units[..p], &units[units.len() - self.problem.mean.regressors.len()..]);
+        let of: Vec<f64> = own.iter().chain(coefficients).copied().collect();
+        let entry = |i: usize, c: usize| numbers[i * of.len() + c] * own[i] / of[c];
+        (!numbers.is_empty()).then(|| DMatrix::from_fn(p, of.len(), entry))
+    }
+
+    fn group(&self, found: &kalfit_estimate::ScaledGroupPosterior, tests: usize) -> GroupPosterior {
+        GroupPosterior {
+            log_likelihood: found.log_density,
+            mean: self.problem.classes.frame.mean_out(&found.mean),
+            covariance: self.covariance(&found.covariance),
+            distance: Distance::new(found.squared, found.degrees_of_freedom),
+            within: found.within,
+            tests,
+            follows: self.follows(&found.follows),
+        }
+    }
+}
+
+/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first; `None` where there are no groups.
+/// A test's likelihood and distance are those of the test by itself.
+pub(super) fn posteriors(
+    problem: &Problem,
+    point: &Point,
+    evidence: &Reductions,
+) -> Option<(Posteriors, Vec<Vec<GroupPosterior>>)> {
+    problem.classes.units.as_ref()?;
+    let classes = problem.classes.of(evidence);
+    let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
+    let found = ensemble.at(point);
+    let grouping = &ensemble.units.grouping;
+    let own: Vec<(f64, Distance)> =
+        (0..evidence.len()).into_par_iter().map(|j| distance(problem, point, evidence, j)).collect();
+    let mut tests = Posteriors::new(vec![ensemble.units.states]);
+    for (j, own) in own.into_iter().enumerate() {
+        let number = grouping.number(evidence.id(j)).expect("it was grouped");
+        let TestPosterior { mean, covariance, .. } = &found.tests[number];
+        let covariance = ensemble.covariance(covariance);
+        tests.push(own, &problem.classes.frame.mean_out(mean), covariance.as_slice());
+    }
+    let of_level = |(level, groups): (usize, &Vec<kalfit_estimate::ScaledGroupPosterior>)| {
+        groups.iter().zip(grouping.groups(level)).map(|(one, group)| ensemble.group(one, group.tests)).collect()
+    };
+    Some((tests, found.groups.iter().enumerate().map(of_level).collect()))
+}
+
+/// The fit without each test, in their order, and without each group of each level, the innermost first. `None` where the others alone
+/// have no certified optimum, and where there are no others; of all once nobody waits any longer.
+pub(super) fn deletions(
+    estimate: &Estimate,
+    evidence: &Reductions,
+    progress: &SharedProgress<'_>,
+) -> Option<(Deletions, Vec<Deletions>)> {
+    let problem = &estimate.state.problem;
+    let classes = problem.classes.of(evidence);
+    let ensemble = GroupedTests { problem, evidence, units: classes.units.as_ref()? };
+    let whole = problem.likelihood(&estimate.state.newton_iterate.point, Order::First).value;
+    let tests = progress.each(evidence.len(), |j| {
+        let (point, found) = ensemble.without(estimate, &[j], whole)?;
+        let (_, distance) = distance(problem, &point, evidence, j);
+        Some(Deletion { distance, ..found })
+    })?;
+    let grouping = &ensemble.units.grouping;
+    let of_level = |level: usize| -> Option<Deletions> {
+        let mut members = vec![Vec::new(); grouping.groups(level).len()];
+        for j in 0..evidence.len() {
+            let number = grouping.number(evidence.id(j)).expect("it was grouped");
+            members[grouping.group_of(number, level)].push(j);
+        }
+        let without = |group: usize| {
+            let (point, found) = ensemble.without(estimate, &members[group], whole)?;
+            let own = &ensemble.at(&point).groups[level][group];
+            Some(Deletion { distance: Distance::new(own.squared, own.degrees_of_freedom), ..found })
+        };
+        progress.each(members.len(), without)
+    };
+    Some((tests, (0..grouping.depth()).map(of_level).collect::<Option<_>>()?))
+}
+
+impl GroupedTests<'_> {
+    /// The fit without some tests, and where it ends; its distance is not looked at.
+    fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
+        let problem = self.problem;
+        let (point, others) = searched(estimate, self.evidence, removed)?;
+        let there = problem.likelihood(&point, Order::First).value;
+        let of_others =
+            Problem::within(&others, &estimate.state.structure(), problem).ok()?.likelihood(&point, Order::First).value;
+        let deletion = Deletion {
+            estimate: problem.values_of(&point),
+            log_density: there - of_others,
+            distance: Distance::new(0.0, 0),
+            displacement: (2.0 * (whole - there)).max(0.0),
+        };
+        Some((point, deletion))
+    }
+}

@@ -1,0 +1,217 @@
+//! How far each number can be trusted: standard errors, sensitivities, identifiability, and what each test says.
+//!
+//! ```text
+//! Var θ̂ = H⁻¹, H = -∂²ℓ/∂θ²                                     standard errors, from the observed information
+//! V_j = Σ(I + J_jΣ)⁻¹,  x̂_j = μ + V_j(y_j - J_jμ)               what test j says of its own ξ                   (10), (11)
+//! λ = dℓ_max / d(value)                                         the price of a constraint                       (17)-(19)
+//! -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis)           χ², or a mixture of χ² on the boundary
+//! ```
+
+mod constraint;
+mod deletion;
+mod direction;
+pub mod dynamic;
+mod each;
+mod ends;
+mod estimated;
+mod estimates;
+mod held;
+mod holdable;
+mod identifiability;
+mod information;
+mod interval;
+mod knowledge;
+mod law;
+mod levels;
+mod mean_limits;
+mod observability;
+mod observed;
+mod phases;
+mod posterior;
+mod posteriors;
+mod progress;
+mod ratio;
+mod reason;
+mod std_errors;
+
+pub use constraint::{Sensitivity, sensitivities};
+pub use deletion::Deletion;
+pub use direction::{Direction, Quantity};
+pub use each::{deletions, posteriors};
+pub use each::{deletions_while, posteriors_at};
+pub use estimated::Estimated;
+pub use estimates::EstimateCovariance;
+pub use holdable::Quantities;
+pub use identifiability::{Examination, examine_at_start, identifiability};
+pub use information::{Boundary, Uncertainty, free, uncertainty};
+pub use interval::{Interval, IntervalKind, Intervals, wald};
+pub use kalfit_algebra::elements::Element;
+pub use knowledge::{Estimand, Knowledge};
+pub use levels::GroupPosterior;
+pub use mean_limits::{MeanCombination, mean_limits};
+pub use observability::{Leading, MOST_TESTS, Observability, Shortage, StateObservability, WEAK, WeakDirection};
+pub use phases::PhaseObservability;
+pub use posteriors::{Distance, Posterior, Posteriors};
+pub use ratio::{
+    Bootstrap, BootstrapResult, Component, GoesOn, LikelihoodRatio, NotNested, NotNestedParameter, ReferenceLaw,
+    Restricted, at_least, bootstrap, bootstrap_while, fit_null, likelihood_ratio, restricted,
+};
+pub use reason::{Explanation, Reason};
+pub use std_errors::StdErrors;
+
+pub use constraint::{holds_any, is_held};
+pub(crate) use ends::{Holds, Profile};
+pub(crate) use held::{Held, HeldMaximum, Holder};
+pub use holdable::Holdable;
+pub use identifiability::directions;
+pub use information::uncertainty_at;
+pub(crate) use interval::{QUANTILE, profiled, quantities, value};
+pub use knowledge::MOST as MOST_OF_A_VALUE;
+pub(crate) use law::AsymptoticLaw;
+pub use observability::counted;
+pub use progress::SharedProgress;
+pub(crate) use ratio::replicates;
+
+use deletion::deletion_work;
+use kalfit_estimate::{Criterion, Estimate, Progress, Silent};
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::PhasedModel;
+
+/// What to infer, and how.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Choices {
+    /// What standard errors are made of; under the restricted likelihood always the observed information.
+    pub std_errors: StdErrors,
+    /// How intervals are made.
+    pub intervals: IntervalKind,
+    /// Whether each test is left out in turn.
+    pub deletion: DeletionChoice,
+    /// Whether to say what each test says.
+    pub tests: TestsChoice,
+}
+
+/// Whether to say what each test says: of very many tests that takes more memory than the fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum TestsChoice {
+    /// Every test.
+    #[default]
+    Each,
+    /// None: no posteriors, and no fits without each test.
+    None,
+}
+
+/// Whether each test is left out in turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DeletionChoice {
+    /// When that takes about a second at most.
+    #[default]
+    Cheap,
+    /// Whatever it takes.
+    All,
+    /// Never.
+    None,
+}
+
+/// Multiplications that count as cheap.
+const CHEAP: f64 = 5e8;
+
+/// All that is inferred from an estimate.
+#[derive(Debug, Clone)]
+pub struct Inference {
+    /// What standard errors are made of.
+    pub std_errors: StdErrors,
+    /// Standard errors and the boundary.
+    pub uncertainty: Uncertainty,
+    /// The covariance of all that was estimated; `None` of very many numbers.
+    pub estimates: Option<EstimateCovariance>,
+    /// 95 % intervals.
+    pub intervals: Intervals,
+    /// Directions that the data do not determine.
+    pub unidentified: Vec<Direction>,
+    /// Why, for each of them.
+    pub explanations: Vec<Explanation>,
+    /// Which tests say what of each state.
+    pub observability: Observability,
+    /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
+    pub phases: Vec<PhaseObservability>,
+    /// What each constraint costs.
+    pub sensitivities: Vec<Sensitivity>,
+    /// What each test says, in the order of the reductions; empty when that was not asked for.
+    pub posteriors: Posteriors,
+    /// The fit without each test, in the order of the reductions; `None` when that was not asked for.
+    pub deletions: Option<Vec<Option<Deletion>>>,
+    /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups, or where it was not asked for.
+    pub groups: Vec<Vec<GroupPosterior>>,
+    /// The fit without each of them; `None` when that was not asked for.
+    pub group_deletions: Option<Vec<Vec<Option<Deletion>>>>,
+}
+
+/// Infers all of it, from the reductions that the estimate was made from.
+pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> Inference {
+    inferred(estimate, reductions, choices, &SharedProgress::new(&mut Silent, None))
+}
+
+/// As [`infer`], as long as somebody waits, who hears which interval is sought. Once nobody does, intervals are those from standard
+/// errors, and fits without each test are left out.
+pub fn infer_while(
+    model: &PhasedModel,
+    (estimate, reductions): (&Estimate, &Reductions),
+    choices: Choices,
+    progress: &mut dyn Progress,
+) -> Inference {
+    inferred(estimate, reductions, choices, &SharedProgress::new(progress, Some(model)))
+}
+
+/// The same, where threads share whoever waits.
+pub(crate) fn inferred(
+    estimate: &Estimate,
+    reductions: &Reductions,
+    choices: Choices,
+    progress: &SharedProgress<'_>,
+) -> Inference {
+    let evidence = estimate.state.evidence(reductions);
+    let Examination { unidentified, explanations, observability, phases } =
+        identifiability::examine(estimate, &evidence, reductions);
+    let std_errors = match estimate.criterion {
+        Criterion::Ml => choices.std_errors,
+        Criterion::Reml => StdErrors::Observed, // what it adds to ℓ is no sum over tests
+    };
+    let (uncertainty, estimates) = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
+    let profiled = match choices.intervals {
+        IntervalKind::Wald => None,
+        IntervalKind::Profile => interval::profile(estimate, &uncertainty, &free(estimate, &unidentified), progress),
+    };
+    let intervals = profiled.unwrap_or_else(|| wald(estimate, &uncertainty));
+    let each = choices.tests == TestsChoice::Each;
+    let wanted = match choices.deletion {
+        _ if !each => false,
+        DeletionChoice::Cheap => deletion_work(estimate, reductions.len()) <= CHEAP,
+        DeletionChoice::All => true,
+        DeletionChoice::None => false,
+    };
+    let grouped = estimate.grouping().is_some();
+    let (posteriors, groups) = match each {
+        true => each::estimated(estimate, reductions),
+        false => (Posteriors::default(), Vec::new()),
+    };
+    let (deletions, group_deletions) = match wanted {
+        true if grouped => levels::deletions(estimate, &evidence, progress).unzip(),
+        true => (deletions_while(estimate, reductions, progress), None),
+        false => (None, None),
+    };
+    Inference {
+        std_errors,
+        phases,
+        intervals,
+        uncertainty,
+        estimates,
+        sensitivities: sensitivities(estimate),
+        posteriors,
+        deletions,
+        groups,
+        group_deletions,
+        unidentified,
+        explanations,
+        observability,
+    }
+}

@@ -1,0 +1,379 @@
+//! Which tests say what of each state (theory §5, the paper's 2.3).
+//!
+//! A test informs a state when its measurements depend on it (row of J not zero), and observes it when it could estimate it
+//! alone (the unit vector of the state in the range of J). The mean of a state is then known from
+//!
+//! ```text
+//! I = Σ_j W_j        variance of μ̂_i = u'Iu with u = I⁺e_i = Σ_j u'W_ju
+//! ```
+//!
+//! on the free directions of μ: test j's part of that sum is its share of what is known of the mean. A direction of the mean
+//! is weakly determined when it is nearly one that nothing was observed of: its condition index (Belsley, Kuh, Welsch 1980),
+//! √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+use crate::direction::{NONE, in_units};
+use crate::observed::{PART, column_norm, observe};
+use kalfit_algebra::fold::fold;
+use kalfit_algebra::symmetric;
+use kalfit_estimate::{Classes, CoordinateForm, PhaseForm, Point, Problem, Summed, map_forms};
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::remote::Coordinates;
+
+/// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
+pub const WEAK: f64 = 30.0;
+/// No more ids of tests than this are listed.
+pub const MOST_TESTS: usize = 20;
+/// A column of R below this part of that of the test with the largest is rounding error.
+const TRACE: f64 = 1e-12;
+
+/// What the ensemble says of the estimated states and of the mean.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observability {
+    /// By element of μ.
+    pub states: Vec<StateObservability>,
+    /// Number of tests that inform both i and k, p × p by rows.
+    pub together: Vec<Vec<usize>>,
+    /// Directions of the mean that are known much worse than its elements suggest, the worst first.
+    pub weak: Vec<WeakDirection>,
+    /// Blocks of Σ that too few tests inform.
+    pub shortages: Vec<Shortage>,
+}
+
+/// How well the ensemble determines one state.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StateObservability {
+    /// Number of tests whose measurements depend on it.
+    pub informed_by: usize,
+    /// Number of tests that could estimate it alone.
+    pub observed_by: usize,
+    /// Ids of the tests that inform it, in order, when there are at most [`MOST_TESTS`]; else none.
+    pub tests: Vec<String>,
+    /// The test that most of what is known of its mean rests on; `None` where that is fixed or not identified. Regression
+    /// coefficients are taken as known.
+    pub leading: Option<Leading>,
+}
+
+/// A test and its share of what is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Leading {
+    /// Id of the test; of several with the same share, the first by id.
+    pub test: String,
+    /// Its share, 0 to 1.
+    pub share: f64,
+}
+
+/// A weakly determined direction of the mean.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeakDirection {
+    /// A unit vector in the user's units (p).
+    pub direction: Vec<f64>,
+    /// Its condition index.
+    pub condition: f64,
+    /// The test with the most information on it.
+    pub leading: Option<Leading>,
+}
+
+/// A block of Σ whose estimate must be singular: `tests` tests allow it no higher rank than `rank`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Shortage {
+    /// Elements of the block that any test informs.
+    pub states: Vec<usize>,
+    /// Tests that inform any of them.
+    pub tests: usize,
+    /// The highest rank that Σ can have there: one less than the tests when a mean is free, for then Σ r_j = 0 in GΣ = 0.
+    pub rank: usize,
+}
+
+/// The classes of the tests, and which states each of them informs and observes.
+struct ClassViews<'a> {
+    classes: &'a Classes,
+    reductions: &'a Reductions,
+    /// p of each class.
+    informs: Vec<bool>,
+    observes: Vec<bool>,
+}
+
+/// Tests of one class.
+struct ClassView<'a> {
+    /// Their numbers, in order of their ids.
+    tests: &'a [usize],
+    informs: &'a [bool],
+    observes: &'a [bool],
+}
+
+pub(crate) fn observability(
+    problem: &Problem,
+    point: &Point,
+    weight: &DMatrix<f64>,
+    reductions: &Reductions,
+) -> Observability {
+    if problem.classes.remote.is_some() {
+        return afar(problem, weight);
+    }
+    let p = problem.classes.dimension();
+    let classes = problem.classes.of(reductions);
+    let designs = ClassViews::new(&classes, reductions);
+    let shares = Shares { problem, point, designs: &designs };
+    let (known, weak) = known_and_weak(problem, weight);
+    let mut directions: Vec<DVector<f64>> = known.iter().flatten().cloned().collect();
+    directions.extend(weak.iter().map(|(direction, _)| direction.clone()));
+    let mut leading = shares.leading(&directions).into_iter();
+    let states = (0..p)
+        .map(|i| StateObservability {
+            informed_by: designs.count(|d| d.informs[i]),
+            observed_by: designs.count(|d| d.observes[i]),
+            tests: designs.listed(|d| d.informs[i]),
+            leading: known[i].as_ref().and_then(|_| leading.next().expect("one for each direction")),
+        })
+        .collect();
+    let weak = weak.into_iter().map(|own| out(problem, own, leading.next().expect("one for each direction")));
+    Observability {
+        states,
+        weak: weak.collect(),
+        together: designs.together(p),
+        shortages: shortages(problem, &designs),
+    }
+}
+
+/// The same of tests that are elsewhere: numbers of tests, and none by its id.
+fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
+    let p = problem.classes.dimension();
+    let counts =
+        problem.told_counts().filter(|numbers| numbers.len() == p * (p + 2)).unwrap_or_else(|| vec![0.0; p * (p + 2)]);
+    let count = |at: usize| counts[at] as usize;
+    let (_, weak) = known_and_weak(problem, weight);
+    let state = |i: usize| StateObservability {
+        informed_by: count(i),
+        observed_by: count(p + i),
+        tests: Vec::new(),
+        leading: None,
+    };
+    let weak = weak.into_iter().map(|own| out(problem, own, None));
+    Observability {
+        states: (0..p).map(state).collect(),
+        together: (0..p).map(|i| (0..p).map(|k| count(p * (2 + i) + k)).collect()).collect(),
+        weak: weak.collect(),
+        shortages: Vec::new(),
+    }
+}
+
+/// What a place answers to [`Question::Observability`]; `None` where that is not of its model.
+pub fn counted(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
+    let p = frame.centre.len();
+    let reductions = summed.reductions.clone();
+    let classes = summed.apart(frame)?;
+    let designs = ClassViews::new(&classes, &reductions);
+    let informed = (0..p).map(|i| designs.count(|d| d.informs[i]));
+    let observed = (0..p).map(|i| designs.count(|d| d.observes[i]));
+    let together = designs.together(p);
+    Some(informed.chain(observed).chain(together.into_iter().flatten()).map(|n| n as f64).collect())
+}
+
+impl Observability {
+    /// Ids of the tests that inform any of these states, in order, when there are at most [`MOST_TESTS`]; else none.
+    pub(super) fn tests_of(&self, states: &[usize]) -> Vec<String> {
+        let of = || states.iter().map(|&i| &self.states[i]);
+        if of().any(|state| state.informed_by > MOST_TESTS) {
+            return Vec::new();
+        }
+        let mut all: Vec<String> = of().flat_map(|state| state.tests.iter().cloned()).collect();
+        all.sort();
+        all.dedup();
+        if all.len() > MOST_TESTS { Vec::new() } else { all }
+    }
+}
+
+impl<'a> ClassViews<'a> {
+    fn new(classes: &'a Classes, reductions: &'a Reductions) -> ClassViews<'a> {
+        let (p, count) = (classes.dimension(), classes.len());
+        let first = |class: usize| told(classes, reductions, class);
+        let mut norms = vec![0.0; count * p];
+        norms.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, norms)| {
+            let factor = first(class);
+            norms.iter_mut().enumerate().for_each(|(k, to)| *to = column_norm(&factor, k));
+        });
+        let mut largest = vec![0.0_f64; p];
+        for norms in norms.chunks_exact(p.max(1)) {
+            largest.iter_mut().zip(norms).for_each(|(most, norm)| *most = most.max(*norm));
+        }
+        let informs: Vec<bool> = norms.iter().enumerate().map(|(at, norm)| *norm > TRACE * largest[at % p]).collect();
+        let mut observes = informs.clone();
+        observes.par_chunks_mut(p.max(1)).enumerate().for_each(|(class, observes)| {
+            observe(&first(class), &informs[class * p..][..p], observes);
+        });
+        ClassViews { classes, reductions, informs, observes }
+    }
+
+    /// Class by class.
+    fn iter(&self) -> impl Iterator<Item = ClassView<'_>> {
+        let p = self.classes.dimension();
+        (0..self.classes.len()).map(move |class| ClassView {
+            tests: self.classes.tests_of(class),
+            informs: &self.informs[class * p..][..p],
+            observes: &self.observes[class * p..][..p],
+        })
+    }
+
+    /// Number of tests of designs that `of` picks.
+    fn count(&self, of: impl Fn(&ClassView<'_>) -> bool) -> usize {
+        self.iter().filter(of).map(|design| design.tests.len()).sum()
+    }
+
+    /// Ids of the tests of designs that `of` picks, when they are few.
+    fn listed(&self, of: impl Fn(&ClassView<'_>) -> bool) -> Vec<String> {
+        let tests = self.iter().filter(of).flat_map(|design| design.tests).take(MOST_TESTS + 1);
+        let mut ids: Vec<String> = tests.map(|&test| self.reductions.id(test).to_owned()).collect();
+        if ids.len() > MOST_TESTS {
+            return Vec::new();
+        }
+        ids.sort();
+        ids
+    }
+
+    /// How many tests inform both of two states.
+    fn together(&self, p: usize) -> Vec<Vec<usize>> {
+        let mut alike: BTreeMap<&[bool], usize> = BTreeMap::new();
+        self.iter().for_each(|design| *alike.entry(design.informs).or_default() += design.tests.len());
+        let both = |i: usize, k: usize| {
+            alike.iter().filter(|(informs, _)| informs[i] && informs[k]).map(|(_, tests)| tests).sum()
+        };
+        (0..p).map(|i| (0..p).map(|k| both(i, k)).collect()).collect()
+    }
+}
+
+/// R of a class, packed, with what its tests measure exactly as rows of information like any other.
+fn told<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<'a, [f64]> {
+    let first = classes.tests_of(class)[0];
+    if reductions.exact(first).is_none() {
+        return Cow::Borrowed(reductions.factor(first));
+    }
+    let (p, scale) = (classes.dimension(), &classes.frame.scale);
+    let mut rows = classes.single(reductions, first).factor;
+    let mut upper = vec![0.0; p * p];
+    fold(&mut upper, &mut rows, p);
+    (0..p).flat_map(|k| (0..=k).map(move |i| (i, k))).map(|(i, k)| upper[i * p + k] / scale[k]).collect()
+}
+
+/// A direction of the mean in η and its condition index.
+type Weak = (DVector<f64>, f64);
+
+/// The same in the user's units.
+fn out(problem: &Problem, (direction, condition): Weak, leading: Option<Leading>) -> WeakDirection {
+    WeakDirection { direction: in_units(&direction, problem.classes.frame.scale.iter()), condition, leading }
+}
+
+/// In η: for each element of μ the direction I⁺e_i when its mean is free and identified; and the weak directions.
+fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVector<f64>>>, Vec<Weak>) {
+    let basis = &problem.mean.basis;
+    let (p, q) = basis.shape();
+    let information = basis.transpose() * weight * basis;
+    let scale = DVector::from_fn(q, |i, _| match information[(i, i)] {
+        own if own > 0.0 => own.sqrt().recip(),
+        _ => 0.0,
+    });
+    let scaled = DMatrix::from_fn(q, q, |i, k| scale[i] * information[(i, k)] * scale[k]);
+    let (values, vectors) = symmetric::eigen(&scaled);
+    let largest = values.last().copied().unwrap_or(0.0);
+    let seen = |k: &usize| values[*k] >= NONE;
+    let out = |v: DVector<f64>| basis * v.component_mul(&scale);
+    let weak = (0..q).filter(seen).map(|k| (k, (largest / values[k]).sqrt())).filter(|(_, index)| *index > WEAK);
+    let weak = weak.map(|(k, index)| (out(vectors.column(k).into()), index)).collect();
+    let known = |i: usize| {
+        let element: DVector<f64> = basis.row(i).transpose().component_mul(&scale);
+        let mut solution = DVector::zeros(q);
+        let mut left = element.clone();
+        for k in (0..q).filter(seen) {
+            let along = vectors.column(k).dot(&element);
+            solution.axpy(along / values[k], &vectors.column(k), 1.0);
+            left.axpy(-along, &vectors.column(k), 1.0);
+        }
+        let identified = basis.row(i).norm() > 0.0 && element.norm() > 0.0 && left.norm() <= PART * element.norm();
+        identified.then(|| out(solution))
+    };
+    ((0..p).map(known).collect(), weak)
+}
+
+/// The tests that directions of the mean rest on.
+struct Shares<'a> {
+    problem: &'a Problem,
+    point: &'a Point,
+    designs: &'a ClassViews<'a>,
+}
+
+impl Shares<'_> {
+    /// For each direction u the test with the largest u'W_ju, and its share of their sum.
+    fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
+        let ClassViews { classes, reductions, .. } = self.designs;
+        let p = classes.dimension();
+        let mut all = Parts::none(directions.len());
+        let directions = DMatrix::from_fn(p, directions.len(), |i, c| directions[c][i]);
+        let (regressors, point) = (&self.problem.mean.regressors, self.point);
+        let none = || Parts::none(directions.ncols());
+        let parts = map_forms(classes, (regressors, point), &directions, &none, &|parts, k, forms| {
+            let tests = classes.tests_of(k);
+            for (c, &own) in forms.iter().enumerate() {
+                parts.totals[c] += own * tests.len() as f64;
+                parts.offer(c, own, || reductions.id(tests[0]));
+            }
+        });
+        parts.into_iter().for_each(|parts| all.add(parts));
+        let Parts { totals, best } = all;
+        let share = |(best, total): (Option<(f64, &str)>, f64)| {
+            best.map(|(own, id)| Leading { test: id.to_owned(), share: (own / total).min(1.0) })
+        };
+        best.into_iter().zip(totals).map(share).collect()
+    }
+}
+
+/// For each direction u the sum of u'W_ju and its largest term, with the test it is of.
+struct Parts<'a> {
+    totals: Vec<f64>,
+    best: Vec<Option<(f64, &'a str)>>,
+}
+
+impl<'a> Parts<'a> {
+    fn none(directions: usize) -> Parts<'a> {
+        Parts { totals: vec![0.0; directions], best: vec![None; directions] }
+    }
+
+    fn add(&mut self, other: Parts<'a>) {
+        self.totals.iter_mut().zip(&other.totals).for_each(|(sum, part)| *sum += part);
+        for (c, best) in other.best.into_iter().enumerate() {
+            if let Some((own, test)) = best {
+                self.offer(c, own, || test);
+            }
+        }
+    }
+
+    /// The larger stays; of equals the first by id, which most are not asked for.
+    fn offer(&mut self, c: usize, own: f64, test: impl Fn() -> &'a str) {
+        let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test() < id);
+        if own > 0.0 && self.best[c].as_ref().is_none_or(better) {
+            self.best[c] = Some((own, test()));
+        }
+    }
+}
+
+/// Blocks of a Σ without fixed or equal elements that fewer tests inform than a regular estimate takes.
+fn shortages(problem: &Problem, designs: &ClassViews<'_>) -> Vec<Shortage> {
+    let map = &problem.covariance;
+    let loose = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();
+    let blocks = map.parts.iter().filter(loose).flat_map(|part| match &part.form {
+        CoordinateForm::Factor(blocks) => blocks.as_slice(),
+        _ => &[],
+    });
+    let shortage = |block: &Vec<usize>| {
+        let seen = |i: &usize| designs.count(|d| d.informs[*i]) > 0;
+        let states: Vec<usize> = block.iter().copied().filter(seen).collect();
+        let tests = designs.count(|d| states.iter().any(|&i| d.informs[i]));
+        let free = states.iter().any(|&i| problem.mean.basis.row(i).norm() > 0.0);
+        Shortage { states, tests, rank: tests.saturating_sub(usize::from(free)) }
+    };
+    blocks.map(shortage).filter(|s| s.tests > 0 && s.rank < s.states.len()).collect()
+}

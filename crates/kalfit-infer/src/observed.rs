@@ -1,0 +1,99 @@
+//! Which states a test could estimate alone.
+
+use kalfit_lanes::{Isa, Kernel, Lanes};
+use nalgebra::DMatrix;
+
+use crate::direction::NONE;
+use kalfit_algebra::fold::norm;
+use kalfit_algebra::symmetric;
+
+/// A state with more than this of a direction without information is not observed.
+pub(super) const PART: f64 = 1e-6;
+
+/// Norm of a column of R, packed.
+pub(super) fn column_norm(factor: &[f64], k: usize) -> f64 {
+    norm(&factor[k * (k + 1) / 2..][..=k])
+}
+
+/// Leaves of the states that are informed those whose unit vector is in the range of J = R'R, on these.
+pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
+    let p = informs.len();
+    let informed = || (0..p).filter(|&i| informs[i]);
+    let entry = |i: usize, k: usize| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 };
+    // Of J scaled to unit diagonal the least eigenvalue is at least a third of the determinant, and that at least Π R_kk²:
+    // eigenvalues need not be sought where it is plain that none is near zero.
+    let determinant: f64 = informed().map(|k| (entry(k, k) / column_norm(factor, k)).powi(2)).product();
+    if determinant > 10.0 * NONE {
+        return;
+    }
+    let states: Vec<usize> = informed().collect();
+    let norms: Vec<f64> = states.iter().map(|&k| column_norm(factor, k)).collect();
+    if states.iter().enumerate().all(|(c, &state)| c == state)
+        && Isa::best().run(WellConditioned { factor, norms: &norms })
+    {
+        return;
+    }
+    let scaled = DMatrix::from_fn(p, states.len(), |i, c| entry(i, states[c]) / norms[c]);
+    let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
+    for (c, &state) in states.iter().enumerate() {
+        let blind = values.iter().enumerate().filter(|(_, v)| **v < NONE).map(|(k, _)| vectors[(c, k)]);
+        observes[state] = blind.fold(0.0, f64::hypot) <= PART;
+    }
+}
+
+/// Whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least one is at least 1 / ‖D R⁻¹‖², D the norms of the
+/// columns of R, which is packed by columns.
+struct WellConditioned<'a> {
+    factor: &'a [f64],
+    norms: &'a [f64],
+}
+
+impl Kernel for WellConditioned<'_> {
+    type Output = bool;
+
+    /// Columns are worked on by as many numbers as registers hold.
+    #[inline(always)]
+    fn run<T: Lanes>(self) -> bool {
+        let n = self.norms.len();
+        let mut column = vec![0.0; n];
+        let mut squares = 0.0;
+        for k in 0..n {
+            column[..k].fill(0.0);
+            column[k] = 1.0;
+            for m in (0..=k).rev() {
+                let (above, diagonal) = self.factor[m * (m + 1) / 2..][..=m].split_at(m);
+                let own = column[m] / diagonal[0];
+                for (x, u) in column[..m].iter_mut().zip(above) {
+                    *x -= own * u;
+                }
+                squares += (self.norms[m] * own) * (self.norms[m] * own);
+            }
+        }
+        10.0 * NONE * squares < 1.0 // false for what is not a number
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn observed(factor: &[f64], informs: [bool; 3]) -> [bool; 3] {
+        let mut observes = informs;
+        observe(factor, &informs, &mut observes);
+        observes
+    }
+
+    #[test]
+    fn what_is_surely_observed_is_what_eigenvalues_say() {
+        // the last column nears the one before it, in units a million times as large
+        for (off, expected) in [(1.0, true), (1e-2, true), (1e-3, true), (1e-9, false), (0.0, false)] {
+            let factor = [2.0, 0.5, 1.0, 1e6, 2e6, off * 1e6];
+            let norms: Vec<f64> = (0..3).map(|k| norm(&factor[k * (k + 1) / 2..][..=k])).collect();
+            for isa in Isa::all() {
+                assert_eq!(isa.run(WellConditioned { factor: &factor, norms: &norms }), expected, "{isa:?}: {off}");
+            }
+            assert_eq!(observed(&factor, [true; 3]), [true, expected, expected], "{off}");
+        }
+        assert_eq!(observed(&[2.0, 0.0, 0.0, 1.0, 0.0, 3.0], [true, false, true]), [true, false, true]);
+    }
+}

@@ -1,0 +1,110 @@
+//! Which directions of the states enter at which phase (theory §7): the ranks of the information, phase by phase.
+
+use nalgebra::DMatrix;
+
+use crate::direction::{NONE, in_units, simplest};
+use kalfit_algebra::symmetric;
+use kalfit_estimate::{ChainStore, ChainedClass, Problem};
+use kalfit_filter::reduce::Reductions;
+
+/// Classes of tests that are looked at before the ranks are counted again.
+const CHUNK: usize = 64;
+
+/// What a phase adds to what the ensemble knows of the initial states.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhaseObservability {
+    /// Rank of the information of the phase by itself on all that enters it: its own states, and those that inherit.
+    pub own_rank: usize,
+    /// Rank of the information of this and all earlier phases together on the states of all of them.
+    pub rank_so_far: usize,
+    /// Combinations of the states of this and earlier phases that are known from this phase on: weights of all states of the model,
+    /// each a unit vector in the user's units. There are `rank_so_far` less that of the phase before of them.
+    pub entered: Vec<Vec<f64>>,
+}
+
+/// By phase; empty where tests are not kept phase by phase. Looks only at as many tests as it takes to find every rank full.
+pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObservability> {
+    let elements = &problem.covariance.elements;
+    let count = elements.blocks().len();
+    if elements.is_single() {
+        return vec![single(problem)];
+    }
+    if problem.classes.units.is_some() || problem.classes.remote.is_some() {
+        return Vec::new(); // levels of groups, of one phase; tests that are elsewhere
+    }
+    let classes = problem.classes.by_phase(reductions);
+    let chains: Option<Vec<&ChainStore>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();
+    let Some(chains) = chains else { return Vec::new() };
+    let chains: Vec<(&ChainStore, Vec<usize>)> = chains.into_iter().map(|kept| (kept, kept.entering())).collect();
+    let mut found: Vec<PhaseObservability> = Vec::with_capacity(count);
+    let mut before = DMatrix::zeros(elements.states(), 0);
+    for f in 0..count {
+        let having = chains.iter().filter(|(_, entering)| entering.len() > f);
+        let entering = having.clone().next().map_or(0, |(_, entering)| entering[f]);
+        let having: Vec<&ChainStore> = having.map(|(kept, _)| *kept).collect();
+        let states = elements.blocks()[f].end;
+        let so_far = gathered(&having, states, elements.states(), &|chain| chain.information(f + 1, elements.states()));
+        let own = gathered(&having, entering, entering, &|chain| chain.own_information(f));
+        let range = range(&so_far);
+        found.push(PhaseObservability {
+            own_rank: rank(&own),
+            rank_so_far: range.ncols(),
+            entered: entered(&range, &before, &problem.classes.frame.scale),
+        });
+        before = range;
+    }
+    found
+}
+
+fn single(problem: &Problem) -> PhaseObservability {
+    let information = &problem.classes.information;
+    let range = range(information);
+    let nothing = DMatrix::zeros(information.nrows(), 0);
+    PhaseObservability {
+        own_rank: range.ncols(),
+        rank_so_far: range.ncols(),
+        entered: entered(&range, &nothing, &problem.classes.frame.scale),
+    }
+}
+
+/// Σ of what the chains say, until the rank is as high as it can be.
+fn gathered(
+    chains: &[&ChainStore],
+    highest: usize,
+    size: usize,
+    of: &dyn Fn(&ChainedClass) -> DMatrix<f64>,
+) -> DMatrix<f64> {
+    let mut sum = DMatrix::zeros(size, size);
+    for chunk in chains.chunks(CHUNK) {
+        chunk.iter().for_each(|chain| sum += of(&chain.chained()));
+        if rank(&sum) >= highest {
+            break;
+        }
+    }
+    sum
+}
+
+fn rank(information: &DMatrix<f64>) -> usize {
+    symmetric::scaled_eigen(information).1.iter().filter(|v| **v > NONE).count()
+}
+
+/// An orthonormal basis of the range.
+fn range(information: &DMatrix<f64>) -> DMatrix<f64> {
+    symmetric::range(information, |value| value > NONE)
+}
+
+/// What of a range is not in the one before, as weights in the user's units.
+fn entered(range: &DMatrix<f64>, before: &DMatrix<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
+    let new = range.ncols().saturating_sub(before.ncols());
+    if new == 0 {
+        return Vec::new();
+    }
+    let left = range - before * (before.transpose() * range);
+    let decomposed = left.svd(true, false);
+    let vectors = decomposed.u.expect("asked for");
+    let mut order: Vec<usize> = (0..vectors.ncols()).collect();
+    order.sort_by(|&a, &b| decomposed.singular_values[b].total_cmp(&decomposed.singular_values[a]));
+    let simple = simplest(vectors.select_columns(&order[..new]));
+    let units: Vec<f64> = scale.iter().map(|s| s.recip()).collect();
+    simple.column_iter().map(|weights| in_units(&weights.into_owned(), units.iter())).collect()
+}

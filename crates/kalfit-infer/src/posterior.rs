@@ -1,0 +1,152 @@
+//! What each test says: its likelihood, the posterior of its ξ (10), (11), and its distance from the population.
+
+use std::ops::Range;
+
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+use crate::posteriors::{Distance, NumberedPosteriors, Posteriors};
+use kalfit_algebra::{Conditional, posterior_root, symmetric};
+use kalfit_estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem, map_classes};
+use kalfit_filter::reduce::{ReductionRef, Reductions};
+use kalfit_model::unpack;
+
+/// Tests that one thread takes at a time.
+const CHUNK: usize = 64;
+
+/// Posteriors of all tests at a point, in their order, each by itself.
+pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Posteriors {
+    let classes = problem.classes.of(reductions);
+    let of = |classes: &Classes| of_classes((problem, classes), point, reductions);
+    let found: Vec<NumberedPosteriors> = if classes.are_single() {
+        of(&classes)
+    } else {
+        let all: Vec<usize> = (0..reductions.len()).collect();
+        all.par_chunks(CHUNK).flat_map_iter(|tests| of(&classes.each(reductions, tests))).collect()
+    };
+    Posteriors::ordered(sizes(problem), &found)
+}
+
+/// Of tests that are classes to themselves.
+fn of_classes(
+    (problem, classes): (&Problem, &Classes),
+    point: &Point,
+    reductions: &Reductions,
+) -> Vec<NumberedPosteriors> {
+    let (sigma, sizes) = (point.covariance(), sizes(problem));
+    let look = PosteriorLook { problem, point, sigma: &sigma };
+    let none = || (NumberedPosteriors::new(&sizes), PosteriorRoom::default());
+    let told = |(found, room): &mut (NumberedPosteriors, PosteriorRoom),
+                k: usize,
+                class: ClassRef<'_>,
+                terms: &ClassTerms<'_>| {
+        let test = classes.tests_of(k)[0];
+        look.mean(class, terms, &mut room.mean);
+        look.covariances(class, terms, room);
+        let own = (terms.value(class), Distance::of(terms, class, reductions.get(test)));
+        found.of(test).push(own, &room.mean, &room.covariances);
+    };
+    let found = map_classes(classes, &problem.mean.regressors, point, ChainDetail::Posterior, &none, &told);
+    found.into_iter().map(|(found, _)| found).collect()
+}
+
+/// States of each phase.
+fn sizes(problem: &Problem) -> Vec<usize> {
+    problem.covariance.elements.blocks().iter().map(Range::len).collect()
+}
+
+/// Room for what one test says.
+#[derive(Debug, Default)]
+struct PosteriorRoom {
+    mean: Vec<f64>,
+    covariances: Vec<f64>,
+}
+
+/// Where tests are looked at.
+struct PosteriorLook<'a> {
+    problem: &'a Problem,
+    point: &'a Point,
+    sigma: &'a DMatrix<f64>,
+}
+
+impl PosteriorLook<'_> {
+    /// E[ξ | z] = μ_j + Σr.
+    fn mean(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, mean: &mut Vec<f64>) {
+        self.point.put_mean(class, &self.problem.mean.regressors, mean);
+        for (mean, sigma) in mean.iter_mut().zip(self.sigma.row_iter()) {
+            *mean += sigma.iter().zip(&terms.r).map(|(sigma, r)| sigma * r).sum::<f64>();
+        }
+        self.problem.classes.frame.take_mean_out(mean);
+    }
+
+    /// Var[ξ_i | z] of each phase, in the user's units. Of phases that a test kept phase by phase lacks, Σ.
+    fn covariances(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, room: &mut PosteriorRoom) {
+        let scale = &self.problem.classes.frame.scale;
+        let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &self.point.root));
+        let all = whole.as_ref().unwrap_or(self.sigma);
+        room.covariances.clear();
+        for (f, states) in self.problem.covariance.elements.blocks().iter().enumerate() {
+            let (start, before, size) = (states.start, room.covariances.len(), states.len());
+            let own = terms.covariances.get(f).filter(|_| whole.is_none());
+            let entry = |a: usize, b: usize| own.map_or_else(|| all[(start + a, start + b)], |own| own[(a, b)]);
+            room.covariances.resize(before + size * size, 0.0);
+            symmetric::put_scaled(&scale[states.clone()], entry, &mut room.covariances[before..]);
+        }
+    }
+}
+
+/// log p of a test's measurements and its distance from the population, at any point.
+pub(crate) fn distance(problem: &Problem, point: &Point, reductions: &Reductions, test: usize) -> (f64, Distance) {
+    let class = problem.classes.single(reductions, test);
+    let mut terms = ClassTerms::new(point, &problem.mean.regressors);
+    terms.evaluate(class.view(), ChainDetail::Posterior);
+    (terms.value(class.view()), Distance::of(&terms, class.view(), reductions.get(test)))
+}
+
+impl Distance {
+    fn of(terms: &ClassTerms<'_>, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
+        let p = terms.r.len();
+        let own_rank = || (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
+        let freed = reduction.exact.map(|exact| (exact.values.len(), exact.freed(p)));
+        let told = freed.map(|(q, freed)| (q, freed.least_squares(&unpack(reduction.factor, p), reduction.data)));
+        let rank = told.map_or_else(own_rank, |(q, (rank, _))| q + rank);
+        // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
+        // is what is left of those of the phases after that and after the noise between them
+        let disagreement = match class.chain {
+            Some(_) => 2.0 * (class.constant - reduction.constant) - terms.link_log_det,
+            // and of exact rows, what the others disagree with them
+            None => told.map_or(0.0, |(_, (_, left))| left),
+        };
+        let squared = (terms.quadratic - disagreement).max(0.0);
+        Distance::new(squared, rank)
+    }
+}
+
+/// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R by rows, then C. F is that of the law given Cξ = g.
+fn posterior_covariance(factor: &[f64], root: &DMatrix<f64>) -> DMatrix<f64> {
+    let p = root.nrows();
+    let (factor, exact) = factor.split_at(p * p);
+    let known = DMatrix::from_row_slice(exact.len().checked_div(p).unwrap_or(0), p, exact);
+    let given = if exact.is_empty() { None } else { Conditional::new(known, root) };
+    let half = posterior_root(&DMatrix::from_row_slice(p, p, factor), given.as_ref().map_or(root, |given| &given.root));
+    &half * half.transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_test_that_knows_much_more_than_the_population_has_a_posterior() {
+        // two directions of very different information, neither along a state
+        let factor = [3e12, 1e12, 0.0, 0.5];
+        let root = DMatrix::from_row_slice(2, 2, &[1e3, 0.0, -3e3, 1e-4]);
+        let found = posterior_covariance(&factor, &root);
+        // by hand: along the root's first column RF is (0, -1500)', along its second (1e8, 5e-5)'
+        let first = 1.0 / (1.0 + 1500.0_f64.powi(2));
+        assert!((found[(0, 0)] / (1e6 * first) - 1.0).abs() < 1e-6, "{} {}", found[(0, 0)], 1e6 * first);
+        assert!(found.iter().all(|x| x.is_finite()), "{found}");
+        let huge = posterior_covariance(&[1e140, 1e140, 0.0, 1.0], &DMatrix::from_element(2, 2, 1e3));
+        assert!(huge.iter().all(|x| x.is_finite()), "{huge}");
+    }
+}

@@ -1,0 +1,223 @@
+//! The parametric bootstrap of a likelihood ratio: ensembles drawn from the hypothesis, both models fitted to each.
+//!
+//! What a test says about ξ is d = Rξ + e, e ~ N(0, I) on the rows of R that are not zero. So new ensembles are drawn as
+//! reductions, exactly, and no filter runs. The remaining part of each log-likelihood does not move the ratio.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+
+use crate::ratio::nested::regressions;
+use kalfit_algebra::symmetric;
+use kalfit_estimate::{Estimate, FinalState, Silent, Stop, fit, fit_from};
+use kalfit_filter::reduce::{ReductionRef, Reductions};
+use kalfit_model::Population;
+use kalfit_model::unpack;
+
+/// How many ensembles to draw, and the seed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bootstrap {
+    /// Ensembles.
+    pub replicates: usize,
+    /// Replicate b draws from stream b of ChaCha8 with this seed, whatever the threads.
+    pub seed: u64,
+}
+
+/// What the bootstrap found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BootstrapResult {
+    /// Statistics of the replicates whose two fits were certified, in the order of the replicates.
+    pub statistics: Vec<f64>,
+    /// Replicates that were not.
+    pub failed: usize,
+    /// (1 + replicates at or above the statistic) / (1 + replicates).
+    pub p_value: f64,
+    /// Its standard error: the bootstrap is a sample.
+    pub std_error: f64,
+}
+
+/// Draws ensembles from the hypothesis and tests it in each. `statistic` is that of the data, `reductions` those that the
+/// alternative was fitted to.
+pub fn bootstrap(
+    null: &Estimate,
+    alternative: &Estimate,
+    reductions: &Reductions,
+    statistic: f64,
+    bootstrap: Bootstrap,
+) -> BootstrapResult {
+    bootstrap_while(null, alternative, reductions, (statistic, bootstrap), &mut |_| true).expect("nobody stops it")
+}
+
+/// Hears, every few replicates, how many are done, and says whether to go on.
+pub type GoesOn<'a> = &'a mut dyn FnMut(usize) -> bool;
+
+/// As [`bootstrap`], as long as somebody wants it; `None` when they no longer do.
+pub fn bootstrap_while(
+    null: &Estimate,
+    alternative: &Estimate,
+    reductions: &Reductions,
+    (statistic, bootstrap): (f64, Bootstrap),
+    goes_on: GoesOn<'_>,
+) -> Option<BootstrapResult> {
+    let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
+    let draw = Draw::new(null, reductions, &places);
+    let one = |b: usize| {
+        let mut random = ChaCha8Rng::seed_from_u64(bootstrap.seed);
+        random.set_stream(b as u64);
+        ratio(null, alternative, &draw.ensemble(&mut random), &places)
+    };
+    let found = replicates(bootstrap.replicates, one, goes_on)?;
+    Some(BootstrapResult::of(&found, statistic))
+}
+
+/// Replicates side by side, some at a time. Each depends on its number alone, so how many go together changes nothing.
+pub(crate) fn replicates<T: Send>(
+    count: usize,
+    one: impl Fn(usize) -> T + Sync + Send,
+    goes_on: GoesOn<'_>,
+) -> Option<Vec<T>> {
+    let together = 8 * rayon::current_num_threads();
+    let mut found = Vec::new();
+    while found.len() < count {
+        if !goes_on(found.len()) {
+            return None;
+        }
+        let next = found.len()..count.min(found.len() + together);
+        found.par_extend(next.into_par_iter().map(&one));
+    }
+    Some(found)
+}
+
+impl BootstrapResult {
+    /// What the statistics of replicates, `None` where a fit failed, say of that of the data.
+    pub(crate) fn of(found: &[Option<f64>], statistic: f64) -> BootstrapResult {
+        let statistics: Vec<f64> = found.iter().copied().flatten().collect();
+        // within rounding of the statistic counts as at it: ties are common where both are zero
+        let reached = statistics.iter().filter(|s| **s >= statistic - 1e-9 * statistic.max(1.0)).count();
+        let n = statistics.len() as f64;
+        let p_value = (1.0 + reached as f64) / (1.0 + n);
+        let std_error = (p_value * (1.0 - p_value) / (1.0 + n)).sqrt();
+        BootstrapResult { failed: found.len() - statistics.len(), statistics, p_value, std_error }
+    }
+}
+
+/// The statistic of one ensemble; `None` when a fit is not certified.
+fn ratio(null: &Estimate, alternative: &Estimate, reductions: &Reductions, places: &[usize]) -> Option<f64> {
+    let truth = Population::from(null);
+    let narrow = certified(&null.state, &select_covariates(reductions, places), &truth)?;
+    let widened = |state: &Estimate| widened(state, places, alternative.coefficients.len());
+    let wide = certified(&alternative.state, reductions, &widened(null))?;
+    let found = 2.0 * (wide.log_likelihood - narrow.log_likelihood);
+    if found >= -1e-7 {
+        return Some(found.max(0.0));
+    }
+    let wide = certified(&alternative.state, reductions, &widened(&narrow))?;
+    let found = 2.0 * (wide.log_likelihood - narrow.log_likelihood);
+    (found >= -1e-7).then(|| found.max(0.0))
+}
+
+/// The values of the hypothesis as values of the model.
+pub(super) fn widened(null: &Estimate, places: &[usize], coefficients: usize) -> Population {
+    let mut all = vec![0.0; coefficients];
+    places.iter().zip(&null.coefficients).for_each(|(&at, value)| all[at] = *value);
+    Population { coefficients: all, ..Population::from(null) }
+}
+
+/// Reductions with only these of their covariates.
+pub(super) fn select_covariates(reductions: &Reductions, places: &[usize]) -> Reductions {
+    reductions.clone().with_covariates(places)
+}
+
+/// From the truth, and from the data when that does not end well.
+fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
+    let (structure, settings) = (state.structure(), &state.settings);
+    let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
+    near.filter(|e| e.stop == Stop::Certified)
+        .or_else(|| fit(reductions, &structure, settings, &mut Silent).ok().filter(|e| e.stop == Stop::Certified))
+}
+
+/// New data for the same tests.
+struct Draw<'a> {
+    reductions: &'a Reductions,
+    /// By id: draws do not depend on the order of the tests.
+    order: Vec<usize>,
+    null: &'a Estimate,
+    /// Where the regressions of the hypothesis stand among the covariates.
+    places: &'a [usize],
+    /// F with Σ = FF', of the tests' own and of each level of groups, the innermost first.
+    roots: Vec<DMatrix<f64>>,
+}
+
+impl<'a> Draw<'a> {
+    fn new(null: &'a Estimate, reductions: &'a Reductions, places: &'a [usize]) -> Draw<'a> {
+        let mut order: Vec<usize> = (0..reductions.len()).collect();
+        order.sort_by(|&a, &b| reductions.get(a).test.cmp(reductions.get(b).test));
+        let levels = null.grouping().map_or(1, |grouping| grouping.depth() + 1);
+        let p = null.covariance.nrows() / levels;
+        let root = |l: usize| symmetric::square_root(&null.covariance.view((l * p, l * p), (p, p)).into_owned());
+        Draw { reductions, order, null, places, roots: (0..levels).map(root).collect() }
+    }
+
+    fn ensemble(&self, random: &mut ChaCha8Rng) -> Reductions {
+        let mut drawn = self.reductions.select(&self.order);
+        let mut groups: BTreeMap<(usize, usize), DVector<f64>> = BTreeMap::new();
+        for number in 0..drawn.len() {
+            let added = self.added(drawn.id(number), &mut groups, random);
+            let like = drawn.get(number);
+            let xi = self.xi(like, added, random);
+            let data = self.data(like, &xi, random);
+            let test = drawn.get_mut(number);
+            (*test.constant, *test.residual) = (0.0, None);
+            test.data.copy_from_slice(data.as_slice());
+            if let Some(exact) = test.exact {
+                exact.values = (exact.matrix(xi.len()) * xi).as_slice().to_vec();
+            }
+        }
+        drawn
+    }
+
+    /// What the groups of a test add; those that are new are drawn.
+    fn added(
+        &self,
+        test: &str,
+        groups: &mut BTreeMap<(usize, usize), DVector<f64>>,
+        random: &mut ChaCha8Rng,
+    ) -> DVector<f64> {
+        let mut sum = DVector::zeros(self.roots[0].nrows());
+        let Some((grouping, number)) = self.null.grouping().and_then(|all| Some((all, all.number(test)?))) else {
+            return sum;
+        };
+        for (level, root) in self.roots[1..].iter().enumerate() {
+            let own = groups.entry((level, grouping.group_of(number, level)));
+            sum += &*own.or_insert_with(|| root * normal(root.ncols(), random));
+        }
+        sum
+    }
+
+    /// New ξ of a test.
+    fn xi(&self, like: ReductionRef<'_>, added: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
+        let (p, root) = (self.roots[0].nrows(), &self.roots[0]);
+        let mut xi = DVector::from_column_slice(&self.null.mean[..p]) + added + root * normal(root.ncols(), random);
+        for (c, &element) in self.null.state.problem.mean.regressors.iter().enumerate() {
+            xi[element] += like.covariates[self.places[c]] * self.null.coefficients[c];
+        }
+        xi
+    }
+
+    /// New d of a test.
+    fn data(&self, like: ReductionRef<'_>, xi: &DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
+        let p = xi.len();
+        let factor = unpack(like.factor, p);
+        let noise = normal(p, random);
+        let told = |i: usize| (i..p).any(|k| factor[(i, k)] != 0.0);
+        &factor * xi + DVector::from_fn(p, |i, _| if told(i) { noise[i] } else { 0.0 })
+    }
+}
+
+fn normal(n: usize, random: &mut ChaCha8Rng) -> DVector<f64> {
+    DVector::from_fn(n, |_, _| StandardNormal.sample(random))
+}

@@ -1,0 +1,86 @@
+//! Likelihood-ratio tests of nested hypotheses (theory §9; Shumway, Olsen and Levy): -2 log λ and the law it follows.
+
+mod bootstrap;
+mod cone;
+mod law;
+mod nested;
+mod restricted;
+
+pub(crate) use bootstrap::replicates;
+pub use bootstrap::{Bootstrap, BootstrapResult, GoesOn, bootstrap, bootstrap_while};
+pub use law::{Component, ReferenceLaw};
+pub use nested::NotNested;
+pub use restricted::{NotNestedParameter, Restricted, restricted};
+
+use kalfit_estimate::{Estimate, FitError, Progress, Settings, Silent, Structure, fit, fit_from};
+use kalfit_filter::reduce::Reductions;
+
+/// A test of a hypothesis within a model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LikelihoodRatio {
+    /// -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis).
+    pub statistic: f64,
+    /// Identified free quantities that the hypothesis takes away; where it limits a sum of several that are not told apart, all that it takes away.
+    pub degrees_of_freedom: usize,
+    /// Large-sample law of the statistic under the hypothesis.
+    pub law: ReferenceLaw,
+    /// Blocks of Σ that the hypothesis leaves singular where the data put it there: the law then promises too much.
+    pub null_on_boundary: bool,
+}
+
+impl LikelihoodRatio {
+    /// Tail probability of the statistic under its law.
+    pub fn p_value(&self) -> f64 {
+        self.law.tail(self.statistic)
+    }
+
+    /// Tail probability under χ² with all the degrees of freedom.
+    pub fn chi_squared_p_value(&self) -> f64 {
+        law::chi_squared_tail(self.degrees_of_freedom, self.statistic)
+    }
+}
+
+/// Of the difference of two likelihoods that are equal.
+const ROUNDING: f64 = 1e-8;
+
+/// Tests a hypothesis within a model, both fitted to the same reductions.
+pub fn likelihood_ratio(null: &Estimate, alternative: &Estimate) -> Result<LikelihoodRatio, NotNested> {
+    nested::check(null, alternative)?;
+    let statistic = (2.0 * (alternative.log_likelihood - null.log_likelihood)).max(0.0);
+    let is_rounding = statistic <= ROUNDING * (1.0 + null.log_likelihood.abs());
+    let tangent = cone::tangent(null, alternative, is_rounding);
+    Ok(LikelihoodRatio {
+        statistic: if is_rounding && tangent.degrees_of_freedom == 0 { 0.0 } else { statistic },
+        degrees_of_freedom: tangent.degrees_of_freedom,
+        law: tangent.law,
+        null_on_boundary: tangent.null_on_boundary,
+    })
+}
+
+/// Fits a hypothesis to the reductions of a model: those of the model, with the covariates of its regressions only. `None` when
+/// the hypothesis has a regression that the model has not.
+pub fn fit_null(
+    reductions: &Reductions,
+    model: &Structure<'_>,
+    null: &Structure<'_>,
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Option<Result<Estimate, FitError>> {
+    let places = nested::regressions(null, model)?;
+    Some(fit(&bootstrap::select_covariates(reductions, &places), null, settings, progress))
+}
+
+/// The model fitted again from the hypothesis, when the hypothesis has the higher likelihood: then the model's own search
+/// ended elsewhere than at the top.
+pub fn at_least(alternative: Estimate, null: &Estimate, reductions: &Reductions) -> Result<Estimate, FitError> {
+    if alternative.log_likelihood >= null.log_likelihood - 1e-9 * null.log_likelihood.abs().max(1.0) {
+        return Ok(alternative);
+    }
+    let Some(places) = nested::regressions(&null.state.structure(), &alternative.state.structure()) else {
+        return Ok(alternative);
+    };
+    let start = bootstrap::widened(null, &places, alternative.coefficients.len());
+    let state = &alternative.state;
+    let again = fit_from(reductions, &state.structure(), &start, &state.settings, &mut Silent)?;
+    Ok(if again.log_likelihood > alternative.log_likelihood { again } else { alternative })
+}

@@ -1,0 +1,155 @@
+//! Whether a hypothesis on α lies within a model, and how much it takes away.
+
+use kalfit_model::Label;
+use kalfit_model::{Alpha, Model, Parameter, PhasedModel, Slots};
+use kalfit_model::{Evidence, PhasedTest};
+
+/// Why a hypothesis on α cannot be tested within a model.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NotNestedParameter {
+    /// The model has it fixed.
+    #[error("the model fixes parameter `{name}` at {expected}, and the hypothesis {}", fixed_words(found))]
+    Fixed {
+        /// Its name.
+        name: String,
+        /// Its value under the hypothesis, where that is fixed.
+        found: Option<f64>,
+        /// Its value in the model.
+        expected: f64,
+    },
+    /// The hypothesis has more than one value where the model has one.
+    #[error("the hypothesis lets parameter `{name}` differ where the model has one value")]
+    Levels {
+        /// Its name.
+        name: String,
+    },
+    /// The hypothesis has a value that the model does not allow.
+    #[error("the hypothesis has parameter `{name}` at {found}, and the model wants it {expected}")]
+    OutOfBounds {
+        /// Its name.
+        name: String,
+        /// Its value under the hypothesis.
+        found: f64,
+        /// The bound, in words.
+        expected: String,
+    },
+    /// The bounds are others.
+    #[error("the bounds of parameter `{name}` are not the same in the hypothesis as in the model")]
+    Bounds {
+        /// Its name.
+        name: String,
+    },
+}
+
+fn fixed_words(found: &Option<f64>) -> String {
+    found.map_or("leaves it free".to_owned(), |value| format!("has it at {value}"))
+}
+
+/// What a hypothesis takes away of α.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Restricted {
+    /// Free values less.
+    pub count: usize,
+    /// Those that it puts at a bound of theirs.
+    pub at_bound: usize,
+}
+
+/// What becomes of a free value of the model under the hypothesis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Target {
+    Slot(usize),
+    Value(f64),
+}
+
+/// One side of a comparison.
+struct ComparedModel<'a> {
+    model: &'a Model,
+    slots: &'a Slots,
+    /// Its free values do not matter.
+    alpha: Alpha,
+}
+
+impl<'a> ComparedModel<'a> {
+    fn new((model, slots): (&'a PhasedModel, &'a Slots)) -> ComparedModel<'a> {
+        let model = model.shared();
+        ComparedModel { model, slots, alpha: slots.alpha(model, &vec![0.0; slots.len()]) }
+    }
+}
+
+/// What a hypothesis takes away of the α of a model, both with their free values in these tests.
+///
+/// # Errors
+/// The hypothesis is not within the model.
+pub fn restricted(
+    null: (&PhasedModel, &Slots),
+    wide: (&PhasedModel, &Slots),
+    tests: &[PhasedTest],
+) -> Result<Restricted, NotNestedParameter> {
+    let (null, wide) = (ComparedModel::new(null), ComparedModel::new(wide));
+    let mut targets: Vec<Option<Target>> = vec![None; wide.slots.len()];
+    for index in 0..wide.model.parameters.len() {
+        let mut last: Option<&[Label]> = None;
+        let rows = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells);
+        for texts in rows.flat_map(|test| (0..test.rows()).map(|row| test.texts(row))) {
+            // most rows are like the one before
+            if last.replace(texts) != Some(texts) {
+                follow(index, texts, (&null, &wide), &mut targets)?;
+            }
+        }
+    }
+    let mut at_bound = 0;
+    for (slot, target) in wide.slots.slots().iter().zip(&targets) {
+        let (model, hypothesis) = (&wide.model.parameters[slot.parameter], &null.model.parameters[slot.parameter]);
+        match target {
+            Some(Target::Value(value)) => at_bound += usize::from(on_bound(model, *value)?),
+            Some(Target::Slot(_)) if (model.lower, model.upper) != (hypothesis.lower, hypothesis.upper) => {
+                return Err(NotNestedParameter::Bounds { name: model.name.clone() });
+            }
+            _ => {}
+        }
+    }
+    Ok(Restricted { count: wide.slots.len().saturating_sub(null.slots.len()), at_bound })
+}
+
+/// What one parameter is on one row, in both.
+fn follow(
+    index: usize,
+    texts: &[Label],
+    (null, wide): (&ComparedModel<'_>, &ComparedModel<'_>),
+    targets: &mut [Option<Target>],
+) -> Result<(), NotNestedParameter> {
+    let name = || wide.model.parameters[index].name.clone();
+    // a row whose level is missing does not need the parameter, or the filters would have refused it
+    let (Ok(found), Ok(expected)) = (null.alpha.value(index, texts), wide.alpha.value(index, texts)) else {
+        return Ok(());
+    };
+    let slot = null.slots.find(index, texts);
+    let Some(place) = wide.slots.find(index, texts) else {
+        return match slot {
+            None if found == expected => Ok(()),
+            None => Err(NotNestedParameter::Fixed { name: name(), found: Some(found), expected }),
+            Some(_) => Err(NotNestedParameter::Fixed { name: name(), found: None, expected }),
+        };
+    };
+    let target = slot.map_or(Target::Value(found), Target::Slot);
+    match targets[place].replace(target) {
+        Some(before) if before != target => Err(NotNestedParameter::Levels { name: name() }),
+        _ => Ok(()),
+    }
+}
+
+/// Whether a value is on a bound of a parameter; an error when it is outside.
+fn on_bound(parameter: &Parameter, value: f64) -> Result<bool, NotNestedParameter> {
+    let outside = |expected: String| {
+        Err(NotNestedParameter::OutOfBounds { name: parameter.name.clone(), found: value, expected })
+    };
+    let zero = parameter.positive.then_some(0.0);
+    let lower = parameter.lower.or(zero);
+    if let Some(lower) = lower.filter(|lower| value < *lower) {
+        return outside(format!("at least {lower}"));
+    }
+    if let Some(upper) = parameter.upper.filter(|upper| value > *upper) {
+        return outside(format!("at most {upper}"));
+    }
+    Ok(lower == Some(value) || parameter.upper == Some(value))
+}

@@ -1,0 +1,124 @@
+//! Columns of what many tests have, without memory of each test's own.
+
+/// Texts one after the other.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Texts {
+    all: String,
+    ends: Vec<usize>,
+}
+
+impl Texts {
+    /// How many they are.
+    pub(crate) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// The text with this number. Panics when there is none.
+    pub fn get(&self, number: usize) -> &str {
+        let start = number.checked_sub(1).map_or(0, |before| self.ends[before]);
+        &self.all[start..self.ends[number]]
+    }
+
+    /// Adds one.
+    pub fn push(&mut self, text: &str) {
+        self.all.push_str(text);
+        self.ends.push(self.all.len());
+    }
+
+    /// Adds all of others.
+    pub fn append(&mut self, others: &Texts) {
+        let shift = self.all.len();
+        self.all.push_str(&others.all);
+        self.ends.extend(others.ends.iter().map(|end| end + shift));
+    }
+
+    /// Room for all of others.
+    pub fn reserve<'a>(&mut self, others: impl Iterator<Item = &'a Texts>) {
+        let (bytes, texts) = others.fold((0, 0), |sum, one| (sum.0 + one.all.len(), sum.1 + one.len()));
+        self.all.reserve_exact(bytes);
+        self.ends.reserve_exact(texts);
+    }
+}
+
+/// What few tests have, or none: as long as up to the last that has it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Rare<T>(Vec<Option<T>>);
+
+impl<T> Default for Rare<T> {
+    fn default() -> Rare<T> {
+        Rare(Vec::new())
+    }
+}
+
+impl<T> Rare<T> {
+    /// Of nothing yet; there is room for so many.
+    pub fn with_room(tests: usize) -> Rare<T> {
+        Rare(Vec::with_capacity(tests))
+    }
+
+    /// What the test with this number has.
+    pub fn get(&self, number: usize) -> Option<&T> {
+        self.0.get(number)?.as_ref()
+    }
+
+    /// The same, to be changed.
+    pub fn get_mut(&mut self, number: usize) -> Option<&mut T> {
+        self.0.get_mut(number)?.as_mut()
+    }
+
+    /// Some test has it.
+    pub fn is_any(&self) -> bool {
+        self.0.iter().rev().any(Option::is_some)
+    }
+
+    /// Gives it to the test with this number, or takes it.
+    pub fn set(&mut self, number: usize, one: Option<T>) {
+        if number >= self.0.len() {
+            if one.is_none() {
+                return;
+            }
+            self.0.resize_with(number + 1, || None);
+        }
+        self.0[number] = one;
+    }
+
+    /// Adds what others have to what the first so many have.
+    pub fn append(&mut self, own: usize, others: Rare<T>) {
+        if !others.0.is_empty() {
+            self.0.resize_with(own, || None);
+            self.0.extend(others.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_are_as_they_were_put() {
+        let mut some = Texts::default();
+        ["a", "", "bé"].iter().for_each(|text| some.push(text));
+        let mut all = Texts::default();
+        all.push("first");
+        all.reserve([&some].into_iter());
+        all.append(&some);
+        let found: Vec<&str> = (0..all.len()).map(|number| all.get(number)).collect();
+        assert_eq!(found, ["first", "a", "", "bé"]);
+    }
+
+    #[test]
+    fn what_is_rare_is_with_its_tests() {
+        let mut some = Rare::default();
+        some.set(3, None);
+        assert_eq!((some.get(0), some.0.len()), (None, 0), "no memory for nothing");
+        some.set(1, Some("b"));
+        let mut others = Rare::default();
+        others.set(0, Some("e"));
+        some.append(4, others);
+        let found: Vec<Option<&&str>> = (0..6).map(|number| some.get(number)).collect();
+        assert_eq!(found, [None, Some(&"b"), None, None, Some(&"e"), None]);
+        some.append(5, Rare::default());
+        assert_eq!(some.0.len(), 5);
+    }
+}

@@ -1,0 +1,19 @@
+//! What was observed: tests, and the texts in them.
+
+mod batch;
+mod columns;
+mod grouping;
+mod id;
+mod labels;
+mod layout;
+mod records;
+mod test;
+
+pub use batch::TestBatch;
+pub use columns::Rare;
+pub use columns::Texts;
+pub use grouping::{Group, Grouping};
+pub use id::TestId;
+pub use labels::{Label, Labels};
+pub use layout::{Layout, TestKey};
+pub use test::{Source, Test};

@@ -1,0 +1,192 @@
+//! One test: its rows, in time order.
+
+use std::fmt;
+use std::ops::Range;
+use std::sync::Arc;
+
+use crate::ensemble::records::RowStore;
+use crate::ensemble::{Label, TestId};
+
+/// Where a row came from. The core only carries it, for messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Source {
+    /// Number of the file.
+    pub file: u32,
+    /// Number of the row in the file, as a person counts (a CSV file's header is line 1).
+    pub row: u64,
+}
+
+/// The rows of one test with the columns a model reads. Missing numbers are NaN, missing texts [`Label::MISSING`].
+///
+/// Tests that were read together share the memory of their cells ([`TestBatch`](crate::ensemble::TestBatch)): a copy of a test, or of some of its rows,
+/// copies no cell. A test that is changed gets cells of its own first, unless nobody else has them.
+#[derive(Clone)]
+pub struct Test {
+    /// Its id, as text.
+    pub id: TestId,
+    records: Arc<RowStore>,
+    /// Its first row among the records.
+    first: usize,
+    rows: usize,
+}
+
+impl Test {
+    /// An empty test whose rows have this many numeric and text cells.
+    pub fn new(id: impl Into<TestId>, columns: usize, text_columns: usize) -> Test {
+        Test { id: id.into(), records: Arc::new(RowStore::new(columns, text_columns)), first: 0, rows: 0 }
+    }
+
+    /// Rows of records.
+    pub(super) fn part(id: TestId, records: &Arc<RowStore>, rows: Range<usize>) -> Test {
+        Test { id, records: records.clone(), first: rows.start, rows: rows.len() }
+    }
+
+    /// Appends a row. Panics when the number of cells is not that of the test.
+    pub fn push(&mut self, numbers: &[f64], texts: &[Label], source: Source) {
+        self.push_rows(1, numbers, texts, source);
+    }
+
+    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not that of so
+    /// many rows of the test.
+    pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
+        self.own().push(rows, numbers, texts, source);
+        self.rows += rows;
+    }
+
+    /// Appends rows of another test. Panics where it has no such rows, or other numbers of cells.
+    pub(crate) fn push_from(&mut self, other: &Test, rows: Range<usize>) {
+        assert!(rows.end <= other.rows, "rows {rows:?} of {}", other.rows);
+        if self.rows == 0 {
+            (self.records, self.first, self.rows) = (other.records.clone(), other.first + rows.start, rows.len());
+            return;
+        }
+        let (own, from) = (self.own(), other.first);
+        own.push_from(&other.records, from + rows.start..from + rows.end);
+        self.rows += rows.len();
+    }
+
+    /// The first rows, at most as many as there are.
+    pub fn first(&self, rows: usize) -> Test {
+        Test { rows: rows.min(self.rows), ..self.clone() }
+    }
+
+    /// Its records, which nobody else has and which have no other rows.
+    fn own(&mut self) -> &mut RowStore {
+        let (first, rows) = (self.first, self.rows);
+        let alone = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
+        if !alone {
+            let (columns, text_columns) = self.records.widths();
+            let mut own = RowStore::new(columns, text_columns);
+            own.push_from(&self.records, first..first + rows);
+            (self.records, self.first) = (Arc::new(own), 0);
+        }
+        Arc::get_mut(&mut self.records).expect("nobody else has them")
+    }
+
+    /// Numeric and text cells of a row.
+    pub fn widths(&self) -> (usize, usize) {
+        self.records.widths()
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Numeric cells of a row.
+    #[inline]
+    pub fn numbers(&self, row: usize) -> &[f64] {
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        self.records.numbers(self.first + row..self.first + row + 1)
+    }
+
+    /// Numeric cells of all rows.
+    pub fn all_numbers(&self) -> &[f64] {
+        self.records.numbers(self.first..self.first + self.rows)
+    }
+
+    /// Sets a numeric cell. Panics when there is no such cell.
+    pub fn set_number(&mut self, row: usize, column: usize, value: f64) {
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        self.own().set_number(row, column, value);
+    }
+
+    /// Text cells of a row.
+    #[inline]
+    pub fn texts(&self, row: usize) -> &[Label] {
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        self.records.texts(self.first + row..self.first + row + 1)
+    }
+
+    /// Text cells of all rows.
+    fn all_texts(&self) -> &[Label] {
+        self.records.texts(self.first..self.first + self.rows)
+    }
+
+    /// Where a row came from.
+    pub fn source(&self, row: usize) -> Source {
+        assert!(row < self.rows, "row {row} of {}", self.rows);
+        self.records.source(self.first + row)
+    }
+}
+
+/// Its own cells, not those that it shares memory with.
+impl fmt::Debug for Test {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sources: Vec<Source> = (0..self.rows).map(|row| self.source(row)).collect();
+        f.debug_struct("Test")
+            .field("id", &self.id)
+            .field("widths", &self.widths())
+            .field("numbers", &self.all_numbers())
+            .field("texts", &self.all_texts())
+            .field("sources", &sources)
+            .finish()
+    }
+}
+
+impl PartialEq for Test {
+    fn eq(&self, other: &Test) -> bool {
+        self.id == other.id
+            && (self.widths(), self.rows) == (other.widths(), other.rows)
+            && self.all_numbers() == other.all_numbers()
+            && self.all_texts() == other.all_texts()
+            && (0..self.rows).all(|row| self.source(row) == other.source(row))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_remembers_where_it_came_from() {
+        let sources = [(0, 2), (0, 3), (0, 4), (0, 7), (1, 8), (1, 9), (1, 9), (1, u64::MAX), (1, 0), (0, 1)];
+        let mut test = Test::new("t", 0, 0);
+        sources.iter().for_each(|&(file, row)| test.push(&[], &[], Source { file, row }));
+        for (k, &(file, row)) in sources.iter().enumerate() {
+            assert_eq!(test.source(k), Source { file, row }, "row {k}");
+        }
+        assert_eq!(test.rows(), 10);
+    }
+
+    #[test]
+    fn rows_appended_together_are_the_rows_one_by_one() {
+        let runs = [(0, 2, 3), (0, 5, 2), (1, 7, 1), (1, 8, 0), (1, 8, 4), (0, 1, 1)];
+        let (mut one_by_one, mut together) = (Test::new("t", 2, 1), Test::new("t", 2, 1));
+        for (file, first, rows) in runs {
+            let source = |k: u64| Source { file, row: first + k };
+            let numbers: Vec<f64> = (0..2 * rows).map(|k| (first * 10 + k) as f64).collect();
+            let texts: Vec<Label> = (0..rows).map(|k| Label::literal((first + k) as usize)).collect();
+            together.push_rows(rows as usize, &numbers, &texts, source(0));
+            let rows = numbers.chunks(2).zip(texts.chunks(1)).zip(0..);
+            rows.for_each(|((numbers, texts), k)| one_by_one.push(numbers, texts, source(k)));
+        }
+        assert_eq!(together, one_by_one);
+        for rows in [0..10, 2..7, 4..5, 9..10, 3..3] {
+            let (mut parts, mut whole) = (Test::new("t", 2, 1), Test::new("t", 2, 1));
+            rows.clone().for_each(|row| parts.push(together.numbers(row), together.texts(row), together.source(row)));
+            whole.push_from(&together, rows.clone());
+            assert_eq!(whole, parts, "rows {rows:?}");
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! What is known of a test, phase by phase: rows still to be filtered, estimates of somebody's filter, or a reduction that
+//! was made before.
+
+mod chain;
+mod exact_rows;
+mod path;
+mod phases;
+mod reduction;
+mod split;
+mod terminal;
+
+pub use chain::{Chain, ChainPhase, Link};
+pub use exact_rows::{ExactRows, FreedStates};
+pub use path::Path;
+pub use phases::Phases;
+pub use reduction::{Reduction, ReductionRef, unpack};
+pub use split::SplitError;
+pub use terminal::Terminal;
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::ensemble::{Label, Labels, Test, TestId};
+use crate::model::{PhasedModel, Slots};
+pub use kalfit_algebra::symmetric::eigen;
+
+/// One test through its phases. Later phases of the model may be missing; the first ones may not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhasedTest {
+    /// Its id.
+    pub id: TestId,
+    /// What is known of each phase, from the first one on.
+    pub phases: Phases,
+}
+
+/// What is known of one phase of a test.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Evidence {
+    /// Its rows.
+    Rows(Test),
+    /// What a filter made of them, here or elsewhere (theory §8).
+    Estimates(Box<Estimates>),
+    /// Its reduction at the α of the fit.
+    Reduced(Box<PhaseReduction>),
+}
+
+/// What a filter, optimal or not, made of one phase (theory §8): ŝ is linear in the data, and with the final state
+///
+/// ```text
+/// [x_K; ŝ] = [φ_K; S] x_0 + [s̄_1; s̄] + D × white noise
+/// ```
+///
+/// x_0 is the whole state of the phase's model, n numbers in file order. ŝ holds any linear functions of the data, in the
+/// usual case the filter's estimates [x̂_K; x̂_{0|K}]; the more of them, the more information.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimates {
+    /// ŝ, m numbers.
+    pub estimates: DVector<f64>,
+    /// s̄, what ŝ would be on average at x_0 = 0: m numbers.
+    pub offsets: DVector<f64>,
+    /// S, m × n.
+    pub sensitivities: DMatrix<f64>,
+    /// φ_K from x_0 to the last step, n × n.
+    pub transition: DMatrix<f64>,
+    /// s̄_1, the known inputs' part of x_K: n numbers.
+    pub drift: DVector<f64>,
+    /// D, (n + m) × any number of columns: DD' = Γ, the covariance of (x_K, ŝ) at a known x_0.
+    pub root: DMatrix<f64>,
+    /// One row with the columns of the model that are constant within the test; missing where unknown.
+    pub constants: Test,
+    /// Steps behind it.
+    pub steps: usize,
+    /// Scalar measurements behind it.
+    pub observations: usize,
+}
+
+/// The reduction of one phase by itself, in its entering coordinates σ ([`Phase::entering`](crate::model::Phase::entering)).
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhaseReduction {
+    /// log p(z | σ), without a chain.
+    pub reduction: Reduction,
+    /// The state after the last step given σ; `None` where no phase of the model follows.
+    pub terminal: Option<Terminal>,
+    /// What this phase inherits; `None` for the first one.
+    pub inherited: Option<Inherited>,
+    /// Names of the groups of its test, the outermost first, where they came with it; empty where they did not.
+    pub groups: Vec<Label>,
+}
+
+/// σ = [ξ; 0] + T x_K + t, of the phase before.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Inherited {
+    /// T, q × n of the phase before.
+    pub transition: DMatrix<f64>,
+    /// t, q numbers.
+    pub input: DVector<f64>,
+}
+
+impl Estimates {
+    /// A root D of Γ = DD' by the eigenvalues of Γ scaled to a diagonal of ones. Those within this part of the largest are zero: as
+    /// variances they would make certainty out of noise.
+    ///
+    /// # Errors
+    /// The least and the largest eigenvalue, where one is negative by more than rounding explains; of variances, where one is negative.
+    pub fn root_of(covariance: &DMatrix<f64>, rounding: f64) -> Result<DMatrix<f64>, [f64; 2]> {
+        let variances = covariance.diagonal();
+        if let Some(&negative) = variances.iter().find(|x| **x < 0.0) {
+            return Err([negative, variances.max()]);
+        }
+        let scale = variances.map(f64::sqrt);
+        let unit = |i: usize, j: usize| {
+            let (element, of) = (covariance[(i, j)], scale[i] * scale[j]);
+            // What does not vary has no covariance with anything; if it does, an eigenvalue will be negative.
+            if of > 0.0 {
+                element / scale[i] / scale[j]
+            } else {
+                element.signum() * f64::from(u8::from(element != 0.0))
+            }
+        };
+        let size = scale.len();
+        let (values, vectors) = eigen(&DMatrix::from_fn(size, size, unit));
+        let (least, largest) = (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0));
+        if least < -1e3 * rounding * largest {
+            return Err([least, largest]);
+        }
+        let kept: Vec<usize> = (0..size).filter(|&k| values[k] > rounding * largest).collect();
+        Ok(DMatrix::from_fn(size, kept.len(), |i, k| scale[i] * vectors[(i, kept[k])] * values[kept[k]].sqrt()))
+    }
+}
+
+impl From<Test> for PhasedTest {
+    fn from(test: Test) -> PhasedTest {
+        PhasedTest { id: test.id.clone(), phases: Evidence::Rows(test).into() }
+    }
+}
+
+impl PhasedTest {
+    /// The rows of its phases, of those that are given by rows.
+    pub fn rows(self) -> impl Iterator<Item = Test> {
+        self.phases.into_iter().filter_map(|evidence| match evidence {
+            Evidence::Rows(rows) => Some(rows),
+            Evidence::Estimates(_) | Evidence::Reduced(_) => None,
+        })
+    }
+
+    /// Number of its rows.
+    pub fn row_count(&self) -> usize {
+        let rows = |evidence: &Evidence| match evidence {
+            Evidence::Rows(rows) => rows.rows(),
+            Evidence::Estimates(_) | Evidence::Reduced(_) => 0,
+        };
+        self.phases.iter().map(rows).sum()
+    }
+
+    /// The rows of all phases as one test again, in the order in which they came from the data, those without a place of their own
+    /// phase after phase. Undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
+    pub fn joined(self) -> Test {
+        let id = self.id.clone();
+        let mut phases: Vec<Test> = self.rows().collect();
+        if phases.len() == 1 {
+            return phases.remove(0);
+        }
+        let all = phases.iter().flat_map(|rows| (0..rows.rows()).map(move |row| (rows, row)));
+        let mut all: Vec<(&Test, usize)> = all.collect();
+        all.sort_by_key(|(rows, row)| {
+            let source = rows.source(*row);
+            (source.file, source.row)
+        });
+        let mut whole = phases.first().map_or_else(|| Test::new(id, 0, 0), |phase| phase.first(0));
+        all.into_iter().for_each(|(rows, row)| whole.push(rows.numbers(row), rows.texts(row), rows.source(row)));
+        whole
+    }
+}
+
+impl Evidence {
+    /// The rows with the model's columns, as far as there are any: those of the data, or the one of estimates.
+    pub fn cells(&self) -> Option<&Test> {
+        match self {
+            Evidence::Rows(test) => Some(test),
+            Evidence::Estimates(estimates) => Some(&estimates.constants),
+            Evidence::Reduced(_) => None,
+        }
+    }
+}
+
+impl Slots {
+    /// The free values of a model in phases: levels of a column are those of all phases' rows, and of the columns that estimates
+    /// come with.
+    pub fn in_phases(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Slots {
+        let all: Vec<&Test> = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells).collect();
+        Slots::of(model.shared(), labels, &all)
+    }
+}

@@ -1,0 +1,104 @@
+//! What is known of a test, phase after phase.
+
+use std::ops::{Deref, DerefMut};
+use std::{iter, option, vec};
+
+use crate::evidence::Evidence;
+
+/// What is known of the phases of a test, from the first one on: a slice, for which a test of a single phase takes no memory of its own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Phases(PhaseStorage);
+
+#[derive(Debug, Clone, PartialEq)]
+enum PhaseStorage {
+    One([Evidence; 1]),
+    /// Any other number.
+    Several(Vec<Evidence>),
+}
+
+impl Phases {
+    /// Leaves the first so many.
+    pub fn truncate(&mut self, phases: usize) {
+        *self = std::mem::take(self).into_iter().take(phases).collect();
+    }
+}
+
+impl Default for Phases {
+    /// None.
+    fn default() -> Phases {
+        Phases::from(Vec::new())
+    }
+}
+
+impl Extend<Evidence> for Phases {
+    fn extend<I: IntoIterator<Item = Evidence>>(&mut self, more: I) {
+        *self = std::mem::take(self).into_iter().chain(more).collect();
+    }
+}
+
+impl Deref for Phases {
+    type Target = [Evidence];
+
+    fn deref(&self) -> &[Evidence] {
+        match &self.0 {
+            PhaseStorage::One(one) => one,
+            PhaseStorage::Several(all) => all,
+        }
+    }
+}
+
+impl DerefMut for Phases {
+    fn deref_mut(&mut self) -> &mut [Evidence] {
+        match &mut self.0 {
+            PhaseStorage::One(one) => one,
+            PhaseStorage::Several(all) => all,
+        }
+    }
+}
+
+impl From<Evidence> for Phases {
+    fn from(only: Evidence) -> Phases {
+        Phases(PhaseStorage::One([only]))
+    }
+}
+
+impl From<Vec<Evidence>> for Phases {
+    fn from(mut all: Vec<Evidence>) -> Phases {
+        match all.len() {
+            1 => Phases::from(all.remove(0)),
+            _ => Phases(PhaseStorage::Several(all)),
+        }
+    }
+}
+
+impl FromIterator<Evidence> for Phases {
+    fn from_iter<I: IntoIterator<Item = Evidence>>(all: I) -> Phases {
+        let mut all = all.into_iter();
+        match (all.next(), all.next()) {
+            (Some(only), None) => Phases::from(only),
+            (first, second) => Phases(PhaseStorage::Several(first.into_iter().chain(second).chain(all).collect())),
+        }
+    }
+}
+
+impl IntoIterator for Phases {
+    type Item = Evidence;
+    type IntoIter = iter::Chain<option::IntoIter<Evidence>, vec::IntoIter<Evidence>>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        let (one, several) = match self.0 {
+            PhaseStorage::One([one]) => (Some(one), Vec::new()),
+            PhaseStorage::Several(all) => (None, all),
+        };
+        one.into_iter().chain(several)
+    }
+}
+
+impl<'a> IntoIterator for &'a Phases {
+    type Item = &'a Evidence;
+    type IntoIter = std::slice::Iter<'a, Evidence>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}

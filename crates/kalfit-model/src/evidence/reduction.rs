@@ -1,0 +1,112 @@
+//! The reduction of a test.
+
+use nalgebra::DMatrix;
+
+use crate::evidence::chain::Chain;
+use crate::evidence::exact_rows::ExactRows;
+use crate::evidence::path::Path;
+
+/// log p(z | ξ) = constant - ½ ‖d - R ξ‖², exactly, for every ξ: the square-root information form of (c, y, J), with
+/// J = R'R, y = R'd, c = constant - ½ d'd. R may be singular; J is never inverted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reduction {
+    /// Id of the test.
+    pub test: String,
+    /// c' = c + ½ d'd: the log-likelihood at the best ξ of this test.
+    pub constant: f64,
+    /// The sum of squares that is left at that ξ, each measurement in units of its innovation's variance: 2 × what of the constant
+    /// the data make. `None` where nothing but the constant is known.
+    pub residual: Option<f64>,
+    /// d, p numbers.
+    pub data: Vec<f64>,
+    /// R, upper triangular p × p, stored by columns without the zeros: R_ik at i + k(k+1)/2, i ≤ k. Its diagonal is not negative.
+    pub factor: Vec<f64>,
+    /// Values of the regression columns, one per [`Regression`](crate::model::Regression).
+    pub covariates: Vec<f64>,
+    /// Number of steps of the test.
+    pub steps: usize,
+    /// Number of scalar measurements used.
+    pub observations: usize,
+    /// Which arithmetic made it.
+    pub path: Path,
+    /// Digest of all that S, K, T, J depend on: tests with one digest are one design class.
+    pub design: u128,
+    /// The same phase by phase, for a test of a model with several phases. `data` and `factor` are then those of all phases
+    /// together: of (ξ_1, …, ξ_I), with what lies between the phases integrated out; of phases that the test lacks, zero.
+    pub chain: Option<Box<Chain>>,
+    /// Rows Cξ = g that are measured without any noise: p(z | ξ) is then that of all other measurements, where Cξ = g.
+    pub exact: Option<Box<ExactRows>>,
+}
+
+/// One test of [`Reductions`]: a [`Reduction`] that stands elsewhere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReductionRef<'a> {
+    /// Id of the test.
+    pub test: &'a str,
+    /// c' = c + ½ d'd.
+    pub constant: f64,
+    /// The sum of squares that is left at the best ξ, if it is known.
+    pub residual: Option<f64>,
+    /// d, p numbers.
+    pub data: &'a [f64],
+    /// R, packed as [`Reduction::factor`].
+    pub factor: &'a [f64],
+    /// Values of the regression columns.
+    pub covariates: &'a [f64],
+    /// Number of steps of the test.
+    pub steps: usize,
+    /// Number of scalar measurements used.
+    pub observations: usize,
+    /// Which arithmetic made it.
+    pub path: Path,
+    /// Digest of all that S, K, T, J depend on.
+    pub design: u128,
+    /// The same phase by phase, for a test of a model with several phases.
+    pub chain: Option<&'a Chain>,
+    /// What was measured exactly.
+    pub exact: Option<&'a ExactRows>,
+}
+
+impl Reduction {
+    /// The same as a row.
+    pub fn view(&self) -> ReductionRef<'_> {
+        ReductionRef {
+            test: &self.test,
+            constant: self.constant,
+            residual: self.residual,
+            data: &self.data,
+            factor: &self.factor,
+            covariates: &self.covariates,
+            steps: self.steps,
+            observations: self.observations,
+            path: self.path,
+            design: self.design,
+            chain: self.chain.as_deref(),
+            exact: self.exact.as_deref(),
+        }
+    }
+}
+
+impl From<ReductionRef<'_>> for Reduction {
+    fn from(row: ReductionRef<'_>) -> Reduction {
+        Reduction {
+            test: row.test.to_owned(),
+            constant: row.constant,
+            residual: row.residual,
+            data: row.data.to_vec(),
+            factor: row.factor.to_vec(),
+            covariates: row.covariates.to_vec(),
+            steps: row.steps,
+            observations: row.observations,
+            path: row.path,
+            design: row.design,
+            chain: row.chain.cloned().map(Box::new),
+            exact: row.exact.cloned().map(Box::new),
+        }
+    }
+}
+
+/// The packed R of a reduction as a matrix.
+pub fn unpack(factor: &[f64], p: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(p, p, |i, k| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 })
+}

@@ -1,0 +1,214 @@
+//! What is assumed of every test: states and their motion, measurements, parameters, and the structure of μ and Σ.
+//!
+//! A [`Model`] holds its equations as exact linear forms whose coefficients are [`Expression`]s in the columns of the
+//! data and the parameters. It refers to columns, states and parameters by index; names are kept for reports only.
+
+mod derivative;
+mod error;
+mod expression;
+mod parameter;
+mod phased;
+mod population;
+mod power;
+mod role;
+mod site;
+mod slots;
+mod stacked;
+mod structure;
+
+pub use derivative::Tape;
+pub use error::EvaluationError;
+pub use expression::{Expression, Function, Operator, Scope};
+pub use parameter::{Alpha, Level, Parameter, ParameterError, Value};
+pub use phased::{Carry, Filter, GroupLevel, MAIN, Phase, PhasedModel};
+pub use population::{Population, PopulationError};
+pub(crate) use role::roles_among;
+pub use role::{Role, roles};
+pub use site::Site;
+pub use slots::{Slot, Slots};
+pub use structure::{
+    CovarianceKind, CovarianceStructure, FixedElement, MeanElement, MeanStructure, Regression, StructureError,
+};
+
+/// A whole model of one phase. Invariants (kept by whoever builds one): every index is in range; `estimated` lists each
+/// state whose `initial` is [`Initial::Estimated`] exactly once; the structures have `estimated.len()` elements;
+/// continuous motion and [`Expression::Step`] appear only when `clock.time` is given.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// Free text that heads reports.
+    pub title: String,
+    /// Numeric columns read from the data, indexed by [`Expression::Column`].
+    pub columns: Vec<Column>,
+    /// Text columns read from the data, indexed by [`Expression::TextEquals`] and [`Parameter::per`].
+    pub text_columns: Vec<Column>,
+    /// Texts the model names: literals of comparisons and named levels. [`Labels`](crate::ensemble::Labels) start with them.
+    pub literals: Vec<String>,
+    /// Dynamic parameters α, in file order.
+    pub parameters: Vec<Parameter>,
+    /// All states, in file order (hidden ones, such as the rate of a second-order Gauss-Markov state, follow their owner).
+    pub states: Vec<State>,
+    /// Covariances between the process noises of two states: per step for discrete motion, per time unit for continuous.
+    pub process_noise_covariance: Vec<(usize, usize, Expression)>,
+    /// Measurements, in file order.
+    pub measurements: Vec<Measurement>,
+    /// Covariances between the noises of two measurements of one step.
+    pub noise_covariance: Vec<(usize, usize, Expression)>,
+    /// Where steps and their times come from.
+    pub clock: Clock,
+    /// Text column that reports are grouped by.
+    pub group: Option<usize>,
+    /// The p estimated states (indices into `states`) in the order of μ and Σ.
+    pub estimated: Vec<usize>,
+    /// Constraints on μ.
+    pub mean: MeanStructure,
+    /// Constraints on Σ.
+    pub covariance: CovarianceStructure,
+}
+
+/// One column of the data that the model reads.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Column {
+    /// Its name in the data.
+    pub name: String,
+    /// Where the model uses it first, in words: "equation of measurement `gyro`".
+    pub used_in: String,
+}
+
+/// Steps and times.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Clock {
+    /// Numeric column with the time of a row; rows of a test with equal times are one step. Without it each row is a step.
+    pub time: Option<usize>,
+    /// Unit of time, for messages.
+    pub unit: Option<String>,
+    /// Time of x_0, an expression in columns constant within a test. Without it x_0 is at the first row.
+    pub initial_time: Option<Expression>,
+    /// One transition precedes the first row too.
+    pub step_first: bool,
+    /// The step from row k-1 to row k uses row k-1's columns, not row k's.
+    pub previous_inputs: bool,
+}
+
+/// A linear form in the states: Σ coefficient × state + constant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Linear {
+    /// (state, coefficient), each state at most once, in ascending order of state.
+    pub terms: Vec<(usize, Expression)>,
+    /// The term without a state: a known input or offset.
+    pub constant: Expression,
+}
+
+impl Linear {
+    /// Its coefficients, and then its constant.
+    pub fn expressions(&self) -> impl Iterator<Item = &Expression> {
+        self.terms.iter().map(|(_, coefficient)| coefficient).chain([&self.constant])
+    }
+}
+
+/// One state.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Its name.
+    pub name: String,
+    /// Unit label; units never convert.
+    pub unit: Option<String>,
+    /// How it moves.
+    pub motion: Motion,
+    /// How it starts.
+    pub initial: Initial,
+    /// Known amount added to x_0, constant within a test.
+    pub offset: Option<Expression>,
+    /// False: one unknown value common to all tests (zero variance).
+    pub random: bool,
+}
+
+/// How a state moves from row to row.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Motion {
+    /// x_k = x_{k-1}.
+    Constant,
+    /// dx/dt = derivative + white noise of the given variance per unit time.
+    Continuous {
+        /// Linear in the states.
+        derivative: Linear,
+        /// Variance of the driving noise per unit time.
+        noise_variance: Expression,
+    },
+    /// x_k = next(x_{k-1}) + noise of the given variance.
+    Discrete {
+        /// Linear in the states of the previous step.
+        next: Linear,
+        /// Variance of the noise of one step.
+        noise_variance: Expression,
+    },
+}
+
+impl Motion {
+    /// The form that moves the state, and the variance of its noise.
+    pub fn parts(&self) -> Option<(&Linear, &Expression)> {
+        match self {
+            Motion::Constant => None,
+            Motion::Continuous { derivative: form, noise_variance }
+            | Motion::Discrete { next: form, noise_variance } => Some((form, noise_variance)),
+        }
+    }
+
+    /// The variance of its noise.
+    pub fn noise_variance(&self) -> Option<&Expression> {
+        self.parts().map(|(_, noise_variance)| noise_variance)
+    }
+}
+
+/// How a state starts.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Initial {
+    /// Part of ξ ~ N(μ, Σ).
+    Estimated,
+    /// In the stationary distribution of its motion (Lyapunov equation), jointly with the other stationary states.
+    Stationary,
+    /// Known mean and variance.
+    Known {
+        /// Mean of x_0.
+        mean: Expression,
+        /// Variance of x_0.
+        variance: Expression,
+    },
+}
+
+/// One scalar measurement z = h'x + d + v.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measurement {
+    /// Its name.
+    pub name: String,
+    /// Numeric column with the measured value; a missing cell means not measured.
+    pub column: usize,
+    /// Rows this measurement is read from.
+    pub filter: Option<Expression>,
+    /// h'x + d.
+    pub equation: Linear,
+    /// Variance of v; zero is legal.
+    pub noise_variance: Expression,
+}
+
+impl Model {
+    /// p: the number of estimated states.
+    pub fn dimension(&self) -> usize {
+        self.estimated.len()
+    }
+
+    /// Two parameters stand in the motion of one state, or in one covariance of noises.
+    pub fn stand_together(&self, a: usize, b: usize) -> bool {
+        let moved = |(form, noise): (&Linear, &Expression)| {
+            let any = |p: usize| noise.mentions(p) || form.terms.iter().any(|(_, coefficient)| coefficient.mentions(p));
+            any(a) && any(b)
+        };
+        let crossed = |(.., covariance): &(usize, usize, Expression)| covariance.mentions(a) && covariance.mentions(b);
+        self.states.iter().filter_map(|state| state.motion.parts()).any(moved)
+            || self.process_noise_covariance.iter().chain(&self.noise_covariance).any(crossed)
+    }
+
+    /// Names of the estimated states, in the order of μ and Σ.
+    pub fn estimated_names(&self) -> Vec<String> {
+        self.estimated.iter().map(|&s| self.states[s].name.clone()).collect()
+    }
+}

@@ -1,0 +1,149 @@
+//! Dynamic parameters and their values.
+
+use std::collections::BTreeMap;
+
+use crate::ensemble::Label;
+use crate::model::EvaluationError;
+
+/// One dynamic parameter: a time constant, a noise level, a coefficient.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameter {
+    /// Its name.
+    pub name: String,
+    /// Unit label.
+    pub unit: Option<String>,
+    /// What is known of it.
+    pub value: Value,
+    /// Text column whose levels have a value each.
+    pub per: Option<usize>,
+    /// Levels whose value is fixed, whatever `value` says; keys are indices into [`Model::literals`](crate::model::Model::literals).
+    pub fixed_levels: BTreeMap<usize, f64>,
+    /// Closed lower bound.
+    pub lower: Option<f64>,
+    /// Closed upper bound.
+    pub upper: Option<f64>,
+    /// It is used as a time constant, a standard deviation or a noise variance, so it cannot be negative.
+    pub positive: bool,
+}
+
+/// Whether a parameter is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Value {
+    /// Known.
+    Fixed(f64),
+    /// To be estimated, from this start value if one is given.
+    Free {
+        /// Start value.
+        start: Option<f64>,
+    },
+}
+
+/// The value of a parameter, common or by level.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Level {
+    /// One value for all rows.
+    Common(f64),
+    /// A value for each level of a text column; `other` is for levels that have none of their own.
+    Each {
+        /// The text column.
+        column: usize,
+        /// Values by label.
+        values: BTreeMap<Label, f64>,
+        /// Value of every other level.
+        other: Option<f64>,
+    },
+}
+
+/// α: a value for every parameter, at every level.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Alpha {
+    /// In the order of [`Model::parameters`](crate::model::Model::parameters).
+    pub values: Vec<Level>,
+}
+
+/// Why there is no α.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ParameterError {
+    /// These parameters are free, and nothing estimates them.
+    #[error("free parameters: {}", names.join(", "))]
+    Free {
+        /// Their names.
+        names: Vec<String>,
+    },
+}
+
+impl Alpha {
+    /// Other values of the free parameters, none of them zero: what is zero here and there hardly depends on them.
+    pub fn elsewhere(&self, free: &[bool]) -> Alpha {
+        let moved = |value: f64| 0.6180339887 + 1.3247179572 * value.abs();
+        let of = |(level, free): (&Level, bool)| match level {
+            level if !free => level.clone(),
+            Level::Common(value) => Level::Common(moved(*value)),
+            Level::Each { column, values, other } => Level::Each {
+                column: *column,
+                values: values.iter().map(|(label, value)| (*label, moved(*value))).collect(),
+                other: other.map(moved),
+            },
+        };
+        let free = free.iter().copied().chain(std::iter::repeat(false));
+        Alpha { values: self.values.iter().zip(free).map(of).collect() }
+    }
+
+    /// The α of a model whose parameters have values. One with levels needs a value at some level only: a row with another
+    /// level is then an error where the value is needed.
+    pub fn fixed(parameters: &[Parameter]) -> Result<Alpha, ParameterError> {
+        let free: Vec<String> = parameters.iter().filter(|p| p.has_no_value()).map(|p| p.name.clone()).collect();
+        if !free.is_empty() {
+            return Err(ParameterError::Free { names: free });
+        }
+        Ok(Alpha { values: parameters.iter().map(Parameter::level).collect() })
+    }
+
+    /// One value for each parameter, in the order of the model, at all levels.
+    pub fn common(values: impl IntoIterator<Item = f64>) -> Alpha {
+        Alpha { values: values.into_iter().map(Level::Common).collect() }
+    }
+
+    /// Value of parameter `index` on a row with these text cells.
+    pub fn value(&self, index: usize, texts: &[Label]) -> Result<f64, EvaluationError> {
+        match &self.values[index] {
+            Level::Common(value) => Ok(*value),
+            Level::Each { column, values, other } => {
+                let level = texts[*column];
+                if level.is_missing() {
+                    return Err(EvaluationError::MissingText { column: *column });
+                }
+                values.get(&level).copied().or(*other).ok_or(EvaluationError::NoLevel { parameter: index, level })
+            }
+        }
+    }
+}
+
+impl Parameter {
+    /// True when values of it are to be estimated: its common value, or that of every level which is not fixed. Whether the
+    /// data have such levels is for [`Slots`](crate::model::Slots) to say.
+    pub fn is_free(&self) -> bool {
+        matches!(self.value, Value::Free { .. })
+    }
+
+    /// True when no value of it is known, at any level.
+    fn has_no_value(&self) -> bool {
+        self.is_free() && (self.per.is_none() || self.fixed_levels.is_empty())
+    }
+
+    pub(crate) fn level(&self) -> Level {
+        let common = match self.value {
+            Value::Fixed(value) => Some(value),
+            Value::Free { .. } => None,
+        };
+        match (self.per, common) {
+            (None, Some(value)) => Level::Common(value),
+            (None, None) => Level::Common(f64::NAN), // unreachable: such a parameter has no value
+            (Some(column), other) => Level::Each {
+                column,
+                values: self.fixed_levels.iter().map(|(&literal, &v)| (Label::literal(literal), v)).collect(),
+                other,
+            },
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Tests in several phases: one [`Model`] each, and how a phase inherits from the one before it (theory §7).
+
+use nalgebra::DMatrix;
+
+use crate::model::{CovarianceStructure, Expression, Initial, Linear, Model};
+
+/// The model of a whole test: its phases, in the order in which they happen.
+///
+/// Invariants (kept by whoever builds one): there is at least one phase; all phases have the same `title`, `columns`,
+/// `text_columns`, `literals`, `parameters` and `group`, so that one [`Alpha`](crate::model::Alpha) and one
+/// [`Labels`](crate::ensemble::Labels) serve them all; the first phase carries nothing; names of phases differ; `column` is given
+/// when there are several phases; there are no levels then, nor beside a filter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhasedModel {
+    /// The phases.
+    pub phases: Vec<Phase>,
+    /// Text column that tells the phase of a row; `None` where all rows are of the only phase.
+    pub column: Option<usize>,
+    /// Levels of groups that tests stand in, the outermost first (theory §11); none where tests are independent of each other.
+    pub levels: Vec<GroupLevel>,
+}
+
+/// A level of groups of tests: ξ of a test is the sum of μ, of what each of its groups adds, and of what is the test's own. The
+/// model's own covariance is from test to test within a group of the innermost level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GroupLevel {
+    /// Its name, that of its column.
+    pub name: String,
+    /// Text column with the name of the group, constant within a test. A group is told apart by it and by its groups above.
+    pub column: usize,
+    /// The covariance of what a group adds, p × p. It holds no `known`.
+    pub covariance: CovarianceStructure,
+}
+
+/// One phase.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Phase {
+    /// Its name; `main` for the only phase of a model file without phases.
+    pub name: String,
+    /// Literal (index into [`Model::literals`]) that marks its rows in the phase column; `None` without such a column.
+    pub label: Option<usize>,
+    /// Its states, measurements and constraints.
+    pub model: Model,
+    /// What its x_0 inherits, at most one for each state, in ascending order of state.
+    pub carry: Vec<Carry>,
+    /// The suboptimal filter whose estimates stand for its measurements (theory §8).
+    pub filter: Option<Filter>,
+}
+
+/// x_0 of a state = its own part + this linear form in the final states of the phase before; coefficients are expressions
+/// in parameters and in columns constant within the test, evaluated on the first row of the phase that inherits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Carry {
+    /// The state that inherits.
+    pub state: usize,
+    /// Terms in the states of the phase before.
+    pub from: Linear,
+}
+
+/// A filter that need not be the optimal one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Filter {
+    /// States whose uncertainty is accounted for but which are not estimated (Schmidt), ascending.
+    pub consider: Vec<usize>,
+    /// The filter's prior mean, one number for each state.
+    pub mean: Vec<f64>,
+    /// The filter's prior covariance, n × n, positive semidefinite.
+    pub covariance: DMatrix<f64>,
+    /// (parameter, value) where the filter believes otherwise than the model.
+    pub parameters: Vec<(usize, f64)>,
+}
+
+/// Name of the only phase of a model without phases.
+pub const MAIN: &str = "main";
+
+impl PhasedModel {
+    /// What all phases have in common: title, columns, texts, parameters and group.
+    pub fn shared(&self) -> &Model {
+        &self.phases[0].model
+    }
+
+    /// The models of all phases, to change what they have in common: whoever does so does it in each.
+    pub fn models_mut(&mut self) -> impl Iterator<Item = &mut Model> {
+        self.phases.iter_mut().map(|phase| &mut phase.model)
+    }
+
+    /// Σ_i p_i: the number of estimated states of all phases together.
+    pub fn dimension(&self) -> usize {
+        self.phases.iter().map(|phase| phase.model.dimension()).sum()
+    }
+
+    /// Where the elements of each phase stand among those of all phases.
+    pub fn ranges(&self) -> Vec<std::ops::Range<usize>> {
+        let mut end = 0;
+        let range = |phase: &Phase| {
+            let start = end;
+            end += phase.model.dimension();
+            start..end
+        };
+        self.phases.iter().map(range).collect()
+    }
+
+    /// The structure of each block of Σ and where its states stand: of each phase, or of the only one and then of each level of groups,
+    /// the innermost first.
+    pub fn blocks(&self) -> impl Iterator<Item = (&CovarianceStructure, std::ops::Range<usize>)> {
+        let p = self.dimension();
+        let phases = self.phases.iter().map(|phase| &phase.model.covariance).zip(self.ranges());
+        let levels = self.levels.iter().rev().enumerate();
+        phases.chain(levels.map(move |(l, level)| (&level.covariance, (l + 1) * p..(l + 2) * p)))
+    }
+
+    /// Names of the elements of all blocks of Σ: of the estimated states, and again of those of each level of groups as `level.state`.
+    pub fn element_names(&self) -> Vec<String> {
+        let own = self.estimated_names();
+        let of = |level: &GroupLevel| own.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
+        own.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
+    }
+
+    /// There is one phase only.
+    pub fn is_single(&self) -> bool {
+        self.phases.len() == 1
+    }
+
+    /// Names of the estimated states of all phases, `phase.state` where there are several.
+    pub fn estimated_names(&self) -> Vec<String> {
+        let of = |phase: &Phase| -> Vec<String> {
+            let names = phase.model.estimated_names();
+            if self.is_single() { names } else { names.iter().map(|name| format!("{}.{name}", phase.name)).collect() }
+        };
+        self.phases.iter().flat_map(of).collect()
+    }
+}
+
+impl From<Model> for PhasedModel {
+    fn from(model: Model) -> PhasedModel {
+        let phase = Phase { name: MAIN.to_owned(), label: None, model, carry: Vec::new(), filter: None };
+        PhasedModel { phases: vec![phase], column: None, levels: Vec::new() }
+    }
+}
+
+impl Phase {
+    /// The expressions of all that its x_0 inherits.
+    pub fn carries(&self) -> impl Iterator<Item = &Expression> {
+        self.carry.iter().flat_map(|carry| carry.from.expressions())
+    }
+
+    /// States through which anything unknown enters, in the order of the coordinates of the phase's reduction: the estimated
+    /// ones in the order of μ and Σ, then those that only inherit.
+    pub fn entering(&self) -> Vec<usize> {
+        let mut states = self.model.estimated.clone();
+        states.extend(self.carry.iter().map(|carry| carry.state).filter(|state| !self.model.estimated.contains(state)));
+        states
+    }
+
+    /// The model with all entering states as its ξ, as the reduction wants it: x_0 = a + E σ + ζ with σ the coordinates of
+    /// [`Phase::entering`]. States that only inherit keep their `initial`, which is known: it gives a and P0.
+    pub fn entry_model(&self) -> Model {
+        let mut model = self.model.clone();
+        model.estimated = self.entering();
+        debug_assert!(
+            self.carry.iter().all(|carry| model.states[carry.state].initial != Initial::Stationary),
+            "a stationary state inherits nothing"
+        );
+        let q = model.estimated.len();
+        if let Some(known) = &mut model.covariance.known {
+            known.iter_mut().for_each(|row| row.resize(q, Expression::Number(0.0)));
+            known.resize(q, vec![Expression::Number(0.0); q]);
+        }
+        model
+    }
+}

@@ -1,0 +1,294 @@
+//! A population of tests as it is: values of μ, of the regression coefficients and of Σ.
+
+use nalgebra::DMatrix;
+
+use crate::model::{
+    Alpha, CovarianceKind, CovarianceStructure, Expression, MeanElement, Model, PhasedModel, Scope, StructureError,
+};
+use kalfit_algebra::symmetric;
+
+/// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r. Of a model in phases, ξ_j holds the estimated states
+/// of all phases in a row; those of different phases are independent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Population {
+    /// μ (p), in the order of [`Model::estimated`], phase by phase. Of a model with levels of groups all is there once for the tests' own
+    /// and once more for each level, the innermost first, with the mean zero: ξ_j is the sum.
+    pub mean: Vec<f64>,
+    /// Regression coefficients, in the order of [`MeanStructure::regression`](crate::model::MeanStructure::regression), phase by
+    /// phase.
+    pub coefficients: Vec<f64>,
+    /// Σ (p × p), positive semidefinite; it may be singular. Zero between phases.
+    pub covariance: DMatrix<f64>,
+}
+
+/// Why there is no population.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PopulationError {
+    /// A count that is not the model's.
+    #[error("found {found} {what}, expected {expected} as in the model")]
+    Count {
+        /// What was counted.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// A value that is no finite number.
+    #[error("{what} is {found}, expected a finite number")]
+    NotFinite {
+        /// Which value.
+        what: String,
+        /// The value.
+        found: f64,
+    },
+    /// Σ is not symmetric.
+    #[error("the covariance is not symmetric: {upper} above the diagonal, {lower} below, for `{first}` and `{second}`")]
+    NotSymmetric {
+        /// One state.
+        first: String,
+        /// The other.
+        second: String,
+        /// Entry above the diagonal.
+        upper: f64,
+        /// Entry below it.
+        lower: f64,
+    },
+    /// States of different phases are correlated.
+    #[error("the covariance of `{first}` and `{second}` is {found}, expected 0: they are of different phases")]
+    AcrossPhases {
+        /// One state.
+        first: String,
+        /// The other.
+        second: String,
+        /// Their covariance.
+        found: f64,
+    },
+    /// A matrix is not positive semidefinite, or has no value.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
+    /// The model gives no value to these.
+    #[error("no value is given for {}", elements.join(", "))]
+    NoValue {
+        /// `mean[a]`, `covariance[a, b]` and the like.
+        elements: Vec<String>,
+    },
+}
+
+impl Population {
+    /// The law of a test with p states in groups, by itself: of what stands level by level the sum. Of a population in one level it is the
+    /// same.
+    #[must_use]
+    pub fn together(&self, p: usize) -> Population {
+        let levels = self.mean.len().checked_div(p).unwrap_or(1);
+        let mean = (0..p).map(|i| (0..levels).map(|l| self.mean[l * p + i]).sum()).collect();
+        let sum = |i: usize, k: usize| (0..levels).map(|l| self.covariance[(l * p + i, l * p + k)]).sum();
+        Population { mean, coefficients: self.coefficients.clone(), covariance: DMatrix::from_fn(p, p, sum) }
+    }
+
+    /// The population a model file describes: what it fixes, else what it gives as start value.
+    ///
+    /// # Errors
+    /// [`PopulationError::NoValue`] names all that has neither; a matrix that is not positive semidefinite.
+    pub fn of_model(model: &PhasedModel, alpha: &Alpha) -> Result<Population, PopulationError> {
+        let names = model.element_names();
+        let p = names.len();
+        let (mut mean, mut sigma, mut missing) = (Vec::with_capacity(p), DMatrix::zeros(p, p), Vec::new());
+        for (phase, range) in model.phases.iter().zip(model.ranges()) {
+            let structure = &phase.model.covariance;
+            let named = Named { model: &phase.model, structure, names: &names[range.clone()] };
+            mean.extend(named.means(&mut missing));
+            for regression in &phase.model.mean.regression {
+                let column = &phase.model.columns[regression.column].name;
+                let element = &named.names[regression.element];
+                missing.push(format!("the coefficient of `{column}` in mean[{element}]"));
+            }
+            let own = named.covariance(alpha, &mut missing)?;
+            sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
+        }
+        for (structure, range) in model.blocks().skip(model.phases.len()) {
+            mean.resize(range.end, 0.0);
+            let named = Named { model: model.shared(), structure, names: &names[range.clone()] };
+            let own = named.covariance(alpha, &mut missing)?;
+            sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
+        }
+        if !missing.is_empty() {
+            return Err(PopulationError::NoValue { elements: missing });
+        }
+        let population = Population { mean, coefficients: Vec::new(), covariance: sigma };
+        population.check(model)?;
+        Ok(population)
+    }
+
+    /// Whether it has the model's dimensions, finite values, and a covariance that is symmetric and positive semidefinite.
+    ///
+    /// # Errors
+    /// The first of these that it has not.
+    pub fn check(&self, model: &PhasedModel) -> Result<(), PopulationError> {
+        let regressions = model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
+        let names = model.element_names();
+        self.check_named(names.len(), regressions, &|i| names[i].clone())?;
+        let phase_of: Vec<usize> =
+            model.blocks().enumerate().flat_map(|(block, (_, range))| range.map(move |_| block)).collect();
+        let apart = |&(i, j): &(usize, usize)| phase_of[i] != phase_of[j] && self.covariance[(i, j)] != 0.0;
+        match (0..names.len()).flat_map(|i| (0..i).map(move |j| (i, j))).find(apart) {
+            Some((i, j)) => Err(PopulationError::AcrossPhases {
+                first: names[j].clone(),
+                second: names[i].clone(),
+                found: self.covariance[(i, j)],
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// [`Population::check`] against p states of these names, and a number of regression coefficients.
+    pub fn check_named(
+        &self,
+        p: usize,
+        regressions: usize,
+        name: &dyn Fn(usize) -> String,
+    ) -> Result<(), PopulationError> {
+        let sigma = &self.covariance;
+        for (what, found, expected) in [
+            ("means", self.mean.len(), p),
+            ("regression coefficients", self.coefficients.len(), regressions),
+            ("rows of the covariance", sigma.nrows(), p),
+            ("columns of the covariance", sigma.ncols(), p),
+        ] {
+            if found != expected {
+                return Err(PopulationError::Count { what, found, expected });
+            }
+        }
+        let finite = |found: f64, what: &dyn Fn() -> String| match found.is_finite() {
+            true => Ok(()),
+            false => Err(PopulationError::NotFinite { what: what(), found }),
+        };
+        for (i, &mean) in self.mean.iter().enumerate() {
+            finite(mean, &|| format!("mean[{}]", name(i)))?;
+        }
+        for (r, &coefficient) in self.coefficients.iter().enumerate() {
+            finite(coefficient, &|| format!("regression coefficient {}", r + 1))?;
+        }
+        for i in 0..p {
+            for j in 0..p {
+                finite(sigma[(i, j)], &|| format!("covariance[{}, {}]", name(i), name(j)))?;
+            }
+        }
+        for i in 0..p {
+            for j in 0..i {
+                let (lower, upper) = (sigma[(i, j)], sigma[(j, i)]);
+                if (lower - upper).abs() > 1e-9 * lower.abs().max(upper.abs()) {
+                    return Err(PopulationError::NotSymmetric { first: name(j), second: name(i), upper, lower });
+                }
+            }
+        }
+        if sigma.diagonal().iter().any(|v| *v < 0.0) || !symmetric::is_semidefinite(sigma) {
+            let (values, _) = symmetric::eigen(sigma);
+            let (least, largest) = (values[0], values[p - 1]);
+            return Err(StructureError::NotSemidefinite { what: "the covariance".to_owned(), least, largest }.into());
+        }
+        Ok(())
+    }
+}
+
+/// One phase's model, with the names of its estimated states as messages want them.
+struct Named<'a> {
+    model: &'a Model,
+    /// Of Σ: the model's own, or that of a level of groups.
+    structure: &'a CovarianceStructure,
+    names: &'a [String],
+}
+
+impl Named<'_> {
+    /// μ, with zeros where nothing is given; what is missing is added to `missing`.
+    fn means(&self, missing: &mut Vec<String>) -> Vec<f64> {
+        let structure = &self.model.mean;
+        let scale = structure.elements.iter().zip(&structure.start).find_map(|(element, start)| match element {
+            MeanElement::Proportional(weight) if *weight != 0.0 => start.map(|start| start / weight),
+            _ => None,
+        });
+        let own = |i: usize| match structure.elements[i] {
+            MeanElement::Fixed(value) => Some(value),
+            MeanElement::Free => structure.start[i],
+            MeanElement::Proportional(weight) => scale.map(|scale| scale * weight),
+            MeanElement::Tied { .. } => None,
+        };
+        let mut mean = vec![0.0; structure.elements.len()];
+        for (i, element) in structure.elements.iter().enumerate() {
+            // A tied element whose sources lack values is not named beside them.
+            match (element, own(i)) {
+                (MeanElement::Tied { constant, terms }, _) => {
+                    mean[i] = terms.iter().fold(*constant, |sum, &(k, weight)| sum + weight * own(k).unwrap_or(0.0));
+                }
+                (_, Some(value)) => mean[i] = value,
+                (_, None) => missing.push(format!("mean[{}]", self.names[i])),
+            }
+        }
+        mean
+    }
+
+    /// Σ, with zeros where nothing is given; what is missing is added to `missing`.
+    fn covariance(&self, alpha: &Alpha, missing: &mut Vec<String>) -> Result<DMatrix<f64>, PopulationError> {
+        let Named { structure, names: name, .. } = *self;
+        let p = name.len();
+        let blocks: Vec<Vec<usize>> = match &structure.kind {
+            CovarianceKind::Fixed(entries) => return matrix(entries, alpha),
+            CovarianceKind::Proportional(_) => {
+                missing.push("the scale of the proportional covariance".to_owned());
+                return Ok(DMatrix::zeros(p, p));
+            }
+            CovarianceKind::Correlation(_) => {
+                missing.extend(
+                    (0..p).filter(|&i| !is_zero(structure, i)).map(|i| format!("covariance[{0}, {0}]", name[i])),
+                );
+                return Ok(DMatrix::zeros(p, p));
+            }
+            CovarianceKind::Linear { .. } => {
+                return Ok(structure.start.clone().unwrap_or_else(|| {
+                    missing.push("the coefficients of the linear covariance".to_owned());
+                    DMatrix::zeros(p, p)
+                }));
+            }
+            CovarianceKind::Full => vec![(0..p).collect()],
+            CovarianceKind::Diagonal => (0..p).map(|i| vec![i]).collect(),
+            CovarianceKind::Blocks(blocks) => blocks.clone(),
+        };
+        if let Some(start) = &structure.start {
+            return Ok(start.clone());
+        }
+        let mut sigma = DMatrix::zeros(p, p);
+        for i in 0..p {
+            for j in 0..=i {
+                let fixed = structure.fixed.iter().find(|e| (e.i, e.j) == (i, j)).map(|e| e.value);
+                let absent = is_zero(structure, i)
+                    || is_zero(structure, j)
+                    || !blocks.iter().any(|block| block.contains(&i) && block.contains(&j));
+                match fixed {
+                    Some(value) => (sigma[(i, j)], sigma[(j, i)]) = (value, value),
+                    None if absent => {}
+                    None => missing.push(format!("covariance[{}, {}]", name[j], name[i])),
+                }
+            }
+        }
+        Ok(sigma)
+    }
+}
+
+/// True when a variance is fixed at zero.
+fn is_zero(structure: &CovarianceStructure, i: usize) -> bool {
+    structure.fixed.iter().any(|e| (e.i, e.j) == (i, i) && e.value == 0.0)
+}
+
+fn matrix(entries: &[Vec<Expression>], alpha: &Alpha) -> Result<DMatrix<f64>, PopulationError> {
+    let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
+    let mut values = DMatrix::zeros(entries.len(), entries.len());
+    for (row, expressions) in entries.iter().enumerate() {
+        for (column, expression) in expressions.iter().enumerate() {
+            values[(row, column)] = expression.evaluate(&scope).map_err(|source| {
+                let what = "the fixed covariance".to_owned();
+                StructureError::Entry { what, row, column, source }
+            })?;
+        }
+    }
+    Ok(values)
+}

@@ -1,0 +1,158 @@
+//! Where expressions stand in a model: the one walk over all of them.
+
+use crate::model::{CovarianceKind, Expression, Initial, Linear, Model};
+
+/// Where an expression stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Site {
+    /// What one state adds to the derivative, or the next value, of a state.
+    Rate {
+        /// The state that moves.
+        state: usize,
+        /// The one that moves it.
+        from: usize,
+    },
+    /// What is added to the derivative, or the next value, of a state.
+    Input(usize),
+    /// The variance of a state's process noise.
+    ProcessNoise(usize),
+    /// The known mean of a state at the start.
+    InitialMean(usize),
+    /// The known variance of a state at the start.
+    InitialVariance(usize),
+    /// The offset of a state at the start.
+    Offset(usize),
+    /// The coefficient of a state in a measurement.
+    Coefficient {
+        /// The measurement.
+        measurement: usize,
+        /// The state.
+        state: usize,
+    },
+    /// What is added to a measurement.
+    Constant(usize),
+    /// The variance of a measurement's noise.
+    Noise(usize),
+    /// `where` of a measurement.
+    Filter(usize),
+    /// A covariance of two process noises.
+    ProcessCovariance,
+    /// A covariance of the noises of two measurements.
+    NoiseCovariance,
+    /// The time of x_0.
+    InitialTime,
+    /// An element of the part of the initial covariance that is known.
+    KnownCovariance {
+        /// It is a variance.
+        diagonal: bool,
+    },
+    /// An element of a matrix that Σ is made of: fixed, proportional, or of correlations.
+    Structure {
+        /// It is on the diagonal.
+        diagonal: bool,
+    },
+}
+
+impl Site {
+    /// Of what the filter is made of: the motion of states, and measurements, with their noises.
+    pub fn is_of_filter(self) -> bool {
+        self.is_of_motion()
+            || matches!(
+                self,
+                Site::Coefficient { .. } | Site::Constant(_) | Site::Noise(_) | Site::Filter(_) | Site::NoiseCovariance
+            )
+    }
+
+    /// Of the motion of states, with its noise.
+    pub fn is_of_motion(self) -> bool {
+        matches!(self, Site::Rate { .. } | Site::Input(_) | Site::ProcessNoise(_) | Site::ProcessCovariance)
+    }
+
+    /// The state whose motion or start it is of.
+    pub fn of_state(self) -> Option<usize> {
+        match self {
+            Site::Rate { state, .. }
+            | Site::Input(state)
+            | Site::ProcessNoise(state)
+            | Site::InitialMean(state)
+            | Site::InitialVariance(state)
+            | Site::Offset(state) => Some(state),
+            _ => None,
+        }
+    }
+
+    /// A variance or covariance of noise, or of a known start.
+    pub fn is_variance(self) -> bool {
+        matches!(
+            self,
+            Site::ProcessNoise(_)
+                | Site::InitialVariance(_)
+                | Site::Noise(_)
+                | Site::ProcessCovariance
+                | Site::NoiseCovariance
+                | Site::KnownCovariance { .. }
+        )
+    }
+}
+
+impl Model {
+    /// Every expression, with its place: states in their order, then measurements, covariances, and the start.
+    pub fn expressions(&self) -> Vec<(Site, &Expression)> {
+        let mut all = Vec::new();
+        self.each_of_states(&mut all);
+        for (measurement, meter) in self.measurements.iter().enumerate() {
+            linear(
+                &meter.equation,
+                |state| Site::Coefficient { measurement, state },
+                Site::Constant(measurement),
+                &mut all,
+            );
+            all.extend(meter.filter.iter().map(|filter| (Site::Filter(measurement), filter)));
+            all.push((Site::Noise(measurement), &meter.noise_variance));
+        }
+        all.extend(self.process_noise_covariance.iter().map(|(.., covariance)| (Site::ProcessCovariance, covariance)));
+        all.extend(self.noise_covariance.iter().map(|(.., covariance)| (Site::NoiseCovariance, covariance)));
+        all.extend(self.clock.initial_time.iter().map(|time| (Site::InitialTime, time)));
+        if let Some(known) = &self.covariance.known {
+            matrix(known, |diagonal| Site::KnownCovariance { diagonal }, &mut all);
+        }
+        all.extend(self.covariance.kind.expressions());
+        all
+    }
+
+    fn each_of_states<'m>(&'m self, all: &mut Vec<(Site, &'m Expression)>) {
+        for (i, state) in self.states.iter().enumerate() {
+            if let Some((form, noise_variance)) = state.motion.parts() {
+                linear(form, |from| Site::Rate { state: i, from }, Site::Input(i), all);
+                all.push((Site::ProcessNoise(i), noise_variance));
+            }
+            if let Initial::Known { mean, variance } = &state.initial {
+                all.extend([(Site::InitialMean(i), mean), (Site::InitialVariance(i), variance)]);
+            }
+            all.extend(state.offset.iter().map(|offset| (Site::Offset(i), offset)));
+        }
+    }
+}
+
+impl CovarianceKind {
+    /// The elements of its matrix, where it has one.
+    pub fn expressions(&self) -> Vec<(Site, &Expression)> {
+        let mut all = Vec::new();
+        if let CovarianceKind::Proportional(own) | CovarianceKind::Correlation(own) | CovarianceKind::Fixed(own) = self
+        {
+            matrix(own, |diagonal| Site::Structure { diagonal }, &mut all);
+        }
+        all
+    }
+}
+
+fn linear<'m>(form: &'m Linear, of: impl Fn(usize) -> Site, constant: Site, all: &mut Vec<(Site, &'m Expression)>) {
+    all.extend(form.terms.iter().map(|(state, coefficient)| (of(*state), coefficient)));
+    all.push((constant, &form.constant));
+}
+
+fn matrix<'m>(rows: &'m [Vec<Expression>], of: impl Fn(bool) -> Site, all: &mut Vec<(Site, &'m Expression)>) {
+    for (i, row) in rows.iter().enumerate() {
+        all.extend(row.iter().enumerate().map(|(j, entry)| (of(i == j), entry)));
+    }
+}

@@ -1,0 +1,137 @@
+//! The free values of α: one for a common parameter, one for each level of one that has levels.
+
+use std::collections::BTreeMap;
+
+use crate::ensemble::{Label, Labels, Test};
+use crate::model::{Alpha, Level, Model, Parameter, Value};
+
+/// One free value of α.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Slot {
+    /// Index of the parameter in [`Model::parameters`].
+    pub parameter: usize,
+    /// Its level, when the parameter has levels.
+    pub level: Option<Label>,
+}
+
+/// All free values of α, in the order of the model's parameters and, within one, of the texts of its levels.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Slots {
+    slots: Vec<Slot>,
+    places: Vec<Places>,
+}
+
+/// Where the values of one parameter stand among the slots.
+#[derive(Debug, Clone, PartialEq)]
+enum Places {
+    Fixed,
+    Common(usize),
+    Each { column: usize, places: BTreeMap<Label, usize> },
+}
+
+impl Slots {
+    /// The free values of a model that these tests have levels for.
+    pub fn new(model: &Model, labels: &Labels, tests: &[Test]) -> Slots {
+        Slots::of(model, labels, &tests.iter().collect::<Vec<_>>())
+    }
+
+    /// Of a model whose parameters are all known.
+    pub fn none(model: &Model) -> Slots {
+        Slots { slots: Vec::new(), places: model.parameters.iter().map(|_| Places::Fixed).collect() }
+    }
+
+    /// The same of tests that stand anywhere.
+    pub(crate) fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
+        let mut slots = Slots::default();
+        for (parameter, what) in model.parameters.iter().enumerate() {
+            let places = match (what.value, what.per) {
+                (Value::Fixed(_), _) => Places::Fixed,
+                (Value::Free { .. }, None) => Places::Common(slots.add(parameter, None)),
+                (Value::Free { .. }, Some(column)) => {
+                    let mut levels = levels(what, column, tests);
+                    levels.sort_by(|a, b| labels.text(*a).cmp(labels.text(*b)));
+                    let place = |level: Label| (level, slots.add(parameter, Some(level)));
+                    Places::Each { column, places: levels.into_iter().map(place).collect() }
+                }
+            };
+            slots.places.push(places);
+        }
+        slots
+    }
+
+    fn add(&mut self, parameter: usize, level: Option<Label>) -> usize {
+        self.slots.push(Slot { parameter, level });
+        self.slots.len() - 1
+    }
+
+    /// The free values.
+    pub fn slots(&self) -> &[Slot] {
+        &self.slots
+    }
+
+    /// Number of free values.
+    pub fn len(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// True when all of α is known.
+    pub fn is_empty(&self) -> bool {
+        self.slots.is_empty()
+    }
+
+    /// True when some value of the parameter is free.
+    pub fn is_free(&self, parameter: usize) -> bool {
+        match &self.places[parameter] {
+            Places::Fixed => false,
+            Places::Common(_) => true,
+            Places::Each { places, .. } => !places.is_empty(),
+        }
+    }
+
+    /// Which parameters have free values, one for each parameter.
+    pub fn free(&self) -> Vec<bool> {
+        (0..self.places.len()).map(|parameter| self.is_free(parameter)).collect()
+    }
+
+    /// Slot of a parameter that is common to all rows.
+    pub fn common(&self, parameter: usize) -> Option<usize> {
+        match &self.places[parameter] {
+            Places::Common(slot) => Some(*slot),
+            Places::Fixed | Places::Each { .. } => None,
+        }
+    }
+
+    /// Slot of a parameter on a row with these text cells; `None` where its value is fixed.
+    pub fn find(&self, parameter: usize, texts: &[Label]) -> Option<usize> {
+        match &self.places[parameter] {
+            Places::Fixed => None,
+            Places::Common(slot) => Some(*slot),
+            Places::Each { column, places } => places.get(&texts[*column]).copied(),
+        }
+    }
+
+    /// α with these values in the slots; the other values are the model's fixed ones.
+    pub fn alpha(&self, model: &Model, values: &[f64]) -> Alpha {
+        let level = |(parameter, places): (&Parameter, &Places)| match places {
+            Places::Fixed => parameter.level(),
+            Places::Common(slot) => Level::Common(values[*slot]),
+            Places::Each { column, places } => {
+                let mut each: BTreeMap<Label, f64> =
+                    parameter.fixed_levels.iter().map(|(&literal, &v)| (Label::literal(literal), v)).collect();
+                each.extend(places.iter().map(|(&level, &slot)| (level, values[slot])));
+                Level::Each { column: *column, values: each, other: None }
+            }
+        };
+        Alpha { values: model.parameters.iter().zip(&self.places).map(level).collect() }
+    }
+}
+
+/// Levels of a text column that occur in the tests and have no fixed value.
+fn levels(parameter: &Parameter, column: usize, tests: &[&Test]) -> Vec<Label> {
+    let mut levels: Vec<Label> =
+        tests.iter().flat_map(|test| (0..test.rows()).map(|row| test.texts(row)[column])).collect();
+    levels.sort_unstable();
+    levels.dedup();
+    levels.retain(|level| !level.is_missing() && !parameter.fixed_levels.keys().any(|&l| Label::literal(l) == *level));
+    levels
+}

@@ -1,0 +1,19 @@
+//! Populations of tests in several phases: ξ = (ξ_1, …, ξ_I), independent from phase to phase (theory §7).
+
+use std::ops::Range;
+
+use crate::model::{Phase, PhasedModel, Population};
+
+impl Population {
+    /// The population of each phase. `self` is of the shape of the model.
+    pub fn apart(&self, model: &PhasedModel) -> Vec<Population> {
+        let mut coefficients = self.coefficients.as_slice();
+        let of = |(phase, range): (&Phase, Range<usize>)| {
+            let (own, rest) = coefficients.split_at(phase.model.mean.regression.len());
+            coefficients = rest;
+            let covariance = self.covariance.view((range.start, range.start), (range.len(), range.len())).into_owned();
+            Population { mean: self.mean[range].to_vec(), coefficients: own.to_vec(), covariance }
+        };
+        model.phases.iter().zip(model.ranges()).map(of).collect()
+    }
+}

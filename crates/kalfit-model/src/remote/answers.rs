@@ -1,0 +1,130 @@
+//! What has been answered, and what is to be asked next.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::remote::question::{Asked, Question};
+
+/// Numbers that add over tests; `None` where what was asked for is not defined.
+pub type Answer = Option<Vec<f64>>;
+
+/// The sum of the answers of several places to one question, in their order; `None` where they are not of one length.
+pub fn sum(answers: &[Answer]) -> Option<Answer> {
+    let length = answers.iter().flatten().map(Vec::len).next();
+    if answers.iter().flatten().any(|one| Some(one.len()) != length) {
+        return None;
+    }
+    let add = |mut sum: Vec<f64>, other: &Vec<f64>| {
+        sum.iter_mut().zip(other).for_each(|(a, b)| *a += b);
+        sum
+    };
+    let [first, rest @ ..] = answers else { return Some(None) };
+    Some(rest.iter().fold(first.clone(), |sum, other| sum.zip(other.as_ref()).map(|(sum, other)| add(sum, other))))
+}
+
+/// All that has been answered of an ensemble, and what a search that lives on it asks for beyond.
+#[derive(Debug, Default)]
+pub struct Answers {
+    known: Vec<(Asked, Answer)>,
+    open: Mutex<Open>,
+}
+
+#[derive(Debug, Default)]
+struct Open {
+    /// Asked, and not answered yet.
+    wanted: Vec<Asked>,
+    /// Within so many parts of the search that do not depend on each other.
+    together: usize,
+}
+
+impl Answers {
+    /// Those that are known.
+    pub fn new(known: Vec<(Asked, Answer)>) -> Answers {
+        Answers { known, open: Mutex::default() }
+    }
+
+    /// Something was asked for that has no answer yet: whatever the search does from there on means nothing.
+    pub fn is_waiting(&self) -> bool {
+        !self.open().wanted.is_empty()
+    }
+
+    /// What was asked for that has no answer yet.
+    pub fn wanted(&self) -> Vec<Asked> {
+        self.open().wanted.clone()
+    }
+
+    /// The answer; `None` where it is not defined, or not known. The first question without an answer is kept, and those that are
+    /// [asked together](Answers::together) with it.
+    pub(crate) fn get(&self, asked: Asked) -> Answer {
+        if !asked.is_finite() {
+            return None;
+        }
+        if let Some((_, answer)) = self.known.iter().find(|(known, _)| *known == asked) {
+            return answer.clone();
+        }
+        let mut open = self.open();
+        if (open.wanted.is_empty() || open.together > 0) && !open.wanted.contains(&asked) {
+            open.wanted.push(asked);
+        }
+        None
+    }
+
+    /// Does what asks for several things that do not depend on each other: one round answers them all.
+    pub fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
+        let opened = {
+            let mut open = self.open();
+            let opens = open.wanted.is_empty() || open.together > 0;
+            open.together += usize::from(opens);
+            opens
+        };
+        let found = ask();
+        self.open().together -= usize::from(opened);
+        found
+    }
+
+    fn open(&self) -> MutexGuard<'_, Open> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The tests at an α.
+#[derive(Debug, Clone)]
+pub struct Remote {
+    /// The free values of α.
+    pub values: Vec<f64>,
+    pub answers: Arc<Answers>,
+}
+
+impl Remote {
+    /// What the tests say there.
+    pub fn ask(&self, question: Question) -> Answer {
+        self.answers.get(Asked { values: self.values.clone(), question })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(value: f64) -> Asked {
+        Asked { values: vec![value], question: Question::Survey }
+    }
+
+    #[test]
+    fn sums_add_number_by_number_and_what_one_cannot_answer_nobody_can() {
+        let answers = [Some(vec![1.0, 2.0]), Some(vec![0.5, -1.0])];
+        assert_eq!(sum(&answers), Some(Some(vec![1.5, 1.0])));
+        assert_eq!(sum(&[answers[0].clone(), None]), Some(None));
+        assert_eq!(sum(&[Some(vec![1.0]), answers[0].clone()]), None);
+    }
+
+    #[test]
+    fn a_search_stops_at_the_first_question_without_an_answer_but_for_those_beside_it() {
+        let answers = Answers::new(vec![(asked(1.0), Some(vec![3.0]))]);
+        assert_eq!((answers.get(asked(1.0)), answers.is_waiting()), (Some(vec![3.0]), false));
+        answers.together(|| (answers.get(asked(2.0)), answers.get(asked(f64::NAN)), answers.get(asked(3.0))));
+        assert_eq!(answers.get(asked(4.0)), None);
+        answers.together(|| answers.get(asked(5.0)));
+        assert_eq!(answers.wanted(), [asked(2.0), asked(3.0)]);
+        assert_eq!(answers.get(asked(1.0)), Some(vec![3.0]));
+    }
+}

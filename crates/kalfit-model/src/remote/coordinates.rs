@@ -1,0 +1,64 @@
+//! The coordinates η that estimation works in.
+
+use std::ops::Range;
+
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+use kalfit_algebra::symmetric;
+
+/// ξ = centre + scale ∘ η.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Coordinates {
+    /// Of each state.
+    pub centre: Vec<f64>,
+    /// Of each state.
+    pub scale: Vec<f64>,
+    /// Scale of each covariate.
+    pub covariate_scale: Vec<f64>,
+}
+
+impl Coordinates {
+    /// The same with the whole centre at the first of so many levels, whose states add up.
+    pub fn centred(&self, levels: usize) -> Coordinates {
+        let p = self.centre.len() / levels;
+        let sum = |i: usize| (0..levels).map(|l| self.centre[l * p + i]).sum();
+        let centre = (0..self.centre.len()).map(|k| if k < p { sum(k) } else { 0.0 }).collect();
+        Coordinates { centre, ..self.clone() }
+    }
+
+    /// Σ in the user's units from Σ in η, symmetric to the last bit.
+    pub fn covariance_out(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+        symmetric::scaled(&self.scale, |i, j| sigma[(i, j)])
+    }
+
+    /// Σ in η from Σ in the user's units.
+    pub fn covariance_in(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
+        DMatrix::from_fn(sigma.nrows(), sigma.ncols(), |i, j| sigma[(i, j)] / (self.scale[i] * self.scale[j]))
+    }
+
+    /// The frame of some of the states.
+    pub fn part(&self, states: &Range<usize>) -> Coordinates {
+        let of = |all: &[f64]| all[states.clone()].to_vec();
+        Coordinates { centre: of(&self.centre), scale: of(&self.scale), covariate_scale: self.covariate_scale.clone() }
+    }
+
+    /// μ in the user's units from μ in η.
+    pub fn mean_out(&self, mu: &[f64]) -> Vec<f64> {
+        let mut mean = mu.to_vec();
+        self.take_mean_out(&mut mean);
+        mean
+    }
+
+    /// The same in its place.
+    pub fn take_mean_out(&self, mean: &mut [f64]) {
+        for ((mean, centre), scale) in mean.iter_mut().zip(&self.centre).zip(&self.scale) {
+            *mean = centre + scale * *mean;
+        }
+    }
+
+    /// μ in η from μ in the user's units.
+    pub fn mean_in(&self, mu: &[f64]) -> Vec<f64> {
+        mu.iter().zip(&self.centre).zip(&self.scale).map(|((m, c), s)| (m - c) / s).collect()
+    }
+}

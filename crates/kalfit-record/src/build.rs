@@ -1,0 +1,356 @@
+//! From an estimate and its inference to the record.
+
+use rayon::prelude::*;
+
+use crate::cut::{PhaseCut, phases_of};
+use crate::diagnosis::shortage_notes;
+use crate::directions::crossing_notes;
+use crate::number::plain;
+use crate::own::{MOST_OWN, OwnEstimate};
+use crate::phases::phases_and_levels;
+use crate::test_records::TestFigures;
+use crate::{
+    CertificateRecord, ConstraintRecord, DataRecord, DeletedRecord, DeletionRecord, EstimatesRecord, FitRecord,
+    ParameterRecord, SolverRecord, TestRecords, parameters,
+};
+use kalfit_algebra::elements::Element;
+use kalfit_estimate::{Certificate, Combination, Counts, Criterion, Estimate, Solver, Stop};
+use kalfit_filter::reduce::Reductions;
+use kalfit_infer::{Deletion, Distance, Inference, IntervalKind, Sensitivity, StdErrors};
+use kalfit_model::Labels;
+use kalfit_model::{Alpha, PhasedModel, Slots};
+
+/// Digits of a figure in a note.
+const DIGITS: usize = 4;
+
+/// What the core does not know about a fit.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Provenance {
+    /// SHA-256 of the model file, `sha256:…`.
+    pub model_digest: Option<String>,
+    /// The model in words and equations, one fact a line.
+    pub model: Vec<String>,
+    /// Data files, as named by the user.
+    pub files: Vec<String>,
+    /// Wall time.
+    pub seconds: f64,
+    /// What some filter made of a phase stood for its measurements, so that ℓ is not of the measurements.
+    pub of_estimates: bool,
+}
+
+impl FitRecord {
+    /// The record of a fit of μ and Σ at a known α.
+    pub fn new(
+        model: &PhasedModel,
+        alpha: &Alpha,
+        reductions: &Reductions,
+        estimate: &Estimate,
+        inference: &Inference,
+        provenance: Provenance,
+    ) -> FitRecord {
+        let parameters = parameters::fixed(model.shared(), alpha);
+        FitRecord::at(model, reductions, estimate, inference, (parameters, None), provenance)
+    }
+
+    /// The record of μ and Σ, with the parameters given as they are, and the slots of free ones with the texts of their levels.
+    pub(super) fn at(
+        model: &PhasedModel,
+        reductions: &Reductions,
+        estimate: &Estimate,
+        inference: &Inference,
+        (parameters, slots): (Vec<ParameterRecord>, Option<(&Slots, &Labels)>),
+        provenance: Provenance,
+    ) -> FitRecord {
+        let data = data(reductions, provenance.files);
+        let free = estimate.declared_mean() + estimate.declared_covariance(); // as lme4 counts them
+        let log_likelihood = estimate.log_likelihood;
+        let of_estimates = provenance.of_estimates || filtered(model, reductions);
+        let comparable = !of_estimates && estimate.composite.is_none();
+        let penalty = |per: f64| comparable.then_some(free as f64 * per - 2.0 * log_likelihood);
+        let (phases, levels) = phases_and_levels(model, estimate, inference, reductions);
+        FitRecord {
+            schema: "kalfit-fit/1".to_owned(),
+            kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
+            title: model.shared().title.clone(),
+            model_digest: provenance.model_digest,
+            model: provenance.model,
+            criterion: match estimate.criterion {
+                Criterion::Ml => "ml".to_owned(),
+                Criterion::Reml => "reml".to_owned(),
+            },
+            log_likelihood_kind: if of_estimates { "estimates" } else { "measurements" }.to_owned(),
+            log_likelihood,
+            composite_log_likelihood: estimate.composite.filter(|x| x.is_finite()),
+            free_parameters: free,
+            aic: penalty(2.0),
+            bic: if data.observations > 0 { penalty((data.observations as f64).ln()) } else { None },
+            converged: estimate.stop == Stop::Certified,
+            reason: reason(estimate),
+            certificate: certificate(estimate),
+            model_check: None,
+            solver: solver(estimate, provenance.seconds),
+            std_errors: std_errors(inference).to_owned(),
+            intervals: intervals(inference).to_owned(),
+            phases,
+            levels,
+            groups: Vec::new(),
+            parameters,
+            estimates: inference.estimates.as_ref().map(|found| EstimatesRecord::new(model, found, slots)),
+            starts: Vec::new(),
+            methods: Vec::new(),
+            constraints: constraints(model, &inference.sensitivities),
+            tests: tests(model, reductions, inference),
+            group_column: None,
+            by_group: Vec::new(),
+            group_test: None,
+            notes: notes(model, estimate, inference),
+            data,
+        }
+    }
+}
+
+impl DataRecord {
+    /// Counts of the data behind reductions.
+    pub fn of(reductions: &Reductions, files: Vec<String>) -> DataRecord {
+        data(reductions, files)
+    }
+}
+
+fn data(reductions: &Reductions, files: Vec<String>) -> DataRecord {
+    let Counts { tests, steps, observations, square_root_tests, designs } = Counts::of(reductions);
+    DataRecord { tests, steps, observations, design_classes: designs, square_root_tests, files }
+}
+
+/// Scores below rounding errors say nothing, so these stand in their place.
+fn certificate(estimate: &Estimate) -> CertificateRecord {
+    let Certificate { mean, covariance, null_space, rounding, .. } = estimate.certificate;
+    let least = |score: f64, free: usize| if free > 0 { score.max(rounding) } else { score };
+    CertificateRecord {
+        mean: least(mean, estimate.declared_mean()),
+        covariance: least(covariance, estimate.declared_covariance()),
+        null_space,
+        parameters: 0.0,
+        rounding,
+    }
+}
+
+pub(super) fn reason(estimate: &Estimate) -> String {
+    let far = estimate.certificate.distance();
+    match estimate.stop {
+        Stop::Certified => format!("the optimality conditions hold: within {far:.1e} standard errors of the optimum"),
+        Stop::PassLimit => format!(
+            "the search reached its limit of iterations ({}) about {far:.1e} standard errors from the optimum",
+            estimate.passes
+        ),
+        Stop::Interrupted => format!(
+            "the search was interrupted after {} iterations, about {far:.1e} standard errors from the optimum",
+            estimate.passes
+        ),
+        Stop::Stalled if !estimate.certificate.is_precise() => {
+            format!(
+                "rounding errors of up to about {:.1e} standard errors remain in the estimates",
+                estimate.certificate.rounding
+            )
+        }
+        Stop::Stalled => format!(
+            "no step increases the log-likelihood, but the optimality conditions do not hold ({far:.1e} standard errors away)"
+        ),
+    }
+}
+
+fn solver(estimate: &Estimate, seconds: f64) -> SolverRecord {
+    SolverRecord {
+        method: "hybrid".to_owned(),
+        solver: match estimate.solver {
+            Solver::Newton => "newton".to_owned(),
+            Solver::Em => "em".to_owned(),
+        },
+        phases: match estimate.state.settings.phases {
+            Combination::Chain => "chain".to_owned(),
+            Combination::Stacked => "stacked".to_owned(),
+            Combination::Marginal => "marginal".to_owned(),
+        },
+        iterations: estimate.passes,
+        filter_passes: 1,
+        score_passes: 0,
+        trace: estimate.trace.clone(),
+        seconds,
+    }
+}
+
+fn std_errors(inference: &Inference) -> &'static str {
+    match inference.std_errors {
+        StdErrors::Observed => "observed",
+        StdErrors::Expected => "expected",
+        StdErrors::Sandwich => "sandwich",
+    }
+}
+
+fn intervals(inference: &Inference) -> &'static str {
+    match inference.intervals.kind {
+        IntervalKind::Wald => "wald",
+        IntervalKind::Profile => "profile",
+    }
+}
+
+fn constraints(model: &PhasedModel, sensitivities: &[Sensitivity]) -> Vec<ConstraintRecord> {
+    let cuts = PhaseCut::blocks(model);
+    let of = |sensitivity: &Sensitivity| {
+        let (Element::Mean(first) | Element::Covariance(first, _)) = sensitivity.element;
+        let cut = cuts.iter().find(|cut| cut.element(first).is_some()).expect("an element is of some phase");
+        constraint(cut, sensitivity)
+    };
+    sensitivities.iter().map(of).collect()
+}
+
+fn constraint(cut: &PhaseCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord {
+    let model = &cut.phase.model;
+    let name = |i: usize| &model.states[model.estimated[i - cut.elements.start]].name;
+    ConstraintRecord {
+        element: match sensitivity.element {
+            Element::Mean(i) => format!("mean[{}]", name(i)),
+            Element::Covariance(i, j) => format!("covariance[{}, {}]", name(j), name(i)),
+        },
+        phase: cut.phase.name.clone(),
+        level: cut.level.map(|level| level.name.clone()),
+        value: sensitivity.value,
+        sensitivity: Some(sensitivity.sensitivity),
+        score_statistic: sensitivity.statistic,
+        p_value: sensitivity.p_value,
+        expected_change: sensitivity.expected_change,
+    }
+}
+
+fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) -> TestRecords {
+    if inference.posteriors.is_empty() {
+        return TestRecords::default(); // not asked for
+    }
+    let cuts = PhaseCut::all(model);
+    let mut order: Vec<usize> = (0..reductions.len()).collect();
+    order.par_sort_by(|&a, &b| reductions.id(a).cmp(reductions.id(b)));
+    let classes = DesignClasses::new(reductions, &order);
+    let with_own = if order.len() <= MOST_OWN { &order[..] } else { &[] };
+    let own: Vec<OwnEstimate> = with_own.par_iter().map(|&j| OwnEstimate::of(reductions.get(j))).collect();
+    let mut tests = TestRecords::with_room(order.len(), cuts.iter().map(|cut| cut.elements.len()));
+    for (place, j) in order.into_iter().enumerate() {
+        let (reduction, posterior) = (reductions.get(j), inference.posteriors.get(j));
+        let Distance { squared, degrees_of_freedom, p_value } = posterior.distance;
+        let figures = TestFigures {
+            log_likelihood: posterior.log_likelihood,
+            observations: reduction.observations,
+            steps: Some(reduction.steps),
+            design_class: classes.number(reduction.design),
+            distance: (degrees_of_freedom > 0).then_some(squared),
+            degrees_of_freedom,
+            p_value,
+        };
+        let deletion = inference.deletions.as_ref().and_then(|all| all[j].as_ref());
+        tests.push(reduction.test, figures, deletion.map(|without| DeletionRecord::new(model, without)));
+        for cut in &cuts[..phases_of(reduction, model)] {
+            let (mean, covariance) = (&posterior.mean[cut.elements.clone()], posterior.square(cut.index));
+            let own = own.get(place).and_then(|own| own.part(cut));
+            tests.phases.push(&cut.phase.name, (mean, covariance), own);
+        }
+    }
+    tests
+}
+
+/// Some test has a phase whose filter's estimates stand for its measurements.
+fn filtered(model: &PhasedModel, reductions: &Reductions) -> bool {
+    let has = |phase: usize| {
+        reductions.remote().is_some() || reductions.iter().any(|reduction| phases_of(reduction, model) > phase)
+    };
+    model.phases.iter().enumerate().any(|(i, phase)| phase.filter.is_some() && has(i))
+}
+
+/// Numbers of the design classes, from 1 in the order of the tests: (digest, number), by digest.
+struct DesignClasses(Vec<(u128, usize)>);
+
+impl DesignClasses {
+    fn new(reductions: &Reductions, order: &[usize]) -> DesignClasses {
+        let mut first: Vec<(u128, usize)> =
+            order.par_iter().map(|&j| reductions.get(j).design).zip(0..order.len()).collect();
+        first.par_sort_unstable();
+        first.dedup_by_key(|(design, _)| *design); // the first test of each class is left
+        let mut places: Vec<usize> = first.iter().map(|(_, place)| *place).collect();
+        places.par_sort_unstable();
+        let number = |place: usize| places.partition_point(|other| *other < place) + 1;
+        DesignClasses(first.into_par_iter().map(|(design, place)| (design, number(place))).collect())
+    }
+
+    fn number(&self, design: u128) -> Option<usize> {
+        let at = self.0.binary_search_by_key(&design, |(known, _)| *known).ok()?;
+        Some(self.0[at].1)
+    }
+}
+
+impl DeletionRecord {
+    /// The fit without a test or a group.
+    pub(super) fn new(model: &PhasedModel, deletion: &Deletion) -> DeletionRecord {
+        let Deletion { estimate, log_density, distance, displacement } = deletion;
+        let of = |cut: &PhaseCut<'_>| DeletedRecord {
+            name: cut.name().to_owned(),
+            mean: if cut.level.is_none() { cut.list(&estimate.mean) } else { Vec::new() },
+            regression: estimate.coefficients[cut.regressions.clone()].to_vec(),
+            covariance: cut.block(&estimate.covariance),
+        };
+        DeletionRecord {
+            log_density: *log_density,
+            distance: (distance.degrees_of_freedom > 0).then_some(distance.squared),
+            p_value: distance.p_value,
+            displacement: *displacement,
+            phases: PhaseCut::blocks(model).iter().map(of).collect(),
+        }
+    }
+}
+
+/// What a reader should be told that no single figure shows.
+fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec<String> {
+    let Inference { unidentified, explanations, observability, uncertainty, .. } = inference;
+    let mut notes: Vec<String> = rounding_note(model, estimate).into_iter().collect();
+    notes.extend(crossing_notes(model, unidentified, explanations, observability));
+    notes.extend(shortage_notes(model, observability));
+    for (i, name) in model.element_names().iter().enumerate() {
+        let variance = estimate.covariance[(i, i)];
+        if let Some(error) = uncertainty.errors.covariance[i][i].filter(|e| *e >= variance) {
+            notes.push(format!(
+                "the variance of `{name}` is weakly determined: its standard error ({}) is no smaller than the variance itself ({})",
+                plain(error, DIGITS),
+                plain(variance, DIGITS)
+            ));
+        }
+    }
+    let without = inference.intervals.unprofiled;
+    if without > 0 {
+        let come = if without == 1 { "interval comes" } else { "intervals come" };
+        notes.push(format!(
+            "{without} {come} from standard errors instead of the profile likelihood: with free parameters, profiles are limited to 60 quantities of mean and covariance with up to 24 free values, and to 40 free values themselves; covariances that depend on a parameter and covariances of noises have none"
+        ));
+    }
+    notes
+}
+
+/// What rounding leaves open, where that is more than the search does.
+fn rounding_note(model: &PhasedModel, estimate: &Estimate) -> Option<String> {
+    let certificate = &estimate.certificate;
+    if !certificate.is_limited_by_rounding() {
+        return None;
+    }
+    let parts = estimate.state.rounding();
+    let worst = (0..parts.len()).max_by(|&a, &b| parts[a].total_cmp(&parts[b]).then(b.cmp(&a)))?;
+    let (names, p) = (model.element_names(), estimate.mean.len());
+    let cause = match worst.checked_sub(p) {
+        None => format!(
+            "the mean of `{}`, {:.1e}, is very large compared with its standard error, so digits are lost by cancellation; subtract a constant from the measured column",
+            names[worst], estimate.mean[worst]
+        ),
+        Some(c) => format!(
+            "the regression of `{}` adds very large numbers that cancel; subtract a constant from its column",
+            names[estimate.state.problem.mean.regressors[c]]
+        ),
+    };
+    Some(format!(
+        "rounding errors of up to about {:.1e} standard errors remain in mean and covariance: {cause}",
+        certificate.rounding
+    ))
+}

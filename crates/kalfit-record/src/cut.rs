@@ -1,0 +1,103 @@
+//! What is known of all phases together, cut into phases; and of tests in groups, into levels.
+
+use std::ops::Range;
+
+use nalgebra::DMatrix;
+
+use kalfit_filter::reduce::ReductionRef;
+use kalfit_model::{CovarianceStructure, GroupLevel, Phase, PhasedModel, Regression};
+
+/// One phase of a model, and where what belongs to it stands among what belongs to all.
+#[derive(Debug, Clone)]
+pub(super) struct PhaseCut<'a> {
+    /// The phase; of a level of groups the only one.
+    pub(super) phase: &'a Phase,
+    /// The level of groups whose part it is.
+    pub(super) level: Option<&'a GroupLevel>,
+    /// Its place among the blocks of Σ.
+    pub(super) index: usize,
+    /// Its elements among those of all phases.
+    pub(super) elements: Range<usize>,
+    /// Its regressions among those of all phases.
+    pub(super) regressions: Range<usize>,
+}
+
+impl<'a> PhaseCut<'a> {
+    /// All phases of a model, in order.
+    pub(super) fn all(model: &'a PhasedModel) -> Vec<PhaseCut<'a>> {
+        let mut end = 0;
+        let cut = |(index, (phase, elements)): (usize, (&'a Phase, Range<usize>))| {
+            let start = end;
+            end += phase.model.mean.regression.len();
+            PhaseCut { phase, level: None, index, elements, regressions: start..end }
+        };
+        model.phases.iter().zip(model.ranges()).enumerate().map(cut).collect()
+    }
+
+    /// All phases, or the only one and then the levels of groups, the innermost first: what the blocks of Σ are of.
+    pub(super) fn blocks(model: &'a PhasedModel) -> Vec<PhaseCut<'a>> {
+        let mut all = PhaseCut::all(model);
+        let (p, end) = (model.dimension(), all.last().map_or(0, |cut| cut.regressions.end));
+        let level = |(l, level): (usize, &'a GroupLevel)| PhaseCut {
+            phase: &model.phases[0],
+            level: Some(level),
+            index: l + 1,
+            elements: (l + 1) * p..(l + 2) * p,
+            regressions: end..end,
+        };
+        all.extend(model.levels.iter().rev().enumerate().map(level));
+        all
+    }
+
+    /// Its name.
+    pub(super) fn name(&self) -> &'a str {
+        self.level.map_or(&self.phase.name, |level| &level.name)
+    }
+
+    /// What is assumed of its Σ.
+    pub(super) fn structure(&self) -> &'a CovarianceStructure {
+        self.level.map_or(&self.phase.model.covariance, |level| &level.covariance)
+    }
+
+    /// Names of its states as they are in the phase.
+    pub(super) fn states(&self) -> Vec<String> {
+        self.phase.model.estimated_names()
+    }
+
+    /// Its part of a list with an entry for each element.
+    pub(super) fn list<T: Clone>(&self, all: &[T]) -> Vec<T> {
+        all[self.elements.clone()].to_vec()
+    }
+
+    /// Its block of a square of such lists.
+    pub(super) fn square<T: Clone>(&self, all: &[Vec<T>]) -> Vec<Vec<T>> {
+        all[self.elements.clone()].iter().map(|row| self.list(row)).collect()
+    }
+
+    /// Its block of a matrix, by rows.
+    pub(super) fn block(&self, all: &DMatrix<f64>) -> Vec<Vec<f64>> {
+        let of = |i: usize| self.elements.clone().map(|k| all[(i, k)]).collect();
+        self.elements.clone().map(of).collect()
+    }
+
+    /// Which of its elements this one of all is.
+    pub(super) fn element(&self, of_all: usize) -> Option<usize> {
+        self.elements.contains(&of_all).then(|| of_all - self.elements.start)
+    }
+}
+
+/// The regressions of all phases, their elements those of all phases.
+pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
+    let of = |cut: PhaseCut<'_>| -> Vec<Regression> {
+        let start = cut.elements.start;
+        let moved = |r: &Regression| Regression { element: start + r.element, column: r.column };
+        cut.phase.model.mean.regression.iter().map(moved).collect()
+    };
+    PhaseCut::all(model).into_iter().flat_map(of).collect()
+}
+
+/// How many phases of a model a test has.
+pub(super) fn phases_of(reduction: ReductionRef<'_>, model: &PhasedModel) -> usize {
+    let all = model.phases.len();
+    reduction.chain.as_ref().map_or(all, |chain| chain.phases.len().min(all))
+}

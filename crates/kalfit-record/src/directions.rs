@@ -1,0 +1,227 @@
+//! Directions of all that is estimated, cut into phases, each with its elements named.
+
+use crate::cut::PhaseCut;
+use crate::diagnosis::{named, words};
+use crate::number::plain;
+use crate::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
+use kalfit_infer::{Direction, Explanation, Observability, PhaseObservability, Quantity, WeakDirection};
+use kalfit_model::PhasedModel;
+
+/// No more terms than this of a direction are written out.
+const MOST_TERMS: usize = 6;
+
+/// What the entries of a direction stand for.
+struct Entries {
+    /// The phase of each.
+    phase: Vec<usize>,
+    /// Its name within the phase.
+    own: Vec<String>,
+    /// Its name among all phases, as in a combination: `align.bias`, `cov(align.bias, align.tilt)`.
+    full: Vec<String>,
+}
+
+/// One phase's part of a direction.
+struct PhaseDirection {
+    phase: usize,
+    direction: Vec<f64>,
+    /// Names of the phases that the direction mixes, none when there is one only.
+    phases: Vec<String>,
+}
+
+impl Entries {
+    fn of(model: &PhasedModel, quantity: Quantity) -> Entries {
+        match quantity {
+            Quantity::Mean => Entries::mean(model, true),
+            Quantity::Covariance => Entries::covariance(model),
+        }
+    }
+
+    /// Elements of μ, then regression coefficients as `state per column`.
+    fn mean(model: &PhasedModel, coefficients: bool) -> Entries {
+        let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
+        let (cuts, full) = (PhaseCut::blocks(model), model.element_names());
+        for cut in &cuts {
+            for (own, k) in cut.states().into_iter().zip(cut.elements.clone()) {
+                entries.add(cut, own, full[k].clone());
+            }
+        }
+        for cut in cuts.iter().filter(|cut| coefficients && cut.level.is_none()) {
+            let states = cut.states();
+            for r in &cut.phase.model.mean.regression {
+                let column = &cut.phase.model.columns[r.column].name;
+                let full = &full[cut.elements.start + r.element];
+                entries.add(cut, format!("{} per {column}", states[r.element]), format!("{full} per {column}"));
+            }
+        }
+        entries
+    }
+
+    /// Elements of Σ within a phase, as `first, second`.
+    fn covariance(model: &PhasedModel) -> Entries {
+        let mut entries = Entries { phase: Vec::new(), own: Vec::new(), full: Vec::new() };
+        let full = model.element_names();
+        for cut in PhaseCut::blocks(model) {
+            let (own, full) = (cut.states(), &full[cut.elements.clone()]);
+            for (i, j) in (0..own.len()).flat_map(|i| (0..=i).map(move |j| (i, j))) {
+                let whole = match i == j {
+                    true => format!("var({})", full[i]),
+                    false => format!("cov({}, {})", full[j], full[i]),
+                };
+                entries.add(&cut, format!("{}, {}", own[j], own[i]), whole);
+            }
+        }
+        entries
+    }
+
+    fn add(&mut self, cut: &PhaseCut<'_>, own: String, full: String) {
+        self.phase.push(cut.index);
+        self.own.push(own);
+        self.full.push(full);
+    }
+
+    /// Names of the entries of one phase, within it.
+    fn names(&self, phase: usize) -> Vec<String> {
+        let own = self.own.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
+        own.map(|(name, _)| name.clone()).collect()
+    }
+
+    /// The parts of a direction that count.
+    fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<PhaseDirection> {
+        let cuts = PhaseCut::blocks(model);
+        let counts = |phase: &usize| {
+            let mut own = direction.iter().zip(&self.phase).filter(|(_, of)| *of == phase);
+            cuts.len() == 1 || own.any(|(weight, _)| *weight != 0.0)
+        };
+        let mixed: Vec<usize> = (0..cuts.len()).filter(counts).collect();
+        let names: Vec<String> = mixed.iter().map(|&i| cuts[i].name().to_owned()).collect();
+        let part = |&phase: &usize| {
+            let own = direction.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
+            let direction = own.map(|(weight, _)| *weight).collect();
+            PhaseDirection { phase, direction, phases: if names.len() > 1 { names.clone() } else { Vec::new() } }
+        };
+        mixed.iter().map(part).collect()
+    }
+
+    /// The direction in words: `0.71 align.bias - 0.71 flight.bias`, the largest terms first.
+    fn combination(&self, direction: &[f64]) -> String {
+        let weights = direction.iter().zip(&self.full).filter(|(weight, _)| **weight != 0.0);
+        let mut terms: Vec<(f64, &String)> = weights.map(|(weight, name)| (*weight, name)).collect();
+        terms.sort_by(|a, b| b.0.abs().total_cmp(&a.0.abs()));
+        let sign = terms.first().map_or(1.0, |(weight, _)| weight.signum());
+        let mut text = String::new();
+        for (i, (weight, name)) in terms.iter().take(MOST_TERMS).enumerate() {
+            let joint = match (i, weight * sign < 0.0) {
+                (0, _) => "",
+                (_, true) => " - ",
+                (_, false) => " + ",
+            };
+            let size = weight.abs();
+            let shown = if size < 0.01 { format!("{size:.1e}") } else { format!("{size:.2}") };
+            text.push_str(&format!("{joint}{shown} {name}"));
+        }
+        if terms.len() > MOST_TERMS { text + " + …" } else { text }
+    }
+}
+
+impl UnidentifiedRecord {
+    /// Directions with their elements named and their reasons in words, by phase. One that mixes phases stands in each of them
+    /// with that phase's part; [`crossing_notes`] has the whole.
+    pub fn by_phase(
+        model: &PhasedModel,
+        directions: &[Direction],
+        explanations: &[Explanation],
+    ) -> Vec<Vec<UnidentifiedRecord>> {
+        let mut records = vec![Vec::new(); PhaseCut::blocks(model).len()];
+        for (direction, explanation) in directions.iter().zip(explanations) {
+            let entries = Entries::of(model, direction.quantity);
+            for PhaseDirection { phase, direction: part, phases } in entries.parts(model, &direction.direction) {
+                records[phase].push(UnidentifiedRecord {
+                    what: match direction.quantity {
+                        Quantity::Mean => "mean".to_owned(),
+                        Quantity::Covariance => "covariance".to_owned(),
+                    },
+                    direction: part,
+                    elements: entries.names(phase),
+                    tests: explanation.tests.clone(),
+                    reason: words(model, &explanation.reason),
+                    phases,
+                });
+            }
+        }
+        records
+    }
+}
+
+impl WeakRecord {
+    /// The weakly determined directions, by phase. One that mixes phases stands in each of them with that phase's part;
+    /// [`crossing_notes`] has the whole.
+    pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<WeakRecord>> {
+        let entries = Entries::mean(model, false);
+        let mut records = vec![Vec::new(); PhaseCut::blocks(model).len()];
+        for weak in &seen.weak {
+            for PhaseDirection { phase, direction, phases } in entries.parts(model, &weak.direction) {
+                let (leading_test, leading_share) = named(&weak.leading);
+                let condition = weak.condition;
+                records[phase].push(WeakRecord { direction, condition, leading_test, leading_share, phases });
+            }
+        }
+        records
+    }
+}
+
+impl InformationRecord {
+    /// What each phase adds; nothing where there is one phase only, or it is not known.
+    pub fn by_phase(model: &PhasedModel, seen: &[PhaseObservability]) -> Vec<Option<InformationRecord>> {
+        if model.is_single() || seen.len() != model.phases.len() {
+            return vec![None; model.phases.len()];
+        }
+        let names = model.estimated_names();
+        let record = |(cut, found): (PhaseCut<'_>, &PhaseObservability)| InformationRecord {
+            own_rank: found.own_rank,
+            entering: cut.phase.entering().len(),
+            rank_so_far: found.rank_so_far,
+            of: cut.elements.end,
+            entered: found.entered.iter().map(|weights| entered(&names, weights)).collect(),
+        };
+        PhaseCut::all(model).into_iter().zip(seen).map(|pair| Some(record(pair))).collect()
+    }
+}
+
+/// A combination without its zeros.
+fn entered(names: &[String], weights: &[f64]) -> EnteredRecord {
+    let counts = weights.iter().zip(names).filter(|(weight, _)| **weight != 0.0);
+    let (direction, elements) = counts.map(|(weight, name)| (*weight, name.clone())).unzip();
+    EnteredRecord { direction, elements }
+}
+
+/// Directions that mix phases, each in a sentence without a full stop.
+pub fn crossing_notes(
+    model: &PhasedModel,
+    directions: &[Direction],
+    explanations: &[Explanation],
+    seen: &Observability,
+) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (direction, explanation) in directions.iter().zip(explanations) {
+        let entries = Entries::of(model, direction.quantity);
+        if entries.parts(model, &direction.direction).len() > 1 {
+            let of = if direction.quantity == Quantity::Mean { " of the means" } else { "" };
+            let of_what = if model.levels.is_empty() { "phases" } else { "tests" };
+            notes.push(format!(
+                "the {of_what} together do not determine the combination {}{of}: {}",
+                entries.combination(&direction.direction),
+                words(model, &explanation.reason)
+            ));
+        }
+    }
+    let entries = Entries::mean(model, false);
+    let crosses = |weak: &&WeakDirection| entries.parts(model, &weak.direction).len() > 1;
+    notes.extend(seen.weak.iter().filter(crosses).map(|weak| {
+        format!(
+            "weakly determined over the phases: the combination {} of the means is known {} times less precisely than the best known one, in comparable units",
+            entries.combination(&weak.direction),
+            plain(weak.condition, 2)
+        )
+    }));
+    notes
+}

@@ -1,0 +1,313 @@
+//! The record of a fit with free dynamic parameters.
+
+use crate::build;
+use crate::diagnosis::{joined, list};
+use crate::parameters;
+use crate::parameters::{MethodRecord, StartRecord, ZERO, meaning};
+use crate::{FitRecord, Provenance};
+use kalfit_estimate::{Criterion, Stop};
+use kalfit_infer::dynamic::MOST_PROFILED;
+use kalfit_infer::{Inference, IntervalKind};
+use kalfit_model::Labels;
+use kalfit_model::{Expression, Model, Parameter, PhasedModel, State};
+use kalfit_search::{DynamicFit, Explored, Method, ParameterInference, Standing};
+
+/// Two searches whose log-likelihoods differ by no more than this ended equally high.
+const EQUAL: f64 = 1e-4;
+/// Values that differ by no more than this part of their standard error, or of themselves, are the same.
+const SAME: f64 = 0.05;
+
+/// More runs of the filters than this are worth a word about EM.
+const MANY_RUNS: usize = 300;
+/// Said of ensembles that are too large to look around in.
+const NOT_EXPLORED: &str =
+    "no other maxima were searched for beyond these starts, because one search takes long; `--starts` adds more starts";
+const CUT_SHORT: &str =
+    "the search for other maxima used up its filter runs, so there may be a higher one; `--starts` adds more starts";
+/// Said of ensembles of many rows.
+const ON_A_SAMPLE: &str = "other maxima were searched for on a part of the data, because there are many rows";
+
+/// Said of several processes: what trials with random models found.
+const SEVERAL: &str = "several processes are free, and a higher maximum can be missed: in trials with random models about 1 of 200 fits missed one; `--starts` adds more starts";
+
+/// Said of ensembles that are elsewhere.
+const ONE_SEARCH: &str = "no other maxima were searched for, because a fit by sums makes one search only; `start` in the model begins it elsewhere";
+
+/// How an upper limit of what is estimated as zero is had.
+const LIMIT: &str = "; `--intervals profile` gives the upper limit";
+
+/// What to do where ℓ has no maximum.
+const EXACT: &str = "noise-free data do not determine a noise level: give it a fixed value or a `lower` bound, or check whether the data were rounded, repeated or made without noise";
+
+/// A fit of α, μ and Σ and what was inferred from it.
+#[derive(Debug, Clone, Copy)]
+pub struct DynamicParts<'a> {
+    /// The model.
+    pub model: &'a PhasedModel,
+    /// Texts of the data.
+    pub labels: &'a Labels,
+    /// Where the search ended.
+    pub fit: &'a DynamicFit,
+    /// What is known of μ and Σ.
+    pub inference: &'a Inference,
+    /// What is known of the free values of α, in the order of the slots.
+    pub parameters: &'a [ParameterInference],
+}
+
+impl FitRecord {
+    /// The record of a fit of α, μ and Σ.
+    pub fn dynamic(parts: &DynamicParts<'_>, provenance: Provenance) -> FitRecord {
+        let &DynamicParts { model, labels, fit, inference, parameters: inferred } = parts;
+        let mut parameters = parameters::estimated(model.shared(), labels, fit, inferred);
+        if !converged(fit) {
+            // short of a maximum nothing is known of where the values lie
+            parameters.iter_mut().for_each(|p| (p.standing, p.note) = (None, None));
+        }
+        let mut record = FitRecord::at(
+            model,
+            &fit.reductions,
+            &fit.estimate,
+            inference,
+            (parameters, Some((&fit.slots, labels))),
+            provenance,
+        );
+        let free = record.free_parameters + fit.slots.len();
+        let penalty = |per: f64| free as f64 * per - 2.0 * record.log_likelihood;
+        record.aic = record.aic.map(|_| penalty(2.0));
+        record.bic = record.bic.map(|_| penalty((record.data.observations as f64).ln()));
+        record.free_parameters = free;
+        record.converged = converged(fit);
+        record.reason = reason(fit);
+        record.certificate.parameters = if fit.certificate.is_finite() { fit.certificate } else { f64::MAX };
+        record.solver.method = name(fit.method).to_owned();
+        record.solver.iterations = fit.passes;
+        record.solver.filter_passes = fit.filter_passes;
+        record.solver.score_passes = fit.score_passes;
+        record.solver.trace = fit.trace.clone();
+        record.starts = StartRecord::all(fit);
+        let mut notes = if record.converged { standing_notes(parts) } else { Vec::new() };
+        notes.extend(if fit.unbounded.is_empty() { start_notes(parts) } else { vec![EXACT.to_owned()] });
+        if record.converged && fit.slots.len() > 1 {
+            let said = match fit.explored {
+                Explored::No if fit.reductions.remote().is_some() => Some(ONE_SEARCH),
+                Explored::No => Some(NOT_EXPLORED),
+                Explored::Part => Some(CUT_SHORT),
+                Explored::Sample => Some(ON_A_SAMPLE),
+                Explored::Whole => (processes(parts) > 1).then_some(SEVERAL),
+            };
+            notes.extend(said.map(str::to_owned));
+        }
+        if fit.method == Method::Em && fit.filter_passes > MANY_RUNS {
+            let runs = fit.filter_passes;
+            notes.push(format!("EM took {runs} runs of the filters here; the hybrid method needs far fewer"));
+        }
+        notes.append(&mut record.notes);
+        record.notes = notes;
+        record
+    }
+
+    /// Adds where several methods ended, this record's own among them; a note says so when they disagree.
+    pub fn add_methods(&mut self, methods: Vec<MethodRecord>) {
+        let apart = |m: &MethodRecord| (m.log_likelihood - self.log_likelihood).abs() > EQUAL;
+        let differ: Vec<String> = methods
+            .iter()
+            .filter(|m| m.converged && apart(m))
+            .map(|m| format!("`{}` at a log-likelihood of {:.4}", m.method, m.log_likelihood))
+            .collect();
+        if !differ.is_empty() {
+            self.notes.insert(
+                0,
+                format!(
+                    "the methods ended at different maxima: {}, `{}` at {:.4}",
+                    differ.join(", "),
+                    self.solver.method,
+                    self.log_likelihood
+                ),
+            );
+        }
+        self.methods = methods;
+    }
+}
+
+/// States that noise of a free size drives, of the phase with most of them.
+fn processes(parts: &DynamicParts<'_>) -> usize {
+    let is_free = |variance: &Expression| variance.parameters().into_iter().any(|p| parts.fit.slots.is_free(p));
+    let is_driven = |state: &&State| state.motion.noise_variance().is_some_and(is_free);
+    parts.model.phases.iter().map(|phase| phase.model.states.iter().filter(is_driven).count()).max().unwrap_or(0)
+}
+
+impl MethodRecord {
+    /// Where a method ended.
+    pub fn new(fit: &DynamicFit, seconds: f64) -> MethodRecord {
+        MethodRecord {
+            method: name(fit.method).to_owned(),
+            log_likelihood: fit.estimate.log_likelihood,
+            converged: converged(fit),
+            reason: reason(fit),
+            values: fit.values.clone(),
+            iterations: fit.passes,
+            filter_passes: fit.filter_passes,
+            score_passes: fit.score_passes,
+            seconds,
+        }
+    }
+}
+
+fn name(method: Method) -> &'static str {
+    match method {
+        Method::Hybrid => "hybrid",
+        Method::Innovations => "innovations",
+        Method::Em => "em",
+    }
+}
+
+pub(super) fn converged(fit: &DynamicFit) -> bool {
+    fit.stop == Stop::Certified && fit.estimate.stop == Stop::Certified
+}
+
+fn reason(fit: &DynamicFit) -> String {
+    let n = fit.slots.len();
+    let inner = build::reason(&fit.estimate);
+    if n == 0 {
+        return inner;
+    }
+    if !fit.unbounded.is_empty() {
+        let named = joined(fit.unbounded.iter().cloned(), "and");
+        let go = if fit.unbounded.len() == 1 { "goes to zero" } else { "go to zero together" };
+        return format!(
+            "the log-likelihood has no maximum: it rises without bound as {named} {go}, because the data fit the model exactly"
+        );
+    }
+    let (far, what) = (fit.certificate, if n == 1 { "the dynamic parameter" } else { "the dynamic parameters" });
+    match (fit.stop, fit.estimate.stop) {
+        (Stop::Certified, Stop::Certified) => format!(
+            "the optimality conditions hold: mean and covariance are within {:.1e} standard errors of the optimum, {what} within {far:.1e}",
+            fit.estimate.certificate.distance()
+        ),
+        (Stop::Certified, _) => format!("at the values found for {what}: {inner}"),
+        (Stop::PassLimit, _) => format!(
+            "the search for {what} reached its limit of iterations ({}) with a score of {far:.1e} standard errors",
+            fit.passes
+        ),
+        (Stop::Interrupted, _) => format!(
+            "the search for {what} was interrupted after {} filter runs, with a score of {far:.1e} standard errors",
+            fit.filter_passes
+        ),
+        (Stop::Stalled, _) => format!(
+            "no step of {what} increases the log-likelihood, but the optimality conditions do not hold (score of {far:.1e} standard errors)"
+        ),
+    }
+}
+
+/// What stands at a limit, one sentence for each parameter and limit.
+fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
+    let mut notes = Vec::new();
+    let unlimited = parts.inference.intervals.kind == IntervalKind::Wald && parts.fit.slots.len() <= MOST_PROFILED;
+    for (index, parameter) in parts.model.shared().parameters.iter().enumerate() {
+        let mut seen: Vec<(&'static str, Vec<String>)> = Vec::new();
+        for ((slot, value), found) in parts.fit.slots.slots().iter().zip(&parts.fit.values).zip(parts.parameters) {
+            let Some(meaning) = meaning(found.standing, *value).filter(|_| slot.parameter == index) else { continue };
+            if found.standing == Standing::Idle {
+                continue; // a sentence of its own
+            }
+            let level = slot.level.map_or(String::new(), |level| parts.labels.text(level).to_owned());
+            match seen.iter_mut().find(|(known, _)| *known == meaning) {
+                Some((_, levels)) => levels.push(level),
+                None => seen.push((meaning, vec![level])),
+            }
+        }
+        let sentence = |(meaning, levels): &(&str, Vec<String>)| {
+            let how = if unlimited && *meaning == ZERO { LIMIT } else { "" };
+            format!("{} is {meaning}{how}", whose(parts.model.shared(), parameter, levels))
+        };
+        notes.extend(seen.iter().map(sentence));
+        notes.extend(idle_note(parts, index));
+    }
+    notes
+}
+
+/// What a parameter without effect waits for.
+fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
+    let is = |parameter: usize, standing: &dyn Fn(Standing) -> bool| {
+        let slots = parts.fit.slots.slots().iter().zip(parts.parameters);
+        slots.filter(|(slot, _)| slot.parameter == parameter).any(|(_, found)| standing(found.standing))
+    };
+    if !is(index, &|standing| standing == Standing::Idle) {
+        return None;
+    }
+    let model = parts.model.shared();
+    let zero = |&p: &usize| is(p, &|standing| matches!(standing, Standing::Lower | Standing::Vanishing));
+    let beside = |&p: &usize| parts.model.phases.iter().any(|phase| phase.model.stand_together(index, p));
+    let zeros: Vec<usize> = (0..model.parameters.len()).filter(zero).collect();
+    let own: Vec<usize> = zeros.iter().copied().filter(beside).collect();
+    let named: Vec<String> = if own.is_empty() { zeros } else { own }
+        .into_iter()
+        .map(|p| format!("`{}`", model.parameters[p].name))
+        .collect();
+    let verb = if named.len() == 1 { "is" } else { "are" };
+    Some(format!("`{}` has no effect while {} {verb} zero", model.parameters[index].name, named.join(" and ")))
+}
+
+/// `tau`, or `sigma` at `lot` A, B and 7 more.
+fn whose(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
+    match parameter.per {
+        None => format!("`{}`", parameter.name),
+        Some(column) => {
+            let shown = list(levels.iter().map(String::as_str), "and");
+            format!("`{}` for {} {shown}", parameter.name, model.text_columns[column].name)
+        }
+    }
+}
+
+/// Other starts that ended elsewhere.
+fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
+    let fit = parts.fit;
+    let what = if fit.estimate.criterion == Criterion::Reml { "restricted log-likelihood" } else { "log-likelihood" };
+    let top = fit.estimate.log_likelihood;
+    let equal = EQUAL + 1e-9 * top.abs();
+    let all = fit.others.len();
+    let certified: Vec<_> = fit.others.iter().filter(|end| end.stop == Stop::Certified).collect();
+    let below = fit.lower_maxima(equal);
+    let mut notes = Vec::new();
+    if let (Some(least), count) = (below.iter().copied().reduce(f64::min), below.len()) {
+        let ended = if count == 1 { "another maximum" } else { "other maxima" };
+        let nearest = if count == 1 { "by" } else { "the best of them by" };
+        notes.push(format!(
+            "{count} of {all} other starts ended at {ended} of the {what}, lower {nearest} {least:.4}: more `--starts` may find a higher one"
+        ));
+    }
+    let elsewhere = |end: &&&kalfit_search::OtherEnd| {
+        top - end.log_likelihood <= equal && (0..fit.values.len()).any(|i| apart(parts, i, end.values[i]))
+    };
+    let flat = certified.iter().filter(elsewhere).count();
+    if flat > 0 {
+        notes.push(format!(
+            "{flat} of {all} other starts reached the same height at other values of the dynamic parameters, so the maximum is not unique"
+        ));
+    }
+    let given_up = fit.others.iter().filter(|end| end.given_up).count();
+    if given_up > 0 {
+        notes.push(format!(
+            "{given_up} of {all} other starts were stopped early, because they were not leading to a higher {what}"
+        ));
+    }
+    let lost = fit.others.iter().filter(|end| end.stop != Stop::Certified && !end.given_up).count();
+    let higher = fit.others.iter().filter(|end| end.stop != Stop::Certified && end.log_likelihood > top + equal);
+    if let Some(most) = higher.map(|end| end.log_likelihood).reduce(f64::max) {
+        notes.push(format!(
+            "another start reached a {what} of {most:.4}, higher by {:.4}, at a point that is not a certified maximum: the likelihood may be unbounded there, or the search was cut short",
+            most - top
+        ));
+    }
+    if lost > 0 {
+        notes.push(format!("{lost} of {all} other starts did not end at a certified optimum"));
+    }
+    notes
+}
+
+/// True when another start's value of slot `i` is not this fit's.
+fn apart(parts: &DynamicParts<'_>, i: usize, other: f64) -> bool {
+    let (value, found) = (parts.fit.values[i], &parts.parameters[i]);
+    let unit = found.std_error.unwrap_or(value.abs());
+    found.standing == Standing::Inside && (other - value).abs() > SAME * unit
+}

@@ -1,0 +1,142 @@
+//! Levels of groups, and the groups, as records.
+
+use std::collections::HashMap;
+
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+use crate::square::rows;
+use crate::{
+    BoundaryRecord, CovarianceRecord, DeletionRecord, FitRecord, MatrixRecord, PhaseRecord, SquareRecord,
+    UnidentifiedRecord, VectorRecord,
+};
+use kalfit_apply::predict::Initial;
+use kalfit_infer::{GroupPosterior, Inference};
+use kalfit_model::{Grouping, Labels};
+use kalfit_model::{PhasedModel, Population};
+
+/// The variation between groups of a level, or between tests within the groups.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LevelRecord {
+    /// Its name; `tests` for the tests' own.
+    pub name: String,
+    /// The column that names its groups; null for the tests' own.
+    pub column: Option<String>,
+    /// Number of groups; of tests for their own level.
+    pub groups: usize,
+    /// Estimated states, in the order of every matrix.
+    pub states: Vec<String>,
+    /// Σ of the level.
+    pub covariance: CovarianceRecord,
+    /// Square roots of its diagonal.
+    pub std_dev: VectorRecord,
+    /// Correlations.
+    pub correlation: MatrixRecord,
+    /// Where it is on the boundary of the positive semidefinite cone.
+    pub boundary: Vec<BoundaryRecord>,
+    /// Directions that the data do not determine.
+    pub unidentified: Vec<UnidentifiedRecord>,
+}
+
+/// Results of one group.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnitRecord {
+    /// Name of its level.
+    pub level: String,
+    /// Its name, after those of the groups that contain it, the outermost first.
+    pub id: Vec<String>,
+    /// Number of its tests.
+    pub tests: usize,
+    /// log p of all measurements of its tests, by themselves.
+    pub log_likelihood: f64,
+    /// E of the mean of its members given all tests.
+    pub mean: Vec<f64>,
+    /// Its covariance.
+    pub covariance: SquareRecord,
+    /// How `mean` follows μ and the regression coefficients, in their order, state by state; absent without regressions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub follows: Option<Vec<Vec<f64>>>,
+    /// Standardised squared distance of the group from the population.
+    pub distance: Option<f64>,
+    /// Its degrees of freedom: rank of what its tests inform.
+    pub degrees_of_freedom: usize,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+    /// The fit without the group; null if it was not requested or has no certified optimum.
+    #[serde(default)]
+    pub deletion: Option<DeletionRecord>,
+}
+
+impl LevelRecord {
+    pub(super) fn new(name: String, column: Option<String>, groups: usize, block: &PhaseRecord) -> LevelRecord {
+        LevelRecord {
+            name,
+            column,
+            groups,
+            states: block.states.clone(),
+            covariance: block.covariance.clone(),
+            std_dev: block.std_dev.clone(),
+            correlation: block.correlation.clone(),
+            boundary: block.boundary.clone(),
+            unidentified: block.unidentified.clone(),
+        }
+    }
+}
+
+impl FitRecord {
+    /// The law of a new test of each group of the innermost level, by the group's name after those of the groups that it stands in.
+    pub fn unit_laws(&self, model: &PhasedModel, population: &Population) -> HashMap<Vec<String>, Initial> {
+        let Some(level) = model.levels.last() else { return HashMap::new() };
+        let p = model.dimension();
+        let own = self.groups.iter().filter(|unit| unit.level == level.name);
+        let sound = own.filter(|unit| unit.mean.len() == p && unit.covariance.size() == p);
+        let law = |unit: &UnitRecord| {
+            let covariance = DMatrix::from_fn(p, p, |i, k| unit.covariance[i][k]);
+            let width = p + population.coefficients.len();
+            let sound = |rows: &&Vec<Vec<f64>>| rows.len() == p && rows.iter().all(|row| row.len() == width);
+            let follows = unit.follows.as_ref().filter(sound);
+            let follows = follows.map(|rows| DMatrix::from_fn(p, width, |i, c| rows[i][c]));
+            Initial::of_group(model, population, (unit.mean.clone(), &covariance), follows)
+        };
+        sound.map(|unit| (unit.id.clone(), law(unit))).collect()
+    }
+
+    /// Says which groups each test stands in, by name, and what is known of each group.
+    pub fn add_levels(
+        &mut self,
+        (model, labels): (&PhasedModel, &Labels),
+        grouping: Option<&Grouping>,
+        inference: &Inference,
+    ) {
+        let Some(grouping) = grouping else { return };
+        let names = |level: usize, group: usize| -> Vec<String> {
+            grouping.groups(level)[group].path.iter().map(|&name| labels.text(name).to_owned()).collect()
+        };
+        for at in 0..self.tests.len() {
+            let Some(number) = grouping.number(self.tests.get(at).id) else { continue };
+            self.tests.groups.set(at, Some(names(0, grouping.group_of(number, 0))));
+        }
+        let unit = |level: usize, name: &str, group: usize, found: &GroupPosterior| UnitRecord {
+            level: name.to_owned(),
+            id: names(level, group),
+            tests: found.tests,
+            log_likelihood: found.log_likelihood,
+            mean: found.mean.clone(),
+            covariance: (&found.covariance).into(),
+            follows: found.follows.as_ref().map(rows),
+            distance: (found.distance.degrees_of_freedom > 0).then_some(found.distance.squared),
+            degrees_of_freedom: found.distance.degrees_of_freedom,
+            p_value: found.distance.p_value,
+            deletion: inference
+                .group_deletions
+                .as_ref()
+                .and_then(|all| all[level][group].as_ref())
+                .map(|found| DeletionRecord::new(model, found)),
+        };
+        for (at, level) in model.levels.iter().enumerate() {
+            let inner = model.levels.len() - 1 - at;
+            let Some(found) = inference.groups.get(inner) else { continue };
+            self.groups.extend(found.iter().enumerate().map(|(group, one)| unit(inner, &level.name, group, one)));
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! Levels of parameters and the tests that have them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::diagnosis::list;
+use kalfit_model::Model;
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_model::{Label, Labels};
+
+/// Levels of the column of a parameter, as the data have them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LevelCounts {
+    /// Index of the parameter in [`Model::parameters`].
+    pub parameter: usize,
+    /// Each level with the number of tests that have it, in the order of the texts.
+    pub tests: Vec<(String, usize)>,
+}
+
+impl LevelCounts {
+    /// Of all parameters that have levels, over the phases of each test together; a phase that was reduced before has no rows to
+    /// look at.
+    pub fn all(model: &Model, labels: &Labels, tests: &[PhasedTest]) -> Vec<LevelCounts> {
+        let mut of_column: BTreeMap<usize, Vec<(String, usize)>> = BTreeMap::new();
+        let with_levels = model.parameters.iter().enumerate().filter_map(|(i, p)| Some((i, p.per?)));
+        with_levels
+            .map(|(parameter, column)| {
+                let tests = of_column.entry(column).or_insert_with(|| count(column, labels, tests)).clone();
+                LevelCounts { parameter, tests }
+            })
+            .collect()
+    }
+}
+
+fn count(column: usize, labels: &Labels, tests: &[PhasedTest]) -> Vec<(String, usize)> {
+    let mut counts: BTreeMap<Label, usize> = BTreeMap::new();
+    for test in tests {
+        let rows = test.phases.iter().filter_map(Evidence::cells);
+        let own: BTreeSet<Label> =
+            rows.flat_map(|rows| (0..rows.rows()).map(move |row| rows.texts(row)[column])).collect();
+        own.into_iter().filter(|level| !level.is_missing()).for_each(|level| *counts.entry(level).or_default() += 1);
+    }
+    let mut named: Vec<(String, usize)> =
+        counts.into_iter().map(|(level, n)| (labels.text(level).to_owned(), n)).collect();
+    named.sort();
+    named
+}
+
+/// Fixed levels that the data do not have, in sentences without a full stop: one misspelt leaves the level that was meant free.
+pub fn level_notes(model: &Model, counts: &[LevelCounts]) -> Vec<String> {
+    let mut notes = Vec::new();
+    for LevelCounts { parameter, tests } in counts {
+        let parameter = &model.parameters[*parameter];
+        let Some(column) = parameter.per else { continue };
+        let has = |text: &str| tests.binary_search_by(|(level, _)| level.as_str().cmp(text)).is_ok();
+        let mut strange: Vec<&str> =
+            parameter.fixed_levels.keys().map(|&l| model.literals[l].as_str()).filter(|text| !has(text)).collect();
+        strange.sort_unstable();
+        if !strange.is_empty() {
+            let column = &model.text_columns[column].name;
+            notes.push(format!(
+                "`{}` is fixed for {column} {}, which the data do not have: they have {}",
+                parameter.name,
+                list(strange.into_iter(), "and"),
+                list(tests.iter().map(|(level, _)| level.as_str()), "and")
+            ));
+        }
+    }
+    notes
+}

@@ -1,0 +1,172 @@
+//! Does the model describe the data, as far as the fit's own figures tell: what to know before its estimates are used.
+//!
+//! What the data contradict is a doubt. That one test decides much of the answer is none: small ensembles of a right model have such
+//! tests, so it is a remark. Nor is a singular Σ, which the fit says in its first sentence and among its limits.
+
+use std::cmp::Ordering;
+
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::{FitRecord, InnovationRecord, TestRecord};
+
+/// Level of each search over all tests, not of each test.
+pub const SEARCH_LEVEL: f64 = 0.05;
+/// Probability of so large a mean square of all innovations by chance: that of a normal number beyond three standard deviations.
+const OVERALL: f64 = 0.001_35;
+/// A mean square below one speaks against the model only when there are so many innovations for each free quantity.
+const PER_FREE: usize = 10;
+
+/// What the innovations, the distances of the tests and the fits without each of them show about the model. Each check
+/// over all tests rejects a correct model in 5 % of ensembles.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelCheckRecord {
+    /// `passed`, `doubtful` or `not checked`.
+    pub verdict: String,
+    /// Evidence against the model; empty unless `doubtful`.
+    pub findings: Vec<FindingRecord>,
+    /// Limits of the result that are not evidence against the model.
+    #[serde(default)]
+    pub remarks: Vec<FindingRecord>,
+}
+
+/// One piece of evidence against a model, or one limit of its result.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FindingRecord {
+    /// For findings `innovations`, `mean_square` or `distance`; for remarks `influence`.
+    pub kind: String,
+    /// The sentence, without a full stop.
+    pub text: String,
+}
+
+impl ModelCheckRecord {
+    /// Of the figures of a record, which hold what was asked for: without the tests' figures nothing is checked, nor where the
+    /// search did not converge.
+    pub fn of(record: &FitRecord) -> ModelCheckRecord {
+        let looked_at =
+            innovation_p_values(record).next().is_some() || record.tests.iter().any(|t| t.p_value.is_some());
+        if !record.converged || !looked_at {
+            return ModelCheckRecord { verdict: "not checked".to_owned(), findings: vec![], remarks: vec![] };
+        }
+        let found = [
+            ("mean_square", mean_square(record)),
+            ("innovations", innovations(record)),
+            ("distance", distances(record)),
+        ];
+        let one = |(kind, text): (&str, Option<String>)| Some(FindingRecord { kind: kind.to_owned(), text: text? });
+        let findings: Vec<FindingRecord> = found.into_iter().filter_map(one).collect();
+        let remarks = one(("influence", influence(record))).into_iter().collect();
+        let verdict = if findings.is_empty() { "passed" } else { "doubtful" };
+        ModelCheckRecord { verdict: verdict.to_owned(), findings, remarks }
+    }
+
+    /// Something speaks against the model.
+    pub fn is_doubtful(&self) -> bool {
+        !self.findings.is_empty()
+    }
+}
+
+impl FitRecord {
+    /// Checks the model by the figures that the record now has.
+    pub fn add_model_check(&mut self) {
+        self.model_check = Some(ModelCheckRecord::of(self));
+    }
+}
+
+/// Holm's (1979) adjusted p-values of the least of `all` p-values, in ascending order.
+pub fn holm(ascending: &[f64], all: usize) -> Vec<f64> {
+    let mut largest = 0.0_f64;
+    let adjusted = |(k, p): (usize, &f64)| {
+        largest = largest.max(p * (all - k) as f64).min(1.0);
+        largest
+    };
+    ascending.iter().enumerate().map(adjusted).collect()
+}
+
+/// How a normalised innovation squared of so many innovations over all tests compares with its law: `Greater` and `Less` where
+/// it is more or less than chance allows. What was estimated makes innovations smaller, which says nothing unless they are many
+/// for the number of free quantities.
+pub fn overall_size(count: usize, nis: f64, free: usize) -> Ordering {
+    let Some(chi) = ChiSquared::new(count as f64).ok().filter(|_| count > 0) else { return Ordering::Equal };
+    if nis > count as f64 && chi.sf(nis) < OVERALL {
+        Ordering::Greater
+    } else if nis < count as f64 && count > PER_FREE * free && chi.cdf(nis) < OVERALL {
+        Ordering::Less
+    } else {
+        Ordering::Equal
+    }
+}
+
+/// Median of χ² with k degrees of freedom, by Wilson and Hilferty: the displacement at the edge of the 50 % confidence region.
+pub fn displacement_limit(k: usize) -> f64 {
+    let k = k.max(1) as f64;
+    k * (1.0 - 2.0 / (9.0 * k)).powi(3)
+}
+
+fn innovations_of(record: &FitRecord) -> impl Iterator<Item = (&str, &InnovationRecord)> {
+    record.tests.iter().filter_map(|test| Some((test.id, test.innovations?)))
+}
+
+/// p-values of the innovations of tests with whether they are of their correlation.
+fn innovation_p_values(record: &FitRecord) -> impl Iterator<Item = (f64, &str, bool)> {
+    innovations_of(record).flat_map(|(id, figures)| {
+        let white = figures.whiteness.as_ref().map(|w| w.p_value);
+        let both = [(figures.nis_p_value, false), (white, true)];
+        both.into_iter().filter_map(move |(p, white)| Some((p.filter(|p| p.is_finite())?, id, white)))
+    })
+}
+
+fn mean_square(record: &FitRecord) -> Option<String> {
+    let count = innovations_of(record).fold(0, |all: usize, (_, figures)| all.saturating_add(figures.count));
+    let nis: f64 = innovations_of(record).filter_map(|(_, figures)| figures.nis).sum();
+    match overall_size(count, nis, record.free_parameters) {
+        Ordering::Greater => Some("the innovations of all tests together are larger than the model allows".to_owned()),
+        Ordering::Less => Some("the innovations of all tests together are smaller than the model allows".to_owned()),
+        Ordering::Equal => None,
+    }
+}
+
+fn innovations(record: &FitRecord) -> Option<String> {
+    let all = innovation_p_values(record).count();
+    let mut least: Vec<(f64, &str, bool)> = innovation_p_values(record).filter(|one| one.0 < SEARCH_LEVEL).collect();
+    least.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(b.1)));
+    let adjusted = holm(&least.iter().map(|one| one.0).collect::<Vec<_>>(), all);
+    let improbable = &least[..adjusted.iter().take_while(|p| **p < SEARCH_LEVEL).count()];
+    let mut tests: Vec<&str> = improbable.iter().map(|one| one.1).collect();
+    tests.sort_unstable();
+    tests.dedup();
+    let white = improbable.iter().filter(|one| one.2).count();
+    let how = match (improbable.len() - white, white) {
+        (_, 0) => "size",
+        (0, _) => "correlation in time",
+        _ => "size or correlation in time",
+    };
+    match tests[..] {
+        [] => None,
+        [only] => Some(format!("the innovations of test {only} are improbable ({how})")),
+        _ => Some(format!("the innovations of {} of {} tests are improbable ({how})", tests.len(), record.data.tests)),
+    }
+}
+
+fn distances(record: &FitRecord) -> Option<String> {
+    let known = || record.tests.iter().filter_map(|test| Some((test.p_value.filter(|p| p.is_finite())?, test.id)));
+    let all = known().count() as f64;
+    let outlying: Vec<&str> = known().filter(|(p, _)| p * all < SEARCH_LEVEL).map(|(_, id)| id).collect();
+    match outlying[..] {
+        [] => None,
+        [only] => Some(format!("test {only} is an outlier")),
+        _ => Some(format!("{} tests are outliers", outlying.len())),
+    }
+}
+
+fn influence(record: &FitRecord) -> Option<String> {
+    let limit = displacement_limit(record.free_parameters);
+    let decides =
+        |test: &TestRecord<'_>| test.deletion.is_some_and(|d| d.displacement.is_finite() && d.displacement > limit);
+    let deciding: Vec<&str> = record.tests.iter().filter(decides).map(|test| test.id).collect();
+    match deciding[..] {
+        [] => None,
+        [only] => Some(format!("test {only} is influential: the estimates depend on it")),
+        _ => Some(format!("{} tests are influential: the estimates depend on each of them", deciding.len())),
+    }
+}

@@ -1,0 +1,180 @@
+//! A plan as others read it: plan.json. Unknown figures are null, never NaN.
+
+use serde::{Deserialize, Serialize};
+
+use crate::DataRecord;
+use kalfit_apply::plan::Quantity;
+use kalfit_apply::plan::{Arrangement, Plan, Planned, Reason};
+use kalfit_model::{Model, Phase, PhasedModel};
+
+/// Expected standard errors against the number of tests.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlanRecord {
+    /// Always `kalfit-plan/1`.
+    pub schema: String,
+    /// Version that made it.
+    pub kalfit_version: String,
+    /// Title of the model.
+    pub title: String,
+    /// SHA-256 of the model file, `sha256:…`.
+    pub model_digest: Option<String>,
+    /// What the population was taken from, as named by the user.
+    pub from: String,
+    /// Counts of the design.
+    pub design: DataRecord,
+    /// Always `expected`: the kind of information the standard errors come from.
+    pub information: String,
+    /// Dynamic parameters that the model leaves free. They are taken as known at the population's values.
+    pub parameters_taken_as_known: Vec<String>,
+    /// The numbers of tests.
+    pub tests: Vec<usize>,
+    /// How they are grouped, where the model has levels: one for each number of tests.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub arrangements: Vec<ArrangementRecord>,
+    /// All quantities, in the order of [`Plan::quantities`].
+    pub quantities: Vec<PlannedRecord>,
+}
+
+/// Tests in groups.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ArrangementRecord {
+    /// By level, the outermost first: its name, and its groups in each group of the level above.
+    pub groups: Vec<(String, usize)>,
+    /// Tests in each group of the innermost level.
+    pub tests: usize,
+}
+
+/// One quantity.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlannedRecord {
+    /// `mean`, `regression`, `std_dev`, `correlation` or `covariance`.
+    pub quantity: String,
+    /// Its phase; `main` when there is but one.
+    pub phase: String,
+    /// The level of groups whose covariance it is of; null for the tests' own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level: Option<String>,
+    /// Its state, or its two states.
+    pub states: Vec<String>,
+    /// Column of a regression coefficient.
+    pub column: Option<String>,
+    /// Unit label of the state, for a mean or a standard deviation.
+    pub unit: Option<String>,
+    /// Its value in the population.
+    pub value: Option<f64>,
+    /// Its standard error at each number of tests.
+    pub std_error: Vec<Option<f64>>,
+    /// Why the standard errors are null: `fixed`, `unidentified` or `boundary`.
+    pub reason: Option<String>,
+}
+
+/// What the core does not know about a plan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanProvenance {
+    /// SHA-256 of the model file, `sha256:…`.
+    pub model_digest: Option<String>,
+    /// What the population was taken from, as named by the user.
+    pub from: String,
+    /// Counts of the design.
+    pub design: DataRecord,
+    /// Free parameters that were given the population's values.
+    pub parameters_taken_as_known: Vec<String>,
+}
+
+impl PlanRecord {
+    /// The record of a plan. Panics when the plan is of a model with fewer states or regressions.
+    pub fn new(model: &PhasedModel, plan: &Plan, provenance: PlanProvenance) -> PlanRecord {
+        PlanRecord {
+            schema: "kalfit-plan/1".to_owned(),
+            kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
+            title: model.shared().title.clone(),
+            model_digest: provenance.model_digest,
+            from: provenance.from,
+            design: provenance.design,
+            information: "expected".to_owned(),
+            parameters_taken_as_known: provenance.parameters_taken_as_known,
+            tests: plan.tests.clone(),
+            arrangements: plan.arrangements.iter().map(|one| ArrangementRecord::new(model, one)).collect(),
+            quantities: plan.quantities.iter().map(|planned| record(model, planned, plan.tests.len())).collect(),
+        }
+    }
+}
+
+impl ArrangementRecord {
+    fn new(model: &PhasedModel, arrangement: &Arrangement) -> ArrangementRecord {
+        let names = model.levels.iter().map(|level| level.name.clone());
+        ArrangementRecord { groups: names.zip(arrangement.groups.iter().copied()).collect(), tests: arrangement.tests }
+    }
+}
+
+/// The level of groups of an element of Σ, and the same element of the tests' own.
+fn own_of(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quantity) {
+    let p = model.dimension();
+    let level = |i: usize| {
+        let inner = (i / p).checked_sub(1).filter(|_| !model.levels.is_empty())?;
+        model.levels.iter().rev().nth(inner).map(|level| level.name.clone())
+    };
+    match quantity {
+        Quantity::StdDev(i) if i >= p => (level(i), Quantity::StdDev(i % p)),
+        Quantity::Correlation(i, j) if i >= p => (level(i), Quantity::Correlation(i % p, j % p)),
+        Quantity::Covariance(i, j) if i >= p => (level(i), Quantity::Covariance(i % p, j % p)),
+        other => (None, other),
+    }
+}
+
+/// The phase that has this place among those of all phases, and the place in it.
+fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase, usize) {
+    let mut left = place;
+    for phase in &model.phases {
+        match left.checked_sub(many(&phase.model)) {
+            None => return (phase, left),
+            Some(beyond) => left = beyond,
+        }
+    }
+    panic!("the plan is of another model: it has a quantity {place}, beyond all phases")
+}
+
+fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord {
+    let regressions = |model: &Model| model.mean.regression.len();
+    let (level, of) = own_of(model, planned.quantity);
+    let (phase, own) = match of {
+        Quantity::Mean(i) | Quantity::StdDev(i) => find(model, i, Model::dimension),
+        Quantity::Correlation(i, _) | Quantity::Covariance(i, _) => find(model, i, Model::dimension),
+        Quantity::Coefficient(c) => find(model, c, regressions),
+    };
+    let model = &phase.model;
+    let state = |element: usize| &model.states[model.estimated[element]];
+    let name = |element: usize| state(element).name.clone();
+    // the other of a pair is of the same phase
+    let pair = |i: usize, j: usize| vec![name(own + j - i), name(own)];
+    let (quantity, states, unit) = match of {
+        Quantity::Mean(_) => ("mean", vec![name(own)], state(own).unit.clone()),
+        Quantity::Coefficient(_) => ("regression", vec![name(model.mean.regression[own].element)], None),
+        Quantity::StdDev(_) => ("std_dev", vec![name(own)], state(own).unit.clone()),
+        Quantity::Correlation(i, j) => ("correlation", pair(i, j), None),
+        Quantity::Covariance(i, j) => ("covariance", pair(i, j), None),
+    };
+    let column = match planned.quantity {
+        Quantity::Coefficient(_) => Some(model.columns[model.mean.regression[own].column].name.clone()),
+        _ => None,
+    };
+    let reason = planned.std_errors.as_ref().err().map(|reason| match reason {
+        Reason::Fixed => "fixed",
+        Reason::Unidentified => "unidentified",
+        Reason::Boundary => "boundary",
+    });
+    PlannedRecord {
+        quantity: quantity.to_owned(),
+        phase: phase.name.clone(),
+        level,
+        states,
+        column,
+        unit,
+        value: planned.value,
+        std_error: match &planned.std_errors {
+            Ok(errors) => errors.iter().map(|&error| Some(error).filter(|e| e.is_finite())).collect(),
+            Err(_) => vec![None; many],
+        },
+        reason: reason.map(str::to_owned),
+    }
+}

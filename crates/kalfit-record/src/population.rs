@@ -1,0 +1,157 @@
+//! From a record back to the population it describes.
+
+use nalgebra::DMatrix;
+
+use crate::cut::PhaseCut;
+use crate::{FitRecord, LevelRecord, PhaseRecord};
+use kalfit_model::{PhasedModel, Population, PopulationError};
+
+/// Why a record has no population for a model.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RecordError {
+    /// The schema is another.
+    #[error("the schema is `{found}`, expected `{expected}`")]
+    Schema {
+        /// What the record says.
+        found: String,
+        /// What can be read.
+        expected: &'static str,
+    },
+    /// Other names than the model's.
+    #[error("{what} are {}, expected {} as in the model", shown(found), shown(expected))]
+    Names {
+        /// What is named, with its phase where there are several.
+        what: String,
+        /// Names in the record.
+        found: Vec<String>,
+        /// Names in the model.
+        expected: Vec<String>,
+    },
+    /// A count that does not go with the number of states.
+    #[error("found {found} {what}, expected {expected}, one for each state")]
+    Count {
+        /// What was counted, with its phase where there are several.
+        what: String,
+        /// How many there are.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// The values are no population.
+    #[error(transparent)]
+    Population(#[from] PopulationError),
+}
+
+fn shown(names: &[String]) -> String {
+    const MOST: usize = 12;
+    if names.is_empty() {
+        return "none".to_owned();
+    }
+    let more = if names.len() > MOST { format!(" and {} more", names.len() - MOST) } else { String::new() };
+    let first: Vec<String> = names.iter().take(MOST).map(|name| format!("`{name}`")).collect();
+    format!("{}{more}", first.join(", "))
+}
+
+/// The schema of [`FitRecord`].
+pub const FIT_SCHEMA: &str = "kalfit-fit/1";
+
+impl FitRecord {
+    /// The estimates of μ, the regression coefficients and Σ of all phases in a row, in the order of a model with the same
+    /// phases, estimated states and regressions; theirs in the record may differ. Σ is zero between phases.
+    ///
+    /// # Errors
+    /// Another schema, other phases, states or regressions, figures that are no population.
+    pub fn population(&self, model: &PhasedModel) -> Result<Population, RecordError> {
+        if self.schema != FIT_SCHEMA {
+            return Err(RecordError::Schema { found: self.schema.clone(), expected: FIT_SCHEMA });
+        }
+        let found: Vec<String> = self.phases.iter().map(|phase| phase.name.clone()).collect();
+        let expected: Vec<String> = model.phases.iter().map(|phase| phase.name.clone()).collect();
+        let place = places("the phases".to_owned(), &found, &expected)?;
+        let p = model.element_names().len();
+        let mut whole = Population { mean: Vec::new(), coefficients: Vec::new(), covariance: DMatrix::zeros(p, p) };
+        for (cut, &place) in PhaseCut::all(model).iter().zip(&place) {
+            let of = if model.is_single() { String::new() } else { format!(" of phase `{}`", cut.phase.name) };
+            add(&mut whole, cut, &self.phases[place], &of)?;
+        }
+        self.add_level_covariances(model, &mut whole)?;
+        whole.check(model)?;
+        Ok(whole)
+    }
+}
+
+impl FitRecord {
+    /// Adds what the groups of each level add.
+    fn add_level_covariances(&self, model: &PhasedModel, whole: &mut Population) -> Result<(), RecordError> {
+        let own: Vec<&LevelRecord> = self.levels.iter().filter(|level| level.column.is_some()).collect();
+        let found: Vec<String> = own.iter().map(|level| level.name.clone()).collect();
+        let expected: Vec<String> = model.levels.iter().map(|level| level.name.clone()).collect();
+        if found != expected {
+            return Err(RecordError::Names { what: "the levels".to_owned(), found, expected });
+        }
+        for (cut, level) in PhaseCut::blocks(model).iter().skip(model.phases.len()).zip(own.iter().rev()) {
+            let of = format!(" of level `{}`", level.name);
+            let place = places(format!("the estimated states{of}"), &level.states, &cut.states())?;
+            let rows = &level.covariance.estimate;
+            if rows.len() != place.len() || rows.iter().any(|row| row.len() != place.len()) {
+                let what = format!("rows of the covariance{of}");
+                return Err(RecordError::Count { what, found: rows.len(), expected: place.len() });
+            }
+            whole.mean.resize(cut.elements.end, 0.0);
+            for (i, &row) in place.iter().enumerate() {
+                for (k, &column) in place.iter().enumerate() {
+                    whole.covariance[(cut.elements.start + i, cut.elements.start + k)] = rows[row][column];
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Adds one phase to the population of all; `of` is what messages say after the name of a thing.
+fn add(whole: &mut Population, cut: &PhaseCut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
+    let place = places(format!("the estimated states{of}"), &phase.states, &cut.states())?;
+    refuse_ragged(phase, place.len(), of)?;
+    whole.mean.extend(place.iter().map(|&i| phase.mean.estimate[i]));
+    whole.coefficients.extend(coefficients(phase, cut, of)?);
+    for (i, &row) in place.iter().enumerate() {
+        for (k, &column) in place.iter().enumerate() {
+            let at = (cut.elements.start + i, cut.elements.start + k);
+            whole.covariance[at] = phase.covariance.estimate[row][column];
+        }
+    }
+    Ok(())
+}
+
+fn refuse_ragged(phase: &PhaseRecord, p: usize, of: &str) -> Result<(), RecordError> {
+    let rows = &phase.covariance.estimate;
+    let ragged = rows.iter().map(Vec::len).find(|&length| length != p);
+    for (what, found) in [
+        ("means", phase.mean.estimate.len()),
+        ("rows of the covariance", rows.len()),
+        ("columns of the covariance", ragged.unwrap_or(p)),
+    ] {
+        if found != p {
+            return Err(RecordError::Count { what: format!("{what}{of}"), found, expected: p });
+        }
+    }
+    Ok(())
+}
+
+fn coefficients(phase: &PhaseRecord, cut: &PhaseCut<'_>, of: &str) -> Result<Vec<f64>, RecordError> {
+    let (model, states) = (&cut.phase.model, cut.states());
+    let found: Vec<String> = phase.mean.regression.iter().map(|r| format!("{} on {}", r.state, r.column)).collect();
+    let structure = &model.mean.regression;
+    let wanted = structure.iter().map(|r| format!("{} on {}", states[r.element], model.columns[r.column].name));
+    let place = places(format!("the regressions{of}"), &found, &wanted.collect::<Vec<_>>())?;
+    Ok(place.iter().map(|&r| phase.mean.regression[r].estimate).collect())
+}
+
+/// For each expected name its place among those found.
+fn places(what: String, found: &[String], expected: &[String]) -> Result<Vec<usize>, RecordError> {
+    let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
+    match place {
+        Some(place) if found.len() == expected.len() => Ok(place),
+        _ => Err(RecordError::Names { what, found: found.to_vec(), expected: expected.to_vec() }),
+    }
+}

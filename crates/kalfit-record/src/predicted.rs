@@ -1,0 +1,223 @@
+//! What tests that nobody has made will give, at the end of each.
+
+use serde::{Deserialize, Serialize};
+
+use kalfit_apply::predict::{
+    Bounds, Ellipse, Limits, Output, Pair, PhasePredictions, Predicted, Sides, StepPredictions, What,
+};
+use kalfit_model::PhasedModel;
+
+/// Predictions in short: the last row of each of the first tests.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PredictedRecord {
+    /// Title of the model.
+    pub title: String,
+    /// What the parameters were taken from, as named by the user.
+    pub from: String,
+    /// Number of designs.
+    pub tests: usize,
+    /// Number of their rows.
+    pub rows: usize,
+    /// `new`, or `known`: whether tests are of units that the fit knows.
+    pub units: String,
+    /// How sure the limits are.
+    pub confidence: f64,
+    /// What part of all tests is within the tolerance limits.
+    pub content: f64,
+    /// Each tolerance limit by itself.
+    pub one_sided: bool,
+    /// How many tests, or groups of the outermost level, the population was estimated from; null where it was given.
+    pub fitted: Option<usize>,
+    /// Whether it is known how far the estimates can be trusted.
+    pub estimation: bool,
+    /// Limits of means are by profile likelihood.
+    #[serde(default)]
+    pub profile: bool,
+    /// Parameters that were given other values.
+    pub changed: Vec<String>,
+    /// Values at the last row of each of the first tests.
+    pub last: Vec<PredictedValueRecord>,
+    /// Of two outputs together there, in each of the first tests.
+    pub pairs: Vec<PairRecord>,
+}
+
+/// One value that was predicted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PredictedValueRecord {
+    /// The test.
+    pub test: String,
+    /// The phase.
+    pub phase: String,
+    /// Row of the phase, from 1.
+    pub row: usize,
+    /// Its time.
+    pub time: Option<f64>,
+    /// The state or the output.
+    pub name: String,
+    /// `state` or `output`.
+    pub what: String,
+    /// Its unit, a label.
+    pub unit: Option<String>,
+    /// Mean over tests.
+    pub mean: f64,
+    /// What will be seen less the mean: all three parts together, those that are known.
+    pub std_dev: f64,
+    /// From test to test, by the initial state.
+    pub std_dev_population: f64,
+    /// By process noise, and by what the start is known to vary.
+    pub std_dev_process: f64,
+    /// By what estimation leaves open of the mean; null where that is not known.
+    pub std_dev_estimation: Option<f64>,
+    /// Limits of the mean.
+    pub confidence: Option<[f64; 2]>,
+    /// Limits that part of the tests is within.
+    pub tolerance: Option<[f64; 2]>,
+}
+
+/// Two outputs together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PairRecord {
+    /// The test.
+    pub test: String,
+    /// Row of the phase, from 1.
+    pub row: usize,
+    /// Its time.
+    pub time: Option<f64>,
+    /// The outputs.
+    pub names: [String; 2],
+    /// Half axes of the ellipse that holds the content, the longer first.
+    pub axes: [f64; 2],
+    /// Angle of the longer one from the first output towards the second, in degrees.
+    pub angle: f64,
+    /// Radius of the circle about the means that holds half of all tests.
+    pub cep: f64,
+    /// Radius of that about zero.
+    pub cep_about_zero: f64,
+}
+
+/// Where predictions came from, and what was asked.
+#[derive(Debug, Clone)]
+pub struct PredictedSource {
+    /// As named by the user.
+    pub name: String,
+    /// How many tests, or groups of the outermost level, the population was estimated from, where that is known.
+    pub fitted: Option<usize>,
+    /// Parameters that were given other values.
+    pub changed: Vec<String>,
+    /// Tests are of units that the fit knows.
+    pub known_units: bool,
+    /// Whether it is known how far the estimates can be trusted.
+    pub estimation: bool,
+    /// Limits of means are by profile likelihood.
+    pub profile: bool,
+}
+
+/// Of more tests than this the last rows are not kept.
+const MOST: usize = 3;
+
+impl PredictedRecord {
+    /// Without any test yet.
+    pub fn new(
+        model: &PhasedModel,
+        source: PredictedSource,
+        Limits { confidence, content, sides }: Limits,
+    ) -> PredictedRecord {
+        PredictedRecord {
+            title: model.shared().title.clone(),
+            from: source.name,
+            tests: 0,
+            rows: 0,
+            units: if source.known_units { "known" } else { "new" }.to_owned(),
+            confidence,
+            content,
+            one_sided: sides == Sides::One,
+            fitted: source.fitted,
+            estimation: source.estimation,
+            profile: source.profile,
+            changed: source.changed,
+            last: Vec::new(),
+            pairs: Vec::new(),
+        }
+    }
+
+    /// Adds a test; `outputs`: those of each phase, of two their sum too, the last.
+    pub fn add(
+        &mut self,
+        (model, outputs, bounds): (&PhasedModel, &[Vec<Output>], &Bounds),
+        test: &str,
+        phases: &[PhasePredictions],
+    ) {
+        self.tests += 1;
+        self.rows += phases.iter().flat_map(|phase| &phase.steps).map(|step| step.rows.len()).sum::<usize>();
+        let Some((phase, step)) = phases.last().and_then(|phase| Some((phase.phase, phase.steps.last()?))) else {
+            return;
+        };
+        if self.tests > MOST {
+            return;
+        }
+        let last = step.rows.end - 1;
+        let is_last = |value: &&Predicted| matches!(value.what, What::State(_)) || value.row == last;
+        let own = step.values.iter().filter(is_last);
+        let named = own.filter_map(|value| Some((value, name_of((model, &outputs[phase]), phase, value.what)?)));
+        let records = named.map(|(value, (name, what, unit))| PredictedValueRecord {
+            test: test.to_owned(),
+            phase: model.phases[phase].name.clone(),
+            row: value.row + 1,
+            time: step.time,
+            name: name.to_owned(),
+            what: what.to_owned(),
+            unit: unit.map(str::to_owned),
+            mean: value.mean,
+            std_dev: value.std_dev(),
+            std_dev_population: value.population.sqrt(),
+            std_dev_process: value.process.sqrt(),
+            std_dev_estimation: value.estimation.map(|estimation| estimation.mean.sqrt()),
+            confidence: bounds.of_mean(value),
+            tolerance: bounds.of_tests(value),
+        });
+        self.last.extend(records.collect::<Vec<_>>());
+        self.pairs.extend(pair(&outputs[phase], test, step, bounds.limits().content));
+    }
+}
+
+/// Name, kind and unit of what is predicted; `None` of the sum of two outputs.
+pub fn name_of<'a>(
+    (model, outputs): (&'a PhasedModel, &'a [Output]),
+    phase: usize,
+    what: What,
+) -> Option<(&'a str, &'static str, Option<&'a str>)> {
+    match what {
+        What::State(state) => {
+            let state = &model.phases[phase].model.states[state];
+            Some((&state.name, "state", state.unit.as_deref()))
+        }
+        What::Output(output) => {
+            let output = outputs.get(output).filter(|output| !output.name.is_empty())?;
+            Some((&output.name, "output", output.unit.as_deref()))
+        }
+    }
+}
+
+fn pair(outputs: &[Output], test: &str, step: &StepPredictions, content: f64) -> Option<PairRecord> {
+    let [first, second, sum] = outputs else { return None };
+    if !sum.name.is_empty() {
+        return None;
+    }
+    let last = step.rows.end - 1;
+    let of = |output: usize| step.values.iter().find(|value| value.what == What::Output(output) && value.row == last);
+    let [a, b, both] = [of(0)?, of(1)?, of(2)?];
+    let variance = |value: &Predicted| value.std_dev().powi(2);
+    let covariance = 0.5 * (variance(both) - variance(a) - variance(b));
+    let pair = Pair { mean: [a.mean, b.mean], variances: [variance(a), variance(b), covariance] };
+    let Ellipse { axes, angle } = pair.ellipse(content);
+    Some(PairRecord {
+        test: test.to_owned(),
+        row: last + 1,
+        time: step.time,
+        names: [first.name.clone(), second.name.clone()],
+        axes,
+        angle: angle.to_degrees(),
+        cep: pair.circle(0.5),
+        cep_about_zero: pair.circle_about_zero(0.5),
+    })
+}

@@ -1,0 +1,294 @@
+//! The result of a likelihood-ratio test as others read it: test.json.
+
+use serde::{Deserialize, Serialize};
+
+use crate::square::rows;
+use crate::{DataRecord, ParameterRecord};
+use kalfit_estimate::{Estimate, Stop};
+use kalfit_filter::reduce::Reductions;
+use kalfit_infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio};
+use kalfit_model::PhasedModel;
+
+/// All that a test of a hypothesis found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RatioRecord {
+    /// Always `kalfit-test/1`.
+    pub schema: String,
+    /// Version that made it.
+    pub kalfit_version: String,
+    /// Title of the model.
+    pub title: String,
+    /// What the hypothesis is called.
+    pub hypothesis: String,
+    /// SHA-256 of the model file, `sha256:…`.
+    pub model_digest: Option<String>,
+    /// SHA-256 of the file of the hypothesis.
+    pub null_digest: Option<String>,
+    /// Counts.
+    pub data: DataRecord,
+    /// The fit under the hypothesis.
+    pub null: SideRecord,
+    /// The fit of the model.
+    pub alternative: SideRecord,
+    /// Both fits are certified.
+    pub converged: bool,
+    /// -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis).
+    pub lr: f64,
+    /// Identified free quantities that the hypothesis takes away.
+    pub df: usize,
+    /// Tail probability of `lr` under `law`.
+    pub p_value: f64,
+    /// Tail probability under χ² with `df` degrees of freedom: too large where the hypothesis lies on a boundary.
+    pub p_chi2_df: f64,
+    /// Tail probability under the mixture whose weights textbooks give, those of independent estimates; null for a plain χ².
+    pub p_mixture: Option<f64>,
+    /// The mixture of `p_mixture` in words: `0.5 chi2_0; 0.5 chi2_1`.
+    pub mixture: Option<String>,
+    /// The large-sample law: χ² distributions with their weights.
+    pub law: Vec<ComponentRecord>,
+    /// `law` bounds the law from above: `p_value` may be too large, never too small.
+    pub law_is_bound: bool,
+    /// The parametric bootstrap.
+    pub bootstrap: Option<BootstrapRecord>,
+    /// The parts of a hypothesis on more than one of μ, Σ and α, each by itself (Shumway, Olsen and Levy).
+    pub parts: Vec<PartRecord>,
+    /// Findings in plain words, most important first.
+    pub notes: Vec<String>,
+}
+
+/// One of the two fits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SideRecord {
+    /// log p of all measurements.
+    pub log_likelihood: f64,
+    /// Declared free quantities.
+    pub free_parameters: usize,
+    /// The optimality certificate holds.
+    pub converged: bool,
+    /// The estimated states, in the order of μ and Σ; `phase.state` where there are several phases.
+    #[serde(default)]
+    pub states: Vec<String>,
+    /// μ of all phases in a row.
+    pub mean: Vec<f64>,
+    /// Σ of all phases, zero between them.
+    pub covariance: Vec<Vec<f64>>,
+    /// Dynamic parameters, where some are free.
+    #[serde(default)]
+    pub parameters: Vec<ParameterRecord>,
+}
+
+/// χ² with a weight.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ComponentRecord {
+    /// Degrees of freedom.
+    pub df: usize,
+    /// Weight.
+    pub weight: f64,
+}
+
+/// What the parametric bootstrap found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BootstrapRecord {
+    /// Ensembles drawn.
+    pub replicates: usize,
+    /// Those whose fits were not certified, and that do not count.
+    pub failed: usize,
+    /// Seed.
+    pub seed: u64,
+    /// (1 + replicates at or above `lr`) / (1 + replicates); null when none counts.
+    pub p_value: Option<f64>,
+    /// Its standard error.
+    pub std_error: Option<f64>,
+    /// 95 % point of the statistic.
+    pub quantile95: Option<f64>,
+}
+
+/// One part of a hypothesis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PartRecord {
+    /// `mean`, `covariance` or `parameters`.
+    pub what: String,
+    /// -2 log λ of this part alone, the other left as in the model.
+    pub lr: f64,
+    /// Degrees of freedom.
+    pub df: usize,
+    /// Tail probability.
+    pub p_value: f64,
+    /// log p of all measurements under it.
+    pub log_likelihood: f64,
+    /// Its fit is certified.
+    pub converged: bool,
+}
+
+/// What the core does not know about a test.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RatioProvenance {
+    /// Title of the model.
+    pub title: String,
+    /// What the hypothesis is called.
+    pub hypothesis: String,
+    /// SHA-256 of the model file.
+    pub model_digest: Option<String>,
+    /// SHA-256 of the hypothesis.
+    pub null_digest: Option<String>,
+    /// Data files, as named by the user.
+    pub files: Vec<String>,
+}
+
+impl RatioRecord {
+    /// The record of a test of `null` within `alternative`, fits of a model and of a hypothesis within it: both have its states.
+    pub fn new(
+        model: &PhasedModel,
+        reductions: &Reductions,
+        (null, alternative): (&Estimate, &Estimate),
+        ratio: &LikelihoodRatio,
+        bootstrap: Option<(Bootstrap, &BootstrapResult)>,
+        parts: Vec<PartRecord>,
+        provenance: RatioProvenance,
+    ) -> RatioRecord {
+        let sides = (side(model, null), side(model, alternative));
+        let (mut notes, independent) =
+            (Vec::new(), bootstrap.is_none().then(|| independent(model, alternative, reductions)));
+        add_doubts(&mut notes, ratio, (&sides.0, &sides.1), "variances with free covariances", independent);
+        RatioRecord::at(reductions, sides, ratio, bootstrap, (parts, notes), provenance)
+    }
+
+    /// The record with its sides and notes as given.
+    pub(super) fn at(
+        reductions: &Reductions,
+        (null, alternative): (SideRecord, SideRecord),
+        ratio: &LikelihoodRatio,
+        bootstrap: Option<(Bootstrap, &BootstrapResult)>,
+        (parts, notes): (Vec<PartRecord>, Vec<String>),
+        provenance: RatioProvenance,
+    ) -> RatioRecord {
+        let law = &ratio.law;
+        let mixed = !law.is_chi_squared() && !law.is_bound;
+        RatioRecord {
+            schema: "kalfit-test/1".to_owned(),
+            kalfit_version: env!("CARGO_PKG_VERSION").to_owned(),
+            title: provenance.title,
+            hypothesis: provenance.hypothesis,
+            model_digest: provenance.model_digest,
+            null_digest: provenance.null_digest,
+            data: DataRecord::of(reductions, provenance.files),
+            converged: null.converged && alternative.converged,
+            lr: ratio.statistic,
+            df: ratio.degrees_of_freedom,
+            p_value: ratio.p_value(),
+            p_chi2_df: ratio.chi_squared_p_value(),
+            p_mixture: mixed.then(|| law.tail_if_independent(ratio.statistic)),
+            mixture: mixed.then(|| words(&law.independent)),
+            law: law.components.iter().map(component).collect(),
+            law_is_bound: law.is_bound,
+            notes,
+            bootstrap: bootstrap.map(|(asked, found)| BootstrapRecord::of(asked, found)),
+            parts,
+            null,
+            alternative,
+        }
+    }
+}
+
+impl BootstrapRecord {
+    fn of(asked: Bootstrap, found: &BootstrapResult) -> BootstrapRecord {
+        let counts = !found.statistics.is_empty();
+        let mut sorted = found.statistics.clone();
+        sorted.sort_by(f64::total_cmp);
+        let at = (0.95 * (sorted.len() as f64 + 1.0)).ceil() as usize;
+        BootstrapRecord {
+            replicates: asked.replicates,
+            failed: found.failed,
+            seed: asked.seed,
+            p_value: counts.then_some(found.p_value),
+            std_error: counts.then_some(found.std_error),
+            quantile95: sorted.get(at.wrapping_sub(1)).copied(),
+        }
+    }
+}
+
+impl PartRecord {
+    /// One part, tested alone.
+    pub fn new(what: &str, null: &Estimate, ratio: &LikelihoodRatio) -> PartRecord {
+        PartRecord {
+            what: what.to_owned(),
+            lr: ratio.statistic,
+            df: ratio.degrees_of_freedom,
+            p_value: ratio.p_value(),
+            log_likelihood: null.log_likelihood,
+            converged: null.stop == Stop::Certified,
+        }
+    }
+}
+
+pub(super) fn side(model: &PhasedModel, estimate: &Estimate) -> SideRecord {
+    SideRecord {
+        states: model.element_names(),
+        log_likelihood: estimate.log_likelihood,
+        free_parameters: estimate.declared_mean() + estimate.declared_covariance(),
+        converged: estimate.stop == Stop::Certified,
+        mean: estimate.mean.clone(),
+        covariance: rows(&estimate.covariance),
+        parameters: Vec::new(),
+    }
+}
+
+fn component(component: &Component) -> ComponentRecord {
+    ComponentRecord { df: component.degrees_of_freedom, weight: component.weight }
+}
+
+/// `0.5 chi2_0; 0.5 chi2_1`.
+fn words(components: &[Component]) -> String {
+    let word = |c: &Component| format!("{} chi2_{}", c.weight, c.degrees_of_freedom);
+    components.iter().map(word).collect::<Vec<_>>().join("; ")
+}
+
+/// Fewer tests than this, and large-sample laws are a rough guide.
+const FEW: usize = 50;
+
+/// How many tests, or groups of the outermost level, there are, and what they are called.
+pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: &Reductions) -> (usize, String) {
+    let plural = |count: usize| if count == 1 { "" } else { "s" };
+    match (estimate.grouping(), model.levels.first()) {
+        (Some(grouping), Some(outermost)) if grouping.depth() > 0 => {
+            let count = grouping.groups(grouping.depth() - 1).len();
+            (count, format!("group{} of level `{}`", plural(count), outermost.name))
+        }
+        _ => (reductions.len(), format!("test{}", plural(reductions.len()))),
+    }
+}
+
+/// Adds to notes how far the large-sample law is to be trusted, and what the hypothesis removes. `several`: what it puts on a boundary
+/// where the law is a bound; `independent`: how many tests or groups there are, where it depends on them how good a guide the law is.
+pub(super) fn add_doubts(
+    notes: &mut Vec<String>,
+    ratio: &LikelihoodRatio,
+    (null, alternative): (&SideRecord, &SideRecord),
+    several: &str,
+    independent: Option<(usize, String)>,
+) {
+    if ratio.law.is_bound {
+        notes.push(format!(
+            "the hypothesis puts several {several} on their boundary. The distribution used is an upper bound, so the p-value may be too large but not too small; `--bootstrap` avoids this"
+        ));
+    }
+    if ratio.null_on_boundary {
+        notes.push(
+            "under the hypothesis the estimated covariance is singular, and the large-sample distribution does not hold exactly; `--bootstrap` does not use it"
+                .to_owned(),
+        );
+    }
+    if let Some((count, name)) = independent.filter(|(count, _)| *count < FEW && notes.is_empty()) {
+        notes.push(format!(
+            "with {count} {name} the large-sample distribution is a rough guide, and its p-values tend to be too small; `--bootstrap 1000` does not use it"
+        ));
+    }
+    let declared = alternative.free_parameters.saturating_sub(null.free_parameters);
+    if declared != ratio.degrees_of_freedom {
+        notes.push(format!(
+            "the hypothesis removes {declared} free {}; the data identify {} of them",
+            if declared == 1 { "quantity" } else { "quantities" },
+            ratio.degrees_of_freedom
+        ));
+    }
+}

@@ -1,0 +1,195 @@
+//! What one test says, as a record.
+
+use serde::{Deserialize, Serialize};
+
+use crate::posteriors::PosteriorRecords;
+use crate::{OwnRecord, SeriesRecord, SquareRecord};
+
+/// Results of one test.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TestRecord<'a> {
+    /// Its id.
+    pub id: &'a str,
+    /// Its text in the column that tests are grouped by; null where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub group: Option<&'a String>,
+    /// Names of its groups where the model has levels, the outermost first.
+    #[serde(skip_serializing_if = "<[String]>::is_empty")]
+    pub groups: &'a [String],
+    /// log p of its measurements; of a test in groups by itself.
+    pub log_likelihood: f64,
+    /// Scalar measurements used.
+    pub observations: usize,
+    /// Steps; null in records that do not say.
+    pub steps: Option<usize>,
+    /// Number of its design class, from 1 in the order of the tests; null in records that do not say.
+    pub design_class: Option<usize>,
+    /// Posterior of ξ, by phase.
+    pub phases: PosteriorRecords<'a>,
+    /// Standardised squared distance of the test from the population.
+    pub distance: Option<f64>,
+    /// Its degrees of freedom: rank of J.
+    pub degrees_of_freedom: usize,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+    /// The fit without this test; null if it was not requested or has no certified optimum.
+    pub deletion: Option<&'a DeletionRecord>,
+    /// Innovations of the filter at the estimate; null if they were not requested or cannot be computed.
+    pub innovations: Option<&'a InnovationRecord>,
+}
+
+/// Posterior of ξ in one phase.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PosteriorRecord<'a> {
+    /// Name of the phase.
+    pub name: &'a str,
+    /// E[ξ | z].
+    pub mean: &'a [f64],
+    /// Var[ξ | z].
+    pub covariance: SquareRecord<&'a [f64]>,
+    /// The estimate from the test alone; null if it determines no state alone, and in very large ensembles.
+    pub own: Option<&'a OwnRecord>,
+}
+
+/// A [`TestRecord`] with memory of its own, as it is read or put together by hand.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[expect(missing_docs, reason = "its fields are those of the record")]
+pub struct TestRow {
+    pub id: String,
+    #[serde(default)]
+    pub group: Option<String>,
+    #[serde(default)]
+    pub groups: Vec<String>,
+    pub log_likelihood: f64,
+    pub observations: usize,
+    #[serde(default)]
+    pub steps: Option<usize>,
+    #[serde(default)]
+    pub design_class: Option<usize>,
+    pub phases: Vec<PosteriorRow>,
+    pub distance: Option<f64>,
+    pub degrees_of_freedom: usize,
+    pub p_value: Option<f64>,
+    #[serde(default)]
+    pub deletion: Option<DeletionRecord>,
+    #[serde(default)]
+    pub innovations: Option<InnovationRecord>,
+}
+
+/// A [`PosteriorRecord`] with memory of its own.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[expect(missing_docs, reason = "its fields are those of the record")]
+pub struct PosteriorRow {
+    pub name: String,
+    pub mean: Vec<f64>,
+    pub covariance: SquareRecord,
+    #[serde(default)]
+    pub own: Option<OwnRecord>,
+}
+
+impl From<TestRecord<'_>> for TestRow {
+    fn from(test: TestRecord<'_>) -> TestRow {
+        TestRow {
+            id: test.id.to_owned(),
+            group: test.group.cloned(),
+            groups: test.groups.to_vec(),
+            log_likelihood: test.log_likelihood,
+            observations: test.observations,
+            steps: test.steps,
+            design_class: test.design_class,
+            phases: test.phases.iter().map(PosteriorRow::from).collect(),
+            distance: test.distance,
+            degrees_of_freedom: test.degrees_of_freedom,
+            p_value: test.p_value,
+            deletion: test.deletion.cloned(),
+            innovations: test.innovations.cloned(),
+        }
+    }
+}
+
+impl From<PosteriorRecord<'_>> for PosteriorRow {
+    fn from(part: PosteriorRecord<'_>) -> PosteriorRow {
+        PosteriorRow {
+            name: part.name.to_owned(),
+            mean: part.mean.to_vec(),
+            covariance: part.covariance.to_owned(),
+            own: part.own.cloned(),
+        }
+    }
+}
+
+/// Innovations of one test at the estimate, as figures: e of variance S, in the order of the filter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InnovationRecord {
+    /// Their number, n.
+    pub count: usize,
+    /// Normalised innovation squared, Σ e²/S; its expectation is n. Null without innovations.
+    pub nis: Option<f64>,
+    /// Two-sided p-value of it: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less the number of
+    /// estimated states, which the estimate may have absorbed.
+    pub nis_p_value: Option<f64>,
+    /// Mean of e/√S; its standard deviation is 1/√n.
+    pub mean: Option<f64>,
+    /// Ljung and Box's test; null when too short.
+    pub whiteness: Option<WhitenessRecord>,
+    /// The same of each measurement of each phase, where the model has several phases.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<InnovationPartRecord>,
+    /// The innovations in order; null but for the least probable tests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub series: Option<Box<SeriesRecord>>,
+}
+
+/// Innovations of one measurement of one phase of a test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InnovationPartRecord {
+    /// Name of the phase.
+    pub phase: String,
+    /// Name of the measurement.
+    pub measurement: String,
+    /// Their figures, as if they were a test.
+    #[serde(flatten)]
+    pub innovations: InnovationRecord,
+}
+
+/// Ljung and Box's test of the e/√S, each measurement by itself, added up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhitenessRecord {
+    /// The statistic.
+    pub statistic: f64,
+    /// The longest lag: at most 10, and one for every five innovations of a measurement.
+    pub lags: usize,
+    /// Degrees of freedom: the lags of all measurements together.
+    pub degrees_of_freedom: usize,
+    /// Probability of so large a statistic, by its own law for each length: in the tail it is far from χ².
+    pub p_value: f64,
+}
+
+/// The fit without one test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeletionRecord {
+    /// log p of the test's measurements at the fit without it: its predictive density.
+    pub log_density: f64,
+    /// Standardised squared distance from the population estimated from the other tests.
+    pub distance: Option<f64>,
+    /// Its χ² p-value.
+    pub p_value: Option<f64>,
+    /// 2 (ℓ(θ̂) - ℓ(θ̂ without the test)) over all tests: how far the test pulls the estimate.
+    pub displacement: f64,
+    /// The estimates without the test, by phase.
+    pub phases: Vec<DeletedRecord>,
+}
+
+/// μ and Σ of one phase without a test.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeletedRecord {
+    /// Name of the phase.
+    pub name: String,
+    /// μ.
+    pub mean: Vec<f64>,
+    /// Regression coefficients.
+    #[serde(default)]
+    pub regression: Vec<f64>,
+    /// Σ.
+    pub covariance: Vec<Vec<f64>>,
+}

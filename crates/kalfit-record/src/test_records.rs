@@ -1,0 +1,218 @@
+//! What each test says, in columns: the list `tests` of fit.json.
+
+use std::collections::HashMap;
+use std::ops::Range;
+
+use serde::de::{SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::posteriors::PosteriorColumns;
+use crate::{DeletionRecord, FitRecord, InnovationRecord, SeriesKeeper, TestRecord, TestRow};
+use kalfit_model::{Rare, Texts};
+
+/// Results of each test. What all tests have of one kind stands together, so that those of a million tests are a few pieces of memory; a row
+/// is a [`TestRecord`], and one with memory of its own a [`TestRow`].
+///
+/// ```
+/// use kalfit::record::{TestRecords, TestRow};
+///
+/// # fn read(json: &str) -> serde_json::Result<()> {
+/// let tests: TestRecords = serde_json::from_str(json)?;
+/// for test in tests.iter() {
+///     println!("{}: {:?}", test.id, test.p_value);
+/// }
+/// let mut rows: Vec<TestRow> = tests.iter().map(TestRow::from).collect();
+/// rows.retain(|test| test.observations > 2);
+/// let fewer: TestRecords = rows.into_iter().collect();
+/// # assert_eq!((tests.len(), fewer.len()), (1, 0));
+/// # Ok(())
+/// # }
+/// # read(r#"[{"id": "a", "log_likelihood": -1.0, "observations": 1, "phases": [], "distance": null, "degrees_of_freedom": 0, "p_value": null}]"#).unwrap();
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TestRecords {
+    ids: Texts,
+    figures: Vec<TestFigures>,
+    pub(super) phases: PosteriorColumns,
+    pub(super) group: Rare<String>,
+    pub(super) groups: Rare<Vec<String>>,
+    deletions: Rare<Box<DeletionRecord>>,
+    innovations: InnovationRecords,
+}
+
+/// Innovations of tests, by their numbers.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct InnovationRecords(Rare<InnovationRecord>);
+
+/// What every test has.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct TestFigures {
+    pub(super) log_likelihood: f64,
+    pub(super) observations: usize,
+    pub(super) steps: Option<usize>,
+    pub(super) design_class: Option<usize>,
+    pub(super) distance: Option<f64>,
+    pub(super) degrees_of_freedom: usize,
+    pub(super) p_value: Option<f64>,
+}
+
+impl TestRecords {
+    /// How many tests they are.
+    pub fn len(&self) -> usize {
+        self.figures.len()
+    }
+
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.figures.is_empty()
+    }
+
+    /// The test with this number. Panics when there is no such test.
+    pub fn get(&self, number: usize) -> TestRecord<'_> {
+        let TestFigures { log_likelihood, observations, steps, design_class, distance, degrees_of_freedom, p_value } =
+            self.figures[number];
+        TestRecord {
+            id: self.ids.get(number),
+            group: self.group.get(number),
+            groups: self.groups.get(number).map_or(&[], Vec::as_slice),
+            log_likelihood,
+            observations,
+            steps,
+            design_class,
+            phases: self.phases.get(number),
+            distance,
+            degrees_of_freedom,
+            p_value,
+            deletion: self.deletions.get(number).map(Box::as_ref),
+            innovations: self.innovations.0.get(number),
+        }
+    }
+
+    /// Test after test.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = TestRecord<'_>> + DoubleEndedIterator + Clone {
+        self.part(0..self.len())
+    }
+
+    /// Test after test of some. Panics when there are not so many.
+    pub fn part(
+        &self,
+        numbers: Range<usize>,
+    ) -> impl ExactSizeIterator<Item = TestRecord<'_>> + DoubleEndedIterator + Clone {
+        numbers.map(|number| self.get(number))
+    }
+
+    /// The number of each test, by its id; of tests of one id the last.
+    pub fn by_id(&self) -> HashMap<&str, usize> {
+        (0..self.len()).map(|number| (self.ids.get(number), number)).collect()
+    }
+
+    /// Of no test yet; there is room for so many with phases of so many states.
+    pub(super) fn with_room(tests: usize, states: impl Iterator<Item = usize>) -> TestRecords {
+        TestRecords {
+            figures: Vec::with_capacity(tests),
+            phases: PosteriorColumns::with_room(tests, states),
+            ..TestRecords::default()
+        }
+    }
+
+    /// Adds a test, whose phases are then added.
+    pub(super) fn push(&mut self, id: &str, figures: TestFigures, deletion: Option<DeletionRecord>) {
+        self.deletions.set(self.len(), deletion.map(Box::new));
+        self.ids.push(id);
+        self.figures.push(figures);
+        self.phases.begin();
+    }
+
+    fn push_row(&mut self, row: TestRow) {
+        let number = self.len();
+        let figures = TestFigures {
+            log_likelihood: row.log_likelihood,
+            observations: row.observations,
+            steps: row.steps,
+            design_class: row.design_class,
+            distance: row.distance,
+            degrees_of_freedom: row.degrees_of_freedom,
+            p_value: row.p_value,
+        };
+        self.push(&row.id, figures, row.deletion);
+        for part in row.phases {
+            self.phases.push(&part.name, (&part.mean, part.covariance.entries()), part.own);
+        }
+        self.group.set(number, row.group);
+        self.groups.set(number, Some(row.groups).filter(|groups| !groups.is_empty()));
+        self.innovations.0.set(number, row.innovations);
+    }
+}
+
+impl InnovationRecords {
+    /// Of no test yet; there is room for so many.
+    pub fn with_room(tests: usize) -> InnovationRecords {
+        InnovationRecords(Rare::with_room(tests))
+    }
+
+    /// Those of the test with this number, if it has any.
+    pub fn get(&self, number: usize) -> Option<&InnovationRecord> {
+        self.0.get(number)
+    }
+
+    /// Those of the test with this number.
+    pub fn put(&mut self, number: usize, innovations: InnovationRecord) {
+        self.0.set(number, Some(innovations));
+    }
+}
+
+impl FitRecord {
+    /// Tells the innovations of the tests; those of tests that have none here are dropped.
+    pub fn set_innovations(&mut self, found: InnovationRecords) {
+        self.tests.innovations = found;
+    }
+
+    /// Adds the series that were kept to the tests that have innovations.
+    pub fn add_series(&mut self, keeper: SeriesKeeper) {
+        let mut kept = keeper.into_series();
+        for number in 0..self.tests.len() {
+            if let Some(innovations) = self.tests.innovations.0.get_mut(number) {
+                innovations.series = kept.remove(self.tests.ids.get(number)).map(Box::new);
+            }
+        }
+    }
+}
+
+impl FromIterator<TestRow> for TestRecords {
+    fn from_iter<I: IntoIterator<Item = TestRow>>(rows: I) -> TestRecords {
+        let mut all = TestRecords::default();
+        rows.into_iter().for_each(|row| all.push_row(row));
+        all
+    }
+}
+
+impl Serialize for TestRecords {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.iter())
+    }
+}
+
+impl<'de> Deserialize<'de> for TestRecords {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<TestRecords, D::Error> {
+        deserializer.deserialize_seq(TestList)
+    }
+}
+
+/// Takes tests as they are read.
+struct TestList;
+
+impl<'de> Visitor<'de> for TestList {
+    type Value = TestRecords;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("a sequence")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut rows: A) -> Result<TestRecords, A::Error> {
+        let mut all = TestRecords::default();
+        while let Some(row) = rows.next_element()? {
+            all.push_row(row);
+        }
+        Ok(all)
+    }
+}

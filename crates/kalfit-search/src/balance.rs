@@ -1,0 +1,102 @@
+//! First sizes of noise levels. What the data do from row to row is noise of their measurement or of the motion, and ℓ often has a
+//! maximum where all of it is the one: a search over one level at a time, begun near the wrong one, ends there. So levels of
+//! measurements and levels of motion are first tried against each other.
+
+use crate::Coordinate;
+use crate::profile_likelihood::ProfileLikelihood;
+use crate::scales::{measures, time_constants};
+use crate::tries::{FACTOR, tried};
+use kalfit_estimate::Progress;
+
+/// Powers of the factor tried for levels of one kind alone.
+const ALONE: [i32; 7] = [-3, -2, -1, 0, 1, 2, 3];
+/// For those of measurements against those of motion: the differences of successive values seldom leave room above them.
+const MEASURED: [i32; 5] = [-4, -2, -1, 0, 1];
+/// For those of motion: the data's units are not those of every state.
+const MOVED: [i32; 9] = [-7, -5, -4, -3, -2, -1, 0, 1, 3];
+
+/// The unknown noise levels set to the likeliest of some points over both kinds. Returned: other points that are likelier than all
+/// beside them, the likeliest first.
+pub(super) fn balance(
+    small: &ProfileLikelihood<'_>,
+    unknown: &[usize],
+    values: &mut Vec<f64>,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let (measured, moved) = kinds(small, unknown);
+    let (rows, columns): (&[i32], &[i32]) = match (measured.is_empty(), moved.is_empty()) {
+        (true, true) => return Vec::new(),
+        (false, true) => (&ALONE, &[0]),
+        (true, false) => (&[0], &ALONE),
+        (false, false) => (&MEASURED, &MOVED),
+    };
+    let at = |a: i32, b: i32| -> Vec<f64> {
+        let power = |s: usize| {
+            if measured.contains(&s) {
+                a
+            } else if moved.contains(&s) {
+                b
+            } else {
+                0
+            }
+        };
+        let times = |(s, &value): (usize, &f64)| step(small.coordinates[s], value, power(s));
+        values.iter().enumerate().map(times).collect()
+    };
+    let points: Vec<Vec<f64>> =
+        rows.iter().flat_map(|&a| columns.iter().map(move |&b| (a, b))).map(|(a, b)| at(a, b)).collect();
+    let heights = tried(small, &points, progress);
+    let heights: Vec<f64> = heights.into_iter().map(|height| height.unwrap_or(f64::NEG_INFINITY)).collect();
+    let mut peaks = peaks(&heights, columns.len());
+    peaks.sort_by(|&a, &b| heights[b].total_cmp(&heights[a]));
+    let mut peaks = peaks.into_iter();
+    if let Some(best) = peaks.next() {
+        *values = points[best].clone();
+    }
+    // where measurements have hardly any noise ℓ may rise without end, as a free mean meets one of them ever more exactly
+    let inside = |k: &usize| rows.len() == 1 || *k >= columns.len();
+    peaks.filter(inside).map(|k| points[k].clone()).collect()
+}
+
+fn step(coordinate: Coordinate, value: f64, power: i32) -> f64 {
+    if power == 0 { value } else { coordinate.moved(value, f64::from(power) * FACTOR.ln()) }
+}
+
+/// Free values that are unknown noise levels: (of measurements, of motion).
+fn kinds(small: &ProfileLikelihood<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<usize>) {
+    let constants = time_constants(small.model);
+    let slots = small.slots.slots();
+    let level = |s: &usize| {
+        let parameter = slots[*s].parameter;
+        small.coordinates[*s].log && unknown.contains(&parameter) && !constants.contains(&parameter)
+    };
+    (0..slots.len()).filter(level).partition(|s| measures(small.model, slots[*s].parameter))
+}
+
+/// Points of a table, row by row, that are higher than those beside them: of equals the first.
+fn peaks(heights: &[f64], columns: usize) -> Vec<usize> {
+    let peak = |&k: &usize| {
+        let (row, column) = (k / columns, k % columns);
+        let beside = |other: &usize| {
+            let (r, c) = (other / columns, other % columns);
+            *other != k && r.abs_diff(row) <= 1 && c.abs_diff(column) <= 1
+        };
+        let below = |other: usize| heights[other] < heights[k] || (heights[other] == heights[k] && k < other);
+        heights[k].is_finite() && (0..heights.len()).filter(beside).all(below)
+    };
+    (0..heights.len()).filter(peak).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn peaks_of_a_table_are_higher_than_all_beside_them() {
+        let low = f64::NEG_INFINITY;
+        let heights = [5.0, 1.0, 2.0, 4.0, 0.0, 3.0, 3.0, low, low, low, low, 7.0];
+        assert_eq!(peaks(&heights, 4), [0, 3, 11]);
+        assert_eq!(peaks(&[1.0, 1.0, 0.0, 1.0], 4), [0, 3]);
+        assert!(peaks(&[low, low], 2).is_empty());
+    }
+}

@@ -1,0 +1,242 @@
+//! Noises of measurements whose covariances are free, beside a process that is all but white.
+//!
+//! ```text
+//! R + h h'σ²      what measurements with noise covariance R, and h times a white process of variance σ², vary by
+//! ```
+//!
+//! So noise may take over such a process, covariances and all, or a process as much of the noise as it can, σ² = 1/(h'R⁻¹h): ℓ stays
+//! what it was, and the other explanation may lead on from there. With a variance alone in the place of another ℓ would fall far, as
+//! measurements would be correlated otherwise.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::profile_likelihood::ProfileLikelihood;
+use kalfit_model::{Expression, Model, Operator};
+
+/// A process leaves this part of what it could take over: covariances are sought within what variances allow.
+const LEFT: f64 = 1e-2;
+
+/// Measurements whose noises have free covariances, and what they measure of one process.
+pub(super) struct CrossedNoise<'b, 'a> {
+    objective: &'b ProfileLikelihood<'a>,
+    /// The level of each measurement's noise, and the exponent with which it is a variance.
+    levels: Vec<(usize, f64)>,
+    /// Covariances of two of them.
+    covariances: Vec<(usize, usize, usize)>,
+    /// h.
+    loadings: DVector<f64>,
+    /// The level of the process, and its exponent.
+    process: (usize, f64),
+}
+
+impl<'b, 'a> CrossedNoise<'b, 'a> {
+    /// Those beside the noise with level `s`, and the process with level `t`; `None` where there are none, or where levels, covariances
+    /// or what is measured is not that simple: ℓ would not stay what it is.
+    pub(super) fn of(objective: &'b ProfileLikelihood<'a>, s: usize, t: usize) -> Option<Self> {
+        let [phase] = &objective.model.phases[..] else { return None };
+        let model = &phase.model;
+        let slot = |covariance: &Expression| match covariance {
+            Expression::Parameter(p) => objective.slots.common(*p).filter(|&slot| objective.edges.has(slot)),
+            _ => None,
+        };
+        let free = model.noise_covariance.iter().map(|(i, j, covariance)| Some((*i, *j, slot(covariance)?)));
+        let free: Vec<(usize, usize, usize)> = free.collect::<Option<_>>()?;
+        let mut measurements: Vec<usize> = free.iter().flat_map(|&(i, j, _)| [i, j]).collect();
+        measurements.sort_unstable();
+        measurements.dedup();
+        let place = |m: usize| measurements.iter().position(|&other| other == m);
+        let covariances = free.iter().filter_map(|&(i, j, slot)| Some((place(i)?, place(j)?, slot))).collect();
+        let level = |&m: &usize| level_of(objective, &model.measurements[m].noise_variance);
+        let levels: Vec<(usize, f64)> = measurements.iter().map(level).collect::<Option<_>>()?;
+        let loadings = loadings(model, objective.slots.slots()[t].parameter, &measurements)?;
+        let noises =
+            CrossedNoise { objective, levels, covariances, loadings, process: (t, objective.coordinates[t].level?) };
+        (noises.levels.iter().any(|(level, _)| *level == s) && noises.is_complete()).then_some(noises)
+    }
+
+    /// Each level is one measurement's, and whatever the process is seen in has a covariance.
+    fn is_complete(&self) -> bool {
+        let count = self.levels.len();
+        let seen = |i: usize| self.loadings[i] != 0.0;
+        let has = |i: usize, j: usize| self.covariances.iter().any(|&(a, b, _)| (a, b) == (i, j) || (a, b) == (j, i));
+        (0..count).any(seen)
+            && (0..count)
+                .all(|i| (0..i).all(|j| self.levels[i].0 != self.levels[j].0 && (!seen(i) || !seen(j) || has(i, j))))
+    }
+
+    /// The level of the first of them.
+    pub(super) fn first(&self) -> usize {
+        self.levels[0].0
+    }
+
+    /// The process given to the noises.
+    pub(super) fn given(&self, sought: &[f64]) -> Vec<f64> {
+        let mut values = self.objective.values(sought);
+        let (t, exponent) = self.process;
+        let variance = values[t].powf(exponent);
+        let noises = self.matrix(&values) + &self.loadings * self.loadings.transpose() * variance;
+        values[t] = 0.0;
+        self.with(values, &noises)
+    }
+
+    /// As much of the noises as a process can take over, taken over by it; `None` where that is nothing.
+    pub(super) fn taken(&self, sought: &[f64]) -> Option<Vec<f64>> {
+        let mut values = self.objective.values(sought);
+        let noises = self.matrix(&values);
+        let information = self.loadings.dot(&noises.clone().cholesky()?.solve(&self.loadings));
+        let variance = Some((1.0 - LEFT) / information).filter(|variance| variance.is_finite() && *variance > 0.0)?;
+        let (t, exponent) = self.process;
+        let taker = self.objective.coordinates[t];
+        values[t] = variance.powf(exponent.recip()).clamp(taker.lower, taker.upper);
+        let left = noises - &self.loadings * self.loadings.transpose() * values[t].powf(exponent);
+        Some(self.with(values, &left))
+    }
+
+    /// R.
+    fn matrix(&self, values: &[f64]) -> DMatrix<f64> {
+        let variances = self.levels.iter().map(|&(level, exponent)| values[level].powf(exponent));
+        let mut matrix = DMatrix::from_diagonal(&DVector::from_iterator(self.levels.len(), variances));
+        for &(i, j, slot) in &self.covariances {
+            (matrix[(i, j)], matrix[(j, i)]) = (values[slot], values[slot]);
+        }
+        matrix
+    }
+
+    /// What is sought where R is this.
+    fn with(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
+        for (m, &(level, exponent)) in self.levels.iter().enumerate().filter(|(m, _)| self.loadings[*m] != 0.0) {
+            let coordinate = self.objective.coordinates[level];
+            values[level] = noises[(m, m)].max(0.0).powf(exponent.recip()).clamp(coordinate.lower, coordinate.upper);
+        }
+        self.covariances.iter().for_each(|&(i, j, slot)| values[slot] = noises[(i, j)]);
+        self.objective.sought(&values)
+    }
+}
+
+/// The level of all tests that a variance is, or is the square of, and its exponent.
+fn level_of(objective: &ProfileLikelihood<'_>, variance: &Expression) -> Option<(usize, f64)> {
+    let (parameter, exponent) = match variance {
+        Expression::Parameter(p) => (*p, 1.0),
+        Expression::Binary(Operator::Multiply, a, b) if a == b => match &**a {
+            Expression::Parameter(p) => (*p, 2.0),
+            _ => return None,
+        },
+        _ => return None,
+    };
+    let slot = objective.slots.common(parameter)?;
+    (objective.coordinates[slot].level == Some(exponent)).then_some((slot, exponent))
+}
+
+/// What these measurements measure of the one state that a level drives, where those are numbers and no other measurement sees it.
+fn loadings(model: &Model, driven: usize, measurements: &[usize]) -> Option<DVector<f64>> {
+    let drives = |k: &usize| model.states[*k].motion.noise_variance().is_some_and(|variance| variance.mentions(driven));
+    let mut states = (0..model.states.len()).filter(drives);
+    let state = states.next().filter(|_| states.next().is_none())?;
+    let all = (0..model.measurements.len()).map(|m| loading(model, m, state)).collect::<Option<Vec<f64>>>()?;
+    let is_elsewhere = (0..all.len()).any(|m| all[m] != 0.0 && !measurements.contains(&m));
+    (!is_elsewhere).then(|| DVector::from_iterator(measurements.len(), measurements.iter().map(|&m| all[m])))
+}
+
+/// What a measurement measures of a state, where that is a number.
+fn loading(model: &Model, measurement: usize, state: usize) -> Option<f64> {
+    let terms = &model.measurements[measurement].equation.terms;
+    let Some((_, coefficient)) = terms.iter().find(|(of, _)| *of == state) else { return Some(0.0) };
+    match coefficient {
+        Expression::Negate(a) => a.as_number().map(|x| -x),
+        other => other.as_number(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Settings;
+    use kalfit_fixtures::by_hand::Lcg;
+    use kalfit_model::PhasedTest;
+    use kalfit_model::build::{Formula, ModelBuilder, constant, free, gauss_markov, measurement, name};
+    use kalfit_model::{Labels, Source, Test};
+    use kalfit_model::{PhasedModel, Slots};
+
+    /// y = a + p + noise and z = a - 0.3 p + noise, noises of these levels; more is added to the model, whose free values these are.
+    fn instruments(
+        levels: [Formula; 2],
+        more: impl Fn(ModelBuilder) -> ModelBuilder,
+        values: &[&'static str],
+    ) -> PhasedModel {
+        let [first, second] = levels;
+        let model = kalfit_model::Model::builder("")
+            .time("t")
+            .state(constant("a"))
+            .state(gauss_markov("p", "tau", "sigma"))
+            .measurement(measurement("y", name("a") + name("p"), first))
+            .measurement(measurement("z", name("a") - 0.3 * name("p"), second));
+        values.iter().fold(more(model), |model, name| model.parameter(free(*name))).build().unwrap()
+    }
+
+    fn crossed(model: ModelBuilder) -> ModelBuilder {
+        model.noise_covariance("y", "z", name("c"))
+    }
+
+    const VALUES: &[&str] = &["tau", "sigma", "s", "r", "c"];
+
+    fn tests(model: &PhasedModel) -> Vec<PhasedTest> {
+        let mut random = Lcg(3);
+        let columns = &model.shared().columns;
+        let one = |j: usize| {
+            let mut test = Test::new(format!("u{j}"), columns.len(), 0);
+            for k in 0..7 {
+                let cell = |name: &str| if name == "t" { f64::from(k) } else { random.normal() };
+                let cells: Vec<f64> = columns.iter().map(|column| column.name.as_str()).map(cell).collect();
+                test.push(&cells, &[], Source::default());
+            }
+            test.into()
+        };
+        (0..6).map(one).collect()
+    }
+
+    #[test]
+    fn a_white_process_and_noises_with_a_covariance_are_one_explanation() {
+        let model = instruments([name("s"), name("r")], crossed, VALUES);
+        let (tests, settings) = (tests(&model), Settings::default());
+        let slots = Slots::in_phases(&model, &Labels::default(), &tests);
+        let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
+        let white = objective.sought(&[0.02, 0.6, 0.5, 0.7, 0.1]);
+        let noises = CrossedNoise::of(&objective, 2, 1).expect("they have a covariance");
+        let given = noises.given(&white);
+        let found = objective.values(&given);
+        for (found, expected) in
+            found.iter().zip([0.02, 0.0, 0.61f64.sqrt(), (0.49f64 + 0.09 * 0.36).sqrt(), 0.1 - 0.3 * 0.36])
+        {
+            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        }
+        let taken = noises.taken(&given).expect("noise that a process may take over");
+        assert!(taken[1] > 0.6 && taken[4].abs() <= 1.0, "more than before: {taken:?}");
+        let [before, between, after] =
+            [&white, &given, &taken].map(|place| objective.solve(place, None).expect("defined").value());
+        assert!((between - before).abs() < 1e-8 && (after - before).abs() < 1e-8, "{before} {between} {after}");
+        // what is left of the noises has hardly any of the process's direction
+        let (left, h) = (noises.matrix(&objective.values(&taken)), &noises.loadings);
+        let full = h.dot(&(noises.matrix(&found).try_inverse().expect("regular") * h));
+        assert!((full * h.dot(&(left.try_inverse().expect("regular") * h)).recip() - LEFT).abs() < 1e-6);
+    }
+
+    fn is_crossed(model: &PhasedModel) -> bool {
+        let (slots, settings) = (Slots::new(model.shared(), &Labels::default(), &[]), Settings::default());
+        CrossedNoise::of(&ProfileLikelihood::new(model, &[], &slots, &settings), 2, 1).is_some()
+    }
+
+    #[test]
+    fn noises_that_are_not_that_simple_are_not_crossed() {
+        let both = || [name("s"), name("r")];
+        assert!(is_crossed(&instruments(both(), crossed, VALUES)));
+        assert!(!is_crossed(&instruments(both(), |model| model, &VALUES[..4])), "no covariance");
+        let part = [name("s"), 2.0 * name("r")];
+        assert!(!is_crossed(&instruments(part, crossed, VALUES)), "twice a level");
+        let one = [name("s"), name("s")];
+        assert!(!is_crossed(&instruments(one, crossed, &["tau", "sigma", "s", "c"])), "one level of both");
+        let elsewhere = |model| crossed(model).measurement(measurement("w", name("p"), 0.5));
+        assert!(!is_crossed(&instruments(both(), elsewhere, VALUES)), "the process is seen elsewhere");
+        let beside = |model| crossed(model).state(gauss_markov("q", 3.0, "sigma"));
+        assert!(!is_crossed(&instruments(both(), beside, VALUES)), "another process of that size");
+    }
+}

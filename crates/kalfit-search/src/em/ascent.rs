@@ -1,0 +1,153 @@
+//! Maximum of a smooth function in the coordinates of α, within their bounds: limited-memory BFGS. What is learnt of the
+//! curvature is kept from one E-step to the next, as the complete data change little.
+
+use crate::profile_likelihood::ProfileLikelihood;
+
+/// Pairs of steps and changes of the gradient that are remembered.
+const DEPTH: usize = 12;
+/// Most steps of one maximisation.
+const STEPS: usize = 60;
+/// It ends when a step promises this part of what the first one did …
+const PART: f64 = 1e-10;
+/// … or this much.
+const LITTLE: f64 = 1e-18;
+/// Longest first step of a coordinate, while nothing is known of the curvature.
+const FIRST: f64 = 0.1;
+/// Longest step of a logarithm.
+const LONGEST: f64 = 1.5;
+
+/// The curvature so far: (step, fall of the gradient).
+#[derive(Debug, Clone, Default)]
+pub(super) struct Ascent {
+    pairs: Vec<(Vec<f64>, Vec<f64>)>,
+}
+
+/// A function of the values and its gradient to the coordinates; `None` where it is not defined.
+pub(super) type AscentFunction<'f> = dyn Fn(&[f64]) -> Option<(f64, Vec<f64>)> + 'f;
+
+impl Ascent {
+    /// The maximum near `values`, over those that are `free`; never below where it began.
+    pub(super) fn maximise(
+        &mut self,
+        function: &AscentFunction<'_>,
+        mut values: Vec<f64>,
+        free: &[bool],
+        objective: &ProfileLikelihood<'_>,
+    ) -> Vec<f64> {
+        let Some((mut value, mut gradient)) = function(&values) else { return values };
+        let mut first = None;
+        for _ in 0..STEPS {
+            let inside = inward(objective, &values, &gradient, free);
+            let step = self.direction(&gradient, &inside, objective);
+            let promised = dot(&step, &gradient, &inside);
+            let first = *first.get_or_insert(promised);
+            if promised <= LITTLE.max(PART * first) {
+                break;
+            }
+            let Some(next) = climb(function, (&values, value), (&step, promised), objective) else {
+                if self.pairs.is_empty() {
+                    break;
+                }
+                self.pairs.clear(); // the curvature was another
+                continue;
+            };
+            let moved: Vec<f64> = (0..values.len())
+                .map(|s| objective.coordinates[s].of_value(next.0[s]) - objective.coordinates[s].of_value(values[s]))
+                .map(|d| if d.is_finite() { d } else { 0.0 })
+                .collect();
+            let fall: Vec<f64> = gradient.iter().zip(&next.2).map(|(old, new)| old - new).collect();
+            self.learn(moved, fall, free);
+            (values, value, gradient) = next;
+        }
+        values
+    }
+
+    fn learn(&mut self, step: Vec<f64>, fall: Vec<f64>, free: &[bool]) {
+        let (own, size) = (dot(&step, &fall, free), dot(&fall, &fall, free) * dot(&step, &step, free));
+        if own > 1e-10 * size.sqrt() {
+            self.pairs.push((step, fall));
+        }
+        if self.pairs.len() > DEPTH {
+            self.pairs.remove(0);
+        }
+    }
+
+    /// The two loops of L-BFGS over the coordinates in `inside`.
+    fn direction(&self, gradient: &[f64], inside: &[bool], objective: &ProfileLikelihood<'_>) -> Vec<f64> {
+        let mut step: Vec<f64> = gradient.iter().zip(inside).map(|(g, own)| if *own { *g } else { 0.0 }).collect();
+        let useful = |(s, y): &&(Vec<f64>, Vec<f64>)| dot(s, y, inside) > 0.0;
+        let pairs: Vec<&(Vec<f64>, Vec<f64>)> = self.pairs.iter().filter(useful).collect();
+        let mut weights = Vec::with_capacity(pairs.len());
+        for (s, y) in pairs.iter().rev() {
+            let weight = dot(s, &step, inside) / dot(s, y, inside);
+            add(&mut step, -weight, y, inside);
+            weights.push(weight);
+        }
+        let most = step.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+        let scale = match pairs.last() {
+            Some((s, y)) => dot(s, y, inside) / dot(y, y, inside),
+            None => {
+                if most > 0.0 {
+                    (FIRST / most).min(1.0)
+                } else {
+                    0.0
+                }
+            }
+        };
+        step.iter_mut().for_each(|d| *d *= scale);
+        for ((s, y), weight) in pairs.iter().zip(weights.iter().rev()) {
+            let back = dot(y, &step, inside) / dot(s, y, inside);
+            add(&mut step, weight - back, s, inside);
+        }
+        let far = |(s, d): (usize, &f64)| if objective.coordinates[s].log { d.abs() } else { 0.0 };
+        let longest = step.iter().enumerate().map(far).fold(0.0, f64::max);
+        if longest > LONGEST {
+            step.iter_mut().for_each(|d| *d *= LONGEST / longest);
+        }
+        step
+    }
+}
+
+/// Values that are free and do not press against a bound.
+fn inward(objective: &ProfileLikelihood<'_>, values: &[f64], gradient: &[f64], free: &[bool]) -> Vec<bool> {
+    let one = |s: usize| {
+        let coordinate = &objective.coordinates[s];
+        let pressed = coordinate.at_lower(values[s]) && gradient[s] <= 0.0
+            || coordinate.at_upper(values[s]) && gradient[s] >= 0.0;
+        free[s] && !pressed
+    };
+    (0..values.len()).map(one).collect()
+}
+
+/// The step, halved until the function rises as much as it should.
+fn climb(
+    function: &AscentFunction<'_>,
+    (values, value): (&[f64], f64),
+    (step, promised): (&[f64], f64),
+    objective: &ProfileLikelihood<'_>,
+) -> Option<(Vec<f64>, f64, Vec<f64>)> {
+    let slack = 1e-13 * value.abs().max(1.0);
+    let mut part = 1.0;
+    for _ in 0..30 {
+        let next = objective.moved(values, step, part);
+        if next == values {
+            return None;
+        }
+        if let Some((new, gradient)) = function(&next) {
+            let gain = new - value;
+            if gain >= 1e-4 * part * promised || (promised * part <= slack && gain >= -slack) {
+                return Some((next, new, gradient));
+            }
+        }
+        part *= 0.4;
+    }
+    None
+}
+
+fn dot(a: &[f64], b: &[f64], on: &[bool]) -> f64 {
+    a.iter().zip(b).zip(on).filter(|(_, on)| **on).map(|((a, b), _)| a * b).sum()
+}
+
+fn add(a: &mut [f64], weight: f64, b: &[f64], on: &[bool]) {
+    a.iter_mut().zip(b).zip(on).filter(|(_, on)| **on).for_each(|((a, b), _)| *a += weight * b);
+}

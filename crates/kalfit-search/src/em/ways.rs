@@ -1,0 +1,50 @@
+//! How EM moves each free value.
+
+use crate::DynamicError;
+use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint};
+
+/// A step of a coordinate that shows whether the complete data let it move.
+const PROBE: f64 = 1e-4;
+
+/// How one free value moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Way {
+    /// A noise level, in closed form: `count` variances go with its power `degree`.
+    Level { degree: f64, count: f64 },
+    /// By the expected log-likelihood of the complete data.
+    Expected,
+    /// By ℓ itself: the complete data determine the value, or do not depend on it.
+    Likelihood,
+}
+
+/// The way of every free value, by what the model says and, where it does not, by trying.
+pub(super) fn ways(objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
+    let levels = objective.levels(&home.alpha)?;
+    let mut direct = objective.matrix_slots();
+    direct.extend(objective.hidden_slots());
+    let first = |s: usize| match levels.of(objective.slots, s) {
+        _ if direct.contains(&s) => Way::Likelihood,
+        // a level at zero would stay there
+        Some(_) if home.values[s] == 0.0 => Way::Likelihood,
+        Some((degree, count)) => Way::Level { degree, count },
+        None => Way::Expected,
+    };
+    let mut ways: Vec<Way> = (0..home.values.len()).map(first).collect();
+    if !ways.contains(&Way::Expected) {
+        return Ok(ways);
+    }
+    let complete = objective.complete(home)?;
+    for parameter in 0..objective.model.shared().parameters.len() {
+        let own = |s: &usize| objective.slots.slots()[*s].parameter == parameter && ways[*s] == Way::Expected;
+        let own: Vec<usize> = (0..home.values.len()).filter(own).collect();
+        let moves = |sign: f64| {
+            let mut values = home.values.clone();
+            own.iter().for_each(|&s| values[s] = objective.coordinates[s].moved(values[s], sign * PROBE));
+            values != home.values && objective.expected(&complete, &values).is_some()
+        };
+        if !own.is_empty() && !moves(1.0) && !moves(-1.0) {
+            own.iter().for_each(|&s| ways[s] = Way::Likelihood);
+        }
+    }
+    Ok(ways)
+}

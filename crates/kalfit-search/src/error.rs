@@ -1,0 +1,76 @@
+//! Why dynamic parameters cannot be estimated.
+
+use kalfit_estimate::FitError;
+use kalfit_filter::reduce::{GroupingError, ReduceError};
+
+/// Why there is no fit.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum DynamicError {
+    /// A test has no reduction, whatever α is tried.
+    #[error(transparent)]
+    Reduce(#[from] Box<ReduceError>),
+    /// μ and Σ cannot be estimated.
+    #[error(transparent)]
+    Fit(#[from] FitError),
+    /// Tests cannot be grouped.
+    #[error(transparent)]
+    Grouping(#[from] GroupingError),
+    /// Free parameters, and phases put together by their marginals: what would be maximised is no likelihood of α.
+    #[error("`{parameter}` is free, and `marginal` is for known parameters: found {free} free values, expected none")]
+    Marginal {
+        /// The first free parameter.
+        parameter: String,
+        /// Number of free values.
+        free: usize,
+    },
+    /// Nobody waits any longer.
+    #[error("interrupted")]
+    Interrupted,
+    /// Expected information of free parameters where it is not worked out.
+    #[error(
+        "standard errors from the expected information beside free parameters (`{parameter}`) are for tests given as rows, without \
+         `[filter]` and without values of single tests"
+    )]
+    Expected {
+        /// The first free parameter.
+        parameter: String,
+    },
+    /// A reduction is for one value of each parameter; it cannot follow a free one.
+    #[error(
+        "test `{test}` comes as a reduction, made at known parameters, but `{parameter}` of phase `{phase}` is free"
+    )]
+    FixedReduction {
+        /// Id of the test.
+        test: String,
+        /// Name of the phase.
+        phase: String,
+        /// The first free parameter that the phase depends on.
+        parameter: String,
+    },
+}
+
+impl DynamicError {
+    /// What to do about it.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            DynamicError::Reduce(error) => error.hint(),
+            DynamicError::Fit(_) | DynamicError::Interrupted => None,
+            DynamicError::Grouping(GroupingError::NoRows { .. }) => {
+                Some("give the rows of the test, which name its groups")
+            }
+            DynamicError::Grouping(GroupingError::NoName { .. }) => Some("give every row the names of its groups"),
+            DynamicError::Grouping(GroupingError::Varies { .. }) => {
+                Some("a column of `levels` is constant within a test; tests of other groups have other ids")
+            }
+            DynamicError::Marginal { .. } => {
+                Some("give every parameter a value, or put the phases together by `chain`")
+            }
+            DynamicError::Expected { .. } => {
+                Some("take those from the observed information, or the sandwich, or give every parameter a value")
+            }
+            DynamicError::FixedReduction { .. } => {
+                Some("give the parameter the value that the reduction was made at, or give the data in its place")
+            }
+        }
+    }
+}

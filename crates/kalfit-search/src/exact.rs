@@ -1,0 +1,62 @@
+//! Scores through what tests measure without noise (theory §13): how C and g of Cξ = g depend on α is found by differences, all else of
+//! a test and the law of ξ as they are. The backward pass has the rest, for which exact measurements are but a condition on ξ.
+
+use rayon::prelude::*;
+
+use crate::indirect::{Around, WEIGHTS, moved};
+use kalfit_algebra::{log_determinant, whitened, whitener};
+use kalfit_filter::reduce::{ReduceError, ReductionRef, Reductions};
+use kalfit_filter::score::InitialLaw;
+use kalfit_filter::score::{Gradient, Known, add};
+use kalfit_model::PhasedTest;
+use kalfit_model::unpack;
+use nalgebra::DMatrix;
+
+/// Adds to the scores of tests what their exact rows add.
+pub fn add_exact(
+    around: &Around<'_>,
+    values: &[f64],
+    (reductions, law): (&Reductions, &InitialLaw),
+    scores: &mut [Gradient],
+) -> Result<(), ReduceError> {
+    let numbers: Vec<usize> = (0..reductions.len()).filter(|&j| reductions.exact(j).is_some()).collect();
+    if numbers.is_empty() {
+        return Ok(());
+    }
+    let tests: Vec<PhasedTest> = numbers.iter().map(|&j| around.tests[j].clone()).collect();
+    for slot in 0..values.len() {
+        let about = |places: &[f64]| moved(around, values, (&[slot], places), |reducer| reducer.reduce(&tests));
+        // most values have no part in them
+        let (beside, _) = about(&[1.0])?;
+        let is_same = |(k, &j): (usize, &usize)| beside.iter().all(|there| there.exact(k) == reductions.exact(j));
+        if numbers.iter().enumerate().all(is_same) {
+            continue;
+        }
+        let (there, steps) = about(&WEIGHTS.map(|(sign, _)| sign))?;
+        let told = |(k, &j): (usize, &usize)| {
+            let home = reductions.get(j);
+            let at = |there: &Reductions| value(ReductionRef { exact: there.exact(k), ..home }, law);
+            let sum: f64 = there.iter().zip(WEIGHTS).map(|(there, (_, weight))| weight * at(there)).sum();
+            (j, sum / steps[&slot])
+        };
+        let told: Vec<(usize, f64)> = numbers.par_iter().enumerate().map(told).collect();
+        told.into_iter().for_each(|(j, slope)| add(&mut scores[j], &vec![(slot, slope)]));
+    }
+    Ok(())
+}
+
+/// ℓ of a test; under the restricted likelihood with -½ tr(X'WX), X a root of the covariance of μ_j, as in
+/// [`moments`](kalfit_filter::score::Moments).
+fn value(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
+    let p = law.root.nrows();
+    let (known, factor) = (Known::of(reduction, law), unpack(reduction.factor, p));
+    let mean = known.mean(reduction, law);
+    let lower = whitener(&(&factor * known.root(law)));
+    let left = DMatrix::from_column_slice(p, 1, reduction.data) - &factor * DMatrix::from_columns(&[mean]);
+    let own = reduction.constant - 0.5 * (log_determinant(&lower) + whitened(&lower, &left).norm_squared());
+    let restricted = law.mean_root_of(reduction.covariates).map_or(0.0, |half| {
+        let along = known.whitened(reduction, &half).map_or(0.0, |along| along.norm_squared());
+        along + whitened(&lower, &(&factor * known.left(half))).norm_squared()
+    });
+    own + known.log_density(reduction, law) - 0.5 * restricted
+}

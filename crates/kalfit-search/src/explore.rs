@@ -1,0 +1,247 @@
+//! Other maxima, looked for from the best end.
+//!
+//! A certificate is about the neighbourhood of a point. ℓ of several noises often has more maxima than one, and they differ in what
+//! explains what: so each process is taken away and may come back in another shape, processes that coincide become one, levels at
+//! zero are tried at other sizes, and the search begins anew from the data where the start values were given. Of many rows a part
+//! will do: only where ℓ of that part is about as high elsewhere does the search go there on all of them.
+
+use crate::coordinates::alike;
+use crate::places::{each_once, places};
+use crate::profile_likelihood::ProfileLikelihood;
+use crate::sample::{ALIKE, CLOSE, FOLLOWED, SubsampleProgress, larger, nearer, roughly, sample, total};
+use crate::search::search;
+use crate::search_state::{RISE, SearchEnd, SearchStart, SearchState};
+use crate::tries::valued;
+use crate::twins::ordered;
+use crate::{DynamicError, Explored, Method, Settings, start};
+use kalfit_estimate::{Progress, Stop};
+
+/// Rows that may be filtered for it, all runs together.
+const ROWS: usize = 20_000_000;
+/// A part of the data serves where they are so many times as long.
+const LONGER: usize = 2;
+/// Most runs of the filters.
+const RUNS: usize = 600;
+/// With more values than this one search costs too much.
+const VALUES: usize = 24;
+/// Fewer runs than this are not begun with.
+const FEWEST: usize = 150;
+/// Most times that a better end is looked around from.
+const ROUNDS: usize = 4;
+/// … more of them where rows are so few that all runs together are of no more than this.
+const MORE_RUNS: usize = 1800;
+const FEW_ROWS: usize = 900_000;
+/// An end that is higher by no more than this is the same maximum, along a direction in which ℓ runs level.
+const LITTLE: f64 = 1e-5;
+
+/// Adds the ends that are found, and says where it was looked; `told`: all start values were given.
+pub(super) fn explore(
+    objective: &ProfileLikelihood<'_>,
+    ends: &mut Vec<SearchEnd>,
+    told: bool,
+    progress: &mut dyn Progress,
+) -> Result<Explored, DynamicError> {
+    let settings = Settings { method: Method::Hybrid, ..objective.settings.clone() };
+    let hybrid = ProfileLikelihood::new(objective.model, objective.tests, objective.slots, &settings);
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let part = if common { sample(objective.tests, common) } else { Vec::new() };
+    let small = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
+    let is_long = common && objective.rows() > 0 && LONGER * total(&part) <= objective.rows();
+    let explored = match best(ends) {
+        Some(_) if is_long && is_possible(&small) => on_part((objective, &hybrid, &small), ends, told, progress),
+        _ if is_possible(objective) => look_around((objective, &hybrid), ends, (told, 0.0), progress),
+        _ => Ok(Explored::No),
+    };
+    objective.absorb(&hybrid);
+    explored
+}
+
+/// Adds the best certified end that a part of the data leads to.
+fn on_part(
+    (objective, hybrid, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
+    ends: &mut Vec<SearchEnd>,
+    told: bool,
+    progress: &mut dyn Progress,
+) -> Result<Explored, DynamicError> {
+    let Some(home) = best(ends).map(SearchEnd::restart) else { return Ok(Explored::No) };
+    let mut beside = SubsampleProgress { small, progress: &mut *progress };
+    let Ok(start) = small.solve(&home, None) else { return Ok(Explored::No) };
+    let mut found = vec![SearchState::new(small, &mut beside, start).run()?];
+    let known = ordered(&objective.twins, &found[0].restart());
+    let looked = look_around((small, small), &mut found, (told, CLOSE), &mut beside)?;
+    found.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let highest = found[0].home.value();
+    let near = found.iter().filter(|end| highest - end.home.value() <= CLOSE).map(SearchEnd::restart);
+    let elsewhere = near.filter(|values| !alike(&ordered(&objective.twins, values), &known, ALIKE));
+    let elsewhere: Vec<SearchStart> = elsewhere.take(FOLLOWED).map(SearchStart::from).collect();
+    for start in apart_from(&home, elsewhere, (objective, hybrid), progress) {
+        let floor = best(ends).map(|best| best.home.value() + RISE);
+        let Ok(home) = hybrid.solve(&start.values, None) else { continue };
+        if progress.stops() {
+            return Ok(Explored::Part);
+        }
+        let mut search = SearchState::new(hybrid, progress, home).beyond(floor);
+        search.begin_with(start.curvature);
+        let end = search.run()?;
+        if is_higher(&end, floor) {
+            ends.push(by_method(objective, end, progress)?);
+        }
+    }
+    Ok(if looked == Explored::Whole { Explored::Sample } else { looked })
+}
+
+/// Those of these starts that on larger parts of the data, too, lead away from `home`, and nearly as high.
+fn apart_from(
+    home: &[f64],
+    elsewhere: Vec<SearchStart>,
+    (objective, hybrid): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
+    progress: &mut dyn Progress,
+) -> Vec<SearchStart> {
+    if elsewhere.is_empty() {
+        return elsewhere;
+    }
+    let mut starts = vec![SearchStart::from(home.to_vec())];
+    starts.extend(elsewhere);
+    let settings = roughly(hybrid.settings);
+    for part in larger(objective.tests, true) {
+        let larger = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
+        starts = nearer((hybrid, &larger), starts, progress);
+    }
+    starts.split_off(1)
+}
+
+/// A certified end above another.
+fn is_higher(end: &SearchEnd, floor: Option<f64>) -> bool {
+    end.stop == Stop::Certified && floor.is_none_or(|floor| end.home.value() > floor)
+}
+
+/// The end by the method that was asked for.
+fn by_method(
+    objective: &ProfileLikelihood<'_>,
+    found: SearchEnd,
+    progress: &mut dyn Progress,
+) -> Result<SearchEnd, DynamicError> {
+    match objective.settings.method {
+        Method::Hybrid => Ok(found),
+        _ => search(objective, found.restart().into(), None, progress),
+    }
+}
+
+/// The best end that is found around another while a value is held; the other where none is higher.
+pub fn around(
+    objective: &ProfileLikelihood<'_>,
+    end: SearchEnd,
+    held: usize,
+    progress: &mut dyn Progress,
+) -> SearchEnd {
+    if !is_possible(objective) {
+        return end;
+    }
+    let most = objective.filter_passes() + most(objective);
+    let floor = end.home.value() + RISE;
+    let mut places = places(objective, &end, Some(held), progress);
+    places.extend(start::from_data(objective, Some((held, end.home.values[held])), progress));
+    let mut found = places.into_iter().take_while(|_| objective.filter_passes() < most).filter_map(|place| {
+        let home = objective.solve(&place, None).ok()?;
+        let mut search = SearchState::new(objective, &mut *progress, home).beyond(Some(floor));
+        search.hold(held);
+        search.run().ok().filter(|found| found.stop == Stop::Certified && found.home.value() > floor)
+    });
+    found.next().unwrap_or(end)
+}
+
+/// Other maxima are within reach of the runs that may be spent.
+fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
+    most(objective) > 0
+}
+
+/// Runs of the filters that may be spent; none where they are too few for a search.
+fn most(objective: &ProfileLikelihood<'_>) -> usize {
+    let rows = objective.rows().max(1);
+    let runs = (ROWS / rows).min(RUNS).max((FEW_ROWS / rows).min(MORE_RUNS));
+    if runs < FEWEST || objective.slots.len() > VALUES { 0 } else { runs }
+}
+
+/// Adds ends that are higher than the best one, or no further below it than by `slack`; `told`: all start values were given.
+fn look_around(
+    (objective, hybrid): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
+    ends: &mut Vec<SearchEnd>,
+    (told, slack): (bool, f64),
+    progress: &mut dyn Progress,
+) -> Result<Explored, DynamicError> {
+    let most = most(objective);
+    let mut tried: Vec<Vec<f64>> = ends.iter().map(|end| end.home.values.clone()).collect();
+    for round in 0..ROUNDS {
+        let best = best(ends);
+        let mut places = best.map_or_else(Vec::new, |best| places(hybrid, best, None, progress));
+        if round == 0 && told {
+            places.extend(start::from_data(objective, None, progress));
+        }
+        let mut floor = best.map(|best| best.home.value() + RISE);
+        let anew = floor.map(|floor| floor + LITTLE);
+        let mut higher = false;
+        let places = in_turns(hybrid, untried(hybrid, &places, &tried), most, progress);
+        if progress.stops() {
+            return Ok(Explored::Part);
+        }
+        for place in places {
+            if hybrid.filter_passes() >= most || progress.stops() {
+                return Ok(Explored::Part);
+            }
+            tried.push(place.clone());
+            let Ok(home) = hybrid.solve(&place, None) else { continue };
+            let within = floor.map(|floor| floor - slack);
+            let found = SearchState::new(hybrid, progress, home).beyond(within).run()?;
+            if !is_higher(&found, within) {
+                continue;
+            }
+            higher = is_higher(&found, anew);
+            let (value, is_better) = (found.home.value(), is_higher(&found, floor));
+            ends.push(if is_better { by_method(objective, found, progress)? } else { found });
+            if higher {
+                break;
+            }
+            floor = floor.map(|floor| floor.max(value + RISE));
+        }
+        if !higher {
+            return Ok(Explored::Whole);
+        }
+    }
+    Ok(Explored::Part)
+}
+
+/// Places that have not been tried, each once.
+fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let ordered = places.iter().map(|place| ordered(&objective.twins, place));
+    each_once(ordered.filter(|place| !tried.contains(place)))
+}
+
+/// Places in turns, one with the highest ℓ and one as they are listed, none twice. Where another explanation is nearly as good already a
+/// search is short; but it may lead back to where it came from, and use up the runs that others are to have. Half of the `most` runs
+/// are left for searches: places beyond those are not valued.
+fn in_turns(
+    objective: &ProfileLikelihood<'_>,
+    places: Vec<Vec<f64>>,
+    most: usize,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let affordable = most.saturating_sub(objective.filter_passes()) / 2;
+    let mut valued = valued(objective, places[..affordable.min(places.len())].to_vec(), progress);
+    valued.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut highest = valued.into_iter().map(|(place, _)| place);
+    let mut turns: Vec<Vec<f64>> = Vec::with_capacity(places.len());
+    for listed in places {
+        let next = highest.find(|place| !turns.contains(place));
+        turns.extend(next);
+        if !turns.contains(&listed) {
+            turns.push(listed);
+        }
+    }
+    turns
+}
+
+/// The best certified end.
+pub(super) fn best(ends: &[SearchEnd]) -> Option<&SearchEnd> {
+    let certified = ends.iter().filter(|end| end.stop == Stop::Certified);
+    certified.max_by(|a, b| a.home.value().total_cmp(&b.home.value()))
+}

@@ -1,0 +1,250 @@
+//! The best (α, μ, Σ) that is found from all starts, and beyond them.
+
+use std::sync::Arc;
+
+use crate::profile_likelihood::ProfileLikelihood;
+use crate::search_state::SearchEnd;
+use crate::slot_name::slot_name;
+use crate::{
+    DynamicError, DynamicFit, Explored, OtherEnd, Settings, Standing, explore, search, start, twins, unbounded,
+};
+use kalfit_estimate::{Combination, FitError, Progress, Stage, Stop};
+use kalfit_filter::reduce::grouping;
+use kalfit_filter::score::dependences;
+use kalfit_model::Labels;
+use kalfit_model::remote::Answers;
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_model::{PhasedModel, Population, Slots};
+
+/// Log-likelihoods that differ by this part are equal.
+const ROUNDING: f64 = 1e-11;
+/// A level that is zero, or whose logarithm has no more information than this, is tried at this part of the size that it had or that the data
+/// suggest.
+const UNFELT: f64 = 1e-2;
+const RAISED: f64 = 0.3;
+/// No more of them are.
+const FEW: usize = 8;
+/// An end that is higher by more is worth another search.
+const HIGHER: f64 = 1e-6;
+
+/// Estimates α, μ and Σ of tests, phases and all. With no free values it is [`estimate::fit`](kalfit_estimate::fit) on the reductions.
+pub fn fit(
+    model: &PhasedModel,
+    labels: &Labels,
+    tests: &[PhasedTest],
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<DynamicFit, DynamicError> {
+    let slots = Slots::in_phases(model, labels, tests);
+    refuse(model, tests, &slots, settings)?;
+    let objective = ProfileLikelihood::new(model, tests, &slots, settings);
+    let (mut ends, explored, first_error) = all_ends(&objective, progress)?;
+    let Some(at) = chosen(&ends) else {
+        return Err(first_error.unwrap_or(DynamicError::Fit(FitError::NoTests)));
+    };
+    let (at, vanishing) = unbounded::find(&objective, &ends, at).unwrap_or((at, Vec::new()));
+    let best = ends.remove(at);
+    let best = off_level_zeros(&objective, best, progress);
+    ends.sort_by(|a, b| b.home.value().total_cmp(&a.home.value()));
+    let other = |end: SearchEnd| OtherEnd {
+        log_likelihood: end.home.value(),
+        values: objective.values(&twins::aligned(&objective.twins, &end.home.values, &best.home.values)),
+        stop: end.stop,
+        given_up: end.given_up,
+    };
+    let others = ends.into_iter().map(other).collect();
+    let unbounded = vanishing.iter().map(|&s| slot_name(model.shared(), labels, &slots, s)).collect();
+    finished(&objective, best, (others, explored, unbounded))
+}
+
+/// The same of tests that are elsewhere, from these values: one search. They suggest such sizes of the values.
+pub fn fit_remote(
+    model: &PhasedModel,
+    (slots, settings): (&Slots, &Settings),
+    (answers, start, units): (&Arc<Answers>, Vec<f64>, Vec<f64>),
+    progress: &mut dyn Progress,
+) -> Result<DynamicFit, DynamicError> {
+    let objective = ProfileLikelihood::elsewhere(model, (slots, settings), (answers, units));
+    let end = search::search(&objective, start.into(), None, progress)?;
+    finished(&objective, end, (Vec::new(), Explored::No, Vec::new()))
+}
+
+/// Where the searches end: from all starts, beyond them where that was looked for, and once more from what may lead on; with the first
+/// error of a start.
+fn all_ends(
+    objective: &ProfileLikelihood<'_>,
+    progress: &mut dyn Progress,
+) -> Result<(Vec<SearchEnd>, Explored, Option<DynamicError>), DynamicError> {
+    let (mut ends, first_error) = searched(objective, progress)?;
+    let explored = match progress.stops() {
+        true => Explored::No,
+        false => explore::explore(objective, &mut ends, start::all_given(objective), progress)?,
+    };
+    search_higher_again(objective, &mut ends, progress);
+    Ok((ends, explored, first_error))
+}
+
+/// Where an end without a certificate is higher than the best one with it, another search begins: steps that failed on the way there,
+/// or runs that were used up, may lead on from a fresh start. If they do not, all stays as it was.
+fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
+    if progress.stops() {
+        return;
+    }
+    let Some(certified) = explore::best(ends).map(|end| end.home.value()) else { return };
+    let higher = ends.iter().filter(|end| end.home.value() > certified + HIGHER);
+    let highest = higher.max_by(|a, b| a.home.value().total_cmp(&b.home.value()));
+    if let Some(start) = highest.map(SearchEnd::restart) {
+        ends.extend(search::search(objective, start.into(), None, progress));
+    }
+}
+
+/// An end without small noise levels that may be anything up to some size at no loss, as the noise of one row a test beside the variance of
+/// what it measures: that variance would look known there.
+fn off_level_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
+    let is_unfelt = |s: usize| {
+        let is_open = matches!(best.standing[s], Standing::Inside | Standing::Unidentified);
+        best.is_at_zero(s) || (is_open && best.joint.curvature(s).abs() < UNFELT)
+    };
+    let is_level = |s: usize| objective.coordinates[s].level.is_some();
+    let zeros: Vec<usize> = (0..best.standing.len()).filter(|&s| is_level(s) && is_unfelt(s)).take(FEW).collect();
+    if best.stop != Stop::Certified || zeros.is_empty() || progress.stops() {
+        return best;
+    }
+    let near = Population::from(&best.home.estimate);
+    let least = best.home.value() - ROUNDING * best.home.value().abs().max(1.0);
+    let costs_nothing = |values: &[f64]| objective.solve(values, Some(&near)).is_ok_and(|there| there.value() >= least);
+    let mut raised = best.home.values.clone();
+    for &s in &zeros {
+        let before = std::mem::replace(&mut raised[s], RAISED * best.before_zero[s].max(objective.units()[s]));
+        if !costs_nothing(&raised) {
+            raised[s] = before;
+        }
+    }
+    if raised == best.home.values {
+        return best;
+    }
+    let end = search::search(objective, raised.into(), None, progress).ok();
+    end.filter(|end| end.stop == Stop::Certified && end.home.value() >= least).unwrap_or(best)
+}
+
+/// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.
+fn finished(
+    objective: &ProfileLikelihood<'_>,
+    best: SearchEnd,
+    (others, explored, unbounded): (Vec<OtherEnd>, Explored, Vec<String>),
+) -> Result<DynamicFit, DynamicError> {
+    let (filter_passes, score_passes, passes) =
+        (objective.filter_passes(), objective.score_passes(), objective.passes());
+    let (alpha, sought) = (best.home.alpha.clone(), best.home.values.clone());
+    let values = objective.values(&sought);
+    let (reductions, estimate) = objective.grounded(best.home)?;
+    Ok(DynamicFit {
+        alpha,
+        values,
+        sought,
+        reductions,
+        estimate,
+        certificate: best.certificate,
+        stop: if unbounded.is_empty() { best.stop } else { Stop::Stalled },
+        method: objective.settings.method,
+        trace: best.trace,
+        filter_passes,
+        score_passes,
+        passes,
+        others,
+        explored,
+        unbounded,
+        joint: best.joint,
+        standing: on_edges(objective, best.standing),
+        settings: objective.settings.clone(),
+        slots: objective.slots.clone(),
+    })
+}
+
+/// The best end of all searches as a start elsewhere; `None` where they all fail.
+pub(crate) fn best(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Option<Vec<f64>> {
+    let (ends, ..) = all_ends(objective, progress).ok()?;
+    chosen(&ends).map(|at| ends[at].restart())
+}
+
+/// Where the searches from all starts end, and the first error of those that do not.
+fn searched(
+    objective: &ProfileLikelihood<'_>,
+    progress: &mut dyn Progress,
+) -> Result<(Vec<SearchEnd>, Option<DynamicError>), DynamicError> {
+    let (mut ends, mut first_error, mut floor) = (Vec::new(), None, None);
+    for start in start::starts(objective, progress)? {
+        if progress.stops() && !ends.is_empty() {
+            break;
+        }
+        progress.stage(Stage::Filters { filter_runs: objective.filter_passes() });
+        match search::search(objective, start, floor, progress) {
+            Ok(end) => {
+                floor = Some(floor.map_or(end.home.value(), |floor: f64| floor.max(end.home.value())));
+                ends.push(end);
+            }
+            Err(error) => first_error = first_error.or(Some(error)),
+        }
+    }
+    Ok((ends, first_error))
+}
+
+/// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.
+fn on_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<Standing> {
+    let one = |(s, standing): (usize, Standing)| match standing {
+        Standing::Lower | Standing::Upper if objective.edges.has(s) => Standing::Edge,
+        Standing::Lower if objective.cone.contains(&s) => Standing::Edge,
+        other => other,
+    };
+    standing.into_iter().enumerate().map(one).collect()
+}
+
+/// The best certified end, of equals the first: what is not certified may be on its way to where ℓ has no bound. But no answer
+/// lies below the first start.
+fn chosen(ends: &[SearchEnd]) -> Option<usize> {
+    let highest = |among: &dyn Fn(&SearchEnd) -> bool| {
+        let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
+        ends.reduce(|a, b| if b.1.home.value() > a.1.home.value() { b } else { a }).map(|(at, _)| at)
+    };
+    let begun = ends.first()?.trace.first().copied().unwrap_or(f64::NEG_INFINITY);
+    let above = |end: &SearchEnd| end.stop == Stop::Certified && end.home.value() >= begun - ROUNDING * begun.abs();
+    highest(&above).or_else(|| highest(&|_| true))
+}
+
+/// Where [`fit`] begins: a start value of each free value, in the order of [`Slots`], given or worked out from the tests.
+///
+/// # Errors
+/// As [`fit`] has them before its first step.
+pub fn start_values(
+    model: &PhasedModel,
+    labels: &Labels,
+    tests: &[PhasedTest],
+    settings: &Settings,
+    progress: &mut dyn Progress,
+) -> Result<Vec<f64>, DynamicError> {
+    let slots = Slots::in_phases(model, labels, tests);
+    refuse(model, tests, &slots, settings)?;
+    let objective = ProfileLikelihood::new(model, tests, &slots, settings);
+    let starts = start::starts(&objective, progress)?;
+    starts.first().map(|first| objective.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
+}
+
+/// What has no meaning while parameters are free.
+fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &Settings) -> Result<(), DynamicError> {
+    let name = |parameter: usize| model.shared().parameters[parameter].name.clone();
+    grouping(model, tests)?;
+    if let (Some(slot), Combination::Marginal, false) =
+        (slots.slots().first(), settings.inner.phases, model.is_single())
+    {
+        return Err(DynamicError::Marginal { parameter: name(slot.parameter), free: slots.len() });
+    }
+    for (at, phase) in model.phases.iter().enumerate() {
+        let Some(&parameter) = dependences(phase, slots).first() else { continue };
+        let reduced = |test: &&PhasedTest| matches!(test.phases.get(at), Some(Evidence::Reduced(_)));
+        if let Some(test) = tests.iter().find(reduced) {
+            let (test, phase) = (test.id.to_string(), phase.name.clone());
+            return Err(DynamicError::FixedReduction { test, phase, parameter: name(parameter) });
+        }
+    }
+    Ok(())
+}

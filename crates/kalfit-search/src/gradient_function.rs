@@ -1,0 +1,209 @@
+//! Whether a noise level at zero is at a maximum: the *gradient function* (theory §13).
+//!
+//! v = 0 is a maximum in the variance v when D = ∂ℓ/∂v ≤ 0 there, and ∂ℓ/∂σ = 2σD = 0 says nothing. What only shapes that noise (its
+//! time constant, its correlations) has no effect while it is zero, and D depends on it: D ≤ 0 must hold over its whole range.
+
+use crate::Standing;
+use crate::joint::{JointInformation, LEVEL_GROUND};
+use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint};
+use crate::scales::time_constants;
+use crate::search_state::{RISE, SearchState};
+
+/// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
+const TRACE: f64 = 1e-7;
+/// … and this part where what they drive is to be felt.
+const FELT: f64 = 0.3;
+/// A derivative at zero counts when the variance that was would gain this by it.
+const GAIN: f64 = 1e-7;
+/// Sizes at which a level may return: powers of this part of the variance it had; so many, and more, where smaller ones still promise a
+/// rise.
+const SMALLER: f64 = 0.125;
+const SIZES: i32 = 8;
+const MOST_SIZES: i32 = 24;
+/// Parts of what a covariance may be.
+const PARTS: [f64; 4] = [-1.0, 1.0, -0.4, 0.4];
+/// Slopes below this are none.
+const FLAT: f64 = 1e-9;
+/// Times that are tried for time constants without effect: by this factor, from this part of a step to as many spans.
+const FACTOR: f64 = 2.0;
+const PART: f64 = 0.05;
+const SPANS: f64 = 4.0;
+const MOST_TIMES: usize = 40;
+/// … and times as many spans, where what they drive is all but constant in a test.
+const FAR: [f64; 3] = [30.0, 1e3, 1e6];
+
+/// Values for some slots.
+type ChangedValues = Vec<(usize, f64)>;
+
+/// A derivative at zero times the variance it had, of a level, with this shape of what it drives.
+type Derivative = (f64, usize, ChangedValues);
+
+impl SearchState<'_, '_> {
+    /// A level at zero returns where ℓ rises with its variance, for some shape of what it drives.
+    pub(super) fn revived(&mut self, joint: &JointInformation) -> bool {
+        let mut zeros = self.zeros();
+        zeros.retain(|&s| self.objective.coordinates[s].lower == 0.0 && self.held != Some(s));
+        if zeros.is_empty() {
+            return false;
+        }
+        let shapes = self.shapes(joint);
+        let at_zero = self.at_zero();
+        let derivatives = self.objective.each(&shapes, |shape| at_zero.derivatives(&zeros, shape));
+        let mut found: Vec<Derivative> = derivatives.into_iter().flatten().collect();
+        for &s in &zeros {
+            found.extend(self.between(s, &found));
+        }
+        let best = |s: usize| found.iter().filter(|(_, level, _)| *level == s).max_by(|a, b| a.0.total_cmp(&b.0));
+        let mut promising: Vec<Derivative> = zeros.iter().filter_map(|&s| best(s).cloned()).collect();
+        promising.retain(|(gain, ..)| *gain > GAIN);
+        promising.sort_by(|a, b| b.0.total_cmp(&a.0));
+        promising.into_iter().any(|(gain, s, shape)| self.returns(s, gain, &shape)) || self.crosses_back(&zeros)
+    }
+
+    /// A noise with a free covariance to another returns together with it: the covariance grows as the level itself, so that ℓ has a
+    /// slope in the level that no derivative in its variance shows.
+    fn crosses_back(&mut self, zeros: &[usize]) -> bool {
+        let crossed = |&s: &usize| {
+            let parameter = self.objective.slots.slots()[s].parameter;
+            self.objective.edges.beside(parameter).into_iter().flat_map(move |t| PARTS.map(|part| (s, vec![(t, part)])))
+        };
+        let ways: Vec<(usize, ChangedValues)> = zeros.iter().flat_map(crossed).collect();
+        ways.into_iter().any(|(s, shape)| self.returns(s, 0.0, &shape))
+    }
+
+    /// Back from zero at the largest size at which ℓ is higher than at zero. `gain`: what the derivative promises of the variance it had,
+    /// of a smaller one as much less.
+    fn returns(&mut self, s: usize, gain: f64, shape: &ChangedValues) -> bool {
+        let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
+        let is_worth = |size: &i32| *size < SIZES || gain * SMALLER.powi(*size) > RISE;
+        for size in (0..MOST_SIZES).take_while(is_worth) {
+            let mut values = self.home.values.clone();
+            shape.iter().for_each(|&(t, value)| values[t] = value);
+            let value = self.before_zero[s] * SMALLER.powi(size).powf(exponent.recip());
+            values[s] = value.clamp(self.bottom[s], self.objective.coordinates[s].upper);
+            if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
+                self.home = next;
+                // time constants of a noise that has come back
+                let idle = |standing: &&mut Standing| **standing == Standing::Unidentified;
+                self.standing.iter_mut().filter(idle).for_each(|standing| *standing = Standing::Inside);
+                self.drifted.fill(false);
+                self.standing[s] = Standing::Inside;
+                self.place();
+                return true;
+            }
+        }
+        false
+    }
+
+    fn at_zero(&self) -> AtZero<'_> {
+        AtZero { objective: self.objective, home: &self.home, before_zero: &self.before_zero }
+    }
+
+    /// Shapes of what levels at zero drive: the present one, and values without effect over their ranges.
+    fn shapes(&self, joint: &JointInformation) -> Vec<ChangedValues> {
+        let mut all = vec![ChangedValues::new()];
+        let idle = self.idle(joint);
+        let constants = time_constants(self.objective.model);
+        let is_time = |t: &usize| constants.contains(&self.objective.slots.slots()[*t].parameter);
+        let (times, others): (Vec<usize>, Vec<usize>) = idle.into_iter().partition(is_time);
+        if !times.is_empty() {
+            let at = |time: f64| -> ChangedValues {
+                let within =
+                    |t: usize| time.clamp(self.objective.coordinates[t].lower, self.objective.coordinates[t].upper);
+                times.iter().map(|&t| (t, within(t))).collect()
+            };
+            let scales = self.objective.scales();
+            all.extend(scales.range(PART, SPANS, FACTOR).take(MOST_TIMES).chain(scales.beyond(FAR)).map(at));
+        }
+        let few: Vec<ChangedValues> = all.iter().step_by((all.len() / 4).max(1)).cloned().collect();
+        for t in others {
+            for value in self.objective.coordinates[t].spread(self.home.values[t]) {
+                all.extend(few.iter().map(|shape| {
+                    let mut shape = shape.clone();
+                    shape.push((t, value));
+                    shape
+                }));
+            }
+        }
+        all
+    }
+
+    /// The derivative of a level between the times that were tried, at the tops of parabolas through three of them, where it is not
+    /// positive at the highest of these but may be beside it.
+    fn between(&self, s: usize, found: &[Derivative]) -> Vec<Derivative> {
+        let own: Vec<&Derivative> = found.iter().filter(|(_, level, _)| *level == s).collect();
+        let mut tops = Vec::new();
+        for around in own.windows(3) {
+            let [(before, _, shorter), (gain, _, shape), (after, _, longer)] = around else { continue };
+            let is_top = gain >= before && gain >= after && *gain <= GAIN && (before < gain || after < gain);
+            let [Some(short), Some(time), Some(long)] = [shorter, shape, longer].map(alone) else {
+                continue;
+            };
+            if !is_top || short >= time || time >= long {
+                continue;
+            }
+            let (left, right) = ((time / short).ln(), (long / time).ln());
+            let (fall, drop) = ((gain - before) / left, (gain - after) / right);
+            let shift = 0.5 * (fall * right - drop * left) / (fall + drop);
+            let change: ChangedValues = shape.iter().map(|&(t, _)| (t, time * shift.exp())).collect();
+            tops.extend(self.at_zero().derivatives(&[s], &change));
+        }
+        tops
+    }
+
+    /// Values along which ℓ does not move at all.
+    fn idle(&self, joint: &JointInformation) -> Vec<usize> {
+        let flat = |t: &usize| {
+            let level_ground = self.home.gradient[*t].abs() < FLAT && joint.curvature(*t).abs() < LEVEL_GROUND;
+            level_ground && !self.is_at_zero(*t) && self.held != Some(*t)
+        };
+        (0..self.home.values.len()).filter(flat).collect()
+    }
+
+    /// Values without effect while levels are zero are told from those that ℓ never depends on.
+    pub(super) fn name_idle(&mut self, joint: &JointInformation) {
+        let zeros = self.zeros();
+        let is_open = |t: &usize| matches!(self.standing[*t], Standing::Inside | Standing::Unidentified);
+        let idle: Vec<usize> = self.idle(joint).into_iter().filter(is_open).collect();
+        if zeros.is_empty() || idle.is_empty() {
+            return;
+        }
+        let mut values = self.home.values.clone();
+        zeros.iter().for_each(|&s| values[s] = values[s].max(FELT * self.before_zero[s]));
+        let Some(at) = self.objective.shift(&self.home, &values) else { return };
+        let gradient = self.objective.gradient(&values, &at.tests.scores, &at.matrix);
+        idle.into_iter().filter(|&t| gradient[t].abs() > FLAT).for_each(|t| self.standing[t] = Standing::Idle);
+    }
+}
+
+/// Where levels are at zero.
+#[derive(Clone, Copy)]
+struct AtZero<'s> {
+    objective: &'s ProfileLikelihood<'s>,
+    home: &'s ProfilePoint,
+    before_zero: &'s [f64],
+}
+
+impl AtZero<'_> {
+    /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
+    fn derivatives(self, zeros: &[usize], shape: &ChangedValues) -> Vec<Derivative> {
+        let AtZero { objective, home, before_zero } = self;
+        let mut values = home.values.clone();
+        shape.iter().for_each(|&(t, value)| values[t] = value);
+        zeros.iter().for_each(|&s| values[s] = values[s].max(TRACE * before_zero[s]));
+        let Some(at) = objective.shift(home, &values) else { return Vec::new() };
+        let gradient = objective.gradient(&values, &at.tests.scores, &at.matrix);
+        let derivative = |&s: &usize| {
+            let exponent = objective.coordinates[s].level.unwrap_or(1.0);
+            let gain = gradient[s] / exponent * (before_zero[s] / values[s]).powf(exponent);
+            gain.is_finite().then(|| (gain, s, shape.clone()))
+        };
+        zeros.iter().filter_map(derivative).collect()
+    }
+}
+
+/// The one time that a shape has.
+fn alone(shape: &ChangedValues) -> Option<f64> {
+    let (_, time) = *shape.first()?;
+    shape.iter().all(|(_, other)| *other == time).then_some(time)
+}

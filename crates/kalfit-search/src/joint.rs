@@ -1,0 +1,539 @@
+//! Observed information of (α, μ, Σ) together, from differences of exact gradients; of a value that scales all noise, exact.
+//!
+//! At fixed (μ, Σ) a small change of α gives a column of -∂²ℓ/∂α∂(α, μ, Σ). Values that no test has in common change at the
+//! same time: thousands of levels cost as many runs of the filters as one test has values. Values of single tests are
+//! eliminated test by test, so no matrix of their number is ever formed.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{DMatrix, DVector, DVectorView};
+
+use crate::coordinates::in_variance;
+use crate::covariances::ValueCovariances;
+use crate::differences::Differences;
+use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint, SecondDerivatives};
+use crate::touching::Touching;
+use kalfit_algebra::symmetric;
+use kalfit_estimate::{NOTHING, NoiseInformation, Tangent};
+
+/// Up to so many values none is eliminated by itself.
+const DENSE: usize = 24;
+/// Slope and curvature of a logarithm below this are none.
+pub(crate) const LEVEL_GROUND: f64 = 1e-7;
+/// Along directions of less scaled information than this ℓ is looked at on both sides.
+const FAINT: f64 = 1e-5;
+/// … and what differences say of less than this may be rounding.
+const SHAKY: f64 = 1e-6;
+/// Scaled eigenvalues of the information below this are flat.
+pub(crate) const FLAT: f64 = 1e-10;
+/// Of a direction of length one, in coordinates of unit curvature, this much is something.
+pub(crate) const TAKES_PART: f64 = 1e-3;
+/// A score bends ℓ along a factor of Σ by no more than this many times itself,
+const BEND: f64 = 10.0;
+/// which counts where the score along it is less than this of a standard error.
+const STILL: f64 = 1e-9;
+
+/// The information in coordinates of α and along the tangent basis of (μ, Σ).
+#[derive(Debug, Clone)]
+pub struct JointInformation {
+    /// Values that move.
+    pub(crate) active: Vec<usize>,
+    /// Values of single tests, by test.
+    private: Vec<Vec<usize>>,
+    /// The others.
+    shared: Vec<usize>,
+    /// -∂²ℓ/∂α∂α where it is not zero, both triangles.
+    own: BTreeMap<(usize, usize), f64>,
+    /// -∂²ℓ/∂α∂(μ, Σ), a row for each value.
+    cross: DMatrix<f64>,
+    /// -∂²ℓ/∂(μ, Σ)².
+    inner: DMatrix<f64>,
+}
+
+/// Solution of Joint × step = gradient, or as near as positive curvature allows.
+#[derive(Debug, Clone)]
+pub(crate) struct JointStep {
+    /// Of α, zero for values that do not move.
+    pub(crate) alpha: Vec<f64>,
+    /// Along the tangent basis of (μ, Σ).
+    pub(crate) inner: DVector<f64>,
+    /// What the step promises: half of this squared.
+    pub(crate) decrement: f64,
+    /// The curvature is positive, flat directions apart.
+    pub(crate) concave: bool,
+}
+
+/// A direction in α and (μ, Σ), an eigenvector of the scaled information.
+#[derive(Debug, Clone)]
+pub(crate) struct InformationDirection {
+    /// In α, its largest entry one; zero for values that are not shared.
+    pub(crate) alpha: Vec<f64>,
+    /// How much of it that entry is, in coordinates of unit curvature.
+    pub(crate) share: f64,
+    /// -∂²ℓ along it, as differences say.
+    pub(crate) curvature: f64,
+    /// Which of the information's eigenvectors it is.
+    pub(crate) number: usize,
+    /// The eigenvalue of a curvature of one along it.
+    unit: f64,
+}
+
+impl InformationDirection {
+    /// The eigenvalue of a curvature along it.
+    pub(crate) fn of_curvature(&self, curvature: f64) -> f64 {
+        self.unit * curvature
+    }
+
+    /// α takes part in it.
+    pub(crate) fn is_of_alpha(&self) -> bool {
+        self.share > TAKES_PART
+    }
+
+    /// Differences hardly tell its curvature.
+    pub(crate) fn is_faint(&self) -> bool {
+        self.of_curvature(self.curvature).abs() < FAINT
+    }
+
+    /// Rounding may be all of its curvature.
+    pub(crate) fn is_shaky(&self) -> bool {
+        self.of_curvature(self.curvature).abs() < SHAKY
+    }
+
+    /// The eigenvalue that belongs to another curvature along it.
+    pub(crate) fn with(&self, curvature: f64) -> KnownEigenvalue {
+        KnownEigenvalue { number: self.number, value: self.of_curvature(curvature), share: self.share }
+    }
+}
+
+/// An eigenvalue of the scaled information that is better known than differences know it; zero of a flat direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownEigenvalue {
+    number: usize,
+    value: f64,
+    /// The largest part of a value of α in its direction.
+    share: f64,
+}
+
+impl JointInformation {
+    /// The information at a solved α among the values that are `active`. With differences to both sides it is good to
+    /// about 1e-7.
+    pub(crate) fn new(
+        objective: &ProfileLikelihood<'_>,
+        home: &ProfilePoint,
+        active: &[bool],
+        central: bool,
+    ) -> JointInformation {
+        let n = home.values.len();
+        let inner = informed(&home.estimate.state.newton_iterate.tangent);
+        let list: Vec<usize> = (0..n).filter(|&s| active[s]).collect();
+        let tests = match &home.second_derivatives {
+            SecondDerivatives::Tests(tests) => tests,
+            SecondDerivatives::Scale(exact) => {
+                return JointInformation::of_scale(exact, list, inner).without_flat(objective, home);
+            }
+        };
+        let touching = Touching::of(objective, tests, n);
+        let alone = |s: usize| {
+            !objective.is_elsewhere() && list.len() > DENSE && touching.tests[s].len() == 1 && !touching.matrix[s]
+        };
+        let mut by_test: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        list.iter().filter(|&&s| alone(s)).for_each(|&s| by_test.entry(touching.tests[s][0]).or_default().push(s));
+        let mut joint = JointInformation {
+            shared: list.iter().copied().filter(|&s| !alone(s)).collect(),
+            private: by_test.into_values().collect(),
+            active: list,
+            own: BTreeMap::new(),
+            cross: DMatrix::zeros(n, inner.nrows()),
+            inner,
+        };
+        let colours = touching.colours(&joint.active, objective.restricted());
+        let differences = Differences { objective, home, touching: &touching, central };
+        for columns in objective.together(|| objective.each(&colours, |colour| differences.columns(colour))) {
+            joint.own.extend(columns.own);
+            columns.cross.into_iter().for_each(|(s, row)| joint.cross.set_row(s, &row));
+        }
+        joint.mirror();
+        joint.without_flat(objective, home)
+    }
+
+    /// Of a value that scales all noise, which needs no differences.
+    fn of_scale(exact: &NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> JointInformation {
+        let own = list.iter().map(|&s| ((s, s), exact.own)).collect();
+        let cross = DMatrix::from_row_slice(1, inner.nrows(), exact.cross.as_slice());
+        JointInformation { shared: list.clone(), private: Vec::new(), active: list, own, cross, inner }
+    }
+
+    /// Logarithms that neither slope nor curve do not move: what differences show of them is rounding.
+    fn without_flat(mut self, objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> JointInformation {
+        let flat = |s: usize| {
+            objective.coordinates[s].log
+                && self.entry(s, s).abs() < LEVEL_GROUND
+                && home.gradient[s].abs() < LEVEL_GROUND
+        };
+        let kept: Vec<bool> = (0..home.values.len()).map(|s| !flat(s)).collect();
+        self.active.retain(|&s| kept[s]);
+        self.shared.retain(|&s| kept[s]);
+        self.private.iter_mut().for_each(|block| block.retain(|&s| kept[s]));
+        self.private.retain(|block| !block.is_empty());
+        self
+    }
+
+    /// No value that moves is of a single test.
+    pub fn is_of_shared_values(&self) -> bool {
+        self.private.is_empty()
+    }
+
+    /// Values that are not of single tests.
+    pub fn shared(&self) -> &[usize] {
+        &self.shared
+    }
+
+    /// The same with no value eliminated by itself.
+    #[cfg(test)]
+    pub(crate) fn undivided(&self) -> JointInformation {
+        JointInformation { shared: self.active.clone(), private: Vec::new(), ..self.clone() }
+    }
+
+    /// All of it: the values, then the tangent basis.
+    #[cfg(test)]
+    pub(crate) fn undivided_matrix(&self) -> DMatrix<f64> {
+        self.undivided().information()
+    }
+
+    fn entry(&self, s: usize, t: usize) -> f64 {
+        let at = |s, t| self.own.get(&(s, t)).copied().unwrap_or(0.0);
+        0.5 * (at(s, t) + at(t, s))
+    }
+
+    /// Rows of a private block against (shared values, inner coordinates).
+    fn border(&self, block: &[usize]) -> DMatrix<f64> {
+        let k = self.shared.len();
+        DMatrix::from_fn(block.len(), k + self.inner.nrows(), |i, c| {
+            if c < k { self.entry(block[i], self.shared[c]) } else { self.cross[(block[i], c - k)] }
+        })
+    }
+
+    fn block(&self, block: &[usize]) -> DMatrix<f64> {
+        DMatrix::from_fn(block.len(), block.len(), |i, k| self.entry(block[i], block[k]))
+    }
+
+    /// In shared values and along the tangent basis, once private values have been eliminated.
+    fn information(&self) -> DMatrix<f64> {
+        self.reduced(&vec![0.0; self.cross.nrows()], &DVector::zeros(self.inner.nrows()), 0.0).0
+    }
+
+    /// The same with its gradient, and whether what was eliminated curves the right way.
+    fn reduced(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> (DMatrix<f64>, DVector<f64>, bool) {
+        let (k, m) = (self.shared.len(), self.inner.nrows());
+        let mut matrix = DMatrix::zeros(k + m, k + m);
+        matrix.view_mut((0, 0), (k, k)).copy_from(&self.block(&self.shared));
+        matrix.view_mut((k, k), (m, m)).copy_from(&self.inner);
+        let cross = DMatrix::from_fn(k, m, |i, c| self.cross[(self.shared[i], c)]);
+        matrix.view_mut((0, k), (k, m)).copy_from(&cross);
+        matrix.view_mut((k, 0), (m, k)).copy_from(&cross.transpose());
+        let mut right = DVector::zeros(k + m);
+        self.shared.iter().enumerate().for_each(|(i, &s)| right[i] = gradient[s]);
+        right.rows_mut(k, m).copy_from(inner);
+        let mut concave = true;
+        for block in &self.private {
+            let (inverse, positive) = positive_inverse(&self.block(block), damping);
+            concave &= positive;
+            let border = self.border(block);
+            let own = DVector::from_iterator(block.len(), block.iter().map(|&s| gradient[s]));
+            let half = &inverse * &border;
+            matrix -= border.transpose() * &half;
+            right -= half.transpose() * own;
+        }
+        (matrix, right, concave)
+    }
+
+    /// The same with these noise levels, (slot, exponent), in their variances.
+    pub(crate) fn in_variances(&self, levels: &[(usize, f64)], gradient: &[f64]) -> JointInformation {
+        let mut joint = self.clone();
+        for &(s, exponent) in levels {
+            let own = joint.own.entry((s, s)).or_insert(0.0);
+            *own = in_variance(*own, exponent, gradient[s]);
+        }
+        joint
+    }
+
+    /// Newton's step with Levenberg's damping, in coordinates of unit curvature; where the curvature has the wrong sign its
+    /// absolute value stands for it.
+    pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> JointStep {
+        self.step_beside(gradient, inner, damping, &[])
+    }
+
+    /// The same while some shared values make steps of their own, (slot, step).
+    pub(crate) fn step_beside(
+        &self,
+        gradient: &[f64],
+        inner: &DVector<f64>,
+        damping: f64,
+        pinned: &[(usize, f64)],
+    ) -> JointStep {
+        let (mut matrix, mut right, mut concave) = self.reduced(gradient, inner, damping);
+        for &(s, step) in pinned {
+            let Some(at) = self.shared.iter().position(|&shared| shared == s) else { continue };
+            right -= matrix.column(at) * step;
+            matrix.row_mut(at).fill(0.0);
+            matrix.column_mut(at).fill(0.0);
+            right[at] = 0.0;
+        }
+        let (inverse, positive) = positive_inverse(&matrix, damping);
+        concave &= positive;
+        let mut x = inverse * &right;
+        for &(s, step) in pinned {
+            self.shared.iter().position(|&shared| shared == s).into_iter().for_each(|at| x[at] = step);
+        }
+        let k = self.shared.len();
+        let mut alpha = vec![0.0; gradient.len()];
+        self.shared.iter().enumerate().for_each(|(i, &s)| alpha[s] = x[i]);
+        for block in &self.private {
+            let (inverse, _) = positive_inverse(&self.block(block), damping);
+            let own = DVector::from_iterator(block.len(), block.iter().map(|&s| gradient[s]));
+            let step = inverse * (own - self.border(block) * &x);
+            block.iter().zip(step.iter()).for_each(|(&s, step)| alpha[s] = *step);
+        }
+        let inner_step = x.rows(k, x.len() - k).into_owned();
+        let promised = self.active.iter().map(|&s| alpha[s] * gradient[s]).sum::<f64>() + inner_step.dot(inner);
+        JointStep { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
+    }
+
+    /// The direction in shared values along which ℓ curves upward most, its largest entry one; `None` where it does not.
+    pub(crate) fn upward(&self) -> Option<Vec<f64>> {
+        let (scale, values, vectors) = scaled_eigen(&self.information());
+        let (worst, _) = values.iter().enumerate().filter(|(_, v)| **v < -1e-6).min_by(|a, b| a.1.total_cmp(b.1))?;
+        self.direction(&scale, vectors.column(worst))
+    }
+
+    /// The direction in shared values of a scaled eigenvector, its largest entry one; `None` where it has none.
+    fn direction(&self, scale: &[f64], vector: DVectorView<'_, f64>) -> Option<Vec<f64>> {
+        let mut direction = vec![0.0; self.cross.nrows()];
+        self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vector[i]);
+        let largest = direction.iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+        (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
+    }
+
+    /// The step in shared values, across this direction in them, that the gradient asks for; flat directions are left out. `None` where some
+    /// value is of a single test.
+    pub(crate) fn onto_ridge(&self, along: &[f64], gradient: &[f64]) -> Option<Vec<f64>> {
+        let (followed, scale, ridge) = self.ridge(along)?;
+        let (n, ridge) = (scale.len(), ridge.normalize());
+        let across = DMatrix::identity(n, n) - &ridge * ridge.transpose();
+        let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * followed[(i, k)] * scale[k]);
+        let (values, vectors) = symmetric::eigen(&(&across * scaled * &across));
+        let turned = values.iter().map(|&value| if value > FAINT { value.recip() } else { 0.0 });
+        let inverse = symmetric::by_eigenvectors(&vectors, turned);
+        let own = DVector::from_fn(n, |i, _| scale[i] * gradient[self.shared[i]]);
+        let step = &across * (inverse * (&across * own));
+        let mut all = vec![0.0; gradient.len()];
+        self.shared.iter().enumerate().for_each(|(i, &s)| all[s] = scale[i] * step[i]);
+        Some(all)
+    }
+
+    /// Information in the shared values once all else follows, what brings it to a unit diagonal, and a direction in such units.
+    fn ridge(&self, along: &[f64]) -> Option<(DMatrix<f64>, Vec<f64>, DVector<f64>)> {
+        let followed = self.followed()?;
+        let scale: Vec<f64> = symmetric::sizes(&followed).into_iter().map(f64::recip).collect();
+        let ridge = DVector::from_fn(scale.len(), |i, _| along[self.shared[i]] / scale[i]);
+        Some((followed, scale, ridge))
+    }
+
+    /// The variance of what [`onto_ridge`](Self::onto_ridge) holds of α, by the other eigenvectors: those that differences know, and the faint
+    /// ones. `None` where some value is of a single test.
+    pub(crate) fn variances_beside(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
+        let (_, units, ridge) = self.ridge(&direction.alpha)?;
+        let weights: Vec<f64> = ridge.iter().zip(&units).map(|(own, unit)| own / unit / ridge.norm_squared()).collect();
+        Some(self.variances_of(&weights, direction))
+    }
+
+    /// The variance of a sum of shared values with these weights by all eigenvectors but one.
+    fn variances_of(&self, weights: &[f64], but: &InformationDirection) -> [f64; 2] {
+        let (scale, values, vectors) = scaled_eigen(&self.information());
+        let part = |k: usize| -> f64 { weights.iter().enumerate().map(|(i, w)| w * scale[i] * vectors[(i, k)]).sum() };
+        let mut variances = [0.0; 2];
+        for k in (0..values.len()).filter(|&k| k != but.number) {
+            variances[usize::from(values[k].abs() < FAINT)] += part(k).powi(2) / values[k].abs().max(FLAT);
+        }
+        variances
+    }
+
+    /// Which of the shared values most of a direction is of, in coordinates of unit curvature.
+    fn most_of(&self, along: &[f64]) -> Option<usize> {
+        let size = |i: usize| along[self.shared[i]].abs() * self.curvature(self.shared[i]).abs().sqrt();
+        (0..self.shared.len()).max_by(|&i, &k| size(i).total_cmp(&size(k)))
+    }
+
+    /// The variance of the value that most of a direction is of by the other eigenvectors, in steps along it: by those that differences know,
+    /// and by the faint ones.
+    pub(crate) fn variances_of_most(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
+        let most = self.most_of(&direction.alpha)?;
+        let mut weights = vec![0.0; self.shared.len()];
+        weights[most] = direction.alpha[self.shared[most]].recip();
+        Some(self.variances_of(&weights, direction))
+    }
+
+    /// What goes of the curvature along a direction in shared values where the others follow the one that most of it is of: b'H⁻¹b among the
+    /// others, b = -∂²ℓ along the direction and each value. `None` where some value is of a single test.
+    pub(crate) fn left_by_others(&self, along: &[f64], bends: &[f64]) -> Option<f64> {
+        let (followed, held) = (self.followed()?, self.most_of(along)?);
+        let others = followed.remove_row(held).remove_column(held);
+        let of = |i: usize| bends[self.shared[if i < held { i } else { i + 1 }]];
+        let (scale, values, vectors) = scaled_eigen(&others);
+        let scaled = DVector::from_fn(scale.len(), |i, _| scale[i] * of(i));
+        let parts = vectors.transpose() * scaled;
+        let known = values.iter().zip(&parts).filter(|(value, _)| **value > FAINT);
+        Some(known.map(|(value, part)| part * part / value).sum())
+    }
+
+    /// Information in the shared values once (μ, Σ) follow them, as long as no value is of a single test.
+    pub(crate) fn followed(&self) -> Option<DMatrix<f64>> {
+        if !self.private.is_empty() {
+            return None;
+        }
+        let (k, m) = (self.shared.len(), self.inner.nrows());
+        let matrix = self.information();
+        let (inverse, _) = positive_inverse(&matrix.view((k, k), (m, m)).into_owned(), 0.0);
+        let cross = matrix.view((0, k), (k, m)).into_owned();
+        Some(matrix.view((0, 0), (k, k)) - &cross * inverse * cross.transpose())
+    }
+
+    /// Directions in shared values along which ℓ hardly curves.
+    pub(crate) fn faint(&self) -> Vec<InformationDirection> {
+        self.directions().into_iter().filter(InformationDirection::is_faint).collect()
+    }
+
+    /// Eigenvectors of the information as directions in shared values.
+    pub(crate) fn directions(&self) -> Vec<InformationDirection> {
+        let (scale, values, vectors) = scaled_eigen(&self.information());
+        let along = |k: usize| {
+            let alpha = self.direction(&scale, vectors.column(k))?;
+            let of_alpha = 0..self.shared.len();
+            let largest = of_alpha.clone().map(|i| (scale[i] * vectors[(i, k)]).abs()).fold(0.0, f64::max);
+            let share = of_alpha.map(|i| vectors[(i, k)].abs()).fold(0.0, f64::max);
+            let unit = largest * largest;
+            Some(InformationDirection { alpha, share, curvature: values[k] / unit, number: k, unit })
+        };
+        (0..values.len()).filter_map(along).collect()
+    }
+
+    /// Covariances of all coordinates: the inverse, flat directions left out.
+    #[cfg(test)]
+    pub(crate) fn covariances(&self) -> ValueCovariances {
+        self.covariances_beside(&[])
+    }
+
+    /// The same with these eigenvalues of the information.
+    pub fn covariances_beside(&self, known: &[KnownEigenvalue]) -> ValueCovariances {
+        let mut covariances = self.shared_covariances(&self.information(), known);
+        for block in &self.private {
+            let (own, flat, _) = inverse(&self.block(block), (&[], 0));
+            let carried = &own * self.border(block);
+            let total = &own + &carried * &covariances.whole * carried.transpose();
+            for (i, &s) in block.iter().enumerate() {
+                covariances.alpha[s] = Some(total[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
+            }
+        }
+        covariances
+    }
+
+    /// The same from another information in the shared values and along the tangent basis; `None` where values of single tests
+    /// are among those that move.
+    pub fn covariances_of(&self, information: &DMatrix<f64>) -> Option<ValueCovariances> {
+        self.is_of_shared_values().then(|| self.shared_covariances(information, &[]))
+    }
+
+    /// The same without values of single tests.
+    fn shared_covariances(&self, information: &DMatrix<f64>, known: &[KnownEigenvalue]) -> ValueCovariances {
+        let (whole, flat, directions) = inverse(information, (known, self.shared.len()));
+        let mut alpha = vec![None; self.cross.nrows()];
+        for (i, &s) in self.shared.iter().enumerate() {
+            alpha[s] = Some(whole[(i, i)]).filter(|v| *v > 0.0 && !flat[i]);
+        }
+        ValueCovariances { alpha, shared: self.shared.clone(), whole, flat: directions }
+    }
+
+    /// Entries on both sides of the diagonal: where a value stands in matrices of the structures only, its column has none for
+    /// values of the tests, but theirs have one for it.
+    fn mirror(&mut self) {
+        for ((s, t), value) in self.own.clone() {
+            self.own.entry((t, s)).or_insert(value);
+        }
+    }
+
+    /// Information on one value when everything else follows it: the inverse of its variance.
+    pub(crate) fn curvature(&self, s: usize) -> f64 {
+        self.entry(s, s)
+    }
+}
+
+/// The step that a matrix of information and a gradient ask for; `None` where the information is not positive.
+pub(crate) fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>) -> Option<DVector<f64>> {
+    let (inverse, positive) = positive_inverse(matrix, 0.0);
+    positive.then(|| inverse * gradient)
+}
+
+/// The inverse with damped eigenvalues by absolute value, flat directions left out; whether none is negative.
+pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool) {
+    let (scale, values, vectors) = scaled_eigen(matrix);
+    let positive = values.iter().all(|v| *v > -1e-6);
+    let turned = values.iter().map(|v| if v.abs() > FLAT { (v.abs().max(1e-8) + damping).recip() } else { 0.0 });
+    let inverse = symmetric::by_eigenvectors(&vectors, turned);
+    (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
+}
+
+/// The inverse where some eigenvalues are known, which coordinates take part in a flat direction, and those directions that are known to be.
+/// So many coordinates are of α: of what is known to be flat, those count by their part among them.
+fn inverse(
+    matrix: &DMatrix<f64>,
+    (known, of_alpha): (&[KnownEigenvalue], usize),
+) -> (DMatrix<f64>, Vec<bool>, Vec<DVector<f64>>) {
+    let (scale, mut values, vectors) = scaled_eigen(matrix);
+    let n = scale.len();
+    known.iter().for_each(|known| values[known.number] = known.value);
+    let is_known = |k: usize| known.iter().any(|known| known.number == k && known.value > 0.0);
+    let is_flat = |k: usize| values[k] <= FLAT && !is_known(k);
+    let mut flat: Vec<bool> = scale.iter().map(|s| *s == 0.0).collect();
+    let takes_part = |i: usize, k: usize| {
+        let own = known.iter().find(|known| known.number == k && i < of_alpha);
+        vectors[(i, k)].abs() > TAKES_PART * own.map_or(1.0, |known| known.share)
+    };
+    for k in (0..n).filter(|&k| is_flat(k)) {
+        (0..n).filter(|&i| takes_part(i, k)).for_each(|i| flat[i] = true);
+    }
+    let turned = (0..n).map(|k| if is_flat(k) { 0.0 } else { values[k].recip() });
+    let inverse = symmetric::by_eigenvectors(&vectors, turned);
+    let part = |i: usize, k: usize| if takes_part(i, k) { vectors[(i, k)] } else { 0.0 };
+    let along = |&k: &usize| DVector::from_fn(n, |i, _| scale[i] * part(i, k));
+    let whole = DMatrix::from_fn(n, n, |i, k| scale[i] * inverse[(i, k)] * scale[k]);
+    let known_flat = known.iter().filter(|known| known.value == 0.0).map(|known| known.number);
+    (whole, flat, known_flat.map(|k| along(&k)).collect())
+}
+
+fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
+    let n = matrix.nrows();
+    let unit = |i: usize| if matrix[(i, i)] != 0.0 { matrix[(i, i)].abs().sqrt().recip() } else { 0.0 };
+    let scale: Vec<f64> = (0..n).map(unit).collect();
+    let scaled = DMatrix::from_fn(n, n, |i, k| scale[i] * 0.5 * (matrix[(i, k)] + matrix[(k, i)]) * scale[k]);
+    let (values, vectors) = symmetric::eigen(&scaled);
+    (scale, values, vectors)
+}
+
+/// The information along the tangent basis, without what the tests say nothing of: what rounding leaves there, and how Σ = FF' bends by as
+/// much of the score as is left.
+fn informed(tangent: &Tangent) -> DMatrix<f64> {
+    let n = tangent.sizes.len();
+    let of = |i: usize| (tangent.information[(i, i)].abs(), tangent.gradient[i].abs(), tangent.sizes[i]);
+    let own = |i: usize| of(i).0 * tangent.sizes[i].powi(2);
+    let largest = (0..n).map(own).fold(0.0, f64::max);
+    let of_sigma = tangent.mean..n;
+    let left = of_sigma.clone().map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
+    let is_bend = |i: usize| of_sigma.contains(&i) && own(i) <= BEND * left && of(i).1 <= STILL * of(i).0.sqrt();
+    // a mean that does not vary has no size of its own beside variances that are many times what one test tells
+    let largest_mean = (0..tangent.mean).map(|i| of(i).0).fold(0.0, f64::max);
+    let is_mean = |i: usize| i < tangent.mean && of(i).0 > NOTHING * largest_mean;
+    let is_known = |i: usize| (own(i) > NOTHING * largest && !is_bend(i)) || is_mean(i);
+    let is_known: Vec<bool> = (0..n).map(is_known).collect();
+    let entry = |i: usize, k: usize| if is_known[i] && is_known[k] { tangent.information[(i, k)] } else { 0.0 };
+    DMatrix::from_fn(n, n, entry)
+}

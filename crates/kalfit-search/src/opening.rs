@@ -1,0 +1,70 @@
+//! Where a search begins whose tests are in several places: what each of them suggests, put together.
+
+use crate::profile_likelihood::ProfileLikelihood;
+use crate::sample::sample;
+use crate::twins::ordered;
+use crate::{Coordinate, Settings, fit, start};
+use kalfit_estimate::Progress;
+use kalfit_model::PhasedTest;
+use kalfit_model::{PhasedModel, Slots};
+
+/// A value that is this many times what the data suggest, or less by as much, is not put together with those of other places.
+const FAR: f64 = 1e4;
+
+/// The answer of one place to [`Question::Opening`](kalfit_model::remote::Question::Opening): its number of tests, and that many times the
+/// coordinate of each start value and the logarithm of each size.
+pub fn opening(
+    model: &PhasedModel,
+    tests: &[PhasedTest],
+    (slots, settings): (&Slots, &Settings),
+    progress: &mut dyn Progress,
+) -> Vec<f64> {
+    let objective = ProfileLikelihood::new(model, tests, slots, settings);
+    let count = tests.len() as f64;
+    let units = objective.units();
+    let farthest = if start::all_given(&objective) { f64::INFINITY } else { FAR };
+    let start = |(s, value): (usize, f64)| {
+        let (coordinate, unit) = (&objective.coordinates[s], units[s]);
+        let is_far = coordinate.log && (value <= 0.0 || value / unit > farthest || unit / value > farthest);
+        coordinate.of_value(if is_far { unit } else { value })
+    };
+    let starts = suggested(&objective, progress).into_iter().enumerate().map(start);
+    let sizes = units.iter().map(|unit| unit.max(f64::MIN_POSITIVE).ln());
+    let numbers = starts.chain(sizes).map(|x| count * x);
+    std::iter::once(count).chain(numbers).collect()
+}
+
+/// The start values that were given; if some are open, where the best search on a part of the tests ends.
+fn suggested(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Vec<f64> {
+    let sample = sample(objective.tests, true);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    let found = if start::all_given(objective) { None } else { fit::best(&small, progress) };
+    let found = found.map(|values| ordered(&objective.twins, &values));
+    found.unwrap_or_else(|| start::first(objective, progress))
+}
+
+/// What all places suggest: the mean over their tests.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SuggestedValues {
+    pub(crate) tests: usize,
+    pub start: Vec<f64>,
+    pub units: Vec<f64>,
+}
+
+impl SuggestedValues {
+    /// From the sum of the answers; `None` where they are not of these values.
+    pub fn of(numbers: &[f64], coordinates: &[Coordinate]) -> Option<SuggestedValues> {
+        let (tests, rest) = numbers.split_first()?;
+        if rest.len() != 2 * coordinates.len() {
+            return None;
+        }
+        let mean: Vec<f64> = rest.iter().map(|x| x / tests.max(1.0)).collect();
+        let (starts, units) = mean.split_at(coordinates.len());
+        let value = |(place, coordinate): (&f64, &Coordinate)| {
+            let value = if coordinate.log { place.exp() } else { *place };
+            value.clamp(coordinate.lower, coordinate.upper)
+        };
+        let start = starts.iter().zip(coordinates).map(value).collect();
+        Some(SuggestedValues { tests: *tests as usize, start, units: units.iter().map(|unit| unit.exp()).collect() })
+    }
+}

@@ -1,0 +1,330 @@
+//! Places from which a search may lead to another maximum than the one that is known: what another part of the model may explain.
+
+use crate::crossed::CrossedNoise;
+use crate::profile_likelihood::ProfileLikelihood;
+use crate::scales;
+use crate::scales::time_constants;
+use crate::search_state::SearchEnd;
+use crate::tries::{FACTOR, best_of, longer, other_maxima};
+use crate::twins::ExchangeablePair;
+use kalfit_estimate::Progress;
+
+/// Parts of what a covariance of noises may be that are tried, those that are this far from the present one.
+const PARTS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
+const APART: f64 = 0.4;
+/// ℓ is as high as another to this.
+const LEVEL: f64 = 1e-3;
+/// A process whose time constant may be a quarter of what it is, at no more loss of ℓ than this, is white.
+const WHITE: f64 = 1e-6;
+/// … and at no more than this it may be noise of a measurement.
+const NEARLY: f64 = 0.1;
+/// Of processes that are set apart so many shapes are followed.
+const APART_TRIED: usize = 3;
+/// Sizes of levels at zero that are tried, in units of what the data suggest.
+const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
+
+/// Where to look from an end: at common values but the one that is held.
+pub(super) fn places(
+    objective: &ProfileLikelihood<'_>,
+    end: &SearchEnd,
+    held: Option<usize>,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let values = &end.home.values;
+    let (mut all, mut bases) = (Vec::new(), vec![values.clone()]);
+    for twins in &objective.twins {
+        let Some(one) = twins.merged(values, &objective.coordinates) else { continue };
+        all.push(one.clone());
+        all.extend(set_apart(objective, &one, twins, progress));
+        bases.push(one);
+    }
+    let is_level = |s: &usize| {
+        let coordinate = &objective.coordinates[*s];
+        let common = objective.slots.slots()[*s].level.is_none();
+        common && coordinate.level.is_some() && coordinate.lower == 0.0 && held != Some(*s)
+    };
+    let levels: Vec<usize> = (0..values.len()).filter(is_level).collect();
+    let is_timed = !time_constants(objective.model).is_empty();
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && is_timed && drives(objective, s)) {
+        all.push(without(values, s));
+    }
+    for t in (0..values.len()).filter(|&t| objective.edges.has(t) && held != Some(t)) {
+        all.extend(other_parts(values, t));
+    }
+    for &s in levels.iter().filter(|&&s| values[s] > 0.0 && !drives(objective, s) && is_crossed(objective, s)) {
+        all.push(without(values, s));
+    }
+    let is_open = |parameter: &usize| objective.slots.common(*parameter).is_some_and(|s| held != Some(s));
+    let timed: Vec<usize> = time_constants(objective.model).into_iter().filter(is_open).collect();
+    let [white, nearly_white] = all_but_white(objective, end, &timed);
+    let exchanges = ExchangeablePair::unlike(objective.model, objective.slots);
+    all.extend(given_back(objective, end, &levels));
+    all.extend(held.and_then(|t| left_to_noise(objective, end, (t, &timed), progress)));
+    all.extend(given_up(objective, values, (&levels, &nearly_white), &exchanges));
+    for &s in &levels {
+        all.extend(sizes(objective, end, (s, objective.units()[s])));
+    }
+    for parameter in timed {
+        all.extend(other_maxima(objective, parameter, values, progress));
+        if white.contains(&parameter) {
+            all.extend(less_white(objective, end, parameter, progress));
+        }
+        for base in &bases {
+            all.extend(
+                levels.iter().filter_map(|&s| taken_over(objective, (base, end.home.value()), s, parameter, progress)),
+            );
+        }
+    }
+    all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
+    all.extend(all_times(objective, values));
+    // whatever moved it
+    each_once(all.into_iter().filter(|place| held.is_none_or(|s| place[s] == values[s])))
+}
+
+/// Places in their order, none twice.
+pub(super) fn each_once(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
+    let mut all: Vec<Vec<f64>> = Vec::new();
+    for place in places {
+        if !all.contains(&place) {
+            all.push(place);
+        }
+    }
+    all
+}
+
+/// A level at zero.
+fn without(values: &[f64], s: usize) -> Vec<f64> {
+    let mut without = values.to_vec();
+    without[s] = 0.0;
+    without
+}
+
+/// Time constants of processes that are white as far as ℓ can tell, and of those that are nearly so.
+fn all_but_white(objective: &ProfileLikelihood<'_>, end: &SearchEnd, timed: &[usize]) -> [Vec<usize>; 2] {
+    let loss = |&parameter: &usize| Some((parameter, loss_if_shorter(objective, end, parameter)?));
+    let losses: Vec<(usize, f64)> = timed.iter().filter_map(loss).collect();
+    [WHITE, NEARLY]
+        .map(|most| losses.iter().filter(|(_, loss)| *loss <= most).map(|(parameter, _)| *parameter).collect())
+}
+
+/// Of two processes that coincide one has taken the variance of both, and the other one may be of any size and shape beside it.
+fn set_apart(
+    objective: &ProfileLikelihood<'_>,
+    one: &[f64],
+    twins: &ExchangeablePair,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let (Some(level), Some(shape)) = (twins.freed(&objective.coordinates), twins.shape(&objective.coordinates)) else {
+        return Vec::new();
+    };
+    let of_size = |size: &f64| {
+        let mut beside = one.to_vec();
+        beside[level] = (size * objective.units()[level]).min(objective.coordinates[level].upper);
+        beside
+    };
+    let parameter = objective.slots.slots()[shape].parameter;
+    let found = SIZES.iter().flat_map(|size| other_maxima(objective, parameter, &of_size(size), progress));
+    let valued = found.filter_map(|place| Some((objective.value(&place)?, place)));
+    let mut valued: Vec<(f64, Vec<f64>)> = valued.collect();
+    valued.sort_by(|a, b| b.0.total_cmp(&a.0));
+    valued.into_iter().take(APART_TRIED).map(|(_, place)| place).collect()
+}
+
+/// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
+fn given_back(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
+    let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(objective, s));
+    let values = &end.home.values;
+    let zeros = still.into_iter().filter(|&s| end.is_at_zero(s));
+    let pairs = zeros.flat_map(|s| driving.iter().filter(|&&t| values[t] > 0.0).map(move |&t| (s, t)));
+    pairs.filter_map(|pair| handed_over(objective, values, pair)).collect()
+}
+
+/// Where the size of a process is held, as much in all noises of measurements that are at zero, and the process in the shape that suits
+/// it best beside that: they may explain what it explains, and the process be of its size by being slow.
+fn left_to_noise(
+    objective: &ProfileLikelihood<'_>,
+    end: &SearchEnd,
+    (t, timed): (usize, &[usize]),
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
+    let parameter = timed.iter().find(|&&parameter| driven(objective, parameter) == Some((t, true)))?;
+    let from = objective.coordinates[t].level?;
+    let mut beside = end.home.values.clone();
+    let measures = |s: usize| scales::measures(objective.model, objective.slots.slots()[s].parameter);
+    for s in (0..beside.len()).filter(|&s| end.is_at_zero(s) && measures(s)) {
+        let Some(to) = objective.coordinates[s].level else { continue };
+        beside[s] = beside[t].powf(from / to).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
+    }
+    let is_other = beside != end.home.values;
+    is_other.then(|| best_of(objective, *parameter, &beside, progress))?.map(|(beside, _)| beside)
+}
+
+/// Processes that are all but white given to the noise of a measurement, as they stand and with another process in their place: what the
+/// other one explained may be explained as well, and the one that is at zero may return in another shape. Beside noises with a covariance
+/// the other process may take over what this one gave.
+fn given_up(
+    objective: &ProfileLikelihood<'_>,
+    values: &[f64],
+    (levels, white): (&[usize], &[usize]),
+    exchanges: &[ExchangeablePair],
+) -> Vec<Vec<f64>> {
+    let still: Vec<usize> = levels.iter().copied().filter(|&s| values[s] > 0.0 && !drives(objective, s)).collect();
+    let sized = white.iter().filter_map(|&parameter| driven(objective, parameter).filter(|(_, is_size)| *is_size));
+    let sized: Vec<usize> = sized.map(|(t, _)| t).filter(|t| levels.contains(t) && values[*t] > 0.0).collect();
+    let mut all = Vec::new();
+    for (&s, &t) in still.iter().flat_map(|s| sized.iter().map(move |t| (s, t))) {
+        all.extend(handed_over(objective, values, (s, t)));
+        let other = |pair: &ExchangeablePair| {
+            pair.pairs.iter().find_map(|&(a, b)| if a == t { Some(b) } else { (b == t).then_some(a) })
+        };
+        all.extend(
+            exchanges.iter().filter_map(|pair| handed_over(objective, &pair.exchanged(values), (s, other(pair)?))),
+        );
+        let changed = |pair: &ExchangeablePair| {
+            let (own, given) = (other(pair)?, handed_over(objective, values, (s, t))?);
+            CrossedNoise::of(objective, s, own)?.taken(&pair.exchanged(&given))
+        };
+        all.extend(exchanges.iter().filter_map(changed));
+    }
+    all
+}
+
+/// The variance of the level `t` handed over to the level `s`, and what it is of covariances beside that.
+fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
+    if let Some(noises) = CrossedNoise::of(objective, s, t) {
+        return Some(noises.given(values));
+    }
+    let (taker, giver) = (objective.coordinates[s], objective.coordinates[t]);
+    let (from, to) = (giver.level?, taker.level?);
+    let mut given = values.to_vec();
+    given[s] = (values[s].powf(to) + values[t].powf(from)).powf(to.recip()).clamp(taker.lower, taker.upper);
+    given[t] = 0.0;
+    Some(given)
+}
+
+/// By how much ℓ changes where a time constant is a quarter of what it is.
+fn loss_if_shorter(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_constant: usize) -> Option<f64> {
+    let slot = objective.slots.common(time_constant)?;
+    let mut shorter = end.home.values.clone();
+    shorter[slot] = objective.coordinates[slot].moved(shorter[slot], -FACTOR.ln());
+    Some((objective.value(&shorter)? - end.home.value()).abs())
+}
+
+/// A process that is all but white, with the time constant that suits it best among those from which it is told apart from white noise.
+fn less_white(
+    objective: &ProfileLikelihood<'_>,
+    end: &SearchEnd,
+    time_constant: usize,
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
+    let (best, value) = best_of(objective, time_constant, &end.home.values, progress)?;
+    let is_level = (value - end.home.value()).abs() <= LEVEL;
+    is_level.then(|| longer(objective, time_constant, (best, value), progress))
+}
+
+/// All time constants together, longer or shorter, each process as rough as it is: what processes and the noise of measurements explain may
+/// be explained by slower and larger ones, or by quicker and smaller ones.
+fn all_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>> {
+    let open = |&parameter: &usize| objective.slots.common(parameter).is_some();
+    let parameters: Vec<usize> = time_constants(objective.model).into_iter().filter(open).collect();
+    let by = |step: f64| {
+        let mut moved = values.to_vec();
+        for &parameter in &parameters {
+            let Some(time) = objective.slots.common(parameter) else { continue };
+            moved[time] = objective.coordinates[time].moved(values[time], step);
+            let sized = driven(objective, parameter).filter(|(_, is_size)| *is_size);
+            let Some((level, _)) = sized else { continue };
+            let Some(exponent) = objective.coordinates[level].level else { continue };
+            moved[level] = objective.coordinates[level].moved(values[level], step / exponent);
+        }
+        moved
+    };
+    if parameters.is_empty() { Vec::new() } else { [FACTOR.ln(), -FACTOR.ln()].map(by).to_vec() }
+}
+
+/// The level of a process with this time constant, and whether it is the size of the process: its noise depends on the time constant too.
+fn driven(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
+    objective.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
+        let (form, noise_variance) = state.motion.parts()?;
+        let timed = form.terms.iter().any(|(_, term)| term.mentions(time_constant));
+        let mentioned = |t: &usize| noise_variance.mentions(objective.slots.slots()[*t].parameter);
+        let level = |t: &usize| objective.coordinates[*t].level.is_some() && mentioned(t);
+        let found = (0..objective.coordinates.len()).find(level).filter(|_| timed)?;
+        Some((found, noise_variance.mentions(time_constant)))
+    })
+}
+
+/// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best; `height`: ℓ
+/// before.
+fn taken_over(
+    objective: &ProfileLikelihood<'_>,
+    (values, height): (&[f64], f64),
+    s: usize,
+    time_constant: usize,
+    progress: &mut dyn Progress,
+) -> Option<Vec<f64>> {
+    let (taker, is_size) = driven(objective, time_constant)?;
+    if values[s] == 0.0 || drives(objective, s) {
+        return None;
+    }
+    let noises = CrossedNoise::of(objective, s, taker).filter(|noises| is_size && noises.first() == s);
+    let crossed = noises.and_then(|noises| noises.taken(values));
+    let over = crossed.or_else(|| replaced(objective, values, (s, taker)))?;
+    let best = best_of(objective, time_constant, &over, progress)?;
+    // no higher and no lower: white as the noise was, and the way up may be close by
+    let is_level = (best.1 - height).abs() <= LEVEL;
+    Some(if is_level { longer(objective, time_constant, best, progress) } else { best.0 })
+}
+
+/// The level `t` in the place of the level `s`.
+fn replaced(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
+    let (from, to) = (objective.coordinates[s].level?, objective.coordinates[t].level?);
+    let mut replaced = values.to_vec();
+    replaced[t] = values[s].powf(from / to).clamp(objective.coordinates[t].lower, objective.coordinates[t].upper);
+    replaced[s] = 0.0;
+    Some(replaced)
+}
+
+/// Other parts of what a covariance of noises may be: of the other sign, say.
+fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
+    let apart = PARTS.into_iter().filter(move |part| (part - values[t]).abs() > APART);
+    apart.map(move |part| {
+        let mut other = values.to_vec();
+        other[t] = part;
+        other
+    })
+}
+
+/// A level of a noise that has a free covariance with another.
+fn is_crossed(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
+    !objective.edges.beside(objective.slots.slots()[s].parameter).is_empty()
+}
+
+/// A level of the motion of some state.
+fn drives(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
+    scales::drives(objective.model, objective.slots.slots()[s].parameter)
+}
+
+/// Other sizes of a level, the rest as it is, where ℓ is higher than at the sizes beside them.
+fn sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
+    let value = end.home.values[s];
+    if value > 0.0 && !end.is_at_zero(s) {
+        return Vec::new();
+    }
+    let at = |size: &f64| {
+        let mut values = end.home.values.clone();
+        values[s] = (size * unit).clamp(objective.coordinates[s].lower, objective.coordinates[s].upper);
+        values
+    };
+    let places: Vec<Vec<f64>> = SIZES.iter().map(at).collect();
+    let heights: Vec<f64> = places.iter().map(|place| objective.value(place).unwrap_or(f64::NEG_INFINITY)).collect();
+    let beside = |k: usize, other: Option<usize>| other.and_then(|o| heights.get(o)).is_none_or(|h| *h < heights[k]);
+    let peak = |k: &usize| heights[*k].is_finite() && beside(*k, k.checked_sub(1)) && beside(*k, Some(k + 1));
+    // the smallest size is beside zero
+    let last = SIZES.len() - 1;
+    (0..SIZES.len())
+        .filter(peak)
+        .filter(|k| *k < last || heights[last] > end.home.value())
+        .map(|k| places[k].clone())
+        .collect()
+}

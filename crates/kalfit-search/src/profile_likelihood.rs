@@ -1,0 +1,608 @@
+//! ℓ(α): the reductions at α, the maximum over (μ, Σ) on them, and its gradient in α. The filters run when α moves, and only
+//! then.
+
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use nalgebra::DVector;
+use rayon::prelude::*;
+
+use crate::before_runs::BeforeRuns;
+use crate::edges::Edges;
+use crate::exact::add_exact;
+use crate::indirect::{Around, Indirect};
+use crate::matrices;
+use crate::matrices::matrix_gradient;
+use crate::scale;
+use crate::scale::{AtScale, Scale};
+use crate::scales::Scales;
+use crate::twins::ExchangeablePair;
+use crate::{Coordinate, DynamicError, Settings};
+use kalfit_estimate as estimate;
+use kalfit_estimate::{Criterion, Estimate, FitError, NoiseInformation, Silent, Structure};
+use kalfit_filter::reduce::{FilteredPhases, PhasedReducer, Reductions, grouping};
+use kalfit_filter::score::InitialLaw;
+use kalfit_filter::score::{Batching, Gradient, Levels, PhasedComplete, PhasedScorer, carried};
+use kalfit_model::Grouping;
+use kalfit_model::PhasedTest;
+use kalfit_model::remote::{Answers, Question, Remote};
+use kalfit_model::{Alpha, PhasedModel, Population, Slots};
+
+/// So many tests are few, and so many rows,
+const NARROW: usize = 64;
+const SHORT: usize = 1 << 15;
+/// and where they are, so many rows at a time may be worked at.
+const ROOM: usize = 1 << 24;
+
+/// The ensemble and the model, ready for any α.
+#[derive(Debug)]
+pub struct ProfileLikelihood<'a> {
+    pub model: &'a PhasedModel,
+    pub tests: &'a [PhasedTest],
+    pub slots: &'a Slots,
+    pub coordinates: Vec<Coordinate>,
+    pub(crate) settings: &'a Settings,
+    /// Covariances of noises, which are sought as parts of what they may be.
+    pub edges: Edges,
+    /// Levels that a known covariance bounds.
+    pub(crate) cone: BTreeSet<usize>,
+    /// Processes that may change places.
+    pub twins: Vec<ExchangeablePair>,
+    /// The groups that tests stand in, where the model has levels.
+    grouping: Option<Arc<Grouping>>,
+    units: OnceLock<Vec<f64>>,
+    scales: OnceLock<Scales>,
+    order: OnceLock<Vec<usize>>,
+    indirect: Indirect,
+    scale: Option<Scale>,
+    /// What is known of the tests, where they are elsewhere.
+    answers: Option<Arc<Answers>>,
+    batching: Batching,
+    /// Asked before each run of the filters.
+    before_runs: Option<BeforeRuns<'a>>,
+    filter_passes: AtomicUsize,
+    score_passes: AtomicUsize,
+    passes: AtomicUsize,
+}
+
+/// The ensemble at an α.
+pub struct Reduced {
+    /// What made the reductions; `None` where they were scaled from another α.
+    reducer: Option<PhasedReducer>,
+    pub reductions: Reductions,
+    /// Tests that are kept side by side.
+    filtered: Option<FilteredPhases>,
+}
+
+/// ℓ at α with its gradient, at the best (μ, Σ).
+#[derive(Debug, Clone)]
+pub struct ProfilePoint {
+    /// The free values.
+    pub values: Vec<f64>,
+    pub(crate) alpha: Alpha,
+    pub estimate: Estimate,
+    /// dℓ/dcoordinate.
+    pub gradient: Vec<f64>,
+    pub(crate) second_derivatives: SecondDerivatives,
+}
+
+/// What second derivatives are made of.
+#[derive(Debug, Clone)]
+pub(crate) enum SecondDerivatives {
+    /// Results of each test.
+    Tests(Box<OfTests>),
+    /// The information in the only value, which scales all noise, and with (μ, Σ) along the tangent basis. What each test says is
+    /// worked out when it is asked for.
+    Scale(NoiseInformation),
+}
+
+/// What each test says at an α.
+#[derive(Debug, Clone)]
+pub(crate) struct OfTests {
+    pub(crate) reductions: Reductions,
+    /// dℓ_j/dvalue.
+    pub(crate) scores: Vec<Gradient>,
+}
+
+impl ProfilePoint {
+    pub fn value(&self) -> f64 {
+        self.estimate.log_likelihood
+    }
+}
+
+/// ℓ near a solved α at the (μ, Σ) found there.
+#[derive(Debug)]
+pub(crate) struct FixedLawPoint {
+    pub(crate) values: Vec<f64>,
+    /// Gradient along the tangent basis of (μ, Σ) of the solved place.
+    pub(crate) inner: DVector<f64>,
+    pub(crate) tests: OfTests,
+    /// dℓ/dvalue through matrices of the covariance structure.
+    pub(crate) matrix: Gradient,
+}
+
+impl<'a> ProfileLikelihood<'a> {
+    pub fn new(
+        model: &'a PhasedModel,
+        tests: &'a [PhasedTest],
+        slots: &'a Slots,
+        settings: &'a Settings,
+    ) -> ProfileLikelihood<'a> {
+        let zero = || AtomicUsize::new(0);
+        let edges = Edges::of(model, slots, tests);
+        let mut coordinates = Coordinate::of(model, slots);
+        edges.bound(&mut coordinates);
+        let cone = Edges::least(model, slots, tests);
+        cone.iter().for_each(|&(s, least)| coordinates[s].lower = coordinates[s].lower.max(least));
+        ProfileLikelihood {
+            model,
+            tests,
+            slots,
+            coordinates,
+            edges,
+            cone: cone.into_iter().map(|(s, _)| s).collect(),
+            settings,
+            twins: ExchangeablePair::of(model, slots),
+            grouping: grouping(model, tests).ok().flatten().map(Arc::new), // whether there is one is looked at before
+            units: OnceLock::new(),
+            scales: OnceLock::new(),
+            order: OnceLock::new(),
+            indirect: Indirect::of(model, tests, slots),
+            scale: Scale::of(model, tests, slots),
+            answers: None,
+            batching: Batching::default(),
+            before_runs: None,
+            filter_passes: zero(),
+            score_passes: zero(),
+            passes: zero(),
+        }
+    }
+
+    /// The same of tests that are elsewhere, which suggest these sizes of the values.
+    pub fn elsewhere(
+        model: &'a PhasedModel,
+        (slots, settings): (&'a Slots, &'a Settings),
+        (answers, units): (&Arc<Answers>, Vec<f64>),
+    ) -> ProfileLikelihood<'a> {
+        let objective = ProfileLikelihood::new(model, &[], slots, settings);
+        // all of them together stand for one test that knows every value
+        ProfileLikelihood {
+            scale: None,
+            order: vec![0].into(),
+            answers: Some(answers.clone()),
+            units: units.into(),
+            ..objective
+        }
+    }
+
+    /// The same as long as somebody waits: nothing is defined any longer once nobody does.
+    pub fn while_waited_for(self, before_runs: BeforeRuns<'a>) -> ProfileLikelihood<'a> {
+        ProfileLikelihood { before_runs: Some(before_runs), ..self }
+    }
+
+    /// Somebody still waits for what is worked out.
+    fn go_on(&self) -> Result<(), DynamicError> {
+        let goes_on = self.before_runs.is_none_or(|BeforeRuns(asks)| asks(self.filter_passes()));
+        if goes_on { Ok(()) } else { Err(DynamicError::Interrupted) }
+    }
+
+    /// The groups that tests stand in, where the model has levels.
+    pub fn grouping(&self) -> Option<&Grouping> {
+        self.grouping.as_deref()
+    }
+
+    /// The tests are elsewhere: what is known is of all of them together.
+    pub(crate) fn is_elsewhere(&self) -> bool {
+        self.answers.is_some()
+    }
+
+    /// Something was asked of tests that are elsewhere that has no answer yet.
+    pub(crate) fn is_waiting(&self) -> bool {
+        self.answers.as_ref().is_some_and(|answers| answers.is_waiting())
+    }
+
+    /// Does what asks for several things that do not depend on each other, of tests that are elsewhere all at once.
+    pub(crate) fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
+        match &self.answers {
+            Some(answers) => answers.together(ask),
+            None => ask(),
+        }
+    }
+
+    /// The tests or their rows are few, so that threads had better work at several α at once, and there is room for that.
+    pub(crate) fn is_narrow(&self) -> bool {
+        let (threads, rows) = (rayon::current_num_threads(), self.rows());
+        let is_small = self.tests.len() <= NARROW || rows.max(self.tests.len()) <= SHORT;
+        // filters scaled from one run to the next go one after the other
+        !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= ROOM
+    }
+
+    /// One thing of each of some places: where tests or rows are few, of several at a time.
+    pub(crate) fn each<P: Sync, T: Send>(&self, places: &[P], one: impl Fn(&P) -> T + Sync + Send) -> Vec<T> {
+        if !self.is_narrow() {
+            return places.iter().map(one).collect();
+        }
+        self.order(); // known to all threads before they part
+        places.par_iter().map(one).collect()
+    }
+
+    /// Sizes found in the data.
+    pub(crate) fn scales(&self) -> &Scales {
+        self.scales.get_or_init(|| Scales::of(self.model, self.tests, self.order()))
+    }
+
+    /// What the data suggest for each value; 1 where they suggest nothing.
+    pub fn units(&self) -> &[f64] {
+        self.units.get_or_init(|| {
+            let unit = |slot: &kalfit_model::Slot| self.scales().guess(self.model, slot.parameter);
+            let one = |(slot, coordinate): (_, &Coordinate)| if coordinate.log { unit(slot) } else { 1.0 };
+            self.slots.slots().iter().zip(&self.coordinates).map(one).collect()
+        })
+    }
+
+    /// Rows of all tests.
+    pub(crate) fn rows(&self) -> usize {
+        self.tests.iter().map(PhasedTest::row_count).sum()
+    }
+
+    /// The values after a part of a step in their coordinates, within bounds.
+    pub(crate) fn moved(&self, values: &[f64], step: &[f64], part: f64) -> Vec<f64> {
+        let one = |((coordinate, v), d): ((&Coordinate, &f64), &f64)| {
+            if *d == 0.0 { *v } else { coordinate.moved(*v, part * d) }
+        };
+        self.coordinates.iter().zip(values).zip(step).map(one).collect()
+    }
+
+    /// The same by the filters and their backward runs alone.
+    #[cfg(test)]
+    pub(crate) fn unscaled(self) -> ProfileLikelihood<'a> {
+        ProfileLikelihood { scale: None, ..self }
+    }
+
+    /// Runs of the filters over all tests, forward.
+    pub(crate) fn filter_passes(&self) -> usize {
+        self.filter_passes.load(Ordering::Relaxed)
+    }
+
+    /// Runs backward.
+    pub(crate) fn score_passes(&self) -> usize {
+        self.score_passes.load(Ordering::Relaxed)
+    }
+
+    /// Counts what another profile likelihood of the same ensemble has run.
+    pub(crate) fn absorb(&self, other: &ProfileLikelihood<'_>) {
+        let pairs = [
+            (&self.filter_passes, &other.filter_passes),
+            (&self.score_passes, &other.score_passes),
+            (&self.passes, &other.passes),
+        ];
+        pairs.iter().for_each(|(own, more)| _ = own.fetch_add(more.load(Ordering::Relaxed), Ordering::Relaxed));
+    }
+
+    /// Iterations of the solver; each uses the reductions of all tests.
+    pub(crate) fn passes(&self) -> usize {
+        self.passes.load(Ordering::Relaxed)
+    }
+
+    /// α where these values are sought.
+    pub fn alpha(&self, sought: &[f64]) -> Alpha {
+        self.slots.alpha(self.model.shared(), &self.values(sought))
+    }
+
+    /// The free values of α where these are sought: the same, but for covariances of noises.
+    pub(crate) fn values(&self, sought: &[f64]) -> Vec<f64> {
+        self.edges.values(sought, &self.slots.alpha(self.model.shared(), sought))
+    }
+
+    /// What is sought where α has these free values, as a start.
+    pub fn sought(&self, values: &[f64]) -> Vec<f64> {
+        self.edges.sought(values, &self.slots.alpha(self.model.shared(), values))
+    }
+
+    /// The reductions at α.
+    pub fn reduce(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
+        if let Some(answers) = &self.answers {
+            self.filter_passes.fetch_add(1, Ordering::Relaxed);
+            let remote = Remote { values: values.to_vec(), answers: answers.clone() };
+            return Ok(Reduced { reducer: None, reductions: Reductions::elsewhere(remote), filtered: None });
+        }
+        if let Some(scale) = &self.scale
+            && let Some(reductions) = scale.reductions(values[0], &|value| Ok(self.filter(&[value])?.reductions))?
+        {
+            return Ok(Reduced { reducer: None, reductions, filtered: None });
+        }
+        self.filter(values)
+    }
+
+    /// Runs the filters.
+    fn filter(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
+        self.go_on()?;
+        // where one value scales all noise, scores are known without a backward pass
+        let made = if self.scale.is_some() { PhasedReducer::passing } else { PhasedReducer::scoring };
+        let mut reducer = made(self.model, &self.alpha(values), self.slots).map_err(Box::new)?;
+        self.batching.share_steps(&mut reducer);
+        self.filter_passes.fetch_add(1, Ordering::Relaxed);
+        let (reductions, filtered) = match self.scale {
+            Some(_) => (reducer.reduce(self.tests).map_err(Box::new)?, None), // the filters hardly run
+            None => {
+                let told = (self.model, self.slots);
+                self.batching.reduce(told, &mut reducer, self.tests).map_err(Box::new)?
+            }
+        };
+        Ok(Reduced { reducer: Some(reducer), reductions, filtered })
+    }
+
+    /// ℓ(α) and its gradient; `near` is a population near the best one.
+    pub fn solve(&self, values: &[f64], near: Option<&Population>) -> Result<ProfilePoint, DynamicError> {
+        let alpha = self.alpha(values);
+        if let Some(AtScale { estimate, gradient, information }) = self.scaled(values, &alpha, near, scale::EXACT)? {
+            let (gradient, told) = (vec![gradient], SecondDerivatives::Scale(information));
+            return Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, second_derivatives: told });
+        }
+        let reduced = self.reduce(values)?;
+        let estimate = self.inner(&reduced.reductions, &alpha, near)?;
+        self.solved(values, alpha, reduced, estimate)
+    }
+
+    /// With the gradient at the best (μ, Σ).
+    fn solved(
+        &self,
+        values: &[f64],
+        alpha: Alpha,
+        reduced: Reduced,
+        estimate: Estimate,
+    ) -> Result<ProfilePoint, DynamicError> {
+        let scores = self.scores(values, &reduced, &estimate.state.law())?;
+        let matrix =
+            matrix_gradient(self.model, &alpha, self.slots, &estimate.covariance, &estimate.state.covariance_score());
+        let gradient = self.gradient(values, &scores, &matrix);
+        let told = SecondDerivatives::Tests(Box::new(OfTests { reductions: reduced.reductions, scores }));
+        Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, second_derivatives: told })
+    }
+
+    /// The same where one value scales all noise.
+    fn scaled(
+        &self,
+        values: &[f64],
+        alpha: &Alpha,
+        near: Option<&Population>,
+        far: f64,
+    ) -> Result<Option<AtScale>, DynamicError> {
+        let Some(scale) = &self.scale else { return Ok(None) };
+        self.go_on()?;
+        let how = (&self.structure(alpha), near, &self.settings.inner);
+        let run = |value| Ok(self.filter(&[value])?.reductions);
+        let found = scale.fit((values[0], self.coordinates[0]), (far, &run), how)?;
+        let found = found.filter(|at| at.gradient.is_finite());
+        found.iter().for_each(|at| self.count_passes(&at.estimate));
+        Ok(found)
+    }
+
+    /// The reductions at a solved α.
+    fn reductions_at<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, Reductions>, DynamicError> {
+        match &home.second_derivatives {
+            SecondDerivatives::Tests(tests) => Ok(Cow::Borrowed(&tests.reductions)),
+            SecondDerivatives::Scale(_) => Ok(Cow::Owned(self.reduce(&home.values)?.reductions)),
+        }
+    }
+
+    /// What each test says at a solved α.
+    pub(crate) fn of_tests<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, OfTests>, DynamicError> {
+        if let SecondDerivatives::Tests(tests) = &home.second_derivatives {
+            return Ok(Cow::Borrowed(&**tests));
+        }
+        let reduced = self.reduce(&home.values)?;
+        let scores = self.scores(&home.values, &reduced, &home.estimate.state.law())?;
+        Ok(Cow::Owned(OfTests { reductions: reduced.reductions, scores }))
+    }
+
+    /// ℓ(α) alone; `None` where it is not defined.
+    pub(crate) fn value(&self, values: &[f64]) -> Option<f64> {
+        let alpha = self.alpha(values);
+        let estimate = match self.scaled(values, &alpha, None, scale::ROUGH).ok()? {
+            Some(at) => at.estimate,
+            None => self.inner(&self.reduce(values).ok()?.reductions, &alpha, None).ok()?,
+        };
+        Some(estimate.log_likelihood).filter(|value| value.is_finite())
+    }
+
+    /// The same with the filters run at these very values, which keeps all digits however far they are from others.
+    pub(crate) fn filtered_value(&self, values: &[f64]) -> Option<f64> {
+        let reductions = self.filter(values).ok()?.reductions;
+        let estimate = self.inner(&reductions, &self.alpha(values), None).ok()?;
+        Some(estimate.log_likelihood).filter(|value| value.is_finite())
+    }
+
+    /// What is assumed of μ and Σ at α.
+    fn structure<'s>(&'s self, alpha: &'s Alpha) -> Structure<'s> {
+        Structure::of(self.model, alpha, self.grouping.as_ref())
+    }
+
+    /// The best (μ, Σ) on reductions.
+    pub(crate) fn inner(
+        &self,
+        reductions: &Reductions,
+        alpha: &Alpha,
+        near: Option<&Population>,
+    ) -> Result<Estimate, DynamicError> {
+        let structure = self.structure(alpha);
+        let settings = &self.settings.inner;
+        let estimate = match near {
+            Some(start) => estimate::fit_from(reductions, &structure, start, settings, &mut Silent)?,
+            None => estimate::fit(reductions, &structure, settings, &mut Silent)?,
+        };
+        self.count_passes(&estimate);
+        Ok(estimate)
+    }
+
+    fn count_passes(&self, estimate: &Estimate) {
+        self.passes.fetch_add(estimate.passes, Ordering::Relaxed);
+    }
+
+    /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
+    pub(crate) fn shift(&self, home: &ProfilePoint, values: &[f64]) -> Option<FixedLawPoint> {
+        let alpha = self.alpha(values);
+        let reduced = self.reduce(values).ok()?;
+        self.passes.fetch_add(1, Ordering::Relaxed);
+        let at = home.estimate.state.at_other_alpha(&reduced.reductions, &alpha).ok()??;
+        let scores = self.scores(values, &reduced, &at.law()).ok()?;
+        let matrix = matrix_gradient(self.model, &alpha, self.slots, &at.covariance(), &at.covariance_score());
+        let inner = at.gradient(&home.estimate.state);
+        let tests = OfTests { reductions: reduced.reductions, scores };
+        Some(FixedLawPoint { values: values.to_vec(), inner, tests, matrix })
+    }
+
+    /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
+    pub(crate) fn step(&self, home: &ProfilePoint, values: &[f64], inner: &DVector<f64>) -> Option<ProfilePoint> {
+        let alpha = self.alpha(values);
+        let reduced = self.reduce(values).ok()?;
+        self.passes.fetch_add(1, Ordering::Relaxed);
+        let state = home.estimate.state.moved(&reduced.reductions, &alpha, inner)?;
+        self.solved(values, alpha, reduced, Estimate::unfinished(state)).ok()
+    }
+
+    /// ℓ(α) and its gradient where (μ, Σ) moved along with α: they are solved for by themselves.
+    pub(crate) fn settle(&self, home: &ProfilePoint) -> Result<ProfilePoint, DynamicError> {
+        let (values, alpha) = (&home.values, self.alpha(&home.values));
+        let reduced = self.reduce(values)?;
+        let structure = self.structure(&alpha);
+        let estimate = estimate::fit_on(&home.estimate.state, &reduced.reductions, &structure)?;
+        self.count_passes(&estimate);
+        self.solved(values, alpha, reduced, estimate)
+    }
+
+    /// What [`ProfileLikelihood::shift`] gives at home.
+    pub(crate) fn at_home(&self, home: &ProfilePoint) -> Option<FixedLawPoint> {
+        let state = &home.estimate.state;
+        let sigma = &home.estimate.covariance;
+        Some(FixedLawPoint {
+            values: home.values.clone(),
+            inner: state.newton_iterate.tangent.gradient.clone(),
+            tests: self.of_tests(home).ok()?.into_owned(),
+            matrix: matrix_gradient(self.model, &home.alpha, self.slots, sigma, &state.covariance_score()),
+        })
+    }
+
+    /// The reductions at a solved α, and the estimate on them.
+    pub(crate) fn grounded(&self, home: ProfilePoint) -> Result<(Reductions, Estimate), DynamicError> {
+        let ProfilePoint { values, estimate, second_derivatives: told, .. } = home;
+        if let SecondDerivatives::Tests(tests) = told {
+            return Ok((tests.reductions, estimate));
+        }
+        let run = |value| Ok(self.filter(&[value])?.reductions);
+        let scaled = self.scale.as_ref().map(|scale| scale.last_reductions(values[0], &run)).transpose()?.flatten();
+        let reductions = match scaled {
+            Some(reductions) => reductions,
+            None => self.filter(&values)?.reductions,
+        };
+        let state = estimate.state.grounded(&reductions).map_err(FitError::from)?;
+        Ok((reductions, Estimate { state, ..estimate }))
+    }
+
+    /// Values that stand in matrices of the covariance structure.
+    pub(crate) fn matrix_slots(&self) -> Vec<usize> {
+        matrices::slots(self.model, self.slots)
+    }
+
+    /// Values that the complete data of some phase do not show: of a carry, or of a phase that is known by a filter's estimates.
+    pub(crate) fn hidden_slots(&self) -> Vec<usize> {
+        let carried = self.model.phases.iter().flat_map(|phase| carried(phase, self.slots));
+        let hidden: BTreeSet<usize> = carried.chain(self.indirect.parameters(self.model, self.slots)).collect();
+        (0..self.slots.len()).filter(|&s| hidden.contains(&self.slots.slots()[s].parameter)).collect()
+    }
+
+    /// The restricted likelihood is maximised.
+    pub(crate) fn restricted(&self) -> bool {
+        self.settings.inner.criterion == Criterion::Reml
+    }
+
+    /// The tests in an order that does not depend on theirs.
+    pub fn order(&self) -> &[usize] {
+        self.order.get_or_init(|| by_id(self.tests))
+    }
+
+    /// dℓ_j/dvalue of each test at these values and this law.
+    pub fn scores(&self, values: &[f64], reduced: &Reduced, law: &InitialLaw) -> Result<Vec<Gradient>, DynamicError> {
+        self.go_on()?;
+        let Reduced { reducer, reductions, filtered } = reduced;
+        if let Some(remote) = reductions.remote() {
+            self.score_passes.fetch_add(1, Ordering::Relaxed);
+            let sum = remote.ask(Question::Score { law: law.message() }).filter(|sum| sum.len() == values.len());
+            let sum = sum.ok_or(DynamicError::Fit(FitError::NotFinite))?;
+            return Ok(vec![sum.into_iter().enumerate().collect()]);
+        }
+        let fresh = match (reducer, &self.scale) {
+            (Some(_), _) => None,
+            (None, scale) => match scale.as_ref().and_then(|scale| scale.scores(values[0], reductions, law)) {
+                Some(scores) => return Ok(scores),
+                None => Some(PhasedReducer::scoring(self.model, &self.alpha(values), self.slots).map_err(Box::new)?),
+            },
+        };
+        let reducer = reducer.as_ref().or(fresh.as_ref()).expect("one of them is there");
+        self.score_passes.fetch_add(1, Ordering::Relaxed);
+        let scorer = PhasedScorer::new(self.model, reducer, self.slots).map_err(Box::new)?;
+        let known = (self.batching.classes(reducer, self.tests), filtered.as_ref());
+        let mut scores = scorer.scores(self.tests, reductions, law, known).map_err(Box::new)?;
+        self.edges.pull(values, &self.alpha(values), self.slots, &mut scores);
+        let alpha = |values: &[f64]| self.alpha(values);
+        let around = Around { model: self.model, tests: self.tests, slots: self.slots, alpha: &alpha };
+        self.indirect.add(&around, (reducer, values), (reductions, law), &mut scores).map_err(Box::new)?;
+        add_exact(&around, values, (reductions, law), &mut scores).map_err(Box::new)?;
+        Ok(scores)
+    }
+
+    /// Moments of the complete data of each test at a solved α.
+    pub(crate) fn complete(&self, home: &ProfilePoint) -> Result<Vec<PhasedComplete>, DynamicError> {
+        self.filter_passes.fetch_add(1, Ordering::Relaxed);
+        self.score_passes.fetch_add(1, Ordering::Relaxed);
+        let law = home.estimate.state.law();
+        let reducer = PhasedReducer::scoring(self.model, &home.alpha, self.slots).map_err(Box::new)?;
+        let scorer = PhasedScorer::new(self.model, &reducer, self.slots).map_err(Box::new)?;
+        let reductions = self.reductions_at(home)?;
+        Ok(scorer.all_complete(self.tests, &reductions, &law).map_err(Box::new)?)
+    }
+
+    /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not
+    /// defined.
+    pub(crate) fn expected(&self, complete: &[PhasedComplete], values: &[f64]) -> Option<(f64, Vec<f64>)> {
+        let alpha = self.alpha(values);
+        let reducer = PhasedReducer::scoring(self.model, &alpha, self.slots).ok()?;
+        let scorer = PhasedScorer::new(self.model, &reducer, self.slots).ok()?;
+        let (own, mut scores): (Vec<f64>, Vec<Gradient>) =
+            scorer.all_expected(self.tests, complete).ok()??.into_iter().unzip();
+        self.edges.pull(values, &alpha, self.slots, &mut scores);
+        let value: f64 = self.order().iter().map(|&j| own[j]).sum();
+        let gradient = self.gradient(values, &scores, &Gradient::new());
+        (value.is_finite() && gradient.iter().all(|g| g.is_finite())).then_some((value, gradient))
+    }
+
+    /// Which free values are noise levels, at an α where none is zero.
+    pub(crate) fn levels(&self, alpha: &Alpha) -> Result<Levels, DynamicError> {
+        let reducer = PhasedReducer::scoring(self.model, alpha, self.slots).map_err(Box::new)?;
+        Ok(Levels::new(self.model, &reducer, self.slots, self.tests).map_err(Box::new)?)
+    }
+
+    /// dℓ/dcoordinate from what tests and matrices give.
+    pub fn gradient(&self, values: &[f64], scores: &[Gradient], matrix: &Gradient) -> Vec<f64> {
+        let mut gradient = vec![0.0; values.len()];
+        for (slot, bar) in self.order().iter().flat_map(|&j| &scores[j]).chain(matrix) {
+            gradient[*slot] += bar;
+        }
+        let slope = |(s, value): (usize, &f64)| self.coordinates[s].slope(*value);
+        gradient.iter_mut().zip(values.iter().enumerate().map(slope)).for_each(|(g, slope)| *g *= slope);
+        gradient
+    }
+}
+
+/// Tests in the order of their ids. Most are told apart by the first letters, which are looked at without a visit to each id.
+fn by_id(tests: &[PhasedTest]) -> Vec<usize> {
+    let first =
+        |id: &str| id.bytes().chain(std::iter::repeat(0)).take(8).fold(0, |word, byte| word << 8 | u64::from(byte));
+    let keyed = |(number, test): (usize, &PhasedTest)| (first(&test.id), number);
+    let mut order: Vec<(u64, usize)> = tests.par_iter().enumerate().map(keyed).collect();
+    let id = |number: usize| &*tests[number].id;
+    order.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| id(a.1).cmp(id(b.1))).then(a.1.cmp(&b.1)));
+    order.into_iter().map(|(_, number)| number).collect()
+}

@@ -1,0 +1,91 @@
+//! μ, Σ and α at the end of a search, and where other searches ended.
+
+use crate::joint::JointInformation;
+use crate::{Method, Settings, Standing};
+use kalfit_estimate::{Estimate, Stop};
+use kalfit_filter::reduce::Reductions;
+use kalfit_model::{Alpha, Slots};
+
+/// μ, Σ and α at the end of a search.
+#[derive(Debug, Clone)]
+pub struct DynamicFit {
+    /// Every value of α.
+    pub alpha: Alpha,
+    /// Which of them are free.
+    pub slots: Slots,
+    /// Their values, in the order of the slots.
+    pub values: Vec<f64>,
+    /// The same as they are sought.
+    pub sought: Vec<f64>,
+    /// Reductions at α, in the order of the tests.
+    pub reductions: Reductions,
+    /// μ and Σ at α, with their own certificate.
+    pub estimate: Estimate,
+    /// Largest score of α in units of its standard error.
+    pub certificate: f64,
+    /// Why the search for α stopped.
+    pub stop: Stop,
+    /// How α was found.
+    pub method: Method,
+    /// ℓ after each accepted step.
+    pub trace: Vec<f64>,
+    /// Forward runs of the filters over all tests.
+    pub filter_passes: usize,
+    /// Backward runs over all tests.
+    pub score_passes: usize,
+    /// Passes over reductions, all of them.
+    pub passes: usize,
+    /// Where other starts ended, best first.
+    pub others: Vec<OtherEnd>,
+    /// How far other maxima were looked for from the best end.
+    pub explored: Explored,
+    /// Noise levels, by name, with which ℓ rises without bound as they go to zero together: the data fit the model exactly. Empty
+    /// where ℓ has a maximum.
+    pub unbounded: Vec<String>,
+    /// Observed information of (α, μ, Σ).
+    pub joint: JointInformation,
+    /// Where each free value lies.
+    pub standing: Vec<Standing>,
+    /// What was asked.
+    pub settings: Settings,
+}
+
+impl DynamicFit {
+    /// Where each free value lies, in the order of the slots.
+    pub fn standing(&self) -> &[Standing] {
+        &self.standing
+    }
+
+    /// By how much other starts ended lower at certified maxima, those that differ by more than this.
+    pub fn lower_maxima(&self, equal: f64) -> Vec<f64> {
+        let certified = self.others.iter().filter(|end| end.stop == Stop::Certified);
+        let gaps = certified.map(|end| self.estimate.log_likelihood - end.log_likelihood);
+        gaps.filter(|gap| *gap > equal).collect()
+    }
+}
+
+/// How far other maxima were looked for from the best end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Explored {
+    /// Not at all: one search takes long.
+    No,
+    /// As far as the runs of the filters went that may be spent on it.
+    Part,
+    /// Everywhere that is looked at, on a part of the data; on all of them where that part was about as likely elsewhere.
+    Sample,
+    /// Everywhere that is looked at.
+    Whole,
+}
+
+/// Where another start ended.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OtherEnd {
+    /// ℓ there.
+    pub log_likelihood: f64,
+    /// The free values of α, in the order of the slots.
+    pub values: Vec<f64>,
+    /// Why the search stopped.
+    pub stop: Stop,
+    /// It was given up where no higher end than the best was in sight.
+    pub given_up: bool,
+}

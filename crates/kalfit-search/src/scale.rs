@@ -1,0 +1,190 @@
+//! A parameter θ that scales all noise: the noise level of a regression with random coefficients, say.
+//!
+//! Where every variance is proportional to θ^k, those of the filter go as λ = (θ/θ_0)^k, and its gains and sensitivities not at
+//! all. With n measurements and the residual sum of squares r at θ_0,
+//!
+//! ```text
+//! R(θ) = R/√λ      d(θ) = d/√λ      constant(θ) = constant - ½ n log λ - ½ r (1/λ - 1)
+//! ∂ℓ_j/∂log λ = ½ (r/λ + E‖d(θ) - R(θ)ξ‖² - n)      given z_j, under the law of ξ
+//! ```
+//!
+//! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again far from it. Nor are
+//! reductions needed where (μ, Σ) is sought: the classes gathered once serve for every θ near by ([`Noisy`]).
+
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use rayon::prelude::*;
+
+use crate::{Coordinate, DynamicError, matrices};
+use kalfit_estimate::{Estimate, NoiseInformation, Noisy, Residual, Settings, Structure};
+use kalfit_filter::reduce::{ReductionRef, Reductions};
+use kalfit_filter::score::InitialLaw;
+use kalfit_filter::score::{Gradient, expected_square};
+use kalfit_model::{Evidence, PhasedTest};
+use kalfit_model::{PhasedModel, Population, Slots};
+
+/// Where variances are so many times as large as at θ_0, constants are small differences of large numbers; where they are so many
+/// times as small, sums of squares have grown with their rounding errors. So the filters run again where no digit may be lost, …
+pub(crate) const EXACT: f64 = 1e4;
+/// … and where a value is but compared with others far from it.
+pub(crate) const ROUGH: f64 = 1e8;
+
+/// The only free value scales all noise.
+#[derive(Debug)]
+pub struct Scale {
+    /// k.
+    power: f64,
+    /// Where the filters ran last.
+    home: Mutex<Option<Arc<Home>>>,
+}
+
+/// The ensemble at θ_0.
+#[derive(Debug)]
+struct Home {
+    value: f64,
+    /// r of each test is known.
+    reductions: Reductions,
+    noisy: OnceLock<Noisy>,
+}
+
+/// ℓ at a θ and the best (μ, Σ).
+#[derive(Debug)]
+pub(crate) struct AtScale {
+    pub(crate) estimate: Estimate,
+    /// By the coordinate of θ.
+    pub(crate) gradient: f64,
+    /// In that coordinate.
+    pub(crate) information: NoiseInformation,
+}
+
+/// Runs the filters at a value of θ.
+type FilterRun<'a> = &'a dyn Fn(f64) -> Result<Reductions, DynamicError>;
+
+impl Scale {
+    /// `None` where α is not of this kind, where there are several phases, and where something is known otherwise than by rows.
+    pub fn of(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots) -> Option<Scale> {
+        let ([slot], [phase]) = (slots.slots(), &model.phases[..]) else { return None };
+        let rows = |test: &PhasedTest| matches!(test.phases[..], [Evidence::Rows(_)]);
+        let more = slot.level.is_some() || phase.filter.is_some() || !matrices::slots(model, slots).is_empty();
+        if more || !tests.iter().all(rows) {
+            return None;
+        }
+        let power = phase.model.noise_power(slot.parameter)?;
+        Some(Scale { power, home: Mutex::new(None) })
+    }
+
+    /// The ensemble at a θ_0 from which θ is not further than this, and λ; `None` where θ is not one that others can be had from.
+    fn home(&self, value: f64, far: f64, run: FilterRun<'_>) -> Result<Option<(Arc<Home>, f64)>, DynamicError> {
+        if !(value > 0.0 && value.is_finite()) {
+            return Ok(None);
+        }
+        let near = |home: &Arc<Home>| (far.recip()..=far).contains(&self.variance(home, value));
+        let home = match self.last().filter(near) {
+            Some(home) => home,
+            None => {
+                let reductions = run(value)?;
+                let unknown = |number: usize| reductions.residual(number).0.is_none();
+                if reductions.has_exact() || (0..reductions.len()).any(unknown) {
+                    return Ok(None);
+                }
+                let home = Arc::new(Home { value, reductions, noisy: OnceLock::new() });
+                *self.home.lock().unwrap_or_else(PoisonError::into_inner) = Some(home.clone());
+                home
+            }
+        };
+        let variance = self.variance(&home, value);
+        Ok((variance.is_normal() && variance.sqrt().recip().is_normal()).then_some((home, variance)))
+    }
+
+    fn last(&self) -> Option<Arc<Home>> {
+        self.home.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// λ.
+    fn variance(&self, home: &Home, value: f64) -> f64 {
+        (value / home.value).powf(self.power)
+    }
+
+    /// The reductions at θ. `None` where θ is not one that others can be had from.
+    pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
+        let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
+        Ok(scaled(home.reductions.clone(), variance))
+    }
+
+    /// The same at the end of a search: nothing is left here that others are had from.
+    pub(crate) fn last_reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
+        let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
+        *self.home.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        let reductions = Arc::try_unwrap(home).map_or_else(|home| home.reductions.clone(), |home| home.reductions);
+        Ok(scaled(reductions, variance))
+    }
+
+    /// The same from this θ_0, whatever was asked before.
+    pub fn reductions_from(
+        &self,
+        origin: f64,
+        value: f64,
+        run: FilterRun<'_>,
+    ) -> Result<Option<Reductions>, DynamicError> {
+        match self.home(origin, 1.0, run)? {
+            Some(_) => self.reductions(value, run),
+            None => Ok(None),
+        }
+    }
+
+    /// dℓ_j/dθ of each test at θ and this law; `None` where the reductions are not from here.
+    pub fn scores(&self, value: f64, reductions: &Reductions, law: &InitialLaw) -> Option<Vec<Gradient>> {
+        let home = self.last().filter(|_| value > 0.0)?;
+        let variance = self.variance(&home, value);
+        let one = |(at, there): (ReductionRef<'_>, usize)| {
+            let residual = Residual::of(&home.reductions, there);
+            let expected = expected_square(at, law);
+            let slope = 0.5 * (residual.squares / variance + expected - residual.measurements);
+            vec![(0, self.power * slope / value)]
+        };
+        let all: Vec<Gradient> = reductions.par_iter().zip(0..home.reductions.len()).map(one).collect();
+        all.iter().all(|score| score[0].1.is_finite()).then_some(all)
+    }
+
+    /// The best (μ, Σ) at θ, and what ℓ does there in a coordinate of θ; [`EXACT`] or [`ROUGH`]. `None` where θ is not one that others
+    /// can be had from.
+    pub(crate) fn fit(
+        &self,
+        (value, coordinate): (f64, Coordinate),
+        (far, run): (f64, FilterRun<'_>),
+        (structure, near, settings): (&Structure<'_>, Option<&Population>, &Settings),
+    ) -> Result<Option<AtScale>, DynamicError> {
+        let Some((home, variance)) = self.home(value, far, run)? else { return Ok(None) };
+        if home.noisy.get().is_none() {
+            let _ = home.noisy.set(Noisy::new(&home.reductions, structure, settings)?);
+        }
+        let noisy = home.noisy.get().expect("it was set");
+        let estimate = noisy.fit(variance, structure, near, settings)?;
+        // u = log λ = k log θ, and of a value itself ∂²u/∂θ² = -k/θ²
+        let du = self.power * coordinate.slope(value) / value;
+        let slope = noisy.slope(variance, &estimate.state);
+        let gradient = slope * du;
+        let bend = if coordinate.log { 0.0 } else { gradient / value };
+        let NoiseInformation { own, cross } = noisy.information(slope, &estimate.state);
+        let information = NoiseInformation { own: du * du * own + bend, cross: cross * du };
+        Ok(Some(AtScale { estimate, gradient, information }))
+    }
+}
+
+/// To where variances are so many times as large; `None` where something is then not finite.
+fn scaled(mut all: Reductions, variance: f64) -> Option<Reductions> {
+    let unit = variance.sqrt().recip();
+    let mut finite = true;
+    for number in 0..all.len() {
+        let residual = Residual::of(&all, number);
+        let test = all.get_mut(number);
+        *test.residual = Some(residual.squares / variance);
+        *test.constant += residual.change(variance);
+        finite &= test.constant.is_finite();
+        for x in test.data.iter_mut().chain(test.factor) {
+            *x *= unit;
+            finite &= x.is_finite();
+        }
+    }
+    finite.then_some(all)
+}

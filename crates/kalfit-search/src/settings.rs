@@ -1,0 +1,28 @@
+//! What is asked of a search for α.
+
+use kalfit_estimate as estimate;
+
+/// How α is found; all end at the same maximum.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Method {
+    /// The paper's Figure 1: μ and Σ are solved on the reductions for each α, an outer step moves α.
+    #[default]
+    Hybrid,
+    /// Maximum likelihood of the innovations, jointly in α, μ and Σ.
+    Innovations,
+    /// EM on states and noises (Sun's, extended to repeated tests).
+    Em,
+}
+
+/// What is asked of a search for α.
+#[derive(Debug, Clone, Default)]
+pub struct Settings {
+    /// How α is found.
+    pub method: Method,
+    /// Of the search for μ and Σ; its `tolerance` holds for α too.
+    pub inner: estimate::Settings,
+    /// Random starts besides the one worked out from the data.
+    pub starts: usize,
+    /// Seed of the random starts.
+    pub seed: u64,
+}

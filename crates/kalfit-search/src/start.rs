@@ -1,0 +1,192 @@
+//! Start values of α: the model file's where it gives them, else worked out from the data.
+//!
+//! Scales come from the spread of what was measured and from the lengths of steps and records; then each value without a start
+//! is tried over many powers of ten, cheaply: on a part of the data, with μ and Σ solved for each.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::DynamicError;
+use crate::balance::balance;
+use crate::profile_likelihood::ProfileLikelihood;
+use crate::sample::{larger, nearer, promising, roughly, sample, total};
+use crate::scales::{drives, measures, time_constants};
+use crate::search_state::SearchStart;
+use crate::tries::{other_maxima, scan, valued};
+use kalfit_estimate::Progress;
+use kalfit_model::Value;
+
+/// Points scattered about the first guess, and their spread: standard deviation of a logarithm.
+const SCATTERED: usize = 40;
+const WIDE: f64 = 2.5;
+/// Spread of random starts: standard deviation of a logarithm.
+const SPREAD: f64 = 1.5;
+
+/// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
+/// in a time constant, and as many random ones as the settings say.
+pub(crate) fn starts(
+    objective: &ProfileLikelihood<'_>,
+    progress: &mut dyn Progress,
+) -> Result<Vec<SearchStart>, DynamicError> {
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(objective.tests, common);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    let unknown = unknown(objective);
+    let (first, peaks) = likeliest((objective, &small), &unknown, progress);
+    if small.value(&first).is_none() {
+        objective.solve(&first, None)?; // says what is wrong
+    }
+    let mut all = vec![first.clone()];
+    if !unknown.is_empty() {
+        all.extend(peaks.into_iter().take(1));
+    }
+    if unknown.len() > 1 {
+        all.extend(scattered(&small, &unknown, &first, progress)); // of one alone the scan has seen all
+    }
+    for parameter in time_constants(objective.model).into_iter().filter(|&p| objective.slots.is_free(p)) {
+        all.extend(other_maxima(&small, parameter, &first, progress));
+    }
+    all.extend((0..objective.settings.starts).map(|k| random(objective, &first, k)));
+    if total(&sample) == total(objective.tests) {
+        return Ok(all.into_iter().map(SearchStart::from).collect());
+    }
+    // values that were given are one start, whatever becomes of the others on a part of the data
+    let free = (0..objective.model.shared().parameters.len()).filter(|&p| objective.slots.is_free(p)).count();
+    let given = (unknown.len() < free).then(|| all.remove(0));
+    let mut starts = promising((objective, &small), given, all, progress);
+    let settings = roughly(objective.settings);
+    for part in larger(objective.tests, common) {
+        let larger = ProfileLikelihood::new(objective.model, &part, objective.slots, &settings);
+        starts = nearer((objective, &larger), starts, progress);
+    }
+    Ok(starts)
+}
+
+/// The first start on a part of the tests, and others where the likelihood looks to have other maxima.
+fn likeliest(
+    (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
+    unknown: &[usize],
+    progress: &mut dyn Progress,
+) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let (mut first, mut peaks) = (guess(objective, true), Vec::new());
+    if !unknown.is_empty() {
+        peaks = balance(small, unknown, &mut first, progress);
+        for _ in 0..unknown.len().min(2) {
+            unknown.iter().for_each(|&parameter| scan(small, parameter, &mut first, progress));
+        }
+    }
+    (first, peaks)
+}
+
+/// The start that was given, or that is worked out from the tests: the first of [`starts`].
+pub(crate) fn first(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> Vec<f64> {
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(objective.tests, common);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    likeliest((objective, &small), &unknown(objective), progress).0
+}
+
+/// Starts from the data alone, whatever values were given; `held`: a slot whose value stays as it is.
+pub(crate) fn from_data(
+    objective: &ProfileLikelihood<'_>,
+    held: Option<(usize, f64)>,
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let still =
+        held.map(|(s, _)| objective.slots.slots()[s]).filter(|slot| slot.level.is_none()).map(|slot| slot.parameter);
+    let parameters = 0..objective.model.shared().parameters.len();
+    let all: Vec<usize> = parameters.filter(|&p| objective.slots.is_free(p) && still != Some(p)).collect();
+    let common = objective.slots.slots().iter().all(|slot| slot.level.is_none());
+    let sample = sample(objective.tests, common);
+    let small = ProfileLikelihood::new(objective.model, &sample, objective.slots, objective.settings);
+    let mut first = guess(objective, false);
+    let hold = |values: &mut Vec<f64>| held.iter().for_each(|&(s, value)| values[s] = value);
+    hold(&mut first);
+    let peaks = balance(&small, &all, &mut first, progress);
+    all.iter().for_each(|&parameter| scan(&small, parameter, &mut first, progress));
+    let mut starts = vec![first.clone()];
+    starts.extend(peaks.into_iter().take(1));
+    starts.extend(scattered(&small, &all, &first, progress));
+    starts.iter_mut().for_each(hold);
+    starts
+}
+
+/// Every free parameter has a start value.
+pub(crate) fn all_given(objective: &ProfileLikelihood<'_>) -> bool {
+    unknown(objective).is_empty()
+}
+
+/// Parameters without a start value, by index.
+fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
+    let told = |value: Value, log: bool| match value {
+        Value::Free { start: Some(start) } => !(log && start == 0.0), // a logarithm cannot start at zero
+        Value::Free { start: None } => false,
+        Value::Fixed(_) => true,
+    };
+    let parameters = objective.model.shared().parameters.iter().enumerate();
+    parameters
+        .filter(|(p, what)| objective.slots.is_free(*p) && !told(what.value, what.positive))
+        .map(|(p, _)| p)
+        .collect()
+}
+
+/// A first value for each slot: those that were given where they are to be heeded.
+fn guess(objective: &ProfileLikelihood<'_>, heeded: bool) -> Vec<f64> {
+    let scales = objective.scales();
+    let is_noise = |parameter: usize| measures(objective.model, parameter) || drives(objective.model, parameter);
+    let one = |(s, slot): (usize, &kalfit_model::Slot)| {
+        let parameter = &objective.model.shared().parameters[slot.parameter];
+        let coordinate = objective.coordinates[s];
+        if objective.edges.has(s) {
+            // the value itself, which is no part of the edge yet
+            return if let Value::Free { start: Some(start) } = parameter.value { start } else { 0.0 };
+        }
+        let guess = match parameter.value {
+            Value::Free { start: Some(start) } if heeded && !(coordinate.log && start == 0.0) => start,
+            _ if coordinate.log || is_noise(slot.parameter) => scales.guess(objective.model, slot.parameter),
+            _ => 0.0,
+        };
+        coordinate.inside(guess)
+    };
+    let values: Vec<f64> = objective.slots.slots().iter().enumerate().map(one).collect();
+    objective.sought(&values)
+}
+
+/// The best of some points scattered widely about the first guess: noise may lie in the measurements or in the motion, and
+/// a search that begins with one may end there.
+fn scattered(
+    small: &ProfileLikelihood<'_>,
+    unknown: &[usize],
+    first: &[f64],
+    progress: &mut dyn Progress,
+) -> Vec<Vec<f64>> {
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut places = Vec::new();
+    for _ in 0..SCATTERED {
+        // all levels of a parameter together
+        let draws: Vec<f64> =
+            small.model.shared().parameters.iter().map(|_| StandardNormal.sample(&mut random)).collect();
+        let moved = |(s, value): (usize, &f64)| {
+            let parameter = small.slots.slots()[s].parameter;
+            let own = unknown.contains(&parameter) && small.coordinates[s].log;
+            if own { small.coordinates[s].moved(*value, WIDE * draws[parameter]) } else { *value }
+        };
+        places.push(first.iter().enumerate().map(moved).collect());
+    }
+    let mut found = valued(small, places, progress);
+    found.sort_by(|a, b| b.1.total_cmp(&a.1));
+    found.into_iter().take(2).map(|(values, _)| values).collect()
+}
+
+/// Random start `k`: logarithms moved by normal numbers, other values by their own size. A stream of its own for each.
+fn random(objective: &ProfileLikelihood<'_>, first: &[f64], k: usize) -> Vec<f64> {
+    let mut random = ChaCha8Rng::seed_from_u64(objective.settings.seed);
+    random.set_stream(k as u64);
+    let moved = |(s, value): (usize, &f64)| {
+        let draw: f64 = StandardNormal.sample(&mut random);
+        let coordinate = objective.coordinates[s];
+        coordinate.moved(*value, if coordinate.log { SPREAD * draw } else { draw * value.abs().max(0.5) })
+    };
+    first.iter().enumerate().map(moved).collect()
+}

@@ -1,0 +1,49 @@
+//! Which tests depend on which values of α: what no test has in common can move in one run of the filters.
+
+use crate::colours::colours;
+use crate::profile_likelihood::{OfTests, ProfileLikelihood};
+use kalfit_filter::score::Gradient;
+
+/// Which tests depend on which values.
+#[derive(Debug)]
+pub(super) struct Touching {
+    /// Tests by value.
+    pub(super) tests: Vec<Vec<usize>>,
+    /// Values by test.
+    pub(super) of_test: Vec<Vec<usize>>,
+    /// The value stands in a matrix of the covariance structure.
+    pub(super) matrix: Vec<bool>,
+    count: usize,
+}
+
+impl Touching {
+    /// From the values that the scores of each test mention, of n.
+    pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &OfTests, n: usize) -> Touching {
+        let mut tests = vec![Vec::new(); n];
+        let mentioned = |gradient: &Gradient| gradient.iter().map(|(s, _)| *s).collect();
+        // a value that moves one test moves what is known of all others of its unit
+        let moved = |gradient| if objective.model.levels.is_empty() { mentioned(gradient) } else { (0..n).collect() };
+        let of_test: Vec<Vec<usize>> = all.scores.iter().map(moved).collect();
+        for (j, slots) in of_test.iter().enumerate() {
+            slots.iter().for_each(|&s| tests[s].push(j));
+        }
+        let mut matrix = vec![false; n];
+        objective.matrix_slots().into_iter().for_each(|s| matrix[s] = true);
+        Touching { tests, of_test, matrix, count: all.scores.len() }
+    }
+
+    /// All tests depend on it.
+    pub(super) fn everywhere(&self, s: usize) -> bool {
+        self.tests[s].len() == self.count
+    }
+
+    /// Sets of values that no test has in common; each value alone when `apart`.
+    pub(super) fn colours(&self, active: &[usize], apart: bool) -> Vec<Vec<usize>> {
+        if apart {
+            return active.iter().map(|&s| vec![s]).collect();
+        }
+        let is_whole = |s: usize| self.matrix[s] || self.everywhere(s);
+        let own = |&s: &usize| (s, (!is_whole(s)).then_some(&*self.tests[s]));
+        colours(active.iter().map(own), self.count)
+    }
+}

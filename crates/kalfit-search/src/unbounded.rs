@@ -1,0 +1,121 @@
+//! Whether ℓ has a maximum at all. Where the data fit the model exactly it has none: it rises without bound as noise levels go to zero
+//! together.
+//!
+//! ```text
+//! ℓ = -n log σ - ½ r/σ² + constant       as soon as σ is small beside all else; r: squares of residuals
+//! ```
+//!
+//! With r = 0 each power of ten of σ raises ℓ by as much as the one before, down to where the rounding of the data is felt. With any
+//! noise in the data ℓ falls before that.
+
+use crate::Standing;
+use crate::coordinates::Coordinate;
+use crate::profile_likelihood::ProfileLikelihood;
+use crate::scales::relative_rounding;
+use crate::search_state::SearchEnd;
+use kalfit_estimate::Stop;
+
+/// Levels below this part of what the data suggest are on their way to zero.
+const SUNK: f64 = 1e-2;
+/// ℓ is looked at from where levels are this power of ten below what the data suggest, in so many steps, …
+const FIRST: f64 = 3.0;
+const STEPS: usize = 3;
+/// … of so many powers of ten together at least: with fewer, noise is not told from rounding.
+const ROOM: f64 = 2.0;
+/// A rise by less for a power of ten is none: a single exact measurement gives log 10.
+const LEAST: f64 = 1.0;
+/// Rises are equal when they differ by no more than this part.
+const EQUAL: f64 = 0.02;
+/// With more levels than this they are not looked at one by one.
+const FEW: usize = 8;
+
+/// The end, of the best one and of one that is higher and not certified, where ℓ rises without bound, and the levels that go to zero
+/// there.
+pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: usize) -> Option<(usize, Vec<usize>)> {
+    let value = |at: usize| ends[at].home.value();
+    let higher = (0..ends.len()).filter(|&at| ends[at].stop != Stop::Certified && value(at) > value(best));
+    let highest = higher.max_by(|&a, &b| value(a).total_cmp(&value(b)));
+    let mut places = std::iter::once(best).chain(highest).filter(|&at| is_open(objective, &ends[at]));
+    places.find_map(|at| Some((at, levels(objective, &ends[at])?)))
+}
+
+/// What is not certified, or has levels that a search left behind on their way, or that rounding of the data held up.
+fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
+    let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
+    let tiny = |s: usize| {
+        let value = end.home.values[s];
+        value > 0.0 && value < fallen(&objective.coordinates[s], objective.units()[s], FIRST)
+    };
+    let is_open = |s: usize| objective.coordinates[s].level.is_some() && (left(s) || tiny(s));
+    match end.stop {
+        Stop::Interrupted => false,
+        Stop::Certified => (0..end.home.values.len()).any(is_open),
+        Stop::PassLimit | Stop::Stalled => true,
+    }
+}
+
+/// The fewest levels found that ℓ rises without bound with as they go to zero together.
+fn levels(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
+    let depth = depth(objective)?;
+    let (values, units) = (&end.home.values, objective.units());
+    let all: Vec<usize> = (0..values.len()).filter(|&s| can_vanish(&objective.coordinates[s])).collect();
+    let sunk: Vec<usize> = all.iter().copied().filter(|&s| values[s] <= SUNK * units[s]).collect();
+    let mut sets = vec![sunk.clone()];
+    if sunk.len() > 1 && sunk.len() <= FEW {
+        sets.extend(sunk.iter().map(|&s| vec![s]));
+    }
+    if sunk.len() < all.len() {
+        sets.push(all);
+    }
+    let mut found = sets.into_iter().find(|set| !set.is_empty() && rises(objective, values, set, depth))?;
+    if found.len() > FEW {
+        return Some(found);
+    }
+    let mut values = values.clone();
+    for s in found.clone().into_iter().filter(|_| found.len() > 1).collect::<Vec<_>>() {
+        let fewer: Vec<usize> = found.iter().copied().filter(|other| *other != s).collect();
+        let kept = std::mem::replace(&mut values[s], units[s]);
+        if !fewer.is_empty() && rises(objective, &values, &fewer, depth) {
+            found = fewer;
+        } else {
+            values[s] = kept;
+        }
+    }
+    Some(found)
+}
+
+/// A noise level without a lower bound.
+fn can_vanish(coordinate: &Coordinate) -> bool {
+    coordinate.level.is_some() && coordinate.lower == 0.0
+}
+
+/// How many powers of ten levels can be below what the data suggest before rounding is felt; `None` where that is too few to tell.
+fn depth(objective: &ProfileLikelihood<'_>) -> Option<f64> {
+    let depth = -relative_rounding(objective.model, objective.tests, objective.order()).log10();
+    (depth >= FIRST + ROOM).then_some(depth)
+}
+
+/// A level whose standard deviation is so many powers of ten below what the data suggest.
+fn fallen(coordinate: &Coordinate, unit: f64, powers: f64) -> f64 {
+    unit * 10f64.powf(-2.0 * powers / coordinate.level.unwrap_or(2.0))
+}
+
+/// ℓ rises by as much with each power of ten by which these levels fall.
+fn rises(objective: &ProfileLikelihood<'_>, values: &[f64], set: &[usize], depth: f64) -> bool {
+    let step = (depth - FIRST) / STEPS as f64;
+    let at = |k: usize| {
+        let powers = FIRST + k as f64 * step;
+        let mut values = values.to_vec();
+        for &s in set {
+            values[s] = fallen(&objective.coordinates[s], objective.units()[s], powers);
+        }
+        objective.filtered_value(&values)
+    };
+    let (Some(mut last), mut first) = (at(0), None) else { return false };
+    (1..=STEPS).all(|k| {
+        let Some(value) = at(k) else { return false };
+        let rise = (value - std::mem::replace(&mut last, value)) / step;
+        let first = *first.get_or_insert(rise);
+        rise >= LEAST && (rise - first).abs() <= EQUAL * first
+    })
+}
