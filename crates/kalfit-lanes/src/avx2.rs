@@ -1,10 +1,10 @@
-//! Four numbers in a register of AVX2, with fused multiplication and addition.
+//! Four numbers in an AVX2 register, with fused multiply-add.
 //!
 //! # Why the `unsafe` here is sound
 //!
-//! Every intrinsic needs AVX2 or FMA. Numbers of this kind are reached only by the generic code of a kernel, which
-//! [`crate::Isa::run`] instantiates with them once the machine is known to have both; the type is not public. Loads and stores check
-//! the length of their slice and need no alignment.
+//! Every intrinsic needs AVX2 or FMA. The type is not public: only the generic code of a kernel uses it, which
+//! [`crate::Isa::run`] instantiates with it once the machine is known to have both. Loads and stores check the length
+//! of their slice and need no alignment.
 #![expect(unsafe_code, reason = "intrinsics of instructions found at run time")]
 
 use std::arch::x86_64::*;
@@ -76,14 +76,14 @@ impl Real for Avx2 {
     fn minimum(self, other: Avx2) -> Avx2 {
         // SAFETY: see the module
         let least = Avx2(unsafe { _mm256_min_pd(other.0, self.0) });
-        least.unless_unknown(other) // of an unknown one and another the instruction takes its second
+        least.unless_unknown(other) // the instruction returns its second operand if either is NaN
     }
 
     #[inline(always)]
     fn maximum(self, other: Avx2) -> Avx2 {
         // SAFETY: see the module
         let most = Avx2(unsafe { _mm256_max_pd(other.0, self.0) });
-        most.unless_unknown(other) // as above
+        most.unless_unknown(other) // as in `minimum`
     }
 
     #[inline(always)]
@@ -135,7 +135,7 @@ impl Real for Avx2 {
 }
 
 impl Avx2 {
-    /// Not a number where the other is not.
+    /// NaN where `other` is NaN, else `self`.
     #[inline(always)]
     fn unless_unknown(self, other: Avx2) -> Avx2 {
         // SAFETY: see the module

@@ -1,10 +1,10 @@
-//! Eight numbers in a register of AVX-512.
+//! Eight numbers in an AVX-512 register.
 //!
 //! # Why the `unsafe` here is sound
 //!
-//! Every intrinsic needs AVX-512F. Numbers of this kind are reached only by the generic code of a kernel, which [`crate::Isa::run`]
-//! instantiates with them once the machine is known to have it; the type is not public. Loads and stores check the length of their
-//! slice and need no alignment.
+//! Every intrinsic needs AVX-512F. The type is not public: only the generic code of a kernel uses it, which
+//! [`crate::Isa::run`] instantiates with it once the machine is known to have AVX-512F. Loads and stores check the
+//! length of their slice and need no alignment.
 #![expect(unsafe_code, reason = "intrinsics of instructions found at run time")]
 
 use std::arch::x86_64::*;
@@ -76,14 +76,14 @@ impl Real for Avx512 {
     fn minimum(self, other: Avx512) -> Avx512 {
         // SAFETY: see the module
         let least = Avx512(unsafe { _mm512_min_pd(other.0, self.0) });
-        least.unless_unknown(other) // of an unknown one and another the instruction takes its second
+        least.unless_unknown(other) // the instruction returns its second operand if either is NaN
     }
 
     #[inline(always)]
     fn maximum(self, other: Avx512) -> Avx512 {
         // SAFETY: see the module
         let most = Avx512(unsafe { _mm512_max_pd(other.0, self.0) });
-        most.unless_unknown(other) // as above
+        most.unless_unknown(other) // as in `minimum`
     }
 
     #[inline(always)]
@@ -98,7 +98,7 @@ impl Real for Avx512 {
         unsafe { _mm512_cmp_pd_mask::<_CMP_LE_OQ>(self.0, bound.0) == 0xff }
     }
 
-    /// Newton's method from an estimate: a division would take as long as 32 products.
+    /// Two steps of Newton's method from an estimate; a division would take as long as 32 products.
     #[inline(always)]
     fn recip(self) -> Avx512 {
         // SAFETY: see the module
@@ -110,7 +110,7 @@ impl Real for Avx512 {
         x
     }
 
-    /// The same way.
+    /// Two steps of Newton's method from an estimate, as in `recip`.
     #[inline(always)]
     fn recip_root(self) -> Avx512 {
         // SAFETY: see the module
@@ -158,7 +158,7 @@ impl Real for Avx512 {
 }
 
 impl Avx512 {
-    /// Not a number where the other is not.
+    /// NaN where `other` is NaN, else `self`.
     #[inline(always)]
     fn unless_unknown(self, other: Avx512) -> Avx512 {
         // SAFETY: see the module

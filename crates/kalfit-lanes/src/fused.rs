@@ -1,10 +1,11 @@
-//! One number at a time, products added with one rounding: what a lane holds, bit for bit, where machines have the instruction.
+//! One number at a time with fused multiply-add: bit for bit what a lane computes, on machines that have the
+//! instruction.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::{Lanes, Real};
 
-/// One number. Only kernels that run [alone](crate::Isa::alone) meet it: elsewhere `mul_add` would be a call of a library.
+/// One number. Only kernels that run [alone](crate::Isa::alone) use it: elsewhere `mul_add` would be a library call.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Fused(f64);
 
@@ -34,7 +35,7 @@ impl Neg for Fused {
 }
 
 impl Real for Fused {
-    /// Part of the kernel: as a function of its own it would be compiled for any machine.
+    /// Runs the part inline: a separate function would be compiled without the kernel's instructions.
     #[inline(always)]
     fn apart<P: crate::Part>(part: P) -> P::Output {
         part.run()

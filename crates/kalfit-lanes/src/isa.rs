@@ -1,15 +1,15 @@
-//! Which registers a kernel is run with.
+//! Choice of the registers that a kernel runs with.
 //!
 //! # Why the `unsafe` here is sound
 //!
-//! A function compiled for instructions that the machine lacks must not be called. An [`Isa`] for such instructions can be had only
-//! from [`Isa::all`], which asks the machine first, and an [`Alone`] with fused products only from such an [`Isa`], so each call
-//! below is of instructions that are there.
+//! A function compiled for instructions that the machine lacks must not be called. Only [`Isa::all`] makes an [`Isa`]
+//! for such instructions, after it has checked the machine, and only such an [`Isa`] makes an [`Alone`] with fused
+//! products. So each call below uses instructions that the machine has.
 //!
 //! # Why there are three types
 //!
-//! A kernel is compiled for each kind of number that it may be run with. Most are run with registers only, or with one number at a
-//! time only, and are compiled for no more than that.
+//! A kernel is compiled for each kind of number that it may run with. Most kernels run only with registers, or only
+//! with one number at a time, and are compiled for no more than that.
 #![cfg_attr(
     target_arch = "x86_64",
     expect(unsafe_code, reason = "calls of functions for instructions found at run time")
@@ -21,14 +21,14 @@ use crate::{Four, Lanes};
 
 /// Work that is written once for all kinds of numbers. `run` must be `#[inline(always)]`.
 pub trait Kernel {
-    /// What it gives.
+    /// Result of the work.
     type Output;
 
     /// Does the work with this kind of numbers.
     fn run<T: Lanes>(self) -> Self::Output;
 }
 
-/// What is fixed for this process.
+/// The instruction set fixed for this process by `Isa::fix`.
 static FIXED: OnceLock<Isa> = OnceLock::new();
 
 /// A set of instructions that this machine has.
@@ -47,37 +47,38 @@ enum IsaKind {
 }
 
 impl Isa {
-    /// Four at a time by plain arrays, which a compiler may or may not put into registers.
+    /// Four numbers at a time in plain arrays, which the compiler may or may not put into registers.
     pub const PORTABLE: Isa = Isa(IsaKind::Portable);
 
-    /// The best one, or the one that is fixed.
+    /// The fixed instruction set, if there is one; else the best that this machine has.
     pub fn best() -> Isa {
         FIXED.get().or(Isa::all().last()).copied().unwrap_or(Isa::PORTABLE)
     }
 
-    /// Makes this the one that [`Isa::best`] gives from now on, so that machines with other instructions give the same bits.
+    /// Makes [`Isa::best`] return this instruction set from now on, so that different machines give the same bits.
     ///
     /// # Errors
-    /// The one that is fixed already, when it is another.
+    /// The instruction set that was fixed before, when it is a different one.
     pub fn fix(self) -> Result<(), Isa> {
         let fixed = *FIXED.get_or_init(|| self);
         if fixed == self { Ok(()) } else { Err(fixed) }
     }
 
-    /// The words for all sets, also those that this machine lacks.
+    /// Words for all instruction sets, also for those that this machine lacks.
     pub const WORDS: [&'static str; 4] = ["portable", "neon", "avx2", "avx512"];
 
-    /// The one of a word; `None` when this machine does not have it.
+    /// The instruction set with this word; `None` when this machine does not have it.
     pub fn named(word: &str) -> Option<Isa> {
         Isa::all().iter().copied().find(|isa| isa.word() == word)
     }
 
-    /// One number at a time: to the bit what each lane of this one holds, but for reciprocals that are a rounding or two off.
+    /// One number at a time, with the same bits as a lane of this instruction set, except that reciprocals may differ
+    /// by a rounding or two.
     pub fn alone(self) -> Alone {
         Alone { fused: self != Isa::PORTABLE }
     }
 
-    /// Its word.
+    /// The word for this instruction set.
     pub fn word(self) -> &'static str {
         match self.0 {
             IsaKind::Portable => "portable",
@@ -90,13 +91,13 @@ impl Isa {
         }
     }
 
-    /// All that this machine has, the best one last.
+    /// All instruction sets that this machine has, the best one last.
     pub fn all() -> &'static [Isa] {
         static ALL: OnceLock<Vec<Isa>> = OnceLock::new();
         ALL.get_or_init(found)
     }
 
-    /// How many numbers it works on at once.
+    /// Number of lanes: how many numbers are worked on at once.
     pub fn lanes(self) -> usize {
         match self.0 {
             IsaKind::Portable => 4,
@@ -109,7 +110,7 @@ impl Isa {
         }
     }
 
-    /// Its name.
+    /// Name of the instruction set, with the number of lanes in words.
     pub fn name(self) -> &'static str {
         match self.0 {
             IsaKind::Portable => "four numbers at a time",
@@ -122,7 +123,7 @@ impl Isa {
         }
     }
 
-    /// Runs a kernel on several numbers side by side.
+    /// Runs a kernel on several numbers in lanes.
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.0 {
             IsaKind::Portable => kernel.run::<Four>(),
@@ -150,7 +151,8 @@ impl Alone {
         match self.fused {
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             true => kernel.run::<crate::fused::Fused>(),
-            // SAFETY: `Isa::alone` made this value of an `Isa` that `found` made, and each but the portable one has AVX2 and FMA.
+            // SAFETY: `Isa::alone` made this value from an `Isa` that `found` made; all of those but the portable one
+            // have AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
             true => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
             _ => kernel.run::<f64>(),
@@ -158,17 +160,17 @@ impl Alone {
     }
 }
 
-/// Several numbers side by side or one at a time, where only the work at hand tells which.
+/// Several numbers in lanes or one at a time, where only the work at hand decides which.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Width {
-    /// As many as registers hold.
+    /// As many numbers as the registers hold.
     Lanes(Isa),
-    /// One.
+    /// One number at a time.
     One(Alone),
 }
 
 impl Width {
-    /// How many numbers are worked on at once.
+    /// Number of lanes: how many numbers are worked on at once.
     pub fn lanes(self) -> usize {
         match self {
             Width::Lanes(isa) => isa.lanes(),
@@ -176,7 +178,7 @@ impl Width {
         }
     }
 
-    /// Runs a kernel.
+    /// Runs a kernel with this width.
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
             Width::Lanes(isa) => isa.run(kernel),

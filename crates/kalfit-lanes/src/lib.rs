@@ -1,4 +1,4 @@
-//! Numbers side by side: kernels written once over [`Real`] work on one test, on four or on eight at a time.
+//! Numbers in lanes: kernels written once over [`Real`] work on one test, on four or on eight at a time.
 //!
 //! [`Isa::run`] runs a [`Kernel`] with the widest registers that the machine has. What a kernel calls must be
 //! `#[inline(always)]`, down to the arithmetic: only code that becomes part of the kernel is compiled for those registers.
@@ -19,19 +19,19 @@ pub use isa::{Alone, Isa, Kernel, Width};
 pub use portable::Four;
 pub use real::{Counted, Flops, Part, Real};
 
-/// Several numbers side by side, which are read from and written to memory together.
+/// Several numbers in lanes, which are read from and written to memory together.
 pub trait Lanes: Real + Send + Sync {
-    /// How many.
+    /// Number of lanes.
     const COUNT: usize;
 
-    /// Up to this size matrices are worth a kernel of their own, which keeps them in registers: none where registers are not known,
-    /// few where there are few.
+    /// Largest size q of q × q matrices that are worth a separate kernel, which keeps them in registers; 0 where the
+    /// registers are not known, small where there are few.
     const OWN_SIZES: usize;
 
-    /// The first [`Self::COUNT`] numbers of a slice that has as many.
+    /// Reads the first [`Self::COUNT`] numbers of a slice, which must have at least as many.
     fn load(from: &[f64]) -> Self;
 
-    /// Writes them to the start of a slice that has room for as many.
+    /// Writes all lanes to the start of a slice, which must have room for them.
     fn store(self, to: &mut [f64]);
 
     /// The number in one lane.
@@ -42,7 +42,7 @@ pub trait Lanes: Real + Send + Sync {
         all[lane]
     }
 
-    /// Their sum, in an order that is always the same.
+    /// Sum of all lanes, added in an order that is always the same.
     #[inline(always)]
     fn sum(self) -> f64 {
         let mut all = [0.0; MOST];
@@ -58,10 +58,11 @@ pub trait Lanes: Real + Send + Sync {
     }
 }
 
-/// The most lanes of any kind.
+/// Largest number of lanes of any kind of number.
 pub const MOST: usize = 8;
 
-/// So many lists side by side, at least one, as long as the first: one in each lane. Lanes beyond the last list are as the last one.
+/// Interleaves `lists` lists, at least one, one in each lane; the result is as long as the first. Lanes beyond the last
+/// list repeat it.
 #[inline(always)]
 pub fn interleaved<'a, T: Lanes>(lists: usize, list: impl Fn(usize) -> &'a [f64]) -> Vec<T> {
     let mut all: [&[f64]; MOST] = [&[]; MOST];
@@ -112,7 +113,7 @@ impl Lanes for Counted {
 mod tests {
     use super::*;
 
-    /// All that a kernel may do, with one number in each lane.
+    /// All operations of a kernel, with one number in each lane.
     struct Everything([f64; MOST], [f64; MOST]);
 
     impl Kernel for Everything {

@@ -1,11 +1,11 @@
-//! Four numbers in two registers of NEON, with fused multiplication and addition.
+//! Four numbers in two NEON registers, with fused multiply-add.
 //!
-//! Every operation rounds as that of AVX2 does, and there are as many lanes: kernels give the same bits with both.
+//! Every operation rounds as in AVX2, and there are as many lanes: kernels give the same bits with both.
 //!
 //! # Why the `unsafe` here is sound
 //!
-//! Every intrinsic needs NEON, which this module's `cfg` states of every processor of the target. Loads and stores check the length of
-//! their slice and need no alignment.
+//! Every intrinsic needs NEON; by this module's `cfg` every processor of the target has it. Loads and stores check the
+//! length of their slice and need no alignment.
 #![expect(unsafe_code, reason = "intrinsics of instructions that every processor of the target has")]
 
 use std::arch::aarch64::*;

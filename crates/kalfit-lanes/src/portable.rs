@@ -1,10 +1,10 @@
-//! Four numbers side by side by plain arrays, for machines whose registers are not known here.
+//! Four numbers in lanes of a plain array, for machines whose registers are not known here.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use crate::{Lanes, Real};
 
-/// Four numbers.
+/// Four numbers in a plain array.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Four(pub [f64; 4]);
 

@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// A number, or several side by side. Kernels over it never branch on values: lanes could not.
+/// A number, or several in lanes. Kernels never branch on its value, because lanes could not.
 pub trait Real:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
@@ -13,20 +13,20 @@ pub trait Real:
     fn fma(self, factor: Self, addend: Self) -> Self;
     /// addend - self × factor.
     fn fnma(self, factor: Self, addend: Self) -> Self;
-    /// The smaller one; not a number, if either is not.
+    /// The smaller of the two; NaN if either is NaN.
     fn minimum(self, other: Self) -> Self;
-    /// The larger one; not a number, if either is not.
+    /// The larger of the two; NaN if either is NaN.
     fn maximum(self, other: Self) -> Self;
-    /// Its magnitude.
+    /// Absolute value.
     fn magnitude(self) -> Self;
-    /// True when it is at most `bound`, in every lane; false, if either is not a number.
+    /// Whether self ≤ `bound` in every lane; false if either is NaN.
     fn at_most(self, bound: Self) -> bool;
-    /// 1/x to a rounding or two, of a normal x whose reciprocal is normal.
+    /// 1/x to a rounding or two, for a normal x whose reciprocal is normal.
     #[inline(always)]
     fn recip(self) -> Self {
         Self::splat(1.0) / self
     }
-    /// 1/√x to a rounding or two, of a normal x.
+    /// 1/√x to a rounding or two, for a normal x.
     #[inline(always)]
     fn recip_root(self) -> Self {
         Self::splat(1.0) / self.root()
@@ -35,12 +35,12 @@ pub trait Real:
     fn recip_or_zero(self) -> Self;
     /// x where x > 0, else 1.
     fn or_one(self) -> Self;
-    /// Its square root.
+    /// Square root.
     fn root(self) -> Self;
-    /// Of a positive finite x, (m, e) with x = m 2^e, 1 ≤ m < 2, e a whole number.
+    /// (m, e) with x = m 2^e, 1 ≤ m < 2 and e a whole number, for a positive finite x.
     fn split(self) -> (Self, Self);
-    /// Does a part of a kernel as a function of its own, compiled for the registers of these numbers: what is wanted in many places
-    /// need not become part of each.
+    /// Runs a part of a kernel as a separate function, compiled for the registers of these numbers: code used in many
+    /// places need not be inlined into each of them.
     #[inline(never)]
     fn apart<P: Part>(part: P) -> P::Output {
         part.run()
@@ -49,10 +49,10 @@ pub trait Real:
 
 /// A part of a kernel. `run` must be `#[inline(always)]`.
 pub trait Part {
-    /// What it gives.
+    /// Result of the part.
     type Output;
 
-    /// Does it.
+    /// Does the part's work.
     fn run(self) -> Self::Output;
 }
 
@@ -112,7 +112,7 @@ impl Real for f64 {
     fn split(self) -> (f64, f64) {
         const MANTISSA: u64 = (1 << 52) - 1;
         const BIAS: f64 = 1023.0;
-        let tiny = self < f64::MIN_POSITIVE; // subnormal: lift it first
+        let tiny = self < f64::MIN_POSITIVE; // subnormal: scaled up first
         let bits = if tiny { self * 2f64.powi(64) } else { self }.to_bits();
         let exponent = (bits >> 52) as f64 - BIAS - if tiny { 64.0 } else { 0.0 };
         (f64::from_bits((bits & MANTISSA) | 1f64.to_bits()), exponent)
@@ -126,7 +126,7 @@ pub struct Flops {
     pub add: u64,
     /// Multiplications.
     pub mul: u64,
-    /// Multiplications with an addition.
+    /// Multiplications fused with an addition.
     pub fma: u64,
     /// Divisions, reciprocals and square roots.
     pub div: u64,
@@ -141,7 +141,7 @@ thread_local! {
 pub struct Counted(pub f64);
 
 impl Counted {
-    /// What `work` does on this thread.
+    /// Operations that `work` does on this thread.
     pub fn count(work: impl FnOnce()) -> Flops {
         FLOPS.set(Flops::default());
         work();
