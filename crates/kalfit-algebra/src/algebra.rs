@@ -1,5 +1,5 @@
-//! What the recursions over phases do with matrices, whatever these are kept in: one source for rows of any size
-//! ([`crate::rows`]) and for sizes that the compiler knows ([`crate::fixed`]).
+//! Matrix operations of the recursions over phases, whatever the storage: one source for rows of any size
+//! ([`crate::linalg::rows`]) and for sizes that the compiler knows ([`crate::linalg::fixed`]).
 
 use std::ops::Range;
 
@@ -9,40 +9,41 @@ use nalgebra::DMatrix;
 use crate::factors::Factors;
 use crate::rows::Rows;
 
-/// Matrices q × q, and data of q rows. A matrix kept in more rows and columns than it has holds zeros there.
+/// Operations on q × q matrices and on data of q rows. Rows and columns that are stored beyond those of a matrix hold
+/// zeros.
 pub trait Algebra {
-    /// Of what.
+    /// Type of the elements.
     type Number: Real;
     /// q × q, or any number of rows × q.
     type Matrix: Clone;
-    /// q × columns.
+    /// Data, q × columns.
     type Data: Clone;
     /// U, upper triangular.
     type Factor;
 
-    /// Zeros.
+    /// A matrix of zeros.
     fn zeros(rows: usize, columns: usize) -> Self::Matrix;
-    /// A row, to be set.
+    /// Row `i`, for writing.
     fn row_mut(a: &mut Self::Matrix, i: usize) -> &mut [Self::Number];
     /// Data of zeros.
     fn no_data(rows: usize, columns: usize) -> Self::Data;
-    /// A row of them, to be set.
+    /// Row `i` of the data, for writing.
     fn data_row_mut(data: &mut Self::Data, i: usize) -> &mut [Self::Number];
 
     /// U with U'U = I + Σ A'A. `borne` becomes false where cross products would lose digits.
     fn identity_plus(parts: &[&Self::Matrix], borne: &mut bool) -> Self::Factor;
-    /// |U|, factor by factor.
+    /// Diagonal of U, whose product is |U|.
     fn diagonal(factor: &Self::Factor) -> impl Iterator<Item = Self::Number>;
     /// U⁻ᵀA.
     fn solved(factor: &Self::Factor, a: Self::Matrix) -> Self::Matrix;
     /// U⁻ᵀd.
     fn solved_data(factor: &Self::Factor, data: Self::Data) -> Self::Data;
-    /// Folds [A | b] into [R | d], R upper triangular with a diagonal that is not negative: what is left of b.
+    /// Folds [A | b] into [R | d], R upper triangular with a nonnegative diagonal; returns the residual of b.
     fn absorb(upper: &mut Self::Matrix, data: &mut Self::Data, rows: Self::Matrix, rows_data: Self::Data)
     -> Self::Data;
-    /// U with U'U = I + A'A, and U⁻ᵀA'd: [A | d] folded into [I | 0]. However large A is no digits are lost.
+    /// U with U'U = I + A'A, and U⁻ᵀA'd, by folding [A | d] into [I | 0]: no digits are lost, however large A is.
     fn identity_absorbing(rows: Self::Matrix, rows_data: Self::Data) -> (Self::Factor, Self::Data);
-    /// Folds rows into R alone.
+    /// Folds rows into R, without data.
     fn absorb_rows(upper: &mut Self::Matrix, rows: Self::Matrix);
 
     /// A'.
@@ -65,20 +66,21 @@ pub trait Algebra {
     fn plus(a: Self::Data, b: &Self::Data) -> Self::Data;
     /// a - b.
     fn less(a: Self::Data, b: &Self::Data) -> Self::Data;
-    /// Sum of squares over so many tests, whose mean stands in the first column.
+    /// Sum of squares of data whose first column is the mean over `count` tests: its squares count `count` times.
     fn squares(count: Self::Number, data: &Self::Data) -> Self::Number;
 
-    /// F' of the states of a phase among those of all, q × q; F lower triangular with a diagonal that is not negative.
+    /// F' of a phase, q × q: the part of `root` for the states `own`. F is lower triangular with a nonnegative
+    /// diagonal.
     fn root_of(root: &DMatrix<f64>, own: &Range<usize>, like: &Self::Matrix) -> Self::Matrix;
-    /// Numbers of the states of a phase in the first column.
+    /// Data with the elements of `mean` for the states `own` of a phase in the first column.
     fn mean_of(mean: &[Self::Number], own: &Range<usize>, like: &Self::Data) -> Self::Data;
-    /// The first rows and columns.
+    /// The first rows and columns of a matrix.
     fn corner(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number>;
-    /// The first rows.
+    /// The first rows of the data.
     fn head(data: &Self::Data, rows: usize) -> Rows<Self::Number>;
 }
 
-/// Beyond this RΣR' is too large for cross products.
+/// Largest element of RΣR' for which cross products are used; beyond it they would lose digits.
 pub(crate) const LARGE: f64 = 1e10;
 
 impl<F: Factors> Algebra for F {
@@ -262,7 +264,7 @@ mod tests {
     use super::*;
     use crate::factors::{CrossFactors, Rotations};
 
-    /// Cross products of 10⁵ and more lose the one beside them; rotations bear them.
+    /// Beyond elements of 10⁵, cross products lose the identity that is added to them; rotations do not.
     #[test]
     fn what_is_too_large_for_cross_products_is_said() {
         for (size, sound) in [(0.99e5, true), (1.01e5, false), (1e9, false)] {

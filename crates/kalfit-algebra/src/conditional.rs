@@ -1,15 +1,15 @@
-//! The law of ξ ~ N(μ, FF') where some combinations Cξ are known.
+//! The law of ξ ~ N(μ, FF') given known linear combinations Cξ.
 
 use nalgebra::{DMatrix, DVector};
 
-/// ξ ~ N(μ, FF') given Cξ: mean μ + K(g - Cμ) and root F̃ with F̃F̃' = (I - KC)FF', K = FF'C'(CFF'C')⁻¹. Nothing is subtracted of Σ:
-/// with (CF)' = Q[T; 0], F̃ is F times what is left of Q.
+/// ξ ~ N(μ, FF') given Cξ: mean μ + K(g - Cμ) and root F̃ with F̃F̃' = (I - KC)FF', K = FF'C'(CFF'C')⁻¹. Nothing is
+/// subtracted from Σ: with (CF)' = Q[T; 0], F̃ is F times the remaining columns of Q.
 #[derive(Debug, Clone)]
 pub struct Conditional {
     coefficients: DMatrix<f64>,
-    /// F times the first columns of Q.
+    /// F times the first q columns of Q, p × q.
     along: DMatrix<f64>,
-    /// T, q × q.
+    /// T, upper triangular, q × q.
     upper: DMatrix<f64>,
     /// F̃, p × (columns of F - q).
     pub root: DMatrix<f64>,

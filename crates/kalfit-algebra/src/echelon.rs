@@ -2,11 +2,12 @@
 
 use nalgebra::DMatrix;
 
-/// A pivot smaller than this beside the largest entry counts as zero.
+/// A pivot below this fraction of the largest entry of the basis counts as zero.
 const RANK_TOLERANCE: f64 = 1e-11;
 
-/// A basis of the space of the columns (n × columns) whose rows at the pivots are those of the identity (n × rank), and the
-/// pivots, column by column. Pivots are the largest entries left; where none is left, the rank is found.
+/// A basis of the space of the columns (n × columns) whose rows at the pivots are those of the identity (n × rank), and
+/// the pivots, column by column. Each pivot is the largest remaining entry; where none above the tolerance remains, the
+/// rank is reached.
 pub fn echelon(mut basis: DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
     let mut pivots: Vec<usize> = Vec::new();
     let floor = RANK_TOLERANCE * basis.amax();
@@ -22,7 +23,7 @@ pub fn echelon(mut basis: DMatrix<f64>) -> (Vec<usize>, DMatrix<f64>) {
         for k in (0..basis.ncols()).filter(|&k| k != c) {
             let part = basis.column(c) * basis[(row, k)];
             basis.set_column(k, &(basis.column(k) - part));
-            basis[(row, k)] = 0.0; // exactly
+            basis[(row, k)] = 0.0; // exactly zero
         }
         pivots.push(row);
     }

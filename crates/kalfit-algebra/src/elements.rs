@@ -1,4 +1,4 @@
-//! Elements of a mean and of a block-diagonal symmetric matrix, such as the μ and Σ of several phases, and their numbers.
+//! Elements of a mean and of a block-diagonal symmetric matrix, such as μ and Σ of several phases, and their numbering.
 
 use std::ops::Range;
 
@@ -7,12 +7,12 @@ use nalgebra::{DMatrix, DVector};
 use crate::folded::Folded;
 use crate::symmetric::{pair, pairs};
 
-/// An element of μ or Σ, by its place in all phases together.
+/// An element of μ or Σ, by its index among those of all phases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Element {
-    /// Of μ.
+    /// Element of μ.
     Mean(usize),
-    /// Of Σ; both states are of one phase.
+    /// Element of Σ; both states are of the same phase.
     Covariance(usize, usize),
 }
 
@@ -22,12 +22,12 @@ pub enum Element {
 pub struct Elements {
     ranges: Vec<Range<usize>>,
     block: Vec<usize>,
-    /// Number of the first element of each block; at the end their number.
+    /// Number of the first element of each block, followed by the count of all elements.
     first: Vec<usize>,
 }
 
 impl Elements {
-    /// Of blocks that hold these states, which follow each other from 0 on.
+    /// Elements of blocks with these ranges of states, which follow each other from 0 on.
     pub fn new(ranges: Vec<Range<usize>>) -> Elements {
         let (mut first, mut block) = (vec![0], Vec::new());
         for (f, range) in ranges.iter().enumerate() {
@@ -38,17 +38,17 @@ impl Elements {
         Elements { ranges, block, first }
     }
 
-    /// Of a matrix in one block of p states.
+    /// Elements of a matrix that is one block of p states.
     pub fn single(p: usize) -> Elements {
         Elements::new(std::iter::once(0..p).collect())
     }
 
-    /// How many elements there are.
+    /// Number of elements.
     pub fn count(&self) -> usize {
         self.first[self.ranges.len()]
     }
 
-    /// How many states there are.
+    /// Number of states.
     pub fn states(&self) -> usize {
         self.block.len()
     }
@@ -58,7 +58,7 @@ impl Elements {
         &self.ranges
     }
 
-    /// There is one block only.
+    /// Whether there is only one block.
     pub fn is_single(&self) -> bool {
         self.ranges.len() == 1
     }
@@ -106,8 +106,8 @@ impl Elements {
         DVector::from_iterator(self.count(), self.all().map(one))
     }
 
-    /// Matrix over elements whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the places that the two elements stand in: one
-    /// for a diagonal element, two for another.
+    /// Matrix over elements whose entry (σ_kl, σ_ab) sums `term(k, l, a, b)` over the positions of the two elements:
+    /// one for a diagonal element, two for any other.
     pub fn over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> DMatrix<f64> {
         let mut result = DMatrix::zeros(self.count(), self.count());
         self.over_half(term, |row, column, value| {
@@ -117,14 +117,14 @@ impl Elements {
         result
     }
 
-    /// The same in half the memory.
+    /// The matrix of `over`, in half the memory.
     pub fn folded_over(&self, term: impl Fn(usize, usize, usize, usize) -> f64) -> Folded {
         let mut half = Vec::with_capacity(pairs(self.count()));
         self.over_half(term, |_, _, value| half.push(value));
         Folded::Symmetric(self.count(), half)
     }
 
-    /// The upper half of it, by columns: row, column and entry.
+    /// Passes row, column and entry of the upper half of the matrix of `over` to `to`, column by column.
     fn over_half(&self, term: impl Fn(usize, usize, usize, usize) -> f64, mut to: impl FnMut(usize, usize, f64)) {
         let all: Vec<(usize, usize)> = self.all().collect();
         let sum = |one: (usize, usize), other: (usize, usize)| {
@@ -139,7 +139,7 @@ impl Elements {
     }
 }
 
-/// The places of a symmetric matrix that an element (i, j), i ≥ j, stands in.
+/// Positions of element (i, j), i ≥ j, in a symmetric matrix.
 fn places((i, j): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
     std::iter::once((j, i)).chain((i != j).then_some((i, j)))
 }

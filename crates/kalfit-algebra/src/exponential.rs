@@ -20,7 +20,7 @@ pub struct Flow {
     pub q: Vec<f64>,
 }
 
-/// Why a motion has no answer.
+/// Why a motion has no flow or no stationary law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FlowError {
     /// An entry overflows, or was not finite to begin with.
@@ -46,7 +46,7 @@ pub fn flow(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError
     }
 }
 
-/// φ, Γ, Q of a single state: exp(fδ), expm1(fδ)/f, q expm1(2fδ)/(2f). Not finite where it overflows.
+/// φ, Γ, Q of a single state: exp(fδ), expm1(fδ)/f, q expm1(2fδ)/(2f). They are not finite where they overflow.
 pub fn scalar_flow(f: f64, q: f64, step: f64) -> [f64; 3] {
     let integral = |rate: f64| if rate == 0.0 { step } else { (rate * step).exp_m1() / rate };
     [(f * step).exp(), integral(f), if q == 0.0 { 0.0 } else { q * integral(2.0 * f) }]
@@ -61,18 +61,18 @@ fn general(f: &[f64], q: &[f64], m: usize, step: f64) -> Result<Flow, FlowError>
     Ok(doubling.finish())
 }
 
-/// How often to double which small step.
+/// Number of doublings, and the small step to be doubled.
 fn scaling(f: &[f64], m: usize, step: f64) -> Result<(i32, f64), FlowError> {
     let reach = norm(f, m) * step;
     if !reach.is_finite() {
         return Err(FlowError::NotFinite);
     }
     let doublings = if reach > 0.5 { (2.0 * reach).log2().ceil() as i32 } else { 0 };
-    // At most about 1026, since `reach` is finite; two factors, since 2^1026 alone is not.
+    // At most about 1026 doublings, since `reach` is finite; two factors, since 2^1026 alone is not finite.
     Ok((doublings, step * 0.5f64.powi(doublings / 2) * 0.5f64.powi(doublings - doublings / 2)))
 }
 
-/// The law that dx = Fx dt + noise settles in: FP + PF' + Q = 0. An error unless F is stable.
+/// Stationary covariance P of dx = Fx dt + noise: FP + PF' + Q = 0. An error unless F is stable.
 pub fn stationary(f: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError> {
     if m == 1 {
         return if f[0] < 0.0 { finite(vec![-q[0] / (2.0 * f[0])]) } else { Err(FlowError::Unstable) };
@@ -84,7 +84,7 @@ pub fn stationary(f: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError>
     settle(Doubling::start(f, q, m, 0.5 / size))
 }
 
-/// The law that x_k = φ x_{k-1} + noise settles in: P = φPφ' + Q. An error unless φ is stable.
+/// Stationary covariance P of x_k = φ x_{k-1} + noise: P = φPφ' + Q. An error unless φ is stable.
 pub fn stationary_discrete(phi: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError> {
     if m == 1 {
         let left = (1.0 - phi[0]) * (1.0 + phi[0]);
@@ -93,7 +93,7 @@ pub fn stationary_discrete(phi: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>,
     settle(Doubling { m, excess: None, phi: phi.to_vec(), gamma: vec![0.0; m * m], q: q.to_vec() })
 }
 
-/// Doubles until nothing of the start is left; 2^120 small steps outlast any rate a double can tell from zero.
+/// Doubles until φ has decayed to nothing; 2^120 small steps outlast any rate that a double distinguishes from zero.
 fn settle(mut doubling: Doubling) -> Result<Vec<f64>, FlowError> {
     for _ in 0..120 {
         let left = norm(&doubling.phi, doubling.m);
@@ -122,12 +122,13 @@ struct Doubling {
 }
 
 impl Doubling {
-    /// Taylor sums for a step with ‖F‖ × step ≤ ½: 18 terms leave 1e-21 of the norm, and m more reach the far corner of a chain.
+    /// Taylor sums for a step with ‖F‖ × step ≤ ½: 18 terms leave an error of 1e-21 of the norm, and m more reach the
+    /// far corner of a chain.
     fn start(f: &[f64], q: &[f64], m: usize, step: f64) -> Doubling {
         Doubling::start_seen(f, q, m, step, |_, _| {})
     }
 
-    /// As [`Doubling::start`]; `see` is shown both terms before each order.
+    /// As [`Doubling::start`]; calls `see` with both terms before each order.
     fn start_seen(f: &[f64], q: &[f64], m: usize, step: f64, mut see: impl FnMut(&[f64], &[f64])) -> Doubling {
         let transpose: Vec<f64> = (0..m * m).map(|ij| f[(ij % m) * m + ij / m]).collect();
         let fs: Vec<f64> = f.iter().map(|x| x * step).collect();

@@ -8,26 +8,26 @@ use crate::fold::fold_rows;
 use crate::products::{Absorb, IdentityPlus};
 use crate::rows::Rows;
 
-/// How triangular factors are made.
+/// A way to compute triangular factors.
 pub trait Factors {
-    /// Of what.
+    /// Type of the elements.
     type Number: Real;
-    /// Rows of any size are borne.
+    /// Whether rows of any magnitude are allowed without loss of digits.
     const CAREFUL: bool;
 
     /// U, upper triangular w × w, with U'U = I + rows'rows; rows any number × w. No diagonal element is below one.
     fn identity_plus(rows: &Rows<Self::Number>) -> Rows<Self::Number>;
 
-    /// Folds rows into [R | d], R upper triangular (first `width` columns) with a diagonal that is not negative. What is left of
-    /// the rows in the other columns is returned: R takes no part of it.
+    /// Folds rows into [R | d], R upper triangular (first `width` columns) with a nonnegative diagonal. Returns the
+    /// rows, which now hold the residuals in the other columns; R has no part of these.
     fn absorb(upper: &mut Rows<Self::Number>, rows: Rows<Self::Number>, width: usize) -> Rows<Self::Number>;
 }
 
-/// From cross products and reflections: fast.
+/// Factors from cross products and reflections, which is fast.
 #[derive(Debug)]
 pub struct CrossFactors<T>(PhantomData<T>);
 
-/// By plane rotations, row by row: rows of very different size do no harm.
+/// Factors by plane rotations, row by row: rows of very different size cost no digits.
 #[derive(Debug)]
 pub struct Rotations<T = f64>(PhantomData<T>);
 
@@ -71,7 +71,7 @@ impl<T: Lanes> Factors for Rotations<T> {
     }
 }
 
-/// [`fold_rows`] as a function of its own.
+/// [`fold_rows`] compiled as a separate function.
 struct Fold<'a, T> {
     upper: &'a mut Rows<T>,
     rows: &'a mut Rows<T>,

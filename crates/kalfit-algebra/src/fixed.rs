@@ -1,5 +1,5 @@
-//! Matrices of a size that the compiler knows, so that rows stay in registers and loops are unrolled: small matrices of many tests
-//! side by side. Each operation is a function of its own, of which there is one for each size and kind of number.
+//! Small matrices of tests in lanes, of a size that the compiler knows, so that rows stay in registers and loops are
+//! unrolled. Each operation is compiled as a separate function for each size and kind of number.
 
 use std::marker::PhantomData;
 use std::ops::Range;
@@ -10,7 +10,7 @@ use nalgebra::DMatrix;
 use crate::algebra::{Algebra, LARGE};
 use crate::rows::Rows;
 
-/// N × N, by rows.
+/// N × N matrix, row-major.
 pub(crate) type Square<T, const N: usize> = [[T; N]; N];
 
 /// Matrices of up to N rows and columns, with data in one column.
@@ -20,7 +20,7 @@ pub struct Fixed<T, const N: usize>(PhantomData<T>);
 /// U = D^½L' with LDL' = I + Σ A'A.
 #[derive(Debug, Clone, Copy)]
 pub struct Pivoted<T, const N: usize> {
-    /// L', unit upper triangular; what stands on and below its diagonal is not used.
+    /// L', unit upper triangular; entries on and below its diagonal are not used.
     unit: Square<T, N>,
     /// D^½.
     root: [T; N],
@@ -29,7 +29,7 @@ pub struct Pivoted<T, const N: usize> {
 }
 
 impl<T: Real, const N: usize> Pivoted<T, N> {
-    /// From U itself, upper triangular.
+    /// The factor given by U, upper triangular.
     #[inline(always)]
     fn of(upper: Square<T, N>) -> Pivoted<T, N> {
         let mut factor = Pivoted { unit: upper, root: [T::splat(0.0); N], inverse: [T::splat(0.0); N] };
@@ -243,15 +243,16 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     }
 }
 
-/// Work on row or column K of matrices, where the compiler is to know which: what lies before and after it has a length of its own.
+/// Work on row or column K of matrices, with K known to the compiler, which then also knows the lengths before and
+/// after it.
 trait Rank {
     fn at<const K: usize>(&mut self);
 }
 
-/// The largest size.
+/// Largest size N of matrices in this module.
 const MOST: usize = 8;
 
-/// Does the work on all of N ranks in order, without a loop.
+/// Does the work for all K < N in order, without a loop.
 #[inline(always)]
 fn each_rank<const N: usize>(work: &mut impl Rank) {
     const { assert!(N <= MOST, "sizes have a rank each below") };
@@ -306,14 +307,14 @@ impl<T: Real, const N: usize> Part for IdentityPlus<'_, T, N> {
     }
 }
 
-/// LDL', row by row of DL'.
+/// Factorisation LDL', computed row by row of DL'.
 struct PivotedRows<'a, T, const N: usize> {
     parts: &'a [&'a Square<T, N>],
     /// DL'.
     scaled: &'a mut Square<T, N>,
-    /// L', and D where its root is to be.
+    /// L' in `unit` and, instead of D^½, D in `root`.
     factor: &'a mut Pivoted<T, N>,
-    /// The largest diagonal element of the sum.
+    /// Largest diagonal element of I + Σ A'A so far.
     largest: T,
 }
 
@@ -392,7 +393,7 @@ impl<T: Real, const N: usize> Part for Absorb<'_, T, N> {
 }
 
 impl<T: Real, const N: usize> Rank for Absorb<'_, T, N> {
-    /// One reflection, which takes column K of the rows into row K of the triangle.
+    /// Applies the Householder reflection that takes column K of the rows into row K of the triangle.
     #[inline(always)]
     fn at<const K: usize>(&mut self) {
         let Absorb { upper, data, rows, rows_data } = self;
@@ -404,7 +405,8 @@ impl<T: Real, const N: usize> Rank for Absorb<'_, T, N> {
             square = column[i].fma(column[i], square);
         }
         let length = square.root();
-        // the head is not negative: the reflection to -length cancels nothing; the row's sign is turned afterwards
+        // the head is not negative, so the reflection to -length cancels no digits; the row's sign is flipped
+        // afterwards
         let first = row[K] + length;
         let scale = (length * first).recip_or_zero();
         let (mut along, mut along_data) = ([zero; N], first * data[K]);
@@ -433,7 +435,7 @@ impl<T: Real, const N: usize> Rank for Absorb<'_, T, N> {
     }
 }
 
-/// AB, each of them turned or not.
+/// AB, each factor transposed or not.
 struct Product<'a, T, const N: usize, const TURN_A: bool, const TURN_B: bool>(&'a Square<T, N>, &'a Square<T, N>);
 
 impl<T: Real, const N: usize, const TURN_A: bool, const TURN_B: bool> Part for Product<'_, T, N, TURN_A, TURN_B> {

@@ -2,10 +2,10 @@
 
 use kalfit_lanes::{Lanes, MOST, Part};
 
-/// Squares in between neither overflow nor lose digits.
+/// Range in which sums of squares neither overflow nor lose digits.
 const SQUARES: std::ops::RangeInclusive<f64> = 1e-280..=1e280;
 
-/// A rotation (c, s) and the length it leaves: c a + s b = length ≥ 0, c b - s a = 0, for a ≥ 0.
+/// A plane rotation (c, s) and the resulting length: c a + s b = length ≥ 0, c b - s a = 0, for a ≥ 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rotation<T = f64> {
     /// Cosine.
@@ -37,19 +37,19 @@ impl<T: Lanes> Rotation<T> {
     }
 }
 
-/// What is to be done to two rows of tests side by side.
+/// What to do to two rows of tests in lanes.
 #[derive(Debug, Clone, Copy)]
 enum Turn<T> {
-    /// Nothing: in no lane is there anything to take away.
+    /// Nothing: no lane has an element to eliminate.
     None,
     /// A rotation in every lane.
     All(Rotation<T>),
-    /// A rotation where s is not zero, nothing elsewhere.
+    /// A rotation in lanes where s is not zero, nothing in the others.
     Some(Rotation<T>),
 }
 
 impl<T: Lanes> Turn<T> {
-    /// That which takes (a, b) to (length, 0) in each lane, to the bits of [`Rotation::of`] one by one.
+    /// The turn that takes (a, b) to (length, 0) in each lane, with the same bits as [`Rotation::of`] lane by lane.
     #[inline(always)]
     fn of(a: T, b: T) -> Turn<T> {
         let square = a * a + b * b;
@@ -63,7 +63,7 @@ impl<T: Lanes> Turn<T> {
     }
 }
 
-/// The least positive number.
+/// Smallest positive number.
 const LEAST: f64 = f64::from_bits(1);
 
 /// [`Rotation::of`] lane by lane.
@@ -90,21 +90,22 @@ pub fn norm(numbers: &[f64]) -> f64 {
 }
 
 /// Folds rows into R: afterwards R'R has grown by rows'rows. With a last column of data, [T | e] into [R_J | d], the
-/// last diagonal of R keeps the residual norm (Bierman 1977, ch. V). Row by row, so rows of very different size do no harm.
+/// last diagonal element of R is the residual norm (Bierman 1977, ch. V). It works row by row, so that rows of very
+/// different size cost no digits.
 ///
-/// Shapes: `info` width × width, row-major, upper triangular with a diagonal that is not negative; `rows` m × width,
-/// row-major, overwritten.
+/// Shapes: `info` width × width, row-major, upper triangular with a nonnegative diagonal; `rows` m × width, row-major,
+/// overwritten.
 pub fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
     fold_rows(info, rows, (width, width));
 }
 
-/// Rows that are folded at a time.
+/// Number of rows that are folded at a time.
 const ABREAST: usize = 8;
 
-/// Folds rows. To the same bits as one row after the other, but each row is only one rotation
-/// ahead of the next, so that what rotations wait for is waited for together. Rows of `info` and rows are `width` long, of which the
-/// first `pivots` are of the triangle: data that stand beyond them are turned too, and what is left of them stands in the rows.
-/// Of tests side by side each lane has the bits it has by itself.
+/// Folds rows, with the same bits as one row after the other. Each row is only one rotation ahead of the next, so that
+/// the processor works on several rotations at once. Rows of `info` and `rows` have `width` elements, the first
+/// `pivots` of which belong to the triangle; data beyond them are rotated too, and their residuals remain in `rows`. In
+/// lanes, each test has the bits that it has alone.
 #[inline(always)]
 pub fn fold_rows<T: Lanes>(info: &mut [T], rows: &mut [T], (pivots, width): (usize, usize)) {
     if pivots == 0 {
@@ -128,7 +129,7 @@ pub fn fold_rows<T: Lanes>(info: &mut [T], rows: &mut [T], (pivots, width): (usi
     }
 }
 
-/// Takes element k of a row into that of another.
+/// Rotates element k of `row` into that of `pivot`.
 #[inline(always)]
 fn turn_row<T: Lanes>(pivot: &mut [T], row: &mut [T], k: usize, turn: Turn<T>) {
     match turn {
@@ -143,7 +144,7 @@ fn turn_row<T: Lanes>(pivot: &mut [T], row: &mut [T], k: usize, turn: Turn<T>) {
     }
 }
 
-/// The same where lanes without a turn are to stay as they are, to the sign of their zeros.
+/// The rotation of two rows that leaves lanes without a turn unchanged, even the sign of their zeros.
 struct TurnSome<'a, T> {
     pivot: &'a mut [T],
     row: &'a mut [T],

@@ -1,19 +1,19 @@
-//! Symmetric matrices put aside in half their memory, while it is wanted for others.
+//! Symmetric matrices stored in half their memory while they are not in use.
 
 use nalgebra::DMatrix;
 
 use crate::symmetric::{pair, pairs};
 
-/// A matrix, by its upper half where it is symmetric.
+/// A matrix, stored by its upper half where it is symmetric.
 #[derive(Debug, Clone)]
 pub enum Folded {
-    /// Element (i, k), i ≤ k, at pair(k, i), of so many rows.
+    /// Number of rows, and elements (i, k), i ≤ k, at pair(k, i).
     Symmetric(usize, Vec<f64>),
     Whole(DMatrix<f64>),
 }
 
 impl Folded {
-    /// Half of it, where that tells all of it to the last bit.
+    /// Stores half of a matrix, if that determines all of it to the last bit.
     pub fn of(matrix: DMatrix<f64>) -> Folded {
         let size = matrix.nrows();
         let is_mirrored = |k: usize| (k + 1..size).all(|i| matrix[(i, k)].to_bits() == matrix[(k, i)].to_bits());

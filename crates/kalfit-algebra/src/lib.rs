@@ -1,4 +1,4 @@
-//! Small dense linear algebra. Own kernels on slices for inner loops; nalgebra for everything else.
+//! Small dense linear algebra: kernels on slices for inner loops, nalgebra for everything else.
 
 pub mod algebra;
 mod conditional;

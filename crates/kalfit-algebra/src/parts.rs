@@ -1,22 +1,22 @@
-//! Sums over rows, a few columns at a time: so few that they stay in registers while the terms are added.
+//! Sums over rows, a few columns at a time, so that the sums stay in registers while terms are added.
 
 use kalfit_lanes::Real;
 
 use crate::rows::Rows;
 
-/// Most columns at a time.
+/// Largest number of columns worked on at a time.
 const WIDEST: usize = 6;
 
-/// Something that is done to columns, so many of them at once.
+/// Work on columns that is done for `N` columns at once.
 pub trait ColumnWork {
-    /// How many there are.
+    /// Number of columns.
     fn count(&self) -> usize;
 
-    /// Does it to columns `from` to `from + N`.
+    /// Does the work for columns `from..from + N`.
     fn part<const N: usize>(&mut self, from: usize);
 }
 
-/// Does it to all columns from one on, in parts of nearly equal size.
+/// Does the work for all columns from `first` on, in parts of nearly equal size.
 #[inline(always)]
 pub fn in_parts(first: usize, columns: &mut impl ColumnWork) {
     let (mut from, end) = (first, columns.count());
@@ -38,11 +38,11 @@ pub fn in_parts(first: usize, columns: &mut impl ColumnWork) {
 /// y ← y + Σ_k a_k x_k, or y ← y - Σ_k a_k x_k, over rows x_k as wide as y.
 pub(crate) struct Sum<'a, T, const MINUS: bool> {
     pub(crate) y: &'a mut [T],
-    /// The first a, and how far it is from each to the next.
+    /// The numbers a_k in a slice, from a_0 on, and the distance from each to the next.
     pub(crate) a: (&'a [T], usize),
-    /// One row after the other.
+    /// The rows x_k, one after the other.
     pub(crate) x: &'a [T],
-    /// Of how many.
+    /// Number of rows x_k.
     pub(crate) count: usize,
 }
 
@@ -93,14 +93,14 @@ impl<T: Real> ColumnWork for Dots<'_, T> {
     }
 }
 
-/// The reflection that takes `column` of the rows into row `upper` of a triangle, done to the other columns.
+/// Householder reflection that takes `column` of the rows into row `upper` of a triangle, applied to the other columns.
 pub(crate) struct Reflection<'a, T> {
     pub(crate) upper: &'a mut [T],
     pub(crate) rows: &'a mut Rows<T>,
     pub(crate) column: usize,
-    /// What its vector begins with; it goes on with the column.
+    /// First component of the reflection's vector v; the others are those of the column.
     pub(crate) first: T,
-    /// 2 / its square.
+    /// 2 / v'v.
     pub(crate) scale: T,
 }
 

@@ -1,4 +1,5 @@
-//! Products, triangular solutions and triangular factors of matrices by rows, each a function of its own for every kind of number.
+//! Products, triangular solutions and triangular factors of row-major matrices, each compiled as a separate function
+//! for every kind of number.
 
 use kalfit_lanes::{Part, Real};
 
@@ -18,7 +19,8 @@ impl<T: Real> Rows<T> {
         self.combined(other, (self.columns, 1, self.columns))
     }
 
-    /// Σ_k a_ik × row k of the other for so many i; how far it is from an a to that of the next i and of the next k.
+    /// Σ_k a_ik × row k of `other` for each of `rows` i; `down` and `along` are the distances from an a to that of the
+    /// next i and of the next k.
     #[inline(always)]
     fn combined(&self, other: &Rows<T>, (rows, down, along): (usize, usize, usize)) -> Rows<T> {
         let mut product = Rows::zeros(rows, other.columns);
@@ -44,7 +46,8 @@ impl<T: Real> Rows<T> {
     }
 }
 
-/// Σ_k a_ik × row k of the other for each row i of the product; how far it is from an a to that of the next i and of the next k.
+/// Σ_k a_ik × row k of `other` for each row i of the product; `down` and `along` are the distances from an a to that of
+/// the next i and of the next k.
 struct Combine<'a, T> {
     a: &'a [T],
     down: usize,
@@ -153,7 +156,7 @@ impl<T: Real> Part for Absorb<'_, T> {
     }
 }
 
-/// One reflection, which takes column k of the rows into row k of the triangle.
+/// Applies the Householder reflection that takes column k of the rows into row k of the triangle.
 #[inline(always)]
 fn reflect<T: Real>(upper: &mut Rows<T>, rows: &mut Rows<T>, k: usize) {
     let head = upper[(k, k)];
@@ -162,7 +165,7 @@ fn reflect<T: Real>(upper: &mut Rows<T>, rows: &mut Rows<T>, k: usize) {
         square = rows[(i, k)].fma(rows[(i, k)], square);
     }
     let length = square.root();
-    // head ≥ 0: the reflection to -length cancels nothing; the row's sign is turned afterwards
+    // head ≥ 0, so the reflection to -length cancels no digits; the row's sign is flipped afterwards
     let first = head + length;
     let scale = (length * first).recip_or_zero();
     in_parts(k + 1, &mut Reflection { upper: upper.row_mut(k), rows, column: k, first, scale });

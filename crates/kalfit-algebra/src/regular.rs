@@ -1,31 +1,34 @@
-//! Symmetric matrices that are surely positive definite: their triangular root, solutions and inverse, by blocks, so that a large one
-//! costs matrix products.
+//! Symmetric matrices that are surely positive definite: triangular root, solutions and inverse, computed by blocks so
+//! that the work for a large matrix is matrix products.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Rows and columns that are worked on at a time; a matrix of no more is one block.
+/// Number of rows and columns of a block; a matrix that is no larger is one block.
 const BLOCK: usize = 96;
 
-/// Where all eigenvalues of a matrix of unit diagonal are surely above this, its root takes the place of its eigenvectors and loses no
-/// digits by it.
+/// Lower bound on the eigenvalues of a matrix of unit diagonal for which the triangular root replaces the eigenvectors:
+/// above it, no digits are lost.
 const FLOOR: f64 = 1e-8;
 
-/// Products by which the least eigenvalue of a large matrix is found, and how far from it they may end.
+/// Number of inverse iterations that estimate the least eigenvalue of a large matrix, and the factor by which the
+/// estimate may be too large.
 const ITERATIONS: usize = 12;
 const MARGIN: f64 = 4.0;
 
-/// R, upper triangular with R'R = A, of a matrix A of about unit diagonal whose eigenvalues are surely positive. Rows that are zero,
-/// diagonal and all, are passed over: what is solved and inverted is the rest, and zero stands there.
+/// R, upper triangular with R'R = A, of a matrix A of about unit diagonal whose eigenvalues are surely positive. Rows
+/// of zeros, including the diagonal, are skipped: the rest is solved and inverted, and the results are zero in those
+/// rows.
 #[derive(Debug, Clone)]
 pub struct Regular {
     root: DMatrix<f64>,
 }
 
 impl Regular {
-    /// `None` where an eigenvalue of A may be below [`FLOOR`]. Of a matrix of one block that is sure: the least eigenvalue is at least
-    /// the inverse of Σ 1/λ = ‖R⁻¹‖². Of larger ones the least eigenvalue is found by inverse iteration, from above, with a margin.
+    /// `None` where an eigenvalue of A may be below [`FLOOR`]. For a matrix of one block that is certain: the least
+    /// eigenvalue is at least the inverse of Σ 1/λ = ‖R⁻¹‖². For a larger one the least eigenvalue is estimated by
+    /// inverse iteration, from above, with a margin.
     ///
-    /// The root takes the memory of A, which is gone where there is none.
+    /// The root is computed in the memory of A, which is lost where the result is `None`.
     pub fn within(a: DMatrix<f64>) -> Option<Regular> {
         let found = Regular { root: root(a)? };
         let inverses = if found.root.nrows() > BLOCK {
@@ -36,8 +39,8 @@ impl Regular {
         (inverses * FLOOR <= 1.0).then_some(found)
     }
 
-    /// The largest eigenvalue of A⁻¹, from below: it has all but grown to it after so many products of a vector that is like no
-    /// eigenvector.
+    /// The largest eigenvalue of A⁻¹, estimated from below: inverse iteration all but reaches it from a vector that
+    /// resembles no eigenvector.
     fn largest_inverse(&self) -> f64 {
         let mut x = DVector::from_fn(self.root.nrows(), |i, _| 1.0 + 0.5 * ((i * i) as f64).sin());
         let mut size = 0.0;
@@ -49,7 +52,7 @@ impl Regular {
         size
     }
 
-    /// No row is passed over.
+    /// Whether no row was skipped.
     pub fn is_whole(&self) -> bool {
         self.root.diagonal().iter().all(|x| x.is_finite())
     }
@@ -85,7 +88,7 @@ impl Regular {
     /// A⁻¹ = R⁻¹R⁻ᵀ, in the memory of R.
     pub fn into_inverse(mut self) -> DMatrix<f64> {
         let n = self.root.nrows();
-        // a panel of R⁻¹ wants no columns of R after its own: the last one first
+        // a panel of R⁻¹ needs no columns of R after the panel's, so the last panel comes first
         let all: Vec<(usize, usize)> = blocks(n).collect();
         for &(start, end) in all.iter().rev() {
             let panel = self.panel((start, end));
@@ -93,7 +96,7 @@ impl Regular {
         }
         let mut inverse = self.root;
         for (start, end) in blocks(n) {
-            // R⁻¹ is upper triangular too: columns before `start` have nothing in these rows, and are the inverse's by now
+            // R⁻¹ is upper triangular too: columns before `start` are zero in these rows, and hold the inverse by now
             let right = inverse.view((start, start), (end - start, n - start)).transpose();
             let own = inverse.view((0, start), (end, n - start)) * right;
             inverse.view_mut((0, start), own.shape()).copy_from(&own);
@@ -125,13 +128,13 @@ impl Regular {
     }
 }
 
-/// The blocks of so many rows: start and end.
+/// Start and end of each block of n rows.
 fn blocks(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).step_by(BLOCK).map(move |start| (start, (start + BLOCK).min(n)))
 }
 
-/// R with R'R = A, in the memory of A; `None` where what is left of a diagonal element is not above [`FLOOR`]. On the diagonal of a row
-/// of zeros stands ∞, whose inverse is the zero that is wanted there.
+/// R with R'R = A, in the memory of A; `None` where a pivot is not above [`FLOOR`]. A row of zeros gets ∞ on the
+/// diagonal, whose inverse is the zero that is wanted there.
 fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = a.nrows();
     let empty: Vec<bool> = a.column_iter().map(|column| column.iter().all(|x| *x == 0.0)).collect();
@@ -139,7 +142,7 @@ fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
     root.fill_lower_triangle(0.0, 1);
     for (start, end) in blocks(n) {
         for k in start..n {
-            // rows of this block in column k; on the diagonal, as far as it
+            // rows of this block in column k, at most down to the diagonal
             for i in start..=k.min(end - 1) {
                 let own = root.column(i);
                 let done = own.rows(start, i - start).dot(&root.column(k).rows(start, i - start));
@@ -162,12 +165,12 @@ fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
             root.view_mut((end, end + from), (to, to - from)).gemm(-1.0, &left, &right, 1.0);
         }
     }
-    // what lies below the diagonal of a block was touched as well
+    // the products also wrote below the diagonal of the blocks
     root.fill_lower_triangle(0.0, 1);
     Some(root)
 }
 
-/// R⁻¹g in place, with the rows `from..to` of R alone, of a g that is zero below.
+/// R⁻¹g in place, using only rows `from..to` of R, for a g that is zero below them.
 fn above(root: &DMatrix<f64>, g: &mut [f64], (from, to): (usize, usize)) {
     for l in (from..to).rev() {
         g[l] /= root[(l, l)];

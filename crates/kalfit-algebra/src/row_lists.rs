@@ -2,18 +2,18 @@
 
 use std::ops::Range;
 
-/// Rows of numbers: mostly of one length, and then nothing but the numbers.
+/// Rows of numbers, usually of equal length; then only the numbers are stored.
 #[derive(Debug, Clone, Default)]
 pub struct RowLists {
     numbers: Vec<f64>,
-    /// Length of the first row, and of all where they are of one.
+    /// Length of the first row, and of all rows if `ends` is empty.
     width: usize,
-    /// Where each row ends, if they are of several lengths.
+    /// End of each row, if the rows have different lengths; else empty.
     ends: Vec<usize>,
 }
 
 impl RowLists {
-    /// Adds a row to so many.
+    /// Appends a row; `rows` is the number of rows so far.
     pub fn push(&mut self, rows: usize, numbers: impl Iterator<Item = f64>) {
         let start = self.numbers.len();
         self.numbers.extend(numbers);
@@ -29,7 +29,7 @@ impl RowLists {
         }
     }
 
-    /// Adds so many rows of another to so many.
+    /// Appends the first `more` rows of `other`; `rows` is the number of rows so far.
     pub fn append(&mut self, rows: usize, other: &RowLists, more: usize) {
         if self.width == other.width && self.ends.is_empty() && other.ends.is_empty() {
             self.numbers.extend_from_slice(&other.numbers);
@@ -38,7 +38,7 @@ impl RowLists {
         }
     }
 
-    /// Room for so many more rows like the first one.
+    /// Reserves room for `rows` more rows as long as the first one.
     pub fn reserve(&mut self, rows: usize) {
         self.numbers.reserve_exact(rows * self.width);
     }
@@ -53,7 +53,7 @@ impl RowLists {
         &mut self.numbers[range]
     }
 
-    /// All numbers so many times as large.
+    /// Multiplies all numbers by `by`.
     pub fn scale(&mut self, by: f64) {
         self.numbers.iter_mut().for_each(|x| *x *= by);
     }

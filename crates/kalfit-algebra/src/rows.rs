@@ -1,4 +1,4 @@
-//! Small dense matrices by rows, for kernels that work on square roots. One source for every kind of [`Real`].
+//! Small dense row-major matrices, for kernels that work on square roots; one source for every kind of [`Real`].
 
 use std::ops::{Index, IndexMut};
 
@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 
 use kalfit_lanes::Real;
 
-/// A matrix by rows.
+/// A row-major matrix.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rows<T = f64> {
     pub(super) rows: usize,
@@ -78,7 +78,7 @@ impl<T: Real> Rows<T> {
         &self.data
     }
 
-    /// A matrix of these numbers, by rows.
+    /// A matrix with these elements, row-major.
     #[inline(always)]
     pub(crate) fn from_vec(rows: usize, columns: usize, data: Vec<T>) -> Rows<T> {
         debug_assert_eq!(data.len(), rows * columns, "numbers of a matrix");
@@ -95,14 +95,14 @@ impl<T: Real> Rows<T> {
         &mut self.data[i * self.columns..][..self.columns]
     }
 
-    /// The rows above one, and this one.
+    /// The rows above row i, and row i for writing.
     #[inline(always)]
     pub(crate) fn rows_above_and(&mut self, i: usize) -> (&[T], &mut [T]) {
         let (above, rest) = self.data.split_at_mut(i * self.columns);
         (above, &mut rest[..self.columns])
     }
 
-    /// Puts rows below.
+    /// Appends rows below.
     #[inline(always)]
     pub fn append(&mut self, below: &Rows<T>) {
         debug_assert_eq!(self.columns, below.columns, "one width");
@@ -110,13 +110,13 @@ impl<T: Real> Rows<T> {
         self.data.extend_from_slice(&below.data);
     }
 
-    /// The first columns of it.
+    /// The first columns of the matrix.
     #[inline(always)]
     pub fn first_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(0, columns)
     }
 
-    /// The last columns of it.
+    /// The last columns of the matrix.
     #[inline(always)]
     pub fn last_columns(&self, columns: usize) -> Rows<T> {
         self.some_columns(self.columns - columns, columns)
@@ -131,7 +131,7 @@ impl<T: Real> Rows<T> {
         some
     }
 
-    /// The first rows of it.
+    /// The first rows of the matrix.
     #[inline(always)]
     pub(crate) fn first_rows(&self, rows: usize) -> Rows<T> {
         Rows { rows, columns: self.columns, data: self.data[..rows * self.columns].to_vec() }
@@ -180,7 +180,7 @@ impl<T: Real> Rows<T> {
         self
     }
 
-    /// No entry is larger than this, or not a number.
+    /// Whether no entry is NaN or larger in magnitude than `bound`.
     #[inline(always)]
     pub(crate) fn is_within(&self, bound: f64) -> bool {
         let bound = T::splat(bound);

@@ -1,10 +1,10 @@
-//! Matrices of few entries, by columns: how elements of Σ follow from coordinates. Of p states estimated together there are p²/2 of
-//! both, and each coordinate moves no more than 2p elements, so that a product with such a matrix takes p⁵ steps where a dense one
-//! takes p⁶.
+//! Sparse matrices by columns, for the derivatives of elements of Σ with respect to coordinates. With p states
+//! estimated together there are p²/2 of both, and each coordinate affects at most 2p elements, so that a product with
+//! such a matrix takes p⁵ steps where a dense one takes p⁶.
 
 use nalgebra::{DMatrix, DMatrixViewMut, DVector};
 
-/// A matrix by the entries of its columns.
+/// A sparse matrix, stored by the entries of its columns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sparse {
     rows: usize,
@@ -15,7 +15,7 @@ pub struct Sparse {
 }
 
 impl Sparse {
-    /// A matrix of so many rows, and no column yet.
+    /// A matrix with `rows` rows and no columns yet.
     pub fn of_height(rows: usize) -> Sparse {
         Sparse { rows, ends: Vec::new(), entries: Vec::new() }
     }
@@ -26,7 +26,7 @@ impl Sparse {
         sparse
     }
 
-    /// Appends a column: the sum of these entries.
+    /// Appends a column with these entries; entries of the same row are added.
     pub fn push(&mut self, entries: impl Iterator<Item = (usize, f64)>) {
         let start = self.entries.len();
         self.entries.extend(entries.filter(|(_, x)| *x != 0.0));
@@ -134,12 +134,12 @@ impl Sparse {
         out
     }
 
-    /// The same of one that is not wanted any more.
+    /// A'MA of a symmetric M that is no longer needed.
     pub fn congruence_of(&self, m: DMatrix<f64>) -> DMatrix<f64> {
         if self.is_identity() { m } else { self.congruence(&m) }
     }
 
-    /// The same, to a place that is there.
+    /// Writes A'MA of a symmetric M to `out`.
     pub fn congruence_into(&self, m: &DMatrix<f64>, out: &mut DMatrixViewMut<'_, f64>) {
         if 4 * self.entries.len() > self.nrows() * self.ncols() {
             let dense = self.dense();
@@ -159,7 +159,7 @@ impl Sparse {
         out.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Whether it is the identity matrix.
+    /// Whether the matrix is the identity.
     pub fn is_identity(&self) -> bool {
         self.nrows() == self.ncols()
             && self.columns().enumerate().all(|(c, own)| matches!(own, [(row, 1.0)] if *row == c))

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// Eigenvalues below this part of the largest count as zero in [`pseudo_solve`] and [`pseudo_inverse`].
+/// Eigenvalues below this fraction of the largest count as zero in [`pseudo_solve`] and [`pseudo_inverse`].
 const RANK_TOLERANCE: f64 = 1e-11;
 
 /// Number of pairs (i ≥ j): p(p+1)/2.
@@ -27,7 +27,7 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     order.sort_by(|&i, &j| eigenvalues[i].total_cmp(&eigenvalues[j]));
     let values = order.iter().map(|&i| eigenvalues[i]).collect();
     for c in 0..n {
-        // columns before this one have changed places with those that belonged there
+        // earlier swaps moved columns: follow them to where the wanted column is now
         let mut from = order[c];
         while from < c {
             from = order[from];
@@ -42,8 +42,8 @@ pub fn eigen(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     (values, vectors)
 }
 
-/// Eigenvalues and eigenvectors in any order. The tridiagonal way of the library now and then ends in no numbers for a sparse singular
-/// matrix; plane rotations never do.
+/// Eigenvalues and eigenvectors in any order. The tridiagonal method of the library occasionally returns NaN for a
+/// sparse singular matrix; plane rotations never do.
 fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let symmetric = || DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| (a[(i, k)] + a[(k, i)]) * 0.5);
     let known = a.iter().all(|x| x.is_finite());
@@ -52,10 +52,10 @@ fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     if told || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { rotated(symmetric()) }
 }
 
-/// Sweeps of rotations: they converge quadratically, after some six to ten.
+/// Largest number of sweeps of rotations; they converge quadratically, after some six to ten.
 const SWEEPS: usize = 60;
 
-/// Jacobi's method: each off-diagonal element in turn is rotated to zero (Golub and Van Loan, section 8.5).
+/// Jacobi's method: a rotation sets each off-diagonal element to zero in turn (Golub and Van Loan, section 8.5).
 fn rotated(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let n = a.nrows();
     let size = a.amax();
@@ -111,8 +111,8 @@ pub fn by_eigenvectors(vectors: &DMatrix<f64>, values: impl Iterator<Item = f64>
     scaled * vectors.transpose()
 }
 
-/// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero. They are those after
-/// scaling to unit diagonal, so that a large element costs a small one no digits.
+/// A square root F of a positive semidefinite matrix, FF' = a; eigenvalues below zero count as zero. The eigenvalues
+/// are those after scaling to unit diagonal, so that a large element costs a small one no digits.
 pub fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (size, values, vectors) = scaled_eigen(a);
     DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| size[i] * vectors[(i, k)] * values[k].max(0.0).sqrt())
@@ -125,13 +125,13 @@ pub fn scaled_eigen(a: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     (size, values, vectors)
 }
 
-/// [`pseudo_inverse`] by way of a unit diagonal.
+/// [`pseudo_inverse`] taken after scaling to unit diagonal, and scaled back.
 pub fn scaled_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     let size = sizes(a);
     over_sizes(&pseudo_inverse(&over_sizes(a, &size)), &size)
 }
 
-/// An orthonormal basis of what has scaled eigenvalues that are `seen`.
+/// Orthonormal basis of the directions whose eigenvalues, after scaling to unit diagonal, are `seen`.
 pub fn range(a: &DMatrix<f64>, seen: impl Fn(f64) -> bool) -> DMatrix<f64> {
     let (size, values, vectors) = scaled_eigen(a);
     let seen: Vec<usize> = (0..values.len()).filter(|&k| seen(values[k])).collect();
@@ -145,12 +145,12 @@ fn over_sizes(a: &DMatrix<f64>, size: &[f64]) -> DMatrix<f64> {
     DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j])
 }
 
-/// √a_ii, or one where that is zero.
+/// √a_ii, or 1 where a_ii is not positive.
 pub fn sizes(a: &DMatrix<f64>) -> Vec<f64> {
     a.diagonal().iter().map(|x| if *x > 0.0 { x.sqrt() } else { 1.0 }).collect()
 }
 
-/// Smallest and largest eigenvalue after scaling to unit diagonal; zero diagonals are left as they are.
+/// Smallest and largest eigenvalue after scaling to unit diagonal; rows with a zero diagonal are not scaled.
 pub fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
     let scale: Vec<f64> =
         (0..a.nrows()).map(|i| if a[(i, i)] > 0.0 { a[(i, i)].sqrt().recip() } else { 1.0 }).collect();
@@ -159,8 +159,8 @@ pub fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
     (values.first().copied().unwrap_or(0.0), values.last().copied().unwrap_or(0.0))
 }
 
-/// DAD, D = diag(scale), of a symmetric matrix given by its entries (i, j), i ≥ j. Both places of an element get the same bits:
-/// by itself (d_i a_ij) d_j is rounded otherwise than (d_j a_ji) d_i.
+/// DAD, D = diag(scale), of a symmetric matrix given by its entries (i, j), i ≥ j. Both entries of an element get the
+/// same bits, although (d_i a_ij) d_j and (d_j a_ji) d_i may round differently.
 pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64> {
     let p = scale.len();
     let mut matrix = DMatrix::zeros(p, p);
@@ -168,7 +168,7 @@ pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64
     matrix
 }
 
-/// The same into a place for it, by rows.
+/// Writes DAD of `scaled` to `to`, row-major.
 pub fn put_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, to: &mut [f64]) {
     let p = scale.len();
     for i in 0..p {
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_sparse_singular_matrix_has_eigenvalues() {
-        // one that the library's way finds none of
+        // a matrix of which the library's method finds no eigenvalues
         let places = [3, 4, 5, 36, 37, 38];
         let rows = [
             vec![1.7594237517537539],

@@ -2,8 +2,8 @@
 
 use nalgebra::DMatrix;
 
-/// L, lower triangular, with LL' = I + AA', by QR of [A'; I]: however large A is, L has a diagonal of at least one, up to
-/// signs. Shapes: `a` m × n, the answer m × m.
+/// L, lower triangular, with LL' = I + AA', by QR of [A'; I]: however large A is, L has a diagonal of at least one, up
+/// to signs. Shapes: `a` m × n, the result m × m.
 pub fn whitener(a: &DMatrix<f64>) -> DMatrix<f64> {
     let (m, n) = a.shape();
     let stacked = DMatrix::from_fn(n + m, m, |i, c| if i < n { a[(c, i)] } else { f64::from(i - n == c) });
@@ -24,7 +24,7 @@ pub fn whitened(lower: &DMatrix<f64>, x: &DMatrix<f64>) -> DMatrix<f64> {
     lower.solve_lower_triangular(x).expect("its diagonal is at least one")
 }
 
-/// B, at most square, with BB' = XX'.
+/// B with BB' = XX' and no more columns than rows.
 pub fn compressed(x: &DMatrix<f64>) -> DMatrix<f64> {
     if x.ncols() <= x.nrows() { x.clone() } else { x.transpose().qr().r().transpose() }
 }

@@ -1,11 +1,12 @@
-//! Adjoints of motions and of their stationary distributions: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The sums and doublings run backwards.
+//! Adjoints of motions and of their stationary distributions: from ∂ℓ/∂(φ, Γ, Q) to ∂ℓ/∂(F, Q_c). The sums and
+//! doublings are gone through backwards.
 
 use kalfit_lanes::{Lanes, MOST};
 
 use super::{Doubling, FlowError, accumulate, product, product_into, scale, scaling, stationary, stationary_discrete};
 
-/// (∂ℓ/∂F, ∂ℓ/∂Q_c) of [`flow`](super::flow). Shapes: all m × m, row-major; `bars`: ∂ℓ/∂φ, ∂ℓ/∂Γ, ∂ℓ/∂Q, each place by itself;
-/// the last is taken as symmetric, of its two triangles the mean.
+/// (∂ℓ/∂F, ∂ℓ/∂Q_c) of [`flow`](super::flow). Shapes: all m × m, row-major; `bars` are ∂ℓ/∂φ, ∂ℓ/∂Γ, ∂ℓ/∂Q, entry by
+/// entry; of ∂ℓ/∂Q the symmetric part counts, the mean of its two triangles.
 pub fn flow_adjoint(
     f: &[f64],
     q: &[f64],
@@ -22,10 +23,10 @@ pub fn flow_adjoint(
     if f_bar.iter().chain(&q_bar).all(|x| x.is_finite()) { Ok((f_bar, q_bar)) } else { Err(FlowError::NotFinite) }
 }
 
-/// Of a single state: φ = exp(fδ), Γ = δ g(fδ), Q = q δ g(2fδ), with g(x) = expm1(x)/x.
+/// (∂ℓ/∂f, ∂ℓ/∂q) of a single state: φ = exp(fδ), Γ = δ g(fδ), Q = q δ g(2fδ), with g(x) = expm1(x)/x.
 pub fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) -> [f64; 2] {
     let integral = |rate: f64| if rate == 0.0 { step } else { (rate * step).exp_m1() / rate };
-    // δ²g'(x) as δ/x twice where x is large, so that nothing overflows on the way.
+    // Slope δ²g'(x); for large x the factor δ/x is applied twice, so that no intermediate result overflows.
     let slope = |rate: f64| {
         let x = rate * step;
         if x.abs() < 1.0 { step * step * near(x) } else { (step / x) * (step / x) * far(x) }
@@ -36,7 +37,7 @@ pub fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) 
     [f_bar, if noise == 0.0 { 0.0 } else { noise * integral(2.0 * f) }]
 }
 
-/// ∂/∂x of I = expm1(xδ)/x, side by side, where exp(xδ) and I are known.
+/// ∂I/∂x of I = expm1(xδ)/x in lanes, given exp(xδ) and I.
 #[inline(always)]
 pub fn scalar_slope<T: Lanes>(rate: T, step: T, (power, integral): (T, T)) -> T {
     let x = rate * step;
@@ -56,10 +57,10 @@ pub fn scalar_slope<T: Lanes>(rate: T, step: T, (power, integral): (T, T)) -> T 
     T::load(&all)
 }
 
-/// Terms of g'(x): what is left out is below the last digit for |x| < 1.
+/// Number of terms of g'(x); the omitted ones are below the last digit for |x| < 1.
 const TERMS: usize = 20;
 
-/// (k + 1) / (k + 2)!.
+/// Coefficients (k + 1) / (k + 2)! of g'(x).
 const SLOPES: [f64; TERMS] = {
     let mut slopes = [0.5; TERMS];
     let mut k = 1;
@@ -109,7 +110,7 @@ fn general(
     Ok(unsum(f, m, small, &orders, [&phi, &gamma, &noise]))
 }
 
-/// Back over Q₂ = Q + φQφ', Γ₂ = Γ + φΓ, φ₂ = φφ:
+/// Adjoint of a doubling Q₂ = Q + φQφ', Γ₂ = Γ + φΓ, φ₂ = φφ:
 /// φ̄ = φ'φ̄₂ + φ̄₂φ' + Γ̄₂Γ' + 2Q̄₂φQ, Γ̄ = Γ̄₂ + φ'Γ̄₂, Q̄ = Q̄₂ + φ'Q̄₂φ.
 fn undouble([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [&mut Vec<f64>; 3], m: usize) {
     let back = transpose(phi, m);
@@ -124,11 +125,11 @@ fn undouble([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [&mut Vec
     accumulate(q_bar, &product(&back, &half, m), 1.0);
 }
 
-/// Back over the Taylor sums of a small step h. `orders`: (Fh)^k / k! and the noise term, before each order.
+/// Adjoint of the Taylor sums of a small step h. `orders` holds (Fh)^k / k! and the noise term before each order.
 fn unsum(f: &[f64], m: usize, h: f64, orders: &[f64], [phi, gamma, noise]: [&[f64]; 3]) -> (Vec<f64>, Vec<f64>) {
     let mut back = transpose(f, m);
     scale(&mut back, h);
-    let mut f_bar = vec![0.0; m * m]; // of Fh
+    let mut f_bar = vec![0.0; m * m]; // adjoint of Fh
     let (mut power_bar, mut noise_bar, mut moved) = (vec![0.0; m * m], vec![0.0; m * m], vec![0.0; m * m]);
     for (k, terms) in orders.chunks_exact(2 * m * m).enumerate().rev() {
         let (order, (power, term)) = ((k + 1) as f64, terms.split_at(m * m));
@@ -194,7 +195,7 @@ mod tests {
     use super::super::flow;
     use super::*;
 
-    /// Numbers of either sign that look random, near 1.
+    /// Pseudo-random numbers of either sign, of a size near 1.
     fn weight(k: usize) -> f64 {
         ((k as f64 * 0.754_877_666 + 0.3).fract() - 0.5) * 3.0
     }
@@ -207,7 +208,7 @@ mod tests {
         weights.iter().zip(values).map(|(w, x)| w * x).sum()
     }
 
-    /// Central difference, its error terms of orders 2, 4 and 6 taken out.
+    /// Central difference, with its error terms of orders 2, 4 and 6 eliminated.
     fn difference(h: f64, function: impl Fn(f64) -> f64) -> f64 {
         let central = |h: f64| (function(h) - function(-h)) / (2.0 * h);
         let d = [central(h), central(h / 2.0), central(h / 4.0), central(h / 8.0)];
@@ -222,8 +223,8 @@ mod tests {
         assert!((found - expected).abs() <= bound, "{what}: {found:.15e} against {expected:.15e}, of {size:.1e}");
     }
 
-    /// Each place of F and each symmetric pair of Q_c, for a sum of all places of φ, Γ, Q with weights that make each matrix
-    /// count alike.
+    /// Checks each entry of F and each symmetric pair of Q_c, for a sum of all entries of φ, Γ, Q with weights that
+    /// make each matrix count equally.
     #[track_caller]
     fn check(f: &[f64], q: &[f64], m: usize, step: f64) {
         let here = flow(f, q, m, step).expect("finite");
@@ -299,7 +300,7 @@ mod tests {
             let (two, _) = flow_adjoint(&place(rate), &place(0.7), 2, 1.5, bars).expect("finite");
             close(&format!("rate {rate}"), one[0], two[0], 0.0);
         }
-        // Far longer than the time constant nothing of φ is left, and Γ = -1/f, Q = -q/2f.
+        // After a step far longer than the time constant φ is zero, Γ = -1/f and Q = -q/2f.
         let (far, noise) = flow_adjoint(&[-1e300], &[2.0], 1, 1e20, [&[1.0], &[1.0], &[1.0]]).expect("finite");
         assert_eq!((far[0], noise[0]), (0.0, 5e-301));
     }

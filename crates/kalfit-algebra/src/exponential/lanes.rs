@@ -1,20 +1,20 @@
-//! Flows of single states side by side, by an exponential that takes as many numbers as a register holds.
+//! Flows of single states in lanes, by an exponential of as many numbers as a register holds.
 
 use kalfit_lanes::{Lanes, MOST};
 
 use super::scalar_flow;
 
-/// Beyond this an exponential is near what can be written down.
+/// Largest |x| whose exponential is computed in lanes; beyond it, eˣ is close to overflow or underflow.
 const LARGE: f64 = 700.0;
-/// 1½ × 2^52: added to a number it leaves its nearest whole number in the last bits.
+/// 1½ × 2^52: added to a number, it leaves the nearest whole number in the last bits.
 const WHOLE: f64 = 6_755_399_441_055_744.0;
-/// ln 2, in two parts of which multiples of the first are exact.
+/// ln 2 in two parts; multiples of the first are exact.
 const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
 
-/// Terms of (eʳ - 1 - r)/r² that count in the last digit for |r| ≤ ½ ln 2.
+/// Number of terms of (eʳ - 1 - r)/r² that affect the last digit for |r| ≤ ½ ln 2.
 const TERMS: usize = 12;
 
-/// 1 / (k + 2)!.
+/// Coefficients 1 / (k + 2)! of these terms.
 const FACTORIALS: [f64; TERMS] = {
     let mut terms = [0.5; TERMS];
     let mut k = 1;
@@ -47,7 +47,7 @@ fn exponentials<T: Lanes>(x: T) -> [T; 2] {
     [power.fma(part, power), power.fma(part, power - T::splat(1.0))]
 }
 
-/// [`scalar_flow`] side by side, to a few units in the last place. What is in a lane does not depend on the others.
+/// [`scalar_flow`] in lanes, to a few units in the last place. No lane depends on the others.
 #[inline(always)]
 pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
     let two = T::splat(2.0);
@@ -60,7 +60,7 @@ pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
     mended(found, (f, q, step))
 }
 
-/// With the flows of rates that are too small or too large for [`exponentials`] as they are by themselves.
+/// Replaces the flows of rates that are too small or too large for [`exponentials`] by those computed one at a time.
 #[inline(always)]
 fn mended<T: Lanes>(found: [T; 3], (f, q, step): (T, T, T)) -> [T; 3] {
     let mut all = [[0.0; MOST]; 3];
