@@ -1,4 +1,4 @@
-//! A model of one phase, or what one phase of several says, on its way.
+//! Builder of a model of one phase, or of one phase of several.
 
 use nalgebra::DMatrix;
 
@@ -10,7 +10,7 @@ use crate::build::parameter::ParameterBuilder;
 use crate::build::state::{StateBuilder, constant};
 use crate::model::{Model, PhasedModel};
 
-/// Collects what a model says. It is a value: cloned, it is what several models or phases have in common.
+/// Collects the parts of a model. Its clones can serve as the common part of several models or phases.
 ///
 /// ```
 /// use kalfit::build::{constant, free, gauss_markov, measurement, name};
@@ -75,21 +75,21 @@ impl ModelBuilder {
         self
     }
 
-    /// The time of x_0, a formula in columns constant within a test; else x_0 is at the first row.
+    /// Sets the time of x_0, a formula in columns that are constant within a test. Without it x_0 is at the first row.
     #[must_use]
     pub fn initial_time(mut self, time: impl Into<Formula>) -> Self {
         self.initial_time = Some(time.into());
         self
     }
 
-    /// One transition precedes the first row too, as in the paper's k = 1.
+    /// Lets one transition precede the first row too, as in the paper's k = 1.
     #[must_use]
     pub fn step_first(mut self) -> Self {
         self.step_first = true;
         self
     }
 
-    /// The step from row k-1 to row k uses row k-1's columns, not row k's.
+    /// Lets the step from row k-1 to row k use the columns of row k-1, not of row k.
     #[must_use]
     pub fn previous_inputs(mut self) -> Self {
         self.previous_inputs = true;
@@ -103,7 +103,7 @@ impl ModelBuilder {
         self
     }
 
-    /// Adds a state. Those whose start is estimated are μ and Σ, in this order.
+    /// Adds a state. The states whose start is estimated make up μ and Σ, in the order in which they are added.
     #[must_use]
     pub fn state(mut self, state: StateBuilder) -> Self {
         self.states.push(state);
@@ -124,7 +124,8 @@ impl ModelBuilder {
         self
     }
 
-    /// The covariance of the process noises of two states: per step of discrete motion, per time unit of continuous.
+    /// Sets the covariance of the process noises of two states: per step for discrete motion, per time unit for
+    /// continuous.
     #[must_use]
     pub fn process_noise_covariance(
         mut self,
@@ -136,7 +137,7 @@ impl ModelBuilder {
         self
     }
 
-    /// The covariance of the noises of two measurements of one step.
+    /// Sets the covariance of the noises of two measurements of one step.
     #[must_use]
     pub fn noise_covariance(
         mut self,
@@ -148,19 +149,19 @@ impl ModelBuilder {
         self
     }
 
-    /// The mean of a state is known.
+    /// Fixes the mean of a state at a known value.
     #[must_use]
     pub fn fix_mean(self, state: impl Into<String>, value: f64) -> Self {
         self.mean(state, MeanRule::Fixed(value))
     }
 
-    /// The search begins with this mean of a state.
+    /// Sets the value from which the search for the mean of a state starts.
     #[must_use]
     pub fn start_mean(self, state: impl Into<String>, value: f64) -> Self {
         self.mean(state, MeanRule::Start(value))
     }
 
-    /// The mean of a state is a constant and multiples of other means.
+    /// Ties the mean of a state to other means: it is `constant` plus weight × mean for each term.
     #[must_use]
     pub fn tie_mean<'a>(
         self,
@@ -172,7 +173,7 @@ impl ModelBuilder {
         self.mean(state, MeanRule::Tied { constant, terms })
     }
 
-    /// The means of these states are these numbers times one unknown factor, (34).
+    /// Makes the means of these states proportional: the given weights times one unknown factor, (34).
     #[must_use]
     pub fn proportional_means<'a>(self, weights: impl IntoIterator<Item = (&'a str, f64)>) -> Self {
         weights.into_iter().fold(self, |builder, (state, weight)| builder.mean(state, MeanRule::Proportional(weight)))
@@ -183,21 +184,22 @@ impl ModelBuilder {
         self
     }
 
-    /// The mean of a state moves with a column that is constant within a test.
+    /// Lets the mean of a state depend linearly on a column that is constant within a test.
     #[must_use]
     pub fn regress_mean(mut self, state: impl Into<String>, column: impl Into<String>) -> Self {
         self.constraints.regressions.push((state.into(), column.into()));
         self
     }
 
-    /// Different states are not correlated.
+    /// Makes Σ diagonal: different states are not correlated.
     #[must_use]
     pub fn diagonal(mut self) -> Self {
         self.constraints.kind = Kind::Diagonal;
         self
     }
 
-    /// States of different blocks are not correlated; one that no block names is its own block.
+    /// Makes Σ block diagonal: states of different blocks are not correlated. A state that no block names is a separate
+    /// block.
     #[must_use]
     pub fn blocks(mut self, blocks: &[&[&str]]) -> Self {
         let owned = blocks.iter().map(|block| block.iter().map(|name| (*name).to_owned()).collect());
@@ -205,14 +207,14 @@ impl ModelBuilder {
         self
     }
 
-    /// An element of Σ is known; a variance when both states are one.
+    /// Fixes an element of Σ at a known value: a variance when both names are of the same state.
     #[must_use]
     pub fn fix_covariance(mut self, first: impl Into<String>, second: impl Into<String>, value: f64) -> Self {
         self.constraints.fixed.push((first.into(), second.into(), value));
         self
     }
 
-    /// These elements of Σ, each by its two states, equal each other.
+    /// Makes elements of Σ, each given by its two states, equal to each other.
     #[must_use]
     pub fn equal_covariances(mut self, elements: &[(&str, &str)]) -> Self {
         let owned = elements.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned()));
@@ -220,7 +222,7 @@ impl ModelBuilder {
         self
     }
 
-    /// A known covariance is added to the estimated one (29)-(30): a row for each estimated state.
+    /// Adds a known covariance to the estimated one, (29)-(30), with a row and a column for each estimated state.
     #[must_use]
     pub fn known_covariance(mut self, known: DMatrix<f64>) -> Self {
         self.known = Some(known);

@@ -5,7 +5,8 @@ use crate::evidence::PhasedTest;
 pub(super) use crate::evidence::SplitError;
 use crate::model::{Column, PhasedModel};
 
-/// The data of one test: columns of one length, a row a time step. NaN is a missing number, an empty text a missing text.
+/// The data of one test: columns of equal length, each row a time step. NaN marks a missing number, an empty text a
+/// missing text.
 ///
 /// ```
 /// use kalfit::build::Columns;
@@ -29,17 +30,17 @@ enum Cells<T> {
     Every(T),
 }
 
-/// Why columns are not the data of a model.
+/// Reason why columns are not data of a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ColumnsError {
-    /// The model reads a column that a test has not.
+    /// The model reads a column that the test does not have.
     #[error("test `{test}` has no column `{column}`, which {used_in} reads; it has {}", has(found))]
     NoColumn {
         /// Id of the test.
         test: String,
         /// The column.
         column: String,
-        /// Where the model uses it.
+        /// Where the model uses the column.
         used_in: String,
         /// The columns of this kind that the test has.
         found: Vec<String>,
@@ -51,12 +52,12 @@ pub enum ColumnsError {
         test: String,
         /// The column.
         column: String,
-        /// Its rows.
+        /// Number of rows of the column.
         found: usize,
-        /// Rows of the others.
+        /// Number of rows of the columns before it.
         expected: usize,
     },
-    /// Two columns have one name.
+    /// Two columns have the same name.
     #[error("test `{test}` has two columns `{column}`")]
     Twice {
         /// Id of the test.
@@ -64,7 +65,7 @@ pub enum ColumnsError {
         /// The column.
         column: String,
     },
-    /// A number that is infinite.
+    /// A number is infinite.
     #[error(
         "column `{column}` of test `{test}` is {value} at row {row}, expected a finite number, or NaN for a missing one"
     )]
@@ -78,7 +79,7 @@ pub enum ColumnsError {
         /// The number.
         value: f64,
     },
-    /// The rows are not those of the phases.
+    /// The rows do not fit the phases of the model.
     #[error(transparent)]
     Split(#[from] SplitError),
 }
@@ -109,44 +110,44 @@ impl Columns {
         Columns { id: id.into(), numbers: Vec::new(), texts: Vec::new() }
     }
 
-    /// Its id.
+    /// Id of the test.
     pub fn id(&self) -> &str {
         &self.id
     }
 
-    /// With a column of numbers.
+    /// Adds a column of numbers.
     #[must_use]
     pub fn numbers(mut self, name: impl Into<String>, cells: impl IntoIterator<Item = f64>) -> Self {
         self.numbers.push((name.into(), Cells::Each(cells.into_iter().collect())));
         self
     }
 
-    /// With a column of one number in every row.
+    /// Adds a column with the same number in every row.
     #[must_use]
     pub fn every_number(mut self, name: impl Into<String>, cell: f64) -> Self {
         self.numbers.push((name.into(), Cells::Every(cell)));
         self
     }
 
-    /// With a column of texts.
+    /// Adds a column of texts.
     #[must_use]
     pub fn texts<T: Into<String>>(mut self, name: impl Into<String>, cells: impl IntoIterator<Item = T>) -> Self {
         self.texts.push((name.into(), Cells::Each(cells.into_iter().map(Into::into).collect())));
         self
     }
 
-    /// With a column of one text in every row.
+    /// Adds a column with the same text in every row.
     #[must_use]
     pub fn every_text(mut self, name: impl Into<String>, cell: impl Into<String>) -> Self {
         self.texts.push((name.into(), Cells::Every(cell.into())));
         self
     }
 
-    /// The test of a model in these columns; its texts get labels.
+    /// Makes the test of `model` that these columns describe; its texts get labels in `labels`.
     ///
     /// # Errors
-    /// Columns that the model reads and the test has not, or that do not fit together; infinite numbers; phases that the model has
-    /// not.
+    /// Columns that the model reads and the test lacks, columns that do not fit together, infinite numbers, and phases
+    /// that the model does not have.
     pub fn test(&self, model: &PhasedModel, labels: &mut Labels) -> Result<PhasedTest, ColumnsError> {
         let rows = self.rows()?;
         let shared = model.shared();
@@ -172,7 +173,7 @@ impl Columns {
         Ok(model.split(test, labels)?)
     }
 
-    /// The number of rows: one where every column is of one cell for all rows.
+    /// The number of rows; 1 where every column has one cell for all rows.
     fn rows(&self) -> Result<usize, ColumnsError> {
         let all = self.numbers.iter().map(|(name, cells)| (name, cells.rows()));
         let all: Vec<_> = all.chain(self.texts.iter().map(|(name, cells)| (name, cells.rows()))).collect();
@@ -193,7 +194,7 @@ impl Columns {
         Ok(expected.unwrap_or(1))
     }
 
-    /// The columns that the model reads, in its order.
+    /// The columns that the model reads, in the order of the model.
     fn pick<'a, T>(
         &self,
         given: &'a [(String, Cells<T>)],

@@ -6,7 +6,7 @@ use crate::model::{
     CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanElement, MeanStructure, Regression,
 };
 
-/// What was said of μ and Σ, by names of states.
+/// Constraints on μ and Σ, by names of states.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Constraints {
     pub(super) means: Vec<(String, MeanRule)>,
@@ -16,7 +16,7 @@ pub(super) struct Constraints {
     pub(super) equal: Vec<Vec<(String, String)>>,
 }
 
-/// What was said of one mean.
+/// Constraint on one mean, or its start value.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum MeanRule {
     Fixed(f64),
@@ -127,7 +127,7 @@ impl Constraints {
     }
 }
 
-/// Blocks by index; states that none of them names are blocks of their own.
+/// Blocks as indices of states; each state that no block names is a separate block.
 fn all_blocks(blocks: &[Vec<String>], elements: &Elements<'_>) -> Result<Vec<Vec<usize>>, BuildError> {
     let mut listed = vec![false; elements.names.len()];
     let mut all = Vec::new();

@@ -1,12 +1,12 @@
-//! What makes no model.
+//! Errors in building a model.
 
-/// Why there is no model.
+/// Reason why no model could be built.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum BuildError {
-    /// Two things of one kind, or a state and a parameter, have one name.
+    /// Two things of one kind, or a state and a parameter, have the same name.
     #[error("{what} have the name `{name}`")]
     Twice {
-        /// What they are.
+        /// What the two things are.
         what: &'static str,
         /// The name.
         name: String,
@@ -14,25 +14,25 @@ pub enum BuildError {
     /// Nothing of this kind has this name.
     #[error("there is no {what} `{name}`, which {place} names; there {}", are(known))]
     Unknown {
-        /// What kind of thing.
+        /// Kind of thing that the name should denote.
         what: &'static str,
         /// The name.
         name: String,
-        /// Where it stands.
+        /// Where the name is used.
         place: String,
-        /// The names that there are.
+        /// Names of this kind that exist.
         known: Vec<String>,
     },
-    /// A product, a quotient or a function of states.
+    /// An equation contains a product, a quotient or a function of states.
     #[error("{place} is not linear in the states")]
     NotLinear {
-        /// Where.
+        /// Where the equation is used.
         place: String,
     },
-    /// A state where only columns and parameters may stand.
+    /// A formula depends on a state where only columns and parameters are allowed.
     #[error("{place} depends on state `{state}`, expected columns and parameters only")]
     HasState {
-        /// Where.
+        /// Where the formula is used.
         place: String,
         /// The state.
         state: String,
@@ -40,50 +40,50 @@ pub enum BuildError {
     /// Nothing depends on a parameter.
     #[error("nothing depends on parameter `{name}`")]
     Unused {
-        /// Its name.
+        /// Name of the parameter.
         name: String,
     },
-    /// Continuous motion or `dt` without times.
+    /// Continuous motion or `dt` needs times, and the model has none.
     #[error("{place} needs times, and the model names no column of times")]
     NoTime {
-        /// Where.
+        /// What needs the times.
         place: String,
     },
-    /// Nothing to estimate, or nothing that is measured.
+    /// The model has no states or no phases.
     #[error("the model has no {what}")]
     Nothing {
-        /// What it has not.
+        /// What the model lacks.
         what: &'static str,
     },
-    /// A number that cannot be.
+    /// A number is outside its range.
     #[error("{what} is {found}, expected {expected}")]
     OutOfRange {
-        /// Which number.
+        /// Which number is outside its range.
         what: String,
-        /// What it is.
+        /// Value of the number.
         found: f64,
-        /// What it should be.
+        /// Allowed range, in words.
         expected: String,
     },
-    /// Two constraints that contradict each other.
+    /// Two constraints contradict each other.
     #[error("{first} does not go with {second}")]
     Contradiction {
-        /// One.
+        /// One of the two constraints.
         first: String,
-        /// The other.
+        /// The other constraint.
         second: String,
     },
-    /// A matrix of the wrong size.
+    /// A matrix has the wrong size.
     #[error("{what} is {} × {}, expected {expected} × {expected}", found.0, found.1)]
     Shape {
-        /// Which matrix.
+        /// Which matrix has the wrong size.
         what: String,
-        /// Its rows and columns.
+        /// Numbers of rows and columns of the matrix.
         found: (usize, usize),
-        /// The number of states.
+        /// Expected number of rows and of columns: the number of states.
         expected: usize,
     },
-    /// The phases of a test disagree where they must not.
+    /// The phases of a test differ in something that must be equal.
     #[error("phase `{phase}` has another {what} than the phases before it")]
     PhasesDiffer {
         /// The phase.
@@ -91,7 +91,7 @@ pub enum BuildError {
         /// What differs.
         what: String,
     },
-    /// The first phase inherits.
+    /// The first phase inherits states, but no phase precedes it.
     #[error("phase `{phase}` is the first one, and carries over what was before it")]
     FirstCarries {
         /// The phase.
@@ -108,7 +108,7 @@ fn are(known: &[String]) -> String {
 }
 
 impl BuildError {
-    /// What to do about it.
+    /// Advice on how to avoid the error.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             BuildError::NoTime { .. } => Some("`ModelBuilder::time` names the column with the time of each row"),

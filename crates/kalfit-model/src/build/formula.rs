@@ -1,11 +1,11 @@
-//! Expressions by name.
+//! Expressions that refer to states, parameters and columns by name.
 
 use std::ops::{Add, Div, Mul, Neg, Not, Sub};
 
 use crate::model::{Function, Operator};
 
-/// An expression in states, parameters and columns, by name. Numbers and names turn into one where a formula is wanted; the
-/// usual operators put formulas and numbers together. Truth is any number but zero.
+/// An expression in states, parameters and columns, given by name. Numbers and names convert into formulas; the usual
+/// operators combine formulas and numbers. Any number but zero counts as true.
 ///
 /// ```
 /// use kalfit::build::{dt, name};
@@ -17,7 +17,7 @@ use crate::model::{Function, Operator};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Formula(pub(super) Node);
 
-/// What a formula is made of.
+/// Node in the tree of a formula.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Node {
     Number(f64),
@@ -120,31 +120,31 @@ impl Formula {
         Formula(Node::Call(Function::Max, vec![self.0, other.into().0]))
     }
 
-    /// Whether this is less than that.
+    /// Whether this formula is less than `other`.
     #[must_use]
     pub fn less_than(self, other: impl Into<Formula>) -> Formula {
         self.binary(Operator::Less, other)
     }
 
-    /// Whether this is more than that.
+    /// Whether this formula is more than `other`.
     #[must_use]
     pub fn more_than(self, other: impl Into<Formula>) -> Formula {
         self.binary(Operator::Greater, other)
     }
 
-    /// Whether this and that equal each other.
+    /// Whether this formula equals `other`.
     #[must_use]
     pub fn equals(self, other: impl Into<Formula>) -> Formula {
         self.binary(Operator::Equal, other)
     }
 
-    /// Whether both hold.
+    /// Whether both formulas are true.
     #[must_use]
     pub fn and(self, other: impl Into<Formula>) -> Formula {
         self.binary(Operator::And, other)
     }
 
-    /// Whether one of them holds.
+    /// Whether at least one of the formulas is true.
     #[must_use]
     pub fn or(self, other: impl Into<Formula>) -> Formula {
         self.binary(Operator::Or, other)

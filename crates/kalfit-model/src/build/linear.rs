@@ -1,4 +1,4 @@
-//! Formulas taken apart: exact linear forms in the states, and expressions without them.
+//! Formulas taken apart into exact linear forms in the states, or into expressions without states.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,7 +10,7 @@ use crate::model::{Expression, Linear, Operator};
 pub(super) const ZERO: Expression = Expression::Number(0.0);
 pub(super) const ONE: Expression = Expression::Number(1.0);
 
-/// Σ coefficient × state + constant, on the way.
+/// Linear form Σ coefficient × state + constant, while it is being built.
 struct Form {
     terms: BTreeMap<usize, Expression>,
     constant: Expression,
@@ -32,7 +32,7 @@ pub(super) fn scalar(names: &mut Names, formula: &Formula, place: &str) -> Resul
     }
 }
 
-/// A number that cannot be negative, or not even zero.
+/// An expression whose value must not be negative or, as a time constant, not even zero.
 pub(super) fn spread(names: &mut Names, formula: &Formula, role: Role, place: &str) -> Result<Expression, BuildError> {
     let value = scalar(names, formula, place)?;
     if let Expression::Number(found) = value {
@@ -48,7 +48,7 @@ pub(super) fn squared(names: &mut Names, formula: &Formula, place: &str) -> Resu
 }
 
 impl Role {
-    /// Whether it may have this value.
+    /// Checks that a number in this role may have this value.
     pub(super) fn check(self, found: f64, what: &str) -> Result<(), BuildError> {
         let expected = match self {
             Role::TimeConstant if found <= 0.0 => "more than 0",
@@ -94,7 +94,7 @@ impl Reading<'_> {
         })
     }
 
-    /// Nodes that no state may stand in.
+    /// The expression of a node in which no state may occur.
     fn expression(&mut self, node: &Node) -> Result<Expression, BuildError> {
         Ok(match node {
             Node::Number(x) if x.is_finite() => Expression::Number(*x),
@@ -145,7 +145,7 @@ impl Form {
         Form { terms, constant: f(self.constant) }
     }
 
-    /// Coefficient by coefficient; a state that one of them lacks has a zero there.
+    /// Combines two forms coefficient by coefficient; a state that one form lacks has coefficient zero.
     fn merge(mut self, mut other: Form, f: impl Fn(Expression, Expression) -> Expression) -> Form {
         let states: BTreeSet<usize> = self.terms.keys().chain(other.terms.keys()).copied().collect();
         let mut coefficient = |state| {
@@ -159,7 +159,7 @@ impl Form {
 
 pub(super) fn negate(a: Expression) -> Expression {
     match a {
-        Expression::Number(0.0) => ZERO, // no negative zero
+        Expression::Number(0.0) => ZERO, // avoids negative zero
         Expression::Number(x) => Expression::Number(-x),
         other => Expression::Negate(Box::new(other)),
     }

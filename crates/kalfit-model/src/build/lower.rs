@@ -1,4 +1,4 @@
-//! From what was said to a model: names looked up, equations taken apart.
+//! From a builder to a model: names are looked up, equations taken apart.
 
 mod parameter;
 
@@ -10,16 +10,16 @@ use crate::build::linear::scalar;
 use crate::build::names::{Names, Role, unknown};
 use crate::model::{Clock, Expression, Initial, Model, Parameter, PhasedModel, roles_among};
 
-/// A covariance between the noises of two things, by their indices.
+/// Covariances between the noises of two states or two measurements, by their indices.
 type Covariances = Vec<(usize, usize, Expression)>;
 
 impl ModelBuilder {
-    /// The model, of one phase. What no method of the builder says can be said in the fields of the result, which are all public: see
-    /// [`CovarianceKind`](crate::model::CovarianceKind) for the structures of Σ.
+    /// Builds the model, of one phase. What no method of the builder covers can be set in the fields of the result,
+    /// which are all public: see [`CovarianceKind`](crate::model::CovarianceKind) for the structures of Σ.
     ///
     /// # Errors
-    /// Names that nothing has, equations that are not linear in the states, numbers that cannot be, constraints that contradict each
-    /// other.
+    /// Unknown names, equations that are not linear in the states, numbers outside their range, and constraints that
+    /// contradict each other.
     pub fn build(&self) -> Result<PhasedModel, BuildError> {
         let mut names = Names::default();
         let mut model = PhasedModel::from(phase(self, &mut names, None)?);
@@ -28,7 +28,7 @@ impl ModelBuilder {
     }
 }
 
-/// Gives models what they have in common, now that all of it is known.
+/// Gives the models of all phases what they share, once all of it is known.
 pub(super) fn share(names: &mut Names, model: &mut PhasedModel) -> Result<(), BuildError> {
     let roles = roles_among(model, names.parameters.len());
     roles.into_iter().enumerate().for_each(|(parameter, role)| names.serve(parameter, role.into()));
@@ -44,7 +44,7 @@ pub(super) fn share(names: &mut Names, model: &mut PhasedModel) -> Result<(), Bu
     Ok(())
 }
 
-/// One phase; what it has in common with others is added by [`share`].
+/// Builds the model of one phase; [`share`] adds what it has in common with other phases.
 pub(super) fn phase(builder: &ModelBuilder, names: &mut Names, phase_name: Option<&str>) -> Result<Model, BuildError> {
     builder.parameters.iter().try_for_each(|parameter| names.parameter(parameter, phase_name))?;
     builder.parameters.iter().try_for_each(|parameter| parameter.declare(names))?;
@@ -83,7 +83,7 @@ pub(super) fn phase(builder: &ModelBuilder, names: &mut Names, phase_name: Optio
     })
 }
 
-/// What has a name of its own.
+/// Checks that there are states and that no name is used twice.
 fn check(builder: &ModelBuilder, names: &Names) -> Result<(), BuildError> {
     if builder.states.is_empty() {
         return Err(BuildError::Nothing { what: "states" });
@@ -161,7 +161,7 @@ fn clock(builder: &ModelBuilder, names: &mut Names) -> Result<Clock, BuildError>
     })
 }
 
-/// What a phase carries over and believes depends on parameters too.
+/// Marks a parameter as used, because a filter assumes a value for it.
 pub(super) fn mark_used(names: &mut Names, parameter: usize) {
     names.parameters[parameter].1 = names.parameters[parameter].1.max(Role::Coefficient);
 }

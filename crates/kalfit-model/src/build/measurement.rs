@@ -6,7 +6,7 @@ use crate::build::linear::{linear, scalar, spread, squared};
 use crate::build::names::{Names, Role};
 use crate::model::Measurement;
 
-/// A measurement on its way into a model.
+/// Builder of a measurement.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasurementBuilder {
     pub(super) name: String,
@@ -16,16 +16,16 @@ pub struct MeasurementBuilder {
     noise: Noise,
 }
 
-/// How uncertain a measurement is. A number, a name or a formula is a standard deviation.
+/// Noise of a measurement. A number, a name or a formula means its standard deviation.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Noise {
-    /// Its standard deviation.
+    /// Standard deviation of the noise.
     StdDev(Formula),
-    /// Its variance.
+    /// Variance of the noise.
     Variance(Formula),
 }
 
-/// A noise by its variance, when the data carry variances.
+/// Noise given by its variance, for data that contain variances.
 pub fn variance(variance: impl Into<Formula>) -> Noise {
     Noise::Variance(variance.into())
 }
@@ -48,14 +48,14 @@ pub fn measurement(
 }
 
 impl MeasurementBuilder {
-    /// Read from a column of another name than its own.
+    /// Reads the measurement from a column of another name.
     #[must_use]
     pub fn column(mut self, column: impl Into<String>) -> Self {
         self.column = column.into();
         self
     }
 
-    /// Read from rows where this holds only.
+    /// Reads the measurement only from rows where the condition holds.
     #[must_use]
     pub fn only_where(mut self, condition: Formula) -> Self {
         self.only_where = Some(condition);

@@ -1,9 +1,10 @@
 //! Models and data in code: the pieces of a model file as functions, and tests as columns of numbers.
 //!
-//! A [`Formula`] is an expression by name: [`name`]`("bias") + name("scale") * name("turn")`. Where a name is neither a state nor a
-//! parameter of the model it is a column of the data. [`Model::builder`](crate::model::Model::builder) collects states, measurements,
-//! parameters and constraints; [`ModelBuilder::build`] looks up all names, takes the equations apart into exact linear forms in
-//! the states, and refuses what makes no model. [`Columns`] are the data of one test.
+//! A [`Formula`] is an expression by name: [`name`]`("bias") + name("scale") * name("turn")`. Where a name is neither a
+//! state nor a parameter of the model it is a column of the data. [`Model::builder`](crate::Model::builder) collects
+//! states, measurements, parameters and constraints; [`ModelBuilder::build`] looks up all names, takes the equations
+//! apart into exact linear forms in the states, and refuses what does not make a model. [`Columns`] are the data of one
+//! test.
 //!
 //! ```text
 //! Model::builder ── build ──> PhasedModel ┐

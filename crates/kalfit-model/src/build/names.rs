@@ -1,18 +1,18 @@
-//! From names to indices: what equations have used so far.
+//! From names to indices: the columns, texts and parameters that equations have used so far.
 
 use crate::build::BuildError;
 use crate::build::parameter::ParameterBuilder;
 use crate::model::{Column, Expression};
 
-/// What a parameter does, as far as its sign is concerned; the strictest use counts.
+/// Role of a parameter, which limits its sign; its strictest use counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Role {
     Unused,
-    /// Any number.
+    /// A coefficient: any number.
     Coefficient,
     /// A noise variance or a standard deviation: not negative.
     Spread,
-    /// Positive.
+    /// A time constant: positive.
     TimeConstant,
 }
 
@@ -22,26 +22,26 @@ impl From<crate::model::Role> for Role {
         match role {
             Served::Scale { .. } => Role::Spread,
             Served::TimeConstant => Role::TimeConstant,
-            Served::Other => Role::Unused, // nothing beyond what its uses were noted as
+            Served::Other => Role::Unused, // adds nothing to the roles noted for its uses
         }
     }
 }
 
-/// What all phases have in common.
+/// Names that all phases share, and those of the phase that is being built.
 #[derive(Debug, Default)]
 pub(super) struct Names {
     pub(super) columns: Vec<Column>,
     pub(super) text_columns: Vec<Column>,
     pub(super) literals: Vec<String>,
     pub(super) parameters: Vec<(ParameterBuilder, Role)>,
-    /// Of the phase that is being built.
+    /// States of the phase that is being built.
     pub(super) states: Vec<String>,
-    /// Whether it has times.
+    /// Whether the phase that is being built has times.
     pub(super) time: bool,
 }
 
 impl Names {
-    /// Takes a parameter in, unless a phase before brought the same.
+    /// Adds a parameter, unless an earlier phase added the same one.
     pub(super) fn parameter(&mut self, parameter: &ParameterBuilder, phase: Option<&str>) -> Result<(), BuildError> {
         match self.parameters.iter().find(|(known, _)| known.name == parameter.name) {
             None => self.parameters.push((parameter.clone(), Role::Unused)),
@@ -63,7 +63,7 @@ impl Names {
         self.states.iter().position(|known| known == name)
     }
 
-    /// The state that a place names.
+    /// Index of the state `name`, which must exist; `place` says where it is named.
     pub(super) fn need_state(&self, name: &str, place: &str) -> Result<usize, BuildError> {
         self.state(name).ok_or_else(|| unknown("state", name, place, &self.states))
     }
@@ -83,7 +83,7 @@ impl Names {
         })
     }
 
-    /// A name that is no state: a parameter, else a column.
+    /// Resolves a name that is not a state: a parameter, else a column.
     pub(super) fn scalar(&mut self, name: &str, place: &str) -> Expression {
         match self.parameters.iter_mut().enumerate().find(|(_, (known, _))| known.name == name) {
             Some((index, (_, role))) => {
@@ -94,15 +94,15 @@ impl Names {
         }
     }
 
-    /// A parameter that is the whole of an expression in this role has it, whatever else it does; those that are parts of it get
-    /// theirs when the model is whole.
+    /// Gives a parameter this role if it is the whole expression; parameters inside an expression get their roles when
+    /// the model is complete.
     pub(super) fn mark(&mut self, value: &Expression, role: Role) {
         if let Expression::Parameter(index) = value {
             self.serve(*index, role);
         }
     }
 
-    /// What a parameter does, if that is stricter than what is known.
+    /// Gives a parameter this role, if it is stricter than the role so far.
     pub(super) fn serve(&mut self, parameter: usize, role: Role) {
         let known = &mut self.parameters[parameter].1;
         *known = (*known).max(role);

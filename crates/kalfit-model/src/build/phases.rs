@@ -33,7 +33,7 @@ pub struct PhasedModelBuilder {
     phases: Vec<PhaseBuilder>,
 }
 
-/// One phase on its way into a model.
+/// Builder of one phase.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseBuilder {
     name: String,
@@ -42,7 +42,7 @@ pub struct PhaseBuilder {
     filter: Option<SchmidtBuilder>,
 }
 
-/// A filter that need not be the optimal one: its estimates are what counts of its phase.
+/// Builder of a filter that need not be optimal; its estimates replace the measurements of its phase.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SchmidtBuilder {
     covariance: DMatrix<f64>,
@@ -52,7 +52,7 @@ pub struct SchmidtBuilder {
 }
 
 impl PhasedModel {
-    /// Starts to build a model in phases; a column of texts tells of which phase a row is.
+    /// Starts to build a model in phases; a column of texts names the phase of each row.
     pub fn builder(phase_column: impl Into<String>) -> PhasedModelBuilder {
         PhasedModelBuilder { column: phase_column.into(), phases: Vec::new() }
     }
@@ -69,21 +69,21 @@ pub fn schmidt(covariance: DMatrix<f64>) -> SchmidtBuilder {
 }
 
 impl SchmidtBuilder {
-    /// It accounts for the uncertainty of these states and does not estimate them.
+    /// Lets the filter account for the uncertainty of these states without estimating them.
     #[must_use]
     pub fn consider<'a>(mut self, states: impl IntoIterator<Item = &'a str>) -> Self {
         self.consider.extend(states.into_iter().map(str::to_owned));
         self
     }
 
-    /// Its prior mean of a state, otherwise zero.
+    /// Sets the filter's prior mean of a state, which is otherwise zero.
     #[must_use]
     pub fn mean(mut self, state: impl Into<String>, value: f64) -> Self {
         self.mean.push((state.into(), value));
         self
     }
 
-    /// What it believes of a parameter, where that is not what the model says.
+    /// Sets the value that the filter assumes for a parameter, where it differs from that of the model.
     #[must_use]
     pub fn believes(mut self, parameter: impl Into<String>, value: f64) -> Self {
         self.parameters.push((parameter.into(), value));
@@ -117,14 +117,14 @@ impl SchmidtBuilder {
 }
 
 impl PhaseBuilder {
-    /// The start of a state is its own part and this, linear in the final states of the phase before.
+    /// Adds to the start of a state this formula, linear in the final states of the phase before.
     #[must_use]
     pub fn carry(mut self, state: impl Into<String>, from: impl Into<Formula>) -> Self {
         self.carry.push((state.into(), from.into()));
         self
     }
 
-    /// What this filter makes of the measurements is what counts.
+    /// Replaces the measurements of the phase by the estimates of this filter.
     #[must_use]
     pub fn filter(mut self, filter: SchmidtBuilder) -> Self {
         self.filter = Some(filter);
@@ -168,17 +168,18 @@ impl PhaseBuilder {
 }
 
 impl PhasedModelBuilder {
-    /// Adds a phase after those that it has.
+    /// Adds a phase after the phases added so far.
     #[must_use]
     pub fn phase(mut self, phase: PhaseBuilder) -> Self {
         self.phases.push(phase);
         self
     }
 
-    /// The model.
+    /// Builds the model.
     ///
     /// # Errors
-    /// As [`ModelBuilder::build`], of each phase; phases with one name, or with other titles, groups or parameters of one name.
+    /// As [`ModelBuilder::build`], for each phase; also phases with the same name, and phases that differ in title, in
+    /// group or in a parameter of the same name.
     pub fn build(&self) -> Result<PhasedModel, BuildError> {
         let Some(first) = self.phases.first() else { return Err(BuildError::Nothing { what: "phases" }) };
         let mut names = Names::default();

@@ -1,4 +1,4 @@
-//! States in code: the named processes, and motion of one's own.
+//! States in code: the named processes, and user-defined motion.
 
 use crate::build::BuildError;
 use crate::build::formula::{Formula, name};
@@ -6,7 +6,7 @@ use crate::build::linear::{ONE, ZERO, divide, linear, multiply, negate, scalar, 
 use crate::build::names::{Names, Role};
 use crate::model::{Expression, Initial, Linear, Motion, State};
 
-/// A state on its way into a model.
+/// Builder of a state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StateBuilder {
     pub(super) name: String,
@@ -50,8 +50,8 @@ pub fn random_walk_by_step(name: impl Into<String>, step_noise: impl Into<Formul
     StateBuilder::new(name.into(), Process::RandomWalkByStep(step_noise.into()), Start::Estimated)
 }
 
-/// A Gauss-Markov process of first order, of this time constant and steady-state standard deviation. It starts in its stationary
-/// law unless told otherwise.
+/// A Gauss-Markov process of first order, of this time constant and steady-state standard deviation. By default it
+/// starts in its stationary law.
 pub fn gauss_markov(
     name: impl Into<String>,
     time_constant: impl Into<Formula>,
@@ -76,8 +76,8 @@ pub fn integral(name: impl Into<String>, of: impl Into<Formula>) -> StateBuilder
     moving(name, of, 0.0)
 }
 
-/// A state that moves in continuous time: its derivative, linear in the states, and the density of the white noise that drives it,
-/// a standard deviation per square root of the time unit.
+/// A state that moves in continuous time, given by its derivative, linear in the states, and the density of its white
+/// noise, a standard deviation per square root of the time unit.
 pub fn moving(
     name: impl Into<String>,
     derivative: impl Into<Formula>,
@@ -87,8 +87,8 @@ pub fn moving(
     StateBuilder::new(name.into(), process, Start::Estimated)
 }
 
-/// A state that moves from row to row: its next value, linear in the states at the row before, and the standard deviation of the
-/// noise of one step.
+/// A state that moves from row to row, given by its next value, linear in the states at the row before, and the
+/// standard deviation of the noise of one step.
 pub fn stepping(name: impl Into<String>, next: impl Into<Formula>, step_noise: impl Into<Formula>) -> StateBuilder {
     let process = Process::Stepping { next: next.into(), step_noise: step_noise.into() };
     StateBuilder::new(name.into(), process, Start::Estimated)
@@ -99,55 +99,55 @@ impl StateBuilder {
         StateBuilder { name, unit: None, process, initial, offset: None, random: true }
     }
 
-    /// With a label of its unit.
+    /// Sets the label of the unit.
     #[must_use]
     pub fn unit(mut self, unit: impl Into<String>) -> Self {
         self.unit = Some(unit.into());
         self
     }
 
-    /// Its start is part of μ and Σ.
+    /// Makes the start of the state estimated: part of μ and Σ.
     #[must_use]
     pub fn estimated(mut self) -> Self {
         self.initial = Start::Estimated;
         self
     }
 
-    /// It starts in the stationary distribution of its motion.
+    /// Starts the state in the stationary distribution of its motion.
     #[must_use]
     pub fn stationary(mut self) -> Self {
         self.initial = Start::Stationary;
         self
     }
 
-    /// Its start has a known mean and standard deviation.
+    /// Gives the start of the state a known mean and standard deviation.
     #[must_use]
     pub fn known(mut self, mean: impl Into<Formula>, sigma: impl Into<Formula>) -> Self {
         self.initial = Start::Known(mean.into(), sigma.into());
         self
     }
 
-    /// One unknown value common to all tests: in μ, with zero variance.
+    /// Gives the start of the state one unknown value common to all tests: in μ, with zero variance.
     #[must_use]
     pub fn common(mut self) -> Self {
         self.random = false;
         self
     }
 
-    /// With a known amount, constant within a test, added to its estimated start.
+    /// Adds a known amount, constant within a test, to the estimated start of the state.
     #[must_use]
     pub fn offset(mut self, offset: impl Into<Formula>) -> Self {
         self.offset = Some(offset.into());
         self
     }
 
-    /// The names that it brings: its own, and that of a hidden rate.
+    /// Names that the state adds to the model: its own name, and that of its hidden rate, if any.
     pub(super) fn names(&self) -> impl Iterator<Item = String> {
         let hidden = matches!(self.process, Process::GaussMarkov2 { .. }).then(|| rate_name(&self.name));
         std::iter::once(self.name.clone()).chain(hidden)
     }
 
-    /// The state, and a hidden one after it.
+    /// Appends the state and, after it, its hidden rate, if any.
     pub(super) fn lower(&self, names: &mut Names, states: &mut Vec<State>) -> Result<(), BuildError> {
         let place = format!("state `{}`", self.name);
         let index = states.len();
@@ -195,7 +195,8 @@ impl Process {
         !matches!(self, Process::Constant | Process::RandomWalk(_) | Process::RandomWalkByStep(_))
     }
 
-    /// The motion of state `index`; for a second-order process that of its hidden rate too, with its stationary variance.
+    /// The motion of state `index`; for a second-order process also the motion and the stationary variance of the
+    /// hidden rate.
     fn lower(
         &self,
         names: &mut Names,
@@ -259,7 +260,7 @@ fn timed(names: &Names, motion: &Motion, state: &str) -> Result<(), BuildError> 
     }
 }
 
-/// No name that a formula would have, so it hides nothing.
+/// Name of a hidden rate. No formula would use such a name, so it hides no other.
 fn rate_name(owner: &str) -> String {
     format!("{owner} (rate)")
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use crate::ensemble::records::RowStore;
 use crate::ensemble::{Label, Source, Test, TestId};
 
-/// Tests on their way from a table, one after the other: their ids and cells stand in a few pieces of memory, however many tests
-/// there are.
+/// Tests being read from a table, one after the other. Their ids and cells are stored in a few pieces of memory,
+/// however many tests there are.
 ///
 /// ```
 /// use kalfit::{Source, TestBatch};
@@ -22,12 +22,12 @@ use crate::ensemble::{Label, Source, Test, TestId};
 pub struct TestBatch {
     ids: String,
     records: RowStore,
-    /// Where the id and the rows of each test begin.
+    /// Start of the id in `ids`, and first row in `records`, of each test.
     begins: Vec<(usize, usize)>,
 }
 
 impl TestBatch {
-    /// No tests, whose rows have this many numeric and text cells.
+    /// An empty batch for tests whose rows have this many numeric and text cells.
     pub fn new(columns: usize, text_columns: usize) -> TestBatch {
         TestBatch { records: RowStore::new(columns, text_columns), ..TestBatch::default() }
     }
@@ -41,7 +41,7 @@ impl TestBatch {
     /// Appends rows to the test that was begun last, the k-th of them from row `source.row + k` of its file.
     ///
     /// # Panics
-    /// When the number of cells is not that of so many rows, or no test was begun.
+    /// When the number of cells is not that of `rows` rows, or no test was begun.
     pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
         assert!(!self.begins.is_empty(), "rows of no test");
         self.records.push(rows, numbers, texts, source);
@@ -57,7 +57,7 @@ impl TestBatch {
         self.begins.is_empty()
     }
 
-    /// Rows of all tests.
+    /// Number of rows of all tests.
     pub fn rows(&self) -> usize {
         self.records.rows()
     }
@@ -73,7 +73,7 @@ impl TestBatch {
         (first < self.rows()).then(|| self.records.texts(first..first + 1))
     }
 
-    /// The tests.
+    /// The tests of the batch.
     pub fn finish(mut self) -> Vec<Test> {
         self.records.fit();
         let (all, rows) = (Arc::new(self.ids.into_boxed_str()), self.records.rows());

@@ -1,6 +1,6 @@
-//! Columns of what many tests have, without memory of each test's own.
+//! Columns with a value per test, without a separate piece of memory for each test.
 
-/// Texts one after the other.
+/// Texts stored one after the other.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Texts {
     all: String,
@@ -8,7 +8,7 @@ pub struct Texts {
 }
 
 impl Texts {
-    /// How many they are.
+    /// Number of texts.
     pub(crate) fn len(&self) -> usize {
         self.ends.len()
     }
@@ -19,20 +19,20 @@ impl Texts {
         &self.all[start..self.ends[number]]
     }
 
-    /// Adds one.
+    /// Adds a text.
     pub fn push(&mut self, text: &str) {
         self.all.push_str(text);
         self.ends.push(self.all.len());
     }
 
-    /// Adds all of others.
+    /// Adds all texts of `others`.
     pub fn append(&mut self, others: &Texts) {
         let shift = self.all.len();
         self.all.push_str(&others.all);
         self.ends.extend(others.ends.iter().map(|end| end + shift));
     }
 
-    /// Room for all of others.
+    /// Reserves room for all texts of `others`.
     pub fn reserve<'a>(&mut self, others: impl Iterator<Item = &'a Texts>) {
         let (bytes, texts) = others.fold((0, 0), |sum, one| (sum.0 + one.all.len(), sum.1 + one.len()));
         self.all.reserve_exact(bytes);
@@ -40,7 +40,7 @@ impl Texts {
     }
 }
 
-/// What few tests have, or none: as long as up to the last that has it.
+/// Values that few tests or none have; the list ends with the last test that has a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rare<T>(Vec<Option<T>>);
 
@@ -51,27 +51,27 @@ impl<T> Default for Rare<T> {
 }
 
 impl<T> Rare<T> {
-    /// Of nothing yet; there is room for so many.
+    /// An empty list with room for `tests` tests.
     pub fn with_room(tests: usize) -> Rare<T> {
         Rare(Vec::with_capacity(tests))
     }
 
-    /// What the test with this number has.
+    /// Value of the test with this number.
     pub fn get(&self, number: usize) -> Option<&T> {
         self.0.get(number)?.as_ref()
     }
 
-    /// The same, to be changed.
+    /// Mutable value of the test with this number.
     pub fn get_mut(&mut self, number: usize) -> Option<&mut T> {
         self.0.get_mut(number)?.as_mut()
     }
 
-    /// Some test has it.
+    /// Whether any test has a value.
     pub fn is_any(&self) -> bool {
         self.0.iter().rev().any(Option::is_some)
     }
 
-    /// Gives it to the test with this number, or takes it.
+    /// Sets or removes the value of the test with this number.
     pub fn set(&mut self, number: usize, one: Option<T>) {
         if number >= self.0.len() {
             if one.is_none() {
@@ -82,7 +82,7 @@ impl<T> Rare<T> {
         self.0[number] = one;
     }
 
-    /// Adds what others have to what the first so many have.
+    /// Appends the values of `others` after those of the first `own` tests.
     pub fn append(&mut self, own: usize, others: Rare<T>) {
         if !others.0.is_empty() {
             self.0.resize_with(own, || None);

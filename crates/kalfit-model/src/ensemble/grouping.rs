@@ -1,15 +1,15 @@
-//! Which tests are of one group, level by level (theory §11).
+//! Groups of tests, level by level (theory §11).
 
 use std::collections::HashMap;
 
 use crate::ensemble::Label;
 
-/// Which tests are of one group, level by level.
+/// The groups that each test belongs to, level by level.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grouping {
-    /// Numbers of the tests by their ids.
+    /// Number of each test, by its id.
     numbers: HashMap<String, usize>,
-    /// Of each level, the innermost first: the group that each test stands in.
+    /// For each level, the innermost first, the group of each test.
     of_test: Vec<Vec<usize>>,
     /// The groups of each level, the innermost first, in the order in which tests name them.
     groups: Vec<Vec<Group>>,
@@ -18,16 +18,16 @@ pub struct Grouping {
 /// A group of tests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
-    /// Its name, after those of the groups that contain it, the outermost first.
+    /// Names of the groups that contain this group, the outermost first, followed by its name.
     pub path: Vec<Label>,
-    /// The group of the next level that it stands in; `None` for the outermost level.
+    /// The group of the next level that contains this group; `None` for the outermost level.
     pub parent: Option<usize>,
-    /// Its tests.
+    /// Number of tests in the group.
     pub tests: usize,
 }
 
 impl Grouping {
-    /// Of ids with the names of their groups, the outermost first.
+    /// Groups tests, given by their ids with the names of their groups, the outermost first.
     pub fn from_paths<'a>(depth: usize, tests: impl IntoIterator<Item = (&'a str, Vec<Label>)>) -> Grouping {
         let mut grouping =
             Grouping { numbers: HashMap::new(), of_test: vec![Vec::new(); depth], groups: vec![Vec::new(); depth] };
@@ -66,12 +66,12 @@ impl Grouping {
         &self.groups[level]
     }
 
-    /// The number of a test among those that were grouped.
+    /// Number of the test with this id, in the order in which tests were grouped.
     pub fn number(&self, test: &str) -> Option<usize> {
         self.numbers.get(test).copied()
     }
 
-    /// The group of a level that a test stands in, the innermost being level 0.
+    /// The group of a test at a level, the innermost being level 0.
     pub fn group_of(&self, test: usize, level: usize) -> usize {
         self.of_test[level][test]
     }

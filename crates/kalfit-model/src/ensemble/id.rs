@@ -1,4 +1,4 @@
-//! Ids of tests, of which many share one piece of memory.
+//! Ids of tests, many of which share one piece of memory.
 
 use std::borrow::Borrow;
 use std::fmt::{self, Debug, Display, Formatter};
@@ -6,7 +6,7 @@ use std::hash::{Hash, Hasher};
 use std::ops::{Deref, Range};
 use std::sync::Arc;
 
-/// The id of a test, as text: a part of one that the ids of all tests read together share. A copy costs no memory.
+/// The id of a test: a part of one text that holds the ids of all tests read together. A copy costs no memory.
 ///
 /// ```
 /// use kalfit::TestId;
@@ -15,14 +15,14 @@ use std::sync::Arc;
 /// ```
 #[derive(Clone)]
 pub struct TestId {
-    /// A thin pointer: an ensemble has many ids.
+    /// Text with all ids, behind a thin pointer because an ensemble has many ids.
     all: Arc<Box<str>>,
     start: u32,
     end: u32,
 }
 
 impl TestId {
-    /// The text in this place of the ids of many tests.
+    /// The id in this range of a text that holds many ids.
     pub(super) fn part(all: &Arc<Box<str>>, place: Range<usize>) -> TestId {
         match (u32::try_from(place.start), u32::try_from(place.end)) {
             (Ok(start), Ok(end)) => TestId { all: all.clone(), start, end },
@@ -32,7 +32,7 @@ impl TestId {
 }
 
 impl TestId {
-    /// Its text.
+    /// Text of the id.
     pub fn as_str(&self) -> &str {
         self
     }
@@ -60,7 +60,7 @@ impl Borrow<str> for TestId {
 
 impl From<&str> for TestId {
     /// # Panics
-    /// Texts of 4 GB.
+    /// When the text has 4 GB or more.
     fn from(text: &str) -> TestId {
         let end = u32::try_from(text.len()).expect("the id of a test has fewer than 2^32 bytes");
         TestId { all: Arc::new(text.into()), start: 0, end }
@@ -129,7 +129,7 @@ impl Hash for TestId {
     }
 }
 
-/// Ids and other texts are equal where their letters are.
+/// An id equals another text when their characters are equal.
 impl<T: AsRef<str> + ?Sized> PartialEq<T> for TestId {
     fn eq(&self, other: &T) -> bool {
         **self == *other.as_ref()

@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 
-/// A text of the data, by its number in [`Labels`]. Labels are told apart; their order means nothing.
+/// A text of the data, given by its number in [`Labels`]. Different texts have different labels; their order means
+/// nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Label(u32);
 
@@ -20,7 +21,7 @@ impl Label {
         self == Label::MISSING
     }
 
-    /// Its number.
+    /// Number of the text.
     pub fn index(self) -> usize {
         self.0 as usize
     }
@@ -43,7 +44,7 @@ impl Labels {
         labels
     }
 
-    /// The label of a text, new or known.
+    /// The label of a text, which is added if it is new.
     pub fn intern(&mut self, text: &str) -> Label {
         if let Some(&label) = self.by_text.get(text) {
             return label;

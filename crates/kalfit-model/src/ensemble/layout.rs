@@ -1,20 +1,20 @@
 //! How rows of a table become tests.
 
-/// What a reader must know of a table beside the model's columns.
+/// What a reader must know of a table in addition to the columns of the model.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Layout {
-    /// What tells tests apart.
+    /// What distinguishes tests.
     pub test: TestKey,
-    /// Columns with the groups that tests stand in, the outermost first: tests of a [`TestKey::Column`] are told apart by these and
-    /// their own column together, and their ids are the texts of all of them with `/` between.
+    /// Columns with the groups of tests, the outermost first. With a [`TestKey::Column`], tests are distinguished by
+    /// these columns and the key's together, and an id joins the texts of all of these with `/`.
     pub levels: Vec<String>,
-    /// Texts that stand for a missing cell, beside the usual ones.
+    /// Texts that mark a missing cell, in addition to the usual ones.
     pub missing: Vec<String>,
-    /// Lines of a CSV file that begin with this text are comments; none are without it.
+    /// Text that begins each comment line of a CSV file; `None` where there are no comments.
     pub comment: Option<String>,
 }
 
-/// What tells tests apart.
+/// What distinguishes tests.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum TestKey {
     /// All rows are one test.

@@ -1,4 +1,4 @@
-//! What was observed: tests, and the texts in them.
+//! Observations: tests, and the texts in them.
 
 mod batch;
 mod columns;

@@ -12,12 +12,12 @@ pub(super) struct RowStore {
     numbers: Vec<f64>,
     texts: Vec<Label>,
     rows: usize,
-    /// (row, where it came from): the first of rows that follow each other in a file, be they of one test or of many.
+    /// (first row, its source) of each run of rows that follow each other in a file, be they of one test or of many.
     sources: Vec<(usize, Source)>,
 }
 
 impl RowStore {
-    /// No rows of so many numeric and text cells.
+    /// An empty store for rows with this many numeric and text cells.
     pub(super) fn new(columns: usize, text_columns: usize) -> RowStore {
         RowStore { columns, text_columns, ..RowStore::default() }
     }
@@ -45,8 +45,8 @@ impl RowStore {
         self.numbers[row * self.columns + column] = value;
     }
 
-    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not that of so many
-    /// rows.
+    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not
+    /// that of `rows` rows.
     pub(super) fn push(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
         let expected = (rows * self.columns, rows * self.text_columns);
         assert_eq!((numbers.len(), texts.len()), expected, "cells of {rows} rows");
@@ -61,7 +61,7 @@ impl RowStore {
         self.rows += rows;
     }
 
-    /// Appends rows of others.
+    /// Appends rows of another store.
     pub(super) fn push_from(&mut self, others: &RowStore, rows: Range<usize>) {
         let mut start = rows.start;
         while start < rows.end {
@@ -71,7 +71,7 @@ impl RowStore {
         }
     }
 
-    /// Leaves no more room than the rows take, up to a part of it.
+    /// Gives back memory that the rows do not need, except for a small part.
     pub(super) fn fit(&mut self) {
         fit(&mut self.numbers);
         fit(&mut self.texts);
@@ -85,20 +85,20 @@ impl RowStore {
         Source { row: source.row + (row - first) as u64, ..source }
     }
 
-    /// The end of the rows that follow this one in its file.
+    /// End of the run of rows that follow this row in its file.
     fn follow(&self, row: usize) -> usize {
         let next = self.sources.partition_point(|(first, _)| *first <= row);
         self.sources.get(next).map_or(self.rows, |(first, _)| *first)
     }
 
-    /// Where the next row comes from, if it follows the last one in its file.
+    /// Source of the next row, if it follows the last row in its file.
     fn next_source(&self) -> Option<Source> {
         let (first, source) = self.sources.last()?;
         Some(Source { row: source.row.checked_add((self.rows - first) as u64)?, ..*source })
     }
 }
 
-/// Gives back room of which an eighth and more is empty.
+/// Gives back the unused memory of a list, if it is more than an eighth of the used.
 fn fit<T>(list: &mut Vec<T>) {
     if list.capacity() - list.len() > list.len() / 8 {
         list.shrink_to_fit();

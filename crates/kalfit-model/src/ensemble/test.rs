@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::ensemble::records::RowStore;
 use crate::ensemble::{Label, TestId};
 
-/// Where a row came from. The core only carries it, for messages.
+/// Where a row came from. The core uses it for messages only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Source {
     /// Number of the file.
@@ -18,14 +18,15 @@ pub struct Source {
 
 /// The rows of one test with the columns a model reads. Missing numbers are NaN, missing texts [`Label::MISSING`].
 ///
-/// Tests that were read together share the memory of their cells ([`TestBatch`](crate::ensemble::TestBatch)): a copy of a test, or of some of its rows,
-/// copies no cell. A test that is changed gets cells of its own first, unless nobody else has them.
+/// Tests that were read together share the memory of their cells ([`TestBatch`](crate::TestBatch)): a copy of a test,
+/// or of some of its rows, copies no cell. A test that is changed first gets a separate copy of its cells, unless it is
+/// the only one that uses them.
 #[derive(Clone)]
 pub struct Test {
-    /// Its id, as text.
+    /// Id of the test.
     pub id: TestId,
     records: Arc<RowStore>,
-    /// Its first row among the records.
+    /// First row of the test in `records`.
     first: usize,
     rows: usize,
 }
@@ -36,7 +37,7 @@ impl Test {
         Test { id: id.into(), records: Arc::new(RowStore::new(columns, text_columns)), first: 0, rows: 0 }
     }
 
-    /// Rows of records.
+    /// The test with these rows of `records`.
     pub(super) fn part(id: TestId, records: &Arc<RowStore>, rows: Range<usize>) -> Test {
         Test { id, records: records.clone(), first: rows.start, rows: rows.len() }
     }
@@ -46,14 +47,14 @@ impl Test {
         self.push_rows(1, numbers, texts, source);
     }
 
-    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not that of so
-    /// many rows of the test.
+    /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not
+    /// that of `rows` rows of the test.
     pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
         self.own().push(rows, numbers, texts, source);
         self.rows += rows;
     }
 
-    /// Appends rows of another test. Panics where it has no such rows, or other numbers of cells.
+    /// Appends rows of another test. Panics when the other test has no such rows, or rows of other widths.
     pub(crate) fn push_from(&mut self, other: &Test, rows: Range<usize>) {
         assert!(rows.end <= other.rows, "rows {rows:?} of {}", other.rows);
         if self.rows == 0 {
@@ -70,7 +71,7 @@ impl Test {
         Test { rows: rows.min(self.rows), ..self.clone() }
     }
 
-    /// Its records, which nobody else has and which have no other rows.
+    /// The records of this test alone, copied first if they are shared or contain other rows.
     fn own(&mut self) -> &mut RowStore {
         let (first, rows) = (self.first, self.rows);
         let alone = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
@@ -83,7 +84,7 @@ impl Test {
         Arc::get_mut(&mut self.records).expect("nobody else has them")
     }
 
-    /// Numeric and text cells of a row.
+    /// Numbers of numeric and of text cells of a row.
     pub fn widths(&self) -> (usize, usize) {
         self.records.widths()
     }
@@ -130,7 +131,7 @@ impl Test {
     }
 }
 
-/// Its own cells, not those that it shares memory with.
+/// Shows the cells of this test, not others in the memory that it shares.
 impl fmt::Debug for Test {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sources: Vec<Source> = (0..self.rows).map(|row| self.source(row)).collect();

@@ -4,15 +4,15 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::evidence::path::Path;
 
-/// What a test in several phases says, phase by phase. With σ_i the entering coordinates of phase i
-/// ([`Phase::entering`](crate::model::Phase::entering)), q_i of them, the first p_i of which are its own ξ_i:
+/// The likelihood of a test in several phases, phase by phase. σ_i are the q_i entering coordinates of phase i
+/// ([`Phase::entering`](crate::model::Phase::entering)), the first p_i of which are the ξ_i of the phase:
 ///
 /// ```text
 /// σ_1 = [ξ_1; 0]        σ_{i+1} = [ξ_{i+1}; 0] + g_i + G_i σ_i + w_i,  w_i ~ N(0, C_iC_i')
 /// log p(z_i | σ_i, z of earlier phases) = constant_i - ½ ‖d_i - R_i σ_i‖²
 /// ```
 ///
-/// Phases that the test lacks are not here.
+/// Phases that the test lacks are left out.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
     /// The phases that the test has, in order.
@@ -20,7 +20,7 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// Leaves the matrices, without data.
+    /// Sets everything that depends on data to zero; the matrices stay.
     pub fn blank(&mut self) {
         for phase in &mut self.phases {
             phase.constant = 0.0;
@@ -35,17 +35,17 @@ impl Chain {
 /// One phase of a [`Chain`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChainPhase {
-    /// p_i: how many of its coordinates are its own ξ.
+    /// p_i: the number of its coordinates that are ξ_i.
     pub own: usize,
-    /// constant_i.
+    /// constant_i: the part of the log-likelihood that does not depend on σ_i.
     pub constant: f64,
     /// d_i, q_i numbers.
     pub data: Vec<f64>,
     /// R_i, q_i × q_i, upper triangular, packed as [`Reduction::factor`](crate::evidence::reduction::Reduction).
     pub factor: Vec<f64>,
-    /// Which arithmetic made it.
+    /// The arithmetic that made the factor.
     pub path: Path,
-    /// What leads here from the phase before; `None` for the first phase.
+    /// Link from the phase before; `None` for the first phase.
     pub link: Option<Link>,
 }
 

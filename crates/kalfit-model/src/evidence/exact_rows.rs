@@ -1,6 +1,6 @@
-//! What a test measures of its estimated states without any noise (theory §13).
+//! Measurements of estimated states without any noise (theory §13).
 //!
-//! Each such measurement is a row of Cξ = g beside (c, y, J).
+//! Each such measurement is a row of Cξ = g, in addition to (c, y, J).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -16,17 +16,17 @@ pub struct ExactRows {
 }
 
 impl ExactRows {
-    /// The rows of C with their g; p is not zero.
+    /// The rows of C with their elements of g; p is not zero.
     pub fn rows(&self, p: usize) -> impl Iterator<Item = (&[f64], f64)> {
         self.coefficients.chunks_exact(p).zip(self.values.iter().copied())
     }
 
-    /// C.
+    /// C as a matrix, q × p.
     pub fn matrix(&self, p: usize) -> DMatrix<f64> {
         DMatrix::from_row_slice(self.values.len(), p, &self.coefficients)
     }
 
-    /// What is left of ξ to be known.
+    /// The solutions ξ of Cξ = g, parametrised by the remaining free elements of ξ.
     pub fn freed(&self, p: usize) -> FreedStates {
         let width = p + 1;
         let mut rows: Vec<Vec<f64>> = self.rows(p).map(|(row, value)| [row, &[value]].concat()).collect();
@@ -54,20 +54,20 @@ impl ExactRows {
     }
 }
 
-/// All ξ with Cξ = g: ξ = origin + basis η, η some of its elements.
+/// All ξ with Cξ = g: ξ = origin + basis η, where η are the free elements of ξ.
 #[derive(Debug, Clone)]
 pub struct FreedStates {
-    /// p numbers.
+    /// ξ at η = 0, p numbers.
     pub origin: DVector<f64>,
-    /// p × (p - q).
+    /// Derivative of ξ with respect to η, p × (p - q).
     pub basis: DMatrix<f64>,
 }
 
 impl FreedStates {
-    /// Information on η below this part of what each element has is none.
+    /// Eigenvalue of the information on η, scaled to unit diagonal, below which a direction counts as unobserved.
     const NONE: f64 = 1e-11;
 
-    /// Rank of R on what is left, and the least ‖d - Rξ‖² there.
+    /// (Rank of R × basis, least ‖d - Rξ‖² over all ξ with Cξ = g).
     pub fn least_squares(&self, factor: &DMatrix<f64>, data: &[f64]) -> (usize, f64) {
         let (left, data) = (factor * &self.basis, DVector::from_column_slice(data) - factor * &self.origin);
         let size = |k: usize| Some(left.column(k).norm()).filter(|size| *size > 0.0).unwrap_or(1.0);
@@ -89,7 +89,8 @@ mod tests {
 
     #[test]
     fn what_is_left_is_fitted_where_the_exact_rows_hold() {
-        // ξ_1 + ξ_2 = 3 leaves ξ = (3 - x, x); of rows (1, 1), (0, 2) with d = (3.5, 2) the first disagrees by a half
+        // the solutions of ξ_1 + ξ_2 = 3 are ξ = (3 - x, x); of the rows (1, 1), (0, 2) with d = (3.5, 2) the first is
+        // off by a half
         let exact = ExactRows { coefficients: vec![1.0, 1.0], values: vec![3.0] };
         let freed = exact.freed(2);
         let upper = |[a, b, c]: [f64; 3]| DMatrix::from_row_slice(2, 2, &[a, b, 0.0, c]);
@@ -99,10 +100,10 @@ mod tests {
             let (rank, left) = freed.least_squares(&upper([unit, unit, 2.0 * unit]), &[3.5 * unit, 2.0 * unit]);
             assert!(rank == 1 && (left / unit.powi(2) - 0.25).abs() < 1e-13, "{unit}: {rank} {left}");
         }
-        // a row along C knows nothing else
+        // a row parallel to C has no information on η
         let (rank, left) = freed.least_squares(&upper([2.0, 2.0, 0.0]), &[6.5, 0.0]);
         assert!(rank == 0 && (left - 0.25).abs() < 1e-13, "{rank} {left}");
-        // nothing is left
+        // no element of ξ is free
         let all = ExactRows { coefficients: vec![1.0, 1.0, 1.0, -1.0], values: vec![3.0, 1.0] };
         let (rank, left) = all.freed(2).least_squares(&upper([1.0, 0.0, 1.0]), &[2.5, 1.0]);
         assert!(rank == 0 && (left - 0.25).abs() < 1e-13, "{rank} {left}");

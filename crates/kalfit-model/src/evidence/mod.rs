@@ -1,5 +1,5 @@
-//! What is known of a test, phase by phase: rows still to be filtered, estimates of somebody's filter, or a reduction that
-//! was made before.
+//! The evidence of a test, phase by phase: rows still to be filtered, estimates made by some filter, or a reduction
+//! made earlier.
 
 mod chain;
 mod exact_rows;
@@ -26,24 +26,25 @@ pub use kalfit_algebra::symmetric::eigen;
 /// One test through its phases. Later phases of the model may be missing; the first ones may not.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhasedTest {
-    /// Its id.
+    /// Id of the test.
     pub id: TestId,
-    /// What is known of each phase, from the first one on.
+    /// Evidence of each phase, from the first phase on.
     pub phases: Phases,
 }
 
-/// What is known of one phase of a test.
+/// The evidence of one phase of a test.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Evidence {
-    /// Its rows.
+    /// The rows of the phase.
     Rows(Test),
-    /// What a filter made of them, here or elsewhere (theory §8).
+    /// Estimates that a filter made from the rows, here or elsewhere (theory §8).
     Estimates(Box<Estimates>),
-    /// Its reduction at the α of the fit.
+    /// The reduction of the phase at the α of the fit.
     Reduced(Box<PhaseReduction>),
 }
 
-/// What a filter, optimal or not, made of one phase (theory §8): ŝ is linear in the data, and with the final state
+/// The estimates ŝ that a filter, optimal or not, made from one phase (theory §8). ŝ is linear in the data; with the
+/// final state x_K it obeys
 ///
 /// ```text
 /// [x_K; ŝ] = [φ_K; S] x_0 + [s̄_1; s̄] + D × white noise
@@ -55,7 +56,7 @@ pub enum Evidence {
 pub struct Estimates {
     /// ŝ, m numbers.
     pub estimates: DVector<f64>,
-    /// s̄, what ŝ would be on average at x_0 = 0: m numbers.
+    /// s̄, the mean of ŝ at x_0 = 0: m numbers.
     pub offsets: DVector<f64>,
     /// S, m × n.
     pub sensitivities: DMatrix<f64>,
@@ -67,9 +68,9 @@ pub struct Estimates {
     pub root: DMatrix<f64>,
     /// One row with the columns of the model that are constant within the test; missing where unknown.
     pub constants: Test,
-    /// Steps behind it.
+    /// Number of steps behind the estimates.
     pub steps: usize,
-    /// Scalar measurements behind it.
+    /// Number of scalar measurements behind the estimates.
     pub observations: usize,
 }
 
@@ -80,27 +81,28 @@ pub struct PhaseReduction {
     pub reduction: Reduction,
     /// The state after the last step given σ; `None` where no phase of the model follows.
     pub terminal: Option<Terminal>,
-    /// What this phase inherits; `None` for the first one.
+    /// T and t of the phase; `None` for the first phase.
     pub inherited: Option<Inherited>,
-    /// Names of the groups of its test, the outermost first, where they came with it; empty where they did not.
+    /// Names of the groups of its test, outermost first; empty if they did not come with the reduction.
     pub groups: Vec<Label>,
 }
 
-/// σ = [ξ; 0] + T x_K + t, of the phase before.
+/// What a phase inherits: σ = [ξ; 0] + T x_K + t, with x_K the last state of the phase before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Inherited {
-    /// T, q × n of the phase before.
+    /// T, q × n, n the number of states of the phase before.
     pub transition: DMatrix<f64>,
     /// t, q numbers.
     pub input: DVector<f64>,
 }
 
 impl Estimates {
-    /// A root D of Γ = DD' by the eigenvalues of Γ scaled to a diagonal of ones. Those within this part of the largest are zero: as
-    /// variances they would make certainty out of noise.
+    /// A root D of Γ = DD' from the eigenvalues of Γ scaled to unit diagonal. Eigenvalues up to `rounding` times the
+    /// largest one are set to zero: as variances, they would make certainty out of rounding noise.
     ///
     /// # Errors
-    /// The least and the largest eigenvalue, where one is negative by more than rounding explains; of variances, where one is negative.
+    /// The least and the largest eigenvalue, if the least one is more negative than rounding explains; a negative
+    /// variance and the largest one, if a variance is negative.
     pub fn root_of(covariance: &DMatrix<f64>, rounding: f64) -> Result<DMatrix<f64>, [f64; 2]> {
         let variances = covariance.diagonal();
         if let Some(&negative) = variances.iter().find(|x| **x < 0.0) {
@@ -109,7 +111,7 @@ impl Estimates {
         let scale = variances.map(f64::sqrt);
         let unit = |i: usize, j: usize| {
             let (element, of) = (covariance[(i, j)], scale[i] * scale[j]);
-            // What does not vary has no covariance with anything; if it does, an eigenvalue will be negative.
+            // An element of variance zero has no covariances; if one is given, an eigenvalue will be negative.
             if of > 0.0 {
                 element / scale[i] / scale[j]
             } else {
@@ -134,7 +136,7 @@ impl From<Test> for PhasedTest {
 }
 
 impl PhasedTest {
-    /// The rows of its phases, of those that are given by rows.
+    /// The rows of all phases that are given by rows.
     pub fn rows(self) -> impl Iterator<Item = Test> {
         self.phases.into_iter().filter_map(|evidence| match evidence {
             Evidence::Rows(rows) => Some(rows),
@@ -142,7 +144,7 @@ impl PhasedTest {
         })
     }
 
-    /// Number of its rows.
+    /// Number of rows of all phases.
     pub fn row_count(&self) -> usize {
         let rows = |evidence: &Evidence| match evidence {
             Evidence::Rows(rows) => rows.rows(),
@@ -151,8 +153,8 @@ impl PhasedTest {
         self.phases.iter().map(rows).sum()
     }
 
-    /// The rows of all phases as one test again, in the order in which they came from the data, those without a place of their own
-    /// phase after phase. Undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
+    /// The rows of all phases as one test, in their order in the data; rows whose sources do not differ stay phase
+    /// after phase. Undoes [`PhasedModel::split`](crate::model::PhasedModel::split).
     pub fn joined(self) -> Test {
         let id = self.id.clone();
         let mut phases: Vec<Test> = self.rows().collect();
@@ -172,7 +174,8 @@ impl PhasedTest {
 }
 
 impl Evidence {
-    /// The rows with the model's columns, as far as there are any: those of the data, or the one of estimates.
+    /// The rows with the model's columns, if there are any: the rows of data, or the single row of constants of
+    /// estimates.
     pub fn cells(&self) -> Option<&Test> {
         match self {
             Evidence::Rows(test) => Some(test),
@@ -183,8 +186,8 @@ impl Evidence {
 }
 
 impl Slots {
-    /// The free values of a model in phases: levels of a column are those of all phases' rows, and of the columns that estimates
-    /// come with.
+    /// The free values of a model in phases: the levels of a column are taken from the rows of all phases and from the
+    /// constants of estimates.
     pub fn in_phases(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Slots {
         let all: Vec<&Test> = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells).collect();
         Slots::of(model.shared(), labels, &all)

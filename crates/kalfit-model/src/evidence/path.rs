@@ -1,4 +1,4 @@
-//! Which arithmetic made a reduction.
+//! The arithmetic that made a reduction.
 
 /// The arithmetic that made a reduction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,30 +1,31 @@
-//! What is known of a test, phase after phase.
+//! The evidence of a test, phase by phase.
 
 use std::ops::{Deref, DerefMut};
 use std::{iter, option, vec};
 
 use crate::evidence::Evidence;
 
-/// What is known of the phases of a test, from the first one on: a slice, for which a test of a single phase takes no memory of its own.
+/// The evidence of the phases of a test, from the first phase on. It derefs to a slice; a test with a single phase
+/// needs no heap memory for it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Phases(PhaseStorage);
 
 #[derive(Debug, Clone, PartialEq)]
 enum PhaseStorage {
     One([Evidence; 1]),
-    /// Any other number.
+    /// None, or two and more.
     Several(Vec<Evidence>),
 }
 
 impl Phases {
-    /// Leaves the first so many.
+    /// Keeps the first `phases` phases.
     pub fn truncate(&mut self, phases: usize) {
         *self = std::mem::take(self).into_iter().take(phases).collect();
     }
 }
 
 impl Default for Phases {
-    /// None.
+    /// No phases.
     fn default() -> Phases {
         Phases::from(Vec::new())
     }

@@ -14,8 +14,8 @@ pub struct Reduction {
     pub test: String,
     /// c' = c + ½ d'd: the log-likelihood at the best ξ of this test.
     pub constant: f64,
-    /// The sum of squares that is left at that ξ, each measurement in units of its innovation's variance: 2 × what of the constant
-    /// the data make. `None` where nothing but the constant is known.
+    /// The residual sum of squares at that ξ, each term divided by the variance of its innovation: -½ of it is the part
+    /// of `constant` that depends on the data. `None` where only the constant is known.
     pub residual: Option<f64>,
     /// d, p numbers.
     pub data: Vec<f64>,
@@ -27,14 +27,16 @@ pub struct Reduction {
     pub steps: usize,
     /// Number of scalar measurements used.
     pub observations: usize,
-    /// Which arithmetic made it.
+    /// The arithmetic that made the reduction.
     pub path: Path,
     /// Digest of all that S, K, T, J depend on: tests with one digest are one design class.
     pub design: u128,
-    /// The same phase by phase, for a test of a model with several phases. `data` and `factor` are then those of all phases
-    /// together: of (ξ_1, …, ξ_I), with what lies between the phases integrated out; of phases that the test lacks, zero.
+    /// The reduction phase by phase, for a model with several phases. `data` and `factor` are then those of all phases
+    /// together, over (ξ_1, …, ξ_I), with the states between the phases integrated out; they are zero for phases that
+    /// the test lacks.
     pub chain: Option<Box<Chain>>,
-    /// Rows Cξ = g that are measured without any noise: p(z | ξ) is then that of all other measurements, where Cξ = g.
+    /// Rows Cξ = g that are measured without any noise: p(z | ξ) is then the density of all other measurements, for ξ
+    /// with Cξ = g.
     pub exact: Option<Box<ExactRows>>,
 }
 

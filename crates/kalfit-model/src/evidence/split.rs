@@ -1,4 +1,4 @@
-//! The rows of a test by phase.
+//! Splitting of the rows of a test by phase.
 
 use std::ops::Range;
 
@@ -6,10 +6,10 @@ use crate::ensemble::{Label, Labels, Source, Test};
 use crate::evidence::{Evidence, PhasedTest};
 use crate::model::PhasedModel;
 
-/// Why the rows of a test are not those of phases.
+/// Why the rows of a test cannot be split into phases.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SplitError {
-    /// A row does not say of which phase it is.
+    /// The cell of the phase column is empty in a row.
     #[error("test `{test}`, row {}: the cell of phase column `{column}` is empty, expected {}", at.row, phases.join(", "))]
     MissingCell {
         /// Id of the test.
@@ -21,7 +21,7 @@ pub enum SplitError {
         /// Names of the phases.
         phases: Vec<String>,
     },
-    /// A row is of a phase that the model does not have.
+    /// A row names a phase that the model does not have.
     #[error("test `{test}`, row {}: found phase `{found}` in column `{column}`, expected {}", at.row, phases.join(", "))]
     UnknownPhase {
         /// Id of the test.
@@ -30,7 +30,7 @@ pub enum SplitError {
         at: Source,
         /// Name of the phase column.
         column: String,
-        /// Its text.
+        /// Text of the cell.
         found: String,
         /// Names of the phases.
         phases: Vec<String>,
@@ -59,7 +59,7 @@ impl SplitError {
         }
     }
 
-    /// The row.
+    /// The row that the error is about.
     pub fn at(&self) -> Source {
         match self {
             SplitError::MissingCell { at, .. }
@@ -68,7 +68,7 @@ impl SplitError {
         }
     }
 
-    /// What to do about it.
+    /// How to correct the data or the model.
     pub fn hint(&self) -> &'static str {
         match self {
             SplitError::MissingCell { .. } => "every row belongs to one phase: write its name",
@@ -81,8 +81,8 @@ impl SplitError {
 }
 
 impl PhasedModel {
-    /// The rows of a test by phase, in the order of the model; each phase keeps the order of its rows, which need not follow
-    /// each other. Later phases may be missing. Without a phase column the test is moved as it is.
+    /// The rows of a test by phase, in the order of the model; each phase keeps the order of its rows, which need not
+    /// be contiguous. Later phases may be missing. Without a phase column the whole test is the only phase.
     ///
     /// # Errors
     /// A row without phase or of an unknown one; a phase without the one before it.
@@ -106,8 +106,8 @@ impl PhasedModel {
         Ok(PhasedTest { id, phases: phases.into_iter().map(Evidence::Rows).collect() })
     }
 
-    /// The rows of a test by phase, in the order of the model, none for phases that the test has no rows of: these may be known
-    /// otherwise. Without a phase column the test is moved as it is.
+    /// The rows of a test by phase, in the order of the model, with an empty test for each phase without rows: other
+    /// evidence of such a phase may exist. Without a phase column the whole test is the first phase.
     ///
     /// # Errors
     /// A row without phase or of an unknown one.
@@ -131,7 +131,7 @@ impl PhasedModel {
         Ok(phases)
     }
 
-    /// (number of the phase, rows) of rows of one phase that follow each other.
+    /// (number of the phase, rows) of each run of successive rows of one phase.
     fn runs_of_phases(
         &self,
         test: &Test,
@@ -148,7 +148,7 @@ impl PhasedModel {
         Ok(runs)
     }
 
-    /// The number of the phase that a row is of.
+    /// The number of the phase to which a row belongs.
     fn phase_of(&self, test: &Test, row: usize, column: usize, labels: &Labels) -> Result<usize, SplitError> {
         let cell = test.texts(row)[column];
         let of = |label: usize| Label::literal(label) == cell;

@@ -1,15 +1,16 @@
-//! Derivatives of expressions to parameters, in reverse mode: one evaluation, then one walk back over what it computed.
+//! Derivatives of expressions with respect to parameters, in reverse mode: one evaluation, then one walk back over what
+//! it computed.
 
 use crate::model::{EvaluationError, Expression, Function, Operator, Scope};
 
-/// What an evaluation computed, each part after its own parts. Room that is used again.
+/// Values that an evaluation computed, each expression after its subexpressions. The memory is reused.
 #[derive(Debug, Clone, Default)]
 pub struct Tape(Vec<TapeNode>);
 
 #[derive(Debug, Clone, Copy)]
 struct TapeNode {
     value: f64,
-    /// Where the nodes of this part begin; its own node is the last of them.
+    /// First node of this expression's subexpressions; this node is the last.
     start: usize,
 }
 
@@ -23,16 +24,16 @@ impl Tape {
         self.0[at].value
     }
 
-    /// Node of the part that stands before the part whose node is `at`.
+    /// Node of the expression that precedes the expression whose node is `at`.
     fn before(&self, at: usize) -> usize {
         self.0[at].start - 1
     }
 }
 
 impl Expression {
-    /// Calls `sink(parameter, seed × ∂value/∂parameter)` for each mention of a parameter. Comparisons are flat, `if` follows the
-    /// branch it takes, `min` and `max` the argument they take, the slope of `abs` at 0 is 0. Where a slope is infinite (`sqrt`
-    /// at 0) what reaches the sink is not finite, unless the seed is 0.
+    /// Calls `sink(parameter, seed × ∂value/∂parameter)` for each mention of a parameter. Comparisons have slope 0,
+    /// `if` follows the branch it takes, `min` and `max` the argument they take, and the slope of `abs` at 0 is 0.
+    /// Where a slope is infinite (`sqrt` at 0) the value passed to the sink is not finite, unless the seed is 0.
     pub fn differentiate(
         &self,
         seed: f64,
@@ -46,7 +47,7 @@ impl Expression {
         Ok(())
     }
 
-    /// Evaluates onto the tape. What is flat is one node.
+    /// Evaluates and records on the tape. An expression with slope 0, such as a comparison, is one node.
     fn record(&self, scope: &Scope<'_>, tape: &mut Tape) -> Result<f64, EvaluationError> {
         let start = tape.0.len();
         let value = match self {
@@ -75,10 +76,10 @@ impl Expression {
         tape.push(start, value)
     }
 
-    /// The walk back; `at` is the node of this part.
+    /// Walks back over the tape; `at` is the node of this expression.
     fn pull(&self, seed: f64, at: usize, tape: &Tape, sink: &mut dyn FnMut(usize, f64)) {
         if seed == 0.0 {
-            return; // not even an infinite slope makes something of it
+            return; // the product is 0 even with an infinite slope
         }
         match self {
             Expression::Parameter(index) => sink(*index, seed),
@@ -118,7 +119,7 @@ impl Expression {
     }
 }
 
-/// A slope of exactly zero stops whatever comes.
+/// seed × slope; exactly 0 where the slope is 0, even with an infinite seed.
 fn chain(seed: f64, slope: f64) -> f64 {
     if slope == 0.0 { 0.0 } else { seed * slope }
 }
@@ -128,7 +129,7 @@ impl Operator {
         matches!(self, Operator::Add | Operator::Subtract | Operator::Multiply | Operator::Divide | Operator::Power)
     }
 
-    /// Slopes of a ∘ b = `value` to a and to b.
+    /// Derivatives of a ∘ b = `value` with respect to a and to b.
     fn slopes(self, a: f64, b: f64, value: f64) -> (f64, f64) {
         match self {
             Operator::Add => (1.0, 1.0),
@@ -137,7 +138,8 @@ impl Operator {
             Operator::Divide => (1.0 / b, -value / b),
             Operator::Power => {
                 let to_base = if b == 0.0 { 0.0 } else { b * a.powf(b - 1.0) };
-                // 0^b is 0 for every b > 0. A negative base has no logarithm: its power is a constant, or there is no slope.
+                // 0^b is 0 for every b > 0. A negative base has no logarithm: its exponent is constant, or there is no
+                // slope.
                 (to_base, if value == 0.0 { 0.0 } else { value * a.ln() })
             }
             _ => (0.0, 0.0),
@@ -150,7 +152,7 @@ impl Function {
         matches!(self, Function::Min | Function::Max)
     }
 
-    /// Slope of f(a) = `value`.
+    /// Derivative of f(a) = `value` with respect to a.
     fn slope(self, a: f64, value: f64) -> f64 {
         match self {
             Function::Sqrt => 0.5 / value,
@@ -231,7 +233,7 @@ mod tests {
         }
     }
 
-    /// (central difference with two halvings of the step, its own error); `None` where there is no smooth value nearby.
+    /// (central difference with two halvings of the step, its error); `None` where there is no smooth value nearby.
     fn difference(expression: &Expression, values: &[f64], index: usize) -> Option<(f64, f64)> {
         let central = |h: f64| {
             let mut moved = values.to_vec();
@@ -256,7 +258,7 @@ mod tests {
             for (index, &found) in found.iter().enumerate() {
                 let Some((expected, doubt)) = difference(&expression, &values, index) else { continue };
                 if doubt > 1e-8 * (1.0 + expected.abs()) {
-                    continue; // a kink or a steep place nearby
+                    continue; // a kink or a steep slope nearby
                 }
                 let bound = 1e-8 * (1.0 + expected.abs() + here.abs());
                 assert!((found - expected).abs() <= bound, "{seed}: {found} against {expected} of {expression:?}");

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use crate::ensemble::Label;
 use crate::model::{Alpha, EvaluationError};
 
-/// An expression without states. Truth is any number but zero.
+/// An expression without states. Any number but zero counts as true.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Expression {
     /// A constant.
@@ -76,14 +76,14 @@ pub struct Scope<'a> {
     pub numbers: &'a [f64],
     /// Text cells of the row.
     pub texts: &'a [Label],
-    /// `dt`.
+    /// Value of `dt`.
     pub step: f64,
     /// Values of the parameters.
     pub alpha: &'a Alpha,
 }
 
 impl Expression {
-    /// Its value on a row: finite, or an error.
+    /// Value of the expression on a row: finite, or an error.
     pub fn evaluate(&self, scope: &Scope<'_>) -> Result<f64, EvaluationError> {
         let value = match self {
             Expression::Number(x) => return Ok(*x),
@@ -111,7 +111,7 @@ impl Expression {
         if value.is_finite() { Ok(value) } else { Err(EvaluationError::NotFinite) }
     }
 
-    /// The number, when the expression is nothing but one.
+    /// The number, when the expression is a constant.
     pub fn as_number(&self) -> Option<f64> {
         match self {
             Expression::Number(x) => Some(*x),
@@ -131,12 +131,12 @@ impl Expression {
             }
     }
 
-    /// Whether the parameter with this index is a part of it.
+    /// Whether the expression contains the parameter with this index.
     pub fn mentions(&self, parameter: usize) -> bool {
         self.any(&mut |part| matches!(part, Expression::Parameter(index) if *index == parameter))
     }
 
-    /// The parameters in it.
+    /// Indices of the parameters in the expression.
     pub fn parameters(&self) -> BTreeSet<usize> {
         let mut all = BTreeSet::new();
         self.any(&mut |part| {
@@ -148,7 +148,7 @@ impl Expression {
         all
     }
 
-    /// With other expressions in the place of the parameters that have one.
+    /// The expression with those parameters replaced for which `other` gives an expression.
     pub fn replaced(&self, other: &dyn Fn(usize) -> Option<Expression>) -> Expression {
         let of = |part: &Expression| Box::new(part.replaced(other));
         match self {

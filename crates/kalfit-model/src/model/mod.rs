@@ -68,13 +68,13 @@ pub struct Model {
 /// One column of the data that the model reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
-    /// Its name in the data.
+    /// Name of the column in the data.
     pub name: String,
     /// Where the model uses it first, in words: "equation of measurement `gyro`".
     pub used_in: String,
 }
 
-/// Steps and times.
+/// Where steps and their times come from.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Clock {
     /// Numeric column with the time of a row; rows of a test with equal times are one step. Without it each row is a step.
@@ -83,9 +83,9 @@ pub struct Clock {
     pub unit: Option<String>,
     /// Time of x_0, an expression in columns constant within a test. Without it x_0 is at the first row.
     pub initial_time: Option<Expression>,
-    /// One transition precedes the first row too.
+    /// Whether one transition precedes the first row too.
     pub step_first: bool,
-    /// The step from row k-1 to row k uses row k-1's columns, not row k's.
+    /// Whether the step from row k-1 to row k uses the columns of row k-1, not of row k.
     pub previous_inputs: bool,
 }
 
@@ -99,7 +99,7 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// Its coefficients, and then its constant.
+    /// The coefficients, followed by the constant.
     pub fn expressions(&self) -> impl Iterator<Item = &Expression> {
         self.terms.iter().map(|(_, coefficient)| coefficient).chain([&self.constant])
     }
@@ -108,17 +108,17 @@ impl Linear {
 /// One state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
-    /// Its name.
+    /// Name of the state.
     pub name: String,
     /// Unit label; units never convert.
     pub unit: Option<String>,
-    /// How it moves.
+    /// How the state moves from row to row.
     pub motion: Motion,
-    /// How it starts.
+    /// How the state starts: its x_0.
     pub initial: Initial,
     /// Known amount added to x_0, constant within a test.
     pub offset: Option<Expression>,
-    /// False: one unknown value common to all tests (zero variance).
+    /// Whether x_0 differs from test to test; if not, it is one unknown value common to all tests (zero variance).
     pub random: bool,
 }
 
@@ -129,14 +129,14 @@ pub enum Motion {
     Constant,
     /// dx/dt = derivative + white noise of the given variance per unit time.
     Continuous {
-        /// Linear in the states.
+        /// dx/dt, linear in the states.
         derivative: Linear,
         /// Variance of the driving noise per unit time.
         noise_variance: Expression,
     },
     /// x_k = next(x_{k-1}) + noise of the given variance.
     Discrete {
-        /// Linear in the states of the previous step.
+        /// x_k without noise, linear in the states of the previous step.
         next: Linear,
         /// Variance of the noise of one step.
         noise_variance: Expression,
@@ -144,7 +144,7 @@ pub enum Motion {
 }
 
 impl Motion {
-    /// The form that moves the state, and the variance of its noise.
+    /// Linear form of the motion and variance of its noise; `None` for a constant state.
     pub fn parts(&self) -> Option<(&Linear, &Expression)> {
         match self {
             Motion::Constant => None,
@@ -153,7 +153,7 @@ impl Motion {
         }
     }
 
-    /// The variance of its noise.
+    /// Variance of the noise of the motion; `None` for a constant state.
     pub fn noise_variance(&self) -> Option<&Expression> {
         self.parts().map(|(_, noise_variance)| noise_variance)
     }
@@ -178,11 +178,11 @@ pub enum Initial {
 /// One scalar measurement z = h'x + d + v.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measurement {
-    /// Its name.
+    /// Name of the measurement.
     pub name: String,
     /// Numeric column with the measured value; a missing cell means not measured.
     pub column: usize,
-    /// Rows this measurement is read from.
+    /// Condition for the rows that the measurement is read from; `None` for all rows.
     pub filter: Option<Expression>,
     /// h'x + d.
     pub equation: Linear,
@@ -196,7 +196,7 @@ impl Model {
         self.estimated.len()
     }
 
-    /// Two parameters stand in the motion of one state, or in one covariance of noises.
+    /// Whether two parameters occur in the motion of the same state, or in the same covariance of noises.
     pub fn stand_together(&self, a: usize, b: usize) -> bool {
         let moved = |(form, noise): (&Linear, &Expression)| {
             let any = |p: usize| noise.mentions(p) || form.terms.iter().any(|(_, coefficient)| coefficient.mentions(p));

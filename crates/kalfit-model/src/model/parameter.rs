@@ -8,13 +8,13 @@ use crate::model::EvaluationError;
 /// One dynamic parameter: a time constant, a noise level, a coefficient.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
     /// Unit label.
     pub unit: Option<String>,
-    /// What is known of it.
+    /// Known value, or a free value and where its estimation starts.
     pub value: Value,
-    /// Text column whose levels have a value each.
+    /// Text column whose levels have separate values.
     pub per: Option<usize>,
     /// Levels whose value is fixed, whatever `value` says; keys are indices into [`Model::literals`](crate::model::Model::literals).
     pub fixed_levels: BTreeMap<usize, f64>,
@@ -22,16 +22,17 @@ pub struct Parameter {
     pub lower: Option<f64>,
     /// Closed upper bound.
     pub upper: Option<f64>,
-    /// It is used as a time constant, a standard deviation or a noise variance, so it cannot be negative.
+    /// Whether the parameter is used as a time constant, a standard deviation or a noise variance, and so cannot be
+    /// negative.
     pub positive: bool,
 }
 
 /// Whether a parameter is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Value {
-    /// Known.
+    /// The known value.
     Fixed(f64),
-    /// To be estimated, from this start value if one is given.
+    /// A value to be estimated, from this start value if one is given.
     Free {
         /// Start value.
         start: Option<f64>,
@@ -43,7 +44,7 @@ pub enum Value {
 pub enum Level {
     /// One value for all rows.
     Common(f64),
-    /// A value for each level of a text column; `other` is for levels that have none of their own.
+    /// A value for each level of a text column; `other` is for levels without one.
     Each {
         /// The text column.
         column: usize,
@@ -57,23 +58,24 @@ pub enum Level {
 /// α: a value for every parameter, at every level.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Alpha {
-    /// In the order of [`Model::parameters`](crate::model::Model::parameters).
+    /// Values in the order of [`Model::parameters`](crate::Model::parameters).
     pub values: Vec<Level>,
 }
 
-/// Why there is no α.
+/// Reason why there is no α.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ParameterError {
     /// These parameters are free, and nothing estimates them.
     #[error("free parameters: {}", names.join(", "))]
     Free {
-        /// Their names.
+        /// Names of the parameters.
         names: Vec<String>,
     },
 }
 
 impl Alpha {
-    /// Other values of the free parameters, none of them zero: what is zero here and there hardly depends on them.
+    /// α with other values of the free parameters, none of them zero: a number that is zero at both α hardly depends on
+    /// them.
     pub fn elsewhere(&self, free: &[bool]) -> Alpha {
         let moved = |value: f64| 0.6180339887 + 1.3247179572 * value.abs();
         let of = |(level, free): (&Level, bool)| match level {
@@ -89,8 +91,8 @@ impl Alpha {
         Alpha { values: self.values.iter().zip(free).map(of).collect() }
     }
 
-    /// The α of a model whose parameters have values. One with levels needs a value at some level only: a row with another
-    /// level is then an error where the value is needed.
+    /// The α of a model whose parameters have values. A parameter with levels needs a value at one level only; a row
+    /// with another level is then an error where the value is needed.
     pub fn fixed(parameters: &[Parameter]) -> Result<Alpha, ParameterError> {
         let free: Vec<String> = parameters.iter().filter(|p| p.has_no_value()).map(|p| p.name.clone()).collect();
         if !free.is_empty() {
@@ -120,13 +122,13 @@ impl Alpha {
 }
 
 impl Parameter {
-    /// True when values of it are to be estimated: its common value, or that of every level which is not fixed. Whether the
-    /// data have such levels is for [`Slots`](crate::model::Slots) to say.
+    /// True when values of the parameter are to be estimated: its common value, or that of every level that is not
+    /// fixed. [`Slots`](crate::model::Slots) shows whether the data have such levels.
     pub fn is_free(&self) -> bool {
         matches!(self.value, Value::Free { .. })
     }
 
-    /// True when no value of it is known, at any level.
+    /// True when no value of the parameter is known, at any level.
     fn has_no_value(&self) -> bool {
         self.is_free() && (self.per.is_none() || self.fixed_levels.is_empty())
     }

@@ -7,43 +7,44 @@ use crate::model::{CovarianceStructure, Expression, Initial, Linear, Model};
 /// The model of a whole test: its phases, in the order in which they happen.
 ///
 /// Invariants (kept by whoever builds one): there is at least one phase; all phases have the same `title`, `columns`,
-/// `text_columns`, `literals`, `parameters` and `group`, so that one [`Alpha`](crate::model::Alpha) and one
-/// [`Labels`](crate::ensemble::Labels) serve them all; the first phase carries nothing; names of phases differ; `column` is given
-/// when there are several phases; there are no levels then, nor beside a filter.
+/// `text_columns`, `literals`, `parameters` and `group`, so that one [`Alpha`](crate::Alpha) and one
+/// [`Labels`](crate::Labels) serve them all; the first phase has an empty `carry`; names of phases differ; `column` is
+/// given when there are several phases; there are no levels then, nor together with a filter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhasedModel {
     /// The phases.
     pub phases: Vec<Phase>,
-    /// Text column that tells the phase of a row; `None` where all rows are of the only phase.
+    /// Text column that names the phase of a row; `None` where all rows are of the only phase.
     pub column: Option<usize>,
-    /// Levels of groups that tests stand in, the outermost first (theory §11); none where tests are independent of each other.
+    /// Levels of groups of tests, the outermost first (theory §11); empty where tests are independent of each other.
     pub levels: Vec<GroupLevel>,
 }
 
-/// A level of groups of tests: ξ of a test is the sum of μ, of what each of its groups adds, and of what is the test's own. The
-/// model's own covariance is from test to test within a group of the innermost level.
+/// A level of groups of tests: ξ of a test is the sum of μ, of a deviation of each of its groups, and of a deviation of
+/// the test. The model's covariance is that of the tests' deviations within a group of the innermost level.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupLevel {
-    /// Its name, that of its column.
+    /// Name of the level, which is that of its column.
     pub name: String,
-    /// Text column with the name of the group, constant within a test. A group is told apart by it and by its groups above.
+    /// Text column with the name of the group, constant within a test. A group is identified by this name and those of
+    /// the groups that contain it.
     pub column: usize,
-    /// The covariance of what a group adds, p × p. It holds no `known`.
+    /// Covariance of the deviations of groups, p × p, without a `known` part.
     pub covariance: CovarianceStructure,
 }
 
 /// One phase.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Phase {
-    /// Its name; `main` for the only phase of a model file without phases.
+    /// Name of the phase; `main` for the only phase of a model file without phases.
     pub name: String,
     /// Literal (index into [`Model::literals`]) that marks its rows in the phase column; `None` without such a column.
     pub label: Option<usize>,
-    /// Its states, measurements and constraints.
+    /// States, measurements and constraints of the phase.
     pub model: Model,
-    /// What its x_0 inherits, at most one for each state, in ascending order of state.
+    /// What x_0 inherits from the phase before, at most one entry for each state, in ascending order of state.
     pub carry: Vec<Carry>,
-    /// The suboptimal filter whose estimates stand for its measurements (theory §8).
+    /// The suboptimal filter whose estimates replace the phase's measurements (theory §8).
     pub filter: Option<Filter>,
 }
 
@@ -57,7 +58,7 @@ pub struct Carry {
     pub from: Linear,
 }
 
-/// A filter that need not be the optimal one.
+/// A filter that need not be optimal.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Filter {
     /// States whose uncertainty is accounted for but which are not estimated (Schmidt), ascending.
@@ -66,7 +67,7 @@ pub struct Filter {
     pub mean: Vec<f64>,
     /// The filter's prior covariance, n × n, positive semidefinite.
     pub covariance: DMatrix<f64>,
-    /// (parameter, value) where the filter believes otherwise than the model.
+    /// (parameter, value) for each parameter for which the filter assumes another value than the model's.
     pub parameters: Vec<(usize, f64)>,
 }
 
@@ -79,7 +80,7 @@ impl PhasedModel {
         &self.phases[0].model
     }
 
-    /// The models of all phases, to change what they have in common: whoever does so does it in each.
+    /// The models of all phases, for writing. What they have in common must be changed in each of them.
     pub fn models_mut(&mut self) -> impl Iterator<Item = &mut Model> {
         self.phases.iter_mut().map(|phase| &mut phase.model)
     }
@@ -89,7 +90,7 @@ impl PhasedModel {
         self.phases.iter().map(|phase| phase.model.dimension()).sum()
     }
 
-    /// Where the elements of each phase stand among those of all phases.
+    /// Range of the elements of each phase among those of all phases.
     pub fn ranges(&self) -> Vec<std::ops::Range<usize>> {
         let mut end = 0;
         let range = |phase: &Phase| {
@@ -100,8 +101,8 @@ impl PhasedModel {
         self.phases.iter().map(range).collect()
     }
 
-    /// The structure of each block of Σ and where its states stand: of each phase, or of the only one and then of each level of groups,
-    /// the innermost first.
+    /// The structure of each block of Σ and the range of its states: a block for each phase or, with groups, one for
+    /// the only phase and one for each level of groups, the innermost first.
     pub fn blocks(&self) -> impl Iterator<Item = (&CovarianceStructure, std::ops::Range<usize>)> {
         let p = self.dimension();
         let phases = self.phases.iter().map(|phase| &phase.model.covariance).zip(self.ranges());
@@ -109,14 +110,15 @@ impl PhasedModel {
         phases.chain(levels.map(move |(l, level)| (&level.covariance, (l + 1) * p..(l + 2) * p)))
     }
 
-    /// Names of the elements of all blocks of Σ: of the estimated states, and again of those of each level of groups as `level.state`.
+    /// Names of the elements of all blocks of Σ: the estimated states, then the same states for each level of groups as
+    /// `level.state`.
     pub fn element_names(&self) -> Vec<String> {
         let own = self.estimated_names();
         let of = |level: &GroupLevel| own.iter().map(|name| format!("{}.{name}", level.name)).collect::<Vec<_>>();
         own.iter().cloned().chain(self.levels.iter().rev().flat_map(of)).collect()
     }
 
-    /// There is one phase only.
+    /// Whether there is only one phase.
     pub fn is_single(&self) -> bool {
         self.phases.len() == 1
     }
@@ -139,7 +141,7 @@ impl From<Model> for PhasedModel {
 }
 
 impl Phase {
-    /// The expressions of all that its x_0 inherits.
+    /// The expressions in all that x_0 inherits.
     pub fn carries(&self) -> impl Iterator<Item = &Expression> {
         self.carry.iter().flat_map(|carry| carry.from.expressions())
     }
@@ -152,8 +154,8 @@ impl Phase {
         states
     }
 
-    /// The model with all entering states as its ξ, as the reduction wants it: x_0 = a + E σ + ζ with σ the coordinates of
-    /// [`Phase::entering`]. States that only inherit keep their `initial`, which is known: it gives a and P0.
+    /// The model with all entering states as its ξ, as the reduction needs it: x_0 = a + E σ + ζ with σ the coordinates
+    /// of [`Phase::entering`]. States that only inherit keep their `initial`, which is known: it gives a and P0.
     pub fn entry_model(&self) -> Model {
         let mut model = self.model.clone();
         model.estimated = self.entering();

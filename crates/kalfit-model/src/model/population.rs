@@ -1,4 +1,4 @@
-//! A population of tests as it is: values of μ, of the regression coefficients and of Σ.
+//! A population of tests: values of μ, of the regression coefficients and of Σ.
 
 use nalgebra::DMatrix;
 
@@ -7,12 +7,12 @@ use crate::model::{
 };
 use kalfit_algebra::symmetric;
 
-/// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r. Of a model in phases, ξ_j holds the estimated states
-/// of all phases in a row; those of different phases are independent.
+/// ξ_j ~ N(μ_j, Σ) with μ_j = μ + Σ_r e_state(r) × covariate_jr × coefficient_r. In a model of phases, ξ_j holds the
+/// estimated states of all phases one after the other; those of different phases are independent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Population {
-    /// μ (p), in the order of [`Model::estimated`], phase by phase. Of a model with levels of groups all is there once for the tests' own
-    /// and once more for each level, the innermost first, with the mean zero: ξ_j is the sum.
+    /// μ (p), in the order of [`Model::estimated`], phase by phase. In a model with levels of groups, all elements
+    /// occur once for the tests and once more for each level, the innermost first, with mean zero: ξ_j is the sum.
     pub mean: Vec<f64>,
     /// Regression coefficients, in the order of [`MeanStructure::regression`](crate::model::MeanStructure::regression), phase by
     /// phase.
@@ -21,23 +21,23 @@ pub struct Population {
     pub covariance: DMatrix<f64>,
 }
 
-/// Why there is no population.
+/// Reason why there is no population.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PopulationError {
-    /// A count that is not the model's.
+    /// A count differs from the model's.
     #[error("found {found} {what}, expected {expected} as in the model")]
     Count {
         /// What was counted.
         what: &'static str,
-        /// How many there are.
+        /// Number found.
         found: usize,
-        /// How many there should be.
+        /// Number expected.
         expected: usize,
     },
-    /// A value that is no finite number.
+    /// A value is not a finite number.
     #[error("{what} is {found}, expected a finite number")]
     NotFinite {
-        /// Which value.
+        /// Name of the value.
         what: String,
         /// The value.
         found: f64,
@@ -45,29 +45,29 @@ pub enum PopulationError {
     /// Σ is not symmetric.
     #[error("the covariance is not symmetric: {upper} above the diagonal, {lower} below, for `{first}` and `{second}`")]
     NotSymmetric {
-        /// One state.
+        /// One of the two states.
         first: String,
-        /// The other.
+        /// The other state.
         second: String,
         /// Entry above the diagonal.
         upper: f64,
-        /// Entry below it.
+        /// Entry below the diagonal.
         lower: f64,
     },
     /// States of different phases are correlated.
     #[error("the covariance of `{first}` and `{second}` is {found}, expected 0: they are of different phases")]
     AcrossPhases {
-        /// One state.
+        /// One of the two states.
         first: String,
-        /// The other.
+        /// The other state.
         second: String,
-        /// Their covariance.
+        /// Covariance of the two states.
         found: f64,
     },
     /// A matrix is not positive semidefinite, or has no value.
     #[error(transparent)]
     Structure(#[from] StructureError),
-    /// The model gives no value to these.
+    /// The model gives no value to some elements.
     #[error("no value is given for {}", elements.join(", "))]
     NoValue {
         /// `mean[a]`, `covariance[a, b]` and the like.
@@ -76,8 +76,8 @@ pub enum PopulationError {
 }
 
 impl Population {
-    /// The law of a test with p states in groups, by itself: of what stands level by level the sum. Of a population in one level it is the
-    /// same.
+    /// The marginal law of a test with p states in groups: the sum over all levels. A population in one level is
+    /// unchanged.
     #[must_use]
     pub fn together(&self, p: usize) -> Population {
         let levels = self.mean.len().checked_div(p).unwrap_or(1);
@@ -86,10 +86,11 @@ impl Population {
         Population { mean, coefficients: self.coefficients.clone(), covariance: DMatrix::from_fn(p, p, sum) }
     }
 
-    /// The population a model file describes: what it fixes, else what it gives as start value.
+    /// The population that a model describes: its fixed values, else its start values.
     ///
     /// # Errors
-    /// [`PopulationError::NoValue`] names all that has neither; a matrix that is not positive semidefinite.
+    /// [`PopulationError::NoValue`] names all elements that have neither; another error is a matrix that is not
+    /// positive semidefinite.
     pub fn of_model(model: &PhasedModel, alpha: &Alpha) -> Result<Population, PopulationError> {
         let names = model.element_names();
         let p = names.len();
@@ -120,10 +121,11 @@ impl Population {
         Ok(population)
     }
 
-    /// Whether it has the model's dimensions, finite values, and a covariance that is symmetric and positive semidefinite.
+    /// Checks that the population has the model's dimensions, finite values, and a covariance that is symmetric and
+    /// positive semidefinite.
     ///
     /// # Errors
-    /// The first of these that it has not.
+    /// The first of these conditions that fails.
     pub fn check(&self, model: &PhasedModel) -> Result<(), PopulationError> {
         let regressions = model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum();
         let names = model.element_names();
@@ -191,10 +193,10 @@ impl Population {
     }
 }
 
-/// One phase's model, with the names of its estimated states as messages want them.
+/// One phase's model, with the names of its estimated states as messages show them.
 struct Named<'a> {
     model: &'a Model,
-    /// Of Σ: the model's own, or that of a level of groups.
+    /// Structure of Σ: the model's, or that of a level of groups.
     structure: &'a CovarianceStructure,
     names: &'a [String],
 }
@@ -215,7 +217,7 @@ impl Named<'_> {
         };
         let mut mean = vec![0.0; structure.elements.len()];
         for (i, element) in structure.elements.iter().enumerate() {
-            // A tied element whose sources lack values is not named beside them.
+            // A tied element whose sources lack values is not listed in addition to them.
             match (element, own(i)) {
                 (MeanElement::Tied { constant, terms }, _) => {
                     mean[i] = terms.iter().fold(*constant, |sum, &(k, weight)| sum + weight * own(k).unwrap_or(0.0));

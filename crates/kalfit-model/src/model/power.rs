@@ -1,9 +1,9 @@
-//! How expressions and models go with the scale of one parameter.
+//! How expressions and models scale with one parameter θ.
 
 use crate::model::{Expression, Function, Model, Operator, Site};
 
 impl Expression {
-    /// k, where this is θ^k times what does not hold θ, or zero, on every row; 0 where it is zero on all.
+    /// k, if on every row the expression is zero or θ^k times a factor without θ; 0 if it is zero on all rows.
     pub fn exponent(&self, parameter: usize) -> Option<f64> {
         match self.exponents(parameter)?[..] {
             [] => Some(0.0),
@@ -12,8 +12,8 @@ impl Expression {
         }
     }
 
-    /// The k where this is θ^k times what does not hold θ > 0: one on each row, ascending, none where it is zero; `None` when it is not
-    /// of that form.
+    /// The exponents k with which the expression is θ^k, θ > 0, times a factor without θ: one for each row where it is
+    /// not zero, ascending, without repetition; `None` when it is not of that form.
     pub(super) fn exponents(&self, parameter: usize) -> Option<Vec<f64>> {
         let of = |part: &Expression| part.exponents(parameter);
         match self {
@@ -31,7 +31,7 @@ impl Expression {
                 Some(of(&arguments[0])?.into_iter().map(|k| 0.5 * k).collect())
             }
             Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
-            // zero among the arguments is one more size, which the others may fall short of or not, whatever θ is
+            // an argument of zero compares with the others in the same way whatever θ is
             Expression::Call(Function::Min | Function::Max, arguments) => {
                 arguments.iter().try_fold(Vec::new(), |known, argument| alike(known, of(argument)?))
             }
@@ -45,7 +45,7 @@ impl Expression {
     }
 }
 
-/// Exponents of a sum: those of its terms, where these are the same one.
+/// Exponents of a sum: those of its terms, if all terms have the same one.
 fn alike(a: Vec<f64>, b: Vec<f64>) -> Option<Vec<f64>> {
     match (&a[..], &b[..]) {
         ([], _) => Some(b),
@@ -66,8 +66,8 @@ fn ascending(mut exponents: Vec<f64>) -> Vec<f64> {
 }
 
 impl Model {
-    /// k, where every variance of the model is proportional to θ^k, and nothing else, Σ apart, depends on θ: a scale of all
-    /// noise there is.
+    /// k, if every variance of the model is proportional to θ^k and nothing else, except Σ, depends on θ: then θ scales
+    /// all noise.
     pub fn noise_power(&self, parameter: usize) -> Option<f64> {
         let mut found = Vec::new();
         for (site, expression) in self.expressions() {

@@ -1,8 +1,8 @@
-//! What parameters are for, found from every place in which they stand.
+//! Roles of parameters, derived from every expression in which they occur.
 //!
-//! A parameter that does nothing but scale noise has no sign of its own: ℓ depends on the variances, and these are even in a
-//! standard deviation and at least zero where they are proportional to a variance. So such a parameter can be taken as positive
-//! without loss, and so can a time constant, which cannot pass through zero.
+//! A parameter that only scales noise has no sign that matters: ℓ depends on the variances, and these are even in a
+//! standard deviation and at least zero where they are proportional to a variance. So such a parameter can be taken as
+//! positive without loss, and so can a time constant, which cannot pass through zero.
 
 use crate::model::{CovarianceKind, CovarianceStructure, Expression, Model, Motion, Phase, PhasedModel, Site};
 
@@ -12,53 +12,53 @@ mod variance;
 use timely::Decay;
 use variance::Use;
 
-/// What a parameter is for.
+/// Role of a parameter in a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Role {
-    /// It stands in variances and covariances of noise only, as a scale: they depend on it through v = θ^power, and it can be taken
-    /// as positive.
+    /// A scale of noise: the parameter θ occurs only in variances and covariances, as v = θ^power, and can be taken as
+    /// positive.
     Scale {
-        /// 2 for a standard deviation, 1 for a variance (and for what serves as both).
+        /// 2 for a standard deviation, 1 for a variance (and for a parameter that serves as both).
         power: i32,
     },
-    /// It stands in the motion of states as a time constant only (-1/τ times the state itself, or exp(-dt/τ)), and in variances: it
-    /// is positive.
+    /// A time constant: the parameter occurs in the motion of states only as such (-1/τ times the state itself, or
+    /// exp(-dt/τ)), and in variances. It is positive.
     TimeConstant,
-    /// Anything else, and what stands nowhere.
+    /// Any other role, also that of a parameter that occurs nowhere.
     Other,
 }
 
-/// Where an expression stands.
+/// Kind of position in which an expression occurs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum RolePlace {
     /// A variance of noise, of a known start, or of a matrix of Σ.
     Variance,
-    /// A covariance of these.
+    /// A covariance of noises, of known starts, or in a matrix of Σ.
     Covariance,
-    /// The derivative of a state; `own`: the coefficient of that state itself.
+    /// The derivative of a state; `own` marks the coefficient of that state itself.
     Derivative { own: bool },
-    /// The next value of a state.
+    /// The next value of a state; `own` marks the coefficient of that state itself.
     Next { own: bool },
-    /// A coefficient, an input, a condition, a correlation.
+    /// Any other position: a coefficient, an input, a condition, a correlation.
     Elsewhere,
 }
 
 /// The role of each parameter of a model.
 ///
-/// A parameter is a [`Role::Scale`] when it stands nowhere but in variances and covariances, in one variance at least, and
+/// A parameter is a [`Role::Scale`] when it occurs only in variances and covariances, in at least one variance, and
 /// - every variance is even in it, built of products, quotients, powers, roots, sums and alternatives (`sigma`, `if(a, sd, 0)`,
 ///   `sigma * (1 + b * T)` in sigma, `sqrt(a^2 + b^2 * x)` in a and b), or it is a factor of every variance (`variance = "v"`),
 ///   or a variance added to what is known or even (`variance = "v + tau2"`);
-/// - where it stands in covariances, it is a factor of these and of the variances: `rho * sd0 * sd1`. What covariance two positive
-///   standard deviations can give is then for the others there to say, such as a rho that may take either sign. In
-///   `l1 * l2` beside the variances `l1^2 + u1` they are loadings, whose signs mean something: not scales.
+/// - where it occurs in covariances, it is a factor of these and of the variances: `rho * sd0 * sd1`. The sign of the
+///   covariance is then that of the other factors, such as a rho that may take either sign. In `l1 * l2` together with
+///   the variances `l1^2 + u1` the parameters are loadings, whose signs matter, and not scales.
 ///
 /// Terms of a sum that may be negative (`a + b * T`) and functions such as exp make it [`Role::Other`].
 pub fn roles(model: &PhasedModel) -> Vec<Role> {
     roles_among(model, model.shared().parameters.len())
 }
 
-/// As [`roles`], of a model that need not have its parameters yet.
+/// As [`roles`], for a model that need not contain its parameters yet; `parameters` is their number.
 pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
     let mut occurrences = vec![Vec::new(); parameters];
     let mut note = |place, expression| {
@@ -78,7 +78,7 @@ fn role(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Role {
     }
 }
 
-/// k, where the parameter scales noise as v = θ^k.
+/// k, if the parameter scales noise as v = θ^k.
 fn scale(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Option<i32> {
     let paired = occurrences.iter().any(|(place, _)| *place == RolePlace::Covariance);
     let mut power = None;
@@ -96,7 +96,8 @@ fn scale(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Option<i
     power
 }
 
-/// Every motion that it stands in decays with it, one at least by itself.
+/// Whether every motion in which the parameter occurs decays with it, at least one through the coefficient of the state
+/// itself.
 fn is_time_constant(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> bool {
     let mut decays = false;
     for (place, expression) in occurrences {
@@ -118,7 +119,7 @@ fn is_time_constant(parameter: usize, occurrences: &[(RolePlace, &Expression)]) 
     decays
 }
 
-/// Every expression of a phase and where it stands.
+/// Visits every expression of a phase, with its kind of position.
 fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(RolePlace, &'m Expression)) {
     let model = &phase.model;
     for (site, expression) in model.expressions() {
@@ -151,7 +152,7 @@ fn of_structure(kind: &CovarianceKind, diagonal: bool) -> RolePlace {
     if matches!(kind, CovarianceKind::Correlation(_)) { RolePlace::Elsewhere } else { of_matrix(diagonal) }
 }
 
-/// Every expression of the matrix of a level.
+/// Visits every expression of the covariance matrix of a level of groups.
 fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(RolePlace, &'m Expression)) {
     for (site, expression) in covariance.kind.expressions() {
         let diagonal = site == Site::Structure { diagonal: true };

@@ -1,18 +1,18 @@
-//! Where expressions stand in a model: the one walk over all of them.
+//! Positions of expressions in a model, and the one walk over all of them.
 
 use crate::model::{CovarianceKind, Expression, Initial, Linear, Model};
 
-/// Where an expression stands.
+/// Position of an expression in a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Site {
-    /// What one state adds to the derivative, or the next value, of a state.
+    /// The coefficient of one state in the derivative, or the next value, of a state.
     Rate {
         /// The state that moves.
         state: usize,
-        /// The one that moves it.
+        /// The state whose coefficient it is.
         from: usize,
     },
-    /// What is added to the derivative, or the next value, of a state.
+    /// The constant term of the derivative, or the next value, of a state.
     Input(usize),
     /// The variance of a state's process noise.
     ProcessNoise(usize),
@@ -29,7 +29,7 @@ pub enum Site {
         /// The state.
         state: usize,
     },
-    /// What is added to a measurement.
+    /// The constant term of a measurement.
     Constant(usize),
     /// The variance of a measurement's noise.
     Noise(usize),
@@ -43,18 +43,18 @@ pub enum Site {
     InitialTime,
     /// An element of the part of the initial covariance that is known.
     KnownCovariance {
-        /// It is a variance.
+        /// Whether the element is a variance.
         diagonal: bool,
     },
-    /// An element of a matrix that Σ is made of: fixed, proportional, or of correlations.
+    /// An element of a matrix in the structure of Σ: fixed, proportional, or of correlations.
     Structure {
-        /// It is on the diagonal.
+        /// Whether the element is on the diagonal.
         diagonal: bool,
     },
 }
 
 impl Site {
-    /// Of what the filter is made of: the motion of states, and measurements, with their noises.
+    /// Whether the site is part of the filter: of the motion of states or the measurements, with their noises.
     pub fn is_of_filter(self) -> bool {
         self.is_of_motion()
             || matches!(
@@ -63,12 +63,12 @@ impl Site {
             )
     }
 
-    /// Of the motion of states, with its noise.
+    /// Whether the site is part of the motion of states, with its noise.
     pub fn is_of_motion(self) -> bool {
         matches!(self, Site::Rate { .. } | Site::Input(_) | Site::ProcessNoise(_) | Site::ProcessCovariance)
     }
 
-    /// The state whose motion or start it is of.
+    /// The state to whose motion or start the site belongs.
     pub fn of_state(self) -> Option<usize> {
         match self {
             Site::Rate { state, .. }
@@ -81,7 +81,7 @@ impl Site {
         }
     }
 
-    /// A variance or covariance of noise, or of a known start.
+    /// Whether the site is a variance or covariance of noise, or of a known start.
     pub fn is_variance(self) -> bool {
         matches!(
             self,
@@ -96,7 +96,7 @@ impl Site {
 }
 
 impl Model {
-    /// Every expression, with its place: states in their order, then measurements, covariances, and the start.
+    /// Every expression, with its position: states in their order, then measurements, covariances, and the start.
     pub fn expressions(&self) -> Vec<(Site, &Expression)> {
         let mut all = Vec::new();
         self.each_of_states(&mut all);
@@ -135,7 +135,7 @@ impl Model {
 }
 
 impl CovarianceKind {
-    /// The elements of its matrix, where it has one.
+    /// The elements of the structure's matrix with their positions, if it has a matrix.
     pub fn expressions(&self) -> Vec<(Site, &Expression)> {
         let mut all = Vec::new();
         if let CovarianceKind::Proportional(own) | CovarianceKind::Correlation(own) | CovarianceKind::Fixed(own) = self

@@ -1,4 +1,4 @@
-//! The free values of α: one for a common parameter, one for each level of one that has levels.
+//! The free values of α: one for a common parameter, one for each level of a parameter that has levels.
 
 use std::collections::BTreeMap;
 
@@ -10,18 +10,18 @@ use crate::model::{Alpha, Level, Model, Parameter, Value};
 pub struct Slot {
     /// Index of the parameter in [`Model::parameters`].
     pub parameter: usize,
-    /// Its level, when the parameter has levels.
+    /// Level of the parameter, if the parameter has levels.
     pub level: Option<Label>,
 }
 
-/// All free values of α, in the order of the model's parameters and, within one, of the texts of its levels.
+/// All free values of α, in the order of the model's parameters and, within one parameter, of the texts of its levels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Slots {
     slots: Vec<Slot>,
     places: Vec<Places>,
 }
 
-/// Where the values of one parameter stand among the slots.
+/// Slots of the values of one parameter.
 #[derive(Debug, Clone, PartialEq)]
 enum Places {
     Fixed,
@@ -30,17 +30,17 @@ enum Places {
 }
 
 impl Slots {
-    /// The free values of a model that these tests have levels for.
+    /// The free values of a model, with the levels that occur in these tests.
     pub fn new(model: &Model, labels: &Labels, tests: &[Test]) -> Slots {
         Slots::of(model, labels, &tests.iter().collect::<Vec<_>>())
     }
 
-    /// Of a model whose parameters are all known.
+    /// The slots of a model whose parameters are all known: none.
     pub fn none(model: &Model) -> Slots {
         Slots { slots: Vec::new(), places: model.parameters.iter().map(|_| Places::Fixed).collect() }
     }
 
-    /// The same of tests that stand anywhere.
+    /// As `new`, from references to tests.
     pub(crate) fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
         let mut slots = Slots::default();
         for (parameter, what) in model.parameters.iter().enumerate() {
@@ -88,12 +88,12 @@ impl Slots {
         }
     }
 
-    /// Which parameters have free values, one for each parameter.
+    /// Whether each parameter has free values, in the order of the parameters.
     pub fn free(&self) -> Vec<bool> {
         (0..self.places.len()).map(|parameter| self.is_free(parameter)).collect()
     }
 
-    /// Slot of a parameter that is common to all rows.
+    /// Slot of a parameter whose free value is common to all rows; `None` for any other parameter.
     pub fn common(&self, parameter: usize) -> Option<usize> {
         match &self.places[parameter] {
             Places::Common(slot) => Some(*slot),

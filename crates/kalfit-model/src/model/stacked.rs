@@ -5,7 +5,7 @@ use std::ops::Range;
 use crate::model::{Phase, PhasedModel, Population};
 
 impl Population {
-    /// The population of each phase. `self` is of the shape of the model.
+    /// The population of each phase. `self` must have the shape of the model.
     pub fn apart(&self, model: &PhasedModel) -> Vec<Population> {
         let mut coefficients = self.coefficients.as_slice();
         let of = |(phase, range): (&Phase, Range<usize>)| {

@@ -1,4 +1,4 @@
-//! What is assumed of μ and Σ: the constraints an engineer imposes.
+//! Structure of μ and Σ: the constraints that an engineer imposes.
 
 use nalgebra::DMatrix;
 
@@ -9,7 +9,7 @@ use crate::model::{EvaluationError, Expression};
 /// β has one entry for each free element and one for all proportional elements together; regression coefficients follow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeanStructure {
-    /// What was said of each element of μ.
+    /// Constraint on each element of μ.
     pub elements: Vec<MeanElement>,
     /// Start values of elements, where given.
     pub start: Vec<Option<f64>>,
@@ -17,25 +17,25 @@ pub struct MeanStructure {
     pub regression: Vec<Regression>,
 }
 
-/// What was said of one element of μ.
+/// Constraint on one element of μ.
 #[derive(Debug, Clone, PartialEq)]
 pub enum MeanElement {
-    /// To be estimated.
+    /// The element is estimated.
     Free,
-    /// Known.
+    /// The element is known.
     Fixed(f64),
     /// constant + Σ weight × other element; the others are not tied themselves.
     Tied {
         /// The constant.
         constant: f64,
-        /// (element, weight).
+        /// (element, weight) of each other element.
         terms: Vec<(usize, f64)>,
     },
     /// α_μ × this weight, α_μ common to all proportional elements (34).
     Proportional(f64),
 }
 
-/// One regression coefficient: the mean of `element` moves with a column.
+/// One regression coefficient: the mean of `element` is linear in a column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Regression {
     /// Element of μ.
@@ -100,7 +100,7 @@ impl MeanStructure {
 pub struct CovarianceStructure {
     /// The overall form.
     pub kind: CovarianceKind,
-    /// Fixed elements, i ≥ j, each once; a variance fixed at zero stands with its row and column of zeros implied.
+    /// Fixed elements, i ≥ j, each once; a variance fixed at zero implies zeros in its row and column.
     pub fixed: Vec<FixedElement>,
     /// Groups of elements (i ≥ j) that are equal.
     pub equal: Vec<Vec<(usize, usize)>>,
@@ -117,7 +117,7 @@ pub enum CovarianceKind {
     Full,
     /// Zero outside the diagonal.
     Diagonal,
-    /// States of different blocks are uncorrelated (26)-(28); every element stands in one block.
+    /// States of different blocks are uncorrelated (26)-(28); every element belongs to one block.
     Blocks(Vec<Vec<usize>>),
     /// Σ = β Σ*.
     Proportional(Vec<Vec<Expression>>),
@@ -126,7 +126,8 @@ pub enum CovarianceKind {
     /// Σ is known.
     Fixed(Vec<Vec<Expression>>),
     /// Σ = G0 + Σ_g θ_g G_g, a linear covariance structure (Anderson 1973), with as many free quantities as generators.
-    /// `fixed` and `equal` elements do not go with it: they are constraints on θ, to be written into the generators.
+    /// It cannot be combined with `fixed` and `equal` elements: these are constraints on θ, to be written into the
+    /// generators.
     Linear {
         /// G0, p × p, symmetric; it need not be positive semidefinite by itself.
         constant: DMatrix<f64>,
@@ -138,16 +139,16 @@ pub enum CovarianceKind {
 /// σ_ij = value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FixedElement {
-    /// Row.
+    /// Row of the element.
     pub i: usize,
-    /// Column, at most `i`.
+    /// Column of the element, at most `i`.
     pub j: usize,
     /// The value.
     pub value: f64,
 }
 
 impl CovarianceStructure {
-    /// Σ free.
+    /// A free Σ, without constraints.
     pub fn full() -> CovarianceStructure {
         CovarianceStructure {
             kind: CovarianceKind::Full,
@@ -159,39 +160,39 @@ impl CovarianceStructure {
     }
 }
 
-/// Why a structure cannot be.
+/// Reason why a structure is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StructureError {
     /// A matrix that must be positive semidefinite is not.
     #[error("{what} is not positive semidefinite: smallest eigenvalue {least:.3e}, largest {largest:.3e}")]
     NotSemidefinite {
-        /// Which matrix.
+        /// Name of the matrix.
         what: String,
-        /// Its smallest eigenvalue.
+        /// Smallest eigenvalue of the matrix.
         least: f64,
-        /// Its largest eigenvalue.
+        /// Largest eigenvalue of the matrix.
         largest: f64,
     },
     /// An entry of a matrix has no value at this α.
     #[error("entry ({row}, {column}) of {what} has no value: {source}")]
     Entry {
-        /// Which matrix.
+        /// Name of the matrix.
         what: String,
         /// Row, from 0.
         row: usize,
         /// Column, from 0.
         column: usize,
-        /// Why.
+        /// Reason why the entry has no value.
         source: EvaluationError,
     },
     /// A matrix of a linear structure has the wrong shape.
     #[error("{what} is {rows} × {columns}, expected {states} × {states}, a row and a column for each estimated state")]
     Shape {
-        /// Which matrix.
+        /// Name of the matrix.
         what: String,
-        /// Its rows.
+        /// Number of rows of the matrix.
         rows: usize,
-        /// Its columns.
+        /// Number of columns of the matrix.
         columns: usize,
         /// The number of estimated states.
         states: usize,
@@ -199,32 +200,32 @@ pub enum StructureError {
     /// A matrix of a linear structure is not symmetric, or has an entry that is not a finite number.
     #[error("{what} is not symmetric: found {above} at ({row}, {column}) and {below} at ({column}, {row})")]
     Asymmetric {
-        /// Which matrix.
+        /// Name of the matrix.
         what: String,
         /// Row, from 0.
         row: usize,
         /// Column, from 0.
         column: usize,
-        /// The entry there.
+        /// The entry at (row, column).
         above: f64,
-        /// The entry in the mirrored place.
+        /// The entry at (column, row).
         below: f64,
     },
-    /// Generators of a linear structure that say the same thing twice.
+    /// The generators of a linear structure are linearly dependent.
     #[error("the {generators} generators of the linear covariance are dependent: they span {rank} dimensions")]
     Dependent {
-        /// How many there are.
+        /// Number of generators.
         generators: usize,
-        /// How many would do.
+        /// Dimension of the space that they span.
         rank: usize,
     },
-    /// A linear structure beside fixed or equal elements.
+    /// A linear structure is combined with fixed or equal elements.
     #[error("fixed and equal elements do not go with a linear covariance: write them into its generators")]
     NotAlone,
     /// No member of a linear structure is a covariance.
     #[error("no member of the linear covariance is positive semidefinite")]
     NoMember,
-    /// No positive semidefinite Σ meets the constraints together.
+    /// No positive semidefinite Σ meets all constraints.
     #[error("no positive semidefinite covariance has these fixed and equal elements")]
     Contradiction,
 }

@@ -1,13 +1,14 @@
-//! What has been answered, and what is to be asked next.
+//! Answers received so far, and the questions to be asked next.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::remote::question::{Asked, Question};
 
-/// Numbers that add over tests; `None` where what was asked for is not defined.
+/// Numbers that add over tests; `None` where the requested sum is not defined.
 pub type Answer = Option<Vec<f64>>;
 
-/// The sum of the answers of several places to one question, in their order; `None` where they are not of one length.
+/// The sum of the answers of several sites to one question, in the order of the sites; `None` where the answers differ
+/// in length.
 pub fn sum(answers: &[Answer]) -> Option<Answer> {
     let length = answers.iter().flatten().map(Vec::len).next();
     if answers.iter().flatten().any(|one| Some(one.len()) != length) {
@@ -21,7 +22,7 @@ pub fn sum(answers: &[Answer]) -> Option<Answer> {
     Some(rest.iter().fold(first.clone(), |sum, other| sum.zip(other.as_ref()).map(|(sum, other)| add(sum, other))))
 }
 
-/// All that has been answered of an ensemble, and what a search that lives on it asks for beyond.
+/// All known answers about an ensemble, and the questions of a search that they do not answer.
 #[derive(Debug, Default)]
 pub struct Answers {
     known: Vec<(Asked, Answer)>,
@@ -30,30 +31,30 @@ pub struct Answers {
 
 #[derive(Debug, Default)]
 struct Open {
-    /// Asked, and not answered yet.
+    /// Questions that were asked and have no answer yet.
     wanted: Vec<Asked>,
-    /// Within so many parts of the search that do not depend on each other.
+    /// Number of nested calls of `together` that collect questions.
     together: usize,
 }
 
 impl Answers {
-    /// Those that are known.
+    /// Answers for a search, given those that are known.
     pub fn new(known: Vec<(Asked, Answer)>) -> Answers {
         Answers { known, open: Mutex::default() }
     }
 
-    /// Something was asked for that has no answer yet: whatever the search does from there on means nothing.
+    /// Whether a question was asked that has no answer yet: whatever the search does from then on is meaningless.
     pub fn is_waiting(&self) -> bool {
         !self.open().wanted.is_empty()
     }
 
-    /// What was asked for that has no answer yet.
+    /// Questions that were asked and have no answer yet.
     pub fn wanted(&self) -> Vec<Asked> {
         self.open().wanted.clone()
     }
 
-    /// The answer; `None` where it is not defined, or not known. The first question without an answer is kept, and those that are
-    /// [asked together](Answers::together) with it.
+    /// The answer; `None` where it is not defined, or not known. The first question without an answer is recorded, as
+    /// are those that are [asked together](Answers::together) with it.
     pub(crate) fn get(&self, asked: Asked) -> Answer {
         if !asked.is_finite() {
             return None;
@@ -68,7 +69,7 @@ impl Answers {
         None
     }
 
-    /// Does what asks for several things that do not depend on each other: one round answers them all.
+    /// Runs `ask`, whose questions do not depend on each other, so that one round answers them all.
     pub fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
         let opened = {
             let mut open = self.open();
@@ -86,7 +87,7 @@ impl Answers {
     }
 }
 
-/// The tests at an α.
+/// Remote tests at an α.
 #[derive(Debug, Clone)]
 pub struct Remote {
     /// The free values of α.
@@ -95,7 +96,7 @@ pub struct Remote {
 }
 
 impl Remote {
-    /// What the tests say there.
+    /// Answer of the tests to a question at this α.
     pub fn ask(&self, question: Question) -> Answer {
         self.answers.get(Asked { values: self.values.clone(), question })
     }

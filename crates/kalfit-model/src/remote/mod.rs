@@ -1,12 +1,12 @@
-//! Tests that are elsewhere: on other machines, in other laboratories. Nothing of a single test leaves its place; what is asked for
-//! are sums over tests, each a list of numbers that those of other places are added to.
+//! Tests that are elsewhere: on other machines, in other laboratories. No data of a single test leave their site; only
+//! sums over tests are requested, each a list of numbers to which those of other sites are added.
 //!
 //! ```text
 //! (θ, kind, tests) → sums        sums + sums → sums
 //! ```
 //!
-//! A search is made again from its beginning with all answers that are there ([`Answers`]) until it asks for one that is not: every
-//! step that it takes follows from the answers, so that it comes to the same place.
+//! A search is repeated from its beginning with all answers that are known ([`Answers`]) until it asks for one that is
+//! not. Every step of the search follows from the answers, so that it reaches the same point again.
 
 mod answers;
 mod coordinates;

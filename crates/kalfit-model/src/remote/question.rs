@@ -1,4 +1,4 @@
-//! What is asked of tests that are elsewhere.
+//! Questions to tests that are elsewhere.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,44 +9,44 @@ use crate::remote::coordinates::Coordinates;
 pub struct Asked {
     /// The free values of α, in the order of [`Slots`](crate::model::Slots).
     pub values: Vec<f64>,
-    /// What is wanted there.
+    /// Which sum is requested.
     pub question: Question,
 }
 
-/// What is wanted. Matrices are lists by columns.
+/// Which sum over tests is requested. Matrices are lists of numbers by columns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Question {
-    /// How many tests there are, and what they suggest for each free value.
+    /// The number of tests, and the value that they suggest for each free value.
     Opening,
-    /// How many tests there are, and what they say together before anything is known of Σ.
+    /// The number of tests, and sums over them that need no knowledge of Σ.
     Survey,
-    /// How far tests lie from a mean beyond what their noise explains, state by state.
+    /// The scatter of tests about a mean in excess of what their noise explains, state by state.
     Excess {
-        /// Where η stands.
+        /// Centre and scale of η.
         frame: Coordinates,
         /// The mean in η.
         mean: Vec<f64>,
     },
-    /// How many tests inform and observe each state.
+    /// The numbers of tests that inform about each state and that observe it.
     Observability {
-        /// Where η stands.
+        /// Centre and scale of η.
         frame: Coordinates,
     },
-    /// ℓ and its derivatives by μ and Σ (theory §3).
+    /// ℓ and its derivatives with respect to μ and Σ (theory §3).
     Pass {
-        /// Where η stands.
+        /// Centre and scale of η.
         frame: Coordinates,
         /// μ and Σ in η.
         place: Place,
-        /// Which derivatives.
+        /// Which derivatives are requested.
         detail: Detail,
-        /// What the restricted likelihood wants beside them.
+        /// What the restricted likelihood needs in addition.
         flat: Option<Flat>,
     },
     /// dℓ/dα at a law of ξ (theory §6).
     Score {
-        /// The law.
+        /// The law of ξ.
         law: Law,
     },
 }
@@ -54,51 +54,51 @@ pub enum Question {
 /// μ, regression coefficients and a root of Σ, in η.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Place {
-    /// p numbers.
+    /// Mean μ, p numbers.
     pub mean: Vec<f64>,
-    /// One for each regression.
+    /// Regression coefficients, one for each regression.
     pub coefficients: Vec<f64>,
     /// F with Σ = FF', p rows.
     pub root: Vec<f64>,
 }
 
-/// Which derivatives a pass computes, each with all before it.
+/// Which derivatives a pass computes; each choice includes those before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Detail {
-    /// ℓ and the first derivatives: all that EM needs. The information on the mean only within phases.
+    /// ℓ and the first derivatives, which is all that EM needs, and the information on the mean within phases only.
     First,
-    /// And all of the information on the mean.
+    /// In addition, all of the information on the mean.
     Mean,
-    /// And the observed information.
+    /// In addition, the observed information.
     Second,
-    /// And the expected information of Σ.
+    /// In addition, the expected information of Σ.
     Expected,
 }
 
-/// The mean by its free coordinates.
+/// The mean as a function of its free coordinates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Flat {
     /// Number of free coordinates.
     pub free: usize,
     /// d(mean coordinates) / d(free mean coordinates).
     pub jacobian: Vec<f64>,
-    /// V, the covariance of the free ones, where it is known.
+    /// V, the covariance of the free mean coordinates, where it is known.
     pub covariance: Option<Vec<f64>>,
 }
 
-/// ξ_j ~ N(μ_j, FF') in the user's units.
+/// The law ξ_j ~ N(μ_j, FF'), in the user's units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Law {
     /// μ without regression, p numbers.
     pub mean: Vec<f64>,
-    /// The element that each covariate moves, and its coefficient.
+    /// (element, coefficient) of each covariate: the element of μ to which coefficient × covariate is added.
     pub regression: Vec<(usize, f64)>,
     /// F, p rows.
     pub root: Vec<f64>,
     /// A root of the covariance of (μ, coefficients) at a known Σ, under the restricted likelihood.
     pub mean_half: Option<Vec<f64>>,
-    /// Where tests stand in groups: ξ of each is meant given all tests of its unit.
+    /// For tests in groups: the law of the groups, from which ξ of each test follows given all tests of its unit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub given: Option<InGroups>,
 }
@@ -106,14 +106,14 @@ pub struct Law {
 /// μ and the Σ of every level of groups, that of the tests first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InGroups {
-    /// Where η stands.
+    /// Centre and scale of η.
     pub frame: Coordinates,
     /// μ and Σ in η.
     pub place: Place,
 }
 
 impl Asked {
-    /// Every number is finite: where one is not, nobody needs to be asked.
+    /// Whether every number is finite; otherwise no site needs to be asked.
     pub(crate) fn is_finite(&self) -> bool {
         let finite = |numbers: &[f64]| numbers.iter().all(|x| x.is_finite());
         let framed =

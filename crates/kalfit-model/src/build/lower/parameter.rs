@@ -1,4 +1,4 @@
-//! From a parameter as it was given to one of the model.
+//! From the builder of a parameter to a parameter of the model.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::build::parameter::ParameterBuilder;
 use crate::model::{Parameter, Value};
 
 impl ParameterBuilder {
-    /// The column with its levels, and their texts, get their indices.
+    /// Assigns indices to the column of levels and to the texts of the levels.
     pub(in crate::build) fn declare(&self, names: &mut Names) -> Result<(), BuildError> {
         if self.per.is_none() && !self.levels.is_empty() {
             let first = format!("a value by level of parameter `{}`", self.name);
@@ -23,7 +23,7 @@ impl ParameterBuilder {
         Ok(())
     }
 
-    /// The parameter, now that its uses are known.
+    /// Builds the parameter, once its uses are known.
     pub(in crate::build) fn lower_into(&self, names: &mut Names, role: Role) -> Result<Parameter, BuildError> {
         let name = self.name.clone();
         if role == Role::Unused {

@@ -9,7 +9,7 @@ use crate::model::GroupLevel;
 const STANDARD_DEVIATION: Role = Role::Scale { power: 2 };
 const VARIANCE: Role = Role::Scale { power: 1 };
 
-/// The roles of some parameters of a model of a level, a noise and more.
+/// Roles of the named parameters, which are added to the model as free ones.
 fn found(builder: ModelBuilder, names: &[&str]) -> Vec<Role> {
     let model = names.iter().fold(builder, |builder, name| builder.parameter(free(*name))).build().unwrap();
     roles(&model)
@@ -75,7 +75,7 @@ fn what_may_take_either_sign_is_no_scale() {
         let natural = formula == n("a") + n("a") * n("a") + 1.0;
         assert_eq!(role, [if natural { VARIANCE } else { Role::Other }], "{formula:?}");
     }
-    // a line may begin below zero, when it rises
+    // a rising line may begin below zero
     assert_eq!(found(noise(variance(n("a") + n("b") * n("column"))), &["a", "b"]), [Role::Other; 2]);
 }
 

@@ -1,20 +1,20 @@
-//! How a parameter stands in motion, where it may be a time constant τ.
+//! How a parameter occurs in motion, where it may be a time constant τ.
 
 use crate::model::{Expression, Function, Operator};
 
-/// What a coefficient of motion does with τ.
+/// How a coefficient of motion depends on τ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Decay {
-    /// Nothing that tells its sign, or τ is not there.
+    /// Not at all, or in a way that does not determine the sign of τ.
     None,
-    /// It falls with it: -c/τ as a rate, exp(-dt/τ) as a factor.
+    /// As a decay: -c/τ in a rate, exp(-dt/τ) in a factor.
     Falling,
-    /// Something that no time constant does.
+    /// In a way that does not fit a time constant.
     Other,
 }
 
 impl Expression {
-    /// Of a coefficient of a derivative: c/τ^k.
+    /// How a coefficient of a derivative depends on τ: as c/τ^k.
     pub(super) fn rate(&self, parameter: usize) -> Decay {
         match self.exponents(parameter) {
             Some(exponents) if exponents.iter().all(|k| *k == 0.0) => Decay::None,
@@ -29,7 +29,7 @@ impl Expression {
         }
     }
 
-    /// Of what happens in a step: τ stands in exp(-dt/τ) only.
+    /// How a coefficient of a step depends on τ: only through exp(-dt/τ).
     pub(super) fn decay(&self, parameter: usize) -> Decay {
         let of = |part: &Expression| part.decay(parameter);
         match self {

@@ -1,22 +1,22 @@
-//! How a parameter stands in a variance.
+//! How a parameter occurs in a variance.
 
 use crate::model::{Expression, Function, Operator};
 
-/// What a parameter θ is in an expression that is a variance.
+/// Role of a parameter θ in an expression that is a variance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Use {
-    /// It is not there.
+    /// θ does not occur.
     Absent,
     /// A standard deviation: the variance is even in θ.
     Deviation,
     /// A variance: a factor, or added to what cannot be negative.
     Variance,
-    /// Something else.
+    /// Anything else.
     Other,
 }
 
 impl Expression {
-    /// What θ is in this variance.
+    /// Role of θ in this expression, which is a variance.
     pub(super) fn use_as_variance(&self, parameter: usize) -> Use {
         let of = |part: &Expression| part.use_as_variance(parameter);
         let found = match self {
@@ -45,7 +45,7 @@ impl Expression {
         if found == Use::Other && self.is_multiple(parameter) { Use::Variance } else { found }
     }
 
-    /// What θ is in this standard deviation.
+    /// Role of θ in this expression, which is a standard deviation.
     fn use_as_deviation(&self, parameter: usize) -> Use {
         let of = |part: &Expression| part.use_as_deviation(parameter);
         let found = match self {
@@ -69,17 +69,18 @@ impl Expression {
         if found == Use::Other && self.is_multiple(parameter) { Use::Deviation } else { found }
     }
 
-    /// Of an expression that holds no scales: θ is not there, or something else.
+    /// Role of θ in an expression that contains no scales: it is absent or something else.
     fn flat(&self, parameter: usize) -> Use {
         if self.mentions(parameter) { Use::Other } else { Use::Absent }
     }
 
-    /// θ times what does not hold it.
+    /// Whether the expression is θ times a factor without θ.
     fn is_multiple(&self, parameter: usize) -> bool {
         self.exponents(parameter).is_some_and(|exponents| exponents == [1.0]) && !self.is_negative()
     }
 
-    /// Every term is one that holds no parameter, is even in all that it holds, or is a product of parameters alone.
+    /// Whether every term contains no parameter, is even in all parameters that it contains, or is a product of
+    /// parameters and numbers alone.
     fn adds_variances(&self) -> bool {
         if let Expression::Binary(Operator::Add, a, b) = self {
             return a.adds_variances() && b.adds_variances();
@@ -97,7 +98,7 @@ impl Expression {
         bare || self.parameters().into_iter().all(|parameter| self.use_as_variance(parameter) == Use::Deviation)
     }
 
-    /// It has a minus sign before it.
+    /// Whether the expression has a negative sign.
     pub(super) fn is_negative(&self) -> bool {
         match self {
             Expression::Number(x) => *x < 0.0,
@@ -109,7 +110,7 @@ impl Expression {
     }
 }
 
-/// With a minus sign what is odd in θ is no variance.
+/// With a minus sign, an expression that is odd in θ is not a variance.
 fn odd_is_other(found: Use) -> Use {
     if found == Use::Variance { Use::Other } else { found }
 }
