@@ -1,10 +1,11 @@
 //! Innovations of tests in phases: one filter over all phases, from the factors of each (theory §7).
 //!
-//! The filter of a phase runs with σ = 0, as for its reduction, and leaves e, S and T of each measurement: given σ, its innovation
-//! is e - Tσ, of variance S. σ itself is known in law from all that came before, in the phase and in earlier ones ([`EnteringLaw`]), so
-//! that the innovation of the test is e - Tσ̂, of variance S + T Var(σ) T'. After the last step the law of σ becomes that of the
-//! next phase's, by the link between them. What Σ adds is carried in square roots: it may be singular, zero or huge. Where nothing
-//! of a test is like that, [`PhaseFilters`] is the faster way.
+//! The filter of a phase runs with σ = 0, as for its reduction, and gives e, S and T of each measurement: given σ, its
+//! innovation is e - Tσ, of variance S. The law of σ is known from all earlier measurements, of the phase and of
+//! earlier phases ([`EnteringLaw`]), so that the innovation of the test is e - Tσ̂, of variance S + T Var(σ) T'. At the
+//! last step the link between phases turns the law of σ into that of the next phase's σ. The contribution of Σ is kept
+//! in square roots, because Σ may be singular, zero or huge. For tests that do not need this, [`PhaseFilters`] is
+//! faster.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -38,11 +39,11 @@ pub(crate) struct InnovationWorkspace {
     plain: Vec<PhaseWorkspace>,
 }
 
-/// Takes the rows of a phase, by its place, into the law of its σ.
+/// Takes the rows of a phase, given by its index, into the law of its σ.
 pub(crate) type GainsVisitor<'a> = dyn FnMut((usize, &Test), &Gains, &mut Workspace, &mut EnteringLaw) + 'a;
 
 impl ChainedFilter {
-    /// `initial` is of the shape of the model.
+    /// The filter at α and `initial`, which must have the shape of the model.
     pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<ChainedFilter, ReduceError> {
         let reducer = PhasedReducer::new(model, alpha)?;
         let start = |(phase, own): (&Phase, Population)| -> Result<PhasePrior, ReduceError> {
@@ -73,7 +74,7 @@ impl ChainedFilter {
         InnovationWorkspace { phases: self.reducer.workspace(), plain: self.plain.workspace() }
     }
 
-    /// The innovations of tests; `None` where no phase is given by rows alone.
+    /// The innovations of tests; `None` for a test without a phase that is given by rows alone.
     pub(crate) fn innovations(
         &self,
         tests: &[PhasedTest],
@@ -84,8 +85,8 @@ impl ChainedFilter {
         tests.iter().zip(plain).map(|(whole, series)| self.one(whole, series, &mut room.phases)).collect()
     }
 
-    /// The innovations of a test; `plain`: where that was a way to have them. Covariances that are not sound may be only rounding;
-    /// what else is wrong is said by the careful way.
+    /// The innovations of a test: `plain`, where plain covariances gave them, else those of `careful`, which decides
+    /// whether an invalid covariance is only rounding, and reports any other error.
     fn one(
         &self,
         whole: &PhasedTest,
@@ -103,7 +104,8 @@ impl ChainedFilter {
         Ok(seen.then(|| Innovations::new(whole.id.to_string(), series, rest)))
     }
 
-    /// In square roots: the innovations, log p of phases without any, and whether there are phases with some.
+    /// In square roots: the innovations, log p of the phases without innovations, and whether there are phases with
+    /// innovations.
     fn careful(&self, whole: &PhasedTest, work: &mut PhasedWork) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
         let (mut series, mut seen) = (Vec::new(), false);
         let rest = self.through(whole, work, &mut |(at, rows), gains, work, law| {
@@ -117,8 +119,8 @@ impl ChainedFilter {
         Ok((series, rest, seen))
     }
 
-    /// Phase by phase through a test, in square roots. `take` takes the rows of a phase that is filtered here into the law of its σ, and
-    /// leaves x̂_K in the work space. Log p of the other phases.
+    /// Filters a test phase by phase, in square roots. `take` takes the rows of a phase that is filtered here into the
+    /// law of its σ, and leaves x̂_K in the work space. Returns log p of the other phases.
     pub fn through(
         &self,
         whole: &PhasedTest,
@@ -141,7 +143,7 @@ impl ChainedFilter {
         Ok(rest)
     }
 
-    /// A phase whose rows are filtered here.
+    /// Filters the rows of a phase.
     fn filtered(
         &self,
         (at, rows): (usize, &Test),
@@ -162,7 +164,7 @@ impl ChainedFilter {
         found.map_err(|error| phase.named(error))
     }
 
-    /// A phase that is known otherwise than by rows; adds its log p given all earlier phases.
+    /// Takes in a phase that is given otherwise than by rows, and adds its log p given all earlier phases.
     fn given(
         &self,
         at: usize,
@@ -180,16 +182,16 @@ impl ChainedFilter {
     }
 }
 
-/// A phase when its measurements have come in.
+/// A phase after its measurements have been taken in.
 struct After {
-    /// Mean and root of σ.
+    /// Mean of σ and root of its covariance.
     law: (DVector<f64>, DMatrix<f64>),
-    /// x_K given σ.
+    /// Law of x_K given σ.
     terminal: Option<Terminal>,
 }
 
 impl After {
-    /// What it hands on: mean and root of what the next phase inherits.
+    /// Mean of what the next phase inherits, and root of its covariance.
     fn link(&self, inherited: &Inherited) -> (DVector<f64>, DMatrix<f64>) {
         let Inherited { transition, input } = inherited;
         let Terminal { mean, sensitivity, root } = self.terminal.as_ref().expect("another phase follows");
@@ -202,7 +204,7 @@ impl After {
     }
 }
 
-/// Takes in what is known of a phase otherwise than by rows; its log p given all earlier phases.
+/// Takes in a phase that is given otherwise than by rows; returns its log p given all earlier phases.
 fn absorb(phase: ReductionRef<'_>, law: &mut EnteringLaw) -> f64 {
     let q = phase.data.len();
     let mut log_density = phase.constant;

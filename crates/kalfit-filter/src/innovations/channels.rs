@@ -1,4 +1,4 @@
-//! The innovations of each measurement of each phase by themselves.
+//! The innovations, separated by phase and measurement.
 
 use std::ops::Range;
 
@@ -18,21 +18,21 @@ struct ChannelSpan {
     range: Range<usize>,
 }
 
-/// What is known of one measurement of one phase.
+/// The innovations of one measurement of one phase.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Channel<'a> {
     pub(super) phase: usize,
     pub(super) measurement: usize,
-    /// e/√S, in order.
+    /// e/√S, in the order of the filter.
     pub(super) standardised: &'a [f64],
 }
 
 impl Channels {
-    /// Of innovations in the order of the filter: phase after phase.
+    /// Separates innovations that are in the order of the filter: phase after phase.
     pub(super) fn of(series: &[Innovation]) -> Channels {
         let mut channels = Channels { standardised: vec![0.0; series.len()], spans: Vec::new() };
         let mut start = 0;
-        // where the next number of each measurement goes
+        // count of each measurement's innovations, then the index where its next one goes
         let mut next = Vec::new();
         for phase in series.chunk_by(|a, b| a.phase == b.phase) {
             next.clear();
@@ -56,7 +56,7 @@ impl Channels {
         channels
     }
 
-    /// Each of them.
+    /// Each channel, in order.
     pub(super) fn each(&self) -> impl Iterator<Item = Channel<'_>> {
         let channel = |span: &ChannelSpan| Channel {
             phase: span.phase,

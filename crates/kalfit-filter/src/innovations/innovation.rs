@@ -1,4 +1,4 @@
-//! One number that the filter did not foresee.
+//! One innovation of a filter.
 
 /// One scalar innovation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -9,12 +9,12 @@ pub struct Innovation {
     pub step: usize,
     /// Time of the step, where the model has times; in the model's time unit.
     pub time: Option<f64>,
-    /// Index of the measurement in the phase's model. Of measurements with correlated noise, later ones of a step are here less
-    /// what the noise of the earlier ones says of theirs.
+    /// Index of the measurement in the phase's model. Where noises are correlated, the innovation of a later
+    /// measurement of a step excludes the part of its noise that earlier ones predict.
     pub measurement: usize,
     /// e, in the measurement's unit.
     pub value: f64,
-    /// S, its variance.
+    /// S, the variance of e.
     pub variance: f64,
     /// e/√S, which is N(0, 1) when the model is right.
     pub standardised: f64,

@@ -1,4 +1,4 @@
-//! The law of what enters a phase, as its measurements come in.
+//! The law of what enters a phase, updated by the phase's measurements.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -16,16 +16,16 @@ pub struct EnteringLaw {
     mean: DVector<f64>,
     /// F, q × c.
     root: DMatrix<f64>,
-    /// [R | d; 0 what is left of e], (c + 1) × (c + 1), row-major.
+    /// [R | d; 0 residual of e], (c + 1) × (c + 1), row-major.
     information: Vec<f64>,
-    /// F't of the last measurement and its residual at m.
+    /// F't of the last measurement, followed by its residual at m.
     row: Vec<f64>,
-    /// R⁻ᵀF't.
+    /// R⁻ᵀF't of the last measurement.
     white: Vec<f64>,
 }
 
 impl EnteringLaw {
-    /// N(mean, root root').
+    /// The law N(mean, root root').
     pub(crate) fn new(mean: DVector<f64>, root: &DMatrix<f64>) -> EnteringLaw {
         let root = compact(root);
         let width = root.ncols() + 1;
@@ -34,7 +34,7 @@ impl EnteringLaw {
         EnteringLaw { mean, root, information, row: Vec::with_capacity(width), white: Vec::with_capacity(width) }
     }
 
-    /// Takes e = t'σ + v, v ~ N(0, 1/weight), in; what was not expected of it, and the variance of that.
+    /// Takes in e = t'σ + v, v ~ N(0, 1/weight); returns its innovation and the innovation's variance.
     pub fn take(&mut self, e: f64, t: &[f64], weight: f64) -> (f64, f64) {
         let width = self.root.ncols() + 1;
         let (row, white) = (&mut self.row, &mut self.white);
@@ -54,7 +54,7 @@ impl EnteringLaw {
         (value, variance)
     }
 
-    /// Mean and root of σ given all that was taken in.
+    /// Mean of σ, and root of its covariance, given all measurements taken in.
     pub fn posterior(&self) -> (DVector<f64>, DMatrix<f64>) {
         let c = self.root.ncols();
         let width = c + 1;
@@ -84,7 +84,7 @@ fn forward(array: &[f64], width: usize, x: &mut [f64]) {
     }
 }
 
-/// A root with no more columns than rows.
+/// An equivalent root with no more columns than rows.
 fn compact(root: &DMatrix<f64>) -> DMatrix<f64> {
     let q = root.nrows();
     if root.ncols() <= q {
@@ -108,7 +108,7 @@ mod tests {
         (0.5, 0.1, [1.0, 1.0, 1.0]),
     ];
 
-    /// The same by covariances.
+    /// The textbook update, by covariances.
     fn naive(mean: &DVector<f64>, root: &DMatrix<f64>) -> (Vec<(f64, f64)>, DVector<f64>, DMatrix<f64>) {
         let (mut mean, mut covariance) = (mean.clone(), root * root.transpose());
         let mut seen = Vec::new();

@@ -1,19 +1,20 @@
 //! Innovations: does the model describe each test, as the filter sees it (theory §9).
 //!
-//! At an estimate the filter of a test starts from x_0 ~ N(a + Aμ_j, P0 + AΣA'), nothing unknown. Its innovations e with
-//! variances S, one scalar measurement at a time (correlated noise is whitened first), are then such that e/√S are
-//! independent N(0, 1), if the model is right. From them, for each test:
+//! At an estimate the filter of a test starts from x_0 ~ N(a + Aμ_j, P0 + AΣA'), with nothing unknown. Its innovations
+//! e with variances S, one scalar measurement at a time (correlated noise is whitened first), are then such that e/√S
+//! are independent N(0, 1), if the model is right. From them, for each test:
 //!
 //! ```text
 //! NIS = Σ e²/S ~ χ²_n        mean of e/√S ~ N(0, 1/n)        whiteness: Ljung and Box, see Whiteness
 //! ```
 //!
-//! and Σ -½ (log 2πS + e²/S) is the log-likelihood of the test (theory §3), by another way. The figures take μ, Σ and α as
-//! known; that they were estimated from the same tests makes the tests of few and small ensembles milder, not stricter.
+//! and Σ -½ (log 2πS + e²/S) is the log-likelihood of the test (theory §3), computed in another way. The figures take
+//! μ, Σ and α as known; that these were estimated from the same tests makes the checks milder, not stricter, in small
+//! ensembles.
 //!
-//! There is one filter, that of [`reduce`](crate::reduce). What Σ and earlier phases say of the start of a phase becomes part of P0,
-//! and nothing is left of σ; or, where that calls for square roots, it is added to what the filter finds (theory §7). Every innovation is from all that was measured before, in its
-//! phase and in earlier ones.
+//! There is one filter, that of [`reduce`](crate::reduce). What Σ and earlier phases imply for the start of a phase
+//! becomes part of P0, so that no σ remains; or, where that needs square roots, it is added to the results of the
+//! filter (theory §7). Every innovation is conditional on all earlier measurements, of its phase and of earlier phases.
 
 mod chained;
 mod channels;
@@ -38,13 +39,13 @@ use crate::reduce::{ReduceError, chunk_size, of_shape, refuse};
 use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, PhasedModel, Population};
 
-/// Innovations of all tests, in their order; `None` of a test all of whose phases are given by estimates or reductions: what was
-/// measured is no longer known there. Neither is what was measured in a phase with a filter of its own, whose estimates are
-/// what counts.
+/// Innovations of all tests, in their order; `None` for a test all of whose phases are given by estimates or
+/// reductions, which no longer contain the measurements. A phase with its own filter has no innovations either: its
+/// evidence is the filter's estimates.
 ///
 /// # Errors
-/// As [`PhasedReducer::reduce`](crate::reduce::PhasedReducer::reduce), the first test's; also when Σ with the model's known
-/// covariance is not positive semidefinite, or `initial` has not the shape of the model.
+/// As [`PhasedReducer::reduce`](crate::reduce::PhasedReducer::reduce), for the first test with an error; also when Σ
+/// with the model's known covariance is not positive semidefinite, or `initial` does not have the shape of the model.
 pub fn innovations(
     model: &PhasedModel,
     alpha: &Alpha,
@@ -54,8 +55,8 @@ pub fn innovations(
     InnovationFilter::new(model, alpha, initial)?.run(tests).into_iter().collect()
 }
 
-/// The filter behind [`innovations`], for ensembles that come in batches: it keeps design classes from batch to batch. `None` of
-/// the only phase's filter, whose estimates are what counts.
+/// The filter behind [`innovations`], for ensembles that come in batches: it keeps design classes from batch to batch.
+/// It holds `None` when the only phase has its own filter, whose estimates are the evidence.
 #[derive(Debug)]
 pub struct InnovationFilter(Option<Box<ChainedFilter>>);
 
@@ -63,7 +64,7 @@ impl InnovationFilter {
     /// A filter of a model at (α, μ, Σ), of all phases together.
     ///
     /// # Errors
-    /// As [`innovations`], where no test is to blame.
+    /// As [`innovations`], except for the errors of single tests.
     pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<InnovationFilter, ReduceError> {
         check(model, initial)?;
         let silent = matches!(&model.phases[..], [only] if only.filter.is_some());
@@ -71,7 +72,8 @@ impl InnovationFilter {
         Ok(InnovationFilter(chained.map(Box::new)))
     }
 
-    /// Innovations of each test, in their order, or why there are none. They depend neither on batches nor on threads.
+    /// Innovations of each test, in their order, or the error of the test. The results depend neither on batches nor on
+    /// threads.
     pub fn run(&self, tests: &[PhasedTest]) -> Vec<Result<Option<Innovations>, ReduceError>> {
         let Some(filter) = &self.0 else { return tests.iter().map(|_| Ok(None)).collect() };
         let rows = tests.iter().map(PhasedTest::row_count).sum();
@@ -83,7 +85,7 @@ impl InnovationFilter {
     }
 }
 
-/// The shapes of `initial` are those of the model.
+/// Checks that the shapes of `initial` are those of the model.
 fn check(model: &PhasedModel, initial: &Population) -> Result<(), ReduceError> {
     let (p, regressors) =
         (model.dimension(), model.phases.iter().map(|phase| phase.model.mean.regression.len()).sum::<usize>());

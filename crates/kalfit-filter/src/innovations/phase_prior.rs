@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::innovations::law::EnteringLaw;
 
-/// What a phase adds of its own.
+/// Prior of a phase: what the phase adds to the inherited state.
 #[derive(Debug)]
 pub(super) struct PhasePrior {
     pub(super) mean: Vec<f64>,
@@ -15,7 +15,7 @@ pub(super) struct PhasePrior {
     /// Σ, p × p.
     pub(super) covariance: DMatrix<f64>,
     pub(super) time: Option<usize>,
-    /// The phase has a filter of its own: its measurements are not evidence.
+    /// Whether the phase has its own filter, so that its measurements are not evidence.
     pub(super) filtered: bool,
 }
 
@@ -29,7 +29,8 @@ impl PhasePrior {
         mean
     }
 
-    /// The law of σ of a phase, q numbers, given all earlier ones; `inherited`: mean and root of what comes from the phase before.
+    /// The law of σ of a phase, q numbers, given all earlier phases; `inherited` is the mean of what comes from the
+    /// phase before, and the root of its covariance.
     pub(super) fn law(
         &self,
         covariates: &[f64],

@@ -1,14 +1,14 @@
 //! Innovations in plain covariances: one filter over all phases that starts from the known law of what enters.
 //!
-//! With nothing unknown, σ ~ N(m, C) is part of a and P0 of a phase, as Σ is of a test of one phase, and from the last step of a
-//! phase on
+//! With nothing unknown, σ ~ N(m, C) is part of a and P0 of a phase, as Σ is in a test of one phase. From the last step
+//! of a phase, the next phase has
 //!
 //! ```text
 //! m = [μ_j; 0] + T x̂_K + t        C = EΣE' + T P_K T'
 //! ```
 //!
-//! Tests are filtered side by side, phase after phase, and to the same bits whatever else is in the batch. Those that go better by themselves share
-//! the covariance run of their design.
+//! Tests are filtered in lanes, phase after phase, with the same bits whatever else is in the batch. Tests that are
+//! better filtered one at a time share the covariance pass of their design.
 
 use kalfit_lanes::Isa;
 use nalgebra::{DMatrix, DVector};
@@ -35,23 +35,24 @@ pub(super) struct PhaseFilters {
 #[derive(Debug)]
 struct PhaseFilter {
     reducer: Reducer,
-    /// Through which states σ enters.
+    /// States through which σ enters.
     entering: Vec<usize>,
-    /// The only phase: no covariance is handed on, and it may come from square-root arrays.
+    /// Whether this is the only phase: no covariance is handed on, and the innovations may come from square-root
+    /// arrays.
     alone: bool,
 }
 
-/// Work space of a phase, and tests that wait to be filtered side by side.
+/// Work space of a phase, and tests that wait to be filtered in lanes.
 #[derive(Debug)]
 pub(super) struct PhaseWorkspace {
     work: Workspace,
     beside: BatchWorkspace,
-    /// Tests with designs of their own, and room for them.
+    /// Tests of the current batch, each with its design; `spare` holds unused work space for more.
     own: Vec<Skeleton>,
     spare: Vec<Skeleton>,
 }
 
-/// What a phase leaves: its innovations, and the last state where another phase follows.
+/// Result of a phase: its innovations, and the last state where another phase follows.
 type Left = (Vec<Innovation>, Option<Terminal>);
 
 /// A test on its way through the phases.
@@ -62,7 +63,7 @@ struct Track {
     before: Option<Terminal>,
 }
 
-/// A phase, and its rows in the tests of a batch that have it and are sound so far.
+/// A phase, and its rows in those tests of a batch that have it and have not failed so far.
 struct PhaseBatch<'a> {
     at: usize,
     known: &'a PhaseFilter,
@@ -89,7 +90,8 @@ impl PhaseFilters {
         self.phases.iter().map(of).collect()
     }
 
-    /// The innovations of tests; `None` where some phase is given otherwise than by rows, calls for square roots or is in error.
+    /// The innovations of tests; `None` for a test with a phase that is given otherwise than by rows, needs square
+    /// roots or fails.
     pub(super) fn series(
         &self,
         tests: &[PhasedTest],
@@ -125,7 +127,7 @@ fn figures(value: f64, weight: f64) -> Figures {
 }
 
 impl PhaseBatch<'_> {
-    /// The phase of all tests that have it.
+    /// Filters the phase of all tests that have it.
     fn run(
         &self,
         of: (&PhasePrior, &PhaseReducer),
@@ -162,7 +164,7 @@ impl PhaseBatch<'_> {
                 let series = rows::listed((self.at, tests[place], self.time), skeleton.measured(), each);
                 (series, passed.end.map(|end| end.terminal()))
             });
-            // those that call for square roots may go by themselves where there is one phase
+            // with only one phase, tests that need square roots may be filtered one at a time
             if found.is_none() && *alone { odd.push(place) } else { note(&mut tracks[numbers[place]], found) }
         });
         spare.append(own);
@@ -172,7 +174,7 @@ impl PhaseBatch<'_> {
         }
     }
 
-    /// The phase of a test by itself; `None` where it calls for square roots or is in error.
+    /// Filters the phase of a single test; `None` where it needs square roots or fails.
     fn by_itself(
         &self,
         rows: &Test,
@@ -189,7 +191,7 @@ impl PhaseBatch<'_> {
         reducer.with_prepared(rows, work, look).ok()?
     }
 
-    /// What its gains leave; `None` where they call for square roots.
+    /// Innovations and last state from the gains; `None` where the gains are square-root arrays and other phases exist.
     fn look(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<Left> {
         if gains.turns.is_some() && !self.known.alone {
             return None;
@@ -200,7 +202,7 @@ impl PhaseBatch<'_> {
     }
 }
 
-/// What a phase left of a test.
+/// Adds the result of a phase to the track of a test; no result ends the track.
 fn note(track: &mut Option<Track>, found: Option<Left>) {
     match (track.as_mut(), found) {
         (Some(track), Some((found, terminal))) => {
@@ -216,7 +218,8 @@ fn note(track: &mut Option<Track>, found: Option<Left>) {
 }
 
 impl PhaseFilter {
-    /// The law of σ of a test with these rows and covariates, where it enters a and P0; `None` where something is wrong with it.
+    /// The moments of σ of a test with these rows and covariates, at the places where they enter a and P0; `None` on an
+    /// error.
     fn entering(
         &self,
         (rows, covariates): (&Test, &[f64]),

@@ -1,4 +1,4 @@
-//! From a data pass over rows to their innovations.
+//! Innovations of rows, from a data pass over them.
 
 use crate::innovations::innovation::Innovation;
 use crate::reduce::{Gains, Instance, Workspace, own_innovations};
@@ -11,9 +11,9 @@ pub(crate) struct Figures {
     pub(crate) standardised: f64,
 }
 
-/// Runs the data pass over the rows of a phase in the work space. `figures`: from e, 1/S and T of the filter to those of the
-/// innovation. A measurement that can only be one value says nothing and is left out; whether it was that value is the
-/// reduction's business.
+/// Runs the data pass over the rows of a phase in the work space. `figures` maps e, 1/S and T of the filter to the
+/// figures of the innovation. A measurement that can only have one value is omitted; the reduction checks that it has
+/// that value.
 pub(crate) fn series(
     place: (usize, &Test, Option<usize>),
     gains: &Gains,
@@ -30,8 +30,8 @@ pub(crate) fn series(
     listed(place, steps.zip(instances.iter()), each)
 }
 
-/// Innovations, in the order of the measurements, which come with their steps; those that there are none of are left out. (Phase,
-/// rows, column of times.)
+/// Innovations in the order of the measurements, which come with their steps; measurements without figures are omitted.
+/// The first argument is (phase, rows, column of times).
 pub(crate) fn listed(
     (phase, rows, time): (usize, &Test, Option<usize>),
     measured: impl Iterator<Item = (usize, Instance)>,
@@ -47,7 +47,7 @@ pub(crate) fn listed(
     series
 }
 
-/// All figures are numbers.
+/// Whether all figures are finite.
 pub(crate) fn are_finite(series: &[Innovation]) -> bool {
     series.iter().all(|one| one.standardised.is_finite() && one.variance.is_finite())
 }

@@ -1,4 +1,4 @@
-//! The innovations of one test and what they add up to.
+//! The innovations of one test and their summary.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -6,23 +6,23 @@ use crate::innovations::Whiteness;
 use crate::innovations::channels::{Channel, Channels};
 use crate::innovations::innovation::Innovation;
 
-/// The innovations of a test, in the order in which the filter takes its measurements, and what they say of the model.
+/// The innovations of a test, in the order in which the filter takes its measurements, and their summary.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Innovations {
     /// Id of the test.
     pub test: String,
     /// Each innovation, phase after phase.
     pub series: Vec<Innovation>,
-    /// What they add up to.
+    /// Summary of all innovations.
     pub summary: Summary,
-    /// Σ -½ (log 2πS + e²/S): the log-likelihood of the test. With it, that of phases that are given otherwise than by rows.
+    /// Log-likelihood of the test: Σ -½ (log 2πS + e²/S), plus log p of phases that are given otherwise than by rows.
     pub log_likelihood: f64,
 }
 
-/// What innovations add up to.
+/// Summary of innovations: their number, size, mean and whiteness.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Summary {
-    /// n: their number. Measurements that can only be one value are not among them.
+    /// Number n of innovations. Measurements that can only have one value are not counted.
     pub count: usize,
     /// Normalised innovation squared, Σ e²/S; χ² with n degrees of freedom when the model is right.
     pub nis: f64,
@@ -32,7 +32,7 @@ pub struct Summary {
     pub upper_tail: Option<f64>,
     /// Mean of e/√S; N(0, 1/n) when the model is right. `None` without innovations.
     pub mean: Option<f64>,
-    /// Whether they are uncorrelated in time; `None` when too short for that.
+    /// Test of whether the innovations are uncorrelated in time; `None` when there are too few.
     pub whiteness: Option<Whiteness>,
 }
 
@@ -43,12 +43,12 @@ pub struct Part {
     pub phase: usize,
     /// Index of the measurement in the phase's model.
     pub measurement: usize,
-    /// What they add up to.
+    /// Summary of these innovations.
     pub summary: Summary,
 }
 
 impl Innovations {
-    /// `rest`: log p of phases without innovations.
+    /// The innovations of a test with their summary; `rest` is log p of phases without innovations.
     pub(crate) fn new(test: String, series: Vec<Innovation>, rest: f64) -> Innovations {
         let logs = series.iter().map(|one| (std::f64::consts::TAU * one.variance).ln()).sum::<f64>();
         let all = series.iter().map(|one| one.standardised);
@@ -56,8 +56,8 @@ impl Innovations {
         Innovations { test, log_likelihood: rest - 0.5 * (logs + summary.nis), summary, series }
     }
 
-    /// The same of each measurement of each phase that has any, in the order of phases and measurements: which of them does not
-    /// behave as the model says.
+    /// Summaries for each measurement of each phase that has innovations, in the order of phases and measurements. They
+    /// show which measurement does not behave as the model says.
     pub fn parts(&self) -> Vec<Part> {
         let part = |Channel { phase, measurement, standardised }: Channel<'_>| {
             let whiteness = Whiteness::of(std::iter::once(standardised));
@@ -68,7 +68,7 @@ impl Innovations {
 }
 
 impl Summary {
-    /// Of these e/√S.
+    /// Summary of these e/√S.
     fn of(standardised: impl ExactSizeIterator<Item = f64> + Clone, whiteness: Option<Whiteness>) -> Summary {
         let count = standardised.len();
         let nis = standardised.clone().map(|z| z * z).sum::<f64>();
@@ -84,11 +84,12 @@ impl Summary {
         }
     }
 
-    /// Two-sided p-value of the NIS: twice the smaller tail. Innovations smaller than the model says speak against it too.
+    /// Two-sided p-value of the NIS: twice the smaller tail. Innovations smaller than the model predicts count against
+    /// it too.
     ///
-    /// `absorbed`: 0 where μ and Σ are known, p where they were estimated from this test among others. An estimate that
-    /// follows the test makes its innovations small, but the residuals at the best ξ, χ² with n - p degrees of freedom at
-    /// least, remain under any μ and Σ: that law gives the lower tail then, and nothing can be too small when n ≤ p.
+    /// `absorbed` is 0 where μ and Σ are known, p where they were estimated from this test among others. An estimate
+    /// that follows the test makes its innovations small, but under any μ and Σ at least the residuals at the best ξ
+    /// remain, χ² with n - p degrees of freedom. That law then gives the lower tail; when n ≤ p no NIS is too small.
     pub fn p_value(&self, absorbed: usize) -> Option<f64> {
         let (lower, upper) = (self.lower_tail?, self.upper_tail?);
         let lower = match (absorbed, self.count.saturating_sub(absorbed)) {
@@ -100,7 +101,8 @@ impl Summary {
     }
 }
 
-/// Probabilities of a χ² as small and as large as this, the smaller of them to its own precision; `None` without degrees of freedom.
+/// Lower and upper tail probabilities of this value of χ², the smaller of them to full relative precision; `None`
+/// without degrees of freedom.
 fn tails(degrees_of_freedom: usize, square: f64) -> Option<(f64, f64)> {
     let chi = ChiSquared::new(degrees_of_freedom as f64).ok().filter(|_| degrees_of_freedom > 0)?;
     if square > degrees_of_freedom as f64 {

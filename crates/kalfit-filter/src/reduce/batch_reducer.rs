@@ -1,4 +1,5 @@
-//! Tests → reductions, many at a time: replicates side by side, and those with designs of their own beside their like.
+//! Tests → reductions, many at a time: replicates share one design in lanes, and other tests share lanes with tests of
+//! the same shape.
 
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
@@ -13,45 +14,46 @@ use crate::reduce::reducer::Reducer;
 use crate::reduce::replicates::Replicates;
 use kalfit_model::Test;
 
-/// Chunks of tests that are reduced before what they say goes where all is: there is never much of it twice.
+/// Number of chunks of tests after which their reductions join the result: few reductions are ever in memory twice.
 const BATCHES: usize = 128;
-/// The same of lists of replicates.
+/// Number of lists of replicates after which their reductions join the result.
 const LISTS: usize = 32;
 
-/// Tests with designs of their own that are put in order together, for each lane: they fill lanes with their like, and need no room of
-/// their own for long.
+/// Number of tests per lane that are collected and sorted by shape before they are reduced: enough to fill lanes with
+/// similar tests, few enough to take little memory.
 const TOGETHER: usize = 4;
-/// Fewer, where they have so many steps.
+/// Total number of steps at which the collected tests are reduced, however few they are.
 const STEPS: usize = 1 << 18;
 
-/// Reduces batches of tests with designs of their own.
+/// Reduces tests without replicates, in batches of tests of one shape.
 #[derive(Debug)]
 struct BatchReducer<'a> {
     reducer: &'a Reducer,
     work: Workspace,
-    /// Tests, and room for them.
+    /// Collected tests, and cleared skeletons for further ones.
     own: Vec<Skeleton>,
     spare: Vec<Skeleton>,
     beside: BatchWorkspace,
 }
 
 impl Reducer {
-    /// The reductions of tests, in their order; of several tests in error, the first one's error.
+    /// The reductions of the tests, in the order of the tests; if several tests are in error, the error of the first
+    /// one.
     pub fn reduce(&self, tests: &[Test]) -> Result<Reductions, ReduceError> {
         self.reduce_all(&tests.iter().collect::<Vec<_>>())
     }
 
-    /// [`Reducer::reduce`], of tests that stand anywhere.
+    /// [`Reducer::reduce`] of tests given by reference.
     pub(crate) fn reduce_all(&self, tests: &[&Test]) -> Result<Reductions, ReduceError> {
         self.reduce_each(tests, &self.replicates(tests)).ordered()
     }
 
-    /// Which tests are replicates.
+    /// The sets of replicates among tests.
     pub(crate) fn replicates(&self, tests: &[&Test]) -> Replicates {
         Replicates::of(self.preparer().cell_mask.as_ref(), tests)
     }
 
-    /// What is found of those tests that `replicates` names.
+    /// Reductions and faults of the tests in `replicates`.
     pub(crate) fn reduce_each(&self, tests: &[&Test], replicates: &Replicates) -> ReducedTests {
         let (mut all, many, alone) = (ReducedTests::default(), replicates.len(), &replicates.alone);
         let size = chunk_size(alone.len(), alone.iter().map(|&number| tests[number].rows()).sum());
@@ -82,7 +84,7 @@ impl<'a> BatchReducer<'a> {
         BatchReducer { reducer, work, own: Vec::new(), spare: Vec::new(), beside }
     }
 
-    /// What is found of the tests with these numbers, in their order where it is not asked where they end.
+    /// Reductions and faults of the tests with these numbers; in the order of the tests if no last states are wanted.
     fn reduce(&mut self, tests: &[&Test], numbers: &[usize]) -> ReducedTests {
         let mut found = ReducedTests::default();
         for &number in numbers {
@@ -105,7 +107,7 @@ impl<'a> BatchReducer<'a> {
         found.sorted()
     }
 
-    /// Reduces the tests that wait.
+    /// Reduces the collected tests, in lanes.
     fn side_by_side(&mut self, tests: &[&Test], found: &mut ReducedTests) {
         let BatchReducer { reducer, work, own, beside, .. } = self;
         beside.reduce(reducer, (tests, own), &mut work.room, found);
@@ -157,7 +159,7 @@ mod tests {
         }
     }
 
-    /// Equal steps, then steps of their own lengths.
+    /// Record of `equal` equal steps, then `own` steps of different lengths.
     fn mixed(id: &str, equal: usize, own: usize, seed: f64) -> Test {
         let (mut test, mut time) = (Test::new(id, 2, 0), 0.0);
         for row in 0..equal + own {
@@ -176,7 +178,7 @@ mod tests {
         let columns: Vec<&str> = model.columns.iter().map(|column| column.name.as_str()).collect();
         assert_eq!(columns, ["y", "t"], "the order of the cells of a row");
         let reducer = || Reducer::new(model, &Alpha::default()).expect("sound");
-        // most steps are in a long stretch, or not
+        // in some cases most steps are in a long stretch, in others not
         for (equal, own) in [(100, 150), (150, 100), (1500, 1600), (64, 10), (70, 69), (70, 70)] {
             let tests = [mixed("a", equal, own, 0.7), mixed("b", equal, own, 1.3)];
             let together = reducer().reduce(&tests).expect("sound");
@@ -187,7 +189,7 @@ mod tests {
         }
     }
 
-    /// Constants and as many Gauss-Markov processes as asked for, all scales over many decades.
+    /// Random model of two constants and `processes` Gauss-Markov processes, all scales over many decades.
     fn drawn(processes: usize, random: &mut impl FnMut() -> f64) -> Model {
         let mut decades = |from: f64, to: f64| 10f64.powf(from + (to - from) * random());
         let mut equation = name("a") + name("b") * name("x");
@@ -228,7 +230,7 @@ mod tests {
             many[processes] += 1;
             let (root, _) = reducer.reduce_by_root(&test, &mut reducer.workspace()).expect("sound");
             assert_eq!(root.path, Path::SquareRoot);
-            // d is a projection of all innovations, in units of their deviations
+            // d is a projection of all innovations, in units of their standard deviations
             let all = norm(&root.data) + root.residual.expect("it was made of measurements").sqrt();
             let errors = [
                 apart(&found.factor, &root.factor) / norm(&root.factor),

@@ -1,14 +1,15 @@
-//! Tests with designs of their own, kept side by side for all values of α.
+//! Batches of tests with different designs, which stay in lanes for all values of α.
 //!
 //! ```text
-//! once:        cells ── Skeleton ──> BatchLayout steps, measurements and lengths of steps, a test in each lane
-//! at an α:     coefficients ── BatchValues ──> h, R, z - d, φ, Q, b, a, P0 in place ── filters ──> reductions
+//! once:        cells ── Skeleton ──> BatchLayout steps, measurements and lengths of steps, one test per lane
+//! at an α:     coefficients ── BatchValues ──> h, R, z - d, φ, Q, b, a, P0 in lanes ── filters ──> reductions
 //! its score:   BatchValues ── backward, pulled back column by column (score/phased/batches) ──> dℓ/dα
 //! ```
 //!
-//! Which tests share a shape, which cells each step reads and what is measured depends on the cells of the data alone, so it is
-//! found once. A test that lacks a measurement or a step of its batch has one that changes nothing. What is wrong with a test, or
-//! calls for square-root arrays, sends it the way that tests go by themselves, which says so.
+//! Which tests share a shape, which cells each step reads and what is measured depend on the cells of the data alone,
+//! so they are determined once. Where a test lacks a measurement or a step of its batch, its lane has one that changes
+//! nothing. A test that is in error, or that calls for square-root arrays, is reduced by itself, and that path reports
+//! the error.
 
 pub(crate) mod batch_workspace;
 mod identity;
@@ -37,44 +38,44 @@ pub(crate) use layout::BatchLayout;
 use reduced::TestHeader;
 pub(crate) use values::BatchValues;
 
-/// Bytes of batches, with their numbers at one α.
+/// Memory limit of all batches of an ensemble, with their numbers at one α, in bytes.
 const BYTES: usize = 1 << 30;
-/// Chunks of batches for each thread.
+/// Number of chunks of batches per thread.
 const SHARES: usize = 4;
-/// Most batches of a chunk: long tests are few.
+/// Most batches in a chunk: ensembles of long tests have few batches.
 const MOST: usize = 8;
 
-/// Tests side by side.
+/// A batch of tests in lanes.
 #[derive(Debug)]
 struct CachedBatch {
     layout: BatchLayout,
     own: Vec<TestHeader>,
-    /// Numbers at some α, that nobody has.
+    /// Unused sets of numbers, evaluated at some α.
     spare: Mutex<Vec<BatchValues>>,
 }
 
-/// Tests of an ensemble with designs of their own, side by side. Which of them go together depends on the ensemble, not on the
-/// order of its tests.
+/// The tests of an ensemble with different designs, in batches. Which tests share a batch depends on the ensemble, not
+/// on the order of its tests.
 #[derive(Debug, Default)]
 pub(crate) struct EnsembleBatches {
     batches: Vec<CachedBatch>,
-    /// Tests without replicates that go by themselves, whatever α.
+    /// Tests without replicates that fit no batch, whatever α.
     apart: Vec<usize>,
-    /// All others that are in no batch.
+    /// All other tests that are in no batch.
     others: Replicates,
 }
 
-/// Batches at an α, after their filters.
+/// All batches at one α, after their filters.
 #[derive(Debug)]
 pub(crate) struct FilteredBatches {
     of: Arc<EnsembleBatches>,
-    /// By batch.
+    /// Numbers of each batch.
     values: Vec<BatchValues>,
 }
 
 impl EnsembleBatches {
-    /// Of the tests with these numbers, whose designs are not among those of tests that share them; `shared` are some tests of each
-    /// of those. `replicates`: of all tests.
+    /// Batches of those tests in `numbers` that share their design with no other test. `shared`: a few tests of each
+    /// design that several tests share. `replicates`: the replicates among all tests.
     pub(crate) fn new(
         reducer: &Reducer,
         (tests, replicates): (&[&Test], Replicates),
@@ -120,7 +121,7 @@ impl EnsembleBatches {
         EnsembleBatches { batches, apart, others: replicates.without(&kept) }
     }
 
-    /// What is found of all tests at the α of a reducer.
+    /// Reductions and faults of all tests at the α of a reducer.
     pub(crate) fn reduce(
         self: &Arc<EnsembleBatches>,
         reducer: &Reducer,
@@ -169,7 +170,7 @@ impl EnsembleBatches {
     }
 }
 
-/// Tests that go together, in order.
+/// Splits sorted tests into groups that share a batch.
 fn groups<'a>(preparer: &Preparer, skeletons: &'a [Skeleton]) -> Vec<&'a [Skeleton]> {
     let (mut left, mut groups) = (skeletons, Vec::new());
     while !left.is_empty() {
@@ -180,7 +181,7 @@ fn groups<'a>(preparer: &Preparer, skeletons: &'a [Skeleton]) -> Vec<&'a [Skelet
     groups
 }
 
-/// All values of α.
+/// Adds all values of α to a digest.
 fn add_to(digest: &mut Digest, alpha: &Alpha) {
     for level in &alpha.values {
         match level {
@@ -203,7 +204,7 @@ impl CachedBatch {
         let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
         let digests = values.identities(&layout, &steps, &mut Vec::new());
         let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| TestHeader {
-            digest: if values.sound[lane] { digest } else { own.number as u128 }, // which is like no other
+            digest: if values.sound[lane] { digest } else { own.number as u128 }, // equal to no other digest
             covariates: own.covariates.clone(),
             steps: own.len(),
             observations: own.instances.len(),
@@ -211,7 +212,7 @@ impl CachedBatch {
         CachedBatch { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
     }
 
-    /// Evaluates the tests at the α of a reducer, whose digest this is, and runs their filters.
+    /// Evaluates the tests at the α of a reducer and runs their filters. `alpha`: digest of α.
     fn evaluate_and_filter(
         &self,
         (reducer, alpha): (&Reducer, u128),
@@ -246,14 +247,14 @@ pub(crate) struct FilteredBatch<'a> {
 }
 
 impl FilteredBatch<'_> {
-    /// (lane, number) of each test that went with the others.
+    /// (Lane, number) of each test that was filtered in the batch.
     pub(crate) fn tests(&self) -> impl Iterator<Item = (usize, usize)> {
         self.layout.tests.iter().copied().enumerate().filter(|&(lane, _)| self.values.sound[lane])
     }
 }
 
 impl FilteredBatches {
-    /// The batches, for several threads.
+    /// The batches, as a parallel iterator.
     pub(crate) fn batches(&self) -> impl IndexedParallelIterator<Item = FilteredBatch<'_>> {
         let both = self.of.batches.par_iter().zip(&self.values);
         both.map(|(batch, values)| FilteredBatch { layout: &batch.layout, values })

@@ -11,31 +11,31 @@ use kalfit_model::Inherited;
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Phase, Scope};
 
-/// The carry of a phase at α.
+/// T and t of a phase at α, as coefficients.
 #[derive(Debug, Clone)]
 pub(crate) struct Inheritance {
-    /// q × n of the phase before.
+    /// Shape of T: q × n, n the number of states of the phase before.
     shape: (usize, usize),
-    /// Terms, those that are zero for good apart.
+    /// Terms of T and t, without those that are always zero.
     pub(crate) terms: Vec<Inherits>,
     /// Columns that must be constant within the phase.
     uses: Uses,
-    /// T and t, when no test changes them.
+    /// T and t, if they are the same for all tests.
     fixed: Option<Inherited>,
 }
 
-/// One coefficient of the carry.
+/// One coefficient of T or t.
 #[derive(Debug, Clone)]
 pub(crate) struct Inherits {
-    /// Row of T and t: the place of the state among the entering coordinates.
+    /// Row of T and t: the position of the state among the entering coordinates.
     pub(crate) row: usize,
-    /// Column of T: the state of the phase before; `None` for an entry of t.
+    /// Column of T: a state of the phase before; `None` for an entry of t.
     pub(crate) from: Option<usize>,
     pub(crate) coefficient: Coefficient,
 }
 
 impl Inheritance {
-    /// The carry of a phase after one with `before` states. `at`: its own model.
+    /// The inheritance of a phase that follows a phase of `before` states. `at`: the model of the phase.
     pub(crate) fn new(phase: &Phase, before: usize, at: &ModelAt<'_>) -> Result<Inheritance, Box<Fault>> {
         let entering = phase.entering();
         let (mut terms, mut uses) = (Vec::new(), Uses::default());
@@ -58,7 +58,7 @@ impl Inheritance {
         Ok(inheritance)
     }
 
-    /// What the coefficients of a test are evaluated on; a column that varies within the phase is an error.
+    /// The cells on which the coefficients of a test are evaluated; a column that varies within the phase is an error.
     pub(crate) fn scope<'a>(
         &self,
         at: &ModelAt<'a>,
@@ -70,7 +70,7 @@ impl Inheritance {
         Ok(Scope { numbers: &cells.numbers, texts: &cells.texts, step: f64::NAN, alpha })
     }
 
-    /// T and t of a test. `test`: the rows of this phase.
+    /// T and t of a test. `test`: its rows of this phase.
     pub(crate) fn of(
         &self,
         at: &ModelAt<'_>,

@@ -1,16 +1,16 @@
-//! How many tests one thread takes at a time.
+//! The number of tests that a thread takes at a time.
 
-/// Chunks for each thread.
+/// Number of chunks per thread.
 const SHARES: usize = 4;
-/// Most tests of a chunk.
+/// Most tests in a chunk.
 const MOST: usize = 512;
-/// Fewest tests of a chunk, unless they have more rows than that.
+/// Fewest tests in a chunk, unless fewer tests have `FEW_ROWS` rows.
 const FEWEST: usize = 32;
 const FEW_ROWS: usize = 8192;
-/// Most rows of a chunk of several tests.
+/// Most rows in a chunk of several tests.
 const MOST_ROWS: usize = 1 << 20;
 
-/// Of so many tests, with so many rows in all.
+/// Number of tests per chunk, for `tests` tests with `rows` rows in all.
 pub(crate) fn chunk_size(tests: usize, rows: usize) -> usize {
     let fewest = (FEW_ROWS * tests / rows.max(1)).clamp(1, FEWEST);
     let most = (MOST_ROWS * tests / rows.max(1)).clamp(1, MOST);

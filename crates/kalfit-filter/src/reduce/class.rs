@@ -8,28 +8,28 @@ use crate::reduce::root::RootError;
 use crate::reduce::shared_store::StoreEntry;
 use crate::reduce::terminal::TerminalRoot;
 
-/// A design class: a design with its gains, as they are kept.
+/// A design class: a design and its gains, in the store of classes.
 #[derive(Debug, Clone)]
 pub(crate) struct DesignClass(pub(super) Arc<StoreEntry<Design, Result<Gains, RootError>>>);
 
 impl DesignClass {
-    /// The design that all tests of it have.
+    /// The design of all tests of the class.
     pub(crate) fn design(&self) -> &Design {
         &self.0.key
     }
 
-    /// Its gains.
+    /// The gains of the design, or why there are none.
     pub(crate) fn gains(&self) -> &Result<Gains, RootError> {
         self.0.value()
     }
 
-    /// The last state, where it was wanted.
+    /// The last state, if it was wanted.
     pub(crate) fn end(&self) -> Option<&Arc<TerminalRoot>> {
         self.0.value().as_ref().ok()?.end.as_ref()
     }
 }
 
-/// Bytes that a class occupies.
+/// Memory of a class in bytes.
 pub(super) fn class_bytes(design: &Design, gains: &Result<Gains, RootError>) -> usize {
     design.bytes() + gains.as_ref().map_or(0, Gains::bytes)
 }

@@ -1,4 +1,4 @@
-//! The covariance filter on its way over the steps of a design, or of designs of one shape side by side.
+//! The covariance filter over the steps of a design, or of designs of one shape in lanes.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T")]
 
 use kalfit_lanes::Lanes;
@@ -10,7 +10,7 @@ use crate::reduce::kernel::{FilterState, ScalarUpdate};
 use crate::reduce::moment_path::MomentPath;
 use crate::reduce::sums::InformationSums;
 
-/// P and Ψ, what a measurement finds, and what is added up.
+/// P and Ψ, the results K and T of the last measurement, and the sums over all measurements.
 pub(super) struct CovarianceFilter<T> {
     pub(super) P: Vec<T>,
     pub(super) Psi: Vec<T>,
@@ -23,7 +23,7 @@ pub(super) struct CovarianceFilter<T> {
 }
 
 impl<T: Lanes> CovarianceFilter<T> {
-    /// At the start of a design, `variance` its P0.
+    /// The filter at the start of a design; `variance`: P0.
     #[inline(always)]
     pub(super) fn new<E: Entries<T>>(frame: &StateFrame, variance: E) -> CovarianceFilter<T> {
         let zero = T::splat(0.0);
@@ -45,7 +45,7 @@ impl<T: Lanes> CovarianceFilter<T> {
         }
     }
 
-    /// P and Ψ as they are now go to the end of a path, if there is one.
+    /// Appends the current P and Ψ to a path, if there is one.
     #[inline(always)]
     pub(super) fn note(&self, path: &mut Option<MomentPath>) {
         if let Some(path) = path {
@@ -53,20 +53,20 @@ impl<T: Lanes> CovarianceFilter<T> {
         }
     }
 
-    /// P and Ψ over a transition.
+    /// Predicts P and Ψ over a transition.
     #[inline(always)]
     pub(super) fn predict<E: Entries<T>>(&mut self, frame: &StateFrame, transition: TransitionView<'_, E>) {
         kernel::predict(&mut self.P, frame.r, transition, &mut self.rows);
         self.advance(frame, transition);
     }
 
-    /// Ψ alone.
+    /// Predicts Ψ alone over a transition.
     #[inline(always)]
     pub(super) fn advance<E: Entries<T>>(&mut self, frame: &StateFrame, transition: TransitionView<'_, E>) {
         kernel::advance(&mut self.Psi, frame.p, transition, &mut self.rows);
     }
 
-    /// A scalar measurement (states, h, R): K and T are left.
+    /// Takes a scalar measurement (states, h, R) into P, Ψ and the sums; stores its K and T.
     #[inline(always)]
     pub(super) fn measure<E: Entries<T>>(&mut self, frame: &StateFrame, line: (&[u32], E, T)) -> ScalarUpdate<T> {
         let of = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
@@ -75,7 +75,7 @@ impl<T: Lanes> CovarianceFilter<T> {
         update
     }
 
-    /// A scalar measurement (states, h) under gains that are known, `weight` being 1/S: T is left.
+    /// Takes a scalar measurement (states, h) into Ψ and the sums under known gains, `weight` = 1/S; stores its T.
     #[inline(always)]
     pub(super) fn measure_again<E: Entries<T>>(&mut self, frame: &StateFrame, terms: (&[u32], E), weight: T) {
         let CovarianceFilter { Psi, K, T, sums, .. } = self;

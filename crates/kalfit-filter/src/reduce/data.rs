@@ -1,11 +1,11 @@
-//! The data of a test, and what they say under a design.
+//! The data of a test, and their likelihood under a design.
 
 use kalfit_model::ExactRows;
 
-/// e'S⁻¹e beyond which c + ½d'd would lose digits, so that the innovations are taken again from the best ξ.
+/// Limit of e'S⁻¹e, above which c + ½d'd would lose digits, so that the innovations are computed again at the best ξ.
 pub(crate) const REFINE: f64 = 1e3;
 
-/// A measurement that can only be one value may miss it by this part of the size of its terms.
+/// Largest deviation of an exact measurement from its only possible value, relative to the size of its terms.
 pub(crate) const ROUNDING: f64 = 1e-10;
 
 /// The data of a test, in kernel order and whitened.
@@ -13,16 +13,16 @@ pub(crate) const ROUNDING: f64 = 1e-10;
 pub struct Data {
     /// a, n numbers.
     pub start: Vec<f64>,
-    /// b of the driven states, for each transition.
+    /// b of the driven states, transition after transition.
     pub inputs: Vec<f64>,
-    /// z - d.
+    /// z - d of each scalar measurement.
     pub values: Vec<f64>,
-    /// |z| + |d|.
+    /// |z| + |d| of each scalar measurement.
     pub(crate) sizes: Vec<f64>,
 }
 
 impl Data {
-    /// Appends a measured value z, of which d is known.
+    /// Appends a measured value z and its known part d.
     #[inline(always)]
     pub(crate) fn take(&mut self, z: f64, constant: f64) {
         self.values.push(z - constant);
@@ -37,20 +37,20 @@ impl Data {
     }
 }
 
-/// What the data say under a design.
+/// The likelihood of the data of a test under a design.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Outcome {
     pub(crate) constant: f64,
-    /// The sum of squares that is left.
+    /// The residual sum of squares.
     pub(crate) residual: f64,
     /// d, p numbers.
     pub(crate) data: Vec<f64>,
-    /// What was measured exactly.
+    /// The exact measurements, if there are any.
     pub(crate) exact: Option<Box<ExactRows>>,
 }
 
 impl Outcome {
-    /// Of d and what is left, for `active` measurements with this Σ log S.
+    /// From d and the residual sum of squares, for `active` measurements with this Σ log S.
     pub(crate) fn new(data: Vec<f64>, residual: f64, active: usize, log_determinant: f64) -> Outcome {
         let log_density = -0.5 * (active as f64 * std::f64::consts::TAU.ln() + log_determinant);
         Outcome { constant: log_density - 0.5 * residual, residual, data, exact: None }
@@ -62,7 +62,7 @@ impl Outcome {
     }
 }
 
-/// Measurement `row` missed its only possible value.
+/// Exact measurement `row` is off its only possible value by `residual`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Miss {
     pub(crate) row: usize,

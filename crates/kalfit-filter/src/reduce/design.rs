@@ -1,7 +1,7 @@
-//! The design of a test: all that S, K, T, P and J depend on, in the order of states that suits the kernels.
+//! The design of a test: everything that S, K, T, P and J depend on, with the states in kernel order.
 //!
-//! Kernel order: noise-reachable states first (those that P0 or process noise ever reaches; P lives on them alone),
-//! then other states that move, then those that never move. Random constants of the last kind live only in Ψ.
+//! Kernel order: noise-reachable states first (those that P0 or process noise ever reaches; P has rows for them alone),
+//! then other states that move, then states that never move. Random constants that never move enter only through Ψ.
 
 mod identity;
 
@@ -15,12 +15,12 @@ use crate::reduce::entries::Common;
 use crate::reduce::equal_steps::{FEW, is_most};
 use nalgebra::DMatrix;
 
-/// Row of Ψ that is dense.
+/// Marks a row of Ψ that is dense.
 pub(crate) const DENSE: u32 = u32::MAX;
-/// Row of Ψ that is zero, always.
+/// Marks a row of Ψ that is always zero.
 pub(crate) const ZERO: u32 = u32::MAX - 1;
 
-/// The states of a model in the order of the kernels, and A.
+/// The states of a model in kernel order, and A.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StateFrame {
     /// n, number of states.
@@ -29,13 +29,13 @@ pub struct StateFrame {
     pub p: usize,
     /// Number of noise-reachable states.
     pub r: usize,
-    /// For each state the column of ξ whose unit vector its row of Ψ always is, or [`DENSE`], or [`ZERO`].
+    /// For each state: the column k, if its row of Ψ is always the unit vector of column k, else [`DENSE`] or [`ZERO`].
     pub(crate) rows: Vec<u32>,
     /// A, n × p, row-major.
     pub sensitivity: Vec<f64>,
     /// States with a known input b.
     pub driven: Vec<u32>,
-    /// Digest of the rest.
+    /// Digest of n, p, r, `rows` and `sensitivity`.
     pub(crate) digest: u128,
 }
 
@@ -51,7 +51,7 @@ impl StateFrame {
         self
     }
 
-    /// The same states without ξ.
+    /// The frame of the same states without ξ: p = 0.
     pub(crate) fn without_unknowns(&self) -> StateFrame {
         let frame = StateFrame { p: 0, rows: vec![ZERO; self.n], sensitivity: Vec::new(), ..self.clone() };
         frame.seal()
@@ -62,26 +62,26 @@ impl StateFrame {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct TransitionRow {
     pub(crate) state: u32,
-    /// Terms start..end; those up to `reach` are of noise-reachable states.
+    /// Its terms are start..end; those before `reach` belong to noise-reachable states.
     pub(crate) start: u32,
     pub(crate) reach: u32,
     pub(crate) end: u32,
 }
 
-/// Which entries of φ and Q a step has: no identity rows, no zeros. All transitions of a model have one.
+/// The entries of φ and Q that a step stores: no identity rows, no zeros. All transitions of a model share one pattern.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Pattern {
-    /// In ascending order of state.
+    /// Rows of φ that are not rows of the identity, in ascending order of state.
     pub(crate) moved: Vec<TransitionRow>,
     pub(crate) columns: Vec<u32>,
-    /// Entries i ≥ j of Q.
+    /// Indices (i, j), i ≥ j, of the stored entries of Q.
     pub(crate) pairs: Vec<(u32, u32)>,
     diagonal: bool,
     digest: u128,
 }
 
 impl Pattern {
-    /// Appends row `state` of φ, with terms of these states, ascending.
+    /// Appends row `state` of φ. `terms`: the states of its terms, ascending.
     pub(crate) fn push(&mut self, state: usize, reachable: usize, terms: impl Iterator<Item = usize>) {
         let start = self.columns.len() as u32;
         self.columns.extend(terms.map(|term| term as u32));
@@ -108,7 +108,7 @@ impl Pattern {
         self
     }
 
-    /// Rows of φ that move, where each has no term but its own state.
+    /// The states that move, if φ is diagonal on them; `None` if a row has a term of another state.
     #[inline(always)]
     pub(crate) fn diagonal(&self) -> Option<impl Iterator<Item = usize>> {
         self.diagonal.then(|| self.moved.iter().map(|row| row.state as usize))
@@ -123,7 +123,7 @@ pub struct Transition {
     pub(crate) q: Vec<f64>,
 }
 
-/// A transition as kernels read it.
+/// A transition as the kernels read it.
 #[derive(Debug, Clone, Copy)]
 pub struct TransitionView<'a, E> {
     pub(crate) pattern: &'a Pattern,
@@ -132,18 +132,18 @@ pub struct TransitionView<'a, E> {
 }
 
 impl Transition {
-    /// For one number at a time.
+    /// View for kernels of a single test.
     pub(crate) fn view(&self) -> TransitionView<'_, &[f64]> {
         TransitionView { pattern: &self.pattern, phi: &self.phi, q: &self.q }
     }
 
-    /// For lanes that share it.
+    /// View for lanes that share the transition.
     #[inline(always)]
     pub(crate) fn common(&self) -> TransitionView<'_, Common<'_>> {
         TransitionView { pattern: &self.pattern, phi: Common(&self.phi), q: Common(&self.q) }
     }
 
-    /// (row, column, entry) of φ, of the rows that move.
+    /// (row, column, entry) of the rows of φ that are not rows of the identity.
     pub(crate) fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
         let of = move |row: &TransitionRow| {
             let (state, terms) = (row.state as usize, row.start as usize..row.end as usize);
@@ -152,7 +152,7 @@ impl Transition {
         self.pattern.moved.iter().flat_map(of)
     }
 
-    /// φ on n states, `state` the one at each place.
+    /// φ, n × n; `state` maps a position in kernel order to a state.
     pub fn phi_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
         let mut phi = DMatrix::identity(n, n);
         self.pattern.moved.iter().for_each(|row| phi.row_mut(state(row.state as usize)).fill(0.0));
@@ -160,7 +160,7 @@ impl Transition {
         phi
     }
 
-    /// Q on n states, `state` the one at each place.
+    /// Q, n × n; `state` maps a position in kernel order to a state.
     pub fn noise_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
         let mut noise = DMatrix::zeros(n, n);
         for (&(i, j), &q) in self.pattern.pairs.iter().zip(&self.q) {
@@ -177,7 +177,7 @@ impl Transition {
         Transition { pattern, phi, q }
     }
 
-    /// Of the pattern and all numbers.
+    /// Digest of the pattern, φ and Q.
     pub(crate) fn digest(&self) -> u128 {
         let mut digest = Digest::new();
         digest.wide(self.pattern.digest);
@@ -193,58 +193,59 @@ impl Transition {
     }
 }
 
-/// Equal steps that follow each other: a transition, then scalar measurements, so many times.
+/// A run of consecutive equal steps: a transition, then scalar measurements, `count` times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct EqualSteps {
-    /// The transition's number, see [`Design::transition`].
+    /// Number of the transition, see [`Design::transition`]; `None` if no transition leads to the steps.
     pub(crate) transition: Option<u32>,
-    /// End of the lines of one step; they begin where those of the run before end.
+    /// End of the lines of one step, which begin where the lines of the previous run end.
     pub(crate) lines: usize,
     /// Number of steps.
     pub(crate) count: usize,
-    /// End of its scalar measurements among those of the test.
+    /// End of its rows among the rows of the test.
     pub(crate) rows: usize,
-    /// End of its steps among those of the test.
+    /// End of its steps among the steps of the test.
     pub(crate) steps: usize,
 }
 
 impl EqualSteps {
-    /// Ends of its lines, rows and steps.
+    /// (End of its lines, end of its rows, end of its steps).
     fn ends(&self) -> (usize, usize, usize) {
         (self.lines, self.rows, self.steps)
     }
 }
 
-/// The design of a test, scalar measurements whitened.
+/// The design of a test; its scalar measurements are whitened.
 ///
-/// A *row* is a scalar measurement of the test. Rows of equal steps have one *line*: terms and noise are kept once.
+/// A *row* is a scalar measurement of the test. Rows of equal steps share one *line*: their terms and noise are stored
+/// once.
 #[derive(Debug, Clone)]
 pub struct Design {
     pub frame: Arc<StateFrame>,
-    /// P0 on the reachable states, r × r, row-major; the lower triangle counts.
+    /// P0 on the noise-reachable states, r × r, row-major; only the lower triangle is read.
     pub variance: Vec<f64>,
-    /// The transitions, each for as many runs on end as have it.
+    /// The transitions, each stored once for consecutive runs that share it.
     pub(crate) moves: Vec<Arc<Transition>>,
     pub(crate) runs: Vec<EqualSteps>,
-    /// End of the terms of each line.
+    /// End of the terms of each line in `states` and `h`.
     pub(crate) ends: Vec<usize>,
     /// States of the terms, ascending within a line.
     pub(crate) states: Vec<u32>,
-    /// Their coefficients h.
+    /// Coefficients h of the terms.
     pub(crate) h: Vec<f64>,
     /// R, one variance for each line.
     pub noise: Vec<f64>,
-    /// All steps are gone over one by one, as where tests stand side by side: most are in no long stretch of equal ones.
+    /// True if all steps are processed one by one, as in lanes, because most are in no long stretch of equal steps.
     pub(crate) stepwise: bool,
 }
 
-/// A run and where it stands.
+/// A run of equal steps, with its ranges of lines and rows.
 #[derive(Debug, Clone)]
 pub struct Stretch<'a> {
     pub(crate) transition: Option<&'a Arc<Transition>>,
     pub(crate) lines: Range<usize>,
     pub(crate) count: usize,
-    /// Its scalar measurements, step after step.
+    /// Rows of the run, step after step.
     pub(crate) rows: Range<usize>,
 }
 
@@ -253,12 +254,12 @@ pub struct Stretch<'a> {
 pub struct DesignStep<'a> {
     pub transition: Option<&'a Arc<Transition>>,
     pub lines: Range<usize>,
-    /// Its scalar measurements: row `rows.start + i` has line `lines.start + i`.
+    /// Rows of the step: row `rows.start + i` has line `lines.start + i`.
     pub rows: Range<usize>,
 }
 
 impl<'a> Stretch<'a> {
-    /// Its steps, in order.
+    /// The steps of the run, in order.
     pub(crate) fn steps(&self) -> impl DoubleEndedIterator<Item = DesignStep<'a>> + use<'a> {
         let (transition, lines, row) = (self.transition, self.lines.clone(), self.rows.start);
         let width = lines.len();
@@ -270,18 +271,19 @@ impl<'a> Stretch<'a> {
 }
 
 impl Design {
-    /// The pattern of the first transition, which is that of all where they are a model's.
+    /// The pattern of the first transition. All transitions of a model share one pattern.
     pub(crate) fn pattern(&self) -> Option<&Arc<Pattern>> {
         self.moves.first().map(|transition| &transition.pattern)
     }
 
-    /// States that noise reaches or that move in a stretch: the first ones of the kernels' order.
+    /// Number of states that noise reaches or that move in a stretch: the first ones in kernel order.
     pub(crate) fn moving(&self, stretch: &Stretch<'_>) -> usize {
         let last = stretch.transition.and_then(|transition| transition.pattern.moved.last());
         self.frame.r.max(last.map_or(0, |row| row.state as usize + 1))
     }
 
-    /// How many states move in a stretch of more than `few` equal steps of one scalar measurement, without known inputs.
+    /// `moving` of a stretch of more than `few` equal steps with one scalar measurement and no known inputs; else
+    /// `None`.
     pub(crate) fn equal_moving(&self, stretch: &Stretch<'_>, few: usize) -> Option<usize> {
         let plain = stretch.count > few && stretch.lines.len() == 1 && self.frame.driven.is_empty();
         plain.then(|| self.moving(stretch))
@@ -313,27 +315,27 @@ impl Design {
         self.stepwise = false;
     }
 
-    /// Finds whether it is stepwise, once all steps are there.
+    /// Sets `stepwise`, once all steps are appended.
     pub(crate) fn complete(&mut self) {
         let long = self.runs.iter().map(|run| run.count).filter(|&count| count > FEW).sum();
         self.stepwise = !is_most(long, self.steps());
     }
 
-    /// Whether so many equal steps are gone over at once, as far as they are equal.
+    /// True if a stretch of `count` equal steps is processed at once, not step by step.
     #[inline(always)]
     pub(crate) fn is_long(&self, count: usize) -> bool {
         count > FEW && !self.stepwise
     }
 
-    /// (states, coefficients) of a line.
+    /// (States, coefficients h) of the terms of a line.
     #[inline(always)]
     pub fn terms(&self, line: usize) -> (&[u32], &[f64]) {
         let start = if line == 0 { 0 } else { self.ends[line - 1] };
         (&self.states[start..self.ends[line]], &self.h[start..self.ends[line]])
     }
 
-    /// Where the rows end that are of the same block of so many steps as a row: which rows those are does not depend on tests beside
-    /// this one.
+    /// End of the rows in the block of `steps` steps that contains `row`. Blocks do not depend on the other tests of a
+    /// batch.
     pub(crate) fn block_end(&self, row: usize, steps: usize) -> usize {
         let start = |run: usize| if run == 0 { (0, 0, 0) } else { self.runs[run - 1].ends() };
         let run = self.runs.partition_point(|run| run.rows <= row);
@@ -363,7 +365,7 @@ impl Design {
 
     /// The step with this number.
     pub fn step(&self, k: usize) -> DesignStep<'_> {
-        // where no steps are equal each is a run
+        // without equal steps, step k is run k
         let own = self.runs.get(k).is_some_and(|run| run.steps == k + 1);
         let at = if own { k } else { self.runs.partition_point(|run| run.steps <= k) };
         let run = &self.runs[at];
@@ -373,12 +375,12 @@ impl Design {
         DesignStep { transition: self.transition(run), lines: line..run.lines, rows }
     }
 
-    /// Its runs, in order.
+    /// The runs as stretches, in order.
     pub(crate) fn stretches(&self) -> impl DoubleEndedIterator<Item = Stretch<'_>> {
         (0..self.runs.len()).map(|at| self.stretch(at))
     }
 
-    /// The run with this number.
+    /// The run with number `at`, as a stretch.
     pub(crate) fn stretch(&self, at: usize) -> Stretch<'_> {
         let run = &self.runs[at];
         let (line, row) = if at == 0 { (0, 0) } else { (self.runs[at - 1].lines, self.runs[at - 1].rows) };
@@ -390,7 +392,7 @@ impl Design {
         self.stretches().flat_map(|stretch| stretch.steps())
     }
 
-    /// Appends a step whose lines were appended already: a run of its own.
+    /// Appends a step as a new run; its lines are already appended.
     pub(crate) fn push_step(&mut self, transition: Option<&Arc<Transition>>) {
         let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
         let lines = self.ends.len();
@@ -403,15 +405,16 @@ impl Design {
         self.runs.push(EqualSteps { transition, lines, count: 1, rows: row + lines - line, steps: step + 1 });
     }
 
-    /// True for the very transition that came last.
+    /// True if this is the same object as the last transition.
     ///
-    /// One made from other coefficients, or over another time, can be equal too, but its derivatives differ.
+    /// A transition made from other coefficients, or over another time, can have equal numbers, but its derivatives
+    /// differ.
     #[inline]
     fn is_latest(&self, transition: &Arc<Transition>) -> bool {
         self.moves.last().is_some_and(|last| Arc::ptr_eq(last, transition))
     }
 
-    /// So many more steps like the last one.
+    /// Appends `many` more steps like the last one.
     pub(crate) fn repeat(&mut self, many: usize) {
         let at = self.runs.len() - 1;
         let before = if at == 0 { 0 } else { self.runs[at - 1].lines };
@@ -421,7 +424,8 @@ impl Design {
         run.rows += many * (run.lines - before);
     }
 
-    /// [`Design::push_step`]; a step like the last one, with the very same transition, joins its run.
+    /// [`Design::push_step`], except that a step equal to the last one, with the same transition object, joins the last
+    /// run.
     #[inline]
     pub(crate) fn join_step(&mut self, transition: Option<&Arc<Transition>>) {
         if self.is_repeated(transition) {
@@ -437,7 +441,7 @@ impl Design {
         }
     }
 
-    /// True when the lines that no run has yet, and this transition, are those of the last run.
+    /// True if the lines that belong to no run yet, and `transition`, equal those of the last run.
     #[inline]
     fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {
         let Some(at) = self.runs.len().checked_sub(1) else { return false };
@@ -465,13 +469,13 @@ impl Design {
             && same_bits(&self.noise[lines], &self.noise[fresh])
     }
 
-    /// Bytes it occupies, transitions apart.
+    /// Memory in bytes, without the transitions.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.variance.len() + 6 * self.runs.len() + self.ends.len() + 2 * self.h.len() + self.noise.len()) + 200
     }
 }
 
-/// Equal bit for bit.
+/// True if the numbers are equal bit for bit.
 pub fn same_bits(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
 }

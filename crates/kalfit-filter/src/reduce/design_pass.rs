@@ -1,4 +1,5 @@
-//! The design pass: one covariance run per design class leaves a schedule of weights, gains and sensitivities.
+//! The design pass: one run of the covariance filter per design class, which gives a schedule of weights, gains and
+//! sensitivities.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
 use std::sync::Arc;
@@ -16,8 +17,8 @@ use crate::reduce::settling::SteadyState;
 use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
 
-/// The design pass in plain covariance and information arithmetic; `None` where that would lose too much. `states`: the state of the
-/// model at each place of the kernels, where the last state is wanted.
+/// The design pass in plain covariance and information arithmetic; `None` where that would lose too many digits.
+/// `states`: the model's state at each position in kernel order, given if the last state is wanted.
 pub(crate) fn information_gains(design: &Design, states: Option<&[usize]>, work: &mut GainsWork) -> Option<Gains> {
     let (p, r) = (design.frame.p, design.frame.r);
     let mut gains = Isa::best().alone().run(DesignPass { design, work }).finish((r, p), design.rows())?;
@@ -62,7 +63,7 @@ impl Kernel for DesignPass<'_> {
 }
 
 impl GainsWork {
-    /// P and Ψ as they are now.
+    /// Copies the current P and Ψ of the filter.
     #[inline(always)]
     fn take<T: Lanes>(&mut self, filter: &CovarianceFilter<T>) {
         for (list, own) in [(&mut self.P, &filter.P), (&mut self.Psi, &filter.Psi)] {
@@ -75,7 +76,8 @@ impl GainsWork {
 }
 
 impl GainSchedule {
-    /// Equal steps: in full until P no longer changes, then Ψ alone until it does not change either, then all others at once.
+    /// A stretch of equal steps: in full until P no longer changes, then for Ψ alone until Ψ no longer changes, then
+    /// all remaining steps at once.
     #[inline(always)]
     fn stretch<T: Lanes>(
         &mut self,
@@ -122,7 +124,7 @@ impl GainSchedule {
         self.note(piece, stretch);
     }
 
-    /// A step in full.
+    /// A step with P and Ψ.
     #[inline(always)]
     fn step<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
         if let Some(transition) = stretch.transition {
@@ -141,7 +143,7 @@ impl GainSchedule {
         }
     }
 
-    /// A step under the gains of the last one.
+    /// A step for Ψ alone, under the gains of the previous step.
     #[inline(always)]
     fn sensitivities<T: Lanes>(&mut self, design: &Design, stretch: &Stretch<'_>, filter: &mut CovarianceFilter<T>) {
         if let Some(transition) = stretch.transition {
@@ -161,7 +163,7 @@ impl GainSchedule {
         }
     }
 
-    /// So many more steps of `lines` measurements under the gains and sensitivities of the last one: J += m TT'/S.
+    /// `many` = m more steps of `lines` measurements under the gains and sensitivities of the last step: J += m TT'/S.
     #[inline(always)]
     fn repeat<T: Lanes>(&mut self, frame: &StateFrame, lines: usize, many: usize, filter: &mut CovarianceFilter<T>) {
         if many == 0 {

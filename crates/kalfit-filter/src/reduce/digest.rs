@@ -1,17 +1,18 @@
-//! A 128-bit digest of numbers, the same on every machine and release: words are mixed in four places by turns, each in two ways;
-//! what is there at last goes through SipHash-1-3 with fixed keys (Aumasson, Bernstein 2012).
+//! A 128-bit digest of numbers, identical on every machine and release: words go to four hash states in turn, each of
+//! which mixes them in two ways; the final states go through SipHash-1-3 with fixed keys (Aumasson, Bernstein 2012).
 
-/// Places side by side.
+/// Number of hash states, which take words in turn.
 const PLACES: usize = 4;
 
-/// The state of the hash.
+/// The state of a digest.
 #[derive(Debug, Clone)]
 pub(crate) struct Digest {
     places: [HashState; PLACES],
     words: u64,
 }
 
-/// Words mixed in two ways: by wide products, and so that no word is ever lost.
+/// A hash state that mixes words in two ways: by 128-bit products, and by an invertible step, so that no word is ever
+/// lost.
 #[derive(Debug, Clone, Copy)]
 struct HashState {
     wide: u64,
@@ -51,7 +52,7 @@ impl Digest {
         self.all(words, |word| *word);
     }
 
-    /// How many there are, then a word for each, the first one in the first place.
+    /// Takes the number of items, then a word for each item, the first word always in the first hash state.
     #[inline(always)]
     fn all<T>(&mut self, all: &[T], word: impl Fn(&T) -> u64) {
         self.count(all.len());

@@ -1,22 +1,22 @@
-//! The motion of a model at α: its coefficients, and which states hang together.
+//! The motion of a model at α: its coefficients, and its components of states that depend on each other.
 
 use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::subject::{Coefficient, Fault, ModelAt, Subject, Uses, reads_data};
 use kalfit_model::{Motion, Scope};
 
-/// Coefficients in slots: fixed ones are in place, the others are evaluated on each step.
+/// Coefficients in slots: fixed values are stored, the others are evaluated on each step.
 #[derive(Debug, Clone, Default)]
 pub struct Table {
-    /// Values, 0 where they vary.
+    /// Value of each slot, 0 where it varies.
     pub fixed: Vec<f64>,
-    /// (slot, coefficient, it is a variance).
+    /// (Slot, coefficient, true for a variance) of each slot that varies.
     pub(crate) varying: Vec<(usize, Coefficient, bool)>,
-    /// (slot, coefficient): those of the fixed that depend on free parameters.
+    /// (Slot, coefficient) of each fixed slot that depends on free parameters.
     pub(crate) free: Vec<(usize, Coefficient)>,
 }
 
 impl Table {
-    /// A slot for a coefficient; `None` for one that is zero.
+    /// Adds a slot for a coefficient; `None` if the coefficient is zero.
     fn add(&mut self, coefficient: Coefficient, variance: bool) -> Option<usize> {
         if coefficient.is_zero() {
             return None;
@@ -31,7 +31,7 @@ impl Table {
         Some(slot)
     }
 
-    /// All values on a row.
+    /// Values of all slots on a row.
     pub(crate) fn evaluate(
         &self,
         at: &ModelAt<'_>,
@@ -41,7 +41,7 @@ impl Table {
         self.evaluate_some(at, scope, |_| true, values)
     }
 
-    /// Values on a row, 0 where they vary and the slot is not needed.
+    /// Values on a row; 0 for a slot that varies and is not needed.
     pub(crate) fn evaluate_some(
         &self,
         at: &ModelAt<'_>,
@@ -57,13 +57,13 @@ impl Table {
         Ok(())
     }
 
-    /// True when the slot's value is read from the data.
+    /// True if the value of the slot is read from the data.
     pub(crate) fn reads_data(&self, slot: usize) -> bool {
         self.varying.iter().any(|(s, coefficient, _)| *s == slot && reads_data(coefficient))
     }
 }
 
-/// F and Q, m × m, from the slots of their entries (i, j, slot).
+/// F and Q, m × m, from (i, j, slot) of their entries.
 pub(crate) fn matrices(
     m: usize,
     [rates, noise]: [&[(usize, usize, usize)]; 2],
@@ -80,20 +80,20 @@ pub(crate) fn matrices(
     (f, q)
 }
 
-/// States of continuous motion that depend on each other. Indices i, j count within the component.
+/// A set of states of continuous motion that depend on each other. Indices i, j count within the component.
 #[derive(Debug, Clone, Default)]
 pub struct Component {
-    /// States of the model.
+    /// Its states, numbered as in the model.
     pub states: Vec<usize>,
     /// (i, j, slot): dx_i/dt contains the coefficient times x_j.
     pub(crate) rates: Vec<(usize, usize, usize)>,
-    /// (i, state, slot): it contains the coefficient times a state that is held over the step.
+    /// (i, state, slot): dx_i/dt contains the coefficient times a state of the model that is constant over the step.
     pub(crate) held: Vec<(usize, usize, usize)>,
-    /// (i, j, slot), i ≥ j: driving noise.
+    /// (i, j, slot), i ≥ j: covariance of the driving noise.
     pub(crate) noise: Vec<(usize, usize, usize)>,
     /// Slot of the input of each state, in [`Dynamics::inputs`].
     pub inputs: Vec<Option<usize>>,
-    /// m × m: entry (i, j) of exp(Fδ) can be other than that of the identity, or i = j.
+    /// m × m: true where entry (i, j) of exp(Fδ) can differ from that of the identity.
     pub(crate) closure: Vec<bool>,
 }
 
@@ -101,7 +101,7 @@ pub struct Component {
 #[derive(Debug, Clone)]
 pub struct Recursion {
     pub state: usize,
-    /// (state, slot), ascending.
+    /// (State, slot) of the terms, in ascending order of state.
     pub(crate) terms: Vec<(usize, usize)>,
     pub input: Option<usize>,
 }
@@ -111,13 +111,13 @@ pub struct Recursion {
 pub struct Dynamics {
     /// Coefficients of φ and Q.
     pub table: Table,
-    /// Known inputs.
+    /// Coefficients of known inputs.
     pub inputs: Table,
     pub components: Vec<Component>,
     pub recursions: Vec<Recursion>,
-    /// (state, state, slot): noise of discrete motion, each pair once.
+    /// (State, state, slot) of the noise of discrete motion, each pair once.
     pub(crate) noise: Vec<(usize, usize, usize)>,
-    /// Columns of all coefficients.
+    /// Columns that the coefficients read.
     pub(crate) uses: Uses,
 }
 
@@ -161,7 +161,7 @@ impl Dynamics {
             let component = dynamics.component(at, states, &rates)?;
             dynamics.components.push(component);
         }
-        dynamics.noise.retain(|&(i, _, _)| !continuous(i)); // the rest is in components
+        dynamics.noise.retain(|&(i, _, _)| !continuous(i)); // noise of continuous motion is in the components
         Ok(dynamics)
     }
 
@@ -176,7 +176,7 @@ impl Dynamics {
         recursions.chain(components)
     }
 
-    /// Noises of several states are correlated, and not the same on every row.
+    /// True if noises of different states are correlated and a covariance varies from row to row.
     pub(crate) fn mixes_on_rows(&self) -> bool {
         let varies = |slot: usize| self.table.varying.iter().any(|(other, ..)| *other == slot);
         let mut noise = self.noise.iter().chain(self.components.iter().flat_map(|component| &component.noise));
@@ -207,7 +207,7 @@ impl Dynamics {
         Ok(())
     }
 
-    /// process_noise_covariance, checked: (state, state, slot).
+    /// (State, state, slot) of each `process_noise_covariance` of the model, checked.
     fn covariances(&mut self, at: &ModelAt<'_>) -> Result<Vec<(usize, usize, usize)>, Box<Fault>> {
         let mut found = Vec::new();
         for (i, j, expression) in &at.model.process_noise_covariance {
@@ -260,7 +260,8 @@ impl Dynamics {
             let input = self.input(at, &derivative.constant, Subject::Derivative(state))?;
             component.inputs.push(input);
         }
-        // Of the identity the diagonal counts only for what others depend on, see `Component::still`.
+        // The diagonal of the identity is left out: `Component::still` needs true dependences only, and `depends` adds
+        // it.
         close(&mut component.closure, m);
         component.states = states;
         Ok(component)
@@ -268,19 +269,19 @@ impl Dynamics {
 }
 
 impl Component {
-    /// Row i of φ is a row of the identity.
+    /// True if row i of φ is a row of the identity.
     pub(crate) fn still(&self, i: usize) -> bool {
         let m = self.states.len();
         !self.closure[i * m..][..m].contains(&true) && self.held.iter().all(|&(row, ..)| row != i)
     }
 
-    /// Entry (i, j) of φ, Γ can be other than zero.
+    /// True if entry (i, j) of φ or Γ can differ from zero.
     pub(crate) fn depends(&self, i: usize, j: usize) -> bool {
         i == j || self.closure[i * self.states.len() + j]
     }
 }
 
-/// Transitive closure.
+/// Replaces an m × m relation by its transitive closure.
 pub(crate) fn close(reach: &mut [bool], m: usize) {
     for k in 0..m {
         for i in 0..m {
@@ -293,7 +294,7 @@ pub(crate) fn close(reach: &mut [bool], m: usize) {
     }
 }
 
-/// Sets of nodes (ascending) that links connect; links to other nodes do not count.
+/// The connected components of `nodes` (ascending) under `links`; links to other nodes do not count.
 pub(crate) fn connected(nodes: &[usize], links: &[(usize, usize)]) -> Vec<Vec<usize>> {
     let mut set: Vec<usize> = (0..nodes.len()).collect();
     for (i, j) in links {

@@ -1,4 +1,4 @@
-//! Numbers as kernels read them: one for each lane, or the same for all.
+//! Numbers as kernels read them: one per lane, or one for all lanes.
 
 use kalfit_lanes::{Lanes, Real};
 
@@ -7,11 +7,11 @@ pub(crate) trait Entries<R>: Copy {
     /// Number `k`.
     fn entry(self, k: usize) -> R;
 
-    /// All but the first ones.
+    /// The list without its first `many` numbers.
     fn skip(self, many: usize) -> Self;
 }
 
-/// Numbers of the kernel's own kind.
+/// A list of numbers of the type that the kernel computes with.
 impl<R: Real> Entries<R> for &[R] {
     #[inline(always)]
     fn entry(self, k: usize) -> R {
@@ -24,7 +24,7 @@ impl<R: Real> Entries<R> for &[R] {
     }
 }
 
-/// The same in every lane.
+/// Numbers that are the same in every lane.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Common<'a>(pub(crate) &'a [f64]);
 
@@ -40,7 +40,7 @@ impl<R: Real> Entries<R> for Common<'_> {
     }
 }
 
-/// Each lane's own: a number of one test beside the same of the others.
+/// Numbers in lanes: number k of every test, then number k + 1 of every test.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SideBySide<'a>(pub(crate) &'a [f64]);
 

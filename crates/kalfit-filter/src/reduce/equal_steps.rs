@@ -1,24 +1,25 @@
-//! Whether equal steps are so many that a test has a pass of its own over them.
+//! Decides whether so many steps of a test are equal that it is reduced by itself, with scans.
 
-/// So many equal steps are not worth a scan.
+/// Number of equal steps up to which a stretch is not worth a scan.
 pub(crate) const FEW: usize = 64;
 
-/// Counts those of so many steps that are in stretches of more than [`FEW`] equal ones.
+/// Counts the steps of a test that are in stretches of more than [`FEW`] equal steps.
 #[derive(Debug)]
 pub(crate) struct EqualStepCount {
     steps: usize,
-    /// Steps on end that are equal, up to the last one.
+    /// Length of the current stretch of equal steps.
     stretch: usize,
     long: usize,
 }
 
 impl EqualStepCount {
-    /// Of a test with so many steps.
+    /// Count for a test with `steps` steps, of which none is taken yet.
     pub(crate) fn new(steps: usize) -> EqualStepCount {
         EqualStepCount { steps, stretch: 0, long: 0 }
     }
 
-    /// Takes the next step, which equals the one before or not. True as soon as most steps of the test are in long stretches.
+    /// Takes the next step; `equal`: it equals the step before. True as soon as most steps of the test are in long
+    /// stretches.
     pub(crate) fn take(&mut self, equal: bool) -> bool {
         self.stretch = if equal { self.stretch + 1 } else { 1 };
         self.long += match self.stretch {
@@ -30,7 +31,7 @@ impl EqualStepCount {
     }
 }
 
-/// So many of so many steps are most of them.
+/// True if `long` steps are more than half of `steps`.
 pub(crate) fn is_most(long: usize, steps: usize) -> bool {
     2 * long > steps
 }
@@ -41,7 +42,7 @@ mod tests {
 
     #[test]
     fn most_steps_are_in_long_stretches_or_not() {
-        // stretches of so many equal steps, and after how many steps it is known that most are in long ones
+        // lengths of stretches of equal steps, and the step after which it is known that most are in long stretches
         let cases: [(&[usize], Option<usize>); 7] = [
             (&[], None),
             (&[64], None),

@@ -1,29 +1,29 @@
-//! Why a test has no reduction.
+//! Errors of tests that cannot be reduced.
 
 use std::fmt;
 
 use crate::reduce::semidefinite::NotSemidefinite;
 use kalfit_model::{Label, Source};
 
-/// A refusal: which test, which row, what was computed, and what was wrong with it.
+/// The error of a test without a reduction: the test, the row, what was being computed, and what was wrong with it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReduceError {
     /// Id of the test; `None` when the model at α is at fault, whatever the test.
     pub test: Option<String>,
-    /// The row, where one is to blame.
+    /// The row at fault, if there is one.
     pub row: Option<Source>,
     /// What was being computed, in words: "noise variance of measurement `gyro`".
     pub what: String,
-    /// What was wrong.
+    /// The kind of fault.
     pub kind: Box<ReduceErrorKind>,
 }
 
-/// A cell of the data, as a message shows it.
+/// A cell of the data, as printed in a message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cell {
-    /// Of a numeric column.
+    /// A cell of a numeric column.
     Number(f64),
-    /// Of a text column.
+    /// A cell of a text column.
     Text(Label),
 }
 
@@ -36,10 +36,10 @@ impl fmt::Display for Cell {
     }
 }
 
-/// What was wrong.
+/// The kind of fault.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ReduceErrorKind {
-    /// A cell that is needed is empty.
+    /// An empty cell is needed.
     #[error("the cell of column `{column}` is empty, and it is needed")]
     MissingCell {
         /// Name of the column.
@@ -50,7 +50,7 @@ pub enum ReduceErrorKind {
     NoLevel {
         /// Name of the parameter.
         parameter: String,
-        /// The level.
+        /// The level of the row.
         level: Label,
     },
     /// A coefficient is infinite or undefined.
@@ -61,13 +61,13 @@ pub enum ReduceErrorKind {
     InfiniteCell {
         /// Name of the column.
         column: String,
-        /// The cell.
+        /// The value of the cell.
         value: f64,
     },
     /// A variance is below zero.
     #[error("found a variance of {value}, expected 0 or more")]
     NegativeVariance {
-        /// The variance.
+        /// The value of the variance.
         value: f64,
     },
     /// A covariance matrix is not positive semidefinite.
@@ -75,39 +75,40 @@ pub enum ReduceErrorKind {
         "the covariance matrix is not positive semidefinite: {left:.3e} of variance {variance:.3e} is left after regression on the others"
     )]
     NotSemidefinite {
-        /// What is left of a variance when the others are given, or minus a covariance that no variance can carry.
+        /// The conditional variance given the other variables, or minus a covariance with a variable whose conditional
+        /// variance is zero.
         left: f64,
-        /// That variance.
+        /// The unconditional variance.
         variance: f64,
     },
     /// A matrix is not symmetric.
     #[error("the matrix is not symmetric: {upper} above the diagonal, {lower} below")]
     NotSymmetric {
-        /// One entry.
+        /// The entry above the diagonal.
         upper: f64,
-        /// Its mirror image.
+        /// The mirrored entry below the diagonal.
         lower: f64,
     },
-    /// A covariance joins a thing with itself.
+    /// A covariance is given between a variable and itself.
     #[error("found a covariance of `{name}` with itself, expected two different names")]
     SelfCovariance {
-        /// Its name.
+        /// Name of the variable.
         name: String,
     },
-    /// A covariance joins continuous and discrete motion.
+    /// A covariance is given between noises of continuous and discrete motion.
     #[error("`{continuous}` moves in continuous time and `{discrete}` does not: their noises cannot be correlated")]
     MixedCovariance {
-        /// State of continuous motion.
+        /// The state of continuous motion.
         continuous: String,
-        /// The other state.
+        /// The state of discrete motion.
         discrete: String,
     },
-    /// Which instances of two measurements are correlated is not clear.
+    /// It is ambiguous which instances of two measurements are correlated.
     #[error("`{first}` and `{second}` are measured several times in different rows of one step")]
     AmbiguousCovariance {
-        /// Name of the one.
+        /// Name of the first measurement.
         first: String,
-        /// Name of the other.
+        /// Name of the second measurement.
         second: String,
     },
     /// x_0 lies after the first row.
@@ -118,28 +119,28 @@ pub enum ReduceErrorKind {
         /// Time of the first row.
         first: f64,
     },
-    /// `initial_time` without `time`.
+    /// `initial_time` is given without `time`.
     #[error("an initial time is given, but the rows have no times")]
     InitialTimeWithoutTime,
-    /// The length of the step before the first row is needed and not known.
+    /// The length of the step before the first row is needed but unknown.
     #[error("the time from x_0 to the first row is not known")]
     UnknownFirstStep,
     /// Times decrease.
     #[error("time {time} follows time {previous}")]
     TimeBackwards {
-        /// Time of the row before.
+        /// Time of the previous row.
         previous: f64,
         /// Time of the row.
         time: f64,
     },
-    /// Times are so large that they do not tell the steps between them.
+    /// Times are so large that their rounding hides the lengths of the steps.
     #[error(
         "times as large as {time} are known to {grid:.3e}, which is no small part of a step ({step:.3e} on average)"
     )]
     TimesTooLarge {
         /// The last time.
         time: f64,
-        /// How far apart numbers of its size are.
+        /// Distance between adjacent floating-point numbers of that size.
         grid: f64,
         /// Mean length of a step.
         step: f64,
@@ -167,15 +168,15 @@ pub enum ReduceErrorKind {
     /// There is no stationary distribution.
     #[error("the motion has no stationary distribution: it is not stable ({})", states.join(", "))]
     Unstable {
-        /// States concerned.
+        /// Names of the unstable states.
         states: Vec<String>,
     },
-    /// A stationary state depends on one that is not.
+    /// A stationary state depends on a state that is not stationary.
     #[error("`{state}` starts in its stationary distribution but depends on `{other}`, which does not")]
     StationaryOpen {
         /// The stationary state.
         state: String,
-        /// What it depends on.
+        /// The state that it depends on.
         other: String,
     },
     /// Continuous and discrete stationary states depend on each other.
@@ -185,69 +186,69 @@ pub enum ReduceErrorKind {
     StationaryMixed {
         /// One state.
         state: String,
-        /// The other.
+        /// The other state.
         other: String,
     },
     /// A stationary state has an input that depends on the data.
     #[error("`{state}` starts in its stationary distribution, but its input depends on the data")]
     StationaryInput {
-        /// The state.
+        /// The stationary state.
         state: String,
     },
     /// A measurement determines a combination of the estimated states exactly.
     #[error("a combination of estimated states is measured without any noise")]
     ExactMeasurement,
-    /// What was measured cannot be.
+    /// A value measured without noise is impossible.
     #[error("measured without any noise, the value is off by {residual:.3e}, which is impossible")]
     Impossible {
-        /// Measured minus only possible value.
+        /// Measured value minus the only possible value.
         residual: f64,
     },
-    /// A phase whose estimates are wanted has no filter.
+    /// A phase has no filter, but estimates of it are requested.
     #[error("it has no filter, so nothing makes estimates of it")]
     NoFilter,
-    /// The filter takes other measurements of a test than the model.
+    /// The filter and the model take different measurements of a test.
     #[error(
         "by its own parameters the filter takes {found} measurements, and other ones than the {expected} of the model"
     )]
     OtherMeasurements {
-        /// How many the filter takes.
+        /// Number of measurements that the filter takes.
         found: usize,
-        /// How many the model has.
+        /// Number of measurements of the model.
         expected: usize,
     },
-    /// What estimates say of a direction in which they are not random is not so.
+    /// Estimates contradict their only possible value in a direction in which they are not random.
     #[error("where they are not random, the estimates are off by {residual:.3e}, expected {allowed:.1e} at most")]
     Inconsistent {
-        /// Estimate minus its only possible value, in standard deviations where elements are random.
+        /// Estimate minus its only possible value; elements that are random are in units of their standard deviations.
         residual: f64,
-        /// What rounding allows.
+        /// Largest residual that rounding explains.
         allowed: f64,
     },
-    /// A free parameter decides something that jumps.
+    /// A quantity that is discontinuous in its parameters depends on a free parameter.
     #[error("it depends on the free parameter `{parameter}`, expected parameters that are fixed")]
     FreeParameter {
-        /// Its name.
+        /// Name of the parameter.
         parameter: String,
     },
-    /// Something is missing of a phase that was reduced or estimated before.
+    /// A part of a phase that was reduced or estimated earlier is missing.
     #[error("the {what} is missing, and it is needed")]
     Absent {
-        /// What.
+        /// Name of the missing part.
         what: &'static str,
     },
-    /// A reduction made before has a row with a negative diagonal.
+    /// The factor of an earlier reduction has a negative diagonal entry.
     #[error("found {value} on the diagonal of the factor, expected 0 or more")]
     NegativeDiagonal {
-        /// The entry.
+        /// The diagonal entry.
         value: f64,
     },
     /// The test has more phases than the model.
     #[error("found {found} phases, expected {expected} at most")]
     TooManyPhases {
-        /// Phases of the test.
+        /// Number of phases of the test.
         found: usize,
-        /// Phases of the model.
+        /// Number of phases of the model.
         expected: usize,
     },
     /// The test has no rows.
@@ -274,12 +275,12 @@ pub(crate) fn refuse(test: Option<&str>, what: &str, kind: impl Into<ReduceError
     ReduceError { test: test.map(str::to_owned), row: None, what: what.to_owned(), kind: Box::new(kind.into()) }
 }
 
-/// A matrix or vector has the shape that it must have.
+/// An error unless the shape of a matrix or vector is as expected.
 pub(crate) fn of_shape(found: (usize, usize), expected: (usize, usize)) -> Result<(), ReduceErrorKind> {
     if found == expected { Ok(()) } else { Err(ReduceErrorKind::Shape { found, expected }) }
 }
 
-/// All numbers are finite.
+/// An error unless all numbers are finite.
 pub(crate) fn finite(numbers: &[f64]) -> Result<(), ReduceErrorKind> {
     if numbers.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(ReduceErrorKind::NotFinite) }
 }
@@ -298,7 +299,7 @@ impl fmt::Display for ReduceError {
 impl std::error::Error for ReduceError {}
 
 impl ReduceError {
-    /// What to do about it, where that is plain.
+    /// Advice on how to correct the error, for errors with a typical cause.
     pub fn hint(&self) -> Option<&'static str> {
         Some(match &*self.kind {
             ReduceErrorKind::MissingCell { .. } => "fill the cell, or leave the measured value empty too",

@@ -1,11 +1,13 @@
-//! Which scalar measurements of a design are exact: those that determine h'Ψξ, for nothing else moves what they see (theory §13).
+//! The exact scalar measurements of a design: those that determine h'Ψξ, because nothing random enters them (theory
+//! §13).
 //!
-//! One that is a combination of those before it says nothing, and must be what they make it.
+//! An exact measurement that is a linear combination of earlier ones adds no information, and its value must be that
+//! combination of their values.
 
 use crate::reduce::data::{Miss, ROUNDING};
 use kalfit_model::ExactRows;
 
-/// Entries that are this part of their terms are zero.
+/// Sensitivities up to this fraction of the size of their terms count as zero.
 pub(crate) const INSENSITIVE: f64 = 1e-11;
 
 /// The exact measurements of a design.
@@ -13,20 +15,20 @@ pub(crate) const INSENSITIVE: f64 = 1e-11;
 pub(crate) struct ExactDesign {
     /// C, q × p by rows.
     pub(crate) coefficients: Vec<f64>,
-    /// All of them in their order, those that say nothing new too.
+    /// All exact measurements in their order, including those that add no information.
     measurements: Vec<ExactMeasurement>,
-    /// C after elimination, of which row i is zero at the pivots of the rows before it.
+    /// C after elimination: row i is zero at the pivots of the rows before it.
     reduced: Vec<f64>,
     pivots: Vec<usize>,
 }
 
-/// One of them.
+/// An exact scalar measurement.
 #[derive(Debug, Clone)]
 struct ExactMeasurement {
     row: usize,
-    /// How many times each of the reduced rows before it is taken away.
+    /// Multiple of each earlier reduced row that is subtracted from its row.
     multipliers: Vec<f64>,
-    /// It says something that they do not.
+    /// True if its row is independent of the earlier rows.
     is_new: bool,
 }
 
@@ -35,28 +37,29 @@ impl ExactDesign {
         self.measurements.is_empty()
     }
 
-    /// The rows of a test of which no value is known; `None` where there are none.
+    /// C with g = 0; `None` if there are no exact measurements.
     pub(crate) fn blank(&self) -> Option<Box<ExactRows>> {
         let values = vec![0.0; self.pivots.len()];
         (!self.is_empty()).then(|| Box::new(ExactRows { coefficients: self.coefficients.clone(), values }))
     }
 
-    /// Whether a scalar measurement is among them.
+    /// True if scalar measurement `row` is exact.
     pub(crate) fn has(&self, row: usize) -> bool {
         self.measurements.binary_search_by_key(&row, |measurement| measurement.row).is_ok()
     }
 
-    /// Their numbers among the scalar measurements.
+    /// Numbers of the exact measurements among all scalar measurements.
     pub(crate) fn rows(&self) -> impl Iterator<Item = usize> {
         self.measurements.iter().map(|measurement| measurement.row)
     }
 
-    /// Numbers that it keeps.
+    /// Number of stored numbers.
     pub(crate) fn len(&self) -> usize {
         self.coefficients.len() + self.reduced.len() + self.pivots.len() * self.measurements.len()
     }
 
-    /// Takes in scalar measurement `row`, whose sensitivity is T with terms of these sizes. Says whether it is new.
+    /// Adds exact measurement `row` with sensitivity T; `terms`: sizes of the terms of T. True if it is independent of
+    /// the earlier ones.
     pub(crate) fn take(&mut self, row: usize, sensitivity: &[f64], mut terms: Vec<f64>) -> bool {
         let p = sensitivity.len();
         let (mut left, mut multipliers) = (sensitivity.to_vec(), Vec::with_capacity(self.pivots.len()));
@@ -70,7 +73,7 @@ impl ExactDesign {
             multipliers.push(multiplier);
         }
         let seen = |k: usize| left[k].abs() > INSENSITIVE * terms[k];
-        // where the fewest digits were lost
+        // the pivot is the entry that lost the fewest digits
         let better = |a: &usize, b: &usize| (left[*a].abs() / terms[*a]).total_cmp(&(left[*b].abs() / terms[*b]));
         let pivot = (0..p).rev().filter(|&k| seen(k)).max_by(better);
         self.measurements.push(ExactMeasurement { row, multipliers, is_new: pivot.is_some() });
@@ -82,7 +85,8 @@ impl ExactDesign {
         pivot.is_some()
     }
 
-    /// C and g from the innovations at ξ = 0 of a test, and the sizes of their terms, in the order of these measurements.
+    /// C and g of a test, from its innovations at ξ = 0; `sizes`: sizes of the terms of each exact measurement, in
+    /// order.
     pub(crate) fn rows_of(&self, e: &[f64], sizes: &[f64]) -> Result<ExactRows, Miss> {
         let (mut values, mut reduced) = (Vec::new(), Vec::<(f64, f64)>::new());
         for (measurement, &size) in self.measurements.iter().zip(sizes) {
@@ -107,7 +111,7 @@ impl ExactDesign {
 mod tests {
     use super::*;
 
-    /// Of rows with the sizes of their own entries.
+    /// Exact design of these rows, and whether each row is new; the size of a term is that of the entry.
     fn design(rows: &[[f64; 2]]) -> (ExactDesign, Vec<bool>) {
         let mut design = ExactDesign::default();
         let take = |(at, row): (usize, &[f64; 2])| design.take(at, row, row.iter().map(|x| x.abs()).collect());
@@ -120,7 +124,7 @@ mod tests {
         let (design, new) = design(&[[1.0, 2.0], [2.0, 4.0], [1e-3, 1.0], [7.0, -0.3]]);
         assert_eq!(new, [true, false, true, false]);
         assert_eq!(design.coefficients, [1.0, 2.0, 1e-3, 1.0]);
-        // ξ = (3, -1)
+        // innovations of ξ = (3, -1)
         let e = [1.0, 2.0, 3e-3 - 1.0, 21.3];
         assert_eq!(design.rows_of(&e, &[1.0; 4]).unwrap().values, [1.0, 3e-3 - 1.0]);
         let miss = design.rows_of(&[1.0, 2.0, 3e-3 - 1.0, 21.4], &[1.0; 4]).unwrap_err();

@@ -1,4 +1,4 @@
-//! Replicates → reductions: one of them is evaluated, and the data of all pass side by side under its gains.
+//! Replicates → reductions: one replicate is evaluated, and the data of all replicates pass in lanes under its gains.
 
 use kalfit_lanes::Isa;
 use rayon::prelude::*;
@@ -10,26 +10,27 @@ use crate::reduce::reduced_tests::ReducedTests;
 use crate::reduce::reducer::{Reducer, ReductionHeader};
 use kalfit_model::Test;
 
-/// Most measurements of tests that are reduced so: they and their innovations stand there for each lane.
+/// Most scalar measurements of a test that is reduced in this way: its values and innovations are in memory for every
+/// lane.
 const MOST_ROWS: usize = 1 << 22;
 
-/// Rows that are not worth several threads.
+/// Number of rows, of all replicates of a set, up to which several threads are not worthwhile.
 const FEW_ROWS: usize = 1 << 15;
 
-/// What replicates size.
+/// What all replicates of a test share.
 #[derive(Debug)]
 struct DesignExemplar {
     class: DesignClass,
     digest: u128,
     steps: usize,
-    /// Cell and d of each scalar measurement.
+    /// (Cell, d) of each scalar measurement.
     cells: Vec<(usize, f64)>,
     start: Vec<f64>,
     inputs: Vec<f64>,
 }
 
 impl Reducer {
-    /// Reduces replicates, by their numbers.
+    /// Reduces a set of replicates, given by their numbers.
     pub(super) fn reduce_replicates(
         &self,
         (tests, set): (&[&Test], &[usize]),
@@ -65,7 +66,7 @@ impl Reducer {
 }
 
 impl DesignExemplar {
-    /// Of a test; `None` where its replicates must be looked at one by one.
+    /// The exemplar of a test; `None` if its replicates must be reduced one by one.
     fn of(reducer: &Reducer, test: &Test, work: &mut Workspace) -> Option<DesignExemplar> {
         reducer.preparer().prepare(test, work).ok()?;
         if !(1..=MOST_ROWS).contains(&work.design.rows()) {
@@ -84,7 +85,7 @@ impl DesignExemplar {
         })
     }
 
-    /// Reduces replicates of its test. Returns those that must be looked at by themselves.
+    /// Reduces replicates of its test. Returns the numbers of those that must be reduced by themselves.
     fn reduce(
         &self,
         reducer: &Reducer,
@@ -105,7 +106,7 @@ impl DesignExemplar {
             work.block.run(class.design(), gains, &mut work.room);
             for (lane, &number) in some.iter().enumerate() {
                 let outcome = work.block.outcome(lane, (gains.active, gains.log_determinant), &work.room);
-                // a value that is missing or infinite makes it so
+                // a missing or infinite value makes the outcome not finite
                 if !outcome.is_finite() || reducer.preparer().covariates_of(tests[number], work).is_err() {
                     odd.push(number);
                     continue;
@@ -128,7 +129,7 @@ mod tests {
     use kalfit_model::build::{constant, gauss_markov, measurement, name};
     use kalfit_model::{Alpha, Model};
 
-    /// Records of 3000 rows with a gap and a missing value; every third one of half of them.
+    /// Record of 3000 rows with a gap and a missing value; every third record has half of the rows.
     fn record(number: usize) -> Test {
         let mut test = Test::new(format!("t{number}"), 2, 0);
         for row in (0..if number % 3 == 2 { 1500 } else { 3000 }).filter(|row| *row != 700) {

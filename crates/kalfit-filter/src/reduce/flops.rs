@@ -1,4 +1,4 @@
-//! What the passes of the filter cost, counted as they run.
+//! Floating-point operations of the filter's passes; those of the design pass are counted in a run of its kernels.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G, K, T")]
 
 use crate::reduce::design::{DENSE, Pattern, StateFrame, TransitionView};
@@ -6,16 +6,17 @@ use crate::reduce::kernel::{FilterState, advance, measure, predict};
 use crate::reduce::sums::InformationSums;
 use kalfit_lanes::{Counted, Flops};
 
-/// Floating-point operations of (the design pass, the data pass) for a test of n states, r of them noisy, p uncertain and
-/// the others constant, whose every row measures all states.
+/// Floating-point operations of (the design pass, the data pass) for a test with n states, r of them noisy, p uncertain
+/// and the others constant, if every row measures all states.
 pub fn reduction_flops(n: usize, r: usize, p: usize, rows: usize) -> (u64, u64) {
     let design = design_pass(n, r, p, rows);
-    // a row: φx̂, z - h'x̂, x̂ + Ke, y + T'S⁻¹e, e'S⁻¹e
+    // operations per row: φx̂, z - h'x̂, x̂ + Ke, y + T'S⁻¹e, e'S⁻¹e
     let data = rows * (2 * r * r + 2 * n + 1 + 2 * r + 2 * p + 3);
     (design.add + design.mul + 2 * design.fma + design.div, data as u64)
 }
 
-/// n states, the first r of them noisy and coupled, p uncertain; every step measures the sum of all states.
+/// Operations of a design pass: n states, the first r of them noisy and coupled, p uncertain; every step measures the
+/// sum of all states.
 fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
     let sensitivity = (0..n * p).map(|at| if at / p == at % p + n - p { 1.0 } else { 0.0 }).collect();
     let rows = (0..n).map(|i| if i < r { DENSE } else { (i + p - n) as u32 }).collect();
@@ -52,7 +53,8 @@ mod tests {
 
     #[test]
     fn the_steps_of_the_design_pass_keep_their_flop_budget() {
-        // n, r, p: random coefficients; an inertial instrument; all states noisy.
+        // n, r, p of a model of random coefficients, of an inertial instrument, and of a model in which all states are
+        // noisy.
         insta::assert_snapshot!(line(design_pass(2, 0, 2, 10)), @"add 30 mul 30 fma 40 div 10");
         insta::assert_snapshot!(line(design_pass(15, 2, 13, 10)), @"add 160 mul 210 fma 2370 div 10");
         insta::assert_snapshot!(line(design_pass(4, 4, 4, 10)), @"add 50 mul 180 fma 2930 div 10");

@@ -1,42 +1,42 @@
-//! The groups that tests stand in, from their rows.
+//! The groups of tests, from their rows.
 
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{GroupLevel, PhasedModel};
 use kalfit_model::{Grouping, Label};
 
-/// Why tests cannot be grouped.
+/// Reasons why tests cannot be grouped.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum GroupingError {
-    /// Nothing says which groups some test stands in.
+    /// The groups of a test are unknown.
     #[error(
         "which groups test `{test}` stands in is not known: it is given by a reduction without them, or by estimates"
     )]
     NoRows {
-        /// Its id.
+        /// Id of the test.
         test: String,
     },
-    /// A test without the name of its group.
+    /// A test has no name of its group at some level.
     #[error("test `{test}` has no name of its group of level `{level}`")]
     NoName {
-        /// Its id.
+        /// Id of the test.
         test: String,
-        /// The level.
+        /// Name of the level.
         level: String,
     },
-    /// A test that is of several groups of one level.
+    /// A test belongs to several groups of one level.
     #[error("test `{test}` is of more than one group of level `{level}`")]
     Varies {
-        /// Its id.
+        /// Id of the test.
         test: String,
-        /// The level.
+        /// Name of the level.
         level: String,
     },
 }
 
-/// The groups that the rows of tests name; `None` for a model without levels.
+/// The groups that the rows of tests give; `None` for a model without levels.
 ///
 /// # Errors
-/// A test without rows, without a name of some group, or with several.
+/// A test has no rows, lacks the name of a group, or has several groups of one level.
 pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grouping>, GroupingError> {
     if model.levels.is_empty() {
         return Ok(None);
@@ -49,10 +49,10 @@ pub fn grouping(model: &PhasedModel, tests: &[PhasedTest]) -> Result<Option<Grou
     Ok(Some(Grouping::from_paths(model.levels.len(), paths.collect::<Result<Vec<_>, _>>()?)))
 }
 
-/// Names of the groups of a test, the outermost first; none for a model without levels.
+/// Names of the groups of a test, outermost first; empty for a model without levels.
 ///
 /// # Errors
-/// As [`grouping`].
+/// The same errors as [`grouping`].
 pub fn groups_of(model: &PhasedModel, test: &str, evidence: &Evidence) -> Result<Vec<Label>, GroupingError> {
     let id = || test.to_owned();
     let rows = match evidence {

@@ -1,30 +1,30 @@
-//! Which scalar measurement of a test is which: its measurement of the model and its row.
+//! The measurement of the model and the row of each scalar measurement of a test.
 
 /// One scalar measurement of a test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Instance {
     pub meter: usize,
-    /// Row of the test.
+    /// Row of the test in which it was measured.
     pub row: usize,
 }
 
-/// All scalar measurements of a test, in the order of the design. Those of steps that repeat are kept once.
+/// All scalar measurements of a test, in the order of the design. Those of repeated steps are stored once.
 #[derive(Debug, Clone, Default)]
 pub struct Instances {
     blocks: Vec<RepeatedEntries>,
     entries: Vec<Instance>,
-    /// Where the entries of the last step begin.
+    /// Start of the last step in `entries`.
     step: usize,
-    /// First row of that step, the first time.
+    /// First row of the last step, in its first occurrence.
     row: usize,
     len: usize,
 }
 
-/// Entries that come `count` times, `height` rows later each time.
+/// Entries that occur `count` times, `height` rows later each time.
 #[derive(Debug, Clone, Copy)]
 struct RepeatedEntries {
     first: usize,
-    /// Its first entry; its last one is before the first of the next block.
+    /// Its first entry; it ends where the next block begins.
     entry: usize,
     count: usize,
     height: usize,
@@ -49,23 +49,23 @@ impl Instances {
         }
     }
 
-    /// Appends to the last step, which does not repeat yet.
+    /// Appends a scalar measurement to the last step, which is not repeated yet.
     pub(crate) fn push(&mut self, instance: Instance) {
         self.entries.push(instance);
         self.len += 1;
     }
 
-    /// The entries of the last step, as they were the first time.
+    /// The entries of the last step, in its first occurrence.
     pub(crate) fn last_step(&self) -> &[Instance] {
         &self.entries[self.step..]
     }
 
-    /// First row of the last step, the first time.
+    /// First row of the last step, in its first occurrence.
     pub(crate) fn first_row(&self) -> usize {
         self.row
     }
 
-    /// The last step `many` times more, each `height` rows later.
+    /// Appends the last step `many` more times, each `height` rows later.
     pub(crate) fn repeat(&mut self, many: usize, height: usize) {
         let (width, last) = (self.entries.len() - self.step, self.blocks.len() - 1);
         if width == 0 || many == 0 {
@@ -90,14 +90,14 @@ impl Instances {
         Instance { meter, row: row + number / width * block.height }
     }
 
-    /// True when these scalar measurements, at least one, are all of one measurement of the model.
+    /// True if these scalar measurements, at least one, are all of one measurement of the model.
     pub(crate) fn uniform(&self, rows: std::ops::Range<usize>) -> bool {
         let meter = self.get(rows.start).meter;
         let first = self.blocks.partition_point(|block| block.first <= rows.start) - 1;
         let blocks = self.blocks[first..].iter().take_while(|block| block.first < rows.end);
         blocks.enumerate().all(|(k, block)| {
             let end = self.blocks.get(first + k + 1).map_or(self.entries.len(), |next| next.entry);
-            // a block that does not repeat has one entry for each row, and perhaps others before and after
+            // a block that does not repeat has one entry per scalar measurement, and perhaps entries outside the range
             let (from, to) = if block.count > 1 {
                 (block.entry, end)
             } else {
@@ -108,12 +108,12 @@ impl Instances {
         })
     }
 
-    /// Those of a step.
+    /// The scalar measurements in a range, as a list.
     pub(crate) fn of(&self, rows: std::ops::Range<usize>) -> Vec<Instance> {
         rows.map(|row| self.get(row)).collect()
     }
 
-    /// All of them, in order.
+    /// All scalar measurements, in order.
     pub(crate) fn iter(&self) -> impl Iterator<Item = Instance> {
         self.blocks.iter().enumerate().flat_map(|(at, block)| {
             let end = self.blocks.get(at + 1).map_or(self.entries.len(), |next| next.entry);

@@ -1,4 +1,4 @@
-//! The steps of the filter on flat arrays, one source for every kind of [`Real`]. (theory §2)
+//! The steps of the filter on flat arrays, generic over [`Real`] (theory §2).
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, G = P h, K, T, S, J")]
 
 use crate::reduce::design::{DENSE, StateFrame, TransitionView, ZERO};
@@ -39,7 +39,7 @@ pub(crate) fn advance<R: Real, E: Entries<R>>(
     }
 }
 
-/// e = z - h'x. The first states are those that move: what they add is waited for, and comes last.
+/// e = z - h'x, summed from the last state to the first: the first states move, so their values are ready last.
 #[inline(always)]
 pub(crate) fn innovation<R: Real, E: Entries<R>>(x: &[R], (states, h): (&[u32], E), z: R) -> R {
     let mut e = z;
@@ -49,7 +49,7 @@ pub(crate) fn innovation<R: Real, E: Entries<R>>(x: &[R], (states, h): (&[u32], 
     e
 }
 
-/// x ← x + Ke on the reachable states, which `x` holds.
+/// x ← x + Ke; `x` holds the noise-reachable states.
 #[inline(always)]
 pub(crate) fn correct_mean<R: Real, E: Entries<R>>(K: E, e: R, x: &mut [R]) {
     for (i, x) in x.iter_mut().enumerate() {
@@ -57,7 +57,7 @@ pub(crate) fn correct_mean<R: Real, E: Entries<R>>(K: E, e: R, x: &mut [R]) {
     }
 }
 
-/// Entry {i, j} of a symmetric matrix whose lower triangle counts.
+/// Index of entry {i, j} of a symmetric r × r matrix stored in its lower triangle.
 #[inline(always)]
 fn at(i: usize, j: usize, r: usize) -> usize {
     if i >= j { i * r + j } else { j * r + i }
@@ -90,7 +90,7 @@ pub(crate) fn predict<R: Real, E: Entries<R>>(
     }
 }
 
-/// Fills the upper triangle by the lower one.
+/// Copies the lower triangle of P to the upper one.
 #[inline(always)]
 pub(crate) fn mirror<R: Real>(P: &mut [R], r: usize) {
     for i in 0..r {
@@ -108,7 +108,7 @@ fn congruent<R: Real, E: Entries<R>>(P: &mut [R], r: usize, transition: Transiti
     let moved = &pattern.moved[..moved];
     work.clear();
     work.resize(moved.len() * r, R::splat(0.0));
-    // W = φP for the rows that move; the others are P's own.
+    // W = φP for the rows that move; the other rows of φP are rows of P.
     for (m, row) in moved.iter().enumerate() {
         let W = &mut work[m * r..][..r];
         for k in row.start as usize..row.reach as usize {
@@ -124,7 +124,7 @@ fn congruent<R: Real, E: Entries<R>>(P: &mut [R], r: usize, transition: Transiti
             P[at(i, j, r)] = work[m * r + j];
         }
     }
-    // Among moved states the other φ' is still to come: overwrite with Wφ'.
+    // Entries between moved states still lack the factor φ': overwrite them with Wφ'.
     for (m, row) in moved.iter().enumerate() {
         let i = row.state as usize;
         for other in &moved[..=m] {
@@ -160,23 +160,23 @@ pub(crate) fn sensitivity<R: Real, E: Entries<R>>(
     }
 }
 
-/// How far the terms of S may cancel in plain covariance arithmetic, and how far an update may shrink the variance of one of several
-/// states. Losses of several updates add up: where variances may shrink to 1e-6, four of 5 500 hard random tests are off by 1e-9 to
-/// 1e-6, with 1e-5 none.
+/// Least ratio of S to R + Σ h_j² P_jj, and least ratio of the variance of one of several states after an update to
+/// that before, in plain covariance arithmetic. Losses of several updates add up: with a limit of 1e-6, four of 5 500
+/// hard random tests are off by 1e-9 to 1e-6; with 1e-5 none is.
 const KEPT: f64 = 1e-5;
 
-/// What a scalar update finds.
+/// The results of a scalar update.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ScalarUpdate<R> {
-    /// S.
+    /// S, the innovation variance.
     pub(crate) S: R,
     /// 1/S, or 0 where S = 0.
     pub(crate) weight: R,
-    /// Below zero where an update cancelled too many digits.
+    /// Below zero if the update cancelled too many digits.
     pub(crate) kept: R,
 }
 
-/// Updates P and finds S and K for z = h'x + v. Shapes: `P` r × r, row-major, lower triangle; `G` (work), `K` r.
+/// Updates P and computes S and K for z = h'x + v. Shapes: `P` r × r, row-major, lower triangle; `G` (work), `K` r.
 #[inline(always)]
 pub(crate) fn update<R: Real, E: Entries<R>>(
     r: usize,
@@ -213,7 +213,7 @@ pub(crate) struct FilterState<'a, R> {
     pub(crate) J: &'a mut [R],
 }
 
-/// A scalar measurement (states, h, R) of a filter: T, K and S, and what they make of P, Ψ and J.
+/// Takes a scalar measurement (states, h, R): computes T, K and S, and updates P, Ψ and J.
 #[inline(always)]
 pub(crate) fn measure<R: Real, E: Entries<R>>(
     frame: &StateFrame,
@@ -228,9 +228,9 @@ pub(crate) fn measure<R: Real, E: Entries<R>>(
     update
 }
 
-/// P ← (I-Kh')P(I-hK') + KRK' with S, G and K of this very P: P - KG', and then its rounding errors E become (I-Kh')E(I-hK'). Of one
-/// state it is P R/S, and no digit is lost, whatever the noise. Below zero is returned where less than [`KEPT`] is left of a
-/// variance. The states of h are reachable ones.
+/// P ← (I-Kh')P(I-hK') + KRK', with S, G and K computed from this P: first P - KG', then a correction that turns its
+/// rounding errors E into (I-Kh')E(I-hK'). For a single state this is P R/S, which loses no digit, whatever the noise.
+/// The result is below zero if less than [`KEPT`] of a variance remains. `reached`: noise-reachable states of h.
 #[inline(always)]
 fn joseph<R: Real, E: Entries<R>>(
     r: usize,
@@ -242,7 +242,7 @@ fn joseph<R: Real, E: Entries<R>>(
     let mut kept = R::splat(1.0);
     if r < 2 {
         if let (Some(P), Some(_)) = (P.first_mut(), reached.first()) {
-            *P = *P * (noise / S.or_one()); // to the bit where h = 0
+            *P = *P * (noise / S.or_one()); // unchanged to the bit where h = 0
         }
         return kept;
     }
@@ -254,7 +254,7 @@ fn joseph<R: Real, E: Entries<R>>(
         }
         kept = kept.minimum(before.fnma(R::splat(KEPT), row[i]));
     }
-    // V = RK - (P - KG')h, which is -Eh
+    // V = RK - (P - KG')h, which equals -Eh
     let V = G;
     let mut c = R::splat(0.0);
     for i in 0..r {
@@ -279,7 +279,7 @@ fn joseph<R: Real, E: Entries<R>>(
     kept
 }
 
-/// Ψ ← Ψ - K T on the reachable states.
+/// Ψ ← Ψ - K T on the noise-reachable states.
 #[inline(always)]
 pub(crate) fn correct<R: Real>(p: usize, K: &[R], T: &[R], Psi: &mut [R]) {
     for (i, &K) in K.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Steps of long records, found once for all values of α: times decide them.
+//! Steps of long records, determined once for all values of α, since they depend on times alone.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -6,25 +6,25 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::reduce::steps::StepSpan;
 use kalfit_model::{Test, TestId};
 
-/// Rows from which a record is long.
+/// Number of rows from which a record counts as long.
 const LONG: usize = 1 << 10;
-/// Rows for each span, at least: other records are as long in spans as they are in rows.
+/// Least mean number of rows per span: with fewer, the list of spans is nearly as long as the record.
 const PART: usize = 16;
 
-/// The steps of the long records of one ensemble, no two tests of which have one id.
+/// The steps of the long records of one ensemble, whose tests have different ids.
 #[derive(Debug, Default)]
 pub(crate) struct KnownSteps(Mutex<HashMap<TestId, KnownSpans>>);
 
 #[derive(Debug)]
 struct KnownSpans {
     rows: usize,
-    /// Bits of the time of x_0 that they begin from.
+    /// Bits of the time of x_0, from which the first step is counted.
     initial: Option<u64>,
     spans: Arc<Vec<StepSpan>>,
 }
 
 impl KnownSteps {
-    /// Those of a test, if they were found before.
+    /// The steps of a test, if they are known.
     pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<StepSpan>>> {
         if test.rows() < LONG {
             return None;
@@ -34,7 +34,7 @@ impl KnownSteps {
         (known.rows == test.rows() && known.initial == initial.map(f64::to_bits)).then(|| known.spans.clone())
     }
 
-    /// Remembers those of a test.
+    /// Stores the steps of a test, if it is long and has few spans.
     pub(crate) fn keep(&self, test: &Test, initial: Option<f64>, spans: &[StepSpan]) {
         if test.rows() >= LONG && PART * spans.len() <= test.rows() {
             let initial = initial.map(f64::to_bits);

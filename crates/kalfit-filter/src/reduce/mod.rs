@@ -1,9 +1,9 @@
 //! One test → one reduction (theory §2, the paper's (38), (39)).
 //!
-//! The filter runs once per test with ξ = 0 and carries the sensitivity Ψ of the filtered state to ξ. What it leaves
-//! is a [`Reduction`]: all that the test says about ξ.
+//! The filter runs once per test with ξ = 0 and propagates the sensitivity Ψ of the filtered state to ξ. Its result is
+//! a [`Reduction`], which holds all the information of the test about ξ.
 //!
-//! With x_0 = a + Aξ + ζ the filter's prediction at step k is x̂ + Ψξ, its innovation e - Tξ of variance S:
+//! With x_0 = a + Aξ + ζ, the filter's prediction at step k is x̂ + Ψξ, and its innovation is e - Tξ with variance S:
 //!
 //! ```text
 //! e = z - d - M x̂,  T = MΨ,  S = MPM' + R,  K = PM'S⁻¹          innovations of any ξ are e - Tξ                 (38)
@@ -11,7 +11,7 @@
 //! J = Σ T'S⁻¹T,  y = Σ T'S⁻¹e,  c = -½ Σ (log|2πS| + e'S⁻¹e)    sums over the steps
 //! ```
 //!
-//! J is the inverse of the paper's P(j) and may be singular; it is kept as a triangular root, and never inverted.
+//! J is the inverse of the paper's P(j) and may be singular; it is stored as a triangular root and never inverted.
 //!
 //! ```text
 //! Model at α ── Reducer::new ──> Preparer                dynamics, start, motion, observe: coefficients at α
@@ -20,27 +20,30 @@
 //! Gains + Data ── lanes (pass, least_squares) ──> Reduction    e, x̂, y, then d: once per test
 //! ```
 //!
-//! The covariance equations stand in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for one number and for lanes
-//! (`root`, of square roots, has its own for P and J), and go over the steps in a `covariance_filter`: of one design in `design_pass`, of
-//! designs of one shape side by side in `lanes` (`design_batch`). Innovations, x̂ and y are in `lanes`, of one test or of many; equal
-//! steps go through a `scan`. One test has the bits that it has in a lane. Designs that covariances lose digits of go through `root`.
+//! The covariance equations are in `kernel` (`predict`, `sensitivity`, `update`, `correct`, `inform`), for single
+//! numbers and for lanes; `root` has its own square-root equations for P and J. A `covariance_filter` applies the
+//! equations step by step: to one design in `design_pass`, to designs of one shape in `lanes` (`design_batch`). `lanes`
+//! also computes innovations, x̂ and y, of one test or of many; `scan` handles equal steps. A test gives the same bits
+//! alone and in a lane. Designs for which plain covariances lose digits go through `root`.
 //!
-//! A test in several phases is reduced phase by phase, each in what enters it, and then as a whole (theory §7):
+//! A test in several phases is reduced phase by phase, each in its entering coordinates, and then as a whole (theory
+//! §7):
 //!
 //! ```text
 //! rows ── PhasedModel::split ──> PhasedTest              rows, estimates or a reduction of each phase
 //! each phase ── Reducer (part, carry) ──> PhaseReduction its factor, its last state (end), what it inherits
-//! all phases ── stack ──> Reduction with its Chain       tests of one shape side by side
+//! all phases ── stack ──> Reduction with its Chain       tests of one shape in lanes
 //! ```
 //!
-//! What is left of an ensemble stands in columns ([`Reductions`]). Many tests are reduced side by side (batch_reducer, [`kalfit_lanes`]).
-//! Tests that differ in nothing but what was measured are found before (replicates): one of them is evaluated, and all have one data
-//! pass (exemplar, lanes); tests of designs of their own are evaluated, filtered and whitened side by side (batches): their steps are found
-//! from their cells (skeleton), whatever α, and where α is sought they stay in lanes for all its values. No bit depends on what else is in
-//! the batch.
+//! The reductions of an ensemble are stored by column ([`Reductions`]). Many tests are reduced in lanes (batch_reducer,
+//! [`kalfit_lanes`]). Tests that differ only in their measured values are grouped first (replicates): one of them is
+//! evaluated, and all share one data pass (exemplar, lanes). Tests with per-test designs are evaluated, filtered and
+//! whitened in lanes (batches): their steps follow from their cells (skeleton), whatever α is, and during a search for
+//! α they stay in lanes for all its values. No bit of a result depends on what else is in the batch.
 //!
-//! Long uniform records cost little: equal steps are one run of the design, S, K, T are kept once from where they no longer
-//! change (settling), J then grows in closed form, and the data pass is a linear scan (scan).
+//! Long uniform records cost little: equal steps are one stretch of the design; S, K and T are stored once from the
+//! step on at which they no longer change (settling); J then grows in closed form, and the data pass is a linear scan
+//! (scan).
 
 mod batch_reducer;
 mod batches;

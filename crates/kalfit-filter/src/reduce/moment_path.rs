@@ -1,43 +1,45 @@
-//! P and Ψ before each of many equal steps: what a way back wants to know of the design's way forth.
+//! P and Ψ before each step of a stretch of equal steps: the moments of the design's forward pass that a backward pass
+//! needs.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
 
 use kalfit_lanes::Lanes;
 
 use crate::reduce::design::{Design, Stretch};
 
-/// Most states that move in equal steps that have a path.
+/// Largest number of moving states for which equal steps have a path.
 const MOST_MOVING: usize = 4;
 
-/// P and Ψ before the steps of a stretch as long as they change, and once more: before all that follow, or after the last one.
+/// P and Ψ before each step of a stretch while they change, and one more pair: that before all remaining steps, or
+/// after the last step.
 #[derive(Debug, Clone)]
 pub(crate) struct MomentPath {
-    /// The first row.
+    /// First row of the stretch.
     row: usize,
-    /// Numbers of P, r × r, both triangles, and of Ψ of the states that move.
+    /// Number of entries of P (r × r, both triangles), and of Ψ of the moving states.
     sizes: (usize, usize),
     numbers: Vec<f64>,
-    /// How many times.
+    /// Number of pairs (P, Ψ) stored.
     many: usize,
 }
 
 impl MomentPath {
-    /// So many equal steps have none: the way back goes through them one by one.
+    /// Most equal steps that have no path: the backward pass takes so short a stretch step by step.
     pub(crate) const FEW: usize = 4;
 
-    /// How many states move in a stretch, if it is of the kind that may have a path: equal steps of one scalar measurement, without
-    /// known inputs.
+    /// Number of moving states of a stretch that may have a path: equal steps of one scalar measurement, without known
+    /// inputs. `None` for any other stretch.
     pub(crate) fn states(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
         design.equal_moving(stretch, MomentPath::FEW).filter(|&states| states <= MOST_MOVING)
     }
 
-    /// Of a stretch, if it is of that kind.
+    /// An empty path of a stretch; `None` for a stretch that has no path.
     pub(super) fn new(design: &Design, stretch: &Stretch<'_>) -> Option<MomentPath> {
         let states = MomentPath::states(design, stretch)?;
         let sizes = (design.frame.r.pow(2), states * design.frame.p);
         Some(MomentPath { row: stretch.rows.start, sizes, numbers: Vec::new(), many: 0 })
     }
 
-    /// Goes on; `P`: r × r, of which the lower triangle counts, `Psi`: of all states.
+    /// Appends P and Ψ. `P`: r × r, only its lower triangle is read; `Psi`: rows of all states.
     #[inline(always)]
     pub(super) fn push<T: Lanes>(&mut self, r: usize, P: &[T], Psi: &[T]) {
         let MomentPath { numbers, sizes, many, .. } = self;
@@ -52,25 +54,25 @@ impl MomentPath {
         }
     }
 
-    /// The whole path, with no more room than it takes.
+    /// The finished path, its spare capacity released.
     pub(super) fn complete(mut self) -> MomentPath {
         self.numbers.shrink_to_fit();
         self
     }
 
-    /// P, r × r, and Ψ of the states that move, before a step or after the last one.
+    /// P, r × r, and Ψ of the moving states, before a step or after the last step.
     #[inline(always)]
     pub(crate) fn before(&self, step: usize) -> (&[f64], &[f64]) {
         let size = self.sizes.0 + self.sizes.1;
         self.numbers[step.min(self.many - 1) * size..][..size].split_at(self.sizes.0)
     }
 
-    /// Bytes it occupies.
+    /// Bytes of memory that the path occupies.
     pub(super) fn bytes(&self) -> usize {
         8 * self.numbers.capacity() + 64
     }
 
-    /// That of the stretch with this first row.
+    /// The path of the stretch whose first row is `row`.
     pub(super) fn of(paths: &[MomentPath], row: usize) -> Option<&MomentPath> {
         paths.binary_search_by_key(&row, |path| path.row).ok().map(|at| &paths[at])
     }

@@ -19,60 +19,60 @@ pub use fill::Filled;
 pub(crate) use fill::{MotionColumns, Transitions};
 pub use pull::MotionPullback;
 
-/// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows stand one after the
-/// other: φ, Γ, Q of the first component, each m × m, then of the next.
+/// How the entries of φ, Q and b follow from coefficients and from the flows of components. The flows are concatenated:
+/// φ, Γ, Q of the first component, each m × m, then those of the next component.
 #[derive(Debug, Clone)]
 pub struct MotionPlan {
     pattern: Arc<Pattern>,
     phi: Vec<EntrySource>,
     q: Vec<EntrySource>,
-    /// b of each state of [`StateFrame::driven`](crate::reduce::design::StateFrame::driven).
+    /// Source of b for each state of [`StateFrame::driven`](crate::reduce::design::StateFrame::driven).
     drives: Vec<Drive>,
-    /// Start of each component's flow.
+    /// Index at which each component's flow begins.
     offsets: Vec<usize>,
-    /// Numbers in the flows of all components.
+    /// Number of entries in the flows of all components together.
     pub(crate) flow_len: usize,
-    /// Of each component of a single state.
+    /// The components of a single state.
     singles: Vec<Single>,
-    /// For each entry of φ, that of the identity.
+    /// The identity's entry at the place of each entry of φ.
     identity: Vec<f64>,
 }
 
 /// A component of one state.
 #[derive(Debug, Clone)]
 struct Single {
-    /// Where its flow begins.
+    /// Index at which its flow begins.
     offset: usize,
-    /// Slots of its rate and of its noise.
+    /// Slots of its rate and of its noise among the dynamics' coefficients; `None` where it has none.
     rate: Option<usize>,
     noise: Option<usize>,
 }
 
-/// Where an entry of φ or Q comes from.
+/// Source of an entry of φ or Q.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum EntrySource {
     /// A coefficient.
     Slot(usize),
     /// An entry of a flow.
     Flow(usize),
-    /// Σ entry of a flow × coefficient: ΓG, for states that are held over the step.
+    /// Σ (entry of a flow) × coefficient, an entry of ΓG: the effect of states that are held constant over the step.
     Held(Vec<(usize, usize)>),
 }
 
-/// Where a known input comes from.
+/// Source of a known input.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Drive {
-    /// This slot of the inputs.
+    /// A slot of the inputs.
     Slot(usize),
-    /// Σ entry of a flow × slot of the inputs: Γu.
+    /// Σ (entry of a flow) × (slot of the inputs), an element of Γu.
     Flow(Vec<(usize, usize)>),
 }
 
-/// What a step does to the states, whatever its inputs.
+/// Transition of a step, without the inputs of the step.
 #[derive(Debug, Clone)]
 pub struct Moves {
     pub transition: Arc<Transition>,
-    /// The flows, where inputs need them.
+    /// The flows of the components; empty where no input needs them.
     flows: Vec<f64>,
 }
 
@@ -80,7 +80,7 @@ pub struct Moves {
 enum Mover<'a> {
     Still,
     Recursion(&'a Recursion),
-    /// State `i` of component `c`.
+    /// State `i` of component `c`, as (c, component, i).
     Component(usize, &'a Component, usize),
 }
 
@@ -130,13 +130,13 @@ impl MotionPlan {
         MotionPlan { pattern: Arc::new(pattern), phi, q, drives, offsets, flow_len, singles, identity }
     }
 
-    /// Nothing ever moves: a transition would change no state.
+    /// Whether no state ever moves, so that a transition would change nothing.
     pub(crate) fn is_still(&self) -> bool {
         self.pattern.moved.is_empty() && self.pattern.pairs.is_empty() && self.drives.is_empty()
     }
 
-    /// φ, Q and Γ of steps of length `dt`. `values`: the dynamics' coefficients on the step; `filled`: work space; `spare`:
-    /// a transition that nobody else has, whose memory can be had. The same bits as side by side with others.
+    /// φ, Q and Γ of steps of length `dt`, with the same bits as in lanes. `values`: the dynamics' coefficients on the
+    /// step; `filled`: work space; `spare`: an unshared transition whose memory is reused.
     pub fn moves(
         &self,
         dynamics: &Dynamics,
@@ -159,7 +159,8 @@ impl MotionPlan {
         Ok(Moves { transition: made, flows: if kept { filled.flows.clone() } else { Vec::new() } })
     }
 
-    /// What of a step is not finite.
+    /// The fault of a step that is not finite: the first component whose flow overflows, else the transition as a
+    /// whole.
     fn overflow(&self, dynamics: &Dynamics, filled: &Filled) -> Box<Fault> {
         let is_bad = |&(component, &offset): &(&Component, &usize)| {
             let numbers = offset..offset + 3 * component.states.len().pow(2);
@@ -183,7 +184,7 @@ fn singles(dynamics: &Dynamics, offsets: &[usize]) -> Vec<Single> {
     components.map(single).collect()
 }
 
-/// For each entry of φ, that of the identity.
+/// The identity's entry at the place of each entry of φ.
 fn identity(pattern: &Pattern) -> Vec<f64> {
     let own = |row: &TransitionRow| {
         let terms = &pattern.columns[row.start as usize..row.end as usize];
@@ -192,7 +193,7 @@ fn identity(pattern: &Pattern) -> Vec<f64> {
     pattern.moved.iter().flat_map(own).collect()
 }
 
-/// Row of φ: (place, entry); `None` for a row of the identity.
+/// Row of φ as (kernel index, source of the entry); `None` for a row of the identity.
 fn phi_row(mover: &Mover<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(usize, EntrySource)>> {
     match *mover {
         Mover::Recursion(recursion) => {
@@ -228,7 +229,7 @@ fn drive(mover: &Mover<'_>, offsets: &[usize]) -> Drive {
     }
 }
 
-/// Entries i ≥ j of Q that can be other than zero.
+/// Entries i ≥ j of Q that can be nonzero.
 fn noise_entries(dynamics: &Dynamics, order: &Order, offsets: &[usize]) -> Vec<((u32, u32), EntrySource)> {
     let pair = |a: usize, b: usize| {
         let (a, b) = (order.place[a], order.place[b]);
@@ -266,7 +267,7 @@ fn append_flow(
     Ok(())
 }
 
-/// Noises that are correlated must be positive semidefinite together; single variances were checked one by one.
+/// Checks that the covariance of correlated noises is positive semidefinite; single variances were checked before.
 fn check_noise(dynamics: &Dynamics, values: &[f64]) -> Result<(), Box<Fault>> {
     semidefinite(&dynamics.noise, values, |state| state)?;
     dynamics.components.iter().try_for_each(|c| semidefinite(&c.noise, values, |i| c.states[i]))

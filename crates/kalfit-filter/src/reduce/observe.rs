@@ -1,4 +1,4 @@
-//! The measurements of a step: which there are, their equations and noise, whitened.
+//! The measurements of a step: which were made, their equations and their noise, whitened.
 
 mod backward;
 mod whiten;
@@ -19,7 +19,7 @@ pub(crate) use whiten::{Whitening, whiten};
 struct Meter {
     column: usize,
     filter: Option<Coefficient>,
-    /// (kernel state, h), ascending, without zeros.
+    /// Terms (kernel state, h) of its equation, by ascending state, without those known to be zero.
     terms: Vec<(u32, Coefficient)>,
     constant: Coefficient,
     noise: Coefficient,
@@ -29,24 +29,24 @@ struct Meter {
 #[derive(Debug, Clone)]
 pub(crate) struct Meters {
     meters: Vec<Meter>,
-    /// (i, j, covariance).
+    /// Covariances (i, j, covariance) of the noises of measurements i and j.
     pairs: Vec<(usize, usize, Coefficient)>,
 }
 
-/// Covariance of two measurements of a step, counted from its first.
+/// Covariance of two measurements of a step, numbered from the first one of the step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Correlation {
     pub(crate) i: usize,
     pub(crate) j: usize,
     pub(crate) value: f64,
-    /// Which covariance of the model.
+    /// Index of the covariance among those of the model.
     pub(crate) pair: usize,
-    /// Row of the test that it was evaluated on.
+    /// Row of the test on which it was evaluated.
     pub(crate) row: usize,
 }
 
 impl Meters {
-    /// `place`: kernel index of each state.
+    /// The measurements of a model at α. `place`: kernel index of each state.
     pub(crate) fn new(at: &ModelAt<'_>, place: &[usize]) -> Result<Meters, Box<Fault>> {
         let mut meters = Vec::with_capacity(at.model.measurements.len());
         for (m, measurement) in at.model.measurements.iter().enumerate() {
@@ -82,7 +82,7 @@ impl Meters {
         Ok(Meters { meters, pairs })
     }
 
-    /// Appends the scalar measurements of rows `rows` of a test, one step, to design and data.
+    /// Appends the scalar measurements of one step, rows `rows` of a test, to design and data.
     pub(crate) fn observe(
         &self,
         at: &ModelAt<'_>,
@@ -119,7 +119,7 @@ impl Meters {
         whiten(out.design, out.data, line, &entries).map_err(|bad| Fault::new(Subject::StepNoise, bad).on(row))
     }
 
-    /// Appends which measurements a row has; false where something is wrong with one.
+    /// Appends the measurements that a row has; false where one of them is in error.
     #[inline]
     pub(crate) fn measured(
         &self,
@@ -146,7 +146,8 @@ impl Meters {
         })
     }
 
-    /// Columns that lines, and which there are of them, depend on, and columns that only constants depend on.
+    /// Columns on which the lines depend (their coefficients, and which of them there are), and columns on which only
+    /// constants depend.
     pub(crate) fn uses(&self, alpha: &Alpha) -> (Uses, Uses) {
         let (mut lines, mut constants) = (Uses::default(), Uses::default());
         for meter in &self.meters {
@@ -157,8 +158,8 @@ impl Meters {
         (lines, constants)
     }
 
-    /// Kernel states of the line of each measurement, ascending, and the places of its own terms among them: whitened lines may have
-    /// the terms of all.
+    /// Kernel states of the line of each measurement, ascending, and the places of the measurement's terms among them:
+    /// whitened lines may have the terms of all measurements.
     pub(crate) fn shapes(&self) -> Vec<(Vec<u32>, Vec<usize>)> {
         let own = |meter: &Meter| meter.terms.iter().map(|(state, _)| *state).collect::<Vec<u32>>();
         let mut all: Vec<u32> = self.meters.iter().flat_map(own).collect();
@@ -174,7 +175,7 @@ impl Meters {
         self.meters.iter().map(shape).collect()
     }
 
-    /// How many measurements the model has.
+    /// Number of measurements of the model.
     pub(crate) fn count(&self) -> usize {
         self.meters.len()
     }
@@ -189,13 +190,14 @@ impl Meters {
         self.meters.iter().map(|meter| meter.column)
     }
 
-    /// True when the measurements of a step whose cells repeat are those of the step before but for their values.
+    /// True when a step whose cells repeat has the measurements of the step before, except for their values.
     pub(crate) fn can_repeat(&self) -> bool {
-        self.pairs.is_empty() // whitening mixes values
+        self.pairs.is_empty() // whitening mixes the values of a step
     }
 
-    /// Appends the measured values of a step whose lines are those of the step before, `height` rows earlier. False, and nothing
-    /// is appended, where other values are measured or one is infinite. `fresh`: constants may differ.
+    /// Appends the measured values of a step whose lines are those of the step before, `height` rows earlier. Returns
+    /// false and appends nothing where other measurements were made or a value is infinite. `fresh`: constants may
+    /// differ.
     #[inline]
     pub(crate) fn repeat(
         &self,
@@ -227,8 +229,9 @@ impl Meters {
         Ok(true)
     }
 
-    /// Takes the values of at most `most` steps of one row like the last step, from row `first` on, of a test with nothing but
-    /// values to read; stops before a row that measures something else. Returns how many.
+    /// Takes the values of at most `most` one-row steps with the last step's measurements, from row `first` on, where
+    /// only values are read from the test. Stops before a row with other measurements. Returns the number of steps
+    /// taken.
     pub(crate) fn repeat_values(&self, test: &Test, first: usize, most: usize, out: &mut Observed<'_>) -> usize {
         let entries = out.instances.last_step();
         let mut is_taken = vec![false; self.meters.len()];
@@ -255,7 +258,7 @@ impl Meters {
         many
     }
 
-    /// Covariances among the instances of a step.
+    /// Noise covariances among the instances of a step.
     pub(crate) fn covariances(
         &self,
         at: &ModelAt<'_>,
@@ -298,7 +301,7 @@ impl Meters {
     }
 }
 
-/// Where scalar measurements go.
+/// Design, data and lists to which scalar measurements are appended.
 #[derive(Debug)]
 pub(crate) struct Observed<'a> {
     pub(crate) design: &'a mut Design,
@@ -306,12 +309,12 @@ pub(crate) struct Observed<'a> {
     pub(crate) instances: &'a mut Instances,
     /// d of each scalar measurement of the last step.
     pub(crate) constants: &'a mut Vec<f64>,
-    /// Where covariances go that are not to be whitened away.
+    /// Covariances that are collected instead of whitened; `None` where measurements are whitened.
     pub(crate) covariances: Option<&'a mut Vec<(usize, usize, f64)>>,
 }
 
 impl Meter {
-    /// Takes the measured value, unless the filter says no.
+    /// Takes the measured value, unless the filter excludes it; returns whether it was taken.
     fn take(
         &self,
         at: &ModelAt<'_>,
@@ -338,7 +341,7 @@ impl Meter {
         Ok(true)
     }
 
-    /// Noise variance and constant; the coefficients of the terms are appended.
+    /// Returns noise variance and constant, and appends the coefficients of the terms to `h`.
     #[inline(always)]
     fn line(&self, at: &ModelAt<'_>, scope: &Scope<'_>, h: &mut Vec<f64>) -> Result<(f64, f64), Box<Fault>> {
         let noise = at.variance_value(&self.noise, scope)?;

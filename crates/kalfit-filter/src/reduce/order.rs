@@ -7,29 +7,29 @@ use crate::reduce::dynamics::{Dynamics, close};
 use crate::reduce::start::ModelStart;
 use crate::reduce::subject::ModelAt;
 
-/// Where states stand in the kernels.
+/// Permutation between the states of a model and those of the kernels.
 #[derive(Debug, Clone)]
 pub struct Order {
-    /// State of the model at each place of the kernels.
+    /// State of the model at each kernel index.
     pub states: Vec<usize>,
-    /// Place of each state of the model.
+    /// Kernel index of each state of the model.
     pub place: Vec<usize>,
     pub frame: Arc<StateFrame>,
 }
 
-/// What may happen to each state, by which the kernels sort them.
+/// Traits of each state, by which the kernels order the states.
 #[derive(Debug, Clone)]
 pub(crate) struct StateTraits {
-    /// Noise ever reaches it.
+    /// Whether noise ever reaches the state.
     pub(crate) noisy: Vec<bool>,
-    /// Its row of φ is ever another than that of the unit matrix.
+    /// Whether its row of φ ever differs from that of the identity matrix.
     pub(crate) moving: Vec<bool>,
-    /// It has a known input b.
+    /// Whether it has a known input b.
     pub(crate) driven: Vec<bool>,
 }
 
 impl Order {
-    /// Of the states of a model.
+    /// The order of the states of a model.
     pub(crate) fn new(at: &ModelAt<'_>, dynamics: &Dynamics, start: &ModelStart) -> Order {
         let (n, p) = (at.model.states.len(), at.model.estimated.len());
         let (mut moving, mut driven) = (vec![false; n], vec![false; n]);
@@ -46,7 +46,8 @@ impl Order {
         Order::of(&StateTraits { noisy, moving, driven }, &sensitivity, p)
     }
 
-    /// Noise-reachable states come first, and among them those that move. `sensitivity`: A by states of the model, n × p, row-major.
+    /// The order for given traits: states that noise reaches come first, and within each group those that move.
+    /// `sensitivity`: A by states of the model, n × p, row-major.
     pub(crate) fn of(traits: &StateTraits, sensitivity: &[f64], p: usize) -> Order {
         let StateTraits { noisy, moving, driven } = traits;
         let n = noisy.len();
@@ -69,7 +70,7 @@ impl Order {
     }
 }
 
-/// The column whose unit vector a row of A is, or [`DENSE`], or [`ZERO`].
+/// The column k where a row of A is the k-th unit vector, [`ZERO`] for a row of zeros, else [`DENSE`].
 fn column_of(row: &[f64]) -> u32 {
     match row.iter().position(|&x| x != 0.0) {
         None => ZERO,
@@ -78,9 +79,9 @@ fn column_of(row: &[f64]) -> u32 {
     }
 }
 
-/// States that noise ever reaches.
+/// Whether noise ever reaches each of the n states.
 fn reachable(n: usize, dynamics: &Dynamics, start: &ModelStart, estimated: &[usize]) -> Vec<bool> {
-    // depends[i * n + j]: x_i moves with x_j.
+    // depends[i * n + j]: the motion of x_i depends on x_j.
     let mut depends = vec![false; n * n];
     let mut noisy = vec![false; n];
     start.noisy(estimated).iter().for_each(|&state| noisy[state] = true);

@@ -1,4 +1,4 @@
-//! What the data of a test by itself say under the gains of its design.
+//! The outcome of a single test: its data pass under the gains of its design.
 
 use crate::reduce::data::{Data, Miss, Outcome, ROUNDING};
 use crate::reduce::design::Design;
@@ -7,7 +7,7 @@ use crate::reduce::gains::{FactorRotations, Gains};
 use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, pass_alone};
 use kalfit_lanes::Lanes;
 
-/// The outcome of a test. An error when a measurement that can only be one value is another.
+/// The outcome of a test. An error where a measurement that admits only one value has another.
 pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut DataWorkspace) -> Result<Outcome, Miss> {
     let of = (design, gains);
     let Some(turns) = &gains.turns else {
@@ -28,15 +28,16 @@ pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut Da
     Ok(Outcome { exact: exact.map(Box::new), ..Outcome::new(d, residual, gains.active, gains.log_determinant) })
 }
 
-/// Measurements that say nothing: each must be what it must be.
+/// Observer of measurements without weight, whose value is determined by the others: it checks that they have this
+/// value.
 struct Possible<'a> {
     design: &'a Design,
     gains: &'a Gains,
     exact: &'a ExactDesign,
     sizes: &'a [f64],
-    /// Sizes of the terms of those that are exact.
+    /// Size of the terms of each exact measurement.
     exact_sizes: Vec<f64>,
-    /// The first one that is not.
+    /// The first measurement with an impossible value.
     miss: Option<Miss>,
 }
 
@@ -55,7 +56,7 @@ impl InnovationObserver for Possible<'_> {
     }
 }
 
-/// (d, residual sum of squares): the innovations take the rotations that made R.
+/// (d, residual sum of squares), from the innovations by the rotations that were applied to make R.
 fn folded((p, gains): (usize, &Gains), turns: &FactorRotations, e: &[f64]) -> (Vec<f64>, f64) {
     let (mut d, mut residual) = (vec![0.0; p], 0.0);
     for (row, &e) in e.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! One phase of a test by itself, from whatever is known of it.
+//! Reduction of one phase of a test, from whichever evidence there is of it.
 
 use std::borrow::Cow;
 
@@ -16,55 +16,56 @@ use kalfit_model::Test;
 use kalfit_model::{Alpha, Model, Phase};
 use kalfit_model::{Estimates, Evidence, Inherited, PhaseReduction};
 
-/// Where a phase stands among the others.
+/// Position of a phase among the phases of a model.
 #[derive(Debug, Clone)]
 pub(crate) struct PhasePosition {
-    /// Its name; `None` for the only phase.
+    /// Name of the phase; `None` for the only phase of a model.
     pub(crate) name: Option<String>,
-    /// States of the phase before; `None` for the first phase.
+    /// Number of states of the phase before; `None` for the first phase.
     pub(crate) before: Option<usize>,
-    /// The model has a phase after it.
+    /// Whether the model has a phase after it.
     pub(crate) followed: bool,
 }
 
-/// One phase: its filter in its entering coordinates, and what it inherits.
+/// Reducer of one phase: the filter in the phase's entering coordinates, and the map by which it inherits from the
+/// phase before.
 #[derive(Debug)]
 pub struct PhaseReducer {
     place: PhasePosition,
     pub reducer: Reducer,
-    /// `None` for the first phase.
+    /// Map by which the phase inherits from the phase before; `None` for the first phase.
     pub(crate) inheritance: Option<Inheritance>,
-    /// p: its own ξ, the first of its coordinates.
+    /// p: number of elements of the phase's ξ, the first of its coordinates.
     pub own: usize,
-    /// What makes reductions of estimates.
+    /// Reducer of estimates of this phase.
     estimates: EstimateReducer,
-    /// Its suboptimal filter.
+    /// Suboptimal filter of the phase; `None` where the optimal filter runs.
     filter: Option<FilterRunner>,
     sizes: Sizes,
 }
 
-/// What a reduction made before must be like.
+/// Sizes that a reduction made before must have.
 #[derive(Debug, Clone, Copy)]
 struct Sizes {
-    /// Entering coordinates.
+    /// Number of entering coordinates.
     q: usize,
-    /// States.
+    /// Number of states.
     n: usize,
     regressions: usize,
 }
 
-/// What is known of one phase, owned or not.
+/// The reduction of one phase, owned or borrowed.
 #[derive(Clone)]
 pub(crate) struct ReducedPhase<'a> {
     pub(crate) reduction: Cow<'a, Reduction>,
-    /// `None` where no phase follows.
+    /// Last state of the phase; `None` where no phase follows.
     pub(crate) terminal: Option<Cow<'a, Terminal>>,
-    /// `None` for the first phase.
+    /// Map by which the phase inherits from the phase before; `None` for the first phase.
     pub(crate) inherited: Option<Cow<'a, Inherited>>,
 }
 
 impl PhaseReducer {
-    /// `make`: how the reducer of its entering coordinates is made.
+    /// The reducer of a phase. `make` creates the reducer in entering coordinates.
     pub(crate) fn new(
         (phase, alpha): (&Phase, &Alpha),
         place: PhasePosition,
@@ -87,22 +88,22 @@ impl PhaseReducer {
         Ok(PhaseReducer { place, reducer, inheritance, own, estimates, filter, sizes })
     }
 
-    /// Rows of it are reduced by the optimal filter.
+    /// Whether rows of the phase are reduced by the optimal filter.
     pub(crate) fn is_optimal(&self) -> bool {
         self.filter.is_none()
     }
 
-    /// An error of this phase, saying so where there are others.
+    /// Adds the name of this phase to an error, where the model has several phases.
     pub fn named(&self, error: ReduceError) -> ReduceError {
         of_phase(self.place.name.as_deref(), error)
     }
 
-    /// Every step of every record in full.
+    /// The reducer with nothing frozen: it computes every step of every record in full.
     pub(crate) fn unfrozen(self) -> PhaseReducer {
         PhaseReducer { reducer: self.reducer.unfrozen(), ..self }
     }
 
-    /// The phase of a test. `designs`: nothing measured is wanted; `linked`: the test has a phase after it.
+    /// Reduces the phase of a test. `designs`: no measured value is read; `linked`: the test has a phase after it.
     pub(crate) fn part<'a>(
         &'a self,
         (id, evidence): (&str, &'a Evidence),
@@ -120,7 +121,7 @@ impl PhaseReducer {
         part.map_err(|error| self.named(error))
     }
 
-    /// The phase by a filter that need not be optimal, run here or elsewhere.
+    /// Reduces the phase from estimates of a filter that need not be optimal, run here or elsewhere.
     fn filtered<'a>(
         &'a self,
         id: &str,
@@ -143,7 +144,7 @@ impl PhaseReducer {
         self.reducer.to_end(rows, work)
     }
 
-    /// The phase of a test whose rows were reduced by themselves.
+    /// Completes the phase of a test from the reduction of its rows.
     pub(crate) fn joined<'a>(
         &'a self,
         rows: &Test,
@@ -169,13 +170,13 @@ impl PhaseReducer {
         })
     }
 
-    /// Of several phases none may measure what is estimated without noise.
+    /// Refuses noise-free measurements of estimated states in a model with several phases.
     fn refuse_exact(&self, id: &str, reduction: &Reduction) -> Result<(), ReduceError> {
         let refused = self.place.name.is_some() && reduction.exact.is_some();
         if refused { Err(refuse(Some(id), WHOLE, ReduceErrorKind::ExactMeasurement)) } else { Ok(()) }
     }
 
-    /// What a later phase with these rows inherits.
+    /// The map by which a later phase with these rows inherits from the phase before.
     pub fn inherited(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
         self.of_carry(rows, cells).map_err(|error| self.named(error))
     }
@@ -185,7 +186,7 @@ impl PhaseReducer {
         inheritance.of(&self.reducer.preparer().at(), rows, cells)
     }
 
-    /// A reduction made before, if it is of this phase's shape.
+    /// A reduction made before, if it has the shape of this phase.
     fn given<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<ReducedPhase<'a>, ReduceError> {
         let Sizes { q, n, regressions } = self.sizes;
         let before = self.place.before;
@@ -242,7 +243,7 @@ impl PhaseReducer {
 }
 
 impl ReducedPhase<'_> {
-    /// The phase by itself.
+    /// The owned reduction of the phase.
     pub(crate) fn into_piece(self) -> PhaseReduction {
         PhaseReduction {
             reduction: self.reduction.into_owned(),
@@ -252,7 +253,7 @@ impl ReducedPhase<'_> {
         }
     }
 
-    /// What a later phase inherits.
+    /// The map by which a later phase inherits from the phase before.
     pub(crate) fn inherits(&self) -> &Inherited {
         self.inherited.as_ref().expect("a later phase inherits")
     }
@@ -263,7 +264,7 @@ impl ReducedPhase<'_> {
     }
 }
 
-/// Says of which phase an error is.
+/// Adds the name of the phase, if there is one, to an error.
 fn of_phase(name: Option<&str>, error: ReduceError) -> ReduceError {
     let Some(name) = name else { return error };
     let what =

@@ -1,4 +1,4 @@
-//! Tests in phases → reductions: each phase by its own filter, then all of them together (theory §7).
+//! Reduces tests in phases: each phase by its filter, then all phases together (theory §7).
 
 mod batches;
 mod reduce;
@@ -27,39 +27,39 @@ pub use replicates::PhaseReplicates;
 
 /// Reduces the tests of a model in phases at α.
 ///
-/// As a [`Reducer`], it keeps what tests share from call to call, and what it returns depends as little on that, on threads, batches
-/// or the order of the tests.
+/// Like a [`Reducer`], it caches what tests share from call to call; its results do not depend on that cache, on
+/// threads, on batches or on the order of the tests.
 #[derive(Debug)]
 pub struct PhasedReducer {
     phases: Vec<PhaseReducer>,
-    /// Σ p_i.
+    /// Σ p_i, the number of elements of ξ in all phases.
     dimension: usize,
-    /// Regressions of all phases.
+    /// Number of regressions in all phases.
     regressions: usize,
 }
 
 /// Work space for all passes over a test.
 #[derive(Debug)]
 pub struct PhasedWork {
-    /// That of each phase.
+    /// Work space of each phase.
     pub phases: Vec<Workspace>,
-    /// Room for what a carry is evaluated on.
+    /// Scratch for the cells on which a carry is evaluated.
     pub cells: GatheredCells,
 }
 
 impl PhasedReducer {
-    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
+    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data are.
     pub fn new(model: &PhasedModel, alpha: &Alpha) -> Result<PhasedReducer, ReduceError> {
         PhasedReducer::made(model, alpha, &|model| Reducer::new(model, alpha))
     }
 
-    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α. Of several phases all
-    /// classes are wanted again, for what the phases say of each other.
+    /// A reducer for scores: coefficients that depend on free values are retained even where they are zero at this α.
+    /// All design classes of all phases are kept, since the scores of linked phases need them again.
     pub fn scoring(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
         PhasedReducer::made(model, alpha, &|one| Reducer::scoring(one, alpha, slots))
     }
 
-    /// The same where no backward pass is to come.
+    /// A reducer as [`PhasedReducer::scoring`] makes it, for values that no backward pass follows.
     pub fn passing(model: &PhasedModel, alpha: &Alpha, slots: &Slots) -> Result<PhasedReducer, ReduceError> {
         PhasedReducer::made(model, alpha, &|model| Reducer::passing(model, alpha, slots))
     }
@@ -85,7 +85,8 @@ impl PhasedReducer {
         })
     }
 
-    /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.
+    /// The reducer with nothing frozen: it computes every step of every record in full, even where gains no longer
+    /// change. For comparison in tests and benchmarks.
     #[doc(hidden)]
     #[must_use]
     pub fn unfrozen(mut self) -> PhasedReducer {
@@ -93,7 +94,7 @@ impl PhasedReducer {
         self
     }
 
-    /// Takes the steps that are known of the tests of each phase, and leaves what it finds with them.
+    /// Reuses the known steps of the tests of each phase, and adds the steps that it finds to them.
     pub(crate) fn share_steps(&mut self, steps: &[Arc<KnownSteps>]) {
         for (phase, steps) in self.phases.iter_mut().zip(steps) {
             phase.reducer.share_steps(steps.clone());
@@ -111,7 +112,7 @@ impl PhasedReducer {
         PhasedWork { phases, cells: GatheredCells::default() }
     }
 
-    /// What has been done so far, over all phases.
+    /// Work done so far, summed over all phases.
     pub fn work(&self) -> Work {
         let add = |sum: Work, phase: &PhaseReducer| {
             let one = phase.reducer.work();
@@ -125,14 +126,14 @@ impl PhasedReducer {
         self.phases.iter().fold(Work::default(), add)
     }
 
-    /// The only phase and the rows of all tests, where that is all there is.
+    /// The only phase and the rows of all tests; `None` where there are several phases or other evidence than rows.
     fn plain<'a>(&'a self, tests: &'a [PhasedTest]) -> Option<(&'a PhaseReducer, Vec<&'a Test>)> {
         let [phase] = &*self.phases else { return None };
         let rows = |test: &'a PhasedTest| self.rows_of(0, test).filter(|_| test.phases.len() == 1);
         Some((phase, tests.iter().map(rows).collect::<Option<_>>()?))
     }
 
-    /// The rows of a phase of a test, where the optimal filter is to run over them.
+    /// The rows of phase `at` of a test, where the optimal filter reduces them.
     pub(crate) fn rows_of<'t>(&self, at: usize, test: &'t PhasedTest) -> Option<&'t Test> {
         match test.phases.get(at)? {
             Evidence::Rows(rows) if self.phases[at].is_optimal() => Some(rows),
@@ -140,7 +141,7 @@ impl PhasedReducer {
         }
     }
 
-    /// The phases of tests, each by itself in its entering coordinates.
+    /// The phases of tests, each reduced separately in its entering coordinates.
     ///
     /// # Errors
     /// As [`PhasedReducer::reduce`].
@@ -153,8 +154,8 @@ impl PhasedReducer {
         Ok(self.parts(test, Vec::new(), work, false)?.into_iter().map(ReducedPhase::into_piece).collect())
     }
 
-    /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and which
-    /// values are missing. What was measured is not looked at; `data` and `constant` are zero, and there is no chain.
+    /// The reductions of designs: information and covariates as in [`PhasedReducer::reduce`], from times, inputs and
+    /// which values are missing. Measured values are not read; `data` and `constant` are zero, and there is no chain.
     ///
     /// # Errors
     /// As [`PhasedReducer::reduce`].
@@ -180,7 +181,7 @@ impl PhasedReducer {
         all.into_iter().collect()
     }
 
-    /// A test has no more phases than the model, and one at least.
+    /// Checks that a test has at least one phase and no more phases than the model.
     pub(crate) fn check(&self, test: &PhasedTest) -> Result<(), ReduceError> {
         match (test.phases.len(), self.phases.len()) {
             (0, _) => Err(refuse(Some(&test.id), WHOLE, ReduceErrorKind::NoRows)),
@@ -191,8 +192,8 @@ impl PhasedReducer {
         }
     }
 
-    /// The phases of a test by themselves, `found` what the filters left of those that have rows for them, as far as they have run; of
-    /// `designs`, nothing that was measured.
+    /// The phases of a test, each reduced separately. `found`: results of the optimal filters that have run already, by
+    /// phase; `designs`: no measured value is read.
     fn parts<'a>(
         &'a self,
         test: &'a PhasedTest,
@@ -208,7 +209,7 @@ impl PhasedReducer {
         test.phases.iter().enumerate().zip(found).map(part).collect()
     }
 
-    /// One of them: (id of the test, phase, what is known of it).
+    /// One phase of a test, given as (id of the test, phase, evidence).
     fn part<'a>(
         &'a self,
         (id, at, evidence): (&str, usize, &'a Evidence),

@@ -24,7 +24,7 @@ pub struct StepMatrices {
 /// One test in matrices, with x_0 = a + A ξ + ζ, ζ ~ N(0, P0).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plain {
-    /// Its id.
+    /// Id of the test.
     pub id: String,
     /// a, n numbers.
     pub offset: DVector<f64>,
@@ -48,21 +48,21 @@ impl StepMatrices {
         StepMatrices::new(DMatrix::zeros(0, n), DMatrix::zeros(0, 0), DVector::zeros(0))
     }
 
-    /// With φ and Q.
+    /// The step with φ and Q set.
     #[must_use]
     pub fn moving(mut self, transition: DMatrix<f64>, process_noise: DMatrix<f64>) -> StepMatrices {
         (self.transition, self.process_noise) = (Some(transition), Some(process_noise));
         self
     }
 
-    /// With b.
+    /// The step with b set.
     #[must_use]
     pub fn with_input(mut self, input: DVector<f64>) -> StepMatrices {
         self.input = Some(input);
         self
     }
 
-    /// With d.
+    /// The step with d set.
     #[must_use]
     pub fn with_constant(mut self, constant: DVector<f64>) -> StepMatrices {
         self.constant = constant;
@@ -81,7 +81,8 @@ impl Plain {
         Plain { id: id.into(), offset, sensitivity, covariance, steps: Vec::new() }
     }
 
-    /// A test whose states are the unknown numbers themselves: x_0 = ξ. Of steps that do not move, these are random constants.
+    /// A test whose initial states are the unknowns themselves: x_0 = ξ. With steps that do not move, the states are
+    /// random constants.
     pub fn constants(id: impl Into<String>, steps: impl IntoIterator<Item = StepMatrices>) -> Plain {
         let steps: Vec<StepMatrices> = steps.into_iter().collect();
         let n = steps.first().map_or(0, |step| step.measurement.ncols());

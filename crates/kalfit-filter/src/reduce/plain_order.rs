@@ -9,7 +9,7 @@ use crate::reduce::order::{Order, StateTraits};
 use crate::reduce::plain::{Plain, StepMatrices};
 
 impl Order {
-    /// Of the states of a test given in matrices.
+    /// The order of the states of a test given in matrices.
     pub(super) fn of_matrices(test: &Plain) -> Order {
         let (n, p) = (test.offset.len(), test.sensitivity.ncols());
         let noises = || test.steps.iter().filter_map(|step| step.process_noise.as_ref()).chain([&test.covariance]);
@@ -30,7 +30,7 @@ impl Order {
                 noisy[i] |= (0..n).any(|j| depends[(i, j)] && noisy[j]);
             }
         }
-        // by columns, the transpose of A is A by rows
+        // the transpose of A stored by columns is A stored by rows
         Order::of(&StateTraits { noisy, moving, driven }, test.sensitivity.transpose().as_slice(), p)
     }
 

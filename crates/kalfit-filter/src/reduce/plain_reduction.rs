@@ -1,4 +1,4 @@
-//! Reductions for those who have matrices.
+//! Reductions of tests that are given in matrices.
 
 use std::sync::Arc;
 
@@ -24,23 +24,23 @@ use kalfit_model::Path;
 use kalfit_model::Reduction;
 
 impl Plain {
-    /// Its reduction.
+    /// The reduction of the test.
     pub fn reduce(&self) -> Result<Reduction, ReduceError> {
         Ok(self.solve(false, false)?.0)
     }
 
-    /// Its reduction, by square-root arrays whether called for or not.
+    /// The reduction of the test by square-root arrays, whether they are needed or not.
     pub fn reduce_square_root(&self) -> Result<Reduction, ReduceError> {
         Ok(self.solve(true, false)?.0)
     }
 
-    /// Its reduction and the state after its last step.
+    /// The reduction of the test, and the state after its last step.
     pub fn reduce_with_terminal(&self) -> Result<(Reduction, Terminal), ReduceError> {
         let (reduction, terminal) = self.solve(false, true)?;
         Ok((reduction, terminal.expect("it was wanted")))
     }
 
-    /// `ends`: the state after the last step is wanted.
+    /// The reduction, by square-root arrays if `square_root`, and the state after the last step if `ends`.
     fn solve(&self, square_root: bool, ends: bool) -> Result<(Reduction, Option<Terminal>), ReduceError> {
         self.check()?;
         let order = Order::of_matrices(self);
@@ -78,7 +78,7 @@ impl Plain {
         Ok((reduction, terminal))
     }
 
-    /// The gains by square-root arrays.
+    /// The gains of the design, computed in square-root arrays.
     fn root(&self, design: &Design, states: Option<&[usize]>) -> Result<Gains, ReduceError> {
         root_gains(design, states, false).map_err(|error| match error {
             RootError::NotSemidefinite(bad) => self.refuse("process noise", bad),
@@ -131,7 +131,7 @@ impl Plain {
                 whiten(design, data, first, &covariances)
                     .map_err(|bad| self.refuse(&format!("noise of step {}", k + 1), bad))?;
             }
-            // never joined: nothing is frozen here
+            // steps are not joined into stretches, so nothing is frozen here
             design.push_step(transition.map(Arc::new).as_ref());
         }
         Ok(())
@@ -141,7 +141,7 @@ impl Plain {
         refuse(Some(&self.id), what, kind)
     }
 
-    /// Shapes agree, numbers are finite, covariances symmetric and positive semidefinite.
+    /// Checks that shapes agree, numbers are finite, and covariances are symmetric and positive semidefinite.
     fn check(&self) -> Result<(), ReduceError> {
         let (n, p) = (self.offset.len(), self.sensitivity.ncols());
         self.shaped("offset a", &self.offset, (n, 1))?;

@@ -1,4 +1,4 @@
-//! A test of a model, evaluated: its design and its data.
+//! Evaluation of a test of a model: its design and its data.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -37,7 +37,7 @@ pub(crate) use replay::StartCells;
 pub use skeleton::Skeleton;
 use transition::Last;
 
-/// Bytes of transitions that are kept.
+/// Most bytes of transitions that are cached.
 const TRANSITION_BYTES: usize = 16 << 20;
 
 /// A model at α, ready to evaluate tests.
@@ -45,60 +45,61 @@ const TRANSITION_BYTES: usize = 16 << 20;
 pub struct Preparer {
     pub model: Model,
     alpha: Alpha,
-    /// Which parameters are free, where derivatives are wanted.
+    /// Whether each parameter is free; empty where no derivatives are requested.
     free: Vec<bool>,
     pub dynamics: Dynamics,
     pub start: ModelStart,
     pub order: Order,
     pub plan: MotionPlan,
     pub(crate) meters: Meters,
-    /// Columns that φ, Q, h, R or which values count depend on: where their cells repeat, so do these.
+    /// Columns on which φ, Q, h, R and the selection of values depend: where the cells of these columns repeat, so do
+    /// φ, Q, h, R and the selection.
     shape: Uses,
-    /// Columns that only known inputs and constants depend on.
+    /// Columns on which only known inputs and constants depend.
     drive: Uses,
-    /// Nothing is read from the data but measured values and times.
+    /// Whether only measured values and times are read from the data.
     plain: bool,
-    /// The dynamics depend on the length of a step alone.
+    /// Whether the dynamics depend only on the length of a step.
     steady: bool,
-    /// No transition calls for a matrix exponential.
+    /// Whether no transition needs a matrix exponential.
     quick: bool,
-    /// Tests can be evaluated column by column: noises of states that are correlated are the same on every row.
+    /// Whether tests can be evaluated column by column: correlated noises of states are the same on every row.
     columnwise: bool,
-    /// The law of x_0, when no test changes it.
+    /// The law of x_0; `None` where it differs from test to test.
     law: Option<StartMoments>,
-    /// Which cells decide all but measured values; `None` where values are mixed.
+    /// Mask of the cells that determine everything but measured values; `None` where whitening mixes values.
     pub(crate) cell_mask: Option<CellMask>,
     transitions: SharedStore<Vec<u64>, Result<Moves, Box<Fault>>>,
-    /// Steps that were found at another α; `None` where nobody keeps them.
+    /// Steps found at other α; `None` where steps are not cached.
     pub(crate) steps: Option<Arc<KnownSteps>>,
-    /// Transitions computed for all tests.
+    /// Number of transitions computed by matrix exponentials, for all tests.
     pub(crate) computed: AtomicU64,
 }
 
-/// One step to be evaluated.
+/// Rows, length and motion of one step.
 #[derive(Debug, Clone)]
 struct StepRows {
     rows: Range<usize>,
-    /// The rows whose cells the dynamics read.
+    /// The rows from whose cells the dynamics are evaluated.
     source: Range<usize>,
     dt: f64,
     moves: bool,
 }
 
-/// One test evaluated, and the work space of all its passes.
+/// One evaluated test, and the work space of all its passes.
 #[derive(Debug)]
 pub struct Workspace {
     pub design: Design,
     pub data: Data,
     pub instances: Instances,
     pub covariates: Vec<f64>,
-    /// When given, covariances (i, j, value) between scalar measurements of the test go here, and the measurements are not
-    /// whitened.
+    /// Noise covariances (i, j, value) between scalar measurements of the test, where they are collected instead of
+    /// whitened; `None` where measurements are whitened.
     pub covariances: Option<Vec<(usize, usize, f64)>>,
     pub(crate) gains: GainsWork,
-    /// Of this test by itself.
+    /// Data pass of this test alone.
     pub pass: DataWorkspace,
-    /// Of replicates, and of any tests side by side.
+    /// Data of replicates, or of any tests in lanes.
     pub(crate) block: DataBlock,
     pub(crate) room: DataWorkspace,
     spans: Vec<StepSpan>,
@@ -111,7 +112,7 @@ pub struct Workspace {
     filled: Filled,
     key: Vec<u64>,
     last: Option<Last>,
-    /// Transitions that nobody has.
+    /// Unshared transitions whose memory is reused.
     spare: Vec<Arc<Transition>>,
 }
 
@@ -127,13 +128,13 @@ impl Preparer {
         Preparer::with_free(model, alpha, Vec::new())
     }
 
-    /// With derivatives in mind: no coefficient that depends on a free parameter is left out for being zero at this α.
-    /// `free`: one for each parameter.
+    /// A preparer for derivatives: coefficients that depend on a free parameter are retained even where they are zero
+    /// at this α. `free`: whether each parameter is free.
     pub(crate) fn with_free(model: &Model, alpha: &Alpha, free: Vec<bool>) -> Result<Preparer, Box<Fault>> {
         Preparer::made(model, alpha, free, false)
     }
 
-    /// For tests that bring the law of their estimated states with them, as part of a and P0.
+    /// A preparer of tests that each come with a law of their estimated states, as part of a and P0.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Preparer, Box<Fault>> {
         let mut preparer = Preparer::made(model, alpha, Vec::new(), true)?;
         preparer.order.frame = Arc::new(preparer.order.frame.without_unknowns());
@@ -186,7 +187,7 @@ impl Preparer {
         ModelAt { model: &self.model, alpha: &self.alpha, free: &self.free }
     }
 
-    /// Whether the noise of a measurement, zero here, is not so wherever the free values are.
+    /// Whether a measurement whose noise is zero at this α can have noise at other free values.
     pub(crate) fn has_free_noise(&self, test: &Test, Instance { meter, row }: Instance) -> bool {
         let (at, other) = (self.at(), self.alpha.elsewhere(&self.free));
         let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: f64::NAN, alpha: &other };
@@ -203,7 +204,7 @@ impl Preparer {
         self.columnwise
     }
 
-    /// The law of x_0, when no test changes it.
+    /// The law of x_0; `None` where it differs from test to test.
     pub(crate) fn law(&self) -> Option<&StartMoments> {
         self.law.as_ref()
     }
@@ -264,7 +265,8 @@ impl Preparer {
         Ok(())
     }
 
-    /// The steps of a test; `initial` is the time of x_0. Where nothing ever moves no transition leads to them.
+    /// Writes the steps of a test to `out`; `initial` is the time of x_0. Where no state ever moves, no transition
+    /// leads to a step.
     fn spans(&self, test: &Test, initial: Option<f64>, out: &mut Vec<StepSpan>) -> Result<(), Box<Fault>> {
         if let Some(known) = self.steps.as_ref().and_then(|steps| steps.of(test, initial)) {
             out.clone_from(&known);
@@ -278,7 +280,7 @@ impl Preparer {
         Ok(())
     }
 
-    /// Evaluates the steps of a span; `source`: rows of the step before. Returns those of the last one.
+    /// Evaluates the steps of a span. `source`: rows of the step before. Returns the rows of the last step.
     fn span(
         &self,
         at: &ModelAt<'_>,
@@ -296,7 +298,7 @@ impl Preparer {
             let moment = StepRows { rows: rows.clone(), source, dt: span.dt, moves: span.moves };
             let again = number > 0 && self.shape.repeat(test, &rows);
             repeats = if again { repeats + 1 } else { 0 };
-            // with inputs of the row before, that row must have repeated too
+            // where inputs are read from the row before, that row must repeat too
             let enough = repeats > usize::from(self.clock_previous());
             if !(enough && self.meters.can_repeat() && self.repeat(at, test, &moment, work)?) {
                 self.step(at, test, &moment, work)?;
@@ -310,7 +312,8 @@ impl Preparer {
         Ok(source)
     }
 
-    /// Takes as many steps as there are like the last one, of one row each, where only values are read from the data.
+    /// Takes the one-row steps that follow and equal the last step except for values, where only values are read from
+    /// the data. Returns the number of steps taken.
     fn repeat_values(&self, test: &Test, first: usize, most: usize, work: &mut Workspace) -> usize {
         let Workspace { design, data, instances, covariances, constants, .. } = &mut *work;
         let mut observed = Observed { design, data, instances, covariances: covariances.as_mut(), constants };
@@ -324,7 +327,7 @@ impl Preparer {
         many
     }
 
-    /// Coefficients are read from the row before, not from a step's own.
+    /// Whether the coefficients of a step are read from the row before it instead of its own rows.
     pub(crate) fn clock_previous(&self) -> bool {
         self.model.clock.previous_inputs
     }
@@ -342,7 +345,8 @@ impl Preparer {
         Ok(())
     }
 
-    /// A step whose φ, Q, h, R are those of the step before; false, and nothing is done, where it measures something else.
+    /// Takes a step whose φ, Q, h, R are those of the step before. Returns false and changes nothing where it has other
+    /// measurements.
     fn repeat(
         &self,
         at: &ModelAt<'_>,
@@ -353,7 +357,7 @@ impl Preparer {
         let (driven, height) = (self.order.frame.driven.len(), moment.rows.len());
         let driven_on = !self.drive.is_empty();
         let fresh = driven_on && !self.drive.repeat(test, &moment.rows);
-        // the row before may have been the first with its cells
+        // the row before may be the first one with its cells, so that its inputs are new
         let fresh_inputs = fresh || (driven_on && self.clock_previous());
         let inputs = work.data.inputs.len();
         if driven > 0 && moment.moves {
@@ -376,7 +380,7 @@ impl Preparer {
         Ok(same)
     }
 
-    /// a and P0 of a test.
+    /// Writes a and P0 of a test into the work space.
     fn begin(&self, at: &ModelAt<'_>, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
         let own;
         let law = match &self.law {
@@ -412,7 +416,7 @@ impl Preparer {
         Ok(())
     }
 
-    /// What of the dynamics is wanted on a step.
+    /// Evaluates the part of the dynamics that `wanted` computes, on one step.
     fn evaluate(
         &self,
         at: &ModelAt<'_>,
@@ -425,7 +429,7 @@ impl Preparer {
         wanted(self, &scope, &mut work.replay).map_err(|fault| fault.on(moment.source.start))
     }
 
-    /// What the dynamics of a step are evaluated on. `cells`: work space for steps of several rows.
+    /// The scope in which the dynamics of a step are evaluated. `cells`: work space for steps of several rows.
     fn motion_scope<'a>(
         &'a self,
         at: &ModelAt<'_>,

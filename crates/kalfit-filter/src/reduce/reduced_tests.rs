@@ -1,25 +1,25 @@
-//! What is found of tests, in the order in which they are done.
+//! Results of tests, in the order in which the tests are finished.
 
 use crate::reduce::reducer::ToEnd;
 use crate::reduce::terminal::TerminalState;
 use crate::reduce::{ReduceError, Reductions};
 
-/// Reductions as they come.
+/// Reductions and errors of tests, in the order in which the tests are finished.
 #[derive(Debug, Default)]
 pub(crate) struct ReducedTests {
     pub(crate) reductions: Reductions,
-    /// The number of the test of each.
+    /// Number of the test of each reduction.
     pub(crate) numbers: Vec<usize>,
-    /// Where each ends; none where that is not wanted.
+    /// Last state of each test; empty where last states are not requested.
     pub(crate) terminals: Vec<TerminalState>,
-    /// Tests that must be looked at by themselves.
+    /// Numbers of the tests that the scalar path must reduce one by one.
     pub(crate) odd: Vec<usize>,
-    /// What is wrong with tests.
+    /// (number, error) of the tests in error.
     pub(crate) faults: Vec<(usize, ReduceError)>,
 }
 
 impl ReducedTests {
-    /// Takes what was found of a test by itself.
+    /// Adds the result of a test that was reduced alone.
     pub(crate) fn note(&mut self, number: usize, found: ToEnd) {
         match found {
             Ok((reduction, end)) => {
@@ -31,7 +31,7 @@ impl ReducedTests {
         }
     }
 
-    /// Takes all of others, of so many tests that there are at last.
+    /// Adds all results of `others`. `tests`: final number of tests, for which memory is reserved.
     pub(crate) fn take(&mut self, others: Vec<ReducedTests>, tests: usize) {
         let mut parts = Vec::with_capacity(others.len());
         for other in others {
@@ -44,7 +44,7 @@ impl ReducedTests {
         self.reductions.take(parts, tests);
     }
 
-    /// The same in the order of the tests, where it is not asked where they end.
+    /// The results with the reductions in the order of the tests; unchanged where last states are requested.
     pub(crate) fn sorted(mut self) -> ReducedTests {
         if self.terminals.is_empty() {
             self.reductions = self.reductions.in_order(&self.numbers);
@@ -53,7 +53,7 @@ impl ReducedTests {
         self
     }
 
-    /// The reductions in the order of the tests; of several tests in error, the first one's error.
+    /// The reductions in the order of the tests, or the error of the first test in error.
     pub(crate) fn ordered(self) -> Result<Reductions, ReduceError> {
         match self.faults.into_iter().min_by_key(|(number, _)| *number) {
             Some((_, error)) => Err(error),
@@ -61,7 +61,7 @@ impl ReducedTests {
         }
     }
 
-    /// What was found of each of so many tests, by number.
+    /// The result of each test, by number; `tests`: number of tests.
     pub(crate) fn by_number(self, tests: usize) -> Vec<ToEnd> {
         let mut all: Vec<Option<ToEnd>> = (0..tests).map(|_| None).collect();
         let mut terminals = self.terminals.into_iter();

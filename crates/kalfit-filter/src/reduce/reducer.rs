@@ -1,4 +1,4 @@
-//! Tests → reductions.
+//! The reducer: from tests to reductions.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,33 +24,34 @@ use kalfit_model::Reduction;
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Model, Slots};
 
-/// Bytes of design classes that are kept: tests of one design share its covariance run while they fit.
+/// Most bytes of design classes that are cached: tests of one design share its covariance filter while the classes fit.
 const CLASS_BYTES: usize = 256 << 20;
-/// Beyond so many bytes, only those of them that a second test has.
+/// Bytes of design classes beyond which a class is cached only when a second test has it.
 const EAGER_BYTES: usize = 256 << 10;
 
 /// Reduces the tests of a model at α.
 ///
-/// It keeps transitions and design classes from call to call, so one reducer should serve all batches of an ensemble.
-/// Reductions do not depend on that, nor on threads, batches or the order of the tests: they are the same bit for bit.
+/// It caches transitions and design classes from call to call, so one reducer should serve all batches of an ensemble.
+/// Reductions do not depend on the cache, on threads, on batches or on the order of the tests: they are the same bit
+/// for bit.
 #[derive(Debug)]
 pub struct Reducer {
     preparer: Preparer,
     classes: SharedStore<Design, Result<Gains, RootError>>,
     unfrozen: bool,
-    /// The last states are wanted.
+    /// Whether the last states of tests are requested.
     ends: bool,
-    /// P and Ψ before equal steps are wanted.
+    /// Whether P and Ψ before equal steps are requested.
     paths: bool,
     design_runs: AtomicU64,
     root_runs: AtomicU64,
     data_runs: AtomicU64,
 }
 
-/// A reduction, and where its test ends, if that is wanted.
+/// A reduction, and the last state of its test where that is requested.
 pub(crate) type ToEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
 
-/// What a reduction has from its test beside the data.
+/// The parts of a reduction that do not depend on measured values.
 #[derive(Debug)]
 pub(crate) struct ReductionHeader<'a> {
     /// R, packed.
@@ -63,13 +64,13 @@ pub(crate) struct ReductionHeader<'a> {
 }
 
 impl<'a> ReductionHeader<'a> {
-    /// Of a test with these gains.
+    /// The header of the reduction of a test with these gains.
     pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> ReductionHeader<'a> {
         let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
         ReductionHeader { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
     }
 
-    /// The reduction of a test.
+    /// The reduction of a test with this outcome.
     fn reduction(self, test: &'a Test, outcome: &'a Outcome) -> ReductionRef<'a> {
         ReductionRef {
             test: &test.id,
@@ -88,47 +89,49 @@ impl<'a> ReductionHeader<'a> {
     }
 }
 
-/// What a reducer has done.
+/// Counts of the work that a reducer has done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Work {
     /// Designs whose covariance filter was run.
     pub design_runs: u64,
-    /// Runs in square-root arrays; a design that is not kept may be run more than once.
+    /// Covariance filters run in square-root arrays; a design that is not cached may be run more than once.
     pub root_runs: u64,
-    /// Data recursions run: one for each test.
+    /// Data passes run: one for each test.
     pub data_runs: u64,
     /// Transitions computed by matrix exponentials: one for each length of step and set of coefficients.
     pub transitions: u64,
 }
 
 impl Reducer {
-    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data.
+    /// A reducer of a model at α. An error when some coefficient has no value, whatever the data are.
     pub fn new(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
         Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
-    /// A reducer for scores: no coefficient that depends on free values is left out for being zero at this α, and every class is
-    /// wanted again by the backward pass.
+    /// A reducer for scores: coefficients that depend on free values are retained even where they are zero at this α,
+    /// and every design class is cached for the backward pass.
     pub(crate) fn scoring(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
         let paths = slots.free().contains(&true);
         Ok(Reducer { paths, ..Reducer::of(preparer, SharedStore::new(CLASS_BYTES)) })
     }
 
-    /// The same where no backward pass is to come: what one test alone wants is not kept.
+    /// A reducer as [`Reducer::scoring`] makes it, for values that no backward pass follows: classes of single tests
+    /// are not cached.
     pub(crate) fn passing(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
         Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
-    /// A reducer of tests that bring the law of their estimated states with them: nothing is unknown.
+    /// A reducer of tests that each come with a law of their estimated states, so that no state is unknown.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
         Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
     }
 
-    /// Takes steps that are known of tests of one ensemble, and leaves what it finds with them: it must reduce no other.
+    /// Reuses the known steps of the tests of one ensemble, and adds the steps that it finds to them. The reducer must
+    /// then reduce no other ensemble.
     pub(crate) fn share_steps(&mut self, steps: Arc<KnownSteps>) {
         self.preparer.steps = Some(steps);
     }
@@ -146,12 +149,13 @@ impl Reducer {
         }
     }
 
-    /// What evaluates tests.
+    /// The preparer, which evaluates tests.
     pub fn preparer(&self) -> &Preparer {
         &self.preparer
     }
 
-    /// Every step of every record in full, gains that no longer change too: to compare with, in tests and benchmarks.
+    /// The reducer with nothing frozen: it computes every step of every record in full, even where gains no longer
+    /// change. For comparison in tests and benchmarks.
     #[doc(hidden)]
     #[must_use]
     pub fn unfrozen(mut self) -> Reducer {
@@ -159,30 +163,30 @@ impl Reducer {
         self
     }
 
-    /// With the state after the last step of every test.
+    /// The reducer with last states requested: it also returns the state after the last step of every test.
     #[must_use]
     pub(crate) fn with_ends(mut self) -> Reducer {
         self.ends = true;
         self
     }
 
-    /// The state after the last step is wanted.
+    /// Whether the state after the last step is requested.
     pub(crate) fn wants_ends(&self) -> bool {
         self.ends
     }
 
-    /// Where a test of a class ends, if that is wanted, with x̂ of its last step, in the order of the kernels.
+    /// The last state of a test of a class, if it is requested. `x`: x̂ after the last step, in kernel order.
     pub(crate) fn ending(&self, class: &DesignClass, x: impl Iterator<Item = f64>) -> Option<TerminalState> {
         class.end().cloned().map(|end| TerminalState::new(end, &self.preparer.order.states, x))
     }
 
-    /// Nothing is frozen.
+    /// Whether nothing is frozen.
     pub(crate) fn is_unfrozen(&self) -> bool {
         self.unfrozen
     }
 
-    /// The reduction of a design and its class: information and covariates as of [`Reducer::reduce_one`], from times, inputs and which
-    /// values are missing. What was measured is not looked at, and `data` and `constant` are zero.
+    /// The reduction of a design, and its class: information and covariates as in [`Reducer::reduce_one`], from times,
+    /// inputs and which values are missing. Measured values are not read; `data` and `constant` are zero.
     pub(crate) fn designed(&self, test: &Test, work: &mut Workspace) -> Result<(Reduction, DesignClass), ReduceError> {
         self.with_class(test, (work, false), |digest, gains, work| {
             if gains.factor.iter().any(|x| !x.is_finite()) {
@@ -195,7 +199,7 @@ impl Reducer {
         })
     }
 
-    /// What has been done so far.
+    /// Work done so far.
     pub fn work(&self) -> Work {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         Work {
@@ -225,7 +229,7 @@ impl Reducer {
         self.with_prepared(test, work, pass)
     }
 
-    /// The same of the test in the work space.
+    /// Calls `pass` with the gains of the test that was evaluated into the work space.
     pub(crate) fn with_prepared<T>(
         &self,
         test: &Test,
@@ -243,7 +247,7 @@ impl Reducer {
         Ok((work.design.clone(), work.data.clone(), work.covariates.clone()))
     }
 
-    /// The reduction of a test, and its class; x̂_K is left in the work space.
+    /// The reduction of a test, and its class; x̂_K remains in the work space.
     pub(crate) fn reduce_one(
         &self,
         test: &Test,
@@ -252,13 +256,13 @@ impl Reducer {
         self.with_class(test, (work, false), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
-    /// The same with where the test ends, if that is wanted.
+    /// The reduction of a test, and its last state where that is requested.
     pub(crate) fn to_end(&self, test: &Test, work: &mut Workspace) -> ToEnd {
         let (reduction, class) = self.reduce_one(test, work)?;
         Ok((reduction, self.ending(&class, work.pass.x.iter().copied())))
     }
 
-    /// [`Reducer::reduce_one`] of a test whose design is known to call for square-root arrays.
+    /// [`Reducer::reduce_one`] for a test whose design is known to need square-root arrays.
     pub(crate) fn reduce_by_root(
         &self,
         test: &Test,
@@ -267,7 +271,8 @@ impl Reducer {
         self.with_class(test, (work, true), |digest, gains, work| self.reduce_prepared(test, (digest, gains), work))
     }
 
-    /// Evaluates a test, and reduces it under the gains of its class, found `by_root` or not.
+    /// Evaluates a test, and reduces it under the gains of its class. `by_root`: the design is known to need
+    /// square-root arrays.
     fn with_class(
         &self,
         test: &Test,
@@ -283,8 +288,8 @@ impl Reducer {
         found.map_err(|fault| self.named(*fault, test))
     }
 
-    /// The gains of a class, if there are any. A noise that is zero at these free values and not at others makes no exact rows: ℓ is
-    /// looked for above zero of it.
+    /// The gains of a class, or its fault. A noise that is zero at these free values but not at others makes no exact
+    /// rows but a fault: ℓ is maximised over values where that noise is positive.
     fn sound<'c>(
         &self,
         class: &'c DesignClass,
@@ -318,7 +323,7 @@ impl Reducer {
         Ok(self.counted_reduction(test, &outcome, about).into())
     }
 
-    /// The reduction of a test; counts its data run.
+    /// The reduction of a test; counts its data pass.
     pub(crate) fn counted_reduction<'a>(
         &self,
         test: &'a Test,
@@ -329,18 +334,19 @@ impl Reducer {
         about.reduction(test, outcome)
     }
 
-    /// A fault of a test, with names.
+    /// The error of a fault of a test, with names.
     pub(crate) fn named(&self, fault: Fault, test: &Test) -> ReduceError {
         fault.name(&self.preparer.model, Some(test))
     }
 
-    /// Takes note of a design whose filter was run side by side with others.
+    /// Counts the covariance run of a design, in lanes or alone.
     pub(crate) fn count_design_run(&self, digest: u128) {
-        // threads that meet one design at the same time count once: the work told of does not depend on threads
+        // threads that reach one design at the same time count once, so that the reported work does not depend on
+        // threads
         self.design_runs.fetch_add(u64::from(self.classes.is_new(digest)), Ordering::Relaxed);
     }
 
-    /// The design class of the test in the work space; `by_root`: its design is known to call for square-root arrays.
+    /// The design class of the test in the work space. `by_root`: its design is known to need square-root arrays.
     pub(crate) fn class(&self, digest: u128, work: &mut Workspace, by_root: bool) -> DesignClass {
         let Workspace { design, gains, .. } = work;
         let states = self.ends.then_some(&*self.preparer.order.states);
@@ -357,7 +363,8 @@ impl Reducer {
     }
 }
 
-/// The innovations of the test in the work space, for σ = 0, to `pass.e`; x̂_K is left there too. The same bits as side by side.
+/// Computes the innovations of the test in the work space for σ = 0 into `pass.e`, and x̂_K into `pass.x`, with the
+/// same bits as in lanes.
 pub fn own_innovations(gains: &Gains, work: &mut Workspace) {
     let Workspace { design, data, pass, .. } = work;
     innovations((design, gains), data, pass, &mut ());

@@ -14,8 +14,8 @@ use kalfit_model::remote::Remote;
 use kalfit_model::{Rare, Texts};
 use kalfit_model::{Reduction, ReductionRef};
 
-/// The [`Reduction`]s of tests, in their order: what all of them have of one kind stands together, so that a million short tests
-/// are a few pieces of memory, read from front to back.
+/// The [`Reduction`]s of tests, in their order, stored by column: the reductions of a million short tests take a few
+/// pieces of memory, which are read from front to back.
 ///
 /// ```
 /// use kalfit::{Reduction, Reductions};
@@ -29,7 +29,8 @@ use kalfit_model::{Reduction, ReductionRef};
 /// ```
 #[derive(Debug, Clone, Default)]
 pub struct Reductions {
-    /// Which reductions these are: no others have it but clones. It is given when somebody asks, and lost with any change.
+    /// Identity of these reductions, shared only with clones. It is assigned on the first request and reset by any
+    /// change.
     stamp: OnceLock<u64>,
     ids: Texts,
     constants: Vec<f64>,
@@ -43,7 +44,7 @@ pub struct Reductions {
     designs: Vec<u128>,
     chains: Rare<Box<Chain>>,
     exact: Rare<Box<ExactRows>>,
-    /// Where they are when none is here.
+    /// Where the reductions are when none is stored here.
     remote: Option<Remote>,
 }
 
@@ -63,12 +64,12 @@ impl Reductions {
         Reductions::default()
     }
 
-    /// Reductions that are elsewhere: none is here, but sums over them can be asked for.
+    /// Reductions that are stored elsewhere: none is here, but sums over them can be requested.
     pub fn elsewhere(remote: Remote) -> Reductions {
         Reductions { remote: Some(remote), ..Reductions::default() }
     }
 
-    /// Where they are, when they are elsewhere.
+    /// Where the reductions are, when they are stored elsewhere.
     pub fn remote(&self) -> Option<&Remote> {
         self.remote.as_ref()
     }
@@ -86,7 +87,7 @@ impl Reductions {
     /// The test with this number.
     ///
     /// # Panics
-    /// Where there are not as many tests.
+    /// If there is no test with this number.
     pub fn get(&self, number: usize) -> ReductionRef<'_> {
         ReductionRef {
             test: self.id(number),
@@ -109,24 +110,24 @@ impl Reductions {
         Rows { of: self, numbers: 0..self.len() }
     }
 
-    /// All tests, for several threads.
+    /// All tests as a parallel iterator.
     pub fn par_iter(&self) -> impl IndexedParallelIterator<Item = ReductionRef<'_>> {
         (0..self.len()).into_par_iter().map(|number| self.get(number))
     }
 
-    /// Those tests that are named by their numbers, in the order of these.
+    /// The tests with these numbers, in the order of the numbers.
     #[must_use]
     pub fn select(&self, numbers: &[usize]) -> Reductions {
         numbers.iter().map(|&number| self.get(number)).collect()
     }
 
-    /// The same in the order of the numbers of these tests.
+    /// The reductions sorted by `numbers`, the numbers of their tests.
     pub(crate) fn in_order(self, numbers: &[usize]) -> Reductions {
         if numbers.is_sorted() {
             return self;
         }
         let mut places: Vec<usize> = (0..numbers.len()).collect();
-        places.sort_by_key(|&place| numbers[place]); // they mostly stand in a few ascending rows
+        places.sort_by_key(|&place| numbers[place]); // mostly a few ascending runs
         self.select(&places)
     }
 
@@ -136,7 +137,7 @@ impl Reductions {
         self.put_apart(reduction.chain, reduction.exact);
     }
 
-    /// Adds all tests of others.
+    /// Adds all tests of `others`.
     pub fn append(&mut self, mut others: Reductions) {
         if self.is_empty() {
             *self = others;
@@ -158,14 +159,14 @@ impl Reductions {
         self.designs.append(&mut others.designs);
     }
 
-    /// All of some reductions, one after the other.
+    /// All tests of `parts`, one part after the other.
     pub(crate) fn joined(parts: Vec<Reductions>) -> Reductions {
         let (mut all, tests) = (Reductions::new(), parts.iter().map(Reductions::len).sum());
         all.take(parts, tests);
         all
     }
 
-    /// Adds all tests of others, one after the other, of so many that there are at last.
+    /// Adds all tests of `others`, one after the other. `tests`: final number of tests, for which memory is reserved.
     pub(crate) fn take(&mut self, others: Vec<Reductions>, tests: usize) {
         let mut others = others.into_iter();
         if self.is_empty() {
@@ -182,7 +183,7 @@ impl Reductions {
         others.for_each(|part| self.append(part));
     }
 
-    /// The number of these reductions: others have another, but clones have the same.
+    /// A number that identifies these reductions: clones have the same number, all others have different ones.
     pub fn stamp(&self) -> u64 {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         *self.stamp.get_or_init(|| NEXT.fetch_add(1, Ordering::Relaxed))
@@ -193,12 +194,12 @@ impl Reductions {
         self.constants[number]
     }
 
-    /// Which arithmetic made a test.
+    /// The arithmetic that made the reduction of a test.
     pub fn path(&self, number: usize) -> Path {
         self.paths[number]
     }
 
-    /// The same of each test.
+    /// The arithmetic that made the reduction of each test.
     pub fn paths(&self) -> &[Path] {
         &self.paths
     }
@@ -218,7 +219,7 @@ impl Reductions {
         &self.designs
     }
 
-    /// The sum of squares that is left of a test, if it is known, and how many measurements it has.
+    /// The residual sum of squares of a test, if it is known, and the number of its scalar measurements.
     pub fn residual(&self, number: usize) -> (Option<f64>, usize) {
         (self.residuals[number], self.observations[number])
     }
@@ -243,12 +244,12 @@ impl Reductions {
         self.covariates.row(number)
     }
 
-    /// What a test says phase by phase.
+    /// The reduction of a test phase by phase, for a model with several phases.
     pub fn chain(&self, number: usize) -> Option<&Chain> {
         self.chains.get(number).map(Box::as_ref)
     }
 
-    /// What a test measured exactly.
+    /// Rows Cξ = g that a test measured without any noise.
     pub fn exact(&self, number: usize) -> Option<&ExactRows> {
         self.exact.get(number).map(Box::as_ref)
     }
@@ -271,7 +272,7 @@ impl Reductions {
         }
     }
 
-    /// The same tests, with these of their covariates alone.
+    /// The same tests with only the covariates at `places`.
     #[must_use]
     pub fn with_covariates(mut self, places: &[usize]) -> Reductions {
         self.stamp.take();
@@ -283,7 +284,7 @@ impl Reductions {
         self
     }
 
-    /// Adds a test, but for its chain and what it measured exactly.
+    /// Adds a test without its chain and its exact rows.
     pub(super) fn put(&mut self, one: ReductionRef<'_>) {
         self.stamp.take();
         let number = self.len();
@@ -299,7 +300,7 @@ impl Reductions {
         self.designs.push(one.design);
     }
 
-    /// The chain of the last test, and what it measured exactly.
+    /// Sets the chain and the exact rows of the last test.
     pub(super) fn put_apart(&mut self, chain: Option<Box<Chain>>, exact: Option<Box<ExactRows>>) {
         let last = self.len() - 1;
         self.chains.set(last, chain);

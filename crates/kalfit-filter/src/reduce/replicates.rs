@@ -1,39 +1,41 @@
-//! Which tests are replicates: tests that differ in nothing but what was measured.
+//! Replicates among tests: tests that differ only in what was measured.
 
 use rayon::prelude::*;
 
 use crate::reduce::cell_mask::CellMask;
 use kalfit_model::Test;
 
-/// Tests that are compared at a time.
+/// Number of adjacent tests that are compared as one task.
 const SHARE: usize = 256;
 
-/// Tests whose sets are reduced together, at least: so many that their cells stay in the caches,
+/// Fewest successive tests whose sets are reduced together, chosen so that their cells stay in the caches.
 const LIST: usize = 1 << 11;
-/// and so many times as many as there are sets, as one test of each is evaluated.
+/// Fewest successive tests reduced together, per set of replicates: one test of each set is evaluated for each list.
 const LARGE: usize = 64;
 
-/// Some tests of an ensemble, by number, each in a set of replicates or alone. It depends on their cells alone.
+/// Some tests of an ensemble, by number, each in a set of replicates or alone. The sets depend only on the cells of the
+/// tests.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Replicates {
     /// Sets of two tests or more, ascending; in the order of their first tests.
     pub(crate) sets: Vec<Vec<usize>>,
-    /// Tests that are in none, ascending.
+    /// Tests that are in no set, ascending.
     pub(crate) alone: Vec<usize>,
 }
 
 impl Replicates {
-    /// All of so many tests alone.
+    /// All of `tests` tests alone.
     pub(crate) fn none(tests: usize) -> Replicates {
         Replicates { sets: Vec::new(), alone: (0..tests).collect() }
     }
 
-    /// Those of all tests; `mask` says what counts of a test, `None` where no two are known to be alike.
+    /// The replicates among all tests. `mask`: the cells that must agree; `None` where no two tests count as
+    /// replicates.
     pub(crate) fn of(mask: Option<&CellMask>, tests: &[&Test]) -> Replicates {
         let Some(mask) = mask else { return Replicates::none(tests.len()) };
         let mut firsts = neighbours(mask, tests);
         let mut left: Vec<usize> = (0..tests.len()).filter(|&number| firsts[number] == number).collect();
-        // most tests of designs of their own differ from the first rows on
+        // tests with per-test designs mostly differ in their first rows
         let mut whole = false;
         while left.len() > 1 {
             let mut hashes: Vec<(u64, usize)> =
@@ -50,12 +52,12 @@ impl Replicates {
             left.iter().for_each(|&number| firsts[number] = number);
             whole = true;
         }
-        // neighbours of a test are where it is
+        // a test that equals its neighbour joins the set of that neighbour
         (0..tests.len()).for_each(|number| firsts[number] = firsts[firsts[number]]);
         Replicates::from_firsts(&firsts)
     }
 
-    /// From the first test that each is like, which may be itself.
+    /// The sets given by the first test that each test equals, which may be the test itself.
     pub(crate) fn from_firsts(firsts: &[usize]) -> Replicates {
         let (mut sizes, mut places) = (vec![0; firsts.len()], vec![0; firsts.len()]);
         firsts.iter().for_each(|&first| sizes[first] += 1);
@@ -79,12 +81,12 @@ impl Replicates {
         self.alone.len() + self.sets.iter().map(Vec::len).sum::<usize>()
     }
 
-    /// Without tests that are marked, each by its number.
+    /// The sets without the tests whose numbers are marked.
     pub(crate) fn without(self, marked: &[bool]) -> Replicates {
         self.regrouped(|number| !marked[number], |set| set.len() > 1)
     }
 
-    /// Sets for which this is true; the tests of others are alone.
+    /// Keeps the sets for which `is_kept` is true; the tests of other sets become alone.
     pub(crate) fn retain(self, is_kept: impl Fn(&[usize]) -> bool) -> Replicates {
         self.regrouped(|_| true, is_kept)
     }
@@ -105,7 +107,8 @@ impl Replicates {
         found
     }
 
-    /// The parts of all sets, those of tests that stand together in one list. Lists are longer than there are sets by far.
+    /// The parts of all sets in ranges of successive tests, one list for each range. A range has far more tests than
+    /// there are sets.
     pub(crate) fn lists(&self) -> Vec<Vec<&[usize]>> {
         let long = LIST.max(LARGE * self.sets.len());
         let last = self.sets.iter().filter_map(|set| set.last()).max();
@@ -117,7 +120,8 @@ impl Replicates {
     }
 }
 
-/// The first test that each is like as far as that is seen from tests before it: designs often stand together.
+/// The first test that each test equals, as far as comparisons of adjacent tests show: tests of one design are often
+/// adjacent.
 fn neighbours(mask: &CellMask, tests: &[&Test]) -> Vec<usize> {
     let mut firsts: Vec<usize> = (0..tests.len()).collect();
     firsts.par_chunks_mut(SHARE).for_each(|some| {
@@ -139,7 +143,8 @@ mod tests {
 
     const VALUES: [f64; 4] = [0.0, -0.0, 2.5, f64::NAN];
 
-    /// Tests of a few lengths that mostly have the cells of a few kinds: one read, one measured, one of no account, and two texts.
+    /// Tests of a few lengths whose cells mostly follow one of a few kinds. Columns: one read, one measured, one
+    /// ignored, and two texts.
     fn drawn(tests: usize, random: &mut impl FnMut(usize) -> usize) -> Vec<Test> {
         let one = |number: usize| {
             let (kind, rows) = (random(3), [0, 3, 8, 9, 13][random(5)]);
@@ -156,7 +161,7 @@ mod tests {
         (0..tests).map(one).collect()
     }
 
-    /// All that counts is the same, cell by cell.
+    /// Whether all cells that count are the same in both tests.
     fn are_alike(a: &Test, b: &Test) -> bool {
         let row = |row: usize| {
             let (x, y) = (a.numbers(row), b.numbers(row));

@@ -1,7 +1,8 @@
-//! The design pass in square-root arrays: for designs that plain covariance and information arithmetic would spoil.
+//! The design pass in square-root arrays, for designs on which plain covariance and information arithmetic loses
+//! digits.
 //!
-//! P = U'U is carried by its root, measurements are taken in by plane rotations (Carlson's update), and whitened rows T/√S
-//! are folded into R (Bierman 1977, ch. V), so no digits cancel however singular P or J are.
+//! P = U'U is represented by its root, measurements update it by plane rotations (Carlson's update), and whitened rows
+//! T/√S are folded into R (Bierman 1977, ch. V), so no digits cancel however singular P or J are.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, K, T, S, U with U'U = P, R with R'R = J")]
 
 use std::sync::Arc;
@@ -15,21 +16,22 @@ use crate::reduce::semidefinite::{NotSemidefinite, root};
 use crate::reduce::terminal::TerminalRoot;
 use kalfit_algebra::fold::{Rotation, fold, fold_row, norm};
 
-/// A noise-free measurement whose prior standard deviation is this part of what it was without measurements is known already.
+/// A noise-free measurement counts as known already when its prior standard deviation is at most this fraction of that
+/// without measurements.
 const KNOWN: f64 = 1e-12;
-/// A diagonal of R below this part of its column is zero information.
+/// A diagonal entry of R up to this fraction of the norm of its column counts as zero information.
 pub(crate) const UNINFORMED: f64 = 1e-13;
 
-/// Why there is no such pass.
+/// Why a design pass in square-root arrays fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum RootError {
     /// P0 or some Q is not positive semidefinite.
     NotSemidefinite(NotSemidefinite),
-    /// Overflow.
+    /// Some number overflows.
     NotFinite,
 }
 
-/// A design in square-root arrays.
+/// State of the square-root filter of a design.
 #[derive(Debug, Clone)]
 struct RootFilter<'a> {
     frame: &'a StateFrame,
@@ -37,7 +39,7 @@ struct RootFilter<'a> {
     U: Vec<f64>,
     /// Ψ, n × p, row-major.
     Psi: Vec<f64>,
-    /// P and Ψ as they would be without measurements: the measure of what is zero.
+    /// P and Ψ as they would be without measurements: the scale on which a number counts as zero.
     open_P: Vec<f64>,
     open_Psi: Vec<f64>,
     /// R, p × p, row-major.
@@ -45,8 +47,8 @@ struct RootFilter<'a> {
     work: Vec<f64>,
 }
 
-/// Runs the square-root filter of a design. `states`: the state of the model at each place of the kernels, where the last state is
-/// wanted.
+/// Runs the square-root filter of a design. `states`: the state of the model at each kernel index, where the last state
+/// is requested; `keeps_paths`: P and Ψ before equal steps are stored.
 pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths: bool) -> Result<Gains, RootError> {
     let mut filter = RootFilter::start(design)?;
     let (p, r) = (design.frame.p, design.frame.r);
@@ -103,7 +105,7 @@ impl<'a> RootFilter<'a> {
         })
     }
 
-    /// P and Ψ as they are now go to the end of a path, if there is one.
+    /// Appends the current P and Ψ to a path, if there is one.
     fn note(&self, path: &mut Option<MomentPath>) {
         let Some(path) = path else { return };
         let r = self.frame.r;
@@ -179,8 +181,8 @@ impl<'a> RootFilter<'a> {
         fold_row(&mut self.R, &mut self.work, |_, turn| turns.folds.push((turn.c, turn.s)));
     }
 
-    /// Carlson's update of U for a measurement with w = Uh and noise deviation `rho`: rotates the row [√R | 0] with the rows
-    /// [w_j | U_j] until the w are gone. Returns √S; leaves K.
+    /// Carlson's update of U for a measurement with w = Uh and noise deviation `rho`: rotates the row [√R | 0] with the
+    /// rows [w_j | U_j] until all w_j are zero. Returns √S, and writes the gain to `K`.
     fn take_in(&mut self, w: &[f64], mut rho: f64, K: &mut [f64]) -> f64 {
         let r = K.len();
         K.fill(0.0);
@@ -195,7 +197,7 @@ impl<'a> RootFilter<'a> {
         rho
     }
 
-    /// Sizes of the terms of T, with and without the measurements so far.
+    /// Size of the terms of each entry of T: with Ψ as it is, and with Ψ as it would be without measurements.
     fn terms(&self, states: &[u32], h: &[f64]) -> Vec<f64> {
         let p = self.frame.p;
         let size = |at: usize| self.Psi[at].abs() + self.open_Psi[at].abs();
@@ -204,8 +206,9 @@ impl<'a> RootFilter<'a> {
     }
 }
 
-/// Rounds directions without information to none, those with a diagonal below this `part` of its column: their rows of R go into the
-/// rows below, their data into the residual. Shape: `R` p × p, row-major, upper triangular.
+/// Sets negligible information to none: that of directions whose diagonal entry is at most `part` times the norm of its
+/// column. The rest of their rows of R is rotated into the rows below, and their data go to the residual. Shape: `R` p
+/// × p, row-major, upper triangular.
 pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<RankOperation>) {
     let column = |k: usize| -> Vec<f64> { (0..=k).map(|i| R[i * p + k]).collect() };
     let norms: Vec<f64> = (0..p).map(|k| norm(&column(k))).collect();

@@ -1,4 +1,5 @@
-//! The data pass over equal steps of one measurement, for few moving states: a linear scan, of one test or of several side by side.
+//! The data pass over equal steps of one measurement, for few moving states: a linear scan, for one test or for tests
+//! in lanes.
 #![expect(non_snake_case, reason = "the letters of the theory: K, h, phi, T")]
 
 use crate::reduce::design::{Design, Stretch};
@@ -6,38 +7,40 @@ use crate::reduce::equal_steps::FEW;
 use crate::reduce::gains::{GainSpan, Gains};
 use kalfit_lanes::{Lanes, Part, Real};
 
-/// Terms of so many steps are added up before they join the sum: rounding grows with the number of blocks, not of steps.
+/// Number of steps whose terms are summed before they are added to the total: rounding then grows with the number of
+/// blocks, not of steps.
 pub(crate) const BLOCK: usize = 512;
 
-/// Steps of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N states that move, e = z - h'(φx + c) - d. Tests side by
-/// side share φ and h.
+/// A step of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N moving states, e = z - h'(φx + c) - d. Tests
+/// in lanes share φ and h.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct InvariantStep<T, const N: usize> {
     pub(crate) phi: [[f64; N]; N],
-    /// What the states that rest add to φx.
+    /// Contribution of the resting states to φx.
     pub(crate) c: [T; N],
     pub(crate) h: [f64; N],
     /// φ'h, so that e needs no predicted x.
     g: [f64; N],
-    /// h'c and what the states that rest add to z.
+    /// h'c plus the contribution of the resting states to z.
     d: T,
 }
 
-/// Forth over steps of a stretch, of one test or of several side by side under the gains of one.
+/// Forward pass over the steps of a stretch, for one test or for tests in lanes that share its gains.
 pub(crate) struct Scan<'a, T> {
     pub(crate) design: &'a Design,
     pub(crate) stretch: &'a Stretch<'a>,
-    /// The piece that its first row is in.
+    /// The gains, and the piece that contains the first row of the stretch.
     pub(crate) gains: (&'a Gains, &'a GainSpan),
     /// x̂ before the steps, then after them.
     pub(crate) x: &'a mut [T],
-    /// z - d of each, then e; of several tests beside each other.
+    /// z - d of each step, overwritten by e; numbers of tests in lanes are interleaved.
     pub(crate) e: &'a mut [f64],
-    /// Where x̂ of the states that move goes every so many steps, the first ones included.
+    /// (List, interval): x̂ of the moving states is appended to the list before the first step and then once per
+    /// interval of steps.
     pub(crate) marks: Option<(&'a mut Vec<T>, usize)>,
 }
 
-/// Does something with the number of states that move as a constant: there are no more than [`MOST_MOVING`].
+/// Evaluates `$work` with the number of moving states, at most [`MOST_MOVING`], as the constant `$N`.
 macro_rules! with_states {
     ($states:expr, $N:ident => $work:expr) => {
         match $states {
@@ -57,19 +60,19 @@ macro_rules! with_states {
 }
 pub(crate) use with_states;
 
-/// Most states that move in a stretch that is scanned.
+/// Largest number of moving states of a stretch that is scanned.
 const MOST_MOVING: usize = 6;
 
-/// How many states move in a stretch, if it is of the kind that is scanned.
+/// Number of moving states of a stretch that is scanned; `None` for any other stretch.
 pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
     design.equal_moving(stretch, FEW).filter(|&states| states <= MOST_MOVING)
 }
 
-/// [`Scan`] where so many states move.
+/// [`Scan`] with `N` moving states.
 pub(crate) struct ScanKernel<'a, T, const N: usize>(pub(crate) Scan<'a, T>);
 
 impl<T: Lanes> Scan<'_, T> {
-    /// Runs it, where so many states move.
+    /// Runs the scan with `states` moving states.
     #[inline(always)]
     pub(crate) fn run(self, states: usize) {
         with_states!(states, N => T::apart(ScanKernel::<T, N>(self)));
@@ -111,7 +114,7 @@ impl<T: Lanes, const N: usize> Part for ScanKernel<'_, T, N> {
 }
 
 impl<T: Real, const N: usize> InvariantStep<T, N> {
-    /// `x`: the filter before them.
+    /// The step of a stretch. `x`: x̂ before the stretch.
     #[inline(always)]
     pub(crate) fn new(design: &Design, stretch: &Stretch<'_>, x: &[T]) -> InvariantStep<T, N> {
         let zero = T::splat(0.0);
@@ -141,7 +144,7 @@ impl<T: Real, const N: usize> InvariantStep<T, N> {
         step
     }
 
-    /// e of a measurement after the step from x.
+    /// e of a measurement z after a step from x.
     #[inline(always)]
     pub(crate) fn innovation(&self, x: &[T; N], z: T) -> T {
         let mut e = z - self.d;
@@ -173,7 +176,7 @@ impl<T: Real, const N: usize> InvariantStep<T, N> {
         next
     }
 
-    /// e; x is updated.
+    /// Returns e, and updates x.
     #[inline(always)]
     fn take(&self, x: &mut [T; N], K: &[f64; N], z: T) -> T {
         let e = self.innovation(x, z);

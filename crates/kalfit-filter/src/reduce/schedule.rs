@@ -1,4 +1,4 @@
-//! What a design pass leaves, and its work space.
+//! Result and work space of a design pass.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
 
 use std::ops::Range;
@@ -9,32 +9,32 @@ use crate::reduce::moment_path::MomentPath;
 use crate::reduce::settling::SteadyStateMonitor;
 use crate::reduce::sums::InformationSums;
 
-/// What a design pass leaves.
+/// Result of a design pass, before it is finished.
 #[derive(Debug, Clone)]
 pub(crate) struct GainSchedule {
-    /// As in [`Gains`].
+    /// (1/S, K) of measurements; `gains`, `sensitivities`, `pieces` and `paths` are those of [`Gains`].
     pub(crate) gains: Vec<f64>,
     pub(crate) sensitivities: Vec<f64>,
     pub(super) pieces: Vec<GainSpan>,
     pub(crate) sums: InformationSums,
-    /// Rows that Π S lacks: (S, how many).
+    /// (S, number of rows) of rows whose S is not in the sums' Π S.
     pub(super) many: Vec<(f64, usize)>,
     pub(super) paths: Vec<MomentPath>,
 }
 
-/// Work space of the design pass: P and Ψ, when they were last looked at; afterwards those of the last step, of steps that changed
-/// nothing any more too.
+/// Work space of the design pass. P and Ψ are those at the last look for a steady state and, after the pass, those of
+/// the last step, even where they no longer changed.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GainsWork {
     pub(crate) P: Vec<f64>,
     pub(crate) Psi: Vec<f64>,
     pub(crate) settling: SteadyStateMonitor,
-    /// P and Ψ before equal steps are wanted.
+    /// Whether P and Ψ before equal steps are stored.
     pub(crate) keeps_paths: bool,
 }
 
 impl GainSchedule {
-    /// Notes what is kept of a stretch.
+    /// Adds the piece of a stretch whose gains were stored.
     pub(super) fn note(&mut self, piece: GainSpan, stretch: &Stretch<'_>) {
         let rows: Range<usize> = stretch.rows.clone();
         if rows.is_empty() {
@@ -55,7 +55,7 @@ impl GainSchedule {
         }
     }
 
-    /// The finished information form, or `None` where square-root arrays are called for.
+    /// The finished information form, or `None` where square-root arrays are needed.
     pub(crate) fn finish(self, (r, p): (usize, usize), active: usize) -> Option<Gains> {
         let (factor, log_determinant) = self.sums.root(&self.many)?;
         Some(Gains {

@@ -1,10 +1,10 @@
 //! Factors of positive semidefinite matrices that may be singular.
 
-/// A pivot below minus this part of its variance is no rounding error.
+/// A pivot below minus this fraction of its variance is negative beyond rounding.
 const NEGATIVE: f64 = 1e-12;
-/// A pivot below this part of its variance is zero.
+/// A pivot up to this fraction of its variance counts as zero.
 const ZERO: f64 = 1e-14;
-/// A pivot of zero allows a covariance of √[`NEGATIVE`] standard deviations, no more.
+/// Largest covariance that a zero pivot allows, as a fraction of the product of the standard deviations: √[`NEGATIVE`].
 const COUPLING: f64 = 1e-6;
 
 /// The matrix is not positive semidefinite.
@@ -56,16 +56,16 @@ pub(crate) fn root(a: &[f64], m: usize) -> Result<Vec<f64>, NotSemidefinite> {
     Ok(u)
 }
 
-/// The square-root information form (R, least pivot) of J, both triangles packed by columns (entry i ≤ k at i + k(k+1)/2):
-/// J = R'R. The least pivot is that of J scaled to unit diagonal, columns of zeros set aside; a pivot below `zero` gives a row
-/// of zeros in R.
+/// The square-root information form (R, least pivot) of J = R'R, both triangles packed by columns (entry i ≤ k at i +
+/// k(k+1)/2). The least pivot is that of J scaled to unit diagonal, without columns of zeros; a pivot up to `zero`
+/// gives a row of zeros in R.
 pub(crate) fn information_root(j: &[f64], p: usize, zero: f64) -> (Vec<f64>, f64) {
     let mut root = Vec::new();
     let least = information_root_to(&mut root, j, p, zero);
     (root, least)
 }
 
-/// The same, R in the place of what was in `root`.
+/// As `information_root`, but writes R to `root` in place of its contents, and returns the least pivot.
 pub(crate) fn information_root_to(root: &mut Vec<f64>, j: &[f64], p: usize, zero: f64) -> f64 {
     let at = |i: usize, k: usize| i + k * (k + 1) / 2;
     root.clear();

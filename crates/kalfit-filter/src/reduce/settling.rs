@@ -1,43 +1,43 @@
-//! When P and Ψ of equal steps have stopped changing.
+//! Detects when P and Ψ of equal steps have stopped changing.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi")]
 
-/// Nothing is looked at before so many steps, and looks are at least so many steps apart.
+/// Least number of steps before P and Ψ are first compared, and between successive looks.
 const WINDOW: usize = 32;
-/// Looks are this part of the steps so far apart.
+/// Divisor of the number of steps so far that gives the number of steps to the next look.
 const PART: usize = 4;
-/// What may change over a window of w steps, as a part of its size: w times the first, and no less or more than the others.
+/// Relative change that counts as none over a window of w steps: w × CREEP, but at least LEAST and at most MOST.
 const CREEP: f64 = 1e-17;
 const LEAST: f64 = 1e-15;
 const MOST: f64 = 1e-13;
-/// A sensitivity that has shrunk to this part of its largest value is measured against that.
+/// A sensitivity below this fraction of its largest magnitude so far is compared on the scale of that fraction.
 const FADED: f64 = 1e-3;
 
-/// What has stopped changing.
+/// Which quantities have stopped changing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SteadyState {
     Nothing,
     /// P, and with it S and K.
     Gains,
-    /// Ψ too, and with it T.
+    /// P and Ψ, and with them S, K and T.
     All,
 }
 
-/// Looks at P and Ψ from time to time.
+/// Compares P and Ψ at looks that become rarer as steps go on.
 ///
-/// P goes to its limit like λ^k, and the windows between looks grow with k: what is left to change after a window in which
-/// nothing changed is far less than the rounding in it, however slow the filter. (A change over one step would not show that: it
-/// is small in slow filters too.) What creeps, such as the variance of a state that is never measured, is let go at 1e-17 of
-/// itself a step: over 10⁶ steps 1e-11.
-/// Without noise P falls like 1/k, a fifth over any window, and is never frozen.
+/// P converges like λ^k, and the windows between looks grow with k: after a window without change, the change still to
+/// come is far less than the rounding in that window, however slow the filter is. (A change over one step would not
+/// show this: it is small in slow filters too.) Slow growth, such as that of the variance of a state that is never
+/// measured, is neglected up to 1e-17 of its value per step: 1e-11 over 10⁶ steps. Without noise P falls like 1/k, by a
+/// fifth over any window, and is never frozen.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct SteadyStateMonitor {
-    /// Nothing is ever frozen.
+    /// Whether nothing is ever frozen.
     pub(crate) off: bool,
     P: Vec<f64>,
     Psi: Vec<f64>,
-    /// Largest magnitudes of Ψ so far, as far as looked at.
+    /// Largest magnitude of each entry of Ψ at the looks so far.
     peaks: Vec<f64>,
-    /// The last look.
+    /// Steps after which the last look was and the next look is due.
     last: usize,
     next: usize,
 }
@@ -49,18 +49,19 @@ impl SteadyStateMonitor {
         self.peaks.extend(Psi.iter().map(|x| x.abs()));
     }
 
-    /// Begins so many equal steps. False where they are too few to look at.
+    /// Begins a stretch of `count` equal steps. False where there are too few to look at.
     pub(crate) fn begin(&mut self, count: usize) -> bool {
         (self.last, self.next) = (0, 1);
         !self.off && count > 2 * WINDOW
     }
 
-    /// The number of steps to look after.
+    /// The number of steps after which the next look is due.
     pub(crate) fn next_look(&self) -> usize {
         self.next
     }
 
-    /// Looks, if it is time: after `step` of these steps. Shapes: `P` r × r, row-major, lower triangle.
+    /// Compares P and Ψ after `step` steps, if a look is due, and returns what is frozen. Shape: `P` r × r, row-major,
+    /// lower triangle.
     #[inline]
     pub(crate) fn look(
         &mut self,
@@ -96,7 +97,7 @@ impl SteadyStateMonitor {
         (0..r).all(|i| {
             (0..=i).all(|j| {
                 let change = (P[i * r + j] - self.P[i * r + j]).abs();
-                // against √(P_ii P_jj), without the root and without underflow
+                // compares with √(P_ii P_jj), without the root and without underflow
                 change <= 0.0 || change * (change / P[i * (r + 1)]) <= slack * slack * P[j * (r + 1)].abs()
             })
         })

@@ -1,26 +1,27 @@
-//! Results that threads share: each is made once, however many ask for it at the same time.
+//! Results that threads share: each is computed once, however many threads request it at the same time.
 
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasherDefault, Hasher};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// A store of values by key, bounded in bytes. A full store keeps what it has; what it returns never depends on that.
+/// A store of values by key, bounded in bytes. A full store keeps its entries and adds no others; the values it returns
+/// do not depend on that.
 #[derive(Debug)]
 pub(crate) struct SharedStore<K, V> {
     shards: Vec<Mutex<StoreShard<K, V>>>,
     bytes: AtomicUsize,
     limit: usize,
-    /// Beyond so many bytes only what is asked for a second time is kept.
+    /// Bytes beyond which only keys that are requested a second time are stored.
     eager: usize,
 }
 
 #[derive(Debug)]
 struct StoreShard<K, V> {
     entries: HashMap<u128, Arc<StoreEntry<K, V>>, DigestHasher>,
-    /// Upper halves of what was asked for once.
+    /// Upper halves of digests that were requested once.
     noted: HashSet<u64, DigestHasher>,
-    /// The same of keys that [`SharedStore::is_new`] has seen.
+    /// Upper halves of digests that [`SharedStore::is_new`] was given.
     told: HashSet<u64, DigestHasher>,
 }
 
@@ -30,7 +31,7 @@ impl<K, V> Default for StoreShard<K, V> {
     }
 }
 
-/// Digests are mixed already.
+/// A hasher for digests, which are mixed already.
 type DigestHasher = BuildHasherDefault<Half>;
 
 /// The upper half of a digest: the lower one selects the shard.
@@ -55,22 +56,22 @@ impl Hasher for Half {
     }
 }
 
-/// What tells digests of a shard apart.
+/// The half that distinguishes the digests of one shard.
 fn upper_half(digest: u128) -> u64 {
     (digest >> 64) as u64
 }
 
-/// Most digests that a shard remembers of what was asked for once.
+/// Most digests that a shard remembers in each of its sets.
 const NOTED: usize = 1 << 15;
 
 impl<K, V> StoreShard<K, V> {
-    /// Whether this was asked for before; it is from now on.
+    /// Whether a digest was requested before; it counts as requested from now on.
     fn is_known(&mut self, digest: u128) -> bool {
         !note(&mut self.noted, digest)
     }
 }
 
-/// Remembers a digest; true where it was not remembered.
+/// Remembers a digest; true where it was new.
 fn note(noted: &mut HashSet<u64, DigestHasher>, digest: u128) -> bool {
     if noted.len() >= NOTED {
         noted.clear();
@@ -92,18 +93,19 @@ impl<K, V> StoreEntry<K, V> {
 }
 
 impl<K, V> SharedStore<K, V> {
-    /// A store that keeps all it can.
+    /// A store that keeps all values up to its limit.
     pub(crate) fn new(limit: usize) -> SharedStore<K, V> {
         SharedStore::patient(limit, limit)
     }
 
-    /// A store that, beyond `eager` bytes, keeps only what is asked for a second time: of values that are mostly wanted once it
-    /// keeps those that are not, and does not fill memory with the others.
+    /// A store that, beyond `eager` bytes, keeps only values requested a second time: where most values are used once,
+    /// it keeps the others and does not fill memory.
     pub(crate) fn patient(limit: usize, eager: usize) -> SharedStore<K, V> {
         SharedStore { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
     }
 
-    /// True where a key was not told of lately, whether it is kept or not: a shard forgets beyond [`NOTED`].
+    /// True where this function was not given the digest before, whether or not its key is stored. A shard forgets all
+    /// digests when it has [`NOTED`] of them.
     pub(crate) fn is_new(&self, digest: u128) -> bool {
         note(&mut self.shard(digest).told, digest)
     }
@@ -112,8 +114,8 @@ impl<K, V> SharedStore<K, V> {
         self.shards[digest as usize % 16].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The entry of a key, made if need be. `same` tells the key from others of the same digest, `size` is for the key and
-    /// its value together.
+    /// The entry of a key, computed if it is not stored. `same` compares a stored key of the same digest with the
+    /// requested one; `size` returns the bytes of a key and its value together.
     pub(crate) fn get(
         &self,
         digest: u128,

@@ -13,27 +13,28 @@ use kalfit_model::{Initial, Motion, Scope};
 
 pub(crate) use backward::{LawAdjoint, StartAdjoint};
 
-/// The start of a model. States are those of the model.
+/// The start of a model. States are numbered as in the model.
 #[derive(Debug, Clone, Default)]
 pub struct ModelStart {
-    /// Known amounts.
+    /// (state, offset) of each state with a known offset, which is added to its mean.
     offsets: Vec<(usize, Coefficient)>,
-    /// (state, mean, variance).
+    /// (state, mean, variance) of each state with a known start.
     known: Vec<(usize, Coefficient, Coefficient)>,
     /// (i, j, covariance): known covariance of elements i ≥ j of ξ.
     covariance: Vec<(usize, usize, Coefficient)>,
     groups: Vec<StationaryGroup>,
-    /// The estimated states have a law too, which each test brings with it.
+    /// Whether the estimated states also have a law, which comes with each test.
     pub(crate) brought: bool,
     /// Time of x_0.
     pub(crate) initial_time: Option<Coefficient>,
     /// Columns that must be constant within a test.
     pub(crate) uses: Uses,
-    /// No coefficient of it varies.
+    /// Whether no coefficient of the start varies.
     pub(crate) fixed: bool,
 }
 
-/// Stationary states that depend on each other. Indices i, j count within the group; slots are of the dynamics' tables.
+/// Stationary states that depend on each other. Indices i, j count within the group; slots are those of the dynamics'
+/// tables.
 #[derive(Debug, Clone)]
 struct StationaryGroup {
     states: Vec<usize>,
@@ -46,7 +47,7 @@ struct StationaryGroup {
 /// a and P0, by state of the model.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct StartMoments {
-    /// a.
+    /// a, n numbers.
     pub mean: Vec<f64>,
     /// (state, state, covariance), each pair once.
     pub covariance: Vec<(usize, usize, f64)>,
@@ -79,7 +80,7 @@ impl ModelStart {
         }
         if start.covariance.iter().all(|(.., entry)| entry.constant().is_some()) {
             let scope = Scope { numbers: &[], texts: &[], step: 0.0, alpha: at.alpha };
-            start.add_known_covariance(at, &scope, &mut StartMoments::default())?; // no test is to blame
+            start.add_known_covariance(at, &scope, &mut StartMoments::default())?; // the same for every test
         }
         if let Some(time) = &at.model.clock.initial_time {
             if at.model.clock.time.is_none() {
@@ -98,7 +99,7 @@ impl ModelStart {
         Ok(start)
     }
 
-    /// Mean and variance of each known start, offsets, known covariances.
+    /// All coefficients: mean and variance of each known start, then offsets, then known covariances.
     pub(crate) fn coefficients(&self) -> impl Iterator<Item = &Coefficient> {
         let known = self.known.iter().flat_map(|(_, mean, variance)| [mean, variance]);
         known.chain(self.offsets.iter().map(|(_, c)| c)).chain(self.covariance.iter().map(|(.., c)| c))
@@ -121,8 +122,8 @@ impl ModelStart {
         !self.groups.is_empty()
     }
 
-    /// Whether the law needs this slot of the dynamics' coefficients. Other states' coefficients are none of its business: their
-    /// cells may be empty on a first row that no step leads to.
+    /// Whether the law needs this slot of the dynamics' coefficients. Coefficients of other states are not evaluated
+    /// for it: their cells may be empty on a first row to which no step leads.
     pub(crate) fn needs(&self, slot: usize) -> bool {
         let of = |terms: &[(usize, usize, usize)]| terms.iter().any(|term| term.2 == slot);
         self.groups.iter().any(|group| of(&group.motion) || of(&group.noise))
@@ -229,7 +230,7 @@ fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Ve
     Ok(groups)
 }
 
-/// (i, slot) of the inputs of some states.
+/// (i, slot) of the inputs of `states`, with i counted within `states`.
 fn inputs_of(dynamics: &Dynamics, states: &[usize]) -> Vec<(usize, usize)> {
     let local = |state: usize| states.binary_search(&state).ok();
     let components = dynamics.components.iter().flat_map(|c| c.states.iter().copied().zip(c.inputs.iter().copied()));
@@ -243,13 +244,13 @@ impl StationaryGroup {
         matrices(self.states.len(), [&self.motion, &self.noise], |slot| values[slot])
     }
 
-    /// A of Am = u, which is 0 = Fm + u, or m = φm + u.
+    /// A of the fixed point Am = u, which is 0 = Fm + u or m = φm + u.
     fn fixed_point(&self, f: &[f64]) -> DMatrix<f64> {
         let m = self.states.len();
         DMatrix::from_fn(m, m, |i, j| f64::from(!self.continuous && i == j) - f[i * m + j])
     }
 
-    /// u.
+    /// The constant input u, m numbers.
     fn input(&self, inputs: &[f64]) -> DVector<f64> {
         let mut u = DVector::zeros(self.states.len());
         for &(i, slot) in &self.inputs {
@@ -258,7 +259,8 @@ impl StationaryGroup {
         u
     }
 
-    /// Lyapunov's equation and the fixed point of constant inputs.
+    /// Adds the stationary law of the group: the covariance by Lyapunov's equation, and the mean as the fixed point
+    /// under constant inputs.
     fn settle(
         &self,
         at: &ModelAt<'_>,

@@ -6,26 +6,27 @@ use crate::reduce::error::{Cell, ReduceErrorKind};
 use crate::reduce::subject::{Fault, ModelAt, Subject, Uses};
 use kalfit_model::{Label, Test};
 
-/// Steps of a test that follow each other, equally long and with equally many rows.
+/// Successive steps of a test with the same length and the same number of rows.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct StepSpan {
-    /// Their rows, the same number for each.
+    /// Rows of all steps, the same number for each step.
     pub(crate) rows: Range<usize>,
     /// Number of steps.
     pub(crate) count: usize,
-    /// Time from step to step; at the first step of the test since x_0, not a number when that is not known.
+    /// Length of each step; the first step of a test begins at the time of x_0, and its length is NaN where that is
+    /// unknown.
     pub(crate) dt: f64,
-    /// A transition leads to each.
+    /// Whether a transition leads to each step.
     pub(crate) moves: bool,
 }
 
 impl StepSpan {
-    /// Rows of each step.
+    /// Number of rows of each step.
     pub(crate) fn height(&self) -> usize {
         self.rows.len() / self.count
     }
 
-    /// The rows of a step, the first one's number being 0.
+    /// The rows of step `number` of the span, counted from 0.
     pub(crate) fn step(&self, number: usize) -> Range<usize> {
         let first = self.rows.start + number * self.height();
         first..first + self.height()
@@ -36,27 +37,27 @@ impl StepSpan {
     }
 }
 
-/// Two times, each this many units in the last place of itself off, may have come from equal steps.
+/// Largest error of a step's length due to rounded times, as a fraction of the larger of its two times.
 const ROUNDING: f64 = 2.0 * f64::EPSILON;
-/// Rounding that is a larger part of a step than this says nothing about equality.
+/// Largest rounding error, as a fraction of a step's length, at which unequal lengths may count as equal.
 const COARSE: f64 = 1e-3;
-/// A mean step of fewer units in the last place of the times than these is not known well enough to be used.
+/// Least mean length of steps, in units in the last place of the times, that is accurate enough to be used.
 const FEWEST_UNITS: f64 = 16.0;
 
-/// Steps that are equal to within the rounding of the times: some length lies within all their bounds.
+/// Steps that are equal to within the rounding of the times: one length lies within the bounds of all of them.
 #[derive(Debug, Clone, Copy)]
 struct Uniform {
-    /// Time before the first of them.
+    /// Time at which the first step begins.
     start: f64,
     last: f64,
-    /// Length of the first of them.
+    /// Length of the first step.
     dt: f64,
-    /// All lengths are that, bit for bit.
+    /// Whether all lengths equal `dt`, bit for bit.
     exact: bool,
     least: f64,
     most: f64,
     count: usize,
-    /// The first of them in the list of spans.
+    /// Index of the first step's span in the list of spans.
     span: usize,
 }
 
@@ -67,7 +68,7 @@ impl Uniform {
         Uniform { start, last: time, dt, exact: true, least: dt - slack, most: dt + slack, count: 1, span }
     }
 
-    /// Takes one step more, if it is equal to the others.
+    /// Takes one more step, if it is equal to the others; returns whether it is.
     fn take(&mut self, time: f64) -> bool {
         let (dt, slack) = (time - self.last, slack(self.last, time));
         let (least, most) = (self.least.max(dt - slack), self.most.min(dt + slack));
@@ -80,22 +81,22 @@ impl Uniform {
         true
     }
 
-    /// The length of each: their mean, so that they add up to the whole.
+    /// The common length of the steps: their mean, so that they add up to the whole time.
     fn length(&self) -> f64 {
         if self.exact { self.dt } else { (self.last - self.start) / self.count as f64 }
     }
 }
 
-/// How far the length of a step can be off because its times are rounded; 0 where that is no small part of it.
+/// Bound on the error of a step's length due to rounded times; 0 where that is no small fraction of the length.
 fn slack(start: f64, end: f64) -> f64 {
     let slack = ROUNDING * start.abs().max(end.abs());
     if slack <= COARSE * (end - start) { slack } else { 0.0 }
 }
 
-/// The steps of a test; `initial` is the time of x_0.
+/// Writes the steps of a test to `out`; `initial` is the time of x_0.
 ///
-/// Times are written in decimals or added up, so that steps of one length differ in their last digits: those that could be
-/// equal are, and others are left as they are.
+/// Times are written as decimals or computed as sums, so steps of one length differ in their last digits: lengths that
+/// could be equal are made equal, and all others stay as they are.
 pub(crate) fn spans(
     at: &ModelAt<'_>,
     test: &Test,
@@ -139,7 +140,7 @@ pub(crate) fn spans(
     told_by(start, previous, steps)
 }
 
-/// Times from start to end tell so many steps.
+/// Checks that times from `start` to `end` are accurate enough for the lengths of `steps` steps.
 fn told_by(start: f64, end: f64, steps: usize) -> Result<(), Box<Fault>> {
     let (step, grid) = ((end - start) / steps as f64, f64::EPSILON * start.abs().max(end.abs()));
     if steps == 0 || step >= FEWEST_UNITS * grid {
@@ -160,7 +161,7 @@ fn append(rows: Range<usize>, (start, end): (f64, f64), uniform: &mut Option<Uni
     out.push(StepSpan { rows, count: 1, dt: f64::NAN, moves: true });
 }
 
-/// Gives equal steps their length.
+/// Sets the length of equal steps to their common length.
 fn settle(uniform: Option<Uniform>, out: &mut [StepSpan]) {
     if let Some(uniform) = uniform {
         out[uniform.span..].iter_mut().for_each(|span| span.dt = uniform.length());
@@ -192,8 +193,8 @@ pub struct GatheredCells {
 }
 
 impl GatheredCells {
-    /// For each used column the first cell of `rows` that is not missing. Two that differ are an error: they vary within the
-    /// test when `whole`, else rows of one step disagree.
+    /// Gathers for each used column the first cell of `rows` that is not missing. Two cells that differ are an error:
+    /// the column varies within the test if `whole`, else rows of one step disagree.
     pub(crate) fn gather(
         &mut self,
         at: &ModelAt<'_>,
@@ -277,7 +278,7 @@ mod tests {
 
     #[test]
     fn times_that_do_not_tell_their_steps_are_refused() {
-        // nanoseconds since 1970: numbers of their size are 256 apart
+        // nanoseconds since 1970: doubles of that size are 256 apart
         assert!(told_by(1.7e18, 1.7e18 + 119e9, 119).is_ok(), "steps of a second");
         let (start, end): (f64, f64) = (1.7e18, 1.7e18 + 12e3);
         let refused = told_by(start, end, 47).expect_err("steps of 100 ns");
@@ -288,7 +289,7 @@ mod tests {
 
     #[test]
     fn irregular_times_are_left_as_they_are() {
-        // one digit in 1e12 is more than rounding; so is one tick of times that are whole ticks
+        // one digit in 1e12 is more than rounding; so is one tick between times in whole ticks
         let times = [0.0, 1.0, 2.000_000_000_01, 3.0, 4.0, 5.5];
         let exact: Vec<(usize, f64)> =
             vec![(1, 1.0), (1, 2.000_000_000_01 - 1.0), (1, 3.0 - 2.000_000_000_01), (1, 1.0), (1, 1.5)];

@@ -1,4 +1,4 @@
-//! What is being computed, and coefficients at α.
+//! The subjects of errors, and the coefficients of a model at α.
 
 use crate::reduce::error::{ReduceError, ReduceErrorKind};
 use kalfit_model::Test;
@@ -7,7 +7,7 @@ use kalfit_model::{Alpha, EvaluationError, Expression, Level, Model, Scope};
 /// [`Subject::Test`] in words.
 pub(crate) const WHOLE: &str = "the test";
 
-/// What is being computed, for messages.
+/// The quantity that is being computed, for error messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Subject {
     Derivative(usize),
@@ -70,7 +70,7 @@ impl Subject {
     }
 }
 
-/// A refusal before it knows the names.
+/// An error before the names of model and test are filled in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fault {
     pub(crate) subject: Subject,
@@ -99,17 +99,17 @@ impl Fault {
     }
 }
 
-/// The model and α that coefficients are taken from.
+/// A model and α, from which coefficients are evaluated.
 #[derive(Debug, Clone, Copy)]
 pub struct ModelAt<'a> {
     pub(crate) model: &'a Model,
     pub(crate) alpha: &'a Alpha,
-    /// Which parameters are free; empty where no derivatives are wanted.
+    /// Whether each parameter is free; empty where no derivatives are requested.
     pub(crate) free: &'a [bool],
 }
 
 impl ModelAt<'_> {
-    /// The coefficient that an expression is at α.
+    /// The coefficient given by an expression at α.
     pub(crate) fn coefficient(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
         if self.varies(expression) {
             return Ok(Coefficient::Varying(expression.clone(), subject));
@@ -142,7 +142,7 @@ impl ModelAt<'_> {
         found
     }
 
-    /// As [`ModelAt::coefficient`], for a variance.
+    /// As [`ModelAt::coefficient`], for a variance, which must not be negative.
     pub(crate) fn variance(&self, expression: &Expression, subject: Subject) -> Result<Coefficient, Box<Fault>> {
         let coefficient = self.coefficient(expression, subject)?;
         if let Some(value) = coefficient.constant() {
@@ -179,7 +179,7 @@ impl ModelAt<'_> {
         }
     }
 
-    /// A cell that must be there.
+    /// The number in a cell that must not be missing.
     pub(crate) fn cell(&self, numbers: &[f64], column: usize, subject: Subject) -> Result<f64, Box<Fault>> {
         let value = numbers[column];
         if value.is_finite() {
@@ -209,7 +209,7 @@ impl ModelAt<'_> {
     fn evaluated(&self, expression: &Expression, subject: Subject, scope: &Scope<'_>) -> Result<f64, Box<Fault>> {
         match expression.evaluate(scope) {
             Ok(value) if value.is_finite() => Ok(value),
-            // An unknown first step is not a number, and so is whatever depends on it.
+            // An unknown first step is NaN, and so is every value that depends on it.
             Err(EvaluationError::NotFinite) if scope.step.is_nan() && mentions_step(expression) => {
                 Err(Fault::new(subject, ReduceErrorKind::UnknownFirstStep))
             }
@@ -241,14 +241,14 @@ fn not_negative(value: f64, subject: Subject) -> Result<(), Box<Fault>> {
 pub enum Coefficient {
     /// The same on every row.
     Fixed(f64),
-    /// The same on every row, and a function of free parameters: zero at this α is not zero at the next.
+    /// The same on every row, and a function of free parameters: zero at this α need not be zero at the next α.
     Free(f64, Expression, Subject),
     /// To be evaluated on each row.
     Varying(Expression, Subject),
 }
 
 impl Coefficient {
-    /// Zero on every row.
+    /// Whether the coefficient is zero on every row, whatever the free parameters are.
     pub(crate) fn is_zero(&self) -> bool {
         matches!(self, Coefficient::Fixed(value) if *value == 0.0)
     }
@@ -261,7 +261,7 @@ impl Coefficient {
         }
     }
 
-    /// Where its value comes from, unless it is known for good.
+    /// Expression and subject of its value; `None` for a fixed value.
     pub(crate) fn source(&self) -> Option<(&Expression, Subject)> {
         match self {
             Coefficient::Fixed(_) => None,
@@ -284,7 +284,7 @@ impl Uses {
         insert(&mut self.numbers, column);
     }
 
-    /// Those of others too.
+    /// Adds the columns of `others`.
     pub(crate) fn extend(&mut self, others: &Uses) {
         others.numbers.iter().for_each(|&column| insert(&mut self.numbers, column));
         others.texts.iter().for_each(|&column| insert(&mut self.texts, column));
@@ -296,7 +296,7 @@ impl Uses {
         }
     }
 
-    /// True when there are none.
+    /// True when there are no columns.
     pub(crate) fn is_empty(&self) -> bool {
         self.numbers.is_empty() && self.texts.is_empty()
     }
@@ -317,7 +317,7 @@ impl Uses {
         });
     }
 
-    /// True when the cells in `rows` are, bit for bit, those of as many rows before them.
+    /// True when the cells in `rows` equal, bit for bit, those in the same number of rows before them.
     #[inline]
     pub(crate) fn repeat(&self, test: &Test, rows: &std::ops::Range<usize>) -> bool {
         self.is_empty()
@@ -336,7 +336,7 @@ fn insert(columns: &mut Vec<usize>, column: usize) {
     }
 }
 
-/// True when the value of a coefficient is read from the data, parameters by level apart.
+/// True when the value of a coefficient is read from the data, other than by the levels of parameters.
 pub(crate) fn reads_data(coefficient: &Coefficient) -> bool {
     let Coefficient::Varying(expression, _) = coefficient else { return false };
     expression.any(&mut |part| matches!(part, Expression::Column(_) | Expression::Step | Expression::TextEquals { .. }))

@@ -1,14 +1,14 @@
-//! What a design pass adds up.
+//! Sums of a design pass over its rows.
 #![expect(non_snake_case, reason = "the letters of the theory: S, J")]
 
 use crate::reduce::semidefinite::information_root_to;
 use kalfit_algebra::symmetric::pairs;
 use kalfit_lanes::{Lanes, Real};
 
-/// A scaled pivot of J below this is too ill-conditioned for sums of T'S⁻¹T.
+/// Least scaled pivot of J at which sums of T'S⁻¹T are accurate enough.
 const LEAST_PIVOT: f64 = 1e-9;
 
-/// What a design pass adds up.
+/// Sums of a design pass over its rows: J, Π S and the checks of their accuracy.
 #[derive(Debug, Clone)]
 pub(crate) struct InformationSums<R = f64> {
     /// J, packed by columns.
@@ -16,7 +16,7 @@ pub(crate) struct InformationSums<R = f64> {
     /// Π S = mantissa × 2^exponent.
     mantissa: R,
     exponent: R,
-    /// Below zero where an update cancelled too many digits.
+    /// Smallest accuracy margin of the updates: negative where one of them cancelled too many digits.
     kept: R,
     /// Smallest S.
     least: R,
@@ -29,7 +29,7 @@ impl<R: Real> InformationSums<R> {
         InformationSums { J: vec![zero; pairs(p)], mantissa: one, exponent: zero, kept: one, least: one }
     }
 
-    /// Takes S of a row into account.
+    /// Adds the S of a row to Π S, and the row's accuracy margin to the checks.
     #[inline(always)]
     pub(crate) fn count(&mut self, S: R, kept: R) {
         self.kept = self.kept.minimum(kept);
@@ -45,7 +45,7 @@ impl<R: Real> InformationSums<R> {
 }
 
 impl<R: Lanes> InformationSums<R> {
-    /// Those of each lane, one beside the other. `all`: room.
+    /// Writes the sums of all lanes to `all`, interleaved.
     #[inline(always)]
     pub(crate) fn lanes(&self, all: &mut Vec<f64>) {
         all.clear();
@@ -59,7 +59,7 @@ impl<R: Lanes> InformationSums<R> {
 }
 
 impl InformationSums {
-    /// Takes those of one lane, from [`InformationSums::lanes`].
+    /// Replaces the sums by those of one lane, from the numbers of [`InformationSums::lanes`].
     pub(crate) fn take_lane(&mut self, all: &[f64], lane: usize, lanes: usize) {
         let entries = all.len() / lanes - 4;
         let at = |k: usize| all[k * lanes + lane];
@@ -69,12 +69,12 @@ impl InformationSums {
         (self.kept, self.least) = (at(entries + 2), at(entries + 3));
     }
 
-    /// (R, Σ log S), or `None` where square-root arrays are called for. `many`: more rows, (S, how many).
+    /// (R, Σ log S), or `None` where square-root arrays are needed. `many`: (S, number of rows) of further rows.
     pub(crate) fn root(&self, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
         self.root_in(Vec::new(), many)
     }
 
-    /// The same, R in the place of what was in `root`.
+    /// As `root`, with R written to the vector `root` in place of its contents.
     pub(crate) fn root_in(&self, mut root: Vec<f64>, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
         let sound = self.kept >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
         if !sound || !self.mantissa.is_finite() {

@@ -8,8 +8,8 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::reduce::semidefinite::information_root;
 
-/// A scaled pivot of P_K below this is too ill-conditioned for plain covariance arithmetic: the next phase may measure just
-/// the combination of states that it belongs to.
+/// Least scaled pivot of P_K at which plain covariance arithmetic is accurate enough: the next phase may measure
+/// exactly the combination of states to which the pivot belongs.
 const LEAST_PIVOT: f64 = 1e-8;
 
 /// Ψ_K and a root of P_K, states in the order of the model: as far as the design decides it.
@@ -22,12 +22,13 @@ pub(crate) struct TerminalRoot {
 }
 
 impl TerminalRoot {
-    /// From Ψ (row-major) and U, r × r, row-major, with U'U = P, in the kernels' order; `states`: the state at each of its places.
+    /// The root given by Ψ (row-major) and U (r × r, row-major, U'U = P) in kernel order; `states`: the state of the
+    /// model at each kernel index.
     pub(crate) fn new(states: &[usize], Psi: &[f64], U: &[f64], r: usize) -> TerminalRoot {
         TerminalRoot::of_root(states, Psi, r, |row, place| U[row * r + place])
     }
 
-    /// From the lower triangle of P, r × r, row-major; `None` where its root calls for square-root arrays.
+    /// The root given by the lower triangle of P, r × r, row-major; `None` where square-root arrays are needed.
     pub(crate) fn of_covariance(states: &[usize], Psi: &[f64], P: &[f64], r: usize) -> Option<TerminalRoot> {
         let mut packed = Vec::with_capacity(r * (r + 1) / 2);
         (0..r).for_each(|k| packed.extend_from_slice(&P[k * r..=k * r + k]));
@@ -36,7 +37,7 @@ impl TerminalRoot {
         (least >= LEAST_PIVOT).then(|| TerminalRoot::of_root(states, Psi, r, U))
     }
 
-    /// Rows of U that are zero are left out.
+    /// The root without the rows of U that are zero.
     fn of_root(states: &[usize], Psi: &[f64], r: usize, U: impl Fn(usize, usize) -> f64) -> TerminalRoot {
         let (n, p) = (states.len(), Psi.len() / states.len().max(1));
         let is_kept = |row: &usize| (0..r).any(|place| U(*row, place) != 0.0);
@@ -53,13 +54,13 @@ impl TerminalRoot {
         end
     }
 
-    /// Bytes it occupies.
+    /// Bytes of memory that its matrices occupy.
     pub(crate) fn bytes(&self) -> usize {
         8 * (self.sensitivity.len() + self.root.len())
     }
 }
 
-/// Where a test ends; tests of one design share what does not depend on their data.
+/// The last state of a test; tests of one design share the part that does not depend on their data.
 #[derive(Debug, Clone)]
 pub(crate) struct TerminalState {
     mean: DVector<f64>,
@@ -67,19 +68,19 @@ pub(crate) struct TerminalState {
 }
 
 impl TerminalState {
-    /// With x̂_K, in the kernels' order.
+    /// The last state with x̂_K, given in kernel order.
     pub(crate) fn new(root: Arc<TerminalRoot>, states: &[usize], x: impl Iterator<Item = f64>) -> TerminalState {
         TerminalState { mean: placed(states, x), root }
     }
 
-    /// By itself.
+    /// The last state with its own copy of the shared part.
     pub(crate) fn terminal(self) -> Terminal {
         let TerminalRoot { sensitivity, root } = Arc::unwrap_or_clone(self.root);
         Terminal { mean: self.mean, sensitivity, root }
     }
 }
 
-/// A state in the order of the model.
+/// The vector `x`, given in kernel order, reordered by state of the model.
 fn placed(states: &[usize], x: impl Iterator<Item = f64>) -> DVector<f64> {
     let mut out = DVector::zeros(states.len());
     states.iter().zip(x).for_each(|(&state, x)| out[state] = x);

@@ -1,7 +1,8 @@
 //! The backward pass: adjoints of everything a test's likelihood depends on, from its last step to its first (theory §6).
 //!
-//! ξ is not known but has the posterior mean x̂ and covariance V = CC'. The forward filter runs from x_0 = a + Ax̂, so that
-//! its innovations are ē = e - Tx̂ and its states x̄ = x̂_k + Ψx̂; the columns of C ride along as sensitivities. Then
+//! ξ is not known but has the posterior mean x̂ and covariance V = CC'. The forward filter runs from x_0 = a + Ax̂, so
+//! that its innovations are ē = e - Tx̂ and its states x̄ = x̂_k + Ψx̂; the columns of C are propagated as
+//! sensitivities. Then
 //!
 //! ```text
 //! u = ē/S - K'r        υ = TC/S - K'ρ        D = 1/S + K'NK
@@ -14,16 +15,17 @@
 //! r ← φ'r        ρ ← φ'ρ        N ← φ'Nφ
 //! ```
 //!
-//! line by line from the top, beginning with the r, ρ, N of later steps, one scalar measurement after the other, the last one first
-//! (in the line of ∂ℓ/∂φ, r and ρ are those before φ'r and φ'ρ); r, u, ρ, υ are the theory's r̄, ū, ρC, υC.
-//! After the last step they are zero, or what later phases say of the state there ([`TerminalAdjoint`]).
+//! These lines apply from top to bottom, starting with the r, ρ, N of later steps, to one scalar measurement after the
+//! other, the last one first (in the line of ∂ℓ/∂φ, r and ρ are those before φ'r and φ'ρ); r, u, ρ, υ are the theory's
+//! r̄, ū, ρC, υC. After the last step r, ρ and N are zero, or the adjoints of the state there from later phases
+//! ([`TerminalAdjoint`]).
 //!
-//! The steps of flat arrays stand in `kernel`, `filtered` and `adjoint`, for one test and for lanes (`batch`).
+//! Single steps on flat arrays are in `kernel`, `filtered` and `adjoint`, for one test and for lanes (`batch`).
 //!
-//! What the forward filter passes through is not remembered: its innovations are, and its state every so many steps, from which
-//! the steps between are run again when the way back comes to them. Many equal steps go through kernels of known size
-//! (`equal_backward`), which sum their adjoints and stop renewing N and ρ where these no longer change; P and Ψ before each of them
-//! are known from the design pass.
+//! Of the forward filter only the innovations and the state at intervals are stored; the backward pass runs the filter
+//! again over the steps in between. Many equal steps go through kernels of fixed size (`equal_backward`), which sum
+//! their adjoints and stop updating N and ρ once these no longer change; P and Ψ before each of these steps are known
+//! from the design pass.
 #![expect(non_snake_case, reason = "the letters of the theory: P, Psi, N, K, T, S, D")]
 
 mod adjoint;
@@ -63,13 +65,13 @@ pub(crate) use smooth::{SmoothedNoise, SmoothedTest};
 pub use work::BackwardWork;
 
 impl BackwardInput<'_> {
-    /// The adjoints of the test, into the sink.
+    /// The forward and the backward pass of the test; the adjoints go to the sink.
     pub(crate) fn backward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
         self.forward(work, sink);
         self.back(work, sink)
     }
 
-    /// The way back, once the way forth has been gone.
+    /// The backward pass, to be called after the forward pass.
     pub(crate) fn back<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) -> Result<(), S::Error> {
         work.adjoint.begin(&self.unknown(), self.after());
         for at in (0..work.parts.len()).rev() {
@@ -92,7 +94,8 @@ impl BackwardInput<'_> {
         sink.started(&work.adjoint.r, &work.variance)
     }
 
-    /// Back through steps one by one; `again`: the forward filter has gone on since, and runs over them again.
+    /// The backward pass through steps one by one. `again`: the forward filter has moved on since, and is run over
+    /// these steps again.
     fn steps_back<S: Sink>(
         &self,
         part: &Segment,
@@ -129,7 +132,8 @@ impl BackwardInput<'_> {
         Ok(())
     }
 
-    /// The measurements of one step, the last first. `before`: the filter before a measurement with this place in the step.
+    /// The backward pass through the measurements of one step, the last first. `before`: the filter before the
+    /// measurement with this index in the step.
     fn measured_back<'s>(
         &self,
         step: &DesignStep<'_>,
@@ -146,7 +150,7 @@ impl BackwardInput<'_> {
         for (place, (line, row)) in step.lines.clone().zip(step.rows.clone()).enumerate().rev() {
             let line = self.line((line, row));
             if line.weight == 0.0 {
-                continue; // it can only be what it is: K and T are zero
+                continue; // no information: K and T are zero
             }
             let h = if self.wanted.equation { Some((&mut bar.h[place * n..][..n], before(place))) } else { None };
             let bar = ScalarAdjoint { noise: &mut bar.noise[place], value: &mut bar.value[place], h };
@@ -154,12 +158,12 @@ impl BackwardInput<'_> {
         }
     }
 
-    /// (r, ρ, N) after the last step, where that is not zero.
+    /// (r, ρ, N) after the last step, where they are not zero.
     fn after(&self) -> Option<[&[f64]; 3]> {
         self.ending.map(|ending| [&*ending.r, &*ending.rho, &*ending.N])
     }
 
-    /// Adjoints of φ or h are wanted, so that P and ΨC are needed.
+    /// Whether adjoints of φ or h are wanted, so that P and ΨC are needed.
     fn tracked(&self) -> bool {
         self.unknown().tracked()
     }

@@ -1,4 +1,4 @@
-//! How the tests of an ensemble are worked on together. None of it depends on α: it is found once.
+//! Which tests of an ensemble are processed together. The choice does not depend on α and is made at its first use.
 
 use std::sync::{Arc, OnceLock};
 
@@ -7,7 +7,7 @@ use crate::score::{PhasedScorer, classes_of};
 use kalfit_model::PhasedTest;
 use kalfit_model::{PhasedModel, Slots};
 
-/// Which tests are alike, and which are kept side by side.
+/// Classes of tests that are scored together, and batches of tests that are filtered in lanes.
 #[derive(Debug, Default)]
 pub struct Batching {
     classes: OnceLock<Replicates>,
@@ -22,13 +22,14 @@ impl Batching {
         once(&self.classes, || classes_of(reducer, tests, &reducer.replicates(tests)))
     }
 
-    /// Lets a reducer know what steps the tests have, as far as they were found before.
+    /// Gives a reducer the steps of the tests, as far as they are known.
     pub fn share_steps(&self, reducer: &mut PhasedReducer) {
         let phases = reducer.phases().len();
         reducer.share_steps(self.steps.get_or_init(|| (0..phases).map(|_| Arc::default()).collect()));
     }
 
-    /// The reductions at the α of a reducer that knows the slots, and what the scores of tests in batches go back over.
+    /// Reductions at the α of a reducer made for the slots, and the filtered batches for the scores; `None` for these
+    /// where no score exists.
     pub fn reduce(
         &self,
         (model, slots): (&PhasedModel, &Slots),
@@ -36,7 +37,7 @@ impl Batching {
         tests: &[PhasedTest],
     ) -> Result<(Reductions, Option<FilteredPhases>), ReduceError> {
         if self.batches.get().is_none() && PhasedScorer::new(model, reducer, slots).is_err() {
-            // where there is no score, which rows count may depend on α
+            // where no score exists, α may decide which rows count, and so the batches
             return Ok((reducer.reduce(tests)?, None));
         }
         let batches = once(&self.batches, || {
@@ -50,10 +51,10 @@ impl Batching {
     }
 }
 
-/// What is found once.
+/// The value of a cell, computed on first use.
 fn once<T>(found: &OnceLock<T>, find: impl FnOnce() -> T) -> &T {
     if found.get().is_none() {
-        // not within the lock: threads that find it may take up other work meanwhile
+        // computed outside the lock: a thread that computes it may take up other work meanwhile
         let _ = found.set(find());
     }
     found.get().expect("it was found")

@@ -1,4 +1,4 @@
-//! The E-step of EM on states and noises: what is known of the states and noises of a test when α, μ and Σ are.
+//! The E-step of EM on states and noises: their moments in a test, given its data, at known α, μ and Σ.
 
 use std::sync::Arc;
 
@@ -17,12 +17,12 @@ pub struct Complete {
     pub(crate) states: Vec<Smoothed>,
     /// Whether each scalar measurement had noise.
     pub(crate) noisy: Vec<bool>,
-    /// The transition to each step.
+    /// The transition to each step, if it has one.
     pub(crate) moves: Vec<Option<Move>>,
     pub(crate) start: InitialMoments,
 }
 
-/// A transition as it was when the moments were taken, and its noise.
+/// A transition at the α of the moments, and the moments of its noise.
 #[derive(Debug, Clone)]
 pub(crate) struct Move {
     pub(crate) transition: Arc<Transition>,
@@ -31,10 +31,10 @@ pub(crate) struct Move {
     pub(crate) noise: SmoothedNoise,
 }
 
-/// The law of x_0 = a + Aξ + ζ when the moments were taken, and its noise ζ.
+/// The law of x_0 = a + Aξ + ζ at the α of the moments, and the moments of ζ.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct InitialMoments {
-    /// a (n).
+    /// a, n numbers.
     pub(crate) known: Vec<f64>,
     /// P0, r × r, both triangles.
     pub(crate) variance: Vec<f64>,
@@ -62,7 +62,7 @@ impl InitialMoments {
 }
 
 impl Complete {
-    /// Of a test in its work space.
+    /// Moments of the complete data of the test in the work space.
     fn of(work: &Workspace, moments: SmoothedTest) -> Complete {
         let (design, data) = (&work.design, &work.data);
         let (r, driven) = (design.frame.r, design.frame.driven.len());
@@ -84,8 +84,8 @@ impl Complete {
 }
 
 impl Scorer<'_> {
-    /// Moments of the complete data of a test at the α of the reducer, `moments` being those of its ξ, `ending` what later phases
-    /// say of its last state.
+    /// Moments of the complete data of a test at the α of the reducer. `moments`: those of its ξ; `ending`: adjoints of
+    /// its last state from later phases.
     pub(crate) fn complete(
         &self,
         test: &Test,

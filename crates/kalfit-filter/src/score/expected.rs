@@ -5,8 +5,8 @@
 //! v_k = z_k - d_k - h_k'x_k        w_k = x_k - φ_k x_{k-1} - b_k        ζ = x_0 - a - Aξ
 //! ```
 //!
-//! up to a constant. Where a covariance is singular its range counts, and the noise must lie in it: what the complete data
-//! determine cannot move. The gradient goes through the same pullback as that of ℓ.
+//! up to a constant. Of a singular covariance only the range counts, and the noise must lie in it: what the complete
+//! data determine exactly cannot change. The gradient uses the same pullback as that of ℓ.
 
 use std::sync::Arc;
 
@@ -20,15 +20,15 @@ use crate::score::pullback::{Adjoints, Gradient};
 use kalfit_algebra::symmetric;
 use kalfit_model::Test;
 
-/// Scaled eigenvalues of a covariance below this part of the largest are outside its range.
+/// Eigenvalues of a scaled covariance below this fraction of the largest are outside its range.
 const RANGE: f64 = 1e-10;
-/// Scaled variance of a noise that may lie outside, for rounding.
+/// Largest scaled variance of a noise outside the range that is taken for rounding.
 const OUTSIDE: f64 = 1e-6;
-/// A measurement without noise may miss by this part of its terms, squared.
+/// Largest E[v²] of a measurement without noise, as a fraction of the sum of its squared terms.
 const EXACT: f64 = 1e-12;
 
 impl Scorer<'_> {
-    /// Q of a test and its gradient; `None` where the complete data could not have come about.
+    /// Q of a test and its gradient; `None` where the complete data are impossible at this α.
     pub(crate) fn expected(
         &self,
         test: &Test,
@@ -74,8 +74,8 @@ fn sum(
     Ok(Some(value + begun.value))
 }
 
-/// Of the scalar measurements of a step: their part of Q, and its derivatives. `None` where a measurement gets noise that had none, or
-/// loses it.
+/// The part of Q from the scalar measurements of a step, and its derivatives. `None` where a measurement gains or loses
+/// its noise, or has none and does not fit the states.
 fn measurements(
     work: &Workspace,
     step: &DesignStep<'_>,
@@ -112,7 +112,7 @@ fn measurements(
     Some((value, bar))
 }
 
-/// A transition at a new α, and what is known of it from the old one.
+/// A transition at a new α, and the moments of the same transition at the old α.
 struct Passage<'a> {
     new: &'a Arc<Transition>,
     input: &'a [f64],
@@ -120,7 +120,7 @@ struct Passage<'a> {
     before: &'a Smoothed,
 }
 
-/// The last covariance that was turned, with the transitions it belongs to.
+/// The last covariance that was inverted, with the transitions at the old and the new α.
 #[derive(Debug, Default)]
 struct TurnedCovariance {
     last: Option<(Arc<Transition>, Arc<Transition>, Turned)>,
@@ -138,8 +138,8 @@ impl TurnedCovariance {
 }
 
 impl Passage<'_> {
-    /// Its part of Q, and the derivatives. w of the new α is that of the old plus d - Dx̃, where D = φ' - φ, d = -(Dx̄ + b' - b) and
-    /// x̃ = x - x̄.
+    /// The transition's part of Q, and its derivatives. w at the new α is w at the old α plus d - Dx̃, where D = φ' -
+    /// φ, d = -(Dx̄ + b' - b) and x̃ = x - x̄.
     fn expected(&self, frame: &StateFrame, known: &mut TurnedCovariance) -> Option<(f64, TransitionAdjoint)> {
         let (n, r) = (frame.n, frame.r);
         let pattern = &self.new.pattern;
@@ -170,7 +170,7 @@ impl Passage<'_> {
         Some((part.value, TransitionAdjoint { phi, q, input }))
     }
 
-    /// D (r × n) and d (r); `None` where a state without noise would move otherwise.
+    /// D (r × n) and d (r); `None` where a state without noise would move differently.
     fn difference(&self, frame: &StateFrame, turned: &Turned) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let (n, r) = (frame.n, frame.r);
         let (mut step, mut shift) = (DMatrix::zeros(r, n), DVector::zeros(r));
@@ -203,7 +203,7 @@ fn differ(a: f64, b: f64) -> bool {
     (a - b).abs() > 1e-14 * a.abs().max(b.abs())
 }
 
-/// The start's part of Q, and its derivatives to a (n) and P0 (r × r).
+/// The part of Q from x_0, and its derivatives to a (n) and P0 (r × r).
 struct StartPart {
     value: f64,
     mean: Vec<f64>,
@@ -231,26 +231,26 @@ fn start(design: &Design, known: &[f64], old: &InitialMoments) -> Option<StartPa
     Some(StartPart { value: part.value, mean, variance: part.bar.transpose().as_slice().to_vec() })
 }
 
-/// A covariance turned over on its range, whose scale is that of the old one.
+/// A covariance inverted on its range, in units of the old standard deviations.
 #[derive(Debug)]
 struct Turned {
     inverse: DMatrix<f64>,
     /// log|Q| on the range, up to a constant.
     log: f64,
-    /// States with noise.
+    /// Whether each state has noise.
     noisy: Vec<bool>,
-    /// Combinations of the states, of unit size, that have no noise; one a row.
+    /// Combinations of the states that have no noise, scaled to unit size, one per row.
     outside: DMatrix<f64>,
 }
 
-/// -½ (log|Q| + tr Q⁻¹E) and its derivative to Q, each place by itself.
+/// -½ (log|Q| + tr Q⁻¹E) and its derivative to each entry of Q by itself.
 struct QuadraticTerm {
     value: f64,
     bar: DMatrix<f64>,
 }
 
 impl Turned {
-    /// `None` where the range changes.
+    /// Inverts `new` on its range; `None` where the range is not that of `old`.
     fn new(old: &DMatrix<f64>, new: &DMatrix<f64>) -> Option<Turned> {
         let r = old.nrows();
         let noisy: Vec<bool> = (0..r).map(|i| old[(i, i)] > 0.0).collect();
@@ -289,7 +289,7 @@ impl Turned {
         Some(turned)
     }
 
-    /// `None` where the noise would have to leave the range.
+    /// -½ (log|Q| + tr Q⁻¹E) with E = `second`; `None` where the noise would have to leave the range.
     fn expected(&self, second: &DMatrix<f64>) -> Option<QuadraticTerm> {
         for along in self.outside.row_iter() {
             if (along * second * along.transpose())[(0, 0)] > OUTSIDE {

@@ -11,17 +11,17 @@ use kalfit_model::Test;
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{Expression, Initial, Model, Motion, Phase, PhasedModel, Site, Slots};
 
-/// Which free values are noise levels, and of how many noises.
+/// Which free values are noise levels, and how many noises each of them scales.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Levels {
-    /// d of each parameter that is a level.
+    /// d of each parameter; `None` where the parameter is not a level.
     degree: Vec<Option<f64>>,
-    /// n of each slot.
+    /// n of each slot: the number of noises that the level scales.
     count: Vec<f64>,
 }
 
 impl Levels {
-    /// `reducer` at an α where no level is zero.
+    /// The noise levels of a model; `reducer` must be at an α where no level is zero.
     pub fn new(
         model: &PhasedModel,
         reducer: &PhasedReducer,
@@ -54,14 +54,14 @@ impl Levels {
         Ok(Levels { degree, count })
     }
 
-    /// (d, n) of a slot of a level.
+    /// (d, n) of a slot; `None` where its parameter is not a level.
     pub fn of(&self, slots: &Slots, slot: usize) -> Option<(f64, f64)> {
         Some((self.degree[slots.slots()[slot].parameter]?, self.count[slot]))
     }
 }
 
-/// d when the parameter is a level with this d in every phase that mentions it, and stands in no carry and in no phase whose
-/// estimates a filter gives.
+/// d of a parameter that is a level with the same d in every phase that mentions it, and that occurs neither in a carry
+/// nor in a phase with a suboptimal filter; otherwise `None`.
 fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option<f64> {
     let mut common = None;
     for phase in &model.phases {
@@ -93,13 +93,13 @@ pub fn carried(phase: &Phase, slots: &Slots) -> Vec<usize> {
     free_in(phase.carries(), slots)
 }
 
-/// Free parameters in these, ascending.
+/// Free parameters in the expressions, ascending.
 fn free_in<'m>(expressions: impl Iterator<Item = &'m Expression>, slots: &Slots) -> Vec<usize> {
     let all: BTreeSet<usize> = expressions.flat_map(Expression::parameters).collect();
     all.into_iter().filter(|&parameter| slots.is_free(parameter)).collect()
 }
 
-/// The slot of each noise of a test that has one.
+/// For each noise of a test that is scaled by a level, the slot of the level.
 fn counted(
     reducer: &Reducer,
     slots: &Slots,
@@ -136,10 +136,11 @@ fn counted(
     Ok(found)
 }
 
-/// d when the parameter scales whole variances of noises, each with σ^d, and stands nowhere but at these places.
+/// d of a parameter that does nothing but scale whole noise variances by σ^d; otherwise `None`. `places`: all
+/// expressions that mention the parameter.
 fn degree(model: &Model, slots: &Slots, parameter: usize, places: &[(Site, &Expression)]) -> Option<f64> {
     let free = |expression: &Expression| expression.parameters().into_iter().any(|p| slots.is_free(p));
-    // the start depends on all noise of the motion
+    // a stationary start depends on all process noise
     let is_settled = model.states.iter().any(|state| state.initial == Initial::Stationary);
     let mut common = None;
     for (site, expression) in places {
@@ -157,7 +158,8 @@ fn degree(model: &Model, slots: &Slots, parameter: usize, places: &[(Site, &Expr
     common
 }
 
-/// The noise of a state is no other's, and what scales its variance scales that of every step.
+/// Whether a state's noise is uncorrelated with the others and reaches no other state within a step, so that a factor
+/// of its variance scales its Q of every step.
 fn alone(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> bool {
     if model.process_noise_covariance.iter().any(|(i, j, _)| *i == state || *j == state) {
         return false;
@@ -174,7 +176,7 @@ fn alone(model: &Model, state: usize, free: &dyn Fn(&Expression) -> bool) -> boo
     }
 }
 
-/// d when the expression is σ^d times what holds no free parameter.
+/// d where the expression is σ^d times a factor without free parameters; otherwise `None`.
 fn scales(expression: &Expression, slots: &Slots, parameter: usize) -> Option<f64> {
     if expression.parameters().into_iter().any(|p| p != parameter && slots.is_free(p)) {
         return None;

@@ -48,19 +48,20 @@ pub(crate) struct Scorer<'a> {
 }
 
 impl<'a> Scorer<'a> {
-    /// `reducer` must know the slots ([`Reducer::scoring`]).
+    /// A scorer at the α of `reducer`, which must have been made for these slots ([`Reducer::scoring`]).
     pub(crate) fn new(reducer: &'a Reducer, slots: &'a Slots) -> Result<Scorer<'a>, ReduceError> {
         let pullback =
             Pullback::new(reducer.preparer(), slots).map_err(|fault| fault.name(&reducer.preparer().model, None))?;
         Ok(Scorer { reducer, pullback })
     }
 
-    /// What a phase's later ones say of its last state, where there are any.
+    /// Adjoints of a phase's last state from the later phases; `None` where no phase follows.
     fn ending_of(&self, smooth: &SmoothedPhase) -> Option<TerminalAdjoint> {
         smooth.later.is_some().then(|| self.ending(smooth, smooth.moments.columns))
     }
 
-    /// The same in the order of the kernels, zero where there is no later phase; ρ with so many columns, those beyond its own zero.
+    /// Adjoints of a phase's last state in kernel order, zero where no phase follows. ρ is padded with zeros to
+    /// `columns` columns.
     fn ending(&self, smooth: &SmoothedPhase, columns: usize) -> TerminalAdjoint {
         let order = &self.reducer.preparer().order;
         let (n, r) = (order.frame.n, order.frame.r);
@@ -76,12 +77,12 @@ impl<'a> Scorer<'a> {
         ending
     }
 
-    /// What the pullback asks of a backward pass.
+    /// Adjoints that the pullback needs from a backward pass.
     fn wanted(&self) -> AdjointsWanted {
         AdjointsWanted { motion: self.pullback.needs_rates(), equation: self.pullback.needs_equation() }
     }
 
-    /// dℓ_j/dα of a test, with the moments of its ξ, and what later phases say of its last state.
+    /// dℓ_j/dα of one test, given the moments of its ξ and the adjoints of its last state from later phases.
     pub(crate) fn alone(
         &self,
         test: &Test,
@@ -98,7 +99,7 @@ impl<'a> Scorer<'a> {
     }
 }
 
-/// Takes the adjoints of a test on to the chain rule.
+/// A sink that passes the adjoints of a test on to the chain rule.
 struct PullbackSink<'a, 'b> {
     adjoints: &'a mut Adjoints<'b>,
     test: &'a Test,

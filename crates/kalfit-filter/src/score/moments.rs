@@ -1,4 +1,4 @@
-//! Posterior moments of ξ as the backward pass wants them.
+//! Posterior moments of ξ in the form that the backward pass reads.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -18,7 +18,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// From x̂ and C.
+    /// Moments from x̂ and C.
     pub fn of(mean: &DVector<f64>, root: &DMatrix<f64>) -> Moments {
         Moments { mean: mean.as_slice().to_vec(), root: root.transpose().as_slice().to_vec(), columns: root.ncols() }
     }
@@ -37,11 +37,11 @@ impl Moments {
     }
 }
 
-/// What a test measures exactly, and the law of ξ where that is known.
+/// The law of ξ given the exact measurements of a test; `None` where there are none or they are ignored.
 pub struct Known(Option<Conditional>);
 
 impl Known {
-    /// Where the law allows nothing of the kind, it is as if nothing were known.
+    /// Exact measurements Cξ are ignored where their covariance CΣC' is singular.
     pub fn of(reduction: ReductionRef<'_>, law: &InitialLaw) -> Known {
         Known(reduction.exact.and_then(|exact| Conditional::new(exact.matrix(law.root.nrows()), &law.root)))
     }
@@ -58,36 +58,37 @@ impl Known {
         self.0.as_ref().map_or(&law.root, |known| &known.root)
     }
 
-    /// What is left of directions of the mean.
+    /// x - KCx for directions x of the mean: the part that the exact measurements Cξ do not determine.
     pub fn left(&self, directions: DMatrix<f64>) -> DMatrix<f64> {
         self.0.as_ref().map(|known| known.left(&directions)).unwrap_or(directions)
     }
 
-    /// Directions of the mean in units of what is known exactly.
+    /// Effect of directions of the mean on the exact measurements, whitened; `None` without exact measurements.
     pub fn whitened(&self, reduction: ReductionRef<'_>, directions: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let exact = reduction.exact?.matrix(directions.nrows());
         Some(self.0.as_ref()?.whitened(&(exact * directions)))
     }
 
-    /// log p of what is known exactly.
+    /// Log-density of the exact measurements; zero where there are none.
     pub fn log_density(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
         let told = self.0.as_ref().zip(reduction.exact);
         told.map_or(0.0, |(known, exact)| known.log_density(&law.mean_of(reduction.covariates), &exact.values))
     }
 }
 
-/// Beyond this RF is too large for S without losing the 1 in it.
+/// Largest magnitude of the entries of RF with which S = I + RΣR' is formed; beyond it rounding loses the identity.
 const LARGE: f64 = 1e4;
 
-/// E‖d - Rξ‖² of a reduction given its test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d - Rx̂ = S⁻¹e and
-/// RVR' = I - S⁻¹. From the moments where S is large, and under the restricted likelihood.
+/// E‖d - Rξ‖² of a reduction given its test: ‖S⁻¹e‖² + tr(I - S⁻¹) with e = d - Rμ and S = I + RΣR', as d - Rx̂ = S⁻¹e
+/// and RVR' = I - S⁻¹. It is computed from the moments where S is large, under the restricted likelihood, with a law
+/// per test, and with exact measurements.
 pub fn expected_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> f64 {
     let special = law.is_restricted() || law.is_of_each() || reduction.exact.is_some();
     let own = if special { None } else { plain_square(reduction, law) };
     own.unwrap_or_else(|| moments(reduction, law).expected_square(reduction))
 }
 
-/// `None` where S is too large.
+/// E‖d - Rξ‖² from S; `None` where S is too large.
 fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
     let (p, columns) = law.root.shape();
     let line = |k: usize, x: &dyn Fn(usize) -> f64| -> f64 {
@@ -98,7 +99,7 @@ fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
     if !spread.iter().all(|x| x.abs() <= LARGE) {
         return None;
     }
-    // L with LL' = S by rows, then L⁻¹ beside L⁻¹e
+    // row by row: L with LL' = S, then L⁻¹ and L⁻¹e
     let row = |k: usize| &spread[k * columns..][..columns];
     let (mut lower, mut inverse, mut white) = (vec![0.0; p * p], vec![0.0; p * p], vec![0.0; p]);
     for k in 0..p {
@@ -122,8 +123,8 @@ fn plain_square(reduction: ReductionRef<'_>, law: &InitialLaw) -> Option<f64> {
 
 /// x̂ = μ + V(y - Jμ) and V = F(I + F'JF)⁻¹F' (10), (11).
 ///
-/// Under the restricted likelihood the covariance of μ_j at a known Σ adds to V, as (I+ΣJ)⁻¹ of it: ℓ_R changes by
-/// -½ tr((V + …) ∂J) where ℓ changes by -½ tr(V ∂J).
+/// Under the restricted likelihood V also contains the covariance of μ_j at a known Σ, whose root is multiplied by
+/// (I+ΣJ)⁻¹: ℓ_R changes by -½ tr((V + …) ∂J) where ℓ changes by -½ tr(V ∂J).
 pub(crate) fn moments(reduction: ReductionRef<'_>, law: &InitialLaw) -> Moments {
     if let Some((mean, root)) = law.given(reduction.test) {
         return Moments::of(mean, root);
@@ -149,7 +150,7 @@ pub(crate) fn moments(reduction: ReductionRef<'_>, law: &InitialLaw) -> Moments 
 }
 
 impl Moments {
-    /// With so many columns of C, those beyond its own zero.
+    /// These moments with C padded by zeros to `columns` columns.
     pub(crate) fn widened(mut self, columns: usize) -> Moments {
         if columns > self.columns {
             let rows = (0..self.mean.len()).map(|i| &self.root[i * self.columns..(i + 1) * self.columns]);
@@ -160,7 +161,7 @@ impl Moments {
         self
     }
 
-    /// x̂ of another test with the same R under the same law, which must not be a restricted one: μ + CC'R'(d - Rμ).
+    /// x̂ = μ + CC'R'(d - Rμ) of another test with the same R under the same law, which must not be a restricted one.
     pub(crate) fn mean_of(&self, reduction: ReductionRef<'_>, law: &InitialLaw) -> Vec<f64> {
         let (p, factor) = (self.mean.len(), |i: usize, k: usize| reduction.factor[i + k * (k + 1) / 2]);
         let mut mean = Known::of(reduction, law).mean(reduction, law).as_slice().to_vec();
@@ -218,7 +219,7 @@ mod tests {
         let root = DMatrix::from_row_slice(3, 2, &[1.0, 0.2, -0.5, 2.0, 0.3, 0.1]);
         for (size, plain) in [(1e-3, true), (1.0, true), (1e2, true), (1e6, false)] {
             let law = InitialLaw::known(DVector::from_vec(vec![0.3, -1.0, 2.0]), &root * size);
-            // the last row says nothing
+            // the last row of R is zero
             let of = reduction([1.0, -2.0, 0.0], [2.0, 0.5, 1.5, -1.0, 0.7, 0.0]);
             let expected = moments(of.view(), &law).expected_square(of.view());
             assert_eq!(plain_square(of.view(), &law).is_some(), plain, "size {size}");

@@ -1,11 +1,12 @@
-//! Scores and complete data of tests in phases: each phase by its own passes, which begin from what all phases say.
+//! Scores and complete data of tests in phases: each phase has its own passes, which start from the smoother over all
+//! phases.
 //!
 //! ```text
 //! phases of a test ── smoother ──> moments of σ_i, adjoints of x_K ── backward of phase i ──> dℓ/dα
 //!                             └──> ∂ℓ/∂T, ∂ℓ/∂t ── carry of phase i ──> dℓ/dα
 //! ```
 //!
-//! Phases that are known by estimates or by a reduction have no part in it.
+//! Phases that are given by estimates or by a reduction do not take part.
 
 mod batches;
 mod design_classes;
@@ -32,10 +33,10 @@ use kalfit_model::PhasedTest;
 use kalfit_model::Test;
 use kalfit_model::{EvaluationError, PhasedModel, Slots, Tape};
 
-/// Bytes of smoothers that are kept: tests of one design share one while they fit.
+/// Most bytes of cached smoother plans; tests of one design share a plan as long as it is cached.
 const PLAN_BYTES: usize = 64 << 20;
 
-/// Smoothers by design, under one law.
+/// Smoother plans by design, under one law.
 type Plans = SharedStore<PlanKey, SmootherPlan>;
 
 /// Scores of tests in phases at the α of a reducer.
@@ -52,7 +53,7 @@ pub struct PhasedScorer<'a> {
 /// Moments of the complete data of a test, phase by phase; `None` for phases that have no rows to filter.
 pub type PhasedComplete = Vec<Option<Complete>>;
 
-/// What one thread works with.
+/// Work space of one thread.
 struct ScoreWorkspace<'a> {
     work: PhasedWork,
     backward: BackwardWork,
@@ -61,7 +62,7 @@ struct ScoreWorkspace<'a> {
 }
 
 impl<'a> PhasedScorer<'a> {
-    /// `reducer` must know the slots ([`PhasedReducer::scoring`]).
+    /// A scorer at the α of `reducer`, which must have been made for these slots ([`PhasedReducer::scoring`]).
     pub fn new(
         model: &'a PhasedModel,
         reducer: &'a PhasedReducer,
@@ -77,8 +78,8 @@ impl<'a> PhasedScorer<'a> {
         Ok(PhasedScorer { model, reducer, slots, phases: phases.collect::<Result<_, _>>()?, carries })
     }
 
-    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: theirs; `law`: that of ξ; `classes`: which of
-    /// them are alike; `filtered`: those that are kept side by side, after their filters.
+    /// dℓ_j/dα of each test through the phases that are filtered here. `reductions`: those of the tests; `law`: the law
+    /// of ξ; `classes`: which tests are replicates; `filtered`: batches of tests after their filters.
     pub fn scores(
         &self,
         tests: &[PhasedTest],
@@ -88,7 +89,7 @@ impl<'a> PhasedScorer<'a> {
     ) -> Result<Vec<Gradient>, ReduceError> {
         let plans = SharedStore::new(PLAN_BYTES);
         let of = ScoredEnsemble { tests, reductions, law, plans: &plans, filtered };
-        // covariates move the uncertainty of the mean
+        // the covariance of the mean depends on covariates, so that tests are not replicates
         let own = law.is_restricted() && reductions.iter().any(|reduction| !reduction.covariates.is_empty());
         let none = own.then(|| Replicates::none(tests.len()));
         let classes = none.as_ref().unwrap_or(classes);
@@ -114,7 +115,7 @@ impl<'a> PhasedScorer<'a> {
         self.each((tests, (0..tests.len()).into_par_iter()), one)
     }
 
-    /// States of each phase of each test given all of the test: x_0, then after each step.
+    /// Smoothed states of each phase of each test, given all data of the test: x_0, then the state after each step.
     pub fn all_smoothed(
         &self,
         tests: &[PhasedTest],
@@ -125,8 +126,8 @@ impl<'a> PhasedScorer<'a> {
         Ok(all.into_iter().map(|test| test.into_iter().map(|phase| Some(phase?.states)).collect()).collect())
     }
 
-    /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None` where
-    /// the complete data of some test could not have come about.
+    /// The expected log-likelihood of the complete data of each test and its gradient, at the α of the reducer; `None`
+    /// where the complete data of some test are impossible there.
     pub fn all_expected(
         &self,
         tests: &[PhasedTest],
@@ -156,7 +157,7 @@ impl<'a> PhasedScorer<'a> {
         }
     }
 
-    /// What the passes through each phase of a test begin from.
+    /// Results of the smoother for each phase of a test, from which its passes start.
     fn begin(
         &self,
         of: ScoredEnsemble<'_>,
@@ -186,7 +187,7 @@ impl<'a> PhasedScorer<'a> {
         Ok(entry.value().smooth(pieces, &laws))
     }
 
-    /// What goes through the carries of a test.
+    /// The part of a test's score that goes through its carries.
     fn carried(
         &self,
         test: &PhasedTest,
@@ -202,7 +203,7 @@ impl<'a> PhasedScorer<'a> {
         Ok(sum.into_iter().collect())
     }
 
-    /// Through the coefficients of the carry of a phase.
+    /// Adds the part of the score that goes through the coefficients of a phase's carry.
     fn carry(
         &self,
         (at, rows): (usize, &Test),

@@ -6,8 +6,8 @@
 //! ā, P̄0 ── Lyapunov ──────────────────────────┘
 //! ```
 //!
-//! Every coefficient that depends on a free value is a tap: adjoints gather at it and go through its expression once for each
-//! run of equal cells. The cost does not depend on the number of free values.
+//! A *tap* is a coefficient that depends on a free value: its adjoints are summed and go through its expression once
+//! for each run of equal cells. The cost does not depend on the number of free values.
 
 mod adjoints;
 mod columns;
@@ -31,7 +31,7 @@ pub use taps::Gradient;
 pub use taps::add;
 use taps::{CellRead, Context, FreeCoefficients};
 
-/// The way from the coefficients of a model at α to its free values. Threads share it.
+/// The chain rule from the coefficients of a model at α to its free values, shared by threads.
 #[derive(Debug)]
 pub(crate) struct Pullback<'a> {
     preparer: &'a Preparer,
@@ -45,7 +45,7 @@ pub(crate) struct Pullback<'a> {
     free: Vec<bool>,
     /// Cells that taps of the dynamics' coefficients read.
     reads: Vec<CellRead>,
-    /// Cells that any tap reads, if any does.
+    /// Cells that any tap reads; `None` where no tap reads one.
     cells: Option<Vec<CellRead>>,
     meters: Vec<MeterTaps>,
     pairs: Vec<Option<usize>>,
@@ -59,7 +59,7 @@ pub(crate) struct Pullback<'a> {
 struct MeterTaps {
     noise: Option<usize>,
     constant: Option<usize>,
-    /// (kernel state, tap).
+    /// (kernel state, tap) of each coefficient of h that has a tap.
     terms: Vec<(usize, usize)>,
 }
 
@@ -71,7 +71,7 @@ impl MeterTaps {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Needs {
-    /// φ depends on free values, and b through Γ.
+    /// Whether φ, and b through Γ, depend on free values.
     rates: bool,
     inputs: bool,
     noise: bool,
@@ -81,8 +81,8 @@ struct Needs {
 }
 
 impl<'a> Pullback<'a> {
-    /// `preparer` must have been made with the free parameters of `slots` ([`Preparer::with_free`]). An error where a free
-    /// parameter decides which rows count, or when x_0 is: ℓ jumps there.
+    /// `preparer` must have been made with the free parameters of `slots` ([`Preparer::with_free`]). An error where a
+    /// free parameter decides which rows count, or the time of x_0: ℓ is not continuous in such a parameter.
     pub(crate) fn new(preparer: &'a Preparer, slots: &'a Slots) -> Result<Pullback<'a>, Box<Fault>> {
         let at = preparer.at();
         refuse_jumps(&at, preparer)?;
@@ -137,36 +137,36 @@ impl<'a> Pullback<'a> {
             rates,
             inputs: self.inputs.iter().any(Option::is_some),
             noise,
-            // Whitening mixes equations by the noises.
+            // Whitening mixes equations with factors that depend on the noises.
             equation: terms || covariances || (noises && !self.pairs.is_empty()),
             measurements: terms || covariances || noises || constants,
             start: self.start.iter().any(Option::is_some) || settled || driven,
         }
     }
 
-    /// φ depends on free values.
+    /// Whether φ depends on free values.
     pub(crate) fn needs_rates(&self) -> bool {
         self.needs.rates
     }
 
-    /// φ or b depends on free values.
+    /// Whether φ or b depends on free values.
     #[cfg(test)]
     pub(crate) fn needs_motion(&self) -> bool {
         self.needs.rates || self.needs.inputs
     }
 
-    /// Q depends on free values.
+    /// Whether Q depends on free values.
     #[cfg(test)]
     pub(crate) fn needs_noise(&self) -> bool {
         self.needs.noise
     }
 
-    /// Adjoints of h are needed: h depends on free values, or the whitening of measurements does.
+    /// Whether adjoints of h are needed: where h or the whitening of measurements depends on free values.
     pub(crate) fn needs_equation(&self) -> bool {
         self.needs.equation
     }
 
-    /// a or P0 depends on free values.
+    /// Whether a or P0 depends on free values.
     #[cfg(test)]
     pub(crate) fn needs_start(&self) -> bool {
         self.needs.start

@@ -1,4 +1,5 @@
-//! The smoother over the phases of one test (theory §7): what all phases say of each, and what phases say of those before.
+//! The smoother over the phases of one test (theory §7): the moments of each phase given all phases, and the adjoints
+//! that later phases give to earlier ones.
 //!
 //! ```text
 //! backward  (R_I, d_I) ──> on x_K: S = I + R EΣE'R' ──> on σ: S = I + R P_K R' ──> folded with the phase's own (R, d)
@@ -6,11 +7,12 @@
 //! together  prior of σ_i and all that phases i, i+1, … say of it
 //! ```
 //!
-//! Roots of covariances and of information only: nothing is inverted but I + AA'. What does not depend on the data is a [`SmootherPlan`],
-//! which tests of one design share; each test then costs products of matrices with vectors.
+//! The smoother uses roots of covariances and of information only, and inverts nothing but I + AA'. The part that does
+//! not depend on the data is a [`SmootherPlan`], which tests of one design share; each test then costs only products of
+//! matrices with vectors.
 //!
-//! Under the restricted likelihood directions of the mean ride along: E[σ_i | all] moves by M_i when the mean moves by X, and ℓ_R
-//! holds -½ X'WX, the quadratic part of ℓ.
+//! Under the restricted likelihood the directions of the mean are smoothed too: E[σ_i | all] moves by M_i when the mean
+//! moves by X, and ℓ_R contains -½ X'WX, the quadratic part of ℓ.
 #![expect(non_snake_case, reason = "the letters of the theory: R, P, M, N, T")]
 
 mod plan;
@@ -28,14 +30,14 @@ use kalfit_model::{Inherited, PhaseReduction};
 pub(crate) use plan::PlanKey;
 pub use plan::SmootherPlan;
 
-/// What the passes through one phase begin from.
+/// Results of the smoother for one phase, from which its backward pass starts.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct SmoothedPhase {
-    /// Moments of its σ given all phases.
+    /// Moments of the phase's σ given all phases.
     pub(crate) moments: Moments,
-    /// What later phases say of its last state; `None` where none follows.
+    /// Adjoints of the phase's last state from later phases; `None` where none follows.
     pub(crate) later: Option<LaterAdjoint>,
-    /// Derivatives to what it inherits; `None` for the first phase.
+    /// Adjoints of the phase's inheritance; `None` for the first phase.
     pub(crate) inherited: Option<InheritanceAdjoint>,
 }
 
@@ -50,9 +52,9 @@ pub(crate) struct LaterAdjoint {
 /// ∂ℓ/∂T and ∂ℓ/∂t of σ = [ξ; 0] + T x_K + t.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct InheritanceAdjoint {
-    /// q × n of the phase before.
+    /// ∂ℓ/∂T, q × n with n of the phase before.
     pub(crate) transition: DMatrix<f64>,
-    /// q numbers.
+    /// ∂ℓ/∂t, q numbers.
     pub(crate) input: DVector<f64>,
 }
 
@@ -60,11 +62,11 @@ pub(crate) struct InheritanceAdjoint {
 #[derive(Debug, Clone)]
 pub struct PhaseLaws {
     laws: Vec<PhaseLaw>,
-    /// Regressions move the directions of the mean, so that tests with others do not share a plan.
+    /// Covariates on which the directions of the mean depend; tests with other covariates do not share a plan.
     covariates: Vec<f64>,
 }
 
-/// That of one phase: ξ ~ N(μ, FF'), and directions X of μ.
+/// The law of ξ in one phase: ξ ~ N(μ, FF'), and directions X of μ.
 #[derive(Debug, Clone)]
 struct PhaseLaw {
     mean: DVector<f64>,
@@ -73,7 +75,7 @@ struct PhaseLaw {
 }
 
 impl PhaseLaws {
-    /// `ranges`: where each phase stands among the elements of μ; `covariates`: of all phases, in a row.
+    /// `ranges`: the elements of μ that belong to each phase; `covariates`: those of all phases, concatenated.
     pub fn new(law: &InitialLaw, ranges: &[Range<usize>], covariates: &[f64]) -> PhaseLaws {
         let mean = law.mean_of(covariates);
         let extra = law.mean_root_of(covariates);
@@ -93,14 +95,14 @@ impl PhaseLaws {
 }
 
 impl PhaseLaw {
-    /// E X, with rows for the states that only inherit.
+    /// EX (q rows): X followed by zero rows for the states that only inherit.
     fn entering(x: &DMatrix<f64>, q: usize) -> DMatrix<f64> {
         let mut out = DMatrix::zeros(q, x.ncols());
         out.rows_mut(0, x.nrows()).copy_from(x);
         out
     }
 
-    /// Eμ + t.
+    /// Eμ + t (q numbers), with t zero where nothing is inherited.
     fn mean(&self, q: usize, input: Option<&DVector<f64>>) -> DVector<f64> {
         let mut out = input.cloned().unwrap_or_else(|| DVector::zeros(q));
         out.rows_mut(0, self.mean.len()).zip_apply(&self.mean, |out, mean| *out += mean);
@@ -116,7 +118,7 @@ fn inherited(piece: &PhaseReduction) -> &Inherited {
     piece.inherited.as_ref().expect("a phase that follows another inherits")
 }
 
-/// [A B].
+/// The block matrix [A B].
 fn beside(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     let mut both = DMatrix::zeros(a.nrows(), a.ncols() + b.ncols());
     both.columns_mut(0, a.ncols()).copy_from(a);

@@ -1,4 +1,4 @@
-//! Scores of long records against differences of ℓ.
+//! Scores of long records, compared with differences of ℓ.
 
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -38,7 +38,7 @@ fn model(free: usize) -> Model {
 
 const VALUES: [f64; 6] = [0.05, 2.0, 0.4, 0.8, 1.3, 0.1];
 
-/// What the model says of it, simulated.
+/// A record of `rows` rows, simulated from the model.
 fn record(rows: u32) -> Test {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut normal = || -> f64 { rng.sample(StandardNormal) };
@@ -99,7 +99,7 @@ fn the_score_of_a_long_record_equals_differences() {
             };
             let expected = slope(ell, 2e-3 * values[slot]);
             let (found, full) = (score[slot].1, full[slot].1);
-            // ℓ is about 1e5, and is told apart to 1e-10 of that
+            // ℓ is about 1e5, and its differences are accurate to 1e-10 of that
             let bound = 1e-6 * expected.abs() + 1e-4 / values[slot];
             assert!((found - expected).abs() <= bound, "{free}, slot {slot}: {found} against {expected}");
             let size = full.abs().max(1.0 / values[slot]);
@@ -108,8 +108,8 @@ fn the_score_of_a_long_record_equals_differences() {
     }
 }
 
-/// z = bias + x + v with x' = speed + ½, speed' = drift, seldom measured: between measurements x becomes far more uncertain than they
-/// are. α = (τ, σ) of the drift.
+/// z = bias + x + v with x' = speed + ½, speed' = drift, seldom measured: between measurements x becomes far more
+/// uncertain than a measurement is. α = (τ, σ) of the drift.
 fn coasting(noise: f64) -> Model {
     let states = vec![
         state("bias", Motion::Constant, Initial::Estimated),
@@ -122,7 +122,7 @@ fn coasting(noise: f64) -> Model {
     by_hand::model([&["t", "z"], &[], &[]], parameters, states, vec![meter("z", 1, equation, number(noise))])
 }
 
-/// P and the gains must agree, or P leaves what is true at every measurement.
+/// P and the gains must agree, or P drifts from its true value at every measurement.
 #[test]
 fn the_score_of_a_process_that_coasts_equals_differences() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
@@ -171,7 +171,7 @@ fn a_long_record_is_scored_to_the_same_bits_on_any_thread() {
     }
 }
 
-/// A record with rows that are missing, and values.
+/// A record in which rows are missing, and values too.
 fn gappy(number: u32) -> Test {
     let mut rng = ChaCha8Rng::seed_from_u64(u64::from(number));
     let long = record(6000);

@@ -1,4 +1,5 @@
-//! The design of an ensemble: the tests that give times, inputs and missingness, and the ids of what is drawn for them.
+//! The design of an ensemble: the tests that give times, inputs and missingness, and the ids of the tests that are
+//! drawn for them.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +9,8 @@ use kalfit_model::Grouping;
 use kalfit_model::PhasedModel;
 use kalfit_model::PhasedTest;
 
-/// Tests to draw for, at least one, with ids of their own. Test j of an ensemble is drawn for test j mod n of the n tests here.
+/// Tests to draw for, at least one, with distinct ids. Test j of an ensemble is drawn for test j mod n of the n tests
+/// here.
 #[derive(Debug, Clone)]
 pub struct Designs {
     tests: Vec<PhasedTest>,
@@ -17,10 +19,10 @@ pub struct Designs {
 }
 
 impl Designs {
-    /// Takes the tests of a design.
+    /// A design of these tests.
     ///
     /// # Errors
-    /// No tests, or two with one id.
+    /// No tests, or two tests with the same id.
     pub fn new(tests: Vec<PhasedTest>) -> Result<Designs, SimulateError> {
         if tests.is_empty() {
             return Err(SimulateError::NoTests);
@@ -36,18 +38,18 @@ impl Designs {
         Ok(Designs { tests, mark, grouping: None })
     }
 
-    /// The tests of a design for a model with levels, in the groups that their rows name; the same for other models. Each time round the
-    /// groups are new ones of the same names.
+    /// A design of these tests for a model: with levels, the tests are in the groups that their rows name; without
+    /// levels, it is that of `new`. In each round through the design the groups are new ones with the same names.
     ///
     /// # Errors
-    /// As [`Designs::new`]; a test of which the groups are not known.
+    /// As [`Designs::new`]; also a test whose groups are not known.
     pub fn of(model: &PhasedModel, tests: Vec<PhasedTest>) -> Result<Designs, SimulateError> {
         let grouping = grouping(model, &tests)?;
         Ok(Designs { grouping, ..Designs::new(tests)? })
     }
 
-    /// Where the tests stand in groups: of each group of test `index`, from the innermost level on, a number that no other group of the
-    /// ensemble has, those of other rounds among them.
+    /// For tests in groups: a number for each group of test `index`, from the innermost level on, that no other group
+    /// of the ensemble has, even in other rounds.
     pub(super) fn groups(&self, index: u64) -> Option<Vec<u64>> {
         let grouping = self.grouping.as_ref()?;
         let (round, all) = (index / self.tests.len() as u64, (0..grouping.depth()).map(|l| grouping.groups(l).len()));
@@ -70,8 +72,8 @@ impl Designs {
         &self.tests[usize::try_from(index % n).expect("a remainder is below the number of tests")]
     }
 
-    /// Id of test `index` of an ensemble: that of its design the first time round, `id#2` the second time. More than one `#`
-    /// stands there when the design has an id that ends in `#` and digits itself, so that no two ids are equal.
+    /// Id of test `index` of an ensemble: that of its design in the first round, `id#2` in the second. It has more than
+    /// one `#` when the design itself has an id that ends in `#` and digits, so that no two ids are equal.
     pub fn id(&self, index: u64) -> String {
         let design = self.design(index);
         match index / self.tests.len() as u64 {

@@ -1,28 +1,28 @@
-//! Why an ensemble cannot be drawn.
+//! Errors in drawing an ensemble.
 
 use crate::reduce::{GroupingError, ReduceError};
 use kalfit_model::PopulationError;
 use kalfit_model::Source;
 
-/// A refusal to draw.
+/// Reason why an ensemble cannot be drawn.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SimulateError {
     /// The population does not fit the model.
     #[error("the population cannot be drawn from: {0}")]
     Population(#[from] PopulationError),
-    /// The model at α does not work on a test of the design.
+    /// The model at α fails on a test of the design.
     #[error(transparent)]
     Reduce(#[from] ReduceError),
     /// The groups of the design's tests are not known, and the model has levels.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
-    /// The design was taken without its groups, and the model has levels.
+    /// The model has levels, but the design was made without groups.
     #[error("the model has levels of groups, and the groups of the tests of the design are not known")]
     Ungrouped,
     /// There is no design to draw for.
     #[error("the design has no tests")]
     NoTests,
-    /// Two tests of the design have one id.
+    /// Two tests of the design have the same id.
     #[error("two tests of the design have the id `{id}`")]
     DuplicateTest {
         /// The id.
@@ -40,14 +40,14 @@ pub enum SimulateError {
         /// `a reduction` or `estimates`.
         found: &'static str,
     },
-    /// A design has other phases than the model.
+    /// A test of the design has no phases, or more phases than the model.
     #[error("test `{test}` has {found} phases, expected between 1 and {expected}")]
     Phases {
         /// Id of the test.
         test: String,
-        /// How many it has.
+        /// Number of phases of the test.
         found: usize,
-        /// How many the model has.
+        /// Number of phases of the model.
         expected: usize,
     },
     /// A measured column is an input too.
@@ -58,7 +58,7 @@ pub enum SimulateError {
         /// Name of the column.
         column: String,
     },
-    /// Two measurements read one cell.
+    /// Two measurements read the same cell.
     #[error(
         "test `{test}`: measurements `{first}` and `{second}` read the same cell of column `{column}`, which can hold one value only"
     )]
@@ -71,10 +71,10 @@ pub enum SimulateError {
         column: String,
         /// Name of one measurement.
         first: String,
-        /// Name of the other.
+        /// Name of the other measurement.
         second: String,
     },
-    /// A drawn value is too large to be a number.
+    /// A drawn value is too large to be a finite number.
     #[error("test `{test}`: the drawn value of column `{column}` is not a finite number")]
     NotFinite {
         /// Id of the test.
@@ -87,7 +87,7 @@ pub enum SimulateError {
 }
 
 impl SimulateError {
-    /// What to do about it, where that is plain.
+    /// Advice on how to avoid the error, where there is any.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             SimulateError::Reduce(error) => error.hint(),

@@ -1,10 +1,10 @@
-//! Which columns a model reads as inputs.
+//! Columns that a model reads as inputs.
 
 use crate::simulate::SimulateError;
 use kalfit_model::{Expression, Phase};
 
-/// A drawn value must not change what the model does with other cells: a column that a phase measures and that is an input of
-/// it too is refused.
+/// Refuses a column that a phase both measures and reads as an input: a drawn value must not change what the model does
+/// with other cells.
 pub(super) fn refuse_measured_inputs(phase: &Phase) -> Result<(), SimulateError> {
     let model = &phase.model;
     let is_measured = |column: usize| model.measurements.iter().any(|m| m.column == column);

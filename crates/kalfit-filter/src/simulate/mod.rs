@@ -1,4 +1,4 @@
-//! Drawing ensembles: tests as the model says they come about (theory §1).
+//! Drawing ensembles of tests from a model (theory §1).
 //!
 //! ```text
 //! ξ_j ~ N(μ_j, Σ)                          the population
@@ -7,23 +7,26 @@
 //! z_k = M_k x_k + d_k + v_k, v_k ~ N(0, R_k)
 //! ```
 //!
-//! and so phase after phase: each has a ξ of its own, and its x_0 inherits t + T x_K from the state that the phase before really
-//! ended in (theory §7).
+//! and so on, phase after phase: each has a separate ξ, and its x_0 inherits t + T x_K from the true final state of the
+//! phase before (theory §7).
 //!
-//! A test of the design gives times, inputs and which values are missing; its measured values themselves do not matter. The
-//! coefficients are those that the reducer filters with, evaluated by the same code. Σ, P0, Q and R may be singular. What a
-//! suboptimal filter would make of the measurements is not drawn: a phase with a filter draws its measurements as any other.
+//! A test of the design gives times, inputs and which values are missing; its measured values themselves do not matter.
+//! The coefficients are those that the reducer filters with, evaluated by the same code. Σ, P0, Q and R may be
+//! singular. Estimates of a suboptimal filter are not drawn: a phase with a filter draws its measurements like any
+//! other phase.
 //!
-//! Of a model with levels ξ_j is what is drawn so and what each group of test j adds, N(0, Σ) of its level: group g of all levels
-//! together, the innermost first and in the order in which the design names them, draws p standard normals from stream 2⁶⁴ - 1 - g.
+//! In a model with levels, each group of test j adds to ξ_j a deviation ~ N(0, Σ) with the Σ of its level. Group g,
+//! counted over all levels, the innermost first and in the order in which the design names them, draws p standard
+//! normals from stream 2⁶⁴ - 1 - g.
 //!
 //! # Seeds
 //!
-//! Test j of an ensemble draws from stream j of ChaCha8 seeded with the seed, phase after phase in this order: ξ (p standard normals), ζ (one for
-//! each state that noise ever reaches), then step by step w (one for each state with process noise, where a transition leads to
-//! the step) and v (one for each measured value). So a draw depends on the seed, j, the design of test j, the model, α and the
-//! population, and on nothing else: not on threads, batches, other tests or the length of the ensemble. It is the same for the
-//! same version of kalfit; a later version may draw otherwise, and then says so in its change log.
+//! Test j of an ensemble draws from stream j of ChaCha8 seeded with the seed, phase after phase in this order: ξ (p
+//! standard normals), ζ (one for each state that noise ever reaches), then step by step w (one for each state with
+//! process noise, where a transition leads to the step) and v (one for each measured value). So a draw depends on the
+//! seed, j, the design of test j, the model, α and the population, and on nothing else: not on threads, batches, other
+//! tests or the length of the ensemble. It is the same for the same version of kalfit; a later version may draw
+//! differently, and its change log then says so.
 
 mod designs;
 mod error;
@@ -50,9 +53,9 @@ use path::DrawWorkspace;
 /// A test that was drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drawn {
-    /// The test: the design's cells, drawn values where the design has measured ones.
+    /// The test: the design's cells, with drawn values where the design has measured ones.
     pub test: PhasedTest,
-    /// ξ, its initial states, of all phases that it has in a row.
+    /// ξ, the initial states, of all phases of the test one after the other.
     pub initial: Vec<f64>,
 }
 
@@ -104,15 +107,15 @@ pub struct Drawn {
 /// ```
 #[derive(Debug)]
 pub struct Simulator {
-    /// Whose phases evaluate tests, with all that enters a phase as its ξ.
+    /// Reducer whose phases evaluate tests, with all that enters a phase as its ξ.
     reducer: PhasedReducer,
     laws: Vec<DrawnPhase>,
-    /// F with FF' = Σ of what the groups of each level add, the innermost first.
+    /// F with FF' = Σ for the deviations of groups, one for each level, the innermost first.
     levels: Vec<DMatrix<f64>>,
     seed: u64,
 }
 
-/// What one phase adds of its own.
+/// The population from which the ξ of one phase is drawn.
 #[derive(Debug)]
 struct DrawnPhase {
     name: String,
@@ -121,7 +124,7 @@ struct DrawnPhase {
     root: DMatrix<f64>,
 }
 
-/// What one phase is drawn with.
+/// What is needed to draw one phase.
 #[derive(Debug, Clone, Copy)]
 struct PhaseDraw<'a> {
     law: &'a DrawnPhase,
@@ -130,11 +133,11 @@ struct PhaseDraw<'a> {
 }
 
 impl Simulator {
-    /// A simulator of a model at α, of the population of all phases together.
+    /// A simulator of a model at α, with the population of all phases together.
     ///
     /// # Errors
-    /// A population that does not fit the model or is no law; a coefficient without a value, whatever the data; a measured
-    /// column that its phase reads as an input too.
+    /// A population that does not fit the model or is not a valid law; a coefficient without a value, whatever the
+    /// data; a measured column that its phase reads as an input too.
     pub fn new(
         model: &PhasedModel,
         alpha: &Alpha,
@@ -159,16 +162,16 @@ impl Simulator {
         Ok(Simulator { reducer, laws, levels, seed })
     }
 
-    /// Its phases, in order.
+    /// The phases of the model, in order.
     fn phases(&self) -> impl Iterator<Item = PhaseDraw<'_>> {
         let draw = |(phase, law)| PhaseDraw { law, phase, preparer: phase.reducer.preparer() };
         self.reducer.phases().iter().zip(&self.laws).map(draw)
     }
 
-    /// Draws the tests with these places in the ensemble, in their order.
+    /// Draws the tests with these indices in the ensemble, in order.
     ///
     /// # Errors
-    /// Of several tests in error, the first one's error.
+    /// The error of the first test that fails.
     pub fn draw(&self, designs: &Designs, places: Range<u64>) -> Result<Vec<Drawn>, SimulateError> {
         let paths =
             || -> Vec<DrawWorkspace> { self.phases().map(|phase| DrawWorkspace::new(phase.preparer)).collect() };
@@ -200,7 +203,7 @@ impl Simulator {
 }
 
 impl Simulator {
-    /// What the groups of a test add to its ξ; nothing without levels.
+    /// Sum of the deviations that the groups of a test add to its ξ; empty without levels.
     fn added(&self, designs: &Designs, place: u64) -> Result<Vec<f64>, SimulateError> {
         if self.levels.is_empty() {
             return Ok(Vec::new());
@@ -217,7 +220,7 @@ impl Simulator {
 }
 
 impl PhaseDraw<'_> {
-    /// The rows of the design, with a zero for every value that may be measured.
+    /// The rows of the design, with a zero in the place of every measured value.
     fn rows(&self, evidence: &Evidence, test: &str) -> Result<Test, SimulateError> {
         let found = match evidence {
             Evidence::Rows(rows) => {
@@ -237,7 +240,7 @@ impl PhaseDraw<'_> {
         Err(SimulateError::NoRows { test: test.to_owned(), phase: self.law.name.clone(), found })
     }
 
-    /// Draws the phase into its rows, given the state that the phase before ended in; its ξ.
+    /// Draws the phase into its rows, given the final state of the phase before; returns the phase's ξ.
     fn draw(
         &self,
         rows: &mut Test,
@@ -271,7 +274,7 @@ impl PhaseDraw<'_> {
         Ok(xi)
     }
 
-    /// The state that the path ended in, in the order of the model.
+    /// The final state of the path, in the order of the model.
     fn last(&self, path: &DrawWorkspace) -> DVector<f64> {
         let place = &self.preparer.order.place;
         DVector::from_fn(place.len(), |state, _| path.last()[place[state]])
@@ -280,7 +283,7 @@ impl PhaseDraw<'_> {
     fn refuse_shared_cells(&self, test: &Test, path: &DrawWorkspace) -> Result<(), SimulateError> {
         let model = &self.preparer.model;
         let instances = &path.work.instances;
-        let mut own: Vec<Instance> = Vec::new(); // of the row so far
+        let mut own: Vec<Instance> = Vec::new(); // instances of this row so far
         for instance in instances.iter() {
             let column = model.measurements[instance.meter].column;
             own.retain(|other| other.row == instance.row);

@@ -1,4 +1,4 @@
-//! The path of one test, from its initial state to its last measurement. (theory §1)
+//! The path of one test, from its initial state to its last measurement (theory §1).
 #![expect(non_snake_case, reason = "the letters of the theory: P0, Q, R, F with FF' = Q")]
 
 use std::collections::HashMap;
@@ -11,7 +11,7 @@ use crate::reduce::{Design, DesignStep, Fault, GatheredCells, Preparer, Subject,
 use kalfit_algebra::symmetric;
 use kalfit_model::{Model, Population};
 
-/// Roots of Q that are kept.
+/// Largest number of roots of Q that are cached.
 const MOST_ROOTS: usize = 1024;
 
 /// A root of Q: kernel states with process noise, and F over them.
@@ -21,11 +21,12 @@ struct NoiseRoot {
     F: DMatrix<f64>,
 }
 
-/// Work space of the draws of one thread for one phase; the evaluated rows stand in `work`, their measurements not whitened.
+/// Work space of the draws of one thread for one phase; `work` holds the evaluated rows, with measurements that are not
+/// whitened.
 #[derive(Debug)]
 pub(super) struct DrawWorkspace {
     pub(super) work: Workspace,
-    /// Room for what a carry is evaluated on.
+    /// Cells on which the phase's inheritance is evaluated.
     pub(super) cells: GatheredCells,
     /// Drawn values, one for each instance of `work`.
     pub(super) values: Vec<f64>,
@@ -52,7 +53,7 @@ impl DrawWorkspace {
         }
     }
 
-    /// ξ ~ N(μ_j, Σ), with `root` a root of Σ.
+    /// Draws ξ ~ N(μ_j, Σ), with `root` a root of Σ.
     pub(super) fn draw_initial(
         &self,
         model: &Model,
@@ -69,7 +70,7 @@ impl DrawWorkspace {
         xi
     }
 
-    /// The measured values of the phase, given what enters it.
+    /// Draws the measured values of the phase, given what enters it.
     pub(super) fn draw_values(&mut self, entering: &[f64], random: &mut ChaCha8Rng) -> Result<(), Box<Fault>> {
         self.start(entering, random);
         self.values.clear();
@@ -89,12 +90,12 @@ impl DrawWorkspace {
         Ok(())
     }
 
-    /// The state after the last step, by place in the kernels.
+    /// The state after the last step, in the order of the kernels.
     pub(super) fn last(&self) -> &[f64] {
         &self.x
     }
 
-    /// x_0 = a + Eσ + ζ.
+    /// Draws x_0 = a + Eσ + ζ, with σ = `entering`.
     fn start(&mut self, entering: &[f64], random: &mut ChaCha8Rng) {
         let Design { frame, variance, .. } = &self.work.design;
         let (p, r) = (frame.p, frame.r);
@@ -110,7 +111,7 @@ impl DrawWorkspace {
     }
 }
 
-/// Appends z = Mx + d + v of one step, correlated noise by R = LDL'.
+/// Appends z = Mx + d + v of one step; correlated noise is drawn by R = LDL'.
 fn measure(
     work: &Workspace,
     x: &[f64],
@@ -140,7 +141,7 @@ fn measure(
 fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64>>, Box<Fault>> {
     let (rows, line) = (step.rows.clone(), step.lines.start);
     let covariances = work.covariances.as_deref().unwrap_or_default();
-    // those of one step stand together, step after step
+    // the covariances of one step are adjacent, in the order of the steps
     let begin = covariances.partition_point(|&(i, ..)| i < rows.start);
     let own = covariances[begin..].iter().take_while(|(i, ..)| *i < rows.end);
     let m = rows.len();
@@ -158,7 +159,7 @@ fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64
     Ok(R)
 }
 
-/// The root of a transition's Q, from memory where it is known.
+/// The root of a transition's Q, from the cache where it is known.
 fn noise_of<'a>(noises: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
     if noises.len() >= MOST_ROOTS && !noises.contains_key(&transition.digest()) {
         noises.clear();

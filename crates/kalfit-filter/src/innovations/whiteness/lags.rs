@@ -1,11 +1,11 @@
-//! How many lags are looked at.
+//! Number of lags in the test of whiteness.
 
-/// No more lags than this.
+/// Largest number of lags of one measurement.
 pub(super) const MOST_LAGS: usize = 10;
-/// One lag for each so many innovations.
+/// Number of innovations needed for each lag.
 pub(super) const PER_LAG: usize = 5;
 
-/// Lags of n innovations.
+/// Number of lags for n innovations.
 pub(super) fn most_lags(n: usize) -> usize {
     (n / PER_LAG).min(MOST_LAGS)
 }

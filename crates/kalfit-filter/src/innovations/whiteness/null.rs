@@ -1,18 +1,20 @@
-//! The law of Ljung and Box's statistic when nothing is correlated.
+//! The law of Ljung and Box's statistic when the innovations are uncorrelated.
 
 use super::lags::{MOST_LAGS, PER_LAG, most_lags};
 use super::table::{CHI_SQUARED, LENGTHS, QUANTILES};
 
 /// Number of tail probabilities for which quantiles are known.
 const LEVELS: usize = CHI_SQUARED[0].len();
-/// Rows of the table before the lengths that are interpolated: one for each length that has fewer lags than the most.
+/// Rows of the table before the lengths that are interpolated: one for each length with fewer than `MOST_LAGS` lags.
 const SHORT: usize = MOST_LAGS * PER_LAG - PER_LAG;
 
-/// The value of χ², with as many degrees of freedom as n innovations have lags, that is as improbable as this Q of theirs.
+/// The χ² value that has the same tail probability as a Q of n innovations; its degrees of freedom are their number of
+/// lags.
 ///
-/// Q is far from χ² in its tail, even for hundreds of innovations: one slow motion, or one that alternates, makes all r_k large at
-/// once. Its quantiles are known from simulation ([`super::table`]); between them the value is interpolated, for probabilities below 1e-8
-/// extrapolated. For more than 50 innovations quantiles are linear in 1/n between lengths, and those of χ² for n → ∞.
+/// Q is far from χ² in its tail, even for hundreds of innovations: one slow or alternating motion makes all r_k large
+/// at once. Its quantiles are known from simulation ([`super::table`]); between them the value is interpolated, and for
+/// probabilities below 1e-8 extrapolated. For more than 50 innovations the quantiles are interpolated linearly in 1/n
+/// between lengths, with those of χ² for n → ∞.
 pub(super) fn chi_squared_value(q: f64, n: usize) -> f64 {
     let lags = most_lags(n);
     let values = &CHI_SQUARED[lags - 1];

@@ -1,4 +1,4 @@
-//! Tests that are evaluated once, at one α, side by side.
+//! Work space for batches of tests that are evaluated at one α only.
 
 use kalfit_lanes::{Isa, Width};
 
@@ -14,21 +14,21 @@ use crate::reduce::reducer::Reducer;
 use crate::reduce::terminal::TerminalState;
 use kalfit_model::Test;
 
-/// Bytes of a batch of several tests: longer tests go one by one.
+/// Memory limit of a batch of several tests, in bytes: longer tests are batches of one.
 const BYTES: usize = 128 << 20;
 
-/// How many of these tests, at least one and in their order, go together in so many lanes.
+/// Number of tests, from the first one on and at least one, that form a batch of at most `lanes` tests.
 pub(super) fn together(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
     let many = own.iter().take(lanes).take_while(|other| other.goes_with(&own[0])).count();
     if size(preparer, &own[..many], lanes) > BYTES { 1 } else { many }
 }
 
-/// What so many tests together are worked on with. Lanes that are empty take as long as others: one test has none beside it.
+/// Lanes for a batch of `tests` tests. Empty lanes take as long as full ones, so a single test has one lane.
 pub(super) fn width_for(tests: usize) -> Width {
     if tests == 1 { Isa::best().alone().into() } else { Isa::best().into() }
 }
 
-/// Bytes of a batch of these tests in so many lanes, about so many.
+/// Approximate memory of a batch of these tests, in bytes.
 pub(super) fn size(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
     let (frame, transition, dynamics) = (&preparer.order.frame, preparer.plan.blank(), &preparer.dynamics);
     let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
@@ -37,7 +37,7 @@ pub(super) fn size(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize
     let of_step = 3 + transition.phi.len() + transition.q.len() + frame.driven.len() + preparer.plan.flow_len + varying;
     let most = |of: fn(&Skeleton) -> usize| own.iter().map(of).max().unwrap_or(0);
     let (rows, steps) = (most(|own| own.instances.len()), most(Skeleton::len));
-    // the numbers of all lanes, and the shape of their designs
+    // numbers of all lanes, then the common shape of their designs
     8 * (lanes * (rows * of_row + steps * of_step) + rows * (4 + 2 * terms) + steps * 7)
 }
 
@@ -47,31 +47,31 @@ pub(crate) struct BatchWorkspace {
     lanes: usize,
     layout: BatchLayout,
     values: BatchValues,
-    /// Of batches of one test, where the others are of batches of several, and the other way round.
+    /// Layout and values for a batch of one test while `layout` and `values` are for several tests, and vice versa.
     spare: (BatchLayout, BatchValues),
     own: Vec<TestHeader>,
     identities: Vec<Identity>,
 }
 
-/// What is added to a and to P0 of a test, by its place there.
+/// (Index, number) pairs to be added to a and to P0 of a test.
 #[derive(Debug, Default)]
 pub(crate) struct EnteringMoments {
     pub(crate) mean: Vec<(usize, f64)>,
     pub(crate) variance: Vec<(usize, f64)>,
 }
 
-/// What the filter of a test has found.
+/// The filter's results for one test of a batch.
 #[derive(Debug)]
 pub(crate) struct FilteredLane<'a> {
     beside: &'a BatchWorkspace,
     lane: usize,
     room: &'a DataWorkspace,
-    /// Where it ends, if that is wanted.
+    /// The last state, if it is wanted.
     pub(crate) end: Option<TerminalState>,
 }
 
 impl FilteredLane<'_> {
-    /// e and 1/S of each of its measurements.
+    /// (e, 1/S) of each scalar measurement of the test.
     pub(crate) fn innovations(&self) -> impl Iterator<Item = (f64, f64)> {
         let BatchLayout { lanes, measured, design, .. } = &self.beside.layout;
         let filter = &self.beside.values.batch_filter;
@@ -83,7 +83,7 @@ impl FilteredLane<'_> {
 }
 
 impl BatchWorkspace {
-    /// For tests of a model.
+    /// Work space for tests of the model of a reducer.
     pub(crate) fn new(isa: Isa, reducer: &Reducer) -> BatchWorkspace {
         let of = |width| (BatchLayout::new(width, reducer.preparer()), BatchValues::new(width));
         let (layout, values) = of(isa.into());
@@ -97,7 +97,7 @@ impl BatchWorkspace {
         }
     }
 
-    /// Evaluates tests and runs their filters. What is found of a test does not depend on the others.
+    /// Evaluates tests and runs their filters. The reduction of a test does not depend on the other tests.
     pub(crate) fn reduce(
         &mut self,
         reducer: &Reducer,
@@ -117,8 +117,8 @@ impl BatchWorkspace {
         });
     }
 
-    /// The same where more is known of the starts of the tests, each by its number. `show` is shown what is found of each, nothing
-    /// where it must be looked at by itself.
+    /// Evaluates and filters tests with `entering[number]` added to a and P0 of each. `show` receives each test with
+    /// its results, or `None` if the test must be filtered by itself.
     pub(crate) fn pass(
         &mut self,
         reducer: &Reducer,
@@ -145,7 +145,7 @@ impl BatchWorkspace {
         });
     }
 
-    /// Takes tests, in place of others.
+    /// Takes and evaluates a group of tests in place of the previous one.
     fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &[Skeleton]) {
         if (self.layout.lanes == 1) != (group.len() == 1) {
             std::mem::swap(&mut self.layout, &mut self.spare.0);
@@ -155,12 +155,12 @@ impl BatchWorkspace {
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         for (lane, skeleton) in group.iter().enumerate() {
-            // so many equal steps have a pass of their own
+            // a test of mostly equal steps is scanned by itself
             values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());
         }
     }
 
-    /// What the reductions of these tests have from their cells, and the digests of their designs.
+    /// Takes the headers of the reductions of a group of tests: covariates, counts and digests of designs.
     fn take_headers(&mut self, group: &mut [Skeleton]) {
         let BatchWorkspace { layout, values, own, identities, .. } = self;
         own.clear();
@@ -174,7 +174,7 @@ impl BatchWorkspace {
     }
 }
 
-/// Shows tests that go together in so many lanes, all of them in turn.
+/// Sorts tests by shape and calls `show` with each group that shares a batch of at most `lanes` tests.
 fn each_group(preparer: &Preparer, mut left: &mut [Skeleton], lanes: usize, mut show: impl FnMut(&mut [Skeleton])) {
     left.sort_by(Skeleton::by_shape);
     while !left.is_empty() {

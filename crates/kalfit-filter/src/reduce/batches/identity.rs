@@ -1,4 +1,4 @@
-//! The designs of tests in lanes, as they are of tests by themselves.
+//! Digests of the designs of tests in lanes, identical to those of single tests.
 
 use std::ops::Range;
 
@@ -8,7 +8,7 @@ use crate::reduce::design::Identity;
 use crate::reduce::equal_steps::EqualStepCount;
 
 impl BatchValues {
-    /// The digest of the design of each test; `steps`: how many each has. `identities`: work space.
+    /// The digest of the design of each test. `steps`: number of steps of each test; `identities`: work space.
     pub(super) fn identities(
         &self,
         layout: &BatchLayout,
@@ -49,7 +49,8 @@ impl BatchValues {
         identities.iter_mut().map(Identity::finish).collect()
     }
 
-    /// Whether most steps of the test in a lane, which has so many, are in long stretches of equal ones, which have a pass of their own.
+    /// True if most of the `steps` steps of the test in a lane are in long stretches of equal steps, which are scanned
+    /// instead.
     pub(super) fn is_long(&self, layout: &BatchLayout, lane: usize, steps: usize) -> bool {
         let (BatchLayout { lanes, design, transitions, .. }, designs) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers| own(all, numbers, (lane, *lanes)).map(f64::to_bits);
@@ -78,7 +79,7 @@ impl BatchValues {
     }
 }
 
-/// Numbers of the test in a lane.
+/// The numbers in a range, of the test in a lane.
 fn own(all: &[f64], numbers: Range<usize>, (lane, lanes): (usize, usize)) -> impl Iterator<Item = f64> + use<'_> {
     numbers.map(move |k| all[k * lanes + lane])
 }

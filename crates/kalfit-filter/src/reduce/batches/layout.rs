@@ -1,4 +1,4 @@
-//! Where the numbers of tests in lanes stand: the steps and measurements of all of them, which no value of α changes.
+//! The layout of tests in lanes: their common steps and measurements, which do not depend on α.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,38 +11,38 @@ use crate::reduce::motion::Transitions;
 use crate::reduce::prepare::{Preparer, Skeleton, StartCells};
 use kalfit_model::Test;
 
-/// No row.
+/// Marks a missing row.
 pub(super) const NONE: u32 = u32::MAX;
 
-/// Tests side by side, at least one and no more than there are lanes. Number k of the test in a lane stands at k × lanes + lane.
+/// Tests in lanes, at least one and at most as many as lanes. Number k of the test in a lane is at k × lanes + lane.
 #[derive(Debug)]
 pub(crate) struct BatchLayout {
     pub(crate) lanes: usize,
-    /// Number of the test in each lane.
+    /// Number of the test in each lane, among all tests.
     pub(crate) tests: Vec<usize>,
-    /// The shape of their designs: each step is a run, and each row has a line of its own.
+    /// The common shape of their designs: each step is a run, and each row has a separate line.
     pub(crate) design: Design,
-    /// All tests have the same steps and measurements.
+    /// True if all tests have the same steps and measurements.
     of_one: bool,
-    /// States of the line of each measurement of the model, and the places of its terms among them.
+    /// For each measurement of the model, the states of its line, and the positions of its terms among these states.
     pub(super) shapes: Vec<(Vec<u32>, Vec<usize>)>,
-    /// The measurement of the model that each row is of.
+    /// For each row, the number of its measurement in the model.
     pub(crate) meters: Vec<usize>,
     /// 1 where a test has the measurement of a row, else 0.
     pub(crate) measured: Vec<f64>,
-    /// The row of the test that it is read from.
+    /// Row of the test from which each measurement is read; `NONE` where there is none.
     pub(super) sources: Vec<u32>,
-    /// The length of its step.
+    /// Length of the step of each measurement.
     pub(super) dt: Vec<f64>,
-    /// What was measured.
+    /// Measured values z.
     pub(super) z: Vec<f64>,
     pub(crate) transitions: Transitions,
-    /// What the law of x_0 of each test is evaluated on; empty where all have one.
+    /// Cells on which the law of x_0 of each test is evaluated; empty if all tests share one law.
     pub(crate) openings: Vec<StartCells>,
 }
 
 impl BatchLayout {
-    /// Of no test yet.
+    /// Layout without tests yet.
     pub(super) fn new(width: Width, preparer: &Preparer) -> BatchLayout {
         BatchLayout {
             lanes: width.lanes(),
@@ -60,7 +60,7 @@ impl BatchLayout {
         }
     }
 
-    /// Of these tests, in place of others.
+    /// Lays out these tests in place of the previous ones.
     pub(super) fn take(&mut self, preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) {
         let is_one = own.iter().all(|other| other.is_like(&own[0]));
         if !(is_one && self.has_shape_of(&own[0])) {
@@ -91,7 +91,7 @@ impl BatchLayout {
         own.iter().enumerate().for_each(|(lane, own)| self.seat(preparer, tests[own.number], (lane, own)));
     }
 
-    /// Whether the tests before, which all had one shape, had that of this one.
+    /// True if the previous tests all had the shape of this test.
     fn has_shape_of(&self, own: &Skeleton) -> bool {
         let step =
             |(k, run): (usize, &EqualSteps)| (run.lines, run.transition.is_some()) == (own.steps[k].end, own.moves(k));
@@ -101,7 +101,7 @@ impl BatchLayout {
             && self.meters.iter().eq(own.instances.iter().map(|instance| &instance.meter))
     }
 
-    /// The steps of these tests, and what is measured in them.
+    /// Builds the common shape of these tests: their steps and the measurements of each step.
     fn shape(&mut self, preparer: &Preparer, own: &[Skeleton]) {
         self.meters.clear();
         self.design.clear();
@@ -116,13 +116,14 @@ impl BatchLayout {
         self.design.noise.resize(self.meters.len(), 1.0);
     }
 
-    /// The lines of a step: what any of the tests measures there, in the order of each of them.
+    /// Appends the lines of step `k`: all that any of the tests measures there, in an order that agrees with that of
+    /// each test.
     fn measurements(&mut self, own: &[Skeleton], k: usize) {
         let first = self.meters.len();
         let longest = own.iter().map(|own| own.of(k)).max_by_key(|own| own.len()).unwrap_or(&[]);
         self.meters.extend(longest.iter().map(|instance| instance.meter));
         for instance in own.iter().flat_map(|own| own.of(k)) {
-            // tests that do not measure the same have one row a step, in the order of the model
+            // tests that differ in their measurements have one row per step, measured in the order of the model
             if !self.meters[first..].contains(&instance.meter) {
                 let place = self.meters[first..].partition_point(|&meter| meter < instance.meter);
                 self.meters.insert(first + place, instance.meter);
@@ -134,7 +135,7 @@ impl BatchLayout {
         }
     }
 
-    /// Where each measurement of a test is read from, and what it is.
+    /// Fills a lane: the source, the step length and the value of each measurement of a test.
     fn seat(&mut self, preparer: &Preparer, test: &Test, (lane, own): (usize, &Skeleton)) {
         let mut line = 0;
         for (k, step) in own.steps.iter().enumerate() {
@@ -153,25 +154,25 @@ impl BatchLayout {
         }
     }
 
-    /// The lines among these that the test in a lane has.
+    /// The lines among `lines` that the test in a lane measures.
     pub(crate) fn rows_of(&self, lane: usize, lines: Range<usize>) -> impl Iterator<Item = usize> {
         lines.filter(move |row| self.measured[row * self.lanes + lane] != 0.0)
     }
 
-    /// Numbers of the terms of a line.
+    /// Range of the terms of a line.
     pub(super) fn terms(&self, row: usize) -> Range<usize> {
         let first = if row == 0 { 0 } else { self.design.ends[row - 1] };
         first..self.design.ends[row]
     }
 
-    /// What these lines of one step are, at least one, and the length of the step.
+    /// (Scalar measurements of these lines, at least one, of one step; length of the step).
     pub(crate) fn instances_of(&self, lane: usize, rows: &[usize]) -> (Vec<Instance>, f64) {
         let place = |row: usize| row * self.lanes + lane;
         let instance = |&row: &usize| Instance { meter: self.meters[row], row: self.sources[place(row)] as usize };
         (rows.iter().map(instance).collect(), self.dt[place(rows[0])])
     }
 
-    /// How many transitions there are.
+    /// Number of transitions.
     pub(crate) fn moves(&self) -> usize {
         self.transitions.dt.len() / self.lanes
     }

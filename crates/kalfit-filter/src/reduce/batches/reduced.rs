@@ -1,4 +1,4 @@
-//! What the filters of tests in lanes have found, as reductions.
+//! Reductions from the results of the filters of tests in lanes.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::reduce::terminal::TerminalState;
 use kalfit_model::Path;
 use kalfit_model::Test;
 
-/// What a reduction has beside what its filter found; `digest`: of its design at the α where it was taken.
+/// The parts of a reduction that its filter does not compute; `digest`: of its design at the α of the first evaluation.
 #[derive(Debug)]
 pub(super) struct TestHeader {
     pub(super) digest: u128,
@@ -22,7 +22,8 @@ pub(super) struct TestHeader {
 }
 
 impl BatchValues {
-    /// Runs the filters of tests that were evaluated; their reductions go to `found`. `digest`: of a design.
+    /// Runs the filters of evaluated tests and adds their reductions to `found`. `digest`: digest of a test's design at
+    /// this α.
     pub(super) fn reduce(
         &mut self,
         (layout, own): (&BatchLayout, &[TestHeader]),
@@ -53,8 +54,8 @@ impl BatchValues {
         }
     }
 
-    /// R and what the filter found of the test in a lane, and where it ends, if that is wanted; `None` where square-root arrays are
-    /// called for or something is not finite.
+    /// (R, outcome, last state if it is wanted) of the test in a lane; `None` if square-root arrays are called for or a
+    /// number is not finite.
     pub(super) fn lane_result(
         &self,
         lane: usize,
@@ -71,7 +72,7 @@ impl BatchValues {
         outcome.is_finite().then_some((factor, outcome, end))
     }
 
-    /// Where the test in a lane ends; `None` where that calls for square-root arrays.
+    /// The last state of the test in a lane; `None` if that calls for square-root arrays.
     fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, room: &DataWorkspace) -> Option<TerminalState> {
         let states = &reducer.preparer().order.states;
         let end = self.batch_filter.design_batch.end((lane, layout.lanes), states)?;

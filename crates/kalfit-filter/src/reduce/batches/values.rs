@@ -1,4 +1,4 @@
-//! The numbers of tests in lanes at an α. What α does not change is evaluated once.
+//! The numbers of tests in lanes at an α. Numbers that do not depend on α are evaluated once.
 
 use std::ops::Range;
 
@@ -13,26 +13,26 @@ use crate::reduce::subject::{Coefficient, Fault, ModelAt};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
-/// What tests are at an α, and what their filters leave.
+/// The numbers of a batch of tests at an α, and the results of their filters.
 #[derive(Debug, Clone)]
 pub(crate) struct BatchValues {
     pub(crate) batch_filter: BatchFilter,
     pub(crate) motion: MotionColumns,
-    /// Whether the numbers of the test in each lane are sound: others are to be looked at one by one.
+    /// True for each lane whose test has valid numbers; the other tests are reduced by themselves.
     pub(super) sound: [bool; MOST],
 }
 
-/// What is to be done about a coefficient.
+/// How the values of a coefficient are updated at a new α.
 enum Refresh<'a> {
-    /// Nothing: it is what it was.
+    /// The stored values are still right.
     Kept,
     Same(f64),
-    /// It is another on each row.
+    /// The value differs from row to row.
     Row(&'a Coefficient),
 }
 
 impl<'a> Refresh<'a> {
-    /// `fresh`: nothing was evaluated before.
+    /// `fresh`: no value has been evaluated yet.
     fn of(at: &ModelAt<'_>, coefficient: &'a Coefficient, fresh: bool) -> Refresh<'a> {
         match coefficient {
             Coefficient::Fixed(x) if fresh => Refresh::Same(*x),
@@ -43,7 +43,7 @@ impl<'a> Refresh<'a> {
         }
     }
 
-    /// Values in the lanes where there are some. `row`: that of a lane.
+    /// Updates the values in the lanes where `here` is not zero. `value`: evaluates a coefficient in a lane.
     fn each(
         &self,
         here: &[f64],
@@ -64,7 +64,7 @@ impl<'a> Refresh<'a> {
     }
 }
 
-/// Noise, constant and terms of a measurement.
+/// Updates of the noise, the constant and the terms of a measurement.
 struct MeasurementRefresh<'a> {
     noise: Refresh<'a>,
     constant: Refresh<'a>,
@@ -72,12 +72,12 @@ struct MeasurementRefresh<'a> {
 }
 
 impl BatchValues {
-    /// Of no test yet.
+    /// Values for lanes of this width, without tests yet.
     pub(super) fn new(width: Width) -> BatchValues {
         BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), sound: [true; MOST] }
     }
 
-    /// The numbers of tests, none of them evaluated before, in place of those of others.
+    /// Takes new tests in place of the previous ones and evaluates all their numbers.
     pub(super) fn take(&mut self, layout: &BatchLayout, of: (&Preparer, &[&Test])) {
         let dynamics = &of.0.dynamics;
         let varying = [&dynamics.table, &dynamics.inputs].map(|table| table.varying.len());
@@ -86,7 +86,7 @@ impl BatchValues {
         self.evaluate(layout, of, true);
     }
 
-    /// The numbers at the α of a preparer.
+    /// Evaluates the numbers at the α of a preparer; `fresh`: also those that do not depend on α.
     pub(super) fn evaluate(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         self.sound = [true; MOST];
         self.start(layout, (preparer, tests));
@@ -100,7 +100,7 @@ impl BatchValues {
         self.sound.iter_mut().zip(finite).for_each(|(sound, finite)| *sound &= finite);
     }
 
-    /// a and P0.
+    /// Evaluates a and P0.
     fn start(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
         let BatchValues { batch_filter, sound, .. } = self;
@@ -131,7 +131,7 @@ impl BatchValues {
         }
     }
 
-    /// h, R and z - d.
+    /// Evaluates h, R and z - d.
     fn measure(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
         let (at, lanes) = (preparer.at(), layout.lanes);
         let mixed = !preparer.meters.can_repeat();
@@ -172,20 +172,20 @@ impl BatchValues {
 }
 
 impl BatchLayout {
-    /// What a measurement is evaluated on.
+    /// The cells on which a measurement is evaluated.
     pub(crate) fn scope<'a>(&self, at: &ModelAt<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
         let (test, row) = (tests[self.tests[lane]], self.sources[place] as usize);
         Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.dt[place], alpha: at.alpha }
     }
 
-    /// What a transition is evaluated on.
+    /// The cells on which a transition is evaluated.
     pub(crate) fn moving<'a>(&self, at: &ModelAt<'a>, tests: &[&'a Test], (place, lane): (usize, usize)) -> Scope<'a> {
         let (test, row) = (tests[self.tests[lane]], self.transitions.sources[place] as usize);
         Scope { numbers: test.numbers(row), texts: test.texts(row), step: self.transitions.dt[place], alpha: at.alpha }
     }
 }
 
-/// The coefficients of a table that vary, on all transitions.
+/// Evaluates the varying coefficients of a table, on all transitions.
 fn table(
     (layout, tests): (&BatchLayout, &[&Test]),
     (at, table): (&ModelAt<'_>, &Table),

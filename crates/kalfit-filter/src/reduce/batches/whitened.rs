@@ -20,7 +20,7 @@ impl BatchValues {
         }
     }
 
-    /// The same of these lines of the test in a lane; `None` where their noises are no covariance.
+    /// Whitens these lines of one step of the test in a lane; `None` if their noises have no valid covariance matrix.
     fn whiten_step(
         &mut self,
         (layout, lane, rows): (&BatchLayout, usize, &[usize]),
@@ -48,7 +48,7 @@ impl BatchValues {
         Some(())
     }
 
-    /// M of these lines of the test in a lane, a row of n numbers for each, and z - d.
+    /// (M of these lines of the test in a lane, row-major with n columns; z - d of each line).
     pub(crate) fn measured_in(&self, layout: &BatchLayout, lane: usize, rows: &[usize]) -> (Vec<f64>, Vec<f64>) {
         let (n, place) = (layout.design.frame.n, |row: usize| row * layout.lanes + lane);
         let (mut dense, coefficients) = (vec![0.0; rows.len() * n], &self.batch_filter.design_batch.h);

@@ -1,4 +1,4 @@
-//! When designs are one: a digest of all of a design, step by step, and equality to the bit.
+//! Equality of designs: a digest of a whole design, step by step, and comparison to the bit.
 
 use std::sync::Arc;
 
@@ -6,16 +6,16 @@ use crate::reduce::cell_mask::mix;
 use crate::reduce::design::{Design, Pattern, StateFrame, Stretch, Transition, same_bits};
 use crate::reduce::digest::Digest;
 
-/// Words that are mixed together, about so many: a whole step more where need be.
+/// Number of words after which the digest is updated, at the end of a step.
 const TOGETHER: usize = 1 << 12;
 
-/// The digest of a design on its way, step by step. Where it is done with one design, another can be told of.
+/// The digest of a design in progress, step by step. After `finish`, another design can begin.
 #[derive(Debug)]
 pub(crate) struct Identity {
     digest: Digest,
-    /// What the digest has not been told of yet.
+    /// Words that the digest has not yet taken.
     words: Vec<u64>,
-    /// Scalar measurements of the step that is being told of.
+    /// Number of scalar measurements of the current step so far.
     lines: u64,
 }
 
@@ -24,19 +24,20 @@ impl Identity {
         Identity { digest: Digest::new(), words: Vec::new(), lines: 0 }
     }
 
-    /// Begins with a design of this P0.
+    /// Begins a design. `variance`: P0.
     pub(crate) fn begin(&mut self, frame: &StateFrame, variance: impl Iterator<Item = f64>) {
         self.digest.wide(frame.digest);
         self.words.extend(variance.map(f64::to_bits));
     }
 
-    /// The transition to a step.
+    /// Takes the transition to the current step.
     pub(crate) fn moves(&mut self, pattern: &Pattern, phi: impl Iterator<Item = f64>, q: impl Iterator<Item = f64>) {
         self.words.extend([pattern.digest as u64, (pattern.digest >> 64) as u64]);
         self.words.extend(phi.chain(q).map(f64::to_bits));
     }
 
-    /// A scalar measurement of the step. A term of zero says nothing; measurements that were whitened have some.
+    /// Takes a scalar measurement of the current step. Terms of zero, which whitened measurements can have, are left
+    /// out.
     #[inline]
     pub(crate) fn line(&mut self, terms: impl Iterator<Item = (u32, f64)>, noise: f64) {
         let mut states = 1;
@@ -48,7 +49,7 @@ impl Identity {
         self.lines += 1;
     }
 
-    /// The end of a step, of which there are so many.
+    /// Ends the current step, which occurs `many` times.
     #[inline]
     pub(crate) fn end(&mut self, many: usize) {
         self.words.push(std::mem::take(&mut self.lines) << 32 ^ many as u64);
@@ -58,7 +59,7 @@ impl Identity {
         }
     }
 
-    /// The digest of the design; the next one begins.
+    /// The digest of the design; resets the state for the next design.
     pub(crate) fn finish(&mut self) -> u128 {
         self.digest.words(&self.words);
         self.words.clear();
@@ -67,7 +68,7 @@ impl Identity {
 }
 
 impl Design {
-    /// Of all numbers. Equal steps on end are told of one by one but in long stretches, as where designs stand side by side.
+    /// Digest of all numbers. Consecutive equal steps are taken one by one, as in lanes, except in long stretches.
     pub(crate) fn digest(&self) -> u128 {
         let mut identity = Identity::new();
         identity.begin(&self.frame, self.variance.iter().copied());
@@ -109,7 +110,8 @@ mod tests {
 
     type Change = fn(&mut Design, usize);
 
-    /// Four steps of two lines, of two terms and one; the first without a transition, the last two with one. `noise`: of each line.
+    /// Four steps of two lines, which have two terms and one term; the first step has no transition, the last two share
+    /// one. `noise`: R of each line.
     fn design(noise: &[f64]) -> Design {
         let frame =
             StateFrame { n: 3, p: 1, r: 1, rows: vec![DENSE; 3], sensitivity: vec![1.0; 3], driven: vec![], digest: 0 };
@@ -173,7 +175,7 @@ mod tests {
         joined.runs.remove(3);
         joined.runs[2] = EqualSteps { count: 2, ..whole.runs[2] };
         assert_eq!(joined.digest(), whole.digest(), "few equal steps are one by one, however they are kept");
-        // other designs of the same numbers
+        // different designs made of the same numbers
         let mut swapped = whole.clone();
         swapped.moves.reverse();
         let mut sooner = whole.clone();

@@ -1,4 +1,4 @@
-//! Tests whose numbers stay in lanes: they are changed there, and the filters run again.
+//! Filters of tests whose numbers stay in lanes, so that they can be changed and the filters run again.
 
 use kalfit_lanes::Width;
 
@@ -7,18 +7,18 @@ use crate::reduce::lanes::data_block::DataBlock;
 use crate::reduce::lanes::design_batch::{BatchPasses, DesignBatch};
 use crate::reduce::lanes::workspace::DataWorkspace;
 
-/// A test in each lane: design and data, and what their filters leave. All tests have the steps and the measurements of one
-/// shape; where a test has none of its own, they change nothing: h = 0, R = 1, φ = I, Q = 0.
+/// Designs and data of tests, one test per lane, and the results of their filters. All tests have the steps and
+/// measurements of one common shape; those that a test lacks change nothing in its lane: h = 0, R = 1, φ = I, Q = 0.
 #[derive(Debug, Clone)]
 pub(crate) struct BatchFilter {
     pub(crate) block: DataBlock,
     pub(crate) design_batch: DesignBatch,
 }
 
-/// What may change of them: number k of the test in a lane stands at k × lanes + lane.
+/// The numbers of the tests, mutable: number k of the test in a lane is at k × lanes + lane.
 #[derive(Debug)]
 pub(crate) struct BatchColumns<'a> {
-    /// P0 on the reachable states, r × r.
+    /// P0 on the noise-reachable states, r × r.
     pub(crate) variance: &'a mut [f64],
     /// Coefficients of the terms of each row.
     pub(crate) h: &'a mut [f64],
@@ -27,21 +27,22 @@ pub(crate) struct BatchColumns<'a> {
     /// Entries of φ and of Q of each transition.
     pub(crate) phi: &'a mut [f64],
     pub(crate) q: &'a mut [f64],
-    /// a.
+    /// a of each test, n numbers.
     pub(crate) start: &'a mut [f64],
-    /// b of each transition.
+    /// b of the driven states, transition after transition.
     pub(crate) inputs: &'a mut [f64],
     /// z - d of each row.
     pub(crate) values: &'a mut [f64],
 }
 
 impl BatchFilter {
-    /// Of no test yet.
+    /// Filter for lanes of this width, without tests yet.
     pub(crate) fn new(width: Width) -> BatchFilter {
         BatchFilter { block: DataBlock::new(width), design_batch: DesignBatch::default() }
     }
 
-    /// Of a shape in which each step is a run, with so many transitions: all numbers are zero, but noises are one.
+    /// Resets the filter to a shape in which each step is a run, with this number of transitions: R is one, all other
+    /// numbers are zero.
     pub(crate) fn blank(&mut self, design: &Design, transitions: usize) {
         self.block.clear(design.frame.n, transitions * design.frame.driven.len(), design.rows());
         self.design_batch.blank(design, self.block.lanes());
@@ -53,7 +54,7 @@ impl BatchFilter {
         BatchColumns { variance, h, noise, phi, q, start, inputs, values }
     }
 
-    /// Runs the filters of so many tests, and their data passes.
+    /// Runs the covariance filters and the data passes of the first `tests` lanes.
     pub(crate) fn run(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
         let BatchFilter { block, design_batch: designs } = self;
         block.width().run(BatchPasses { design, tests, data: block.view(), designs, room });

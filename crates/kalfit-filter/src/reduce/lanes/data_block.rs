@@ -1,4 +1,4 @@
-//! The data of tests side by side, a test in each lane.
+//! The data of tests in lanes, one test per lane.
 
 use kalfit_lanes::Width;
 
@@ -9,13 +9,13 @@ use crate::reduce::lanes::numbers::DataView;
 use crate::reduce::lanes::pass::DataPass;
 use crate::reduce::lanes::workspace::DataWorkspace;
 
-/// Start, inputs and values of as many tests as there are lanes, each number of one test beside the same of the others.
-/// Lanes that no test has taken hold zeros.
+/// Start, inputs and values of as many tests as lanes: number k of the test in a lane is at k × lanes + lane. Empty
+/// lanes hold zeros.
 #[derive(Debug, Clone)]
 pub(crate) struct DataBlock {
     width: Width,
     numbers: Vec<f64>,
-    /// Where inputs and values begin, a number of each test counted once.
+    /// Index of the first input and of the first value, counted in numbers per test.
     inputs: usize,
     values: usize,
 }
@@ -26,31 +26,32 @@ impl DataBlock {
         DataBlock { width, numbers: Vec::new(), inputs: 0, values: 0 }
     }
 
-    /// What its lanes are.
+    /// Width of the lanes.
     pub(crate) fn width(&self) -> Width {
         self.width
     }
 
-    /// How many tests it has room for.
+    /// Number of lanes: of tests that the block can hold.
     pub(crate) fn lanes(&self) -> usize {
         self.width.lanes()
     }
 
-    /// Empties it, for tests with so many numbers of each kind.
+    /// Empties the block for tests with these counts of start numbers, inputs and values.
     pub(crate) fn clear(&mut self, start: usize, inputs: usize, values: usize) {
         (self.inputs, self.values) = (start, start + inputs);
         self.numbers.clear();
         self.numbers.resize((start + inputs + values) * self.width.lanes(), 0.0);
     }
 
-    /// Puts a test into a lane, all but its values.
+    /// Puts the start and the inputs of a test into a lane.
     pub(crate) fn begin(&mut self, lane: usize, start: &[f64], inputs: &[f64]) {
         let lanes = self.width.lanes();
         self.numbers.chunks_exact_mut(lanes).zip(start).for_each(|(all, x)| all[lane] = *x);
         self.numbers[self.inputs * lanes..].chunks_exact_mut(lanes).zip(inputs).for_each(|(all, x)| all[lane] = *x);
     }
 
-    /// Puts the values of several tests into the first lanes: cells of their numbers, less what is known of them.
+    /// Puts the values z - d of several tests into the first lanes; `cells`: (cell, d) of each value, the cell being an
+    /// index into the test's numbers.
     pub(crate) fn values_of(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) {
         let lanes = self.width.lanes();
         for (all, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
@@ -63,7 +64,7 @@ impl DataBlock {
         self.width.run(DataPass { design, gains, data: self.view(), room });
     }
 
-    /// Starts, inputs and values, to be changed.
+    /// Start, inputs and values, mutable.
     pub(super) fn numbers_mut(&mut self) -> [&mut [f64]; 3] {
         let lanes = self.width.lanes();
         let (start, rest) = self.numbers.split_at_mut(self.inputs * lanes);
@@ -71,19 +72,19 @@ impl DataBlock {
         [start, inputs, values]
     }
 
-    /// z - d of the tests, in lanes.
+    /// z - d of all tests, in lanes.
     pub(crate) fn measured(&self) -> &[f64] {
         self.view().values
     }
 
-    /// Starts, inputs and values.
+    /// Start, inputs and values, in lanes.
     pub(crate) fn view(&self) -> DataView<'_> {
         let (start, rest) = self.numbers.split_at(self.inputs * self.width.lanes());
         let (inputs, values) = rest.split_at((self.values - self.inputs) * self.width.lanes());
         DataView { start, inputs, values }
     }
 
-    /// What a pass found in a lane, for `active` measurements with this Σ log S.
+    /// The outcome of a pass in a lane, for `active` measurements with this Σ log S.
     pub(crate) fn outcome(
         &self,
         lane: usize,
@@ -93,7 +94,7 @@ impl DataBlock {
         room.outcome((lane, self.width.lanes()), active, log_determinant)
     }
 
-    /// The innovations of the test in a lane, of as many measurements as the longest test has.
+    /// The innovations of the test in a lane, as many as the longest test of the block has.
     pub(crate) fn innovations<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
         room.e.iter().skip(lane).step_by(self.width.lanes()).copied()
     }

@@ -1,4 +1,4 @@
-//! The design pass over designs of one shape side by side: the steps of [`design_pass`](crate::reduce::design_pass), a design in each
+//! The design pass over designs of one shape: the steps of [`design_pass`](crate::reduce::design_pass), one design per
 //! lane.
 
 use kalfit_lanes::{Kernel, Lanes};
@@ -14,35 +14,35 @@ use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
 use kalfit_algebra::symmetric::pairs;
 
-/// Designs of one shape and all that their pass leaves, in lanes.
+/// Designs of one shape and the results of their pass, in lanes.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct DesignBatch {
-    /// P0, h, R, φ and Q.
+    /// P0, h, R, φ and Q, in lanes.
     pub(crate) variance: Vec<f64>,
     pub(crate) h: Vec<f64>,
     pub(crate) noise: Vec<f64>,
     pub(crate) phi: Vec<f64>,
     pub(crate) q: Vec<f64>,
-    /// The number of the transition of each run, any if it has none.
+    /// Number of the transition of each run; without meaning for a run that has none.
     moves: Vec<usize>,
-    /// 1/S and K, T of each row.
+    /// (1/S, K) of each row, and T of each row, in lanes.
     gains: Vec<f64>,
     sensitivities: Vec<f64>,
-    /// 1 + r, p.
+    /// 1 + r, the length of (1/S, K), and p.
     stride: usize,
     p: usize,
     factor: Vec<f64>,
-    /// R and Σ log S of each design; none where square-root arrays are called for.
+    /// (R, Σ log S) of each design; `None` if square-root arrays are called for.
     pub(crate) found: Vec<Option<(Vec<f64>, f64)>>,
-    /// What was added up.
+    /// Sums of the pass, in lanes.
     sums: Vec<f64>,
-    /// Where the designs end is wanted too.
+    /// True if the last states of the designs are wanted.
     pub(crate) with_ends: bool,
     /// P and Ψ after the last step of each design, if they are wanted.
     last: (Vec<f64>, Vec<f64>),
 }
 
-/// The design pass over designs whose numbers are in lanes, so many of them and of the shape of `design`; then the data pass.
+/// The design pass over `tests` designs in lanes, of the shape of `design`, and then the data pass.
 pub(super) struct BatchPasses<'a> {
     pub(super) design: &'a Design,
     pub(super) tests: usize,
@@ -65,7 +65,7 @@ impl Kernel for BatchPasses<'_> {
 }
 
 impl DesignBatch {
-    /// Of designs that are all as long as this one, each step a run: numbers of zero, but noises of one.
+    /// Resets the batch to designs of this shape, in which each step is a run: R is one, all other numbers are zero.
     pub(super) fn blank(&mut self, design: &Design, lanes: usize) {
         let (terms, pairs) = design.pattern().map_or((0, 0), |pattern| (pattern.columns.len(), pattern.pairs.len()));
         let DesignBatch { variance, h, noise, moves, phi, q, .. } = self;
@@ -89,7 +89,7 @@ impl DesignBatch {
         }
     }
 
-    /// The covariance filter.
+    /// Runs the covariance filter over all designs.
     #[inline(always)]
     fn covariance_pass<T: Lanes>(&mut self, design: &Design) -> InformationSums<T> {
         let frame = &*design.frame;
@@ -124,7 +124,7 @@ impl DesignBatch {
         filter.sums
     }
 
-    /// A scalar measurement; what it leaves is kept.
+    /// Takes a scalar measurement and stores its 1/S, K and T.
     #[inline(always)]
     fn measure<T: Lanes>(&mut self, filter: &mut CovarianceFilter<T>, design: &Design, (line, row): (usize, usize)) {
         let frame = &*design.frame;
@@ -147,7 +147,7 @@ impl DesignBatch {
         (&design.states[start..design.ends[line]], h, at(&self.noise, line))
     }
 
-    /// R and Σ log S of each design.
+    /// Computes R and Σ log S of each design from the sums.
     #[inline(always)]
     fn finish<T: Lanes>(&mut self, sums: &InformationSums<T>, designs: usize) {
         sums.lanes(&mut self.sums);
@@ -165,19 +165,20 @@ impl DesignBatch {
         }
     }
 
-    /// Where one design ends, its states these; `None` where that calls for square-root arrays.
+    /// The last state of the design in a lane; `None` if that calls for square-root arrays. `states`: the model's state
+    /// at each position in kernel order.
     pub(crate) fn end(&self, (lane, lanes): (usize, usize), states: &[usize]) -> Option<TerminalRoot> {
         let own = |all: &[f64]| -> Vec<f64> { all.iter().skip(lane).step_by(lanes).copied().collect() };
         TerminalRoot::of_covariance(states, &own(&self.last.1), &own(&self.last.0), self.stride - 1)
     }
 
-    /// 1/S of so many measurements of one design.
+    /// 1/S of the first `rows` scalar measurements of the design in a lane.
     pub(crate) fn weights(&self, (lane, lanes): (usize, usize), rows: usize) -> impl Iterator<Item = f64> + use<'_> {
         self.gains.iter().skip(lane).step_by(lanes * self.stride).take(rows).copied()
     }
 }
 
-/// Of designs whose steps are each a run.
+/// The numbers of designs in which each step is a run.
 impl<T: Lanes> Numbers<T> for DesignBatch {
     type List<'a>
         = SideBySide<'a>

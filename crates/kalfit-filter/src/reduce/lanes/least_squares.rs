@@ -1,5 +1,6 @@
-//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e. Where these are large, the innovations at the best
-//! ξ, e - Tξ, are what counts: nothing cancels in them. (Corrected seminormal equations, Björck 1987.)
+//! d and the residual sum of squares of each test of a block, from y and e'S⁻¹e. Where e'S⁻¹e is large, they are
+//! computed from the innovations at the best ξ, e - Tξ, in which nothing cancels (corrected seminormal equations,
+//! Björck 1987).
 
 use std::ops::Range;
 
@@ -12,10 +13,10 @@ use crate::reduce::lanes::numbers::{Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::BLOCK;
 
-/// Sums side by side, so that none waits for the one before it.
+/// Number of independent partial sums, so that no addition waits for the previous one.
 const SIDE: usize = 8;
 
-/// y → d. Where a test's squares are large, by way of its best ξ.
+/// Replaces y by d and computes the residuals; for a test with large e'S⁻¹e by way of its best ξ.
 #[inline(always)]
 pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), square: T, room: &mut DataWorkspace) {
     let p = design.frame.p;
@@ -29,7 +30,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), s
     }
     let residual = refine::<T, N>((numbers, design), p, room);
     for lane in 0..T::COUNT {
-        let small = square.lane(lane) <= REFINE; // not so where it is not a number
+        let small = square.lane(lane) <= REFINE; // false for NaN, which is then refined
         if !small {
             room.is_refined[lane] = true;
             room.residual[lane] = residual.lane(lane);
@@ -37,7 +38,7 @@ pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), s
     }
 }
 
-/// d by way of the best ξ; the residual sum of squares.
+/// Computes d by way of the best ξ. Returns the residual sum of squares.
 #[inline(always)]
 fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, room: &mut DataWorkspace) -> T {
     room.best.clone_from(&room.d);
@@ -58,7 +59,7 @@ fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, r
     for k in 0..p {
         let best = at::<T>(&room.best, k);
         for i in 0..=k {
-            // d = R ξ + what is left
+            // d = Rξ + the refined remainder
             let d = numbers.R().entry(k * (k + 1) / 2 + i).fma(best, at::<T>(&room.refined, i));
             put(&mut room.refined, i, d);
         }
@@ -89,7 +90,7 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(
     total
 }
 
-/// [`weigh`] of rows that have 1/S and T of their own.
+/// [`weigh`] of rows with different 1/S and T.
 #[inline(always)]
 fn each<T: Lanes, N: Numbers<T>>(
     (numbers, design): (&N, &Design),

@@ -1,8 +1,8 @@
-//! Tests side by side, one in each lane: of one design, whose data passes are one; or of designs of one shape, whose design passes
-//! are one too.
+//! Tests in lanes, one test per lane. Tests of one design share the data pass; tests whose designs have one shape share
+//! the design pass too.
 //!
-//! What a lane holds never depends on the others, and a test by itself goes the same way in a lane of its own
-//! ([`Isa::alone`](kalfit_lanes::Isa::alone)): it is reduced to the same bits whatever else is in its batch.
+//! The numbers of a lane never depend on the other lanes, and a single test takes the same path in one lane
+//! ([`Isa::alone`](kalfit_lanes::Isa::alone)): its reduction has the same bits whatever else is in its batch.
 
 mod batch_filter;
 mod data_block;

@@ -1,4 +1,4 @@
-//! What a pass reads: numbers of the designs, data in lanes.
+//! What a pass over tests reads: numbers of their designs, and their data in lanes.
 #![expect(non_snake_case, reason = "the letters of the theory: R")]
 
 use kalfit_lanes::Lanes;
@@ -7,9 +7,9 @@ use crate::reduce::data::Data;
 use crate::reduce::design::{Design, Stretch, TransitionView};
 use crate::reduce::entries::Entries;
 
-/// What a pass takes from the designs of its tests: numbers that are the same in all lanes, or each lane's own.
+/// The numbers that a pass reads from the designs of its tests: shared by all lanes, or one per lane.
 pub(crate) trait Numbers<T> {
-    /// How they are read.
+    /// Type of a list of such numbers.
     type List<'a>: Entries<T>
     where
         Self: 'a;
@@ -21,23 +21,24 @@ pub(crate) trait Numbers<T> {
     fn gains(&self, row: usize) -> (T, Self::List<'_>);
     /// T of a row.
     fn sensitivities(&self, row: usize) -> Self::List<'_>;
-    /// R, packed.
+    /// R, upper triangle, packed by columns.
     fn R(&self) -> Self::List<'_>;
-    /// Rows from `row` up to `end`, at most, and what repeats among them.
+    /// Rows from `row` to at most `end`, with the part of them in which 1/S and T repeat.
     #[inline(always)]
     fn repeats(&self, _row: usize, end: usize) -> Repeats {
         Repeats { still: end, end, width: 1 }
     }
-    /// Long stretches are gone over at once.
+    /// True if long stretches can be scanned.
     const SCANS: bool = false;
-    /// Goes over a stretch of equal steps as one: x̂ and, in the place of values, innovations. False where it does not.
+    /// Scans a stretch of equal steps: updates x̂ and replaces values by innovations. False if the stretch cannot be
+    /// scanned.
     #[inline(always)]
     fn scan(&self, _: &Stretch<'_>, _: &mut [T], _: &mut [f64]) -> bool {
         false
     }
 }
 
-/// Rows up to `end`: from `still` on every `width`-th has the same 1/S and T.
+/// Rows up to `end`; from row `still` on, every `width`-th row has the same 1/S and T.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Repeats {
     pub(super) still: usize,
@@ -54,13 +55,13 @@ pub(crate) struct DataView<'a> {
 }
 
 impl<'a> DataView<'a> {
-    /// Of one test.
+    /// View of the data of a single test.
     pub(super) fn of(data: &'a Data) -> DataView<'a> {
         DataView { start: &data.start, inputs: &data.inputs, values: &data.values }
     }
 }
 
-/// Number `k` of each test.
+/// Number `k` of each test, in lanes.
 #[inline(always)]
 pub(crate) fn at<T: Lanes>(numbers: &[f64], k: usize) -> T {
     T::load(&numbers[k * T::COUNT..][..T::COUNT])

@@ -1,4 +1,4 @@
-//! The data pass: innovations of tests under the gains of their designs and what they add up to, a test in each lane.
+//! The data pass: innovations of tests under the gains of their designs, and their sums, one test per lane.
 #![expect(non_snake_case, reason = "the letters of the theory: K, R")]
 
 use std::cell::Cell;
@@ -15,11 +15,11 @@ use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::scan::{BLOCK, Scan, scanned};
 
-/// Tests of one design.
+/// The numbers of one design that all lanes share.
 struct SharedDesign<'a> {
     design: &'a Design,
     gains: &'a Gains,
-    /// The piece that the last row was in: rows come in order.
+    /// The piece of the last row: rows are visited in order.
     piece: Cell<usize>,
 }
 
@@ -28,7 +28,7 @@ impl<'a> SharedDesign<'a> {
         SharedDesign { design, gains, piece: Cell::new(0) }
     }
 
-    /// The piece that has a row, and where it ends.
+    /// (Piece that contains a row, end of its rows).
     #[inline(always)]
     fn piece(&self, row: usize) -> (&GainSpan, usize) {
         let (pieces, last) = (&self.gains.pieces, self.piece.get());
@@ -93,7 +93,7 @@ impl<T: Lanes> Numbers<T> for SharedDesign<'_> {
     }
 }
 
-/// x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke, then the best ξ of each test.
+/// The data pass over tests of one design: x̂ ← φx̂ + b, e = z - d - h'x̂, x̂ ← x̂ + Ke, then the best ξ of each test.
 pub(super) struct DataPass<'a> {
     pub(super) design: &'a Design,
     pub(super) gains: &'a Gains,
@@ -113,7 +113,7 @@ impl Kernel for DataPass<'_> {
     }
 }
 
-/// The innovations of one test.
+/// The pass for the innovations of one test alone, without the best ξ.
 struct InnovationPass<'a, L> {
     design: &'a Design,
     gains: &'a Gains,
@@ -132,7 +132,7 @@ impl<L: InnovationObserver> Kernel for InnovationPass<'_, L> {
     }
 }
 
-/// The innovations of a test by itself, in the bits that it has in a lane.
+/// Computes the innovations of a single test, with the same bits as in a lane of a batch.
 pub(crate) fn innovations<L: InnovationObserver>(
     (design, gains): (&Design, &Gains),
     data: &Data,
@@ -143,17 +143,17 @@ pub(crate) fn innovations<L: InnovationObserver>(
     Isa::best().alone().run(InnovationPass { design, gains, data, room, look });
 }
 
-/// The data pass of a test by itself, in the bits that it has in a lane; what it finds is left in `room`.
+/// The data pass of a single test, with the same bits as in a lane of a batch; its results are in `room`.
 pub(crate) fn pass_alone((design, gains): (&Design, &Gains), data: &Data, room: &mut DataWorkspace) {
     Isa::best().alone().run(DataPass { design, gains, data: DataView::of(data), room });
 }
 
-/// Sees innovations on the way.
+/// Observes the innovations of a pass.
 pub(crate) trait InnovationObserver {
-    /// It wants to see every one: no stretch is gone over at once.
+    /// True if every innovation must be observed, so that no stretch is scanned.
     const EACH: bool;
 
-    /// Sees that of a row, with its line and x̂ before the update.
+    /// Observes the innovation at (row, line), with x̂ before the update.
     fn see<T: Lanes>(&mut self, at: (usize, usize), e: T, x: &[T]);
 }
 
@@ -164,20 +164,20 @@ impl InnovationObserver for () {
     fn see<T: Lanes>(&mut self, _: (usize, usize), _: T, _: &[T]) {}
 }
 
-/// What a pass carries from row to row.
+/// The state of a pass from row to row.
 struct MeanState<T> {
     x: Vec<T>,
     /// Work space of a transition.
     work: Vec<T>,
     y: Vec<T>,
-    /// e'S⁻¹e.
+    /// Sum of e'S⁻¹e over the completed blocks of steps.
     square: T,
-    /// What the last rows add to both: rounding grows with the number of blocks, not of rows.
+    /// Parts of y and e'S⁻¹e from the current block of steps: rounding grows with the number of blocks, not of rows.
     y_part: Vec<T>,
     square_part: T,
 }
 
-/// The pass over tests of designs of one shape, of which `design` is one: e'S⁻¹e; y to `room.d`.
+/// The pass over tests whose designs have the shape of `design`. Returns e'S⁻¹e; y goes to `room.d`.
 #[inline(always)]
 pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     design: &Design,
@@ -236,7 +236,8 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     state.square
 }
 
-/// A stretch of equal steps, if it is one that is gone over at once: x̂, y and innovations; e'S⁻¹e of it.
+/// The scan of a stretch of equal steps: updates x̂, y and e. Gives e'S⁻¹e of the stretch; `None` if it cannot be
+/// scanned.
 struct Long<'a, T, N> {
     numbers: &'a N,
     design: &'a Design,
@@ -265,7 +266,7 @@ impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
 }
 
 impl<T: Lanes> MeanState<T> {
-    /// Of n states and p unknowns.
+    /// State for n states and p unknowns, with sums of zero.
     #[inline(always)]
     fn new((n, p): (usize, usize)) -> MeanState<T> {
         let zero = T::splat(0.0);
@@ -273,7 +274,7 @@ impl<T: Lanes> MeanState<T> {
         MeanState { x: vec![zero; n], work: Vec::new(), y: zeros(), square: zero, y_part: zeros(), square_part: zero }
     }
 
-    /// Takes the parts to the sums.
+    /// Adds the parts of the current block to the sums.
     #[inline(always)]
     fn add_up(&mut self) {
         let zero = T::splat(0.0);
@@ -283,7 +284,7 @@ impl<T: Lanes> MeanState<T> {
         self.square = self.square + std::mem::replace(&mut self.square_part, zero);
     }
 
-    /// The innovation of a scalar measurement, after which x and the sums have it.
+    /// The innovation of a scalar measurement; updates x and the sums.
     #[inline(always)]
     fn measure<N: Numbers<T>, L: InnovationObserver>(
         &mut self,

@@ -18,10 +18,10 @@ use kalfit_model::{
 };
 use kalfit_model::{Source, Test};
 
-/// z, w, an input of z, an input of the drift, the variance of z.
+/// Number of columns: z, w, an input of z, an input of the drift, the variance of z.
 const COLUMNS: usize = 5;
 
-/// A bias and a scale factor; a drift that is driven, seen by both measurements.
+/// Model of a bias, a scale factor and a driven drift, which both measurements contain.
 fn model() -> Model {
     let (number, column) = (Expression::Number, Expression::Column);
     let linear = |terms: Vec<(usize, Expression)>, constant| Linear { terms, constant };
@@ -97,7 +97,7 @@ fn reducer() -> Reducer {
     Reducer::new(&model(), &Alpha::default()).expect("sound")
 }
 
-/// log p(z | ξ) by a filter of full matrices that knows ξ.
+/// log p(z | ξ) by a filter with full matrices and known ξ.
 fn likelihood(design: &Design, data: &Data, xi: &[f64]) -> f64 {
     let (frame, n) = (&*design.frame, design.frame.n);
     let mut x = DVector::from_column_slice(&data.start)
@@ -136,7 +136,7 @@ fn likelihood(design: &Design, data: &Data, xi: &[f64]) -> f64 {
     sum
 }
 
-/// What tests leave that are filtered side by side, by number.
+/// Reductions of tests that are filtered in lanes.
 fn side_by_side(isa: Isa, reducer: &Reducer, tests: &[Test]) -> ReducedTests {
     let (mut work, mut found) = (reducer.workspace(), ReducedTests::default());
     let mut all: Vec<Skeleton> = tests.iter().map(|_| Skeleton::default()).collect();
@@ -153,7 +153,7 @@ fn side_by_side(isa: Isa, reducer: &Reducer, tests: &[Test]) -> ReducedTests {
 fn lanes_say_what_a_filter_that_knows_xi_says() {
     let reducer = reducer();
     for (isa, size) in Isa::all().iter().flat_map(|&isa| [(isa, 1.0), (isa, 1e3)]) {
-        // ragged, and of some the second values of z are missing
+        // tests of different lengths, some without every fourth value of z
         let all = tests(&(0..13).collect::<Vec<u64>>(), size);
         let found = side_by_side(isa, &reducer, &all);
         for (row, &number) in found.reductions.iter().zip(&found.numbers) {
@@ -182,7 +182,7 @@ fn a_test_in_a_lane_has_the_bits_it_has_by_itself() {
     }
 }
 
-/// Own designs and shared ones, in turn.
+/// Tests with separate designs and with shared designs, in turn.
 fn mixed() -> Vec<Test> {
     let designs: Vec<u64> = (0..120).map(|k| if k % 3 == 0 { 1000 + k } else { k * 7919 % 11 }).collect();
     tests(&designs, 5.0)

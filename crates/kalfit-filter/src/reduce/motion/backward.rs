@@ -12,12 +12,12 @@ impl MotionPlan {
         (self.phi.len(), self.q.len())
     }
 
-    /// φ has entries ΓG.
+    /// Whether φ has entries of ΓG.
     pub(crate) fn holds(&self) -> bool {
         self.phi.iter().any(|entry| matches!(entry, EntrySource::Held(_)))
     }
 
-    /// The flows of a step again.
+    /// Recomputes the flows of a step.
     pub(crate) fn flows(
         &self,
         dynamics: &Dynamics,
@@ -38,7 +38,8 @@ impl MotionPlan {
         }
     }
 
-    /// Shows ∂ℓ/∂u of one step, slot by slot, some more than once. `flows` may be empty when all motion is discrete.
+    /// Calls `show(slot, ∂ℓ/∂u)` for the inputs of one step, for some slots more than once: the parts add up. `flows`
+    /// may be empty when all motion is discrete.
     pub(crate) fn drive_inputs(
         &self,
         input_bar: &[f64],
@@ -54,8 +55,9 @@ impl MotionPlan {
         Ok(())
     }
 
-    /// Adds ∂ℓ/∂coefficient of one transition to `out`. `bars`: of the entries of φ and of Q, summed over its steps, an
-    /// off-diagonal entry of Q for both its places; `flow_bar`: what [`MotionPlan::drive_flows`] left. `free`: coefficients that count.
+    /// Adds ∂ℓ/∂coefficient of one transition to `out`. `phi_bar`, `q_bar`: adjoints of the entries of φ and Q, summed
+    /// over its steps, that of an off-diagonal entry of Q for both its places; `flow_bar`: adjoints of the flows from
+    /// [`MotionPlan::drive_flows`]; `free`: whether each coefficient depends on free parameters.
     pub(crate) fn backward(
         &self,
         dynamics: &Dynamics,
@@ -91,7 +93,7 @@ impl MotionPlan {
 pub struct Evaluated<'a> {
     pub(crate) values: &'a [f64],
     pub(crate) dt: f64,
-    /// Read only when [`MotionPlan::holds`].
+    /// Flows of the step, read only when [`MotionPlan::holds`].
     pub(crate) flows: &'a [f64],
 }
 
@@ -120,7 +122,7 @@ pub(super) fn component_backward(
     let (phi, rest) = bars.split_at(m * m);
     let (gamma, noise) = rest.split_at(m * m);
     let (mut f_bar, mut q_bar) = flow_adjoint(&f, &q, m, step.dt, [phi, gamma, noise]).map_err(|_| fault())?;
-    // Of two coefficients for one place the last is the one in it.
+    // Of two coefficients for one entry, the last one is the one in effect.
     for &(i, j, slot) in component.rates.iter().rev() {
         out[slot] += std::mem::take(&mut f_bar[i * m + j]);
     }

@@ -1,4 +1,4 @@
-//! The transitions of tests side by side, from coefficients to φ, Q and b.
+//! The transitions of tests in lanes, from coefficients to φ, Q and b.
 
 use std::collections::HashMap;
 
@@ -9,31 +9,31 @@ use crate::reduce::lanes::BatchColumns;
 use crate::reduce::motion::{Drive, EntrySource, MotionPlan, Moves, append_flow, check_noise};
 use kalfit_algebra::exponential::scalar_flows;
 
-/// The transitions that lead to the steps of tests in lanes: number t of the test in a lane at t × lanes + lane.
+/// The transitions that lead to the steps of tests in lanes: transition t of the test in a lane is at t × lanes + lane.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Transitions {
-    /// Lengths; 0 where a test has none.
+    /// Step length of each transition; 0 where a test has no such transition.
     pub(crate) dt: Vec<f64>,
-    /// 1 where a test has one, else 0.
+    /// 1 where a test has the transition, else 0.
     pub(crate) moving: Vec<f64>,
-    /// The row that its coefficients read.
+    /// Row of the test from which the coefficients of each transition are read.
     pub(crate) sources: Vec<u32>,
 }
 
-/// What the motion is on all transitions of tests in lanes.
+/// Coefficients, inputs and flows on all transitions of tests in lanes.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct MotionColumns {
-    /// Of each coefficient that varies, in the order of [`Table::varying`].
+    /// Values of each coefficient that varies, in the order of [`Table::varying`].
     pub(crate) values: Vec<Vec<f64>>,
     pub(crate) inputs: Vec<Vec<f64>>,
     /// φ, Γ, Q of each component.
     pub(super) flows: Vec<f64>,
 }
 
-/// A table of coefficients on transitions: the same on all of them, or a column.
+/// A table of coefficients on transitions: each has one value on all transitions, or a column of values.
 pub(super) struct SlotValues<'a> {
     pub(super) fixed: &'a [f64],
-    /// Of each slot; none where all are the same.
+    /// Column of each slot; `None` for a slot with one value on all transitions. Empty when no slot has a column.
     columns: Vec<Option<&'a [f64]>>,
 }
 
@@ -47,7 +47,7 @@ impl Transitions {
 }
 
 impl MotionColumns {
-    /// Numbers of zero, for so many coefficients and inputs that vary, on so many places.
+    /// Sets all columns to zeros, `varying` columns of coefficients and of inputs with `places` numbers each.
     pub(crate) fn blank(&mut self, varying: [usize; 2], places: usize) {
         for (columns, varying) in [&mut self.values, &mut self.inputs].into_iter().zip(varying) {
             columns.resize_with(varying, Vec::new);
@@ -60,7 +60,7 @@ impl MotionColumns {
 }
 
 impl<'a> SlotValues<'a> {
-    /// The same on all transitions.
+    /// The table in which each coefficient has one value on all transitions.
     fn steady(values: &[f64]) -> SlotValues<'_> {
         SlotValues { fixed: values, columns: Vec::new() }
     }
@@ -109,7 +109,8 @@ pub struct Filled {
 }
 
 impl MotionPlan {
-    /// φ, Q and b of transitions. Returns in which lanes all of them are finite: in none where the noises are no covariance.
+    /// Computes φ, Q and b of transitions. Returns in which lanes all of them are finite: in none where the noises do
+    /// not form a covariance.
     pub(crate) fn fill(
         &self,
         width: Width,
@@ -129,7 +130,7 @@ impl MotionPlan {
         sound
     }
 
-    /// φ and Q of one transition, of length `dt`; true where all is finite.
+    /// Computes φ and Q of one transition of length `dt`; true where all numbers are finite.
     pub(super) fn fill_one(&self, dynamics: &Dynamics, values: &[f64], dt: f64, filled: &mut Filled) -> bool {
         let (Filled { step, flows, phi, q }, values) = (filled, SlotValues::steady(values));
         for (column, numbers) in [(&mut *flows, self.flow_len), (&mut *phi, self.phi.len()), (&mut *q, self.q.len())] {
@@ -144,15 +145,15 @@ impl MotionPlan {
         alone.run(TransitionFill { plan: self, steps: step, values, flows, phi, q })[0]
     }
 
-    /// Appends b of the driven states, as beside others. `inputs`: values of the dynamics' inputs.
+    /// Appends b of the driven states, with the same bits as in lanes. `inputs`: values of the dynamics' inputs.
     pub fn inputs(&self, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
         if !self.drives.is_empty() {
             Isa::best().alone().run(InputValues { drives: &self.drives, moves, inputs, out });
         }
     }
 
-    /// φ, Γ and Q of components of several states, transition by transition, those of one length and equal coefficients once. What
-    /// overflows is not a number.
+    /// Computes φ, Γ and Q of components of several states, transition by transition, once for each length and set of
+    /// coefficients. Flows that overflow become NaN.
     fn fill_coupled(&self, (dynamics, values): (&Dynamics, &SlotValues<'_>), steps: &Transitions, flows: &mut [f64]) {
         let coupled = dynamics.components.iter().zip(&self.offsets).filter(|(component, _)| component.states.len() > 1);
         for (component, &offset) in coupled {
@@ -187,7 +188,7 @@ fn fill_coupled(
     }
 }
 
-/// Σ entry of a flow × coefficient.
+/// Σ (entry of a flow) × coefficient.
 #[inline(always)]
 fn held<T: Lanes>(terms: &[(usize, usize)], flow: impl Fn(usize) -> T, slot: impl Fn(usize) -> T) -> T {
     let mut sum = T::splat(0.0);
@@ -197,7 +198,7 @@ fn held<T: Lanes>(terms: &[(usize, usize)], flow: impl Fn(usize) -> T, slot: imp
     sum
 }
 
-/// φ and Q of transitions, the flows of single states on the way.
+/// Kernel that computes φ and Q of transitions, after the flows of single states.
 struct TransitionFill<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
@@ -208,7 +209,7 @@ struct TransitionFill<'a> {
 }
 
 impl Kernel for TransitionFill<'_> {
-    /// In which lanes all is finite.
+    /// In which lanes all numbers are finite.
     type Output = [bool; MOST];
 
     #[inline(always)]
@@ -242,7 +243,7 @@ impl Kernel for TransitionFill<'_> {
 }
 
 impl TransitionFill<'_> {
-    /// The flows of single states.
+    /// Computes the flows of components of a single state.
     #[inline(always)]
     fn singles<T: Lanes>(&mut self, place: usize) {
         let places = self.steps.dt.len();
@@ -255,7 +256,7 @@ impl TransitionFill<'_> {
         }
     }
 
-    /// An entry of φ or Q; `rest` where there is no transition.
+    /// An entry of φ or Q; `rest` is its value where a test has no transition.
     #[inline(always)]
     fn entry<T: Lanes>(&self, entry: &EntrySource, rest: f64, place: usize) -> T {
         match entry {
@@ -274,7 +275,7 @@ impl TransitionFill<'_> {
     }
 }
 
-/// b of transitions.
+/// Kernel that computes b of transitions.
 struct Drives<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
@@ -305,7 +306,7 @@ impl Kernel for Drives<'_> {
     }
 }
 
-/// b of one transition.
+/// Kernel that appends b of one transition.
 struct InputValues<'a> {
     drives: &'a [Drive],
     moves: &'a Moves,

@@ -1,4 +1,4 @@
-//! The transitions of tests side by side: the way from their adjoints back to the coefficients of the motion.
+//! The transitions of tests in lanes: from their adjoints back to the coefficients of the motion.
 
 use kalfit_lanes::{Lanes, MOST};
 
@@ -16,14 +16,14 @@ impl Component {
 }
 
 impl MotionPlan {
-    /// Whether φ or b depends on Γ of a single state whose flow begins here.
+    /// Whether φ or b depends on Γ of the single-state component whose flow begins at `offset`.
     fn holds_over(&self, offset: usize) -> bool {
         let gamma = |terms: &[(usize, usize)]| terms.iter().any(|&(at, _)| at == offset + 1);
         self.phi.iter().any(|entry| matches!(entry, EntrySource::Held(terms) if gamma(terms)))
             || self.drives.iter().any(|drive| matches!(drive, Drive::Flow(terms) if gamma(terms)))
     }
 
-    /// The way back from these transitions. `free`: coefficients that count.
+    /// The pullback of these transitions. `free`: whether each coefficient depends on free parameters.
     pub(crate) fn back<'a>(
         &'a self,
         dynamics: &'a Dynamics,
@@ -61,20 +61,20 @@ struct Coupled<'a> {
     component: &'a Component,
     offset: usize,
     counts: bool,
-    /// Its coefficients are the same on all transitions.
+    /// Whether its coefficients are the same on all transitions.
     steady: bool,
 }
 
 /// A component of one state.
 struct SingleBack<'a> {
     single: &'a Single,
-    /// Its rate counts.
+    /// Whether its rate depends on free parameters.
     counts: bool,
-    /// φ or b depends on its Γ.
+    /// Whether φ or b depends on its Γ.
     holds: bool,
 }
 
-/// The way from the adjoints of transitions back to the coefficients of the motion.
+/// Pullback from the adjoints of transitions to those of the coefficients of the motion.
 pub struct MotionPullback<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
@@ -85,11 +85,12 @@ pub struct MotionPullback<'a> {
     inputs: SlotValues<'a>,
 }
 
-/// Adjoints of one transition, in lanes: of the flows (work space), of the coefficients and of the inputs.
+/// Adjoints in lanes: of the flows of one transition (work space), of the coefficients and of the inputs.
 #[derive(Debug, Clone)]
 pub(crate) struct MotionBars<T> {
     flows: Vec<T>,
-    /// Of coupled components with steady coefficients, summed over transitions of one length: of each lane the last one's place.
+    /// Flow adjoints of coupled components with steady coefficients, summed over successive transitions of one length;
+    /// `last` is the place of the last such transition in each lane.
     equal: Vec<T>,
     last: [Option<usize>; MOST],
     pub(crate) values: Vec<T>,
@@ -97,7 +98,7 @@ pub(crate) struct MotionBars<T> {
 }
 
 impl MotionPullback<'_> {
-    /// Adjoints of zero.
+    /// Adjoints that are all zero.
     #[inline(always)]
     pub(crate) fn zero<T: Lanes>(&self) -> MotionBars<T> {
         let zero = T::splat(0.0);
@@ -107,8 +108,8 @@ impl MotionPullback<'_> {
         MotionBars { flows, equal, last, values: vec![zero; values], inputs: vec![zero; inputs] }
     }
 
-    /// Adds ∂ℓ/∂coefficient of the transition with this number. `bars`: of its entries of φ, of Q (one off the diagonal for both
-    /// places) and of b, in lanes.
+    /// Adds ∂ℓ/∂coefficient of transition `number`. `bars`: adjoints, in lanes, of its entries of φ, of Q (an
+    /// off-diagonal entry for both its places) and of b.
     #[inline(always)]
     pub(crate) fn pull<T: Lanes>(&self, number: usize, bars: &[f64], out: &mut MotionBars<T>) {
         let (places, place) = (self.steps.dt.len(), number * T::COUNT);
@@ -150,7 +151,7 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// Adds what equal transitions have summed.
+    /// Adds the sums that are still pending for transitions of one length.
     #[inline(always)]
     pub(crate) fn finish<T: Lanes>(&self, out: &mut MotionBars<T>) {
         for lane in 0..T::COUNT {
@@ -158,7 +159,8 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// The transition at a place of a lane, of coupled states: those of one length on end are summed.
+    /// Adds the transition at `place` of a lane, for coupled states: successive transitions of one length are summed
+    /// first.
     fn coupled<T: Lanes>(&self, lane: usize, place: usize, out: &mut MotionBars<T>) {
         let same = |before: usize| self.steps.dt[before].to_bits() == self.steps.dt[place].to_bits();
         if !out.last[lane].is_some_and(same) {
@@ -178,7 +180,7 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// Adds what transitions of one length of a lane have summed.
+    /// Adds the pending sum over transitions of one length in a lane.
     fn settle<T: Lanes>(&self, lane: usize, out: &mut MotionBars<T>) {
         let Some(place) = out.last[lane].take() else { return };
         for Coupled { component, offset, .. } in self.coupled.iter().filter(|coupled| coupled.counts && coupled.steady)
@@ -190,7 +192,8 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// From φ, Γ and Q of coupled states to their rates and noises. What has no derivative is not a number.
+    /// Pulls adjoints of φ, Γ and Q of coupled states back to their rates and noises. Derivatives that do not exist
+    /// become NaN.
     fn component<T: Lanes>(
         &self,
         component: &Component,
@@ -209,7 +212,7 @@ impl MotionPullback<'_> {
         }
     }
 
-    /// From φ, Γ and Q of a single state to its rate and its noise.
+    /// Pulls adjoints of φ, Γ and Q of a single state back to its rate and its noise.
     #[inline(always)]
     fn single<T: Lanes>(&self, back: &SingleBack<'_>, place: usize, out: &mut MotionBars<T>) {
         let &SingleBack { single: &Single { offset, rate, noise }, counts, holds } = back;
@@ -235,7 +238,7 @@ impl MotionPullback<'_> {
     }
 }
 
-/// With this much more in a lane.
+/// The numbers with `more` added in one lane.
 fn added<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
     let mut all = [0.0; MOST];
     numbers.store(&mut all);
@@ -243,7 +246,7 @@ fn added<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
     T::load(&all)
 }
 
-/// ∂Q/∂q of a single state: Q/q, or expm1(xδ)/x for a noise of zero.
+/// ∂Q/∂q of a single state: Q/q, or expm1(xδ)/x where the noise q is zero. (`rate` is x, `dt` is δ.)
 #[inline(always)]
 fn part<T: Lanes>(rate: T, dt: T, noise: T, q: T) -> T {
     let mut all = [0.0; MOST];

@@ -12,12 +12,12 @@ impl Meters {
         self.meters.iter().map(|meter| (&meter.noise, &meter.constant, &*meter.terms))
     }
 
-    /// Covariances of measurements.
+    /// Covariances of the noises of measurements.
     pub(crate) fn pairs(&self) -> impl Iterator<Item = &Coefficient> {
         self.pairs.iter().map(|(.., covariance)| covariance)
     }
 
-    /// The filter of each measurement that has one.
+    /// (measurement, filter) for each measurement that has a filter.
     pub(crate) fn filters(&self) -> impl Iterator<Item = (usize, &Coefficient)> {
         self.meters.iter().enumerate().filter_map(|(m, meter)| Some((m, meter.filter.as_ref()?)))
     }
@@ -38,7 +38,7 @@ impl Meters {
         Ok(())
     }
 
-    /// d of each measurement of the model, where it is the same on every row.
+    /// d of each measurement of the model; `None` where some d varies from row to row.
     pub(crate) fn known_constants(&self) -> Option<Vec<f64>> {
         self.meters.iter().map(|meter| meter.constant.constant()).collect()
     }
@@ -59,7 +59,8 @@ impl Meters {
     }
 }
 
-/// Adjoints of the m scalar measurements of a step: of R (all of it, m × m), of z - d, of M (m × n, or empty when not wanted).
+/// Adjoints of the m scalar measurements of a step: of R (the full matrix, m × m), of z - d, and of M (m × n, or empty
+/// when not requested).
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Unwhitened {
     pub(crate) noise: Vec<f64>,
@@ -68,9 +69,9 @@ pub(crate) struct Unwhitened {
 }
 
 impl Unwhitened {
-    /// Back through z̃ = L⁻¹ζ, M̃ = L⁻¹M, R = LDL': ζ̄ = L'⁻¹z̄, M̄ = L'⁻¹H̄, R̄ = L'⁻¹(Φ + D̄)L⁻¹, symmetrised, with Φ the strictly
-    /// lower part of -(z̄z̃' + H̄M̃')D⁻¹. `h`: M̃, m × n, and `values`: z̃; `raw`: the noises before; `noise_bar` is D̄, `value_bar` z̄, and
-    /// `h_bar` H̄, or empty when it is not wanted.
+    /// Goes back through z̃ = L⁻¹ζ, M̃ = L⁻¹M, R = LDL': ζ̄ = L'⁻¹z̄, M̄ = L'⁻¹H̄, R̄ = L'⁻¹(Φ + D̄)L⁻¹, symmetrised,
+    /// with Φ the strictly lower part of -(z̄z̃' + H̄M̃')D⁻¹. `h`: M̃, m × n; `values`: z̃; `raw`: the noise variances
+    /// before whitening; `noise_bar`: D̄; `value_bar`: z̄; `h_bar`: H̄, or empty when M̄ is not requested.
     pub(crate) fn set(
         &mut self,
         (h, values, n): (&[f64], &[f64], usize),

@@ -1,4 +1,4 @@
-//! Correlated measurements of a step made independent: with R = LDL', L⁻¹ times them have noise D.
+//! Whitening of the correlated measurements of a step: with R = LDL', L⁻¹z has independent noises D.
 
 use crate::reduce::data::Data;
 use crate::reduce::design::Design;
@@ -12,7 +12,7 @@ pub(crate) struct Whitening {
 }
 
 impl Whitening {
-    /// From the diagonal of R, and its other entries (i, j, value).
+    /// Factors R, given by its diagonal and its other entries (i, j, value).
     pub(crate) fn new(
         noises: &[f64],
         covariances: impl Iterator<Item = (usize, usize, f64)>,
@@ -25,12 +25,12 @@ impl Whitening {
         Ok(Whitening { factor, m })
     }
 
-    /// D of a measurement.
+    /// D of a measurement: its noise variance after whitening.
     pub(crate) fn noise(&self, i: usize) -> f64 {
         self.factor[i * self.m + i]
     }
 
-    /// Entries of L below the diagonal that are not zero: (i, k, entry), row by row.
+    /// Nonzero entries of L below the diagonal: (i, k, entry), row by row.
     fn entries(&self) -> impl Iterator<Item = (usize, usize, f64)> {
         let row = move |i: usize| (0..i).map(move |k| (i, k, self.factor[i * self.m + k]));
         (0..self.m).flat_map(row).filter(|(.., entry)| *entry != 0.0)
@@ -66,8 +66,8 @@ impl Whitening {
     }
 }
 
-/// Whitens the scalar measurements from line `first` on, the last ones of the data. `covariances`: entries (i, j, value) of R besides
-/// its diagonal, counted from `first`.
+/// Whitens the scalar measurements from line `first` on, the last ones of the data. `covariances`: off-diagonal entries
+/// (i, j, value) of R, with i and j counted from `first`.
 pub(crate) fn whiten(
     design: &mut Design,
     data: &mut Data,
@@ -77,7 +77,7 @@ pub(crate) fn whiten(
     let (m, n) = (design.ends.len() - first, design.frame.n);
     let row = data.values.len() - m;
     let whitening = Whitening::new(&design.noise[first..], covariances.iter().copied())?;
-    // dense rows for a moment: whitened rows have the states of several
+    // dense rows for now: a whitened row has the states of several measurements
     let (mut h, mut present) = (vec![0.0; m * n], vec![false; m * n]);
     for i in 0..m {
         let (states, coefficients) = design.terms(first + i);

@@ -1,4 +1,4 @@
-//! Tests in phases, each phase of each test among the rows of its like; those that are kept side by side, for all values of α.
+//! Tests in phases, batched phase by phase with tests of similar rows; the batches serve for all values of α.
 
 use std::sync::Arc;
 
@@ -16,37 +16,37 @@ use kalfit_model::Reduction;
 use kalfit_model::Test;
 use kalfit_model::{PhaseReduction, PhasedTest};
 
-/// How the phases of tests go together.
+/// Batches of the phases of tests.
 #[derive(Debug)]
 pub struct PhasedBatches {
     phases: Vec<Members>,
-    /// Whether a phase of a test is in a batch.
+    /// Whether any phase of each test is in a batch.
     pub(crate) has: Vec<bool>,
 }
 
 /// The tests that have rows in a phase.
 #[derive(Debug)]
 struct Members {
-    /// By number, ascending.
+    /// Numbers of the tests, ascending.
     numbers: Arc<Vec<usize>>,
     batches: Arc<EnsembleBatches>,
 }
 
-/// Tests in phases at an α, after their filters.
+/// Tests in phases at one α, after their filters have run.
 #[derive(Debug)]
 pub struct FilteredPhases {
     phases: Vec<(Arc<Vec<usize>>, FilteredBatches)>,
-    /// By test, the phases of those that are in batches; empty where there is one phase.
+    /// Reductions of the phases of each test that is in a batch; empty where the model has one phase.
     pieces: Vec<Option<Vec<PhaseReduction>>>,
 }
 
 impl FilteredPhases {
-    /// The phases of a test by themselves, where they are known.
+    /// The separate phases of a test that is in a batch.
     pub(crate) fn pieces(&self, number: usize) -> Option<&[PhaseReduction]> {
         self.pieces.get(number)?.as_deref()
     }
 
-    /// The numbers of the tests that have rows in a phase, and the batches of these, for several threads.
+    /// The numbers of the tests that have rows in a phase, and the batches of these tests as a parallel iterator.
     pub(crate) fn phase(&self, at: usize) -> (&[usize], impl IndexedParallelIterator<Item = FilteredBatch<'_>>) {
         let (numbers, filtered) = &self.phases[at];
         (numbers, filtered.batches())
@@ -54,8 +54,8 @@ impl FilteredPhases {
 }
 
 impl PhasedReducer {
-    /// How the phases of tests go together. Of the tests with the numbers `alone`, those with designs of their own are kept side by
-    /// side; `shared`: some of each kind of the others.
+    /// Forms the batches of the phases of tests. Tests numbered in `alone` that share their design with no other test
+    /// are kept in lanes; `shared`: numbers of a few tests of each design that several tests share.
     pub(crate) fn batches(
         &self,
         tests: &[PhasedTest],
@@ -77,7 +77,7 @@ impl PhasedReducer {
         PhasedBatches { phases, has }
     }
 
-    /// As [`PhasedReducer::reduce`], phases as they go together.
+    /// Reduces tests as [`PhasedReducer::reduce`] does, with their phases in given batches.
     pub(crate) fn reduce_batches(
         &self,
         tests: &[PhasedTest],
@@ -120,7 +120,7 @@ impl PhasedReducer {
     }
 }
 
-/// The phases of a test by themselves.
+/// Owned copies of the separate phases of a test.
 fn pieces(parts: Option<&[ReducedPhase<'_>]>) -> Option<Vec<PhaseReduction>> {
     Some(parts?.iter().map(|part| part.clone().into_piece()).collect())
 }

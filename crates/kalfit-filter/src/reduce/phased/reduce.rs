@@ -1,4 +1,4 @@
-//! Tests in phases, many at a time: each phase of all of them, then each test as a whole.
+//! Reduces many tests in phases at a time: each phase of all tests, then each test as a whole.
 
 use rayon::prelude::*;
 
@@ -9,15 +9,15 @@ use crate::reduce::reducer::ToEnd;
 use kalfit_model::Test;
 use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
 
-/// Tests whose phases are there at the same time.
+/// Most tests whose phases are in memory at the same time.
 const MOST: usize = 1 << 12;
 
 impl PhasedReducer {
-    /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, zero rows and columns for phases that a
-    /// test lacks, with the [`Chain`](kalfit_model::Chain) where the model has several phases.
+    /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, with zero rows and columns for
+    /// phases that a test lacks, and with the [`Chain`](crate::reduce::Chain) where the model has several phases.
     ///
     /// # Errors
-    /// Of several tests in error, the first one's error; of several phases, the first one's.
+    /// The error of the first test in error, and of its first phase in error.
     pub fn reduce(&self, tests: &[PhasedTest]) -> Result<Reductions, ReduceError> {
         if let Some((phase, rows)) = self.plain(tests) {
             return phase.reducer.reduce_all(&rows);
@@ -29,10 +29,11 @@ impl PhasedReducer {
         Ok(Reductions::joined(tests.chunks(MOST).map(some).collect::<Result<_, _>>()?))
     }
 
-    /// Phases of tests one by one, whether the phases before them are known or not: (id of the test, phase, what is known of it).
+    /// Reduces single phases of tests, given as (id of the test, phase, evidence), whether or not the phases before
+    /// them are known.
     ///
     /// # Errors
-    /// Of several in error, the first one's error.
+    /// The error of the first phase in error.
     pub fn each_piece(&self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
         let mut found: Vec<Option<ToEnd>> = phases.iter().map(|_| None).collect();
         for (at, phase) in self.phases.iter().enumerate().filter(|(_, phase)| phase.is_optimal()) {

@@ -1,4 +1,4 @@
-//! Which tests in phases are replicates, phase by phase and as a whole.
+//! Replicates among tests in phases, phase by phase and as a whole.
 
 use std::collections::BTreeMap;
 
@@ -10,13 +10,13 @@ use kalfit_model::Test;
 /// The tests that have rows in a phase for the optimal filter.
 #[derive(Debug)]
 pub struct PhaseReplicates {
-    /// By number, ascending.
+    /// Numbers of the tests, ascending.
     pub(super) numbers: Vec<usize>,
-    /// By their places among these numbers.
+    /// Sets of replicates, by index into `numbers`.
     pub(super) replicates: Replicates,
 }
 
-/// How a test stands in a phase.
+/// Status of a test in one phase: without rows, without replicates, or in the set with this index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum PhaseStanding {
     NoRows,
@@ -25,7 +25,7 @@ enum PhaseStanding {
 }
 
 impl PhasedReducer {
-    /// Which tests are replicates in each phase. It does not depend on α.
+    /// The replicates among tests in each phase; they do not depend on α.
     pub(crate) fn replicates(&self, tests: &[PhasedTest]) -> Vec<PhaseReplicates> {
         let phase = |at: usize| {
             let (numbers, rows) = self.members(at, tests);
@@ -34,7 +34,7 @@ impl PhasedReducer {
         (0..self.phases.len()).map(phase).collect()
     }
 
-    /// The tests, by number, that have rows in a phase for the optimal filter; and these rows.
+    /// The numbers of the tests that have rows for the optimal filter in phase `at`, and these rows.
     pub(super) fn members<'t>(&self, at: usize, tests: &'t [PhasedTest]) -> (Vec<usize>, Vec<&'t Test>) {
         let rows = |(number, test): (usize, &'t PhasedTest)| Some((number, self.rows_of(at, test)?));
         tests.iter().enumerate().filter_map(rows).unzip()
@@ -42,7 +42,7 @@ impl PhasedReducer {
 }
 
 impl PhaseReplicates {
-    /// Which of some tests are replicates in all of these phases.
+    /// The tests that are replicates of each other in all of the given phases.
     pub(crate) fn in_all(phases: &[PhaseReplicates], tests: &[PhasedTest]) -> Replicates {
         let standings: Vec<Vec<PhaseStanding>> = phases.iter().map(|phase| phase.standings(tests.len())).collect();
         let mut known: BTreeMap<(usize, Vec<PhaseStanding>), usize> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! The phases of tests, each reduced by itself → all of them together.
+//! From the phases of tests, each reduced separately, to reductions of whole tests.
 
 use std::collections::BTreeMap;
 
@@ -16,10 +16,10 @@ use kalfit_model::Reduction;
 use kalfit_model::{Chain, ChainPhase, Link};
 use kalfit_model::{Inherited, PhasedTest};
 
-/// The phases of a test and how they are linked.
+/// The phases of a test and the links between them.
 struct Linked<'a> {
     parts: Vec<ReducedPhase<'a>>,
-    /// g of the link that leads to each phase; `None` for the first one.
+    /// g of the link that leads to each phase; `None` for the first phase.
     means: Vec<Option<DVector<f64>>>,
     /// Digest of all that the stacked design depends on.
     design: u128,
@@ -32,7 +32,7 @@ impl<'a> Linked<'a> {
         Linked { parts, means, design }
     }
 
-    /// What stacking depends on.
+    /// The quantities on which stacking depends, phase by phase.
     fn phases(&self, reducers: &[PhaseReducer]) -> Vec<StackPhase<'_>> {
         let mut phases = Vec::with_capacity(self.parts.len());
         let mut before: Option<&ReducedPhase<'_>> = None;
@@ -51,7 +51,7 @@ impl<'a> Linked<'a> {
 }
 
 impl PhasedReducer {
-    /// All phases of a test together.
+    /// The reduction of all phases of a test together.
     pub(super) fn whole(
         &self,
         test: &PhasedTest,
@@ -61,7 +61,7 @@ impl PhasedReducer {
         all.into_iter().next().expect("one test, one reduction")
     }
 
-    /// All phases of tests together, those of one shape side by side.
+    /// The reductions of all phases of tests together; tests of one shape are stacked in lanes.
     pub(super) fn wholes(
         &self,
         tests: &[PhasedTest],
@@ -83,7 +83,7 @@ impl PhasedReducer {
         tests.iter().zip(linked).zip(stacked).map(whole).collect()
     }
 
-    /// The tests stacked; nothing of those in error.
+    /// The stacked phases of each test; `None` for tests in error.
     fn stacked(&self, linked: &[Result<Linked<'_>, ReduceError>]) -> Vec<Option<Stacked>> {
         let mut stacked: Vec<Option<Stacked>> = linked.iter().map(|_| None).collect();
         let phases: Vec<Vec<StackPhase<'_>>> = linked
@@ -105,7 +105,7 @@ impl PhasedReducer {
         stacked
     }
 
-    /// What is left of a test.
+    /// The reduction of a whole test, from its stacked phases.
     fn together(&self, test: &PhasedTest, linked: Linked<'_>, stacked: Stacked) -> Result<Reduction, ReduceError> {
         let Stacked { factor, links, constant, data } = stacked;
         let Linked { parts, means, design } = linked;
@@ -126,7 +126,7 @@ impl PhasedReducer {
             chain: None,
             exact: None,
         };
-        // Phases that the test lacks come last: they say nothing.
+        // Phases that the test lacks come last, without information.
         reduction.data.resize(self.dimension, 0.0);
         reduction.factor.resize(self.dimension * (self.dimension + 1) / 2, 0.0);
         reduction.covariates.resize(self.regressions, 0.0);
@@ -151,7 +151,7 @@ impl PhasedReducer {
     }
 }
 
-/// g = T x̂_K + t of the link to the phase with this number.
+/// g = T x̂_K + t of the link to phase `at`.
 fn link_mean(parts: &[ReducedPhase<'_>], at: usize) -> Option<DVector<f64>> {
     let mean = &parts[at.checked_sub(1)?].last().mean;
     let Inherited { transition, input } = parts[at].inherits();

@@ -1,4 +1,4 @@
-//! Which cells of a test count, and in how many stretches of equal steps.
+//! The cells that determine the design of a test, and the number of its stretches of equal steps.
 
 use crate::reduce::cell_mask::CellMask;
 use crate::reduce::dynamics::Dynamics;
@@ -9,8 +9,8 @@ use crate::reduce::steps::{StepSpan, spans};
 use crate::reduce::subject::{ModelAt, Uses};
 use kalfit_model::Test;
 
-/// All that is read of a test but measured values and covariates; `None` where values are mixed. `shape` and `drive`: columns of
-/// the measurements and of the dynamics.
+/// Mask of all cells that are read from a test except measured values and covariates; `None` where whitening mixes
+/// values. `shape`, `drive`: columns as in the fields of `Preparer`.
 pub(super) fn looks(
     at: &ModelAt<'_>,
     (shape, drive): (&Uses, &Uses),
@@ -26,8 +26,8 @@ pub(super) fn looks(
 }
 
 impl Preparer {
-    /// How many stretches of equal steps a test has, as its times and the cells that it is made from say, whatever α is; `None` where
-    /// its steps cannot be told, or inputs drive them.
+    /// Number of stretches of equal steps of a test, by its times and the cells of its coefficients, whatever α is;
+    /// `None` where its steps cannot be determined or its states have inputs.
     pub(crate) fn stretches(&self, test: &Test) -> Option<usize> {
         let mut steps = Vec::new();
         spans(&self.at(), test, None, &mut steps).ok()?;

@@ -1,4 +1,4 @@
-//! Parts of a test that are needed apart from the rest: its covariates, how it starts, and the cells and constants d of its
+//! Parts of a test that are needed separately: its covariates, its start, and the cells and constants d of its
 //! measurements.
 
 use crate::reduce::error::ReduceErrorKind;
@@ -9,7 +9,7 @@ use crate::reduce::subject::{Fault, ModelAt, Subject};
 use kalfit_model::Test;
 
 impl Preparer {
-    /// The covariates of a test into the work space: of tests that look alike, they alone differ beside the measured values.
+    /// Writes the covariates of a test into the work space: replicates differ only in covariates and measured values.
     pub(crate) fn covariates_of(&self, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
         work.covariates.clear();
         if self.start.uses.is_empty() {
@@ -20,7 +20,7 @@ impl Preparer {
         self.covariates(&at, work)
     }
 
-    /// Those of the test whose cells are in the work space.
+    /// Writes the covariates of the test whose cells are in the work space.
     pub(super) fn covariates(&self, at: &ModelAt<'_>, work: &mut Workspace) -> Result<(), Box<Fault>> {
         work.covariates.clear();
         for (r, regression) in self.model.mean.regression.iter().enumerate() {
@@ -29,8 +29,9 @@ impl Preparer {
         Ok(())
     }
 
-    /// a, P0 and covariates of a test of which only the columns constant within it are known, in one row. They go to the work
-    /// space as [`Preparer::prepare`] puts them there; nothing else of it is of use then. The length of the first step is not known.
+    /// Writes a, P0 and covariates of a test into the work space as [`Preparer::prepare`] does; the rest of the work
+    /// space is then meaningless. Only the columns constant within the test are known, in one row; the length of the
+    /// first step is unknown.
     pub(crate) fn open(&self, constants: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
         let at = self.at();
         if constants.rows() == 0 {
@@ -55,7 +56,8 @@ impl Preparer {
         Ok(constants)
     }
 
-    /// Cell and d of each scalar measurement of the test in the work space: what is filtered is the number in the cell, less d.
+    /// (cell, d) of each scalar measurement of the test in the work space: the filter takes the number in the cell
+    /// minus d.
     pub(crate) fn measured_cells(&self, test: &Test, work: &Workspace) -> Result<Vec<(usize, f64)>, Box<Fault>> {
         let width = test.widths().0;
         let cell = |Instance { meter, row }: Instance| row * width + self.meters.column(meter);

@@ -1,4 +1,4 @@
-//! Steps of a prepared test looked at again, one by one, for their derivatives.
+//! Repeated evaluation of single steps of a prepared test, for derivatives.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use crate::reduce::subject::Fault;
 use kalfit_model::{Alpha, Scope};
 use kalfit_model::{Label, Test};
 
-/// Room for the coefficients of one step.
+/// Work space for the coefficients of one step.
 #[derive(Debug, Clone, Default)]
 pub struct Replay {
     /// The dynamics' coefficients.
@@ -18,7 +18,7 @@ pub struct Replay {
     pub(crate) inputs: Vec<f64>,
 }
 
-/// What the law of a test's x_0 is evaluated on.
+/// Cells on which the law of a test's x_0 is evaluated.
 #[derive(Debug, Clone)]
 pub(crate) struct StartCells {
     numbers: Vec<f64>,
@@ -28,19 +28,19 @@ pub(crate) struct StartCells {
 }
 
 impl StartCells {
-    /// Cells that are constant within the test.
+    /// Scope with the cells that are constant within the test.
     pub(crate) fn whole<'a>(&'a self, alpha: &'a Alpha) -> Scope<'a> {
         Scope { numbers: &self.numbers, texts: &self.texts, step: self.dt, alpha }
     }
 
-    /// Those of its first row, which the stationary law is evaluated on.
+    /// Scope with the cells of the test's first row, on which the stationary law is evaluated.
     pub(crate) fn first<'a>(&self, test: &'a Test, alpha: &'a Alpha) -> Scope<'a> {
         Scope { numbers: test.numbers(0), texts: test.texts(0), step: self.dt, alpha }
     }
 }
 
 impl Workspace {
-    /// What the law of x_0 of the test was evaluated on.
+    /// Cells on which the law of x_0 of the test was evaluated.
     pub(crate) fn opening(&self) -> StartCells {
         let GatheredCells { numbers, texts } = &self.whole;
         StartCells { numbers: numbers.clone(), texts: texts.clone(), dt: self.spans[0].dt }
@@ -51,21 +51,22 @@ impl Workspace {
         self.place(k).0.dt
     }
 
-    /// True when these steps, at least one, are equally long, bit for bit.
+    /// True when all of `steps`, at least one, have the same length, bit for bit.
     pub(crate) fn same_dt(&self, steps: &Range<usize>) -> bool {
         let at = |k: usize| self.firsts.partition_point(|&first| first <= k) - 1;
         let spans = &self.spans[at(steps.start)..=at(steps.end - 1)];
         spans.iter().all(|span| span.dt.to_bits() == spans[0].dt.to_bits())
     }
 
-    /// All rows that the coefficients of these steps, at least one, read.
+    /// Range of all rows from which the coefficients of `steps`, at least one, are read. `previous`: they are read from
+    /// the row before.
     pub(crate) fn rows_of(&self, steps: &Range<usize>, previous: bool) -> Range<usize> {
         self.moment(steps.start, previous).source.start..self.moment(steps.end - 1, previous).rows.end
     }
 
-    /// The span of step `k`, and its number there.
+    /// The span of step `k`, and the number of the step in that span.
     fn place(&self, k: usize) -> (&StepSpan, usize) {
-        // where no steps are equally long each is a span
+        // while successive steps differ in length, each step is a span
         let own = self.firsts.get(k) == Some(&k);
         let at = if own { k } else { self.firsts.partition_point(|&first| first <= k) - 1 };
         (&self.spans[at], k - self.firsts[at])
@@ -85,7 +86,7 @@ impl Workspace {
 }
 
 impl Preparer {
-    /// What the transition to step `k` was evaluated on. `cells`: room for the cells of several rows.
+    /// The scope in which the transition to step `k` was evaluated. `cells`: work space for steps of several rows.
     pub(crate) fn moving<'a>(
         &'a self,
         test: &'a Test,
@@ -96,7 +97,7 @@ impl Preparer {
         self.motion_scope(&self.at(), test, &work.moment(k, self.clock_previous()), cells)
     }
 
-    /// What the start was evaluated on: nothing, when no test changes it.
+    /// The scope in which the start was evaluated: empty where it is the same for all tests.
     pub(crate) fn starting<'a>(&'a self, work: &'a Workspace) -> Scope<'a> {
         if self.law.is_some() {
             return Scope { numbers: &[], texts: &[], step: 0.0, alpha: &self.alpha };
@@ -104,7 +105,7 @@ impl Preparer {
         Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: work.spans[0].dt, alpha: &self.alpha }
     }
 
-    /// What the stationary distribution was evaluated on: nothing, when no test changes it.
+    /// The scope in which the stationary distribution was evaluated: empty where it is the same for all tests.
     pub(crate) fn settled<'a>(
         &'a self,
         test: &'a Test,
@@ -140,7 +141,7 @@ impl Preparer {
         self.dynamics.inputs.evaluate(&self.at(), scope, &mut out.inputs)
     }
 
-    /// Those of both that the stationary distribution needs.
+    /// The coefficients and inputs of the dynamics that the stationary distribution needs.
     pub(crate) fn settling(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
         let at = self.at();
         self.dynamics.table.evaluate_some(&at, scope, |slot| self.start.needs(slot), &mut out.values)?;

@@ -1,4 +1,4 @@
-//! What of a test does not depend on α: its steps, and which of its cells each of them reads.
+//! The part of a test that does not depend on α: its steps, and the cells that each step reads.
 
 use std::cmp::Ordering;
 
@@ -8,7 +8,7 @@ use crate::reduce::prepare::{Preparer, StartCells, Workspace};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
-/// Steps and scalar measurements of one test: no more than these.
+/// Most steps and scalar measurements together of a test that has a skeleton.
 const MOST: usize = 1 << 23;
 
 /// The steps of a test, found from its cells alone.
@@ -20,22 +20,23 @@ pub struct Skeleton {
     pub(crate) steps: Vec<StepCells>,
     /// Scalar measurements, in the order of the design.
     pub(crate) instances: Vec<Instance>,
-    /// Where tests have other laws of x_0.
+    /// Cells of the law of x_0, where it differs from test to test.
     pub(crate) opening: Option<StartCells>,
-    /// Each step is one row.
+    /// Whether each step is one row.
     flat: bool,
-    /// Which measurements its steps have: a bit for each of those of the model in each step, the first bits first.
+    /// Bits that mark the measurements of each step, one for each measurement of the model in each step, from the
+    /// highest bit of the first word on.
     pattern: Vec<u64>,
 }
 
-/// A step.
+/// One step and the cells that it reads.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StepCells {
     pub(crate) moves: bool,
     pub(crate) dt: f64,
-    /// The row that its motion reads.
+    /// Row from which its motion is read.
     pub(crate) source: u32,
-    /// End of its scalar measurements.
+    /// End of its scalar measurements in `instances`.
     pub(crate) end: usize,
 }
 
@@ -45,14 +46,14 @@ impl Skeleton {
         self.steps.len()
     }
 
-    /// Scalar measurements of a step; none where the test has ended.
+    /// Scalar measurements of step `k`; none after the end of the test.
     pub(crate) fn of(&self, k: usize) -> &[Instance] {
         let Some(step) = self.steps.get(k) else { return &[] };
         let start = if k == 0 { 0 } else { self.steps[k - 1].end };
         &self.instances[start..step.end]
     }
 
-    /// A transition leads to a step.
+    /// Whether a transition leads to step `k`.
     pub(crate) fn moves(&self, k: usize) -> bool {
         self.steps.get(k).is_some_and(|step| step.moves)
     }
@@ -62,12 +63,12 @@ impl Skeleton {
         (0..self.steps.len()).flat_map(|k| self.of(k).iter().map(move |&instance| (k, instance)))
     }
 
-    /// The order in which tests go together: by length, then by what they measure.
+    /// Order in which tests are batched: by descending length, then by the pattern of their measurements.
     pub(crate) fn by_shape(&self, other: &Skeleton) -> Ordering {
         other.len().cmp(&self.len()).then_with(|| other.pattern.cmp(&self.pattern))
     }
 
-    /// Whether its steps have transitions and measurements as those of another one.
+    /// Whether its steps have the same transitions and measurements as those of `other`.
     pub(crate) fn is_like(&self, other: &Skeleton) -> bool {
         let step = |(own, other): (&StepCells, &StepCells)| (own.moves, own.end) == (other.moves, other.end);
         (self.steps.len(), self.instances.len()) == (other.steps.len(), other.instances.len())
@@ -75,8 +76,9 @@ impl Skeleton {
             && self.instances.iter().zip(&other.instances).all(|(own, other)| own.meter == other.meter)
     }
 
-    /// Whether it goes beside another one that is at least as long, each with its measurements in its own order: those of a row stand
-    /// in the order of the model's; rows of one step must be the same in both.
+    /// Whether it fits in one batch with `longer`, which is at least as long: each step of both is one row, whose
+    /// measurements are in the order of the model, or the steps of both have the same measurements. It must also be at
+    /// least half as long.
     pub(crate) fn goes_with(&self, longer: &Skeleton) -> bool {
         let same = |k: usize| {
             let (own, other) = (self.of(k), longer.of(k));
@@ -85,7 +87,7 @@ impl Skeleton {
         2 * self.len() >= longer.len() && (self.flat && longer.flat || (0..self.len()).all(same))
     }
 
-    /// Room for another test.
+    /// Empties the skeleton for another test.
     fn clear(&mut self) {
         let Skeleton { covariates, steps, instances, opening, pattern, .. } = self;
         covariates.clear();
@@ -97,9 +99,9 @@ impl Skeleton {
 }
 
 impl Preparer {
-    /// The steps of a test, in place of those of another. False where something is wrong with it, or where it goes better by itself:
-    /// where cells are gathered from several rows, or most steps are in long stretches of equal ones. Which way a test goes depends on
-    /// its own cells.
+    /// Writes the steps of a test to `made`. Returns false where the test is in error, or where it is better reduced
+    /// alone: where cells are gathered from several rows, or most steps are in long stretches of equal steps. This
+    /// choice depends only on the cells of the test.
     pub(crate) fn skeleton(&self, test: &Test, number: usize, work: &mut Workspace, made: &mut Skeleton) -> bool {
         made.clear();
         made.number = number;
@@ -117,7 +119,7 @@ impl Preparer {
         !made.instances.is_empty() && made.steps.len() + made.instances.len() <= MOST
     }
 
-    /// Finds the cells that a test has as a whole, and where its steps are; false where something is wrong.
+    /// Gathers the cells that are constant within a test, and finds its steps; false where the test is in error.
     fn has_opened(&self, test: &Test, work: &mut Workspace) -> bool {
         let at = self.at();
         if test.rows() == 0 || work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true)).is_err() {
@@ -130,8 +132,8 @@ impl Preparer {
         sound.is_ok() && self.covariates(&at, work).is_ok()
     }
 
-    /// Appends the steps of the test in the work space; false where something is wrong with one, or most are in long stretches of
-    /// equal ones.
+    /// Appends the steps of the test in the work space; false where a step is in error, or most steps are in long
+    /// stretches of equal steps.
     fn has_steps(&self, test: &Test, work: &Workspace, made: &mut Skeleton) -> bool {
         let at = self.at();
         let unknown = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
@@ -165,7 +167,7 @@ impl Preparer {
     }
 }
 
-/// Sets a bit.
+/// Sets a bit, counted from the highest bit of the first word.
 fn note(pattern: &mut Vec<u64>, bit: usize) {
     let word = bit / 64;
     if pattern.len() <= word {
@@ -175,7 +177,7 @@ fn note(pattern: &mut Vec<u64>, bit: usize) {
 }
 
 impl Skeleton {
-    /// A step has the measurements of the one before.
+    /// Whether step `k` has the measurements of the step before.
     fn repeats(&self, k: usize) -> bool {
         let (before, now) = (self.of(k - 1), self.of(k));
         before.len() == now.len() && before.iter().zip(now).all(|(before, now)| before.meter == now.meter)

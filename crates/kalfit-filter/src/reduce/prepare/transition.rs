@@ -1,5 +1,5 @@
-//! The transition that leads to a step of a test: where it calls for a matrix exponential, made once for each length of step and
-//! set of coefficients; else made again, which takes less time than to look for it.
+//! The transition that leads to a step of a test. Where it needs a matrix exponential, it is computed once for each
+//! step length and set of coefficients; else it is computed every time, which takes less time than a look-up.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -12,17 +12,17 @@ use crate::reduce::shared_store::StoreEntry;
 use crate::reduce::subject::{Fault, ModelAt, Subject};
 use kalfit_model::Test;
 
-/// Transitions whose memory is kept for others.
+/// Most transitions whose memory is kept for reuse.
 const SPARE: usize = 1 << 12;
 
-/// What leads to a step, in the store.
+/// The moves of a step, as an entry of the store of transitions.
 type KnownMoves = StoreEntry<Vec<u64>, Result<Moves, Box<Fault>>>;
 
-/// What led to the last step, with the key it is known again by: the step's length and coefficients.
+/// The moves to the last step, with the key that identifies them: the step's length and coefficients.
 #[derive(Debug)]
 pub(super) enum Last {
     Own(Vec<u64>, Moves),
-    /// A sound one.
+    /// An entry of the store, without a fault.
     Shared(Arc<KnownMoves>),
 }
 
@@ -43,7 +43,7 @@ impl Last {
 }
 
 impl Workspace {
-    /// Empties the design; the memory of transitions that nobody else has is kept for those of the next test.
+    /// Empties the design; the memory of unshared transitions is kept for those of the next test.
     pub(super) fn clear_design(&mut self) {
         let Workspace { design, spare, .. } = self;
         let mut used = design.moves.drain(..);
@@ -60,7 +60,7 @@ impl Workspace {
 }
 
 impl Preparer {
-    /// Makes the transition that leads to a step the last one of the work space; its inputs go to the data.
+    /// Sets `work.last` to the transition that leads to a step, and appends the inputs of the step to the data.
     pub(super) fn transition(
         &self,
         at: &ModelAt<'_>,
@@ -102,11 +102,11 @@ impl Preparer {
         Ok(())
     }
 
-    /// Makes the moves of a step, in place of the last ones.
+    /// Computes the moves of a step in place of the last ones.
     fn own_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
         let Workspace { key, replay, filled, spare, last, .. } = work;
         let moves = self.plan.moves(&self.dynamics, &replay.values, dt, (filled, spare.pop()))?;
-        // the memory of the key before is that of the next
+        // the memory of the old key serves for the next one
         if let Some(Last::Own(before, _)) = last.replace(Last::Own(std::mem::take(key), moves)) {
             *key = before;
         }

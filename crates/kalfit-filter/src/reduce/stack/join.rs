@@ -1,4 +1,4 @@
-//! Joining a phase and what is known of all after it, for one test or for tests side by side.
+//! Joins a phase with the rows of all later phases, for one test or for tests in lanes.
 #![expect(non_snake_case, reason = "the letters of the theory: G, C, A the rows on σ")]
 
 use kalfit_lanes::{Lanes, MOST, interleaved};
@@ -8,24 +8,24 @@ use crate::reduce::stack::phase::StackPhase;
 use crate::reduce::stack::square::StackArray;
 use kalfit_algebra::fold::fold_rows;
 
-/// One phase of tests whose phases have the same sizes, a test in each lane.
+/// One phase of tests whose phases have the same sizes, with one test in each lane.
 pub(super) struct JoinedPhase<T> {
-    /// p.
+    /// p, the number of elements of the phase's ξ.
     pub(super) own: usize,
     /// R, packed by columns.
     factor: Vec<T>,
-    /// `None` for the first phase.
+    /// Link that leads to the phase; `None` for the first phase.
     pub(super) link: Option<GivenLink<T>>,
-    /// d, q numbers, and g of the link that leads here.
+    /// d, q numbers; `mean` is g of the link that leads to this phase.
     data: Vec<T>,
     mean: Vec<T>,
 }
 
 /// The link that leads to a phase, matrices by columns.
 pub(super) struct GivenLink<T> {
-    /// G, q × so many columns.
+    /// G, q × the number of entering coordinates of the phase before.
     pub(super) G: Matrix<T>,
-    /// C, q × so many columns.
+    /// C, q × at most q columns.
     pub(super) C: Matrix<T>,
 }
 
@@ -36,7 +36,7 @@ pub(super) struct Matrix<T> {
     entries: Vec<T>,
 }
 
-/// Memory that one join leaves to the next.
+/// Memory that is reused from one join to the next.
 pub(super) struct JoinWorkspace<T> {
     array: Vec<T>,
     rows: Vec<T>,
@@ -48,7 +48,7 @@ impl<T> Default for JoinWorkspace<T> {
     }
 }
 
-/// Numbers of tests side by side, one test after the other.
+/// Separates numbers in lanes into one list for each test.
 #[inline(always)]
 pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
     let mut all = Vec::with_capacity(tests);
@@ -66,7 +66,7 @@ pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
 }
 
 impl<T: Lanes> JoinedPhase<T> {
-    /// The phase with this number of tests whose phases have the same sizes, at least one and no more than there are lanes.
+    /// Phase `at` of tests whose phases have the same sizes; there is at least one test, and at most one per lane.
     #[inline(always)]
     pub(super) fn new(tests: &[&[StackPhase<'_>]], at: usize) -> JoinedPhase<T> {
         let (count, first) = (tests.len(), &tests[0][at]);
@@ -83,7 +83,7 @@ impl<T: Lanes> JoinedPhase<T> {
         JoinedPhase { own: first.own, factor, link, data, mean }
     }
 
-    /// What is known of the last phase.
+    /// The rows of the last phase, as an array in `memory`.
     #[inline(always)]
     pub(super) fn last(&self, memory: Vec<T>) -> StackArray<T> {
         let mut array = StackArray::zeros(self.data.len(), memory);
@@ -92,8 +92,8 @@ impl<T: Lanes> JoinedPhase<T> {
         array
     }
 
-    /// Joins it with what is known of all phases after it, `next` the first of these: the rows on (σ_i, ξ_{i+1}, …), and the diagonal
-    /// of u's own rows. What is left of the data joins the residual sum of squares.
+    /// Joins the phase with `later`, the rows of all later phases, of which `next` is the first. Returns the rows on
+    /// (σ_i, ξ_{i+1}, …) and the diagonal of the rows of u. The squares of the remaining data are added to `residual`.
     #[inline(always)]
     pub(super) fn join(
         &self,
@@ -194,7 +194,7 @@ impl<T: Lanes> Matrix<T> {
         Matrix { rows: q, columns: q, entries: U } // U' by columns is U by rows
     }
 
-    /// The matrices of the tests.
+    /// The matrix of each test.
     #[inline(always)]
     pub(super) fn apart(&self, tests: usize) -> Vec<DMatrix<f64>> {
         let mut all = Vec::with_capacity(tests);

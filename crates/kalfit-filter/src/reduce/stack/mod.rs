@@ -1,11 +1,12 @@
-//! All phases of a test as one square-root array in (ξ_1, …, ξ_I): what lies between phases is integrated out.
+//! All phases of a test as one square-root array in (ξ_1, …, ξ_I): the states between phases are integrated out.
 //!
-//! From the last phase backward there are rows R on (σ_{i+1}, ξ_{i+2}, …). With the link
-//! σ_{i+1} = [ξ_{i+1}; 0] + g + Gσ_i + Cu, u ~ N(0, I), they become rows on (u, σ_i, ξ_{i+1}, …); folded by plane rotations below
-//! [I 0] of u and the rows of phase i, they leave u's own rows on top, whose diagonal is |I + RCC'R'|^½ and which say nothing
-//! else, and below them the rows on (σ_i, ξ_{i+1}, …). Nothing is inverted, and R, P_K and Σ may be singular.
+//! Phases are joined backward from the last one. The rows R on (σ_{i+1}, ξ_{i+2}, …) become, with the link σ_{i+1} =
+//! [ξ_{i+1}; 0] + g + Gσ_i + Cu, u ~ N(0, I), rows on (u, σ_i, ξ_{i+1}, …). Plane rotations fold these below the rows
+//! [I 0] of u and the rows of phase i. The result has the rows of u on top, of which only the diagonal is used: its
+//! product is |I + RCC'R'|^½. Below them are the rows on (σ_i, ξ_{i+1}, …). Nothing is inverted, and R, P_K and Σ may
+//! be singular.
 //!
-//! Tests of one shape are stacked side by side with their data ([`Stacked`]).
+//! Tests of one shape are stacked in lanes, together with their data ([`Stacked`]).
 
 mod join;
 mod phase;
@@ -22,7 +23,7 @@ use join::{JoinedPhase, apart};
 pub(crate) use phase::{StackPhase, StackShape, shape};
 pub(crate) use together::Stacked;
 
-/// The phases of tests of one shape.
+/// The phases of tests of one shape, with one test in each lane.
 #[inline(always)]
 fn given<T: Lanes>(tests: &[&[StackPhase<'_>]]) -> Vec<JoinedPhase<T>> {
     let mut phases = Vec::with_capacity(tests[0].len());
@@ -32,7 +33,7 @@ fn given<T: Lanes>(tests: &[&[StackPhase<'_>]]) -> Vec<JoinedPhase<T>> {
     phases
 }
 
-/// Rounds directions without information to none.
+/// Sets negligible information of a packed factor to none; the operations are appended to `settled`.
 fn settle_packed(factor: &mut [f64], width: usize, settled: &mut Vec<RankOperation>) {
     let mut entries = vec![0.0; width * width];
     let places = || (0..width).flat_map(|k| (0..=k).map(move |i| i * width + k));
@@ -55,7 +56,7 @@ fn links<T: Lanes>(phases: &[JoinedPhase<T>], tests: usize) -> Vec<Vec<(DMatrix<
     all
 }
 
-/// ½ Σ log|I + RCC'R'| of each test, from the diagonals of u's rows.
+/// ½ Σ log|I + RCC'R'| of each test, from the diagonals of the rows of u.
 #[inline(always)]
 fn half_log_determinants<T: Lanes>(diagonals: &[Vec<T>], tests: usize) -> Vec<f64> {
     let mut sums = vec![0.0; tests];
@@ -82,7 +83,7 @@ mod tests {
     use super::*;
     use kalfit_lanes::Isa;
 
-    /// A phase of a test: R packed, d, constant, and Ψ, C, T, g of the link that leads here.
+    /// A phase of a test: R packed, d, and Ψ, C, T, g of the link that leads to the phase.
     struct Own {
         factor: Vec<f64>,
         data: Vec<f64>,
@@ -166,7 +167,7 @@ mod tests {
 
     #[test]
     fn stacked_rows_are_those_of_the_joint_law() {
-        // log p(z | ξ) = constant - ½ ‖d - Rξ‖² against z_2 | ξ by hand: one state, one number a phase
+        // compares log p(z | ξ) = constant - ½ ‖d - Rξ‖² with z_2 | ξ by hand, for one state and one number per phase
         let (r, d, constant) = ([2.0, 3.0], [1.0, -0.5], 0.25);
         let (psi, root, transition, g) = (0.75, 0.5, 1.5, 0.125);
         let one = |x: f64| DMatrix::from_element(1, 1, x);

@@ -1,17 +1,17 @@
-//! Square upper triangular arrays, of one test or of tests side by side.
+//! Square upper triangular arrays, of one test or of tests in lanes.
 
 use kalfit_lanes::Lanes;
 
-/// A square upper triangular array, row-major, with a column of data beside it.
+/// A square upper triangular array, row-major, followed by a column of data.
 pub(super) struct StackArray<T> {
     pub(super) width: usize,
-    /// The width with the data.
+    /// Length of a row: the width plus the column of data.
     pub(super) stride: usize,
     pub(super) entries: Vec<T>,
 }
 
 impl<T: Lanes> StackArray<T> {
-    /// In memory that was used before.
+    /// An array of zeros in reused memory.
     #[inline(always)]
     pub(super) fn zeros(width: usize, mut memory: Vec<T>) -> StackArray<T> {
         let stride = width + 1;
@@ -20,7 +20,7 @@ impl<T: Lanes> StackArray<T> {
         StackArray { width, stride, entries: memory }
     }
 
-    /// Puts a packed factor at (at, at).
+    /// Writes a packed factor, `size` × `size`, at (at, at).
     #[inline(always)]
     pub(super) fn put_packed(&mut self, at: usize, factor: &[T], size: usize) {
         for k in 0..size {
@@ -30,7 +30,7 @@ impl<T: Lanes> StackArray<T> {
         }
     }
 
-    /// Puts data beside the rows from one on.
+    /// Writes data to the column of data, from row `at` on.
     #[inline(always)]
     pub(super) fn put_data(&mut self, at: usize, data: &[T]) {
         for (i, &x) in data.iter().enumerate() {
@@ -38,7 +38,8 @@ impl<T: Lanes> StackArray<T> {
         }
     }
 
-    /// Its rows and columns from `first` on, put at (at, at) of another, whose last ones they are, and the data.
+    /// Copies the rows and columns from `first` on, and their data, to (at, at) of `to`, where they are the last rows
+    /// and columns.
     #[inline(always)]
     pub(super) fn copy_from(&self, first: usize, to: &mut StackArray<T>, at: usize) {
         let size = self.stride - first;
@@ -53,13 +54,13 @@ impl<T: Lanes> StackArray<T> {
         &self.entries[i * self.stride..][..self.width]
     }
 
-    /// What stands beside a row.
+    /// The data of a row.
     #[inline(always)]
     pub(super) fn data(&self, i: usize) -> T {
         self.entries[i * self.stride + self.width]
     }
 
-    /// The upper triangle, packed by columns, and then the data.
+    /// The upper triangle, packed by columns, followed by the data.
     #[inline(always)]
     pub(super) fn packed(&self) -> Vec<T> {
         let mut packed = Vec::with_capacity(self.width * (self.width + 3) / 2);
@@ -71,7 +72,7 @@ impl<T: Lanes> StackArray<T> {
         packed
     }
 
-    /// True when in every lane each diagonal entry is surely more than this part of the norm of its column.
+    /// True when in every lane each diagonal entry surely exceeds `part` times the norm of its column.
     #[inline(always)]
     pub(super) fn is_regular(&self, part: f64) -> bool {
         let (least, most, part) = (T::splat(1e-280), T::splat(1e280), T::splat(4.0 * part * part));

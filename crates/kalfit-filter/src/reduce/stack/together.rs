@@ -1,4 +1,4 @@
-//! Tests with designs of their own, stacked side by side with their data.
+//! Tests with per-test designs, stacked in lanes together with their data.
 
 use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
 use nalgebra::DMatrix;
@@ -40,7 +40,7 @@ impl Kernel for StackKernel<'_> {
     }
 }
 
-/// As many tests as there are lanes, or fewer.
+/// Stacks one batch of at most as many tests as there are lanes.
 #[inline(always)]
 fn stack_batch<T: Lanes>(
     tests: &[&[StackPhase<'_>]],
@@ -76,7 +76,7 @@ fn stack_batch<T: Lanes>(
 }
 
 impl Stacked {
-    /// Stacks the phases of tests of one shape. Each comes to the bits that it has by itself.
+    /// Stacks the phases of tests of one shape. Each test gets the same bits as when it is stacked alone.
     pub(crate) fn all(tests: &[&[StackPhase<'_>]]) -> Vec<Stacked> {
         Isa::best().run(StackKernel(tests))
     }

@@ -5,7 +5,7 @@ use crate::reduce::start::{ModelStart, StationaryGroup};
 use crate::reduce::subject::{Fault, ModelAt, Subject};
 use kalfit_algebra::exponential::{stationary, stationary_adjoint, stationary_discrete};
 
-/// ∂ℓ/∂a and ∂ℓ/∂P0 by place of the kernels: n numbers, and r × r with the derivative to each place by itself.
+/// ∂ℓ/∂a and ∂ℓ/∂P0 in kernel order: n numbers, and r × r with a separate derivative for each entry of the matrix.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LawAdjoint<'a> {
     pub(crate) place: &'a [usize],
@@ -19,7 +19,8 @@ impl LawAdjoint<'_> {
         self.mean[self.place[state]]
     }
 
-    /// Derivative to a covariance of two states, which stands in both places of the matrix; not reachable by noise: 0.
+    /// Derivative with respect to the covariance of two states, which is in both triangles of the matrix; 0 for states
+    /// that noise does not reach.
     fn covariance(&self, i: usize, j: usize) -> f64 {
         let (i, j) = (self.place[i], self.place[j]);
         match i.max(j) < self.r {
@@ -33,16 +34,17 @@ impl LawAdjoint<'_> {
 /// ∂ℓ/∂coefficient of a start.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StartAdjoint {
-    /// In the order of [`ModelStart::coefficients`].
+    /// ∂ℓ/∂coefficient in the order of [`ModelStart::coefficients`].
     pub(crate) coefficients: Vec<f64>,
-    /// By slot of the dynamics' coefficients.
+    /// ∂ℓ/∂coefficient by slot of the dynamics' coefficients.
     pub(crate) values: Vec<f64>,
-    /// By slot of the dynamics' inputs.
+    /// ∂ℓ/∂input by slot of the dynamics' inputs.
     pub(crate) inputs: Vec<f64>,
 }
 
 impl ModelStart {
-    /// `values`, `inputs`: the dynamics' tables as [`ModelStart::law`] took them.
+    /// Writes the derivatives of the start to `out`. `values`, `inputs`: the dynamics' tables that were given to
+    /// [`ModelStart::law`].
     pub(crate) fn backward(
         &self,
         at: &ModelAt<'_>,

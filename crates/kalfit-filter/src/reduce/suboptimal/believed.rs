@@ -1,4 +1,4 @@
-//! What a filter believes: its covariance, and the gains that follow.
+//! The covariance that a filter assumes, and the gains that follow from it.
 #![expect(non_snake_case, reason = "the letters of the theory: K, L, M, P, Q, R, S, U")]
 
 use nalgebra::{DMatrix, DVector};
@@ -7,25 +7,26 @@ use crate::reduce::suboptimal::matrices::{append, fold};
 use kalfit_algebra::symmetric;
 use kalfit_model::Filter;
 
-/// What is left of a measurement, the others of its step known, is nothing when it is this part of its deviation.
+/// A measurement adds nothing when its deviation, given the others of its step, is at most this fraction of its
+/// deviation.
 const REPEATED: f64 = 1e-13;
-/// A measurement whose deviation is this part of what it was without measurements is known already.
+/// A measurement counts as known already when its deviation is at most this fraction of that without measurements.
 const KNOWN: f64 = 1e-12;
-/// Correlation of a state with an innovation that is rounding error. It must not become a gain: nothing would be left of it in
-/// an estimate of another size, yet it would be all that the estimate's covariance speaks of.
+/// Correlation of a state with an innovation up to which it is rounding error. It must not become a gain: it would
+/// vanish in the rounding of a larger estimate, yet the estimate's covariance would consist of it alone.
 const UNRELATED: f64 = 1e-13;
 
-/// The covariance of [x_k; x_0] as the filter has it: its own, right or wrong.
+/// The covariance of [x_k; x_0] that the filter assumes, right or wrong.
 #[derive(Debug, Clone)]
 pub(super) struct Believed<'a> {
     filter: &'a Filter,
     /// U with UU' = P, 2n × any number of columns.
     U: DMatrix<f64>,
-    /// Covariance of x_k without measurements: the measure of what is zero.
+    /// Covariance of x_k without measurements: the scale on which a deviation counts as zero.
     open: DMatrix<f64>,
 }
 
-/// White innovations of a step: e = Lw for the measurements that say something.
+/// White innovations w of a step: e = Lw for the measurements that add information.
 struct Whitened {
     kept: Vec<usize>,
     L: DMatrix<f64>,
@@ -49,10 +50,11 @@ impl<'a> Believed<'a> {
         self.open = phi * &self.open * phi.transpose() + Q;
     }
 
-    /// Takes all measurements of a step at once; `noise` is a root of R. Returns [K; K⁰], 2n × m, rows of considered states zero
-    /// in both: the gain minimises the variance of each other state, and none of it goes to these. (Schmidt 1966)
+    /// Takes all measurements of a step at once; `noise` is a root of R. Returns [K; K⁰], 2n × m, with zero rows for
+    /// considered states in both: the gain minimises the variance of each other state and does not change considered
+    /// states. (Schmidt 1966)
     ///
-    /// Joseph's form, P ← (I - KM)P(I - KM)' + KRK', which holds for any gain, by roots.
+    /// The update is Joseph's form, P ← (I - KM)P(I - KM)' + KRK', which holds for any gain, applied to roots.
     pub(super) fn update(&mut self, M: &DMatrix<f64>, noise: &DMatrix<f64>) -> DMatrix<f64> {
         let n = M.ncols();
         fold(&mut self.U);
@@ -72,7 +74,7 @@ impl<'a> Believed<'a> {
         K
     }
 
-    /// Gram and Schmidt, twice, on the rows of [MU R^½].
+    /// Gram-Schmidt orthogonalisation of the rows of [MU R^½], applied twice.
     fn whiten(&self, M: &DMatrix<f64>, MU: &DMatrix<f64>, noise: &DMatrix<f64>) -> Whitened {
         let (m, n, c) = (M.nrows(), M.ncols(), MU.ncols());
         let width = c + noise.ncols();

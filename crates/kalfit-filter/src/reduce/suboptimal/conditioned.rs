@@ -1,5 +1,5 @@
-//! What estimates say of x_0, by conditioning on the space in which they are random (theory §8): all of it that does not depend
-//! on their values.
+//! The information of estimates about x_0, by conditioning on the space in which they are random (theory §8): the part
+//! that does not depend on their values.
 #![expect(non_snake_case, reason = "the letters of the theory: B, D, E, G, N, S, T, U, V, W, phi")]
 
 use nalgebra::{DMatrix, DVector};
@@ -7,22 +7,23 @@ use nalgebra::{DMatrix, DVector};
 use crate::reduce::suboptimal::jacobi::SingularValues;
 use kalfit_model::Estimates;
 
-/// Directions of ŝ whose standard deviation is this part of the largest, elements scaled to one, are not random.
+/// Directions of ŝ are not random when their standard deviation is at most this fraction of the largest, with elements
+/// scaled to unit deviation.
 const CERTAIN: f64 = 1e-10;
-/// A sum this part of its terms is zero.
+/// A sum counts as zero when it is at most this fraction of the size of its terms.
 const CANCELLED: f64 = 1e-9;
-/// Rounding of a relation is at most so many times what is seen of it.
+/// Bound on the rounding error of a relation, as a multiple of the singular value that it leaves.
 const DOUBT: f64 = 1e4;
-/// Values that are certain may miss by this part of their terms, and by this many standard deviations of their elements: files
-/// keep so many digits.
+/// Values that are certain may be off by this fraction of their terms plus this many standard deviations of their
+/// elements: files keep only so many digits.
 const ROUNDING: f64 = 1e-9;
 const UNNOTICED: f64 = 1e-4;
 
-/// A combination of ξ would be known exactly.
+/// The error that estimates would determine a combination of ξ exactly.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ExactCombination;
 
-/// Where estimates start from: x_0 = a + Eσ + Pη, η white.
+/// The start of estimates: x_0 = a + Eσ + Pη, η white.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct EstimateStart<'a> {
     /// The states that E picks, q of them.
@@ -31,7 +32,8 @@ pub(super) struct EstimateStart<'a> {
     pub(super) root: DMatrix<f64>,
 }
 
-/// With η = V_B η_B + V_0 η', where η_B is what certain combinations of ŝ tell of ζ, and η' the rest of it:
+/// Conditioned estimates, with η = V_B η_B + V_0 η', where η_B is the part of ζ that certain combinations of ŝ
+/// determine, and η' is the rest:
 ///
 /// ```text
 /// u = ŝ - s̄ - Sa         y_B = B u = T_B σ + η_B         y = W u - C y_B = T σ + G η' + w,   w, η', η_B white
@@ -41,31 +43,31 @@ pub(super) struct EstimateStart<'a> {
 pub(super) struct Conditioned {
     /// W, r × m.
     pub(super) W: DMatrix<f64>,
-    /// B.
+    /// B, which gives y_B = B u.
     pub(super) B: DMatrix<f64>,
-    /// C.
+    /// C, which removes η_B from W u.
     pub(super) C: DMatrix<f64>,
     /// N: N u is certain to be zero.
     N: DMatrix<f64>,
-    /// What of each N u would not be noticed.
+    /// Tolerated deviation of each element of N u from zero.
     slack: DVector<f64>,
-    /// [G T; 0 T_B], the first `free` columns of η'.
+    /// [G T; 0 T_B]; the first `free` columns belong to η', the others to σ.
     pub(super) rows: DMatrix<f64>,
-    /// Elements of η'.
+    /// Number of elements of η'.
     pub(super) free: usize,
     /// ½ log |Γ_hh| over an orthonormal basis of its range, in the units of ŝ.
     pub(super) log_volume: f64,
-    /// ½ log |cov(ŝ)| at σ and η' known, likewise.
+    /// ½ log |cov(ŝ)| given σ and η', over such a basis of its range and in the same units.
     pub(super) log_spread: f64,
     /// φE, n × q.
     pub(super) phi_E: DMatrix<f64>,
-    /// φPV_B.
+    /// φPV_B, the effect of η_B on x_K.
     pub(super) from_taken: DMatrix<f64>,
-    /// φPV_0.
+    /// φPV_0, the effect of η' on x_K.
     pub(super) from_free: DMatrix<f64>,
-    /// D_1V.
+    /// D_1V, the effect of w on x_K.
     pub(super) from_white: DMatrix<f64>,
-    /// What remains of x_K's noise at w known.
+    /// Root of the noise that x_K still has when w is known.
     pub(super) rest: DMatrix<f64>,
 }
 
@@ -118,7 +120,8 @@ impl Conditioned {
         })
     }
 
-    /// Checks what is certain of u, each element of which is a sum of terms this large. The error: (found, allowed).
+    /// Checks that N u is zero to within its tolerance. `terms`: size of the terms of each element of u. The error is
+    /// (found, allowed).
     pub(super) fn check(&self, u: &DVector<f64>, terms: &DVector<f64>) -> Result<(), (f64, f64)> {
         let (off, sizes) = (&self.N * u, self.N.map(f64::abs) * terms);
         for ((off, size), slack) in off.iter().zip(&sizes).zip(&self.slack) {
@@ -130,7 +133,7 @@ impl Conditioned {
         Ok(())
     }
 
-    /// Bytes it occupies.
+    /// Bytes of memory that the matrices occupy.
     pub(super) fn bytes(&self) -> usize {
         let Conditioned { W, B, C, N, rows, phi_E, from_taken, from_free, from_white, rest, .. } = self;
         let all = [W, B, C, N, rows, phi_E, from_taken, from_free, from_white, rest];
@@ -138,33 +141,34 @@ impl Conditioned {
     }
 }
 
-/// What certain combinations of ŝ tell of η and σ: B u = V_B'η + T_B σ.
+/// Information of certain combinations of ŝ about η and σ: B u = V_B'η + T_B σ.
 struct Taken {
     V_B: DMatrix<f64>,
-    /// The rest of the space of η.
+    /// Orthonormal basis of the rest of the space of η.
     V_0: DMatrix<f64>,
     T_B: DMatrix<f64>,
     B: DMatrix<f64>,
-    /// Rows: combinations of the certain ones that stay certain at σ.
+    /// Combinations of the relations that are certain given σ alone, one per row.
     left: DMatrix<f64>,
-    /// Σ log of the standard deviations of the others.
+    /// Σ log of the standard deviations of the other combinations, given σ.
     log_values: f64,
-    /// Columns: these others.
+    /// Orthonormal basis of these other combinations, one per column.
     basis: DMatrix<f64>,
 }
 
-/// Combinations of ŝ that are not random given x_0, as far as rounding lets them be told.
+/// Combinations of ŝ that are not random given x_0, to within rounding.
 ///
-/// N is a null space of D_h but for ε: N u stands within so many deviations of NS(x_0 - a), and N leans on the range of D_h by
-/// ε/λ for each of its singular values λ, which leaves ε × WS in a sensitivity that is zero. Both say the same: taken as a
-/// measurement with deviation ε, the relation must tell more of a state than all else does. What tells less is rounding error,
-/// however it compares with the terms it was summed from: N itself has entries that are rounding error.
+/// N is a null space of D_h up to an error ε: N u is within ε deviations of NS(x_0 - a), and N has a component ε/λ in
+/// the range of D_h for each of its singular values λ, which leaves ε × WS in a sensitivity that should be zero. Both
+/// lead to one rule: taken as a measurement with deviation ε, a relation must inform more of a state than everything
+/// else does. A sensitivity that informs less is rounding error, however it compares with the terms of its sum, since N
+/// itself has entries that are rounding error.
 struct Relations<'a> {
-    /// N.
+    /// N, one relation per row.
     rows: &'a DMatrix<f64>,
     /// ε of each row.
     grain: DVector<f64>,
-    /// WS: the whitened sensitivities of all else.
+    /// WS: the whitened sensitivities of everything else in ŝ.
     WS: &'a DMatrix<f64>,
 }
 
@@ -173,7 +177,7 @@ impl Relations<'_> {
         let rounding = |told: &[f64]| DMatrix::from_fn(self.grain.len(), told.len(), |i, j| self.grain[i] * told[j]);
         let told = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
         let (NS, E) = (clean(self.rows, S, &rounding(&told(self.WS))), entry.entering);
-        // of η, white, its law tells too
+        // the law of η, which is white, informs of it as well
         let told: Vec<f64> = told(&(self.WS * &entry.root)).iter().map(|told| told.hypot(1.0)).collect();
         let NP = clean(&NS, &entry.root, &rounding(&told));
         let (k, l) = NP.shape();
@@ -187,7 +191,7 @@ impl Relations<'_> {
         if clean(&left, &NE, &DMatrix::zeros(k - b, E.len())).iter().any(|x| *x != 0.0) {
             return Err(ExactCombination);
         }
-        // the complement of V_B: directions that VV' leaves alone
+        // the complement of V_B: the directions that V_B V_B' maps to zero
         let rest = SingularValues::of(&(DMatrix::identity(l, l) - &V_B * V_B.transpose()));
         let V_0 = rest.left.columns(0, l - b).into_owned();
         let log_values = known.values[..b].iter().map(|x| x.ln()).sum();
@@ -195,8 +199,8 @@ impl Relations<'_> {
     }
 }
 
-/// ε of each relation, in deviations: its own, zero but for rounding, or what the largest one leaves. Elements that are no sums of
-/// noises at all have none.
+/// ε of each relation, in deviations: from its own singular value, which is zero up to rounding, or from the rounding
+/// error of the largest one. It is zero for relations of elements without any noise.
 fn grain(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
     let m = deviation.len();
     let least = whole.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
@@ -204,7 +208,8 @@ fn grain(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
     DVector::from_fn(m - r, |i, _| if random(r + i) { DOUBT * whole.values[r + i].max(least) } else { 0.0 })
 }
 
-/// AB, entries that are rounding error set to zero: of the sum, or this much of its terms.
+/// AB with entries that are rounding error set to zero: those below CANCELLED × the size of their terms plus
+/// `rounding`.
 fn clean(a: &DMatrix<f64>, b: &DMatrix<f64>, rounding: &DMatrix<f64>) -> DMatrix<f64> {
     let (product, size) = (a * b, a.map(f64::abs) * b.map(f64::abs));
     product.zip_zip_map(
@@ -219,7 +224,7 @@ fn log_spread(Q: &DMatrix<f64>, size: &[f64]) -> f64 {
     if Q.nrows() == Q.ncols() {
         return size.iter().map(|s| s.ln()).sum();
     }
-    // large rows first and columns pivoted, so that rows of very different size do no harm
+    // large rows first and columns pivoted, so that rows of very different sizes lose no digits
     let mut order: Vec<usize> = (0..Q.nrows()).collect();
     order.sort_by(|&i, &j| size[j].total_cmp(&size[i]));
     let sorted = DMatrix::from_fn(Q.nrows(), Q.ncols(), |i, j| size[order[i]] * Q[(order[i], j)]);

@@ -1,4 +1,4 @@
-//! Estimates of one test, with the unknown part of x_0's own noise folded away.
+//! Estimates of one test, with η', the unknown part of the noise of x_0, eliminated by folding.
 #![expect(non_snake_case, reason = "the letters of the theory: G, R, T, T_B")]
 
 use nalgebra::{DMatrix, DVector};
@@ -9,16 +9,16 @@ use crate::reduce::suboptimal::conditioned::Conditioned;
 use crate::reduce::suboptimal::matrices::{append, fold as narrow};
 use kalfit_algebra::fold::fold;
 
-/// A diagonal of R below this part of its column is zero information.
+/// A diagonal entry of R up to this fraction of the norm of its column counts as zero information.
 const UNINFORMED: f64 = 1e-12;
 
-/// [I 0 0; G T y; 0 T_B y_B] folded: R of (η', σ) with its data, and what is left.
+/// [I 0 0; G T y; 0 T_B y_B] folded into R of (η', σ) with its data, and the residual.
 pub(super) struct FoldedEstimates {
-    /// (k + q + 1)², row-major.
+    /// R with data and residual in the last column, (k + q + 1)², row-major.
     info: Vec<f64>,
     k: usize,
     q: usize,
-    /// y_B and y.
+    /// y_B; `white` is y.
     taken: DVector<f64>,
     white: DVector<f64>,
 }

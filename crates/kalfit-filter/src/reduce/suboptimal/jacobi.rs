@@ -1,8 +1,8 @@
-//! Singular values by plane rotations from one side (Hestenes 1958): small ones keep their digits.
+//! Singular values by one-sided plane rotations (Hestenes 1958): small ones keep their digits.
 
 use nalgebra::DMatrix;
 
-/// Sweeps over all pairs after which it has converged, or never will.
+/// Most sweeps over all pairs of columns: an iteration that has not converged by then never will.
 const SWEEPS: usize = 60;
 
 /// A = U Λ V'.
@@ -10,14 +10,14 @@ const SWEEPS: usize = 60;
 pub(super) struct SingularValues {
     /// U, m × m, orthogonal.
     pub(super) left: DMatrix<f64>,
-    /// A'U = VΛ, c × m: its columns are orthogonal.
+    /// A'U = VΛ, c × m, with orthogonal columns.
     pub(super) image: DMatrix<f64>,
-    /// Λ, the lengths of these columns, in descending order.
+    /// Λ, the lengths of the columns of A'U, in descending order.
     pub(super) values: Vec<f64>,
 }
 
 impl SingularValues {
-    /// Of A, m × c.
+    /// The decomposition of A, m × c.
     pub(super) fn of(a: &DMatrix<f64>) -> SingularValues {
         let m = a.nrows();
         let (mut image, mut left) = (a.transpose(), DMatrix::identity(m, m));
@@ -42,14 +42,14 @@ impl SingularValues {
         }
     }
 
-    /// Number of values above this part of the largest.
+    /// Number of values above `part` times the largest.
     pub(super) fn rank(&self, part: f64) -> usize {
         let floor = self.values.first().map_or(0.0, |largest| part * largest);
         self.values.iter().filter(|value| **value > floor).count()
     }
 }
 
-/// Makes columns i and j orthogonal; false where they are.
+/// Makes columns i and j orthogonal; false where they are orthogonal already.
 fn turn(image: &mut DMatrix<f64>, left: &mut DMatrix<f64>, (i, j): (usize, usize)) -> bool {
     let (a, b) = (image.column(i).norm_squared(), image.column(j).norm_squared());
     let product = image.column(i).dot(&image.column(j));
@@ -75,7 +75,7 @@ mod tests {
 
     #[test]
     fn singular_matrices_come_apart_into_orthogonal_directions() {
-        // rows: independent, their sum, a tiny one, none
+        // rows: two independent ones, their sum, a tiny one, one of zeros
         let a = DMatrix::from_row_slice(
             5,
             3,

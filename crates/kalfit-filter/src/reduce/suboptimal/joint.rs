@@ -1,4 +1,5 @@
-//! The truth and the filter carried together, s = [x_k; x̂_k; x̂_{0|k}] (theory §8): all of it that does not depend on data.
+//! The truth and the filter propagated together, s = [x_k; x̂_k; x̂_{0|k}] (theory §8): the part that does not depend
+//! on data.
 #![expect(non_snake_case, reason = "the letters of the theory: D, F, K, M, Q, R, S")]
 
 use std::sync::Arc;
@@ -14,12 +15,12 @@ use crate::reduce::suboptimal::believed::Believed;
 use crate::reduce::suboptimal::matrices::{Matrices, append, fold, root_of};
 use kalfit_model::Filter;
 
-/// What tests share that the filter processes alike.
+/// Gains and moments that are shared by tests that the filter processes identically.
 #[derive(Debug, Clone)]
 pub(super) struct FilterDesign {
     /// [K; K⁰] of each scalar measurement of the test, 2n numbers each, states in the filter's kernel order.
     pub(super) gains: Vec<f64>,
-    /// S of the whole of s, 3n × n.
+    /// S, the sensitivity of s to x_0, 3n × n.
     pub(super) sensitivity: DMatrix<f64>,
     /// D with DD' = Γ, 3n × at most 3n.
     pub(super) root: DMatrix<f64>,
@@ -75,7 +76,7 @@ fn at<'a>(column: &'a nalgebra::DVectorView<'_, f64>, n: usize) -> impl Fn((usiz
     move |(half, state)| column[half * n + state]
 }
 
-/// The last transition in matrices: steps that follow each other often have the same.
+/// Cache of the last transition as matrices: successive steps often have the same transition.
 #[derive(Debug, Default)]
 struct Remembered(Option<(Arc<Transition>, StepMotion)>);
 
@@ -109,7 +110,8 @@ struct JointMoments {
     n: usize,
     /// S, 3n × n.
     sensitivity: DMatrix<f64>,
-    /// D, 3n × any number of columns. Γ = DD' is never formed: that would cost half the digits of what is nearly certain.
+    /// D, 3n × any number of columns. Γ = DD' is never formed: it would lose half the digits of directions that are
+    /// nearly certain.
     root: DMatrix<f64>,
 }
 
@@ -121,7 +123,7 @@ impl JointMoments {
         JointMoments { n, sensitivity, root: DMatrix::zeros(3 * n, 0) }
     }
 
-    /// The truth moves by its φ and noise, x̂ by the filter's φ, x̂_0 stays.
+    /// The truth moves by its φ and noise, and x̂ by the filter's φ; x̂_0 does not change.
     fn predict(&mut self, truth: Option<&StepMotion>, own: Option<&StepMotion>) {
         let n = self.n;
         for all in [&mut self.sensitivity, &mut self.root] {

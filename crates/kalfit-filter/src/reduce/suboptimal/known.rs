@@ -1,12 +1,12 @@
-//! What is known before a filter runs: its prior, the model without its start, and the columns constant within a test.
+//! The inputs of a filter run: its prior, the model without its start, and the columns constant within a test.
 
 use crate::reduce::error::{ReduceErrorKind, finite, of_shape};
 use kalfit_algebra::symmetric::{is_semidefinite, scaled_range};
 use kalfit_model::{CovarianceStructure, Expression, Filter, Initial, MeanStructure, Model};
 use kalfit_model::{Label, Test};
 
-/// One row with the cells that are the same in all rows of the test, missing ones apart; measured values and times are none of
-/// them.
+/// One row with the cells that are the same in all rows of the test in which they are not missing, without measured
+/// values and times.
 pub(super) fn constants(model: &Model, test: &Test) -> Test {
     let mut row = Test::new(test.id.clone(), model.columns.len(), model.text_columns.len());
     let measured = |column: usize| {
@@ -28,7 +28,7 @@ pub(super) fn constants(model: &Model, test: &Test) -> Test {
     row
 }
 
-/// The model without anything about x_0: the estimates are relative to the whole of it.
+/// The model without its law of x_0: estimates are expressed as functions of the whole x_0.
 pub(super) fn without_start(model: &Model) -> Model {
     let mut model = model.clone();
     for state in &mut model.states {
@@ -43,7 +43,7 @@ fn zero() -> Expression {
     Expression::Number(0.0)
 }
 
-/// The filter's prior is one of the model's states.
+/// Checks that the filter's prior is a law of the model's states.
 pub(super) fn check(filter: &Filter, model: &Model) -> Result<(), (&'static str, ReduceErrorKind)> {
     let n = model.states.len();
     let (mean, covariance) = ("prior mean of the filter", "prior covariance of the filter");

@@ -6,25 +6,25 @@ use crate::reduce::ReductionRef;
 use kalfit_algebra::symmetric;
 use kalfit_model::unpack;
 
-/// Information below zero by this part of the whole is rounding error.
+/// Negative information up to this fraction of the whole is rounding error.
 const ROUNDING: f64 = 1e-7;
-/// Scaled information below this part of the largest is none.
+/// Scaled information up to this fraction of the largest counts as none.
 const UNINFORMED: f64 = 1e-9;
 
-/// J_raw - J of one test.
+/// The information J_raw - J that is lost for one test.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lost {
     /// J_raw - J, positive semidefinite, p × p.
     pub information: DMatrix<f64>,
-    /// The least and the largest part of the information on any direction that J_raw informs of: from 0, where nothing is lost,
-    /// to 1, where all is.
+    /// Smallest and largest fraction of the information lost in any direction in which J_raw has information: from 0,
+    /// where nothing is lost, to 1, where all is lost.
     pub range: (f64, f64),
 }
 
-/// Why there is no difference.
+/// Why the lost information cannot be computed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LostError {
-    /// They are not of one test.
+    /// The reductions are of different tests.
     #[error("a reduction of test `{found}` cannot be compared with one of test `{expected}`")]
     OtherTest {
         /// Test of the estimates.
@@ -32,32 +32,33 @@ pub enum LostError {
         /// Test of the measurements.
         expected: String,
     },
-    /// They are not of one model.
+    /// The reductions are of different models.
     #[error("test `{test}`: the estimates are of {found} states, the measurements of {expected}")]
     OtherModel {
-        /// The test.
+        /// Id of the test.
         test: String,
-        /// Elements of ξ that the estimates speak of.
+        /// Number of elements of ξ in the reduction of the estimates.
         found: usize,
-        /// Those that the measurements speak of.
+        /// Number of elements of ξ in the reduction of the measurements.
         expected: usize,
     },
-    /// No function of measurements says more than they do.
+    /// The estimates have more information than the measurements, as no function of these can have.
     #[error(
         "test `{test}`: the estimates say more than the measurements, by {excess:.1e} of the information: they are not of the same data or model"
     )]
     Gained {
-        /// The test.
+        /// Id of the test.
         test: String,
-        /// Minus the smallest eigenvalue.
+        /// Minus the smallest eigenvalue of the scaled J_raw - J.
         excess: f64,
     },
 }
 
-/// What the estimates of a test say less than its measurements. Both are reductions at one α and in the same coordinates.
+/// The information that the estimates of a test lose compared with its measurements. Both are reductions at one α and
+/// in the same coordinates.
 ///
 /// # Errors
-/// Reductions of different tests or models, and estimates that say more than the measurements.
+/// Reductions of different tests or models, and estimates with more information than the measurements.
 pub fn lost(raw: ReductionRef<'_>, suboptimal: ReductionRef<'_>) -> Result<Lost, LostError> {
     if raw.test != suboptimal.test {
         return Err(LostError::OtherTest { found: suboptimal.test.to_owned(), expected: raw.test.to_owned() });
@@ -78,7 +79,8 @@ pub fn lost(raw: ReductionRef<'_>, suboptimal: ReductionRef<'_>) -> Result<Lost,
     Ok(Lost { information, range: parts(&scale(&whole), &missing) })
 }
 
-/// Least and largest eigenvalue of `missing` relative to `whole`, on what `whole` informs of.
+/// Smallest and largest eigenvalue of `missing` relative to `whole`, in the directions in which `whole` has
+/// information.
 fn parts(whole: &DMatrix<f64>, missing: &DMatrix<f64>) -> (f64, f64) {
     let (values, vectors) = symmetric::eigen(whole);
     let floor = values.last().map_or(0.0, |largest| UNINFORMED * largest);

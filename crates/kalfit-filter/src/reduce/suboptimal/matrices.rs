@@ -11,7 +11,7 @@ use crate::reduce::semidefinite::{NotSemidefinite, root};
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Matrices<'a> {
     work: &'a Workspace,
-    /// State of the model at each place of the kernels.
+    /// State of the model at each kernel index.
     states: &'a [usize],
 }
 
@@ -47,7 +47,7 @@ impl<'a> Matrices<'a> {
             R[(i, i)] = self.work.design.noise[line];
         }
         let covariances = self.work.covariances.as_deref().unwrap_or_default();
-        // those of one step stand together, step after step
+        // covariances are in the order of the steps
         let begin = covariances.partition_point(|&(i, ..)| i < step.rows.start);
         for &(i, j, value) in covariances[begin..].iter().take_while(|(i, ..)| *i < step.rows.end) {
             let (i, j) = (i - step.rows.start, j - step.rows.start);
@@ -61,16 +61,16 @@ impl<'a> Matrices<'a> {
 /// F with FF' = `a`, positive semidefinite, m × m; its columns of zeros are left out.
 pub(super) fn root_of(a: &DMatrix<f64>) -> Result<DMatrix<f64>, NotSemidefinite> {
     let m = a.nrows();
-    // symmetric, so rows and columns may change places
+    // `a` is symmetric, so its columns are its rows
     let U = root(a.as_slice(), m)?;
     let kept: Vec<usize> = (0..m).filter(|k| U[k * m..][..m].iter().any(|x| *x != 0.0)).collect();
     Ok(DMatrix::from_fn(m, kept.len(), |i, k| U[kept[k] * m + i]))
 }
 
-/// A root may have so many times its rows of columns before it is folded.
+/// Largest ratio of columns to rows that a root may have before it is folded.
 const SPARE: usize = 3;
 
-/// Appends columns to a root, rows from `first` on: independent noise that is added.
+/// Adds independent noise to a root: appends columns, with the rows of `noise` from row `first` on.
 pub(super) fn append(root: &mut DMatrix<f64>, first: usize, noise: &DMatrix<f64>) {
     if noise.ncols() == 0 {
         return;
@@ -84,7 +84,7 @@ pub(super) fn append(root: &mut DMatrix<f64>, first: usize, noise: &DMatrix<f64>
     root.view_mut((first, columns), noise.shape()).copy_from(noise);
 }
 
-/// A root with at most as many columns as rows, by an orthogonal transformation. Rows of zeros stay so.
+/// Reduces a root to at most as many columns as rows, by an orthogonal transformation. Rows of zeros remain zero.
 pub(super) fn fold(root: &mut DMatrix<f64>) {
     if root.ncols() > root.nrows() && root.nrows() > 0 {
         *root = root.transpose().qr().r().transpose();

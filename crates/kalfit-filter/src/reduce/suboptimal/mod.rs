@@ -1,11 +1,12 @@
-//! Suboptimal filters: what an estimate made by them says (theory §8, the paper's section 4).
+//! Suboptimal filters: the information in the estimates that they make (theory §8, the paper's section 4).
 //!
 //! ```text
-//! Test ── FilterRunner ──> Estimates          the truth and the filter carried together: ŝ, s̄, S, φ_K, a root of Γ
+//! Test ── FilterRunner ──> Estimates          the truth and the filter propagated together: ŝ, s̄, S, φ_K, a root of Γ
 //! Estimates ── EstimateReducer ──> Reduction + Terminal
 //! ```
 //!
-//! Estimates that were made elsewhere enter at the second arrow. Everything after it does not know where a reduction came from.
+//! Estimates that were made elsewhere enter at the second arrow. Nothing after it depends on where a reduction came
+//! from.
 
 mod believed;
 mod conditioned;

@@ -1,4 +1,4 @@
-//! Estimates → reductions.
+//! The reducer of estimates: from estimates to reductions.
 #![expect(non_snake_case, reason = "the letters of the theory: P, S")]
 
 use std::borrow::Cow;
@@ -20,18 +20,18 @@ use kalfit_model::Path;
 use kalfit_model::Reduction;
 use kalfit_model::{Alpha, Phase};
 
-/// Bytes of conditioned designs that are kept.
+/// Most bytes of conditioned designs that are cached.
 const CLASS_BYTES: usize = 64 << 20;
-/// A deviation that is this part of an estimate is lost in its rounding.
+/// A deviation up to this fraction of an estimate is lost in the rounding of the estimate.
 const DROWNED: f64 = 1e-12;
 
-/// What J and Ψ_K of estimates depend on.
+/// The quantities on which J and Ψ_K of estimates depend.
 #[derive(Debug, Clone, PartialEq)]
 struct EstimateClass {
     sensitivities: DMatrix<f64>,
     transition: DMatrix<f64>,
     root: DMatrix<f64>,
-    /// Of P0.
+    /// Root of P0.
     start: DMatrix<f64>,
 }
 
@@ -45,9 +45,10 @@ type Started = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 /// log p(ŝ | σ) = constant - ½ ‖d - Rσ‖²        x_K | ŝ, σ ~ N(x̂_K + Ψ_K σ, P_K)
 /// ```
 ///
-/// The density is that of ŝ on the space in which it is random given x_0 (or given σ, where ζ alone makes it random), over an
-/// orthonormal basis of that space: it moves with units, and is never compared with that of measurements. What is not random
-/// must be what it can only be. a, P0 and the covariates are those of the phase's model at α and at the estimates' constants.
+/// The density is that of ŝ on the space in which ŝ is random given x_0 (or given σ, where only ζ makes it random),
+/// over an orthonormal basis of that space: it depends on units, and is never compared with the density of
+/// measurements. A combination of ŝ that is not random must have its only possible value. a, P0 and the covariates are
+/// those of the phase's model at α and at the estimates' constants.
 #[derive(Debug)]
 pub struct EstimateReducer {
     entering: Vec<usize>,
@@ -69,16 +70,17 @@ impl EstimateReducer {
     /// The reduction of a test, and its last state. They are the same whatever was reduced before.
     ///
     /// # Errors
-    /// Estimates whose shapes do not fit the model or that are not finite; that contradict themselves in a direction in which
-    /// they are not random ([`ReduceErrorKind::Inconsistent`]) or that know a combination of σ exactly
-    /// ([`ReduceErrorKind::ExactMeasurement`]); constants that a, P0 or a regression needs and that are missing.
+    /// Estimates whose shapes do not fit the model or that are not finite; that contradict themselves in a
+    /// direction in which they are not random ([`ReduceErrorKind::Inconsistent`]) or that determine a combination of σ
+    /// exactly ([`ReduceErrorKind::ExactMeasurement`]); constants that a, P0 or a regression needs and that are
+    /// missing.
     pub fn reduce(&self, id: &str, estimates: &Estimates) -> Result<(Reduction, Terminal), ReduceError> {
         self.reduced(id, estimates).map(|(reduction, terminal, _)| (reduction, terminal))
     }
 
-    /// ½ log |Γ| of the estimates, over an orthonormal basis of the space in which they are random given x_0. Added to the
-    /// reduction's constant it gives the density of the estimates in coordinates in which, given x_0, they have unit
-    /// covariance: that one does not depend on units.
+    /// ½ log |Γ| of the estimates, over an orthonormal basis of the space in which they are random given x_0. Added to
+    /// the reduction's constant it gives the density of the estimates in coordinates in which, given x_0, they have
+    /// unit covariance; this density does not depend on units.
     ///
     /// # Errors
     /// As [`EstimateReducer::reduce`].
@@ -149,7 +151,7 @@ impl EstimateReducer {
         Ok((start, start_root, work.covariates))
     }
 
-    /// (digest of the design, what its tests share).
+    /// (digest of the design, conditioned design that its tests share).
     fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Known<EstimateClass, EstimateResult>>) {
         let Estimates { sensitivities, transition, root, .. } = estimates;
         let mut digest = Digest::new();
@@ -181,8 +183,8 @@ impl EstimateReducer {
     }
 }
 
-/// The estimates, elements whose deviation is lost in the rounding of their values taken as certain. A gain that is zero but for
-/// rounding leaves such: what is left of them says nothing.
+/// The estimates, with those elements taken as certain whose deviation is lost in the rounding of their values. A gain
+/// that is zero up to rounding makes such elements; their remaining deviation has no meaning.
 fn without_drowned(estimates: &Estimates) -> Cow<'_, Estimates> {
     let n = estimates.transition.nrows();
     let drowned = |&i: &usize| {
@@ -206,7 +208,7 @@ fn same_bits(a: &DMatrix<f64>, b: &DMatrix<f64>) -> bool {
     a.shape() == b.shape() && a.iter().zip(b).all(|(x, y)| x.to_bits() == y.to_bits())
 }
 
-/// Shapes and finiteness; `widths`: numeric and text columns of the model.
+/// Checks shapes and finiteness. `widths`: numbers of numeric and text columns of the model.
 fn check(estimates: &Estimates, n: usize, widths: (usize, usize)) -> Result<(), (&'static str, ReduceErrorKind)> {
     let m = estimates.estimates.len();
     let Estimates { offsets, sensitivities, transition, drift, root, constants, .. } = estimates;

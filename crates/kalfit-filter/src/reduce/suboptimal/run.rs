@@ -1,4 +1,4 @@
-//! A filter, optimal or not, run over tests: its estimates, and how they depend on the truth.
+//! Runs of a filter, optimal or not, over tests: its estimates, and how they depend on the truth.
 
 use std::sync::Arc;
 
@@ -18,13 +18,13 @@ use kalfit_model::Estimates;
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Filter, Level, Phase};
 
-/// Bytes of gains that are kept.
+/// Most bytes of gains that are cached.
 const CLASS_BYTES: usize = 256 << 20;
 
 type NoiseCovariances = Vec<(usize, usize, f64)>;
 type FilterDesignResult = Result<FilterDesign, Box<Fault>>;
 
-/// What gains, S and Γ depend on: design and covariances of noises, of the truth and of the filter.
+/// Designs and noise covariances of the truth and of the filter, on which gains, S and Γ depend.
 #[derive(Debug, Clone)]
 struct FilterClass {
     designs: [Design; 2],
@@ -33,12 +33,12 @@ struct FilterClass {
 
 /// Runs the `[filter]` of a phase over tests (theory §8).
 ///
-/// The truth has the model's φ, M, Q, R, b, d at α; the filter has its own, where it believes otherwise, and its own prior of
-/// all states at x_0. Its gain is the joint one of all measurements of a step, rows of considered states zero, in the filter
-/// and in the fixed-point smoother of x_0.
+/// The truth has the model's φ, M, Q, R, b, d at α; the filter has different ones where it assumes other parameters,
+/// and a separate prior of all states at x_0. Its gain is the joint gain of all measurements of a step, with zero rows
+/// for considered states, in the filter and in the fixed-point smoother of x_0.
 ///
-/// The filter's own parameters are those of α unless [`Filter::parameters`] says otherwise. Tests that the filter processes
-/// alike share its gains. Estimates do not depend on that, nor on threads or the order of the tests.
+/// The filter's parameters are those of α unless [`Filter::parameters`] sets them. Tests that the filter processes
+/// identically share its gains. Estimates do not depend on this sharing, on threads or on the order of the tests.
 #[derive(Debug)]
 pub struct FilterRunner {
     filter: Filter,
@@ -47,14 +47,14 @@ pub struct FilterRunner {
     classes: SharedStore<FilterClass, FilterDesignResult>,
 }
 
-/// Room for one test.
+/// Work space for one test.
 struct RunWorkspace {
     truth: Workspace,
     own: Workspace,
-    /// Filter's kernel order; x̂ and s̄_2 side by side, n × 2, and x̂_0 and s̄_3.
+    /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; `first` has x̂_0 and s̄_3 likewise.
     now: Vec<f64>,
     first: Vec<f64>,
-    /// s̄_1, the truth's kernel order.
+    /// s̄_1, in the truth's kernel order.
     drift: Vec<f64>,
     moved: Vec<f64>,
 }
@@ -87,12 +87,13 @@ impl FilterRunner {
     /// the rows of the phase.
     ///
     /// # Errors
-    /// Cells that are missing, covariances that are none, and whatever else keeps a test from being reduced.
+    /// Missing cells, covariances that are not positive semidefinite, and any other error that prevents the
+    /// reduction of a test.
     pub fn run(&self, test: &Test) -> Result<Estimates, ReduceError> {
         self.run_in(test, &mut self.room())
     }
 
-    /// The estimates of many tests, in their order; of several tests in error, the first one's error.
+    /// The estimates of many tests, in their order, or the error of the first test in error.
     pub fn run_all(&self, tests: &[Test]) -> Result<Vec<Estimates>, ReduceError> {
         let all: Vec<Result<Estimates, ReduceError>> =
             tests.par_iter().map_init(|| self.room(), |room, test| self.run_in(test, room)).collect();
@@ -127,7 +128,7 @@ impl FilterRunner {
         if sound { Ok(estimates) } else { Err(named(Fault::new(Subject::Test, ReduceErrorKind::NotFinite))) }
     }
 
-    /// What the test in the room shares with others like it.
+    /// The filter design of the test in `room`, which tests that the filter processes identically share.
     fn class(&self, room: &RunWorkspace) -> Arc<StoreEntry<FilterClass, FilterDesignResult>> {
         let sides = [&room.truth, &room.own];
         let covariances = |work: &Workspace| work.covariances.clone().unwrap_or_default();
@@ -159,7 +160,7 @@ impl FilterRunner {
         )
     }
 
-    /// d - d_f of each measurement; `None` where the filter has no parameters of its own, so that they are the same.
+    /// d - d_f of each measurement; `None` where the filter sets no parameters, so that d_f = d.
     fn shift(&self, test: &Test, room: &RunWorkspace) -> Result<Option<Vec<f64>>, Box<Fault>> {
         if self.filter.parameters.is_empty() {
             return Ok(None);
@@ -169,7 +170,7 @@ impl FilterRunner {
         Ok(Some(constants.iter().zip(&own).map(|(a, b)| a - b).collect()))
     }
 
-    /// x̂ over the data, and s̄: the same over what x_0 = 0 without noise would give.
+    /// Computes x̂ from the data, and s̄, which is x̂ from the data that x_0 = 0 without noise would give.
     fn pass(&self, class: &FilterDesign, shift: Option<&[f64]>, room: &mut RunWorkspace) {
         let RunWorkspace { truth, own, now, first, drift, moved } = room;
         let n = self.filter.mean.len();
@@ -195,7 +196,7 @@ impl FilterRunner {
                     own_input += 1;
                 }
             }
-            // all innovations of a step before any update: its gain is the joint one
+            // all innovations of a step come before any update, since its gain is joint
             moved.clear();
             for (i, row) in step.rows.clone().enumerate() {
                 let (line, own_line) = (step.lines.start + i, own_step.lines.start + i);
@@ -241,7 +242,7 @@ impl FilterRunner {
     }
 }
 
-/// It is the filter that cannot be run, not the model.
+/// Adds to an error that the filter, not the model, cannot be run.
 fn of_filter(mut error: ReduceError) -> ReduceError {
     error.what.push_str(", as the filter has it");
     error

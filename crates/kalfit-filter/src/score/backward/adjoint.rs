@@ -1,4 +1,4 @@
-//! The way back through one step: r, ρ, N and what they say of the coefficients of the step.
+//! The backward pass through one step: r, ρ, N, and the adjoints of the step's coefficients.
 #![expect(non_snake_case, reason = "the letters of the theory: P, B, N, K, D")]
 
 use kalfit_lanes::Real;
@@ -17,7 +17,7 @@ pub(super) struct Adjoint<T = f64> {
     pub(super) N: Vec<T>,
     NK: Vec<T>,
     upsilon: Vec<T>,
-    /// r and ρ before they move on.
+    /// r and ρ of the state after a transition, while it is passed backward.
     before: Vec<T>,
     smoothed: Vec<T>,
     rows: Vec<T>,
@@ -44,11 +44,11 @@ pub(super) struct ScalarAdjoint<'a, T = f64> {
     pub(super) noise: &'a mut T,
     /// ∂ℓ/∂(z - d).
     pub(super) value: &'a mut T,
-    /// ∂ℓ/∂h over all states, and the filter before the measurement, where it is wanted.
+    /// ∂ℓ/∂h over all states, and the filter before the measurement, where ∂ℓ/∂h is wanted.
     pub(super) h: Option<(&'a mut [T], FilterSnapshot<'a, T>)>,
 }
 
-/// One scalar measurement on its way back.
+/// One scalar measurement in the backward pass.
 struct Scalar<'a, T, E> {
     u: T,
     states: &'a [u32],
@@ -58,7 +58,7 @@ struct Scalar<'a, T, E> {
 }
 
 impl<T: Real> Adjoint<T> {
-    /// As after the last step: zero, or (r, ρ, N) that later phases say of the state there.
+    /// Begins after the last step: with zero, or with (r, ρ, N) from later phases.
     #[inline(always)]
     pub(super) fn begin(&mut self, unknown: &PosteriorRoot<'_, T>, ending: Option<[&[T]; 3]>) {
         let (n, r, c) = (unknown.frame.n, unknown.frame.r, unknown.columns);
@@ -73,7 +73,7 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// ∂ℓ/∂P0, each place by itself.
+    /// ∂ℓ/∂P0, each entry by itself.
     #[inline(always)]
     pub(super) fn start_covariance_adjoint(&self, unknown: &PosteriorRoot<'_, T>, out: &mut Vec<T>) {
         let (r, c, half) = (unknown.frame.r, unknown.columns, T::splat(0.5));
@@ -83,7 +83,7 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// A scalar measurement.
+    /// The backward pass through a scalar measurement, whose adjoints go to `bar`.
     #[inline(always)]
     pub(super) fn measured<E: Entries<T>>(
         &mut self,
@@ -146,7 +146,7 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// ∂ℓ/∂h; r and ρ already have this measurement, N does not.
+    /// ∂ℓ/∂h; r and ρ already include this measurement, N does not.
     #[inline(always)]
     fn equation_bar<E: Entries<T>>(&mut self, scalar: &Scalar<'_, T, E>, before: FilterSnapshot<'_, T>, bar: &mut [T]) {
         let Adjoint { r: adjoint, rho, NK, upsilon, smoothed, .. } = self;
@@ -154,7 +154,7 @@ impl<T: Real> Adjoint<T> {
         for (i, bar) in bar.iter_mut().enumerate() {
             *bar = scalar.u * before.x[i] - dot(&**upsilon, &before.Psi[i * c..][..c]);
         }
-        // ur + ρυ' - (h/S - (I-Kh')'NK), where that is h (1/S + K'NK) - NK
+        // ur + ρυ' - (h/S - (I-Kh')'NK), where the parenthesis equals h (1/S + K'NK) - NK
         smoothed.clear();
         for j in 0..r {
             smoothed.push(scalar.u.fma(adjoint[j], dot(&**upsilon, &rho[j * c..][..c])) + NK[j]);
@@ -168,7 +168,8 @@ impl<T: Real> Adjoint<T> {
         }
     }
 
-    /// One transition. `left`: the filter before it, where adjoints of φ are wanted.
+    /// The backward pass through a transition, whose adjoints go to `bar`. `left`: the filter before the transition,
+    /// where adjoints of φ are wanted.
     #[inline(always)]
     pub(super) fn moved<E: Entries<T>>(
         &mut self,
@@ -206,12 +207,12 @@ impl<T: Real> Adjoint<T> {
         advance_transposed(&mut self.N, (r, r), transition, &mut self.rows);
     }
 
-    /// ∂ℓ/∂φ; r and ρ are φ'r and φ'ρ, N is Nφ.
+    /// ∂ℓ/∂φ, after r and ρ have become φ'r and φ'ρ, and N has become Nφ.
     #[inline(always)]
     fn motion_bar(&mut self, pattern: &Pattern, left: FilterSnapshot<'_, T>, (r, c): (usize, usize), bar: &mut [T]) {
         let Adjoint { r: adjoint, rho, N, before, smoothed, .. } = self;
         let (adjoint_before, rho_before) = before.split_at(adjoint.len());
-        // x̄ + Pφ'r and ΨC - Pφ'ρ of the noisy states; the others are as they were
+        // x̄ + Pφ'r and ΨC - Pφ'ρ of the noisy states; the other states do not change
         smoothed.clear();
         for i in 0..r {
             let P = &left.P[i * r..][..r];

@@ -21,14 +21,14 @@ pub(crate) struct BatchBackward<'a> {
     pub(crate) block: &'a DataBlock,
     pub(crate) designs: &'a DesignBatch,
     pub(crate) shape: &'a Design,
-    /// One for each test, with as many columns.
+    /// Moments of each test, all with the same number of columns.
     pub(crate) moments: &'a [&'a Moments],
-    /// One for each test, or none.
+    /// Terminal adjoints of each test; empty where all are zero.
     pub(crate) endings: &'a [&'a TerminalAdjoint],
     pub(crate) wanted: AdjointsWanted,
 }
 
-/// The adjoints of all of them, each number of one test beside the same of the others.
+/// The adjoints of all tests of a batch, in lanes: each number of all tests together.
 #[derive(Debug, Clone)]
 pub(crate) struct BatchAdjoints {
     lanes: usize,
@@ -38,7 +38,7 @@ pub(crate) struct BatchAdjoints {
     moves: Vec<f64>,
     mean: Vec<f64>,
     variance: Vec<f64>,
-    /// Numbers of a measurement; of a transition of each kind.
+    /// Number of adjoints per measurement, and per transition for each of φ, Q and b.
     sizes: (usize, [usize; 3]),
 }
 
@@ -67,10 +67,10 @@ impl Kernel for BatchBackward<'_> {
     }
 }
 
-/// What the pass reads of a batch, in lanes: each step is a run. A step or a measurement that a test lacks changes nothing: φ = I,
-/// Q = 0, h = 0, R = 1.
+/// What the pass reads of a batch, in lanes; each step is a run. A step or a measurement that a test lacks has no
+/// effect: φ = I, Q = 0, h = 0, R = 1.
 struct BatchNumbers<'a> {
-    /// Of all of them together: its numbers do not count.
+    /// The shape of all designs together; its coefficients are not read.
     shape: &'a Design,
     designs: &'a DesignBatch,
     data: DataView<'a>,
@@ -92,23 +92,25 @@ impl<'a> BatchNumbers<'a> {
     }
 }
 
-/// Numbers of a test that are remembered for the way back: of longer ones the filter runs again from places on its way.
+/// Most numbers per test that are stored for the backward pass; for longer tests, the filter is run again from stored
+/// states.
 const MOST_KEPT: usize = 1 << 16;
 
-/// The filter on its way over a batch, and what it passed through.
+/// The filter over a batch, and its stored states.
 struct BatchPass<'a, T> {
     numbers: BatchNumbers<'a>,
     unknown: PosteriorRoot<'a, T>,
     now: FilteredMoments<T>,
     /// ē of each measurement.
     e: Vec<T>,
-    /// Before each transition of the steps gone over last, and before each measurement, as [`FilteredMoments::save`] keeps it.
+    /// The filter before each transition of the current block of steps (`left`), and before each measurement
+    /// (`before`), as [`FilteredMoments::save`] writes it.
     left: Vec<T>,
     before: Vec<T>,
     stride: usize,
 }
 
-/// Where a pass stands: before this run, this row, and this transition of those that there are.
+/// Position of a pass: the numbers of the next run, row and transition.
 #[derive(Debug, Clone, Copy, Default)]
 struct BatchPlace {
     run: usize,
@@ -124,7 +126,7 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
         BatchPass { numbers, unknown, now: FilteredMoments::default(), e, left: Vec::new(), before: Vec::new(), stride }
     }
 
-    /// Forth over all steps, and back.
+    /// The forward and the backward pass over all steps.
     #[inline(always)]
     fn run(mut self, mean: &[T], ending: Option<[&[T]; 3]>) -> BatchAdjoints {
         let (start, variance) = (SideBySide(self.numbers.data.start), SideBySide(&self.numbers.designs.variance));
@@ -150,14 +152,14 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
         back.end(&self.unknown)
     }
 
-    /// How many steps are gone over at a time.
+    /// Number of steps in a block.
     fn block(&self) -> usize {
         let (design, wanted) = (self.numbers.shape, self.unknown.wanted);
         let rows = if wanted.equation { design.rows().div_ceil(design.runs.len().max(1)) } else { 0 };
         (MOST_KEPT / self.stride.max(1) / (usize::from(wanted.motion) + rows).max(1)).max(1)
     }
 
-    /// From a place to the one before run `to`.
+    /// Runs the filter from a position to the one before run `to`, which is returned.
     #[inline(always)]
     fn forth(&mut self, mut at: BatchPlace, to: usize) -> BatchPlace {
         let BatchPass { numbers, unknown, now, e, left, before, .. } = self;
@@ -190,10 +192,10 @@ impl<'a, T: Lanes> BatchPass<'a, T> {
     }
 }
 
-/// The way back over a batch.
+/// The backward pass over a batch.
 struct BatchBack<T> {
     adjoint: Adjoint<T>,
-    /// Of one measurement, and of one transition.
+    /// Adjoints of one measurement (`bar`), and of one transition (`moved`).
     bar: Vec<T>,
     moved: TransitionAdjoint<T>,
     all: BatchAdjoints,
@@ -220,7 +222,7 @@ impl<T: Lanes> BatchBack<T> {
         BatchBack { adjoint, bar: vec![T::splat(0.0); width], moved: TransitionAdjoint::default(), all }
     }
 
-    /// Over the steps between two places that the filter has just gone over.
+    /// The backward pass over the steps between two positions, which the filter has just passed.
     #[inline(always)]
     fn over(&mut self, pass: &BatchPass<'_, T>, from: BatchPlace, to: BatchPlace) {
         let BatchPass { numbers, unknown, stride, .. } = pass;
@@ -303,17 +305,18 @@ fn apart<T: Lanes>(numbers: &[T]) -> Vec<f64> {
 }
 
 impl BatchAdjoints {
-    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h to all states, of each measurement; how many numbers those are.
+    /// ∂ℓ/∂R, ∂ℓ/∂(z - d) and, if it is wanted, ∂ℓ/∂h to all states, of each measurement; and their number per
+    /// measurement.
     pub(crate) fn rows(&self) -> (&[f64], usize) {
         (&self.rows, self.sizes.0)
     }
 
-    /// The same, to be changed.
+    /// The adjoints of the measurements, mutable, and their number per measurement.
     pub(crate) fn rows_mut(&mut self) -> (&mut [f64], usize) {
         (&mut self.rows, self.sizes.0)
     }
 
-    /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition; how many numbers those are.
+    /// ∂ℓ/∂φ, ∂ℓ/∂Q and ∂ℓ/∂b of each transition, and their number per transition.
     pub(crate) fn moves(&self) -> (&[f64], usize) {
         (&self.moves, self.sizes.1.iter().sum())
     }

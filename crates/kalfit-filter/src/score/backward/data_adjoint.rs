@@ -1,5 +1,5 @@
-//! The data's part of the way back through equal steps of one scalar measurement: of one record, or of several side by side that
-//! share all else.
+//! The data-dependent part of the backward pass through equal steps of one scalar measurement: for one record, or in
+//! lanes for several that share all but their data.
 //!
 //! ```text
 //! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
@@ -27,13 +27,13 @@ pub(crate) struct PriorVariances<const N: usize> {
     pub(crate) arrived: [[f64; N]; N],
 }
 
-/// The data's part of the adjoints of the coefficients, summed over steps.
+/// The data-dependent part of the adjoints of the coefficients, summed over steps.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DataSums<T, const N: usize> {
     pub(crate) u: T,
     pub(crate) uu: T,
     pub(crate) h: [T; N],
-    /// r and rr' (its lower triangle) where the transitions end.
+    /// Sums of r and rr' (lower triangle) of the states after the transitions.
     pub(crate) r: [T; N],
     pub(crate) rr: [[T; N]; N],
     pub(crate) phi: [[T; N]; N],
@@ -49,7 +49,7 @@ impl<T: Real, const N: usize> DataSums<T, N> {
 }
 
 impl<T: Lanes, const N: usize> DataSums<T, N> {
-    /// Of one test.
+    /// The sums of the test in the first lane.
     pub(super) fn one(&self) -> DataSums<f64, N> {
         let (u, uu) = (self.u.lane(0), self.uu.lane(0));
         DataSums { u, uu, h: one(self.h), r: one(self.r), rr: self.rr.map(one), phi: self.phi.map(one) }
@@ -57,14 +57,14 @@ impl<T: Lanes, const N: usize> DataSums<T, N> {
 }
 
 impl<T: Real, const N: usize> StepCoefficients<T, N> {
-    /// Of a stretch; `x`: the filter before it.
+    /// The coefficients of the steps of a stretch; `x`: x̄ before the stretch.
     #[inline(always)]
     pub(crate) fn new(input: &BackwardInput<'_>, stretch: &Stretch<'_>, x: &[T]) -> StepCoefficients<T, N> {
         let filter = reduce::InvariantStep::new(input.design, stretch, x);
         StepCoefficients { filter, wanted: input.wanted, moves: stretch.transition.is_some() }
     }
 
-    /// Back through one step; x̄ is that before it.
+    /// The backward pass through one step; `x`: x̄ before the step.
     #[inline(always)]
     pub(crate) fn back(
         &self,
@@ -113,7 +113,7 @@ impl<T: Real, const N: usize> StepCoefficients<T, N> {
     }
 }
 
-/// x̄ + Pr.
+/// The smoothed state x̄ + Pr.
 #[inline(always)]
 fn smoothed<T: Real, const N: usize>(x: &[T; N], P: &[[f64; N]; N], r: &[T; N]) -> [T; N] {
     let mut smoothed = *x;
@@ -125,7 +125,7 @@ fn smoothed<T: Real, const N: usize>(x: &[T; N], P: &[[f64; N]; N], r: &[T; N]) 
     smoothed
 }
 
-/// The numbers of one test.
+/// The numbers of the test in the first lane.
 pub(super) fn one<T: Lanes, const M: usize>(numbers: [T; M]) -> [f64; M] {
     numbers.map(|x| x.lane(0))
 }

@@ -1,5 +1,6 @@
-//! The design's part of the way back through equal steps of one scalar measurement, on arrays of known size: N states that move, and C
-//! columns of ΨC. States that rest are constants. The data's part has a file of its own (`data_adjoint`).
+//! The part of the backward pass through equal steps of one scalar measurement that depends on the design alone, on
+//! arrays of fixed size: N states that move, and C columns of ΨC. The other states are constant. The data-dependent
+//! part is in `data_adjoint`.
 
 use kalfit_lanes::{Lanes, Real};
 
@@ -13,14 +14,14 @@ pub(super) struct PriorMoments<const N: usize, const C: usize> {
     pub(super) arrived: [[f64; C]; N],
 }
 
-/// 1/S and K, and TC, of a row.
+/// (1/S, K) and TC of a row.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Gain<const N: usize, const C: usize> {
     pub(super) own: (f64, [f64; N]),
     pub(super) T: [f64; C],
 }
 
-/// ρ, N.
+/// The adjoints ρ and N of the states that move.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct DesignAdjoint<T, const N: usize, const C: usize> {
     pub(super) rho: [[T; C]; N],
@@ -28,13 +29,13 @@ pub(super) struct DesignAdjoint<T, const N: usize, const C: usize> {
 }
 
 impl<T: Lanes, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
-    /// Of one test.
+    /// The adjoints of the test in the first lane.
     pub(super) fn one(&self) -> DesignAdjoint<f64, N, C> {
         DesignAdjoint { rho: self.rho.map(one), N: self.N.map(one) }
     }
 }
 
-/// The design's part of the adjoints of the coefficients, summed over steps.
+/// The part of the adjoints of the coefficients that depends on the design alone, summed over steps.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct DesignSums<T, const N: usize, const C: usize> {
     pub(super) noise: T,
@@ -42,7 +43,7 @@ pub(super) struct DesignSums<T, const N: usize, const C: usize> {
     pub(super) h: [T; N],
     pub(super) q: [[T; N]; N],
     pub(super) phi: [[T; N]; N],
-    /// ρ where the transitions end.
+    /// Sums of ρ of the states after the transitions.
     pub(super) rho: [[T; C]; N],
 }
 
@@ -54,7 +55,7 @@ impl<T: Real, const N: usize, const C: usize> DesignSums<T, N, C> {
         DesignSums { noise: zero, upsilon: columns, h: [zero; N], q: matrix, phi: matrix, rho: [columns; N] }
     }
 
-    /// Adds so many times what others are.
+    /// Adds `many` times other sums.
     #[inline(always)]
     pub(super) fn add(&mut self, many: f64, others: &DesignSums<T, N, C>) {
         let many = T::splat(many);
@@ -70,7 +71,7 @@ impl<T: Real, const N: usize, const C: usize> DesignSums<T, N, C> {
 }
 
 impl<T: Lanes, const N: usize, const C: usize> DesignSums<T, N, C> {
-    /// Of one test.
+    /// The sums of the test in the first lane.
     pub(super) fn one(&self) -> DesignSums<f64, N, C> {
         DesignSums {
             noise: self.noise.lane(0),
@@ -99,7 +100,7 @@ fn inner<T: Real, const M: usize>(a: &[T; M], b: &[T; M]) -> T {
     sum
 }
 
-/// φ'X.
+/// The product φ'X.
 #[inline(always)]
 fn transposed<T: Real, const N: usize, const W: usize>(phi: &[[f64; N]; N], x: &[[T; W]; N]) -> [[T; W]; N] {
     let mut out = [[T::splat(0.0); W]; N];
@@ -113,7 +114,7 @@ fn transposed<T: Real, const N: usize, const W: usize>(phi: &[[f64; N]; N], x: &
     out
 }
 
-/// Nφ.
+/// The product Nφ.
 #[inline(always)]
 fn product<T: Real, const N: usize>(x: &[[T; N]; N], phi: &[[f64; N]; N]) -> [[T; N]; N] {
     let mut out = [[T::splat(0.0); N]; N];
@@ -128,7 +129,7 @@ fn product<T: Real, const N: usize>(x: &[[T; N]; N], phi: &[[f64; N]; N]) -> [[T
 }
 
 impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
-    /// Back through one step.
+    /// The backward pass through one step.
     #[inline(always)]
     pub(super) fn back(
         &mut self,
@@ -217,7 +218,7 @@ impl<T: Real, const N: usize, const C: usize> DesignAdjoint<T, N, C> {
         }
     }
 
-    /// The design's part of one step where ρ and N rest.
+    /// What one step adds to the sums while ρ and N are constant.
     #[inline(always)]
     pub(super) fn rested(
         &self,

@@ -1,4 +1,5 @@
-//! Many equal steps of one scalar measurement, and the way forth over them: P and Ψ before each are known from the design pass.
+//! Many equal steps of one scalar measurement, and the forward pass over them. P and Ψ before each step are known from
+//! the design pass.
 
 use kalfit_lanes::{Isa, Kernel, Lanes, Real};
 
@@ -9,17 +10,17 @@ use crate::score::backward::input::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment};
 use crate::score::moments::Moments;
 
-/// A stretch with its gains: from `moving` steps on nothing changes.
+/// A stretch of equal steps with its gains, which no longer change from step `moving` on.
 #[derive(Debug)]
 pub(crate) struct EqualStretch<'a> {
     pub(super) input: &'a BackwardInput<'a>,
     pub(crate) stretch: Stretch<'a>,
     pub(crate) piece: &'a GainSpan,
     moving: usize,
-    /// States that move.
+    /// Number of states that move.
     pub(crate) states: usize,
     pub(crate) block: usize,
-    /// P and Ψ before its steps, where they are wanted.
+    /// P and Ψ before each step, where they are wanted.
     path: Option<&'a MomentPath>,
 }
 
@@ -38,18 +39,18 @@ impl<'a> EqualStretch<'a> {
         self.stretch.rows.start + step
     }
 
-    /// Steps from which on nothing changes.
+    /// Number of steps after which nothing changes any more.
     pub(crate) fn moving(&self) -> usize {
         self.moving
     }
 
-    /// Its blocks: from and to.
+    /// (first step, first step after) of each block of the stretch.
     pub(crate) fn blocks(&self) -> impl DoubleEndedIterator<Item = (usize, usize)> + ExactSizeIterator + use<> {
         let (count, block) = (self.stretch.count, self.block);
         (0..count).step_by(block).map(move |from| (from, count.min(from + block)))
     }
 
-    /// The coefficients of a step for other data; `x`: their filter before these steps.
+    /// The coefficients of a step for other data; `x`: x̄ of these data before the stretch.
     #[inline(always)]
     pub(crate) fn coefficients<T: Real, const N: usize>(&self, x: &[T]) -> StepCoefficients<T, N> {
         StepCoefficients::new(self.input, &self.stretch, x)
@@ -92,7 +93,7 @@ impl<'a> EqualStretch<'a> {
         if !self.input.wanted.equation || *weight == 0.0 {
             return PriorVariances { left, arrived: left };
         }
-        // what the measurement has taken from it is KSK'
+        // the measurement has reduced P by KSK'
         let (mut arrived, S) = (load(step + 1), weight.recip());
         for i in 0..N {
             for j in 0..N {
@@ -102,7 +103,7 @@ impl<'a> EqualStretch<'a> {
         PriorVariances { left, arrived }
     }
 
-    /// The same of P and ΨC.
+    /// P and ΨC before a step, and before its measurement.
     #[inline(always)]
     pub(super) fn prior<const N: usize, const C: usize>(&self, step: usize, gain: &Gain<N, C>) -> PriorMoments<N, C> {
         let load = |step: usize| {
@@ -116,7 +117,7 @@ impl<'a> EqualStretch<'a> {
         if !self.input.wanted.equation {
             return PriorMoments { P, left, arrived: left };
         }
-        // what the measurement has taken from it is KT
+        // the measurement has reduced ΨC by KTC
         let mut arrived = load(step + 1);
         for i in 0..N {
             for j in 0..C {
@@ -127,7 +128,7 @@ impl<'a> EqualStretch<'a> {
     }
 }
 
-/// Forth over a stretch: its innovations, and x̄ at the beginning of every block.
+/// The forward pass over a stretch, which stores its innovations, and x̄ at the start of every block.
 pub(super) fn forward(input: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
     let steps = EqualStretch::new(input, part, work.cut.block);
     let BackwardWork { e, marks, now, .. } = work;
@@ -145,7 +146,7 @@ pub(super) fn forward(input: &BackwardInput<'_>, part: &Segment, work: &mut Back
     }
 }
 
-/// ΨC of so many states.
+/// ΨC of the first `states` states.
 #[inline]
 fn psi_root((Psi, states): (&[f64], usize), moments: &Moments, out: &mut [f64]) {
     let (c, p) = (moments.columns, moments.mean.len());
@@ -182,7 +183,7 @@ impl Kernel for EqualForward<'_> {
     }
 }
 
-/// Numbers as those of a kernel.
+/// Numbers in lanes, each the same in all lanes.
 #[inline(always)]
 pub(super) fn lifted<T: Lanes>(numbers: &[f64]) -> Vec<T> {
     let mut own = Vec::with_capacity(numbers.len());

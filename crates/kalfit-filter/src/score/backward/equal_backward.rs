@@ -1,5 +1,5 @@
-//! Back through many equal steps of one scalar measurement, of few moving states: with sums, and without renewing N and ρ where
-//! these no longer change.
+//! The backward pass through many equal steps of one scalar measurement with few moving states: adjoints are summed,
+//! and N and ρ are no longer updated once they are constant.
 
 use kalfit_lanes::{Isa, Kernel, Lanes};
 
@@ -21,7 +21,7 @@ fn columns<const N: usize>(c: usize) -> Option<SegmentPass> {
     })
 }
 
-/// The way back over a stretch, if there is one of known size.
+/// The backward pass over a stretch, if there is a kernel of its size.
 pub(super) fn kernel(input: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option<SegmentPass> {
     let c = input.moments.columns;
     let known = !input.tracked() || input.gains.path(stretch.rows.start).is_some();
@@ -35,21 +35,22 @@ pub(super) fn kernel(input: &BackwardInput<'_>, stretch: &Stretch<'_>) -> Option
     }
 }
 
-/// The way back over a stretch: its state, and whether N and ρ rest.
+/// State of the backward pass over a stretch, and whether N and ρ are constant.
 struct EqualBackward<T, const N: usize, const C: usize> {
     step: StepCoefficients<T, N>,
     r: [T; N],
     bars: DesignAdjoint<T, N, C>,
     data: DataSums<T, N>,
     sums: DesignSums<T, N, C>,
-    /// P where it rests, and what each step adds to the sums while N and ρ rest too.
+    /// The constant P, and what each step adds to the sums, once N and ρ are constant too.
     still: Option<(PriorVariances<N>, DesignSums<T, N, C>)>,
-    /// So many steps of it so far.
+    /// Number of steps with constant N and ρ that are not in the sums yet.
     rested: usize,
     watched: bool,
 }
 
-/// The adjoints of a stretch, summed, into `measured` and `moved` of the work space. `now` is the filter before it.
+/// Writes the summed adjoints of a stretch to `measured` and `moved` of the work space, whose `now` is the filter
+/// before the stretch.
 fn backward<const N: usize, const C: usize>(input: &BackwardInput<'_>, part: &Segment, work: &mut BackwardWork) {
     Isa::best().alone().run(EqualPass::<N, C> { input, part, work });
 }
@@ -113,7 +114,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         }
     }
 
-    /// x̄ before each of the steps `from..to`, from that before the first of them.
+    /// Recomputes x̄ before each of the steps `from..to`, from `x` before the first of them.
     #[inline(always)]
     fn again(
         &self,
@@ -129,7 +130,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         }
     }
 
-    /// Back over steps `from..to`; `xs`: x̄ before each.
+    /// The backward pass over the steps `from..to`; `xs`: x̄ before each.
     #[inline(always)]
     fn block(&mut self, steps: &EqualStretch<'_>, (from, to): (usize, usize), xs: &[[T; N]], work: &mut BackwardWork) {
         let e = &work.e[steps.stretch.rows.clone()];
@@ -173,7 +174,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         bars.back(step, gain, prior, sums);
     }
 
-    /// Whether N and ρ have come to rest after so many steps.
+    /// Whether N and ρ are constant after `done` steps.
     fn looks(&self, steps: &EqualStretch<'_>, done: usize, settling: &mut SteadyStateMonitor) -> bool {
         if done < settling.next_look() {
             return false;
@@ -187,7 +188,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         settling.look(done, (&information[..r * r], r), rho, SteadyState::Nothing) == SteadyState::All
     }
 
-    /// Sums what the steps have added since N and ρ came to rest.
+    /// Adds to the sums the steps that were passed with constant N and ρ.
     #[inline(always)]
     fn settle(&mut self) {
         if let Some((_, each)) = self.still.take() {
@@ -195,7 +196,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
         }
     }
 
-    /// The adjoints of the states before the stretch, and of its coefficients.
+    /// Writes the adjoints of the states before the stretch, and those of its coefficients.
     fn finish(&self, steps: &EqualStretch<'_>, work: &mut BackwardWork) {
         let (input, sums, data, bars) = (steps.input, self.sums.one(), self.data.one(), self.bars.one());
         let r = input.design.frame.r;
@@ -247,7 +248,7 @@ impl<T: Lanes, const N: usize, const C: usize> EqualBackward<T, N, C> {
     }
 }
 
-/// ux - υ(ΨC)' of a state that rests.
+/// ux̄ - υ(ΨC)' of a constant state.
 fn resting<const C: usize>(now: &FilteredMoments, state: usize, u: f64, upsilon: &[f64; C]) -> f64 {
     let Psi = &now.Psi[state * C..][..C];
     u * now.x[state] - upsilon.iter().zip(Psi).map(|(upsilon, Psi)| upsilon * Psi).sum::<f64>()

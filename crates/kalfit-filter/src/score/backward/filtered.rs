@@ -8,7 +8,7 @@ use crate::reduce::{Entries, TransitionView, advance, correct_mean, innovation, 
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::scalar_measurement::{PosteriorRoot, ScalarMeasurement};
 
-/// x̄ (n); where adjoints of φ or h are wanted P (r × r, both triangles) and ΨC (n × c) too.
+/// x̄ (n) and, where adjoints of φ or h are wanted, P (r × r, both triangles) and ΨC (n × c).
 #[derive(Debug, Clone)]
 pub(super) struct FilteredMoments<T = f64> {
     pub(super) x: Vec<T>,
@@ -34,7 +34,7 @@ impl<T> Default for FilteredMoments<T> {
     }
 }
 
-/// What [`FilteredMoments::save`] has kept, to read.
+/// A view of a state written by [`FilteredMoments::save`].
 #[derive(Debug, Clone, Copy)]
 pub struct FilterSnapshot<'a, T = f64> {
     pub x: &'a [T],
@@ -43,7 +43,7 @@ pub struct FilterSnapshot<'a, T = f64> {
 }
 
 impl<'a, T> FilterSnapshot<'a, T> {
-    /// Of n states, r of them noisy.
+    /// A view of a stored state with n states, r of them noisy.
     #[inline(always)]
     pub(super) fn new(kept: &'a [T], (n, r): (usize, usize)) -> FilterSnapshot<'a, T> {
         let (x, rest) = kept.split_at(n);
@@ -67,17 +67,17 @@ impl FilterSnapshot<'_> {
     }
 }
 
-/// x_0 before ξ is known: a (n), and P0 (r × r, the lower triangle counts).
+/// The law of x_0 at ξ = x̂: a (n), P0 (r × r, of which the lower triangle counts), and x̂.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Begin<'a, T, E> {
     pub(super) start: E,
     pub(super) variance: E,
-    /// x̂.
+    /// x̂, the posterior mean of ξ.
     pub(super) mean: &'a [T],
 }
 
 impl<T: Real> FilteredMoments<T> {
-    /// x_0 = a + Ax̂, P0 and AC.
+    /// Begins with x̄ = a + Ax̂, P = P0 and ΨC = AC.
     #[inline(always)]
     pub(super) fn begin<E: Entries<T>>(&mut self, begin: &Begin<'_, T, E>, unknown: &PosteriorRoot<'_, T>) {
         let frame = unknown.frame;
@@ -112,7 +112,7 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// Its state, to read.
+    /// A view of the filter's state.
     pub(super) fn seen(&self) -> FilterSnapshot<'_, T> {
         FilterSnapshot { x: &self.x, P: &self.P, Psi: &self.Psi }
     }
@@ -124,7 +124,7 @@ impl<T: Real> FilteredMoments<T> {
         out.extend_from_slice(&self.Psi);
     }
 
-    /// Takes what [`FilteredMoments::save`] has kept.
+    /// Reads a state written by [`FilteredMoments::save`].
     #[inline(always)]
     pub(super) fn load(&mut self, kept: &[T], sizes: (usize, usize)) {
         let seen = FilterSnapshot::new(kept, sizes);
@@ -134,7 +134,7 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// Over a transition, with its known inputs.
+    /// Advances over a transition with its known inputs.
     #[inline(always)]
     pub(super) fn advance<E: Entries<T>>(
         &mut self,
@@ -156,7 +156,7 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// The update by a measurement.
+    /// Updates by a measurement with innovation e.
     #[inline(always)]
     pub(super) fn measure<E: Entries<T>>(
         &mut self,
@@ -180,8 +180,8 @@ impl<T: Real> FilteredMoments<T> {
         }
     }
 
-    /// The update of P, by gains of its own: those of the design may have come from square-root arrays, or be those of other steps
-    /// where they rest, and P would leave what is true under any but its own.
+    /// Updates P by gains computed from P itself: those of the design may come from square-root arrays or, once
+    /// constant, from other steps, and P would drift from its true value under them.
     #[inline(always)]
     fn spread<E: Entries<T>>(&mut self, r: usize, line: &ScalarMeasurement<'_, T, E>) {
         let FilteredMoments { P, G, K, .. } = self;
@@ -195,25 +195,25 @@ impl<T: Real> FilteredMoments<T> {
 }
 
 impl BackwardInput<'_> {
-    /// The filter at the start of the test.
+    /// Sets the filter to the start of the test.
     pub(super) fn begin(&self, now: &mut FilteredMoments) {
         let begin = Begin { start: self.start, variance: &*self.design.variance, mean: &self.moments.mean };
         now.begin(&begin, &self.unknown());
     }
 
-    /// The innovation of a row, which goes to the end of `e` unless it is there already; and the update by it.
+    /// Updates by the measurement of a row. Its innovation is appended to `e` unless `e` already contains it.
     pub(super) fn measure(&self, now: &mut FilteredMoments, (line, row): (usize, usize), e: &mut Vec<f64>) {
         let line = self.line((line, row));
         if row == e.len() {
             e.push(innovation(&now.x, (line.states, line.h), self.values[row]));
         }
         if line.weight == 0.0 {
-            return; // it can only be what it is
+            return; // no information
         }
         now.measure(&line, e[row], &self.unknown());
     }
 
-    /// (n, r): what [`FilterSnapshot::new`] needs to read a kept state.
+    /// (n, r), which [`FilterSnapshot::new`] needs to read a stored state.
     pub(super) fn sizes(&self) -> (usize, usize) {
         let frame = &self.design.frame;
         (frame.n, frame.r)

@@ -1,4 +1,4 @@
-//! A record cut into parts, and the way forth over them.
+//! A record cut into segments, and the forward pass over them.
 
 use crate::reduce::DesignStep;
 use crate::score::backward::filtered::FilteredMoments;
@@ -8,13 +8,14 @@ use crate::score::backward::work::{BackwardWork, MOST_SHORT_STRETCHES, Segment, 
 use crate::score::backward::{equal, equal_backward};
 
 impl BackwardInput<'_> {
-    /// Length of a kept state.
+    /// Length of a stored state of the filter.
     pub(super) fn stride(&self) -> usize {
         let frame = &self.design.frame;
         frame.n + frame.r * frame.r + frame.n * self.moments.columns
     }
 
-    /// The filter at ξ = x̂ under the gains of the design: its innovations, its parts, and its state where they begin.
+    /// Runs the filter at ξ = x̂ under the gains of the design, storing its innovations, the segments, and its state at
+    /// the start of each.
     pub(crate) fn forward<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         self.cut(work, sink);
         work.e.clear();
@@ -34,7 +35,7 @@ impl BackwardInput<'_> {
         }
     }
 
-    /// Cuts the record into parts.
+    /// Cuts the record into segments.
     pub(crate) fn cut<S: Sink>(&self, work: &mut BackwardWork, sink: &mut S) {
         let (parts, cut, driven) = (&mut work.parts, work.cut, self.design.frame.driven.len());
         parts.clear();
@@ -73,7 +74,7 @@ impl BackwardInput<'_> {
         }
     }
 
-    /// Over the steps of a part, one by one; what the filter passes through is kept for the way back.
+    /// Runs the filter over the steps of a segment, one by one, storing its states for the backward pass.
     pub(super) fn forward_steps(&self, part: &Segment, work: &mut BackwardWork) {
         let BackwardWork { e, left, before, now, .. } = work;
         left.clear();
@@ -85,8 +86,8 @@ impl BackwardInput<'_> {
         });
     }
 
-    /// Over some steps from where the filter stands, `input` their first known input; `e`: innovations that are known, others are
-    /// appended.
+    /// Runs the filter `now` over these steps and calls `tell` at each position. `input`: index of the first known
+    /// input; `e`: the innovations known so far, to which others are appended.
     pub(super) fn each_position<'s>(
         &self,
         steps: impl Iterator<Item = DesignStep<'s>>,
@@ -111,15 +112,15 @@ impl BackwardInput<'_> {
     }
 }
 
-/// Where the forward filter stands in a step.
+/// Position of the forward filter in a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum FilterPosition {
-    /// Before its transition.
+    /// Before the transition of the step.
     Moves,
-    /// After it.
+    /// After the transition.
     Arrives,
-    /// Before one of its measurements.
+    /// Before one of the measurements of the step.
     Measures,
-    /// After all of them.
+    /// After all measurements.
     Ends,
 }

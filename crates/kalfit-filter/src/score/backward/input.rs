@@ -1,19 +1,19 @@
-//! What the backward pass of a test begins with.
+//! Input of the backward pass of a test.
 #![expect(non_snake_case, reason = "the letters of the theory: N")]
 
 use crate::reduce::{Design, Gains, Workspace};
 use crate::score::moments::Moments;
 
-/// What the pullback asks of a backward pass.
+/// Adjoints that the pullback needs from a backward pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct AdjointsWanted {
-    /// ∂ℓ/∂φ.
+    /// Whether ∂ℓ/∂φ is wanted.
     pub motion: bool,
-    /// ∂ℓ/∂h.
+    /// Whether ∂ℓ/∂h is wanted.
     pub equation: bool,
 }
 
-/// One test as the pass sees it.
+/// Design, gains, data and moments of ξ of one test, as the pass reads them.
 #[derive(Debug, Clone, Copy)]
 pub struct BackwardInput<'a> {
     pub(crate) design: &'a Design,
@@ -21,16 +21,16 @@ pub struct BackwardInput<'a> {
     pub(crate) start: &'a [f64],
     pub(crate) inputs: &'a [f64],
     pub(crate) values: &'a [f64],
-    /// All data are zero: only what the design says is asked for.
+    /// Whether all data are zero, so that the pass gives the design's part alone.
     pub(crate) blank: bool,
     pub(crate) moments: &'a Moments,
-    /// Where later phases say something of the last state.
+    /// Adjoints of the last state from later phases, if there are any.
     pub(crate) ending: Option<&'a TerminalAdjoint>,
     pub(crate) wanted: AdjointsWanted,
 }
 
 impl<'a> BackwardInput<'a> {
-    /// Of the test in a work space under the gains of its design.
+    /// Input for the test in a work space, under the gains of its design.
     pub fn of(
         (work, gains): (&'a Workspace, &'a Gains),
         (moments, ending): (&'a Moments, Option<&'a TerminalAdjoint>),

@@ -1,4 +1,4 @@
-//! The way back through a step, on flat arrays: for one number and for lanes.
+//! Backward steps on flat arrays, for one number and for lanes.
 #![expect(non_snake_case, reason = "the letters of the theory: N, K")]
 
 use kalfit_lanes::Real;
@@ -80,7 +80,7 @@ pub(super) fn times_phi<T: Real, E: Entries<T>>(
     }
 }
 
-/// u = e/S - K'r; `weight` is 1/S, r that of the reachable states.
+/// u = e/S - K'r; `weight` is 1/S, and r is that of the reachable states.
 #[inline(always)]
 pub(crate) fn smoothing_error<T: Real, E: Entries<T>>(e: T, (weight, K): (T, E), r: &[T]) -> T {
     let mut u = e * weight;
@@ -101,13 +101,13 @@ pub(crate) fn absorb<T: Real, E: Entries<T>>((states, h): (&[u32], E), u: &[T], 
     }
 }
 
-/// r_i r_j + (ρρ')_ij.
+/// The entry r_i r_j + (ρρ')_ij.
 #[inline(always)]
 pub(super) fn outer_entry<T: Real>(adjoint: &[T], rho: &[T], c: usize, i: usize, j: usize) -> T {
     adjoint[i].fma(adjoint[j], dot(&rho[i * c..][..c], &rho[j * c..][..c]))
 }
 
-/// Σ ab.
+/// The inner product Σ a_k b_k.
 #[inline(always)]
 pub(super) fn dot<T: Real, E: Entries<T>>(a: E, b: &[T]) -> T {
     let mut sum = T::splat(0.0);

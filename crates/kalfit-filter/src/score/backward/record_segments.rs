@@ -1,4 +1,4 @@
-//! A record as segments, for other data to pass over: its steps, and the P of the way of one record over it.
+//! A record as segments, for passes with other data: its steps, and the P of the filter along them.
 
 use crate::reduce::DesignStep;
 use crate::score::backward::equal::EqualStretch;
@@ -6,17 +6,17 @@ use crate::score::backward::forward::FilterPosition;
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::work::{BackwardWork, Segment, SegmentKind};
 
-/// Steps that are gone through together.
+/// Consecutive steps that a pass handles as one segment.
 #[derive(Debug)]
 pub(crate) enum RecordSegment<'a> {
-    /// One by one.
+    /// Steps handled one by one.
     Steps(Vec<DesignStep<'a>>),
-    /// Equal ones of one scalar measurement.
+    /// Equal steps of one scalar measurement each.
     Equal(EqualStretch<'a>),
 }
 
-/// The segments of a record, and P, r × r, as far as adjoints are wanted that need it: before each transition, and before each scalar
-/// measurement. Of equal steps there is one place, of the first of them, and it is not filled.
+/// The segments of a record, and P (r × r) before each transition (`left`) and before each scalar measurement
+/// (`before`), if adjoints that need it are wanted. A stretch of equal steps has a single entry, of zeros.
 #[derive(Debug, Default)]
 pub(crate) struct RecordSegments<'a> {
     pub(crate) segments: Vec<RecordSegment<'a>>,
@@ -25,7 +25,7 @@ pub(crate) struct RecordSegments<'a> {
 }
 
 impl<'a> BackwardInput<'a> {
-    /// Its segments, after the forward pass over it.
+    /// The segments of the record, after the forward pass over it.
     pub(crate) fn segments(&'a self, work: &mut BackwardWork) -> RecordSegments<'a> {
         let mut segments = RecordSegments::default();
         for at in 0..work.parts.len() {
@@ -62,8 +62,8 @@ impl<'a> BackwardInput<'a> {
 }
 
 impl BackwardWork {
-    /// The steps that stand for all of a record that was cut: each of those that are gone through one by one, and the first of those
-    /// that are gone through together.
+    /// Representative steps of a record that was cut into segments: all steps that are handled one by one, and the
+    /// first of each stretch of equal steps.
     pub(crate) fn standing(&self) -> impl Iterator<Item = usize> {
         self.parts.iter().flat_map(|part| match part.kind {
             SegmentKind::Steps => part.steps.0..part.steps.1,

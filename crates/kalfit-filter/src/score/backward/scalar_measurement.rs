@@ -1,4 +1,4 @@
-//! What a step of the pass goes by: a scalar measurement under its gains, and what is unknown.
+//! A scalar measurement under its gains, and the root of the posterior covariance of ξ.
 #![expect(non_snake_case, reason = "the letters of the theory: K, T, C")]
 
 use kalfit_lanes::Real;
@@ -6,20 +6,20 @@ use kalfit_lanes::Real;
 use crate::reduce::{Entries, StateFrame};
 use crate::score::backward::input::{AdjointsWanted, BackwardInput};
 
-/// A scalar measurement.
+/// A scalar measurement under its gains.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ScalarMeasurement<'a, T, E> {
     pub(super) states: &'a [u32],
     pub(super) h: E,
-    /// R.
+    /// R, the variance of its noise.
     pub(super) noise: T,
-    /// 1/S, 0 of one that says nothing: then K and T are zero too.
+    /// 1/S; 0 for a measurement without information, whose K and T are zero too.
     pub(super) weight: T,
     pub(super) K: E,
     pub(super) T: E,
 }
 
-/// The states, and the root C of what is not known of ξ (p × columns, by rows).
+/// The states, and the root C of the posterior covariance of ξ (p × columns, by rows).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PosteriorRoot<'a, T = f64> {
     pub(super) frame: &'a StateFrame,
@@ -29,13 +29,13 @@ pub(super) struct PosteriorRoot<'a, T = f64> {
 }
 
 impl<T: Real> PosteriorRoot<'_, T> {
-    /// Adjoints of φ or h are wanted, so that P and ΨC are needed.
+    /// Whether adjoints of φ or h are wanted, so that P and ΨC are needed.
     #[inline(always)]
     pub(super) fn tracked(&self) -> bool {
         self.wanted.motion || self.wanted.equation
     }
 
-    /// TC of a row.
+    /// TC of a scalar measurement, with `row` its T.
     #[inline(always)]
     pub(super) fn times_root<E: Entries<T>>(&self, row: E, out: &mut Vec<T>) {
         let c = self.columns;
@@ -51,7 +51,7 @@ impl<T: Real> PosteriorRoot<'_, T> {
 }
 
 impl BackwardInput<'_> {
-    /// A scalar measurement of the design.
+    /// The scalar measurement with this line and row of the design.
     pub(super) fn line(&self, (line, row): (usize, usize)) -> ScalarMeasurement<'_, f64, &[f64]> {
         let ((states, h), (weight, K, T)) = (self.design.terms(line), self.gains.row(row));
         ScalarMeasurement { states, h, noise: self.design.noise[line], weight, K, T }

@@ -1,8 +1,8 @@
-//! What the backward pass hands on.
+//! Adjoints that the backward pass computes, and what receives them.
 
 use std::ops::Range;
 
-/// Adjoints of the scalar measurements of one step, as they stand in the design (whitened).
+/// Adjoints of the scalar measurements of one step, as in the design (whitened).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct MeasurementAdjoint {
     /// ∂ℓ/∂R.
@@ -18,7 +18,8 @@ pub(crate) struct MeasurementAdjoint {
 pub(crate) struct TransitionAdjoint<T = f64> {
     /// ∂ℓ/∂φ, entry by entry of [`Transition::phi`](crate::reduce::Transition::phi); zero when not wanted.
     pub(crate) phi: Vec<T>,
-    /// ∂ℓ/∂Q, entry by entry of [`Transition::q`](crate::reduce::Transition::q): an entry off the diagonal stands for both places.
+    /// ∂ℓ/∂Q, entry by entry of [`Transition::q`](crate::reduce::Transition::q): an off-diagonal value is the
+    /// derivative to both entries together.
     pub(crate) q: Vec<T>,
     /// ∂ℓ/∂b of the driven states.
     pub(crate) input: Vec<T>,
@@ -30,16 +31,17 @@ impl<T> Default for TransitionAdjoint<T> {
     }
 }
 
-/// Takes adjoints from the last step to the first.
+/// A receiver of adjoints, from the last step to the first.
 pub(crate) trait Sink {
-    /// Why it cannot go on.
+    /// The error that ends the pass.
     type Error;
-    /// Whether the sums of the adjoints over these equal steps will do; they are then given as those of the first of them.
+    /// Whether sums of the adjoints over these equal steps suffice; the sums are then given as the adjoints of the
+    /// first of these steps.
     fn accepts_sums(&mut self, steps: Range<usize>) -> bool;
-    /// Of the measurements of step `k`.
+    /// Takes the adjoints of the measurements of step `k`.
     fn measured(&mut self, k: usize, bar: &MeasurementAdjoint) -> Result<(), Self::Error>;
-    /// Of the transition to step `k`.
+    /// Takes the adjoints of the transition to step `k`.
     fn moved(&mut self, k: usize, bar: &TransitionAdjoint) -> Result<(), Self::Error>;
-    /// Of a (n) and P0 (r × r, each place by itself).
+    /// Takes ∂ℓ/∂a (n) and ∂ℓ/∂P0 (r × r, each entry by itself).
     fn started(&mut self, mean: &[f64], variance: &[f64]) -> Result<(), Self::Error>;
 }

@@ -13,25 +13,25 @@ use crate::score::backward::input::BackwardInput;
 use crate::score::backward::kernel::{dot, outer_entry, times_phi};
 use crate::score::backward::work::BackwardWork;
 
-/// The moments of a test.
+/// Smoothed moments of a test.
 #[derive(Debug)]
 pub(crate) struct SmoothedTest {
-    /// Of x_0, then of the state after each step.
+    /// Moments of x_0, then of the state after each step.
     pub(crate) states: Vec<Smoothed>,
-    /// Of the noise of the transition to each step; none where there is no transition.
+    /// Moments of the noise of the transition to each step; `None` where there is no transition.
     pub(crate) noises: Vec<Option<SmoothedNoise>>,
     /// ∂ℓ/∂a (n).
     pub(crate) mean: Vec<f64>,
-    /// ∂ℓ/∂P0 (r × r, each place by itself).
+    /// ∂ℓ/∂P0 (r × r, each entry by itself).
     pub(crate) variance: Vec<f64>,
 }
 
 /// E[x] and Var[x] at one time, given all data of the test.
 #[derive(Debug, Clone, Default)]
 pub struct Smoothed {
-    /// n numbers.
+    /// E[x], n numbers.
     pub mean: Vec<f64>,
-    /// n × n.
+    /// Var[x], n × n.
     pub variance: Vec<f64>,
 }
 
@@ -47,7 +47,7 @@ pub(crate) struct SmoothedNoise {
 }
 
 impl SmoothedNoise {
-    /// E[w] = Qr, E[ww'] = Q + Q(rr' + ρρ' - N)Q, with r, ρ, N before they move on.
+    /// Sets E[w] = Qr and E[ww'] = Q + Q(rr' + ρρ' - N)Q, with r, ρ, N of the state after the transition.
     pub(super) fn at(
         &mut self,
         transition: &Transition,
@@ -64,7 +64,7 @@ impl SmoothedNoise {
         self.second.iter_mut().zip(q).for_each(|(second, q)| *second += q);
     }
 
-    /// Cov[w, x] = -Q(ρB' + NφP), `N` being Nφ, `rho` φ'ρ.
+    /// Sets Cov[w, x] = -Q(ρB' + NφP). `N`: Nφ; `rho`: φ'ρ; `rho_before`: ρ.
     pub(super) fn across(
         &mut self,
         transition: &Transition,
@@ -99,7 +99,7 @@ fn product(a: &[f64], b: &[f64], r: usize, n: usize) -> Vec<f64> {
 }
 
 impl FilterSnapshot<'_> {
-    /// ΨC - Pρ (n × c): what the smoothed state owes to ξ.
+    /// ΨC - Pρ (n × c): sensitivity of the smoothed state to ξ, times C.
     fn smoothed_sensitivity(&self, rho: &[f64], r: usize, c: usize) -> Vec<f64> {
         let mut B = self.Psi.to_vec();
         for i in 0..r {
@@ -128,8 +128,8 @@ impl FilterSnapshot<'_> {
 }
 
 impl BackwardInput<'_> {
-    /// The moments of the test: step by step, every state of the forward filter remembered. `wanted.motion` must be set, so that the
-    /// filter keeps P and ΨC.
+    /// Smoothed moments of the test, step by step, with every state of the forward filter stored. `wanted.motion` must
+    /// be set, so that the filter keeps P and ΨC.
     pub(crate) fn smooth(&self, work: &mut BackwardWork) -> SmoothedTest {
         let (r, c) = (self.design.frame.r, self.moments.columns);
         let stride = self.stride();
@@ -163,8 +163,8 @@ impl BackwardInput<'_> {
         SmoothedTest { states, noises, mean: adjoint.r.clone(), variance: variance.clone() }
     }
 
-    /// The filter at ξ = x̂, step by step: tells its state before the measurements of a step (`measured` false) and after them. `e`: what
-    /// the data pass left. `wanted.motion` must be set.
+    /// Runs the filter at ξ = x̂ step by step, and calls `tell` with its state before the measurements of a step
+    /// (`false`) and after them (`true`). `e`: the innovations from the data pass. `wanted.motion` must be set.
     pub fn filtered_states(
         &self,
         work: &mut BackwardWork,
@@ -180,7 +180,8 @@ impl BackwardInput<'_> {
         });
     }
 
-    /// The filter at ξ = x̂: its state at the start and after each step, and before each transition.
+    /// Runs the filter at ξ = x̂, storing its state at the start and after each step (`ends`), and before each
+    /// transition (`left`).
     fn forward_keeping_all(&self, work: &mut BackwardWork, ends: &mut Vec<f64>, left: &mut Vec<f64>) {
         let BackwardWork { e, now, .. } = work;
         e.clear();

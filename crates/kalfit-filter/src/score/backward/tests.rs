@@ -1,4 +1,4 @@
-//! Adjoints against differences of the likelihood, and every way through a record against the plain one.
+//! Adjoints, compared with differences of the likelihood; and every path through a record, compared with the plain one.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -20,7 +20,8 @@ use kalfit_model::Path;
 use kalfit_model::Reduction;
 use kalfit_model::{Inherited, PhaseReduction};
 
-/// A test by hand: four states, the first two noisy, three unknowns; every number of it is its own.
+/// A test by hand with four states, of which the first two are noisy, and three unknowns; no two steps share
+/// coefficients.
 #[derive(Debug, Clone)]
 struct Numbers {
     phi: Vec<Vec<f64>>,
@@ -43,7 +44,8 @@ fn design(numbers: &Numbers) -> (Design, Data) {
     part(numbers, 0..STEPS, sensitivity)
 }
 
-/// Some steps by themselves, in unknowns with these sensitivities: what is known of the start belongs to step 0.
+/// Some of the steps as a test by themselves, with these sensitivities to the unknowns; the known start belongs to step
+/// 0.
 fn part(numbers: &Numbers, steps: Range<usize>, sensitivity: Vec<f64>) -> (Design, Data) {
     let mut pattern = Pattern::default();
     pattern.push(0, 2, [0, 1, 3].into_iter());
@@ -220,7 +222,7 @@ fn adjoints_equal_differences_of_the_likelihood() {
     }
 }
 
-/// x̂_K, Ψ_K and P_K, by the textbook.
+/// x̂_K, Ψ_K and P_K by textbook formulas.
 fn terminal(design: &Design, data: &Data) -> Terminal {
     let frame = &design.frame;
     let (n, r) = (frame.n, frame.r);
@@ -269,7 +271,7 @@ fn run<'a>(
     BackwardInput { design, gains, start, inputs, values, blank: false, moments, ending, wanted }
 }
 
-/// Every adjoint, in the order of the numbers.
+/// All adjoints of a test.
 fn adjoints(
     design: &Design,
     data: &Data,
@@ -319,7 +321,7 @@ fn the_adjoints_of_two_parts_are_those_of_the_whole() {
 }
 
 impl Kept {
-    /// Of steps from `at` on, after those of the steps before.
+    /// The adjoints of the steps from `at` on, together with those of the steps before (`first`).
     fn after(mut self, first: Kept, at: usize) -> Kept {
         self.noise.iter_mut().chain(&mut self.value).for_each(|(row, _)| *row += 2 * at);
         self.h.iter_mut().for_each(|(row, _)| *row += 2 * at);
@@ -368,7 +370,7 @@ impl Kept {
 struct Totals {
     ends: Vec<usize>,
     takes_sums: bool,
-    /// Of each stretch: R̄, z̄, h̄, φ̄, Q̄, each line by itself.
+    /// [R̄, z̄, h̄, φ̄, Q̄] of each stretch, each line by itself.
     bars: std::collections::BTreeMap<usize, [Vec<f64>; 5]>,
     start: Vec<f64>,
 }
@@ -423,7 +425,8 @@ impl Sink for Totals {
     }
 }
 
-/// Long stretches of equal steps, with others between: two noisy states, one that a constant moves, the constant.
+/// Long stretches of equal steps with other steps between; the states are two noisy ones, one that a constant moves,
+/// and the constant.
 fn long() -> (Design, Data) {
     let mut pattern = Pattern::default();
     pattern.push(0, 2, [0, 1, 3].into_iter());
@@ -484,7 +487,7 @@ fn totals_of(
     let Ok(()) = run.backward(&mut back, &mut totals);
     let first = totals.clone();
     totals = Totals::new(design, takes_sums);
-    let Ok(()) = run.backward(&mut back, &mut totals); // nothing is left of the first time
+    let Ok(()) = run.backward(&mut back, &mut totals); // nothing remains of the first pass
     assert_eq!(totals, first);
     totals
 }

@@ -1,4 +1,4 @@
-//! What is remembered of the forward pass, and the parts in which it is gone back through.
+//! Stored results of the forward pass, and the segments in which the backward pass goes through a record.
 
 use crate::reduce::{Design, DesignStep, MomentPath, SteadyStateMonitor};
 use crate::score::backward::adjoint::Adjoint;
@@ -6,18 +6,19 @@ use crate::score::backward::filtered::FilteredMoments;
 use crate::score::backward::input::BackwardInput;
 use crate::score::backward::sink::{MeasurementAdjoint, TransitionAdjoint};
 
-/// How long records are cut.
+/// Lengths by which records are cut into segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct SegmentLengths {
-    /// Steps from one kept state of the forward filter to the next.
+    /// Number of steps from one stored state of the forward filter to the next.
     pub(super) block: usize,
-    /// So many equal steps are not worth a kernel of their own,
+    /// Largest number of equal steps that do not get a segment of their own.
     pub(super) few: usize,
-    /// nor so many after the first [`MOST_SHORT_STRETCHES`]: the state of the filter is kept each time.
+    /// The same limit after the first [`MOST_SHORT_STRETCHES`] such segments, as each of them stores a state of the
+    /// filter.
     pub(super) short: usize,
 }
 
-/// So many stretches, the first ones, are gone back through by themselves though they are short.
+/// Number of stretches of a record, counted from its start, that get a segment of their own although they are short.
 pub(super) const MOST_SHORT_STRETCHES: usize = 64;
 
 impl Default for SegmentLengths {
@@ -26,16 +27,18 @@ impl Default for SegmentLengths {
     }
 }
 
-/// What is remembered of the forward pass, and work space.
+/// Stored results of the forward pass, and work space.
 #[derive(Debug, Clone, Default)]
 pub struct BackwardWork {
     pub(super) cut: SegmentLengths,
     /// ē of each scalar measurement.
     pub(super) e: Vec<f64>,
     pub(super) parts: Vec<Segment>,
-    /// States of the forward filter, as [`FilteredMoments::save`] keeps them, where parts begin; x̄ alone within long ones.
+    /// States of the forward filter at the start of each segment, as [`FilteredMoments::save`] writes them; x̄ alone at
+    /// the blocks within segments of equal steps.
     pub(super) marks: Vec<f64>,
-    /// Those of one part, before each transition and before each measurement.
+    /// States of the forward filter within one segment, before each transition (`left`) and before each measurement
+    /// (`before`).
     pub(super) left: Vec<f64>,
     pub(super) before: Vec<f64>,
     pub(super) now: FilteredMoments,
@@ -47,38 +50,38 @@ pub struct BackwardWork {
 }
 
 impl BackwardWork {
-    /// N and ρ are renewed at every step: to compare with.
+    /// With `unfrozen`, N and ρ are updated at every step, for comparison.
     pub(crate) fn set_unfrozen(&mut self, unfrozen: bool) {
         self.settling.off = unfrozen;
     }
 }
 
-/// Steps that are gone back through together.
+/// Consecutive steps that the backward pass handles together.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Segment {
     pub(super) kind: SegmentKind,
-    /// Numbers of the first step, and of the first one after.
+    /// Numbers of the first step, and of the first step after the segment.
     pub(super) steps: (usize, usize),
-    /// The stretch that the first step is of, and its number there.
+    /// The stretch of the first step, and the number of that step in the stretch (`skip`).
     pub(super) stretch: usize,
     pub(super) skip: usize,
-    /// First known input.
+    /// Index of the first known input.
     pub(super) input: usize,
-    /// Where the state of the forward filter before it is kept.
+    /// Index into `marks` of the filter's state before the segment.
     pub(super) mark: usize,
 }
 
-/// How.
+/// How the backward pass goes through a segment.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum SegmentKind {
-    /// One by one.
+    /// Step by step.
     Steps,
-    /// A whole stretch of equal ones, summed.
+    /// As a whole stretch of equal steps, whose adjoints are summed.
     Equal(SegmentPass),
 }
 
 impl Segment {
-    /// Its steps, in order.
+    /// The steps of the segment, in order.
     pub(super) fn steps<'a>(&self, design: &'a Design) -> std::vec::IntoIter<DesignStep<'a>> {
         let (mut stretch, mut skip) = (self.stretch, self.skip);
         let mut steps = Vec::with_capacity(self.steps.1 - self.steps.0);
@@ -91,5 +94,5 @@ impl Segment {
     }
 }
 
-/// The way back over a part.
+/// A function for the backward pass over a segment.
 pub(super) type SegmentPass = fn(&BackwardInput<'_>, &Segment, &mut BackwardWork);

@@ -3,19 +3,20 @@
 use crate::reduce::{PhaseReplicates, PhasedReducer, Replicates};
 use kalfit_model::PhasedTest;
 
-/// Fewer tests than these are not worth the chain rule put down as factors,
+/// Fewest tests of a class: for fewer, writing the chain rule as factors does not pay.
 const FEWEST: usize = 16;
-/// but two are where they have so many rows, in so many times fewer runs of equal steps.
+/// Fewest rows of a long test, of which two are enough for a class.
 pub(super) const LONG: usize = 1 << 10;
+/// Fewest rows per stretch of equal steps, on average, in a long test.
 const EQUAL: usize = 16;
 
-/// Tests that are replicates in all of these phases, where they are enough.
+/// Classes of tests that are replicates in all of these phases, where a class has enough tests.
 pub(crate) fn classes_of(reducer: &PhasedReducer, tests: &[PhasedTest], phases: &[PhaseReplicates]) -> Replicates {
     let is_enough = |class: &[usize]| class.len() >= FEWEST || is_long(reducer, &tests[class[0]]);
     PhaseReplicates::in_all(phases, tests).retain(is_enough)
 }
 
-/// Whether most of a test are long stretches of equal steps, which other data pass over quickly.
+/// Whether a test has many rows in long stretches of equal steps, which a pass with other data covers quickly.
 fn is_long(reducer: &PhasedReducer, test: &PhasedTest) -> bool {
     let phases = (0..reducer.phases().len()).filter_map(|at| Some((at, reducer.rows_of(at, test)?)));
     phases.clone().map(|(_, rows)| rows.rows()).sum::<usize>() >= LONG

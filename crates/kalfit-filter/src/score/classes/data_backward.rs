@@ -1,4 +1,5 @@
-//! The data's part of the backward pass of tests that share all else, a test in each lane. Of steps one by one:
+//! The data-dependent part of the backward pass of tests that share all else, a test in each lane. For steps one by
+//! one:
 //!
 //! ```text
 //! u = ē/S - K'r        ∂ℓ/∂R: ½u²        ∂ℓ/∂d: u        r ← r + hu        ∂ℓ/∂h: u (x̄⁻ + P⁻r)
@@ -18,7 +19,7 @@ use crate::score::classes::equal::EqualDataBackward;
 use crate::score::pullback::{PullbackFactors, ResponseEntry};
 use kalfit_model::Test;
 
-/// What tests share.
+/// What the tests of a class share.
 #[derive(Debug)]
 pub(super) struct ClassShared<'a> {
     pub(super) design: &'a Design,
@@ -29,21 +30,21 @@ pub(super) struct ClassShared<'a> {
     pub(super) cells: &'a [(usize, f64)],
     pub(super) record: &'a RecordSegments<'a>,
     pub(super) wanted: AdjointsWanted,
-    /// Of the steps that stand for all.
+    /// Chain rule of the representative steps.
     pub(super) response: &'a PullbackFactors,
 }
 
-/// One of the tests: what it alone has.
+/// One test of a class, with what is specific to it.
 #[derive(Debug, Clone)]
 pub(crate) struct ClassMember<'a> {
     pub(crate) test: &'a Test,
     /// x̂ of ξ, in the order of the kernels.
     pub(crate) mean: Vec<f64>,
-    /// r after the last step, from which its later phases begin; empty where none follow.
+    /// r after the last step, from later phases; empty where none follow.
     pub(crate) ending: Vec<f64>,
 }
 
-/// Σ factor × adjoint of each test: as many numbers as slots answer, one test after the other.
+/// Computes Σ factor × adjoint of each test: one number for each slot of the chain rule, one test after the other.
 pub(super) struct DataBackward<'a> {
     pub(super) shared: &'a ClassShared<'a>,
     pub(super) tests: &'a [ClassMember<'a>],
@@ -72,32 +73,34 @@ impl Kernel for DataBackward<'_> {
     }
 }
 
-/// A block of tests on its way.
+/// State of the passes over one block of tests.
 struct DataBackwardState<T> {
-    /// x̄ on the way forth, r on the way back.
+    /// x̄ in the forward pass, r in the backward pass.
     x: Vec<T>,
-    /// r where a transition ends, of the states that move.
+    /// r after a transition, of the states that move.
     moved: Vec<T>,
     work: Vec<T>,
-    /// z - d on the way forth, ē from there on, of each scalar measurement; of the tests beside each other.
+    /// z - d of each scalar measurement before the forward pass, ē after it; in lanes.
     e: Vec<f64>,
-    /// x̄ before each transition, and before each measurement, of the steps that stand for all, where P is wanted too.
+    /// x̄ before each transition (`left`) and before each measurement (`before`) of the representative steps, where P
+    /// is wanted too.
     left: Vec<T>,
     before: Vec<T>,
-    /// x̄ before equal steps, of all states, and of those that move at the beginning of each block; segment after segment.
+    /// For each segment of equal steps: x̄ of all states before it, then x̄ of the moving states at the start of each
+    /// block.
     marks: Vec<T>,
-    /// By slot.
+    /// Σ factor × adjoint, by slot.
     sums: Vec<T>,
 }
 
-/// Numbers of the measurement and the transition that come next, among those of the steps that stand for all.
+/// Numbers of the next measurement and the next transition among those of the representative steps.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cursor {
     row: usize,
     transition: usize,
 }
 
-/// The same number of each test; lanes beyond the last test are as the last one.
+/// One number of each test, in lanes; lanes beyond the last test repeat the last test.
 #[inline(always)]
 fn each<T: Lanes>(tests: &[ClassMember<'_>], mut number: impl FnMut(&ClassMember<'_>) -> f64) -> T {
     let mut lanes = [0.0; MOST];
@@ -123,7 +126,7 @@ impl<T: Lanes> DataBackwardState<T> {
         }
     }
 
-    /// x_0 = a + Ax̂ and the filter from there.
+    /// The forward pass: x_0 = a + Ax̂, and the filter from there.
     #[inline(always)]
     fn forth(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
         let frame = &*shared.design.frame;
@@ -200,7 +203,7 @@ impl<T: Lanes> DataBackwardState<T> {
         Scan { design: shared.design, stretch, gains, x, e, marks: Some((marks, equal.block)) }.run(equal.states);
     }
 
-    /// From what later phases say of the last state back to x_0.
+    /// The backward pass, from r of the last state to x_0.
     #[inline(always)]
     fn back(&mut self, shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) {
         for i in 0..self.x.len() {
@@ -260,7 +263,8 @@ impl<T: Lanes> DataBackwardState<T> {
         self.marks.truncate(start);
     }
 
-    /// Takes the adjoints of equal steps to the slots, and to the states that rest: `first`: x̄ before them.
+    /// Adds the adjoints of equal steps to the sums of the slots, and to r of the constant states. `first`: x̄ before
+    /// these steps.
     #[inline(always)]
     fn answered<const N: usize>(
         &mut self,
@@ -297,12 +301,12 @@ impl<T: Lanes> DataBackwardState<T> {
         }
     }
 
-    /// A scalar measurement on its way back.
+    /// The backward pass through a scalar measurement.
     #[inline(always)]
     fn measured(&mut self, shared: &ClassShared<'_>, (line, row): (usize, usize), standing: usize) {
         let (weight, K, _) = shared.gains.row(row);
         if weight == 0.0 {
-            return; // it can only be what it is
+            return; // no information
         }
         let (states, h) = shared.design.terms(line);
         let (response, own) = (shared.response, &shared.response.rows[standing]);
@@ -318,7 +322,7 @@ impl<T: Lanes> DataBackwardState<T> {
         }
     }
 
-    /// A transition on its way back.
+    /// The backward pass through a transition.
     #[inline(always)]
     fn moved(&mut self, shared: &ClassShared<'_>, transition: &Transition, number: usize) {
         let (response, own) = (shared.response, &shared.response.moves[number]);
@@ -341,7 +345,7 @@ impl<T: Lanes> DataBackwardState<T> {
         }
     }
 
-    /// x̄ + P r of one state, with its row of P if it is a noisy one.
+    /// x̄ + Pr of one state; `P`: its row of P if the state is noisy.
     #[inline(always)]
     fn smoothed(&self, x: T, P: Option<&[f64]>) -> T {
         let mut smoothed = x;

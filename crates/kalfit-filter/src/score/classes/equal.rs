@@ -1,17 +1,17 @@
-//! The data's part over equal steps of one scalar measurement.
+//! The data-dependent part of the backward pass over equal steps of one scalar measurement.
 
 use kalfit_lanes::{Lanes, Part};
 
 use crate::reduce::at;
 use crate::score::backward::{DataSums, EqualStretch};
 
-/// Back over them, from r after them to r before them.
+/// The backward pass over equal steps, from r after them to r before them.
 pub(super) struct EqualDataBackward<'a, T, const N: usize> {
     pub(super) stretch: &'a EqualStretch<'a>,
-    /// x̄ of all states before them.
+    /// x̄ of all states before the steps.
     pub(super) first: &'a [T],
     pub(super) marks: &'a [T],
-    /// ē of the tests, beside each other.
+    /// ē of the tests, in lanes.
     pub(super) e: &'a [f64],
     pub(super) r: &'a mut [T],
 }
@@ -51,7 +51,7 @@ impl<T: Lanes, const N: usize> Part for EqualDataBackward<'_, T, N> {
     }
 }
 
-/// The first numbers of a list.
+/// The first N numbers of a list.
 #[inline(always)]
 fn known<T: Lanes, const N: usize>(all: &[T]) -> [T; N] {
     let mut first = [T::splat(0.0); N];

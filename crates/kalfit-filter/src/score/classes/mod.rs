@@ -1,8 +1,8 @@
-//! Scores of tests that differ in nothing but what was measured.
+//! Scores of tests that differ in their measured values only.
 //!
-//! A score is quadratic in the data, and the chain rule is linear in the adjoints. So what no datum enters is gone through once for
-//! all of the tests, with data of zero, and the chain rule is put down as a list of factors, once too. What is left for each test
-//! is the pass of its data: x̄ forth, u and r back, tests side by side.
+//! A score is quadratic in the data, and the chain rule is linear in the adjoints. The part that depends on no data is
+//! therefore computed once for all tests, with data of zero, and the chain rule is written once as a list of factors.
+//! Each test then needs only the pass of its data, in lanes: x̄ forward, u and r backward.
 //!
 //! ```text
 //! alike tests ─┬─ one of them, data zero ── backward ── pullback ──> the design's part of dℓ/dα
@@ -27,18 +27,19 @@ use data_backward::{ClassShared, DataBackward};
 pub(crate) use classed::classes_of;
 pub(crate) use data_backward::ClassMember;
 
-/// Numbers that one test passes through one by one and that are remembered: no more than these.
+/// Most numbers that are stored per test for the steps that are passed one by one.
 const MOST_NUMBERS: usize = 1 << 16;
-/// Numbers of all P that are remembered.
+/// Most numbers in all stored matrices P.
 const MOST_SPREADS: usize = 1 << 20;
-/// Most measurements of a test: their innovations are remembered for each lane.
+/// Most measurements of a test, as their innovations are stored for each lane.
 const MOST_ROWS: usize = 1 << 23;
-/// Tests that one thread passes through at a time; of long ones, as many as there are lanes.
+/// Number of tests that one thread processes at a time; for long tests, it is the number of lanes.
 const SHARE: usize = 256;
 
 impl Scorer<'_> {
-    /// dℓ_j/dα of tests that are alike. `shared`: moments of ξ, and what later phases say of the last state; all but the means and
-    /// the r are those of every test. `None` where there is nothing to gain, or where the tests must be looked at one by one.
+    /// dℓ_j/dα of the tests of a class. `shared`: moments of ξ, and adjoints of the last state from later phases, which
+    /// differ between the tests only in the means and in r. `None` where there is nothing to gain, or where the tests
+    /// must be scored one by one.
     pub(crate) fn of_class(
         &self,
         tests: &[ClassMember<'_>],
@@ -78,12 +79,12 @@ impl Scorer<'_> {
             let (design, data) = rayon::join(design, || of_data(&shared, tests));
             Ok(sums(data, &design?))
         })?;
-        // what is wrong with it will be said of the test that it is wrong with
+        // one by one, the error will be reported for the test that has it
         Ok(found.unwrap_or(None))
     }
 }
 
-/// Whether what is remembered of the pass has room.
+/// Whether the numbers that the pass stores are within the limits.
 fn is_small(design: &Design, standing: &[usize], wanted: AdjointsWanted) -> bool {
     let rows: usize = standing.iter().map(|&k| design.step(k).rows.len()).sum();
     let many = usize::from(wanted.motion) * standing.len() + usize::from(wanted.equation) * rows;
@@ -91,7 +92,7 @@ fn is_small(design: &Design, standing: &[usize], wanted: AdjointsWanted) -> bool
     design.rows() <= MOST_ROWS && rows + many * n <= MOST_NUMBERS && many * r * r <= MOST_SPREADS
 }
 
-/// Data of zero.
+/// Input of the backward pass with data of zero.
 struct ZeroData {
     start: Vec<f64>,
     inputs: Vec<f64>,
@@ -118,7 +119,7 @@ impl ZeroData {
     }
 }
 
-/// The data's part of each test.
+/// The data-dependent part of the score of each test.
 fn of_data(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradient> {
     let slots = &shared.response.slots;
     let share = |tests: &[ClassMember<'_>]| {
@@ -133,7 +134,7 @@ fn of_data(shared: &ClassShared<'_>, tests: &[ClassMember<'_>]) -> Vec<Gradient>
     }
 }
 
-/// The design's part and the data's part of each test; `None` where one is not finite.
+/// The score of each test: its data-dependent part plus the design's part. `None` where a score is not finite.
 fn sums(mut data: Vec<Gradient>, design: &Gradient) -> Option<Vec<Gradient>> {
     data.iter_mut().for_each(|own| add(own, design));
     data.iter().flatten().all(|(_, x)| x.is_finite()).then_some(data)

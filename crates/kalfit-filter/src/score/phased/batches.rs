@@ -1,4 +1,4 @@
-//! Scores of tests that are filter side by side.
+//! Scores of tests that were filtered in one batch.
 
 #[cfg(test)]
 mod tests;
@@ -16,15 +16,15 @@ use crate::score::pullback::Gradient;
 use crate::score::smoother::SmoothedPhase;
 use kalfit_model::Test;
 
-/// No place.
+/// Place of a test that is not requested.
 const NONE: usize = usize::MAX;
 
-/// The test in a lane, by its place among those asked about, and what its pass begins from.
+/// (lane, place of its test among those requested, smoother result from which its pass starts).
 type LaneStart<'a> = (usize, usize, &'a SmoothedPhase);
 
 impl PhasedScorer<'_> {
-    /// What a phase says of the tests with these numbers that are in its batches, by their places among them; those with which
-    /// something is wrong are left out.
+    /// Gradients through one phase of those tests of `numbers` that are in its batches, each with its place in
+    /// `numbers`; tests with an error are left out.
     pub(super) fn in_batches(
         &self,
         at: usize,
@@ -64,7 +64,7 @@ impl Scorer<'_> {
             true => own.iter().map(|(.., smooth)| self.ending(smooth, columns)).collect(),
             false => Vec::new(),
         };
-        // lanes of other tests are not looked at
+        // lanes of tests that are not requested get a copy and are not read
         let mut moments: Vec<&Moments> = vec![&told[0]; batch.layout.tests.len()];
         own.iter().zip(&told).for_each(|(&(lane, ..), told)| moments[lane] = told);
         let mut endings: Vec<&TerminalAdjoint> = later.first().map_or(Vec::new(), |first| vec![first; moments.len()]);

@@ -1,4 +1,4 @@
-//! Scores of tests that are alike, of one design class.
+//! Scores of replicates, tests of one design class.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ use crate::score::pullback::{Gradient, add};
 use crate::score::smoother::SmoothedPhase;
 use kalfit_model::PhasedTest;
 
-/// Tests that one thread begins at a time.
+/// Number of tests for which one thread prepares the start at a time.
 const SHARE: usize = 64;
 
 /// (number of the test, its score).
@@ -24,18 +24,18 @@ pub(super) struct ScoredEnsemble<'a> {
     pub(super) reductions: &'a Reductions,
     pub(super) law: &'a InitialLaw,
     pub(super) plans: &'a Plans,
-    /// Those that are kept side by side, after their filters.
+    /// Batches of tests after their filters.
     pub(super) filtered: Option<&'a FilteredPhases>,
 }
 
-/// What one test alone has of each of its phases: x̂ and r, and what goes through the carries.
+/// What the score of one test of a class starts from: x̂ and r of each phase, and the gradient through the carries.
 struct MemberStart {
     phases: Vec<(Vec<f64>, Vec<f64>)>,
     carried: Gradient,
 }
 
 impl PhasedScorer<'_> {
-    /// Alike tests; one by one where they turn out to be so in their rows alone.
+    /// Scores of the tests of a class; one by one where the tests are identical in their rows only.
     pub(super) fn of_class(
         &self,
         of: ScoredEnsemble<'_>,
@@ -44,12 +44,13 @@ impl PhasedScorer<'_> {
     ) -> Vec<Score> {
         match self.together(of, numbers, room) {
             Ok(Some(scores)) => numbers.iter().copied().zip(scores.into_iter().map(Ok)).collect(),
-            // what is wrong is said of the test that it is wrong with
+            // one by one, an error is reported for the test that has it
             Ok(None) | Err(_) => self.apart(of, numbers),
         }
     }
 
-    /// `None` where there is nothing to gain, or where the tests must be looked at one by one.
+    /// Scores of a class in one pass; `None` where there is nothing to gain, or where the tests must be scored one by
+    /// one.
     pub(super) fn together(
         &self,
         of: ScoredEnsemble<'_>,
@@ -92,7 +93,7 @@ impl PhasedScorer<'_> {
         Ok(Some(scores))
     }
 
-    /// What a test begins with; `None` where more than that differs from the first one of its class.
+    /// The start of a test's score; `None` where the test differs in more than that from the first of its class.
     fn begun(
         &self,
         of: ScoredEnsemble<'_>,
@@ -121,7 +122,7 @@ impl PhasedScorer<'_> {
 }
 
 impl SmoothedPhase {
-    /// All but what the data say is the same bit for bit.
+    /// Whether everything that does not depend on the data is equal bit for bit.
     fn same_design(&self, other: &SmoothedPhase) -> bool {
         let later = match (&self.later, &other.later) {
             (Some(a), Some(b)) => {

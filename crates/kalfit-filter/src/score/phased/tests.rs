@@ -1,4 +1,4 @@
-//! Scores of tests in phases against differences of the stacked ℓ.
+//! Scores of tests in phases, compared with differences of the stacked ℓ.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -54,7 +54,8 @@ fn phase(at: usize, model: Model, carry: Vec<Carry>) -> Phase {
     Phase { name, label: Some(at), model, carry, filter: None }
 }
 
-/// Three phases: states that start afresh, that inherit, that do both; a phase's own P0; free values in all of it.
+/// Three phases, with states that start afresh, that inherit and that do both, a P0 per phase, and free values in all
+/// of these.
 pub(super) fn journey() -> PhasedModel {
     let walk = |terms: Vec<(usize, Expression)>| discrete(terms, times(alpha(INPUT), column(U)), square(alpha(STEP)));
     let align = model(
@@ -131,7 +132,7 @@ pub(super) fn journeys(seed: u64) -> Vec<PhasedTest> {
     [("a", 3), ("bb", 2), ("ccc", 1), ("dddd", 3)].into_iter().map(test).collect()
 }
 
-/// Σ of all phases: the second phase's is singular, that of the third has a zero.
+/// A law whose Σ over all phases has a singular block in the second phase, and a zero in the third.
 pub(super) fn law() -> InitialLaw {
     let mut root = DMatrix::zeros(5, 4);
     root.view_mut((0, 0), (2, 2)).copy_from(&DMatrix::from_row_slice(2, 2, &[0.8, 0.1, -0.3, 0.9]));
@@ -152,7 +153,7 @@ pub(super) fn reduced(
     (reducer, reductions)
 }
 
-/// The phases before `end` alone.
+/// The model and the tests, cut down to the phases before `end`.
 fn cut(mut model: PhasedModel, end: usize, tests: &[PhasedTest]) -> (PhasedModel, Vec<PhasedTest>) {
     model.phases.truncate(end);
     let tests = tests
@@ -233,7 +234,7 @@ fn scores_have_the_same_bits_alone_and_together() {
     }
 }
 
-/// As many tests as there are, each with the cells of one of `tests` but what was measured.
+/// `each` replicates of every test: all cells are equal except the measured values.
 fn alike(tests: &[PhasedTest], each: usize, seed: u64) -> Vec<PhasedTest> {
     let mut random = random(seed);
     let mut all = Vec::new();

@@ -1,4 +1,4 @@
-//! Scores of tests that are in no class: phase by phase, those in batches side by side.
+//! Scores of tests that are in no class, phase by phase: in lanes for tests in batches, one by one for the others.
 
 use rayon::prelude::*;
 
@@ -8,14 +8,14 @@ use crate::score::phased::{PhasedScorer, ScoreWorkspace};
 use crate::score::pullback::{Gradient, add};
 use crate::score::smoother::SmoothedPhase;
 
-/// What is known of one test so far.
+/// The parts of one test's score that are known so far.
 #[derive(Debug, Default)]
 pub(super) struct TestScore {
-    /// What the passes through its phases begin from.
+    /// Results of the smoother for each phase, from which its passes start.
     pub(super) phases: Vec<SmoothedPhase>,
-    /// By phase; last, what goes through the carries.
+    /// Gradient through each phase; the last entry is that through the carries.
     parts: Vec<Gradient>,
-    /// Of several errors, that of the first phase.
+    /// The error of the first phase that has one.
     error: Option<ReduceError>,
 }
 
@@ -39,7 +39,7 @@ impl TestScore {
 }
 
 impl PhasedScorer<'_> {
-    /// The scores of tests with these numbers.
+    /// The scores of the tests with these numbers.
     pub(super) fn apart(&self, of: ScoredEnsemble<'_>, numbers: &[usize]) -> Vec<Score> {
         let begin = |room: &mut ScoreWorkspace<'_>, &number: &usize| self.begin_alone(of, number, room);
         let mut known: Vec<TestScore> = numbers.par_iter().map_init(|| self.room(), begin).collect();
@@ -74,7 +74,7 @@ impl PhasedScorer<'_> {
         known
     }
 
-    /// What a phase says of the tests with these numbers that have these places among them, by their places.
+    /// Gradients through one phase, test by test, of the tests at `places` in `numbers`; each with its place.
     fn one_by_one(
         &self,
         at: usize,

@@ -1,4 +1,4 @@
-//! The adjoints of one test on their way to dℓ/dα: where they begin, and where they end.
+//! The accumulator of one test's adjoints, the adjoints of its start, and the resulting dℓ/dα.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::score::pullback::taps::{CellRead, Gradient, Pending};
 use kalfit_model::Scope;
 use kalfit_model::Test;
 
-/// The adjoints of one test, from its last step to its first, on their way to dℓ/dα.
+/// Accumulator of the adjoints of one test, from its last step to its first, for dℓ/dα.
 #[derive(Debug)]
 pub(crate) struct Adjoints<'a> {
     pub(super) pullback: &'a Pullback<'a>,
@@ -21,25 +21,25 @@ pub(crate) struct Adjoints<'a> {
     pub(super) start: StartAdjoint,
 }
 
-/// What has come of the steps of a test.
+/// Accumulated adjoints of the transitions of a test.
 #[derive(Debug, Clone)]
 pub(super) struct Moving {
     pub(super) groups: Groups,
-    /// Entries of φ, of Q.
+    /// Numbers of entries of φ and of Q.
     pub(super) entries: (usize, usize),
     pub(super) cells: GatheredCells,
-    /// Sums of one group; adjoints of its coefficients.
+    /// Scratch for the sums of one group, and for the adjoints of its coefficients.
     pub(super) sums: Vec<f64>,
     pub(super) bars: Vec<f64>,
     pub(super) flows: Vec<f64>,
 }
 
-/// Room for measurements whose noises are correlated.
+/// Scratch for measurements whose noises are correlated.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Measuring {
     pub(super) raw: Vec<f64>,
     pub(super) back: Unwhitened,
-    /// Of the measurements before they were whitened.
+    /// Adjoints of the measurements before they were whitened.
     pub(super) bars: MeasurementAdjoint,
 }
 
@@ -74,8 +74,8 @@ impl Pullback<'_> {
 }
 
 impl Adjoints<'_> {
-    /// True when equal steps of one measurement each have coefficients that depend on the free values in the same way, so that
-    /// the sums of their adjoints, as those of the first of them, give the same gradient.
+    /// Whether the coefficients of these equal steps of one measurement depend on the free values in the same way, so
+    /// that the sums of their adjoints, taken as those of the first step, give the same gradient.
     pub(crate) fn uniform(&self, test: &Test, steps: Range<usize>, work: &Workspace) -> bool {
         let pullback = self.pullback;
         let (first, last) = (work.design.step(steps.start).rows, work.design.step(steps.end - 1).rows);
@@ -97,8 +97,9 @@ impl Adjoints<'_> {
         })
     }
 
-    /// The start of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`:
-    /// ∂ℓ/∂P0, r × r, symmetric, the derivative to each place by itself. Not read unless `Pullback::needs_start`.
+    /// Takes the adjoints of the start of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into
+    /// `work`. `mean`: ∂ℓ/∂a, n numbers in kernel order; `variance`: ∂ℓ/∂P0, r × r, symmetric, the derivative to each
+    /// entry by itself. Neither is read unless `Pullback::needs_start`.
     pub(crate) fn started(
         &mut self,
         test: &Test,
@@ -122,7 +123,8 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// The same of a test whose stationary law, and whose law of x_0, were evaluated on these.
+    /// Takes the adjoints of the start of a test whose stationary law was evaluated on `settled`, and whose law of x_0
+    /// on `starting`.
     pub(super) fn started_at(
         &mut self,
         (settled, starting): (&Scope<'_>, &Scope<'_>),
@@ -155,14 +157,14 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// The gradient of the test; the next one can begin.
+    /// Returns the gradient of the test and clears the accumulator for the next one.
     pub(crate) fn finish(&mut self, test: &Test, work: &Workspace) -> Result<Gradient, Box<Fault>> {
         let result = self.settle(test, work).and_then(|()| self.pending.finish(&self.pullback.context()));
         self.clear();
         result
     }
 
-    /// The gradient once all was given; where that went wrong, what was given is forgotten.
+    /// The gradient after all adjoints were given; the accumulator is cleared where `given` is an error.
     pub(crate) fn finished(
         &mut self,
         given: Result<(), Box<Fault>>,
@@ -175,7 +177,7 @@ impl Adjoints<'_> {
         given.and_then(|()| self.finish(test, work))
     }
 
-    /// Forgets what was given so far.
+    /// Discards all adjoints given so far.
     pub(super) fn clear(&mut self) {
         self.pending.clear();
         self.moving.groups.clear();

@@ -1,4 +1,4 @@
-//! The chain rule of tests side by side: their adjoints are summed column by column.
+//! The chain rule of tests in lanes: their adjoints are summed column by column.
 
 use kalfit_lanes::{Kernel, Lanes};
 
@@ -14,12 +14,12 @@ use kalfit_model::Test;
 /// The adjoints of coefficients, in lanes.
 #[derive(Debug)]
 pub(crate) struct Pulled {
-    /// Of each tap, summed over the test.
+    /// Adjoint of each tap, summed over the test.
     sums: Vec<f64>,
-    /// Of each coefficient and input of the motion that varies, of each transition: those with a tap.
+    /// (slot, adjoint at each transition) of the coefficients of the motion, and of its inputs, whose tap reads cells.
     values: Vec<(usize, Vec<f64>)>,
     inputs: Vec<(usize, Vec<f64>)>,
-    /// Of free covariances of measurements.
+    /// Adjoints of the free covariances of measurements.
     pairs: Vec<PairBar>,
 }
 
@@ -31,8 +31,8 @@ struct Pull<'a> {
 }
 
 impl Pullback<'_> {
-    /// From the adjoints of a block to those of the coefficients that depend on free values; those of measurements are then of the
-    /// measurements as the model has them.
+    /// From the adjoints of a block to those of the coefficients that depend on free values. The adjoints of the
+    /// measurements in `bars` become those before whitening.
     pub(crate) fn pull(&self, block: FilteredBatch<'_>, tests: &[&Test], bars: &mut BatchAdjoints) -> Pulled {
         let pairs = if self.pairs.is_empty() { Vec::new() } else { self.unwhiten(block, tests, bars) };
         let steps = (&block.layout.transitions, &block.values.motion);
@@ -41,7 +41,7 @@ impl Pullback<'_> {
         Pulled { pairs, ..pulled }
     }
 
-    /// (slot, tap) of the coefficients, or inputs, of the motion that are read from cells.
+    /// (slot, tap) of the coefficients, or inputs, of the motion whose tap reads cells.
     fn columns<'s>(&'s self, taps: &'s [Option<usize>]) -> impl Iterator<Item = (usize, usize)> + 's {
         taps.iter().enumerate().filter_map(|(slot, tap)| Some((slot, (*tap)?))).filter(|&(_, tap)| self.reads(tap))
     }
@@ -93,7 +93,7 @@ impl Kernel for Pull<'_> {
 }
 
 impl Pull<'_> {
-    /// Sums what the measurements say.
+    /// Adds the adjoints of the measurements to the sums of their taps.
     #[inline(always)]
     fn measured<T: Lanes>(&self, sums: &mut [T]) {
         let (layout, (rows, width)) = (self.block.layout, self.bars.rows());
@@ -115,7 +115,7 @@ impl Pull<'_> {
 }
 
 impl Adjoints<'_> {
-    /// dℓ/dα of the test in a lane of a block, from what [`Pullback::pull`] has summed. `work`: room.
+    /// dℓ/dα of the test in a lane of a block, from the sums of [`Pullback::pull`]. `work`: scratch.
     pub(crate) fn of_lane(
         &mut self,
         (block, bars, pulled): (FilteredBatch<'_>, &BatchAdjoints, &Pulled),
@@ -133,7 +133,7 @@ impl Adjoints<'_> {
                 Some(own) => self.started_at((&own.first(test, alpha), &own.whole(alpha)), &mean, &variance),
             }
         });
-        // what is left of one in error must go too
+        // also after an error, to clear the accumulator
         let gradient = self.finish(test, work);
         found.and(gradient)
     }
@@ -170,7 +170,7 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// What the measurements say of coefficients that are read from cells.
+    /// Adds the adjoints of the measurements' coefficients that read cells.
     fn rows(
         &mut self,
         (block, bars): (FilteredBatch<'_>, &BatchAdjoints),

@@ -1,4 +1,5 @@
-//! Steps of one transition, their adjoints summed, so that the way back through the exponential is gone once for all of them.
+//! Groups of steps with the same transition, whose adjoints are summed so that they go back through the matrix
+//! exponential only once.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -7,13 +8,14 @@ use crate::reduce::Transition;
 use crate::score::pullback::taps::CellRead;
 use kalfit_model::Scope;
 
-/// More distinct transitions than this are not kept apart in memory.
+/// Most groups, one for each distinct transition; when there are as many, their sums are passed on and they are
+/// cleared.
 const MOST: usize = 1024;
 
 /// The groups of a test so far.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Groups {
-    /// Numbers in the sums of one group, and in its flows.
+    /// Length of the sums of one group, and of its flows.
     sizes: (usize, usize),
     last: Option<(Arc<Transition>, usize)>,
     known: HashMap<Vec<u64>, usize>,
@@ -21,7 +23,7 @@ pub(super) struct Groups {
     pub(super) steps: Vec<usize>,
     sums: Vec<f64>,
     flows: Vec<f64>,
-    /// Cells of the last group, then scratch.
+    /// Cells of the last group; `key` is scratch.
     cells: Vec<u64>,
     key: Vec<u64>,
 }
@@ -31,7 +33,8 @@ impl Groups {
         Groups { sizes: (sums, flows), ..Groups::default() }
     }
 
-    /// The group of a step, when it is that of the step seen last. `reads`: cells that coefficients with free values read.
+    /// The group of a step, if it is that of the last step seen. `reads`: cells that coefficients with free values
+    /// read.
     #[inline]
     pub(super) fn again(
         &self,
@@ -44,8 +47,8 @@ impl Groups {
         (Arc::ptr_eq(known, transition) && (reads.is_empty() || scope.is_some_and(same))).then_some(*group)
     }
 
-    /// The group of a step, and whether it is new. Transitions are told apart by what they are `made` from, and by the cells: which
-    /// of them share memory depends on other tests.
+    /// The group of a step, and whether it is new. Transitions are distinguished by the values they are `made` from and
+    /// by the cells, not by address: which transitions share memory depends on other tests.
     pub(super) fn find(
         &mut self,
         (transition, k): (&Arc<Transition>, usize),
@@ -72,7 +75,7 @@ impl Groups {
         (group, group == next)
     }
 
-    /// No group should be added before those there are have been dealt with.
+    /// Whether the groups must be settled before another one is added.
     pub(super) fn full(&self) -> bool {
         self.steps.len() >= MOST
     }

@@ -9,8 +9,9 @@ use kalfit_model::Scope;
 use kalfit_model::Test;
 
 impl Adjoints<'_> {
-    /// The measurements of step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. h̄ is
-    /// not read, and may be empty, unless [`Pullback::needs_equation`](super::Pullback::needs_equation).
+    /// Takes the adjoints of the measurements of step `k` of a test, after
+    /// [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. h̄ is not read, and may be empty, unless
+    /// [`Pullback::needs_equation`](super::Pullback::needs_equation).
     pub(crate) fn step_measured(
         &mut self,
         test: &Test,
@@ -31,7 +32,7 @@ impl Adjoints<'_> {
         result
     }
 
-    /// Measurements as the model has them.
+    /// Takes the adjoints of measurements as the model defines them, not whitened.
     fn scalars(
         &mut self,
         test: &Test,
@@ -58,7 +59,7 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// Back through the whitening of a step; false when its noises are not correlated.
+    /// Takes the adjoints back through the whitening of a step; false if its noises are not correlated.
     fn correlated(
         &mut self,
         test: &Test,

@@ -9,8 +9,9 @@ use kalfit_model::Scope;
 use kalfit_model::Test;
 
 impl Adjoints<'_> {
-    /// The transition to step `k` of a test, after [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. What no
-    /// free value asks for is not read, and may be empty.
+    /// Takes the adjoints of the transition to step `k` of a test, after
+    /// [`Preparer::prepare`](crate::reduce::Preparer::prepare) into `work`. Adjoints that no free value needs are not
+    /// read, and may be empty.
     pub(crate) fn step_moved(
         &mut self,
         test: &Test,
@@ -38,7 +39,7 @@ impl Adjoints<'_> {
         if bars.input.is_empty() { Ok(()) } else { self.driven(test, k, work, group, &bars.input) }
     }
 
-    /// The group of the step, when it is that of the last.
+    /// The group of the step, if it is that of the last step seen.
     #[inline]
     fn again(
         &mut self,
@@ -65,7 +66,7 @@ impl Adjoints<'_> {
         Ok(pullback.reads.iter().map(|read| read.bits(&scope)).collect())
     }
 
-    /// The group of the step, new or known.
+    /// The group of the step, which is added if it is new.
     fn enter(
         &mut self,
         transition: &Arc<Transition>,
@@ -91,7 +92,7 @@ impl Adjoints<'_> {
         Ok(group)
     }
 
-    /// b = Γu of one step.
+    /// Takes the adjoints of b = Γu of one step.
     fn driven(
         &mut self,
         test: &Test,
@@ -127,7 +128,7 @@ impl Adjoints<'_> {
         Ok(())
     }
 
-    /// Sends what the groups have summed on to the coefficients.
+    /// Passes the sums of the groups on to the coefficients, and clears the groups.
     pub(super) fn settle(&mut self, test: &Test, work: &Workspace) -> Result<(), Box<Fault>> {
         let Adjoints { pullback, moving, pending, replay, .. } = self;
         let (preparer, context) = (pullback.preparer, pullback.context());

@@ -1,5 +1,5 @@
-//! How the free values answer to the adjoints of a test: the chain rule at a design as a list of factors, gone through once with
-//! each adjoint in turn at one and the others at zero.
+//! The response of the free values to the adjoints of a test: the chain rule of a design as a list of factors, found by
+//! setting each adjoint in turn to one and the others to zero.
 //!
 //! ```text
 //! dℓ/dα = Σ over the adjoints of steps and start of factor × adjoint
@@ -15,61 +15,61 @@ use crate::score::pullback::adjoints::Adjoints;
 use crate::score::pullback::taps::Gradient;
 use kalfit_model::Test;
 
-/// Where factors stand, from and to.
+/// Range of factors: the first, and the first after it.
 pub(crate) type FactorSpan = (u32, u32);
 
-/// The answer to one adjoint of a matrix or of a list.
+/// The response to one adjoint of a matrix or of a list.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ResponseEntry {
-    /// Row, or place in the list.
+    /// Row, or index in the list.
     pub(crate) i: usize,
     /// Column; zero in a list.
     pub(crate) j: usize,
     pub(crate) span: FactorSpan,
 }
 
-/// The answers to one scalar measurement.
+/// The response to the adjoints of one scalar measurement.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RowResponse {
-    /// To ∂ℓ/∂R.
+    /// Response to ∂ℓ/∂R.
     pub(crate) noise: FactorSpan,
-    /// To ∂ℓ/∂(z - d).
+    /// Response to ∂ℓ/∂(z - d).
     pub(crate) value: FactorSpan,
-    /// To ∂ℓ/∂h: entries by state.
+    /// Response to ∂ℓ/∂h: entries by state.
     pub(crate) h: Range<usize>,
 }
 
-/// The answers to one transition: entries of each kind.
+/// The response to the adjoints of one transition, as ranges of entries.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct MoveResponse {
-    /// By place among the rows of φ that move, and column.
+    /// Response to ∂ℓ/∂φ, by index among the rows of φ that move, and column.
     pub(crate) phi: Range<usize>,
-    /// By states; an adjoint off the diagonal is that of both places.
+    /// Response to ∂ℓ/∂Q, by states; an off-diagonal adjoint is the derivative to both entries together.
     pub(crate) q: Range<usize>,
-    /// By state.
+    /// Response to ∂ℓ/∂b, by state.
     pub(crate) input: Range<usize>,
 }
 
-/// The answers to all adjoints of a test.
+/// The response to all adjoints of a test.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct PullbackFactors {
-    /// The free values that answer, ascending.
+    /// Slots of the free values that respond, ascending.
     pub(crate) slots: Vec<usize>,
-    /// (place among the slots, factor).
+    /// (index into `slots`, factor).
     factors: Vec<(u32, f64)>,
     entries: Vec<ResponseEntry>,
-    /// One for each scalar measurement of the steps that were asked about.
+    /// Response to each scalar measurement of the steps requested.
     pub(crate) rows: Vec<RowResponse>,
-    /// One for each transition to them.
+    /// Response to each transition to the steps requested.
     pub(crate) moves: Vec<MoveResponse>,
-    /// To ∂ℓ/∂a, by state.
+    /// Response to ∂ℓ/∂a, by state.
     pub(crate) mean: Range<usize>,
-    /// To ∂ℓ/∂P0, by states; an adjoint off the diagonal stands for both places, each by itself.
+    /// Response to ∂ℓ/∂P0, by states; an off-diagonal factor belongs to both entries, whose adjoints are equal.
     pub(crate) variance: Range<usize>,
 }
 
 impl PullbackFactors {
-    /// (place among the slots, factor) of a span.
+    /// (index into `slots`, factor) of a span.
     #[inline(always)]
     pub(crate) fn factors(&self, (from, to): FactorSpan) -> &[(u32, f64)] {
         &self.factors[from as usize..to as usize]
@@ -80,7 +80,7 @@ impl PullbackFactors {
         &self.entries[range.clone()]
     }
 
-    /// Turns numbers of slots into places among those that answer.
+    /// Replaces slots by their indices into `slots`.
     fn settle(mut self) -> PullbackFactors {
         let mut slots: Vec<usize> = self.factors.iter().map(|&(slot, _)| slot as usize).collect();
         slots.sort_unstable();
@@ -92,7 +92,7 @@ impl PullbackFactors {
     }
 }
 
-/// What one transition's answers depend on: which one it is, and the cells that free coefficients read.
+/// What the response to one transition depends on: its address, and the cells that free coefficients read.
 type MoveKey = (usize, Vec<u64>);
 
 struct Asking<'a, 'b> {
@@ -104,11 +104,11 @@ struct Asking<'a, 'b> {
 }
 
 impl Adjoints<'_> {
-    /// The answers of these steps, ascending, and of the start of the test in the work space, after
+    /// The response to the adjoints of these steps, ascending, and of the start of the test in the work space, after
     /// [`Preparer::prepare`](crate::reduce::Preparer::prepare).
     ///
     /// # Errors
-    /// Where a derivative is not finite; there may be none where the adjoint is zero.
+    /// A derivative that is not finite, though the gradient may exist where the adjoint is zero.
     pub(crate) fn response(
         &mut self,
         (test, work): (&Test, &Workspace),
@@ -124,7 +124,7 @@ impl Adjoints<'_> {
         done.map(|()| response.settle())
     }
 
-    /// How many adjoints one transition is asked about.
+    /// Number of adjoints of one transition to which a response is computed.
     pub(crate) fn adjoint_count(&self, work: &Workspace) -> usize {
         let (needs, frame) = (self.pullback.needs, &work.design.frame);
         let (phi, q) = self.pullback.preparer.plan.entries();
@@ -150,7 +150,7 @@ impl Asking<'_, '_> {
         self.start()
     }
 
-    /// Takes the answer to what was given to the adjoints.
+    /// Stores the response to the adjoints that were given, and returns its factors.
     fn answer(&mut self) -> Result<FactorSpan, Box<Fault>> {
         let gradient: Gradient = self.adjoints.finish(self.test, self.work)?;
         let from = self.response.factors.len() as u32;
@@ -158,7 +158,7 @@ impl Asking<'_, '_> {
         Ok((from, self.response.factors.len() as u32))
     }
 
-    /// Keeps an answer, if there is one.
+    /// Stores the response as an entry, unless it is empty.
     fn enter(&mut self, (i, j): (usize, usize)) -> Result<(), Box<Fault>> {
         let span = self.answer()?;
         if span.0 < span.1 {
@@ -174,7 +174,7 @@ impl Asking<'_, '_> {
             return Ok(MoveResponse::default());
         }
         let key = (which, self.adjoints.cells(self.test, k, work)?);
-        // known inputs may be others at each step
+        // known inputs may differ from step to step
         if let Some(own) = self.known.get(&key).filter(|_| frame.driven.is_empty()) {
             return Ok(own.clone());
         }
@@ -220,7 +220,7 @@ impl Asking<'_, '_> {
         self.enter(at)
     }
 
-    /// A scalar measurement: the one at a place of `many` of step `k`.
+    /// The response to one scalar measurement: number `place` of the `many` measurements of step `k`.
     fn measurement(&mut self, k: usize, place: usize, many: usize, row: usize) -> Result<RowResponse, Box<Fault>> {
         let n = self.work.design.frame.n;
         let pullback = self.adjoints.pullback;

@@ -1,4 +1,4 @@
-//! Coefficients that depend on free values of α, the adjoints that have come to them, and dℓ/dα that these add up to.
+//! Taps, the coefficients that depend on free values of α; their adjoints, and the dℓ/dα that these add up to.
 
 use crate::reduce::{Coefficient, Fault, ModelAt, ReduceErrorKind, Subject, Uses};
 use kalfit_model::Label;
@@ -41,7 +41,7 @@ struct FreeCoefficient {
     expression: Expression,
     subject: Subject,
     reads: Vec<CellRead>,
-    /// Where its cells stand in [`Pending::cells`].
+    /// Index of its first cell in [`Pending::cells`].
     start: usize,
 }
 
@@ -53,7 +53,7 @@ pub(super) struct FreeCoefficients {
 }
 
 impl FreeCoefficients {
-    /// A place for the coefficient, if it depends on free values.
+    /// Adds a tap for the coefficient and returns its index, if the coefficient depends on free values.
     pub(super) fn add(&mut self, at: &ModelAt<'_>, coefficient: &Coefficient) -> Option<usize> {
         let (expression, subject) = coefficient.source().filter(|(expression, _)| at.depends(expression))?;
         let reads = reads(expression, at.alpha);
@@ -67,7 +67,7 @@ impl FreeCoefficients {
         self.taps.len()
     }
 
-    /// Cells that any of them reads.
+    /// Cells that any of the coefficients reads, each once.
     pub(super) fn all_reads(&self) -> Vec<CellRead> {
         let mut reads: Vec<CellRead> = self.taps.iter().flat_map(|tap| &tap.reads).copied().collect();
         reads.sort_unstable();
@@ -92,11 +92,12 @@ fn reads(expression: &Expression, alpha: &Alpha) -> Vec<CellRead> {
     reads
 }
 
-/// Adjoints that wait for their derivatives. Those of a coefficient on equal cells are summed, and differentiated once.
+/// Adjoints that have not gone through their expressions yet. Those of one coefficient on equal cells are summed, and
+/// go through it once.
 #[derive(Debug, Clone)]
 pub(super) struct Pending {
     seeds: Vec<f64>,
-    /// For each coefficient, whether it has cells.
+    /// For each coefficient, whether a sum is pending.
     begun: Vec<bool>,
     cells: Vec<u64>,
     row: Row,
@@ -104,14 +105,14 @@ pub(super) struct Pending {
     found: SlotSums,
 }
 
-/// A row with the cells of one coefficient.
+/// A row of data in which the cells of one coefficient are set.
 #[derive(Debug, Clone)]
 struct Row {
     numbers: Vec<f64>,
     texts: Vec<Label>,
 }
 
-/// A sum by slot, of which few are touched.
+/// Sums by slot, with a list of the few slots that have one.
 #[derive(Debug, Clone)]
 struct SlotSums {
     sums: Vec<f64>,
@@ -135,7 +136,7 @@ impl Pending {
         }
     }
 
-    /// ∂ℓ/∂coefficient on one row.
+    /// Adds ∂ℓ/∂coefficient of one row.
     #[inline]
     pub(super) fn add(
         &mut self,
@@ -162,7 +163,7 @@ impl Pending {
         Ok(())
     }
 
-    /// Differentiates what waits for a coefficient.
+    /// Takes the pending sum of a coefficient through its expression.
     fn flush(&mut self, context: &Context<'_>, tap: usize) -> Result<(), Box<Fault>> {
         let seed = std::mem::take(&mut self.seeds[tap]);
         if !std::mem::take(&mut self.begun[tap]) {
@@ -191,7 +192,7 @@ impl Pending {
         context.at.finite(done, *subject).map(|_| ())
     }
 
-    /// The gradient; nothing waits any more.
+    /// Returns the gradient; nothing is pending after it.
     pub(super) fn finish(&mut self, context: &Context<'_>) -> Result<Gradient, Box<Fault>> {
         (0..self.seeds.len()).try_for_each(|tap| self.flush(context, tap))?;
         let gradient = self.found.take();
@@ -201,7 +202,7 @@ impl Pending {
         }
     }
 
-    /// Forgets everything.
+    /// Discards all pending and finished sums.
     pub(super) fn clear(&mut self) {
         self.seeds.fill(0.0);
         self.begun.fill(false);
@@ -209,7 +210,7 @@ impl Pending {
     }
 }
 
-/// What derivatives are taken of.
+/// Model at α, slots and taps for which derivatives are computed.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Context<'a> {
     pub(super) at: ModelAt<'a>,

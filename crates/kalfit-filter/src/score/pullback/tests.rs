@@ -1,5 +1,5 @@
-//! The whole chain: a linear functional of all numbers of a prepared test has its weights for adjoints, and its derivatives to
-//! the free values of α must equal difference quotients through the preparation.
+//! The whole chain rule: the adjoints of a linear functional of all numbers of a prepared test are its weights, and its
+//! derivatives to the free values of α must equal difference quotients through the preparation.
 
 use super::*;
 use crate::reduce::Workspace;
@@ -97,7 +97,7 @@ fn functional(work: &Workspace) -> f64 {
 fn gradient(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Gradient {
     let pullback = Pullback::new(preparer, slots).expect("differentiable");
     let mut adjoints = pullback.adjoints();
-    // The second time shows that nothing is left of the first.
+    // The second pass shows that nothing remains of the first.
     pass(&pullback, &mut adjoints, work, test);
     pass(&pullback, &mut adjoints, work, test)
 }
@@ -134,7 +134,7 @@ fn pass(pullback: &Pullback<'_>, adjoints: &mut Adjoints<'_>, work: &Workspace, 
     adjoints.finish(test, work).expect("finite")
 }
 
-/// The same from the answers to each adjoint.
+/// The gradient of the functional from the response to each adjoint.
 fn answered(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -> Vec<f64> {
     let pullback = Pullback::new(preparer, slots).expect("differentiable");
     let response = pullback.adjoints().response((test, work), 0..work.design.steps()).expect("finite");
@@ -178,7 +178,8 @@ fn answered(preparer: &Preparer, slots: &Slots, work: &Workspace, test: &Test) -
     sums
 }
 
-/// Compares every slot with the difference quotient, and, where values are not mixed, with the answers to each adjoint; `grows`: slots whose variance is zero, so that they can only grow.
+/// Compares every slot with the difference quotient, and, where values are not mixed, with the response to each
+/// adjoint; `grows`: slots whose variance is zero, so that they can only grow.
 #[track_caller]
 fn check(model: &Model, values: &[f64], test: &Test, grows: &[usize]) {
     let labels = Labels::new(&model.literals);
@@ -357,7 +358,7 @@ fn fixed_correlated_noise_mixes_equations_that_are_free() {
     model.noise_covariance = vec![(0, 1, number(0.3))];
     model.measurements[0].equation.terms.truncate(1);
     model.measurements[1].equation.terms[0].1 = number(1.5);
-    check(&model, &[0.4, 1.2, 0.9, 1.3, 0.7, 0.2, 1.1], &test(), &[]); // α of no use have no derivative
+    check(&model, &[0.4, 1.2, 0.9, 1.3, 0.7, 0.2, 1.1], &test(), &[]); // values of α without effect have no derivative
 }
 
 #[test]

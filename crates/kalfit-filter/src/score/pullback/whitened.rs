@@ -1,4 +1,5 @@
-//! Correlated measurements of tests side by side: from the adjoints of what was whitened to those of the measurements themselves.
+//! Correlated measurements of tests in lanes: from the adjoints of the whitened measurements to those of the
+//! measurements themselves.
 
 use crate::reduce::{Fault, FilteredBatch, Instance, Unwhitened};
 use crate::score::backward::BatchAdjoints;
@@ -10,15 +11,15 @@ use kalfit_model::Test;
 pub(super) struct PairBar {
     pub(super) lane: usize,
     pub(super) tap: usize,
-    /// Row of the test that it was evaluated on, and the length of its step.
+    /// Row of the test on which the covariance was evaluated, and the length of its step.
     pub(super) row: usize,
     pub(super) dt: f64,
     pub(super) bar: f64,
 }
 
 impl Pullback<'_> {
-    /// Makes the adjoints of the measurements of a block those of the measurements as the model has them; returns those of their free
-    /// covariances.
+    /// Replaces the adjoints of the whitened measurements of a block by those of the measurements themselves; returns
+    /// the adjoints of their free covariances.
     pub(super) fn unwhiten(&self, block: FilteredBatch<'_>, tests: &[&Test], bars: &mut BatchAdjoints) -> Vec<PairBar> {
         let (mut pairs, mut back) = (Vec::new(), Unwhitened::default());
         for (lane, number) in block.tests() {

@@ -1,4 +1,4 @@
-//! All of the smoother that does not depend on the data.
+//! The part of the smoother that does not depend on the data.
 
 use nalgebra::DMatrix;
 
@@ -12,56 +12,56 @@ use kalfit_model::unpack;
 #[derive(Debug, Clone)]
 pub struct SmootherPlan {
     pub(super) phases: Vec<PhasePlan>,
-    /// -½ times logarithms of determinants, and squares of the directions of the mean.
+    /// Constant of ℓ: -½ times the log-determinants and the squares of the directions of the mean.
     pub(super) constant: f64,
 }
 
-/// That of one phase.
+/// The plan of one phase.
 #[derive(Debug, Clone)]
 pub(super) struct PhasePlan {
-    /// R of the phase by itself, and of all phases from it on.
+    /// R of the phase alone (`own`), and of this and all later phases (`total`).
     pub(super) own: DMatrix<f64>,
     pub(super) total: DMatrix<f64>,
-    /// S of the prior, S = LL' = I + R PR' with R of all phases from this one on: L, and L⁻¹R.
+    /// L and L⁻¹R of the prior's S = LL' = I + R PR', with R of this and all later phases.
     pub(super) prior_lower: DMatrix<f64>,
     pub(super) prior_factor: DMatrix<f64>,
-    /// Of the mean of σ, from the residuals of the phase's own data and of all.
+    /// Gains of the mean of σ: from the residuals of the phase's own data, and from those of this and all later phases.
     pub(super) own_gain: DMatrix<f64>,
     pub(super) gain: DMatrix<f64>,
-    /// Root of Var[σ | all], directions of E[σ | all] beside it.
+    /// Root of Var[σ | all], followed by the directions of E[σ | all] as columns.
     pub(super) root: DMatrix<f64>,
-    /// To the next phase, if there is one.
+    /// Link to the next phase, if there is one.
     pub(super) link: Option<LinkPlan>,
-    /// From the phase before, if there is one.
+    /// Inheritance from the phase before, if there is one.
     pub(super) inherits: Option<InheritPlan>,
 }
 
-/// What later phases say of the last state of a phase.
+/// Information of later phases about the last state x_K of a phase.
 #[derive(Debug, Clone)]
 pub(super) struct LinkPlan {
-    /// L of S = I + R EΣE'R', R that of the next phase and all after it.
+    /// L of S = I + R EΣE'R', with R of the next and all later phases.
     pub(super) lower: DMatrix<f64>,
-    /// R on x_K, and L of S = I + R P_K R'.
+    /// R of later phases in terms of x_K, and L of S = I + R P_K R'.
     pub(super) factor: DMatrix<f64>,
     pub(super) state_lower: DMatrix<f64>,
-    /// L⁻¹R of the same, and what is fixed of the adjoints of x_K.
+    /// L⁻¹R with this L and R, and the data-independent adjoints ρ and N of x_K.
     pub(super) state_factor: DMatrix<f64>,
     pub(super) rho: DMatrix<f64>,
     pub(super) N: DMatrix<f64>,
-    /// Turns the phase's own d and the one from later into d of both, and what is left over.
+    /// Orthogonal matrix that transforms the d of the phase and of later phases into the d of both and a remainder.
     pub(super) fold: DMatrix<f64>,
 }
 
-/// What is fixed of the derivatives to T.
+/// The data-independent part of ∂ℓ/∂T.
 #[derive(Debug, Clone)]
 pub(super) struct InheritPlan {
-    /// PT' of the last state before.
+    /// PT', with P of the last state of the phase before.
     pub(super) carried: DMatrix<f64>,
-    /// -NTP, and the directions of the mean.
+    /// -NTP plus the terms of the directions of the mean.
     pub(super) transition: DMatrix<f64>,
 }
 
-/// What a plan depends on, the law apart.
+/// Everything that a plan depends on, except the law.
 #[derive(Debug, Clone)]
 pub(crate) struct PlanKey {
     phases: Vec<[Vec<f64>; 4]>,
@@ -74,7 +74,7 @@ impl PlanKey {
         PlanKey { phases: pieces.iter().map(own).collect(), covariates: laws.covariates.clone() }
     }
 
-    /// Equal bit for bit.
+    /// Whether the key equals that of these phases bit for bit.
     pub(crate) fn same(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> bool {
         let phase = |(a, b): (&[Vec<f64>; 4], &PhaseReduction)| a.iter().zip(parts(b)).all(|(a, b)| same_bits(a, b));
         self.phases.len() == pieces.len()
@@ -83,7 +83,7 @@ impl PlanKey {
     }
 }
 
-/// R, Ψ_K, a root of P_K, T.
+/// [R, Ψ_K, root of P_K, T] of a phase, empty where there is none.
 fn parts(piece: &PhaseReduction) -> [&[f64]; 4] {
     let [sensitivity, root] = match &piece.terminal {
         Some(terminal) => [terminal.sensitivity.as_slice(), terminal.root.as_slice()],
@@ -93,14 +93,14 @@ fn parts(piece: &PhaseReduction) -> [&[f64]; 4] {
     [&piece.reduction.factor, sensitivity, root, transition]
 }
 
-/// Root of a covariance, and directions of the mean.
+/// Root of a prior covariance, and directions of the prior mean.
 #[derive(Debug, Clone)]
 struct PriorRoot {
     root: DMatrix<f64>,
     directions: DMatrix<f64>,
 }
 
-/// What phases from some one on say: R, and D of the directions of the mean.
+/// Information of one phase or of several: R, and D, the columns of d that stand for the directions of the mean.
 #[derive(Debug, Clone)]
 struct LaterInformation {
     factor: DMatrix<f64>,
@@ -108,7 +108,7 @@ struct LaterInformation {
 }
 
 impl LaterInformation {
-    /// Gain of the mean, and what is left of the spread.
+    /// Gain of the mean, and the root and directions after the update by this information.
     fn posterior(&self, prior: &PriorRoot) -> (DMatrix<f64>, PriorRoot) {
         let root = posterior_root(&self.factor, &prior.root);
         let gain = &root * (root.transpose() * self.factor.transpose());
@@ -150,7 +150,8 @@ impl SmootherPlan {
         plan
     }
 
-    /// What phases from each on say of its σ, and what later ones say of its last state.
+    /// For each phase, the information of it and all later phases about its σ, and its link with the information of
+    /// later phases about its last state.
     fn backward(
         &mut self,
         pieces: &[PhaseReduction],
@@ -173,14 +174,15 @@ impl SmootherPlan {
         (totals, links)
     }
 
-    /// Bytes it occupies, nearly.
+    /// Approximate size in bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.phases.iter().map(|phase| 8 * 16 * phase.own.len().max(16)).sum()
     }
 }
 
 impl LinkPlan {
-    /// The link, what later phases say of x_K, what all of them say of σ; and logarithms and squares.
+    /// The link, the information of later phases about x_K, that of this and later phases about σ, and the
+    /// log-determinants and squares for the constant.
     fn new(
         (piece, own): (&PhaseReduction, &DMatrix<f64>),
         (next, law): (&PhaseReduction, &PhaseLaw),
@@ -197,7 +199,7 @@ impl LinkPlan {
         let mut both = DMatrix::zeros(rows + m, own.ncols());
         both.rows_mut(0, rows).copy_from(own);
         both.rows_mut(rows, m).copy_from(&(&state_factor * &terminal.sensitivity));
-        // Q whole: what is left over counts too
+        // the full Q, since the remainder counts too
         let mut fold = DMatrix::identity(rows + m, rows + m);
         let qr = both.qr();
         qr.q_tr_mul(&mut fold);
@@ -212,7 +214,7 @@ impl LinkPlan {
         (LinkPlan { lower, factor, state_lower, state_factor, rho, N, fold }, later, all, lost)
     }
 
-    /// ρ = R'S⁻¹(RΨ_KC - D), with D of the directions of the mean.
+    /// Sets ρ = R'S⁻¹(RΨ_KC - D), with D of the directions of the mean.
     fn about(mut self, later: &LaterInformation, piece: &PhaseReduction, all: &PriorRoot) -> LinkPlan {
         let spread = &self.factor * &terminal(piece).sensitivity;
         let rho = beside(&(&spread * &all.root), &(&spread * &all.directions - &later.columns));
@@ -222,7 +224,7 @@ impl LinkPlan {
 }
 
 impl InheritPlan {
-    /// -NTP + Σ m(x + PT'm)' over the directions m of r, x those of the last state before.
+    /// -NTP + Σ m(x + PT'm)' over the directions m of r, with the directions x of the last state of the phase before.
     fn new(piece: &PhaseReduction, before: &PriorRoot, (factor, left): (&DMatrix<f64>, &DMatrix<f64>)) -> InheritPlan {
         let T = &inherited(piece).transition;
         let carried = &before.root * (T * &before.root).transpose();
@@ -233,12 +235,12 @@ impl InheritPlan {
     }
 }
 
-/// That of a phase's own ξ, in its entering coordinates.
+/// Root and directions of a phase's own ξ, in its entering coordinates.
 fn spread(law: &PhaseLaw, q: usize) -> PriorRoot {
     PriorRoot { root: PhaseLaw::entering(&law.root, q), directions: PhaseLaw::entering(&law.directions, q) }
 }
 
-/// That of the last state of a phase, from that of its σ given it and those before.
+/// Root and directions of the last state of a phase, from those of its σ given this and earlier phases.
 fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
     let terminal = terminal(piece);
     PriorRoot {
@@ -247,7 +249,7 @@ fn filtered(piece: &PhaseReduction, own: &PriorRoot) -> PriorRoot {
     }
 }
 
-/// That of σ from the last state before.
+/// Root and directions of σ, from those of the last state of the phase before.
 fn inherit(law: &PhaseLaw, piece: &PhaseReduction, before: &PriorRoot) -> PriorRoot {
     let T = &inherited(piece).transition;
     let own = spread(law, T.nrows());

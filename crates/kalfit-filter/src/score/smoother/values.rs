@@ -1,4 +1,4 @@
-//! The smoother of one test by its plan.
+//! The data-dependent part of the smoother of one test, by its plan.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -7,16 +7,18 @@ use crate::score::smoother::plan::{InheritPlan, LinkPlan, SmootherPlan};
 use crate::score::smoother::{InheritanceAdjoint, LaterAdjoint, PhaseLaws, SmoothedPhase, inherited, terminal};
 use kalfit_model::PhaseReduction;
 
-/// What phases from each on say of its σ (d), and what later ones say of its last state (d of those).
+/// d of each phase: of this and all later phases about its σ (`totals`), and of later phases about its last state
+/// (`laters`).
 struct PhaseData {
     totals: Vec<DVector<f64>>,
     laters: Vec<Option<DVector<f64>>>,
-    /// Squares that are left over.
+    /// Sum of the squares of the remainders.
     left: f64,
 }
 
 impl SmootherPlan {
-    /// The moments of each phase of a test given all of it, what later phases say, and derivatives to what phases inherit.
+    /// For each phase of a test: its moments given all data, its adjoints from later phases, and the adjoints of its
+    /// inheritance.
     pub(crate) fn smooth(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> Vec<SmoothedPhase> {
         let data = self.gather(pieces, laws);
         let mut prior = self.first(laws);
@@ -45,7 +47,7 @@ impl SmootherPlan {
         all
     }
 
-    /// ℓ of a test, with -½ X'WX of the directions of the mean.
+    /// ℓ of a test, including -½ X'WX of the directions of the mean.
     pub fn likelihood(&self, pieces: &[PhaseReduction], laws: &PhaseLaws) -> f64 {
         let (data, plan) = (self.gather(pieces, laws), &self.phases[0]);
         let residual = &data.totals[0] - &plan.total * self.first(laws);
@@ -82,7 +84,7 @@ impl SmootherPlan {
 }
 
 impl LinkPlan {
-    /// r = R'S⁻¹(d - R x̄_K), x̄_K at the mean of σ given all.
+    /// r = R'S⁻¹(d - R x̄_K), with x̄_K at the mean of σ given all data.
     fn later(&self, piece: &PhaseReduction, d: &DVector<f64>, mean: &DVector<f64>) -> LaterAdjoint {
         let terminal = terminal(piece);
         let state = &terminal.mean + &terminal.sensitivity * mean;
@@ -92,19 +94,20 @@ impl LinkPlan {
 }
 
 impl InheritPlan {
-    /// ∂ℓ/∂t = r, ∂ℓ/∂T = r (x + PT'r)' - NTP, with r and N those of the prior of σ and x, P those of the last state before.
+    /// ∂ℓ/∂t = r, ∂ℓ/∂T = r (x + PT'r)' - NTP, with r and N of the prior of σ, and x and P of the last state of the
+    /// phase before.
     fn bar(&self, before: &DVector<f64>, r: DVector<f64>) -> InheritanceAdjoint {
         let smoothed = before + &self.carried * &r;
         InheritanceAdjoint { transition: &self.transition + &r * smoothed.transpose(), input: r }
     }
 }
 
-/// q of a phase.
+/// q of a phase, the length of its σ.
 fn prior_size(piece: &PhaseReduction) -> usize {
     piece.reduction.data.len()
 }
 
-/// L⁻¹x.
+/// The solution L⁻¹x of a triangular system.
 fn solved(lower: &DMatrix<f64>, mut x: DVector<f64>) -> DVector<f64> {
     let solved = lower.solve_lower_triangular_mut(&mut x);
     debug_assert!(solved, "its diagonal is at least one");

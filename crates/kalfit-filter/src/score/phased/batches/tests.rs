@@ -1,4 +1,4 @@
-//! Tests side by side against the same tests by themselves.
+//! Tests in lanes, compared with the same tests one by one.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -15,7 +15,7 @@ use kalfit_model::Reduction;
 use kalfit_model::{Clock, Expression, Initial, Motion, PhasedModel, Slots};
 use kalfit_model::{Label, Labels, Source, Test};
 
-/// A model of one phase with some of all that batches can hold.
+/// A random model of one phase, with some of the features that batches support.
 fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
     let mut flip = || random() > 0.0;
     let mut states = vec![state("bias", Motion::Constant, Initial::Estimated)];
@@ -25,7 +25,7 @@ fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
         states.push(state("slope", Motion::Constant, Initial::Estimated));
     }
     if flip() {
-        // a law of x_0 of each test's own, or one of all
+        // the law of x_0 differs between tests, or is common to all
         let (own, part) = (states.len(), if flip() { column(W) } else { number(1.1) });
         let variance = square(times(alpha(START), part.clone()));
         let start = if flip() { Initial::Stationary } else { known(number(0.0), variance) };
@@ -49,7 +49,7 @@ fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
         states.push(state("lag", lag, if flip() { Initial::Estimated } else { known(number(0.2), number(0.3)) }));
     }
     if flip() {
-        // coupled: the transition calls for a matrix exponential
+        // coupled states, whose transition needs a matrix exponential
         let own = states.len();
         let damping = if flip() { alpha(KEEP) } else { times(alpha(KEEP), column(W)) };
         let pull = vec![(own, minus(square(alpha(TAU)))), (own + 1, minus(damping))];
@@ -81,7 +81,7 @@ fn drawn_model(random: &mut impl FnMut() -> f64) -> PhasedModel {
     PhasedModel::from(model)
 }
 
-/// Tests with times of their own, of different lengths, some of whose values are missing.
+/// Tests with different times and lengths, some of whose values are missing.
 fn drawn_tests(random: &mut impl FnMut() -> f64) -> Vec<PhasedTest> {
     (0..37).map(|number| drawn_test(random, number, 1 + (number * 7) % 12)).collect()
 }
@@ -117,7 +117,7 @@ impl Case {
         batches
     }
 
-    /// Which tests of one phase went with the others of their batch.
+    /// For each test of one phase, whether it was processed in a lane of its batch.
     fn in_lanes(&self, values: &[f64], tests: &[PhasedTest], batches: &PhasedBatches) -> Vec<bool> {
         let (reducer, _) = reduced(&self.model, &self.slots, values, tests);
         let (_, filtered) = reducer.reduce_batches(tests, batches).expect("sound");
@@ -129,7 +129,7 @@ impl Case {
         went
     }
 
-    /// Reductions and scores, in batches where there are some.
+    /// Reductions and scores, in batches where `batches` are given.
     fn at(&self, values: &[f64], tests: &[PhasedTest], batches: Option<&PhasedBatches>) -> (Reductions, Vec<Gradient>) {
         let (reducer, mut reductions): (PhasedReducer, _) = reduced(&self.model, &self.slots, values, tests);
         let mut filtered: Option<FilteredPhases> = None;
@@ -172,7 +172,7 @@ fn dense(gradient: &Gradient) -> Vec<f64> {
 #[test]
 fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves() {
     let moved = VALUES.map(|x| 1.1 * x + 0.01);
-    let mut sharp = VALUES; // noises so small that square-root arrays are called for
+    let mut sharp = VALUES; // noises so small that square-root arrays are needed
     sharp[NOISE] = 1e-5;
     sharp[NOISE + 1] = 2e-5;
     let mut rooted = 0;
@@ -192,11 +192,11 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
             for j in 0..tests.len() {
                 let (own, alone) = (found.get(j), expected.get(j));
                 let what = format!("seed {seed}, {}", alone.test);
-                // what hardly shows, and small noises, multiply the last digits of flows; that of one of two measurements with
-                // correlated noise, which are whitened, by the square of how much smaller it is
+                // weak observability and small noises amplify the rounding of flows; where two measurements have
+                // correlated noise and are whitened, the amplification is the square of the ratio of their noises
                 let tolerance = if values == &sharp { 1e-6 } else { 1e-10 };
                 rooted += usize::from(own.path == Path::SquareRoot);
-                // numbers that go wrong in a lane are found by another way, and nobody would know
+                // a test that fails in its lane is computed in another way, which the numbers would not show
                 let kept = values == &sharp || in_lanes[j] || alone.path == Path::SquareRoot || !batches.has[j];
                 assert!(kept, "{what} was left out of its lane");
                 assert_eq!((own.test, own.steps, own.observations), (alone.test, alone.steps, alone.observations));
@@ -209,7 +209,7 @@ fn tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves()
     assert!(rooted > 100, "{rooted} tests by square-root arrays");
 }
 
-/// So long that the way back goes over them in parts, several side by side and one by itself.
+/// Tests so long that the backward pass takes them in blocks: several in lanes, and one alone.
 #[test]
 fn long_tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves() {
     for seed in [1, 2, 3, 8, 13] {
@@ -231,7 +231,7 @@ fn long_tests_in_blocks_have_the_reductions_and_scores_that_they_have_by_themsel
     }
 }
 
-/// By differences of the log-density of both measurements, in 60 digits.
+/// The reference is differences of the log-density of both measurements, in 60 digits.
 #[test]
 fn the_score_of_small_correlated_noise_is_that_of_exact_arithmetic() {
     let mut sharp = VALUES;
@@ -268,10 +268,10 @@ fn blocks_do_not_depend_on_the_order_of_tests() {
 #[test]
 fn phases_in_blocks_have_the_reductions_and_scores_that_they_have_by_themselves() {
     let moved = VALUES.map(|x| 1.1 * x + 0.01);
-    let mut sharp = VALUES; // noises so small that square-root arrays are called for
+    let mut sharp = VALUES; // noises so small that square-root arrays are needed
     sharp[NOISE] = 1e-5;
     sharp[NOISE + 1] = 2e-5;
-    // of one, two and three phases
+    // tests of one, two and three phases
     let tests: Vec<PhasedTest> = (1..=9).rev().flat_map(journeys).collect();
     let model = journey();
     let slots = Slots::in_phases(&model, &Labels::new(&model.shared().literals), &tests);
