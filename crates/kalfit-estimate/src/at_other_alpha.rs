@@ -1,5 +1,5 @@
-//! The objective of a finished search under reductions at another α, in the same coordinates: what mixed second derivatives
-//! of α, μ and Σ are made of.
+//! The objective of a finished search under reductions at another α, in the same coordinates, for mixed second
+//! derivatives of α, μ and Σ; and the distribution of ξ_j at a point, for posteriors.
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ use kalfit_model::remote::Question;
 use kalfit_model::{Alpha, StructureError};
 use rayon::prelude::*;
 
-/// The objective at one point under some reductions.
+/// The objective, evaluated at one point under given reductions.
 #[derive(Debug)]
 pub struct Reevaluation {
     pub(crate) problem: Problem,
@@ -35,7 +35,7 @@ pub struct Reevaluation {
     pub(crate) sums: Sums,
 }
 
-/// A place that a search of tests that are elsewhere is about to reach.
+/// The point that a search over remote tests is about to reach.
 pub struct UpcomingPoint {
     problem: Problem,
     point: Point,
@@ -43,12 +43,12 @@ pub struct UpcomingPoint {
 }
 
 impl FinalState {
-    /// The law of ξ_j where the search ended.
+    /// The distribution of ξ_j where the search ended.
     pub fn law(&self) -> InitialLaw {
         initial_law::law_with(&self.problem, &self.newton_iterate.point, self.newton_iterate.near())
     }
 
-    /// The same at a place of its own.
+    /// The distribution of ξ_j at another iterate.
     pub fn law_at(&self, place: &NewtonIterate) -> InitialLaw {
         initial_law::law_with(&self.problem, &place.point, place.near())
     }
@@ -68,8 +68,8 @@ impl FinalState {
         Reevaluation::of(home, &self.evidence(reductions), &self.assumed.at(alpha))
     }
 
-    /// Where a step along the tangent basis of this place leads, of tests that are elsewhere: nobody has answered yet what they say
-    /// there.
+    /// The point that a step along the tangent basis of this state leads to, for remote tests whose sums there are not
+    /// requested yet.
     pub fn ahead(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<UpcomingPoint> {
         let point = newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?;
         let (problem, point) = self.carried_to(reductions, &self.assumed.at(alpha), point).ok()?;
@@ -77,7 +77,7 @@ impl FinalState {
         Some(UpcomingPoint { problem, point, assumed: self.assumed.clone() })
     }
 
-    /// A point of this problem in that of other reductions of the same tests.
+    /// A point of this problem, converted to the problem of other reductions of the same tests.
     fn carried_to(
         &self,
         reductions: &Reductions,
@@ -89,8 +89,8 @@ impl FinalState {
         Ok((problem, Point { root, ..point }))
     }
 
-    /// The state after a step along the tangent basis of this place, under other reductions of the same tests; `None` where it
-    /// is not defined.
+    /// The state after a step along the tangent basis of this state, under other reductions of the same tests; `None`
+    /// where it is not defined.
     pub fn moved(&self, reductions: &Reductions, alpha: &Alpha, step: &DVector<f64>) -> Option<FinalState> {
         self.at(reductions, alpha, newton::moved(&*self.problem, &self.problem.covariance, &self.newton_iterate, step)?)
     }
@@ -100,11 +100,11 @@ impl FinalState {
         let structure = self.assumed.at(alpha);
         let (problem, point) = self.carried_to(reductions, &structure, point).ok()?;
         let charted = charted(&problem, &point);
-        problem.ends_soon(true); // nothing more is asked of this place
+        problem.ends_soon(true); // no further point is evaluated
         let place = problem.with_score(&charted, || {
             NewtonIterate::new(&problem, &problem.covariance, point, self.newton_iterate.near())
         })?;
-        // the restricted likelihood's second derivatives want the covariance of the mean at the place itself
+        // the restricted likelihood's second derivatives need the covariance of the mean at the point itself
         let place = match place.near().cloned() {
             Some(own) => NewtonIterate::new(&problem, &problem.covariance, place.point, Some(&own))?,
             None => place,
@@ -119,15 +119,15 @@ impl FinalState {
         Some(FinalState { problem: Arc::new(problem), newton_iterate: place, sums, assumed, settings, joint: None })
     }
 
-    /// Gradient of one test's ℓ_j along the tangent basis of this place, under another reduction of it.
+    /// Gradient of one test's ℓ_j along the tangent basis of this state, under another reduction of the test.
     pub fn gradient_of(&self, reduction: ReductionRef<'_>) -> DVector<f64> {
         let class = self.class_of(reduction);
         let sums = self.problem.of_class(&class, &self.newton_iterate.point, Order::First);
         self.along(&sums, &self.problem, &self.newton_iterate.point)
     }
 
-    /// Calls `of` with the numbers of the tests, and their sums of first order at this place, of each test, or of each unit where tests
-    /// stand in groups: of what is independent of the others. The order depends on nothing but the ids.
+    /// Calls `of` for each independent part of the data, a test, or a unit where tests are in groups: with the numbers
+    /// of its tests and their sums of first order at this state. The order depends on the ids alone.
     pub fn each_independent(&self, evidence: &Reductions, of: &mut dyn FnMut(&[usize], &Sums)) {
         let classes = self.problem.classes.of(evidence);
         let (point, regressors) = (&self.newton_iterate.point, &self.problem.mean.regressors[..]);
@@ -143,18 +143,18 @@ impl FinalState {
         }
     }
 
-    /// A gradient at this place along its tangent basis.
+    /// The gradient from sums at this state, along its tangent basis.
     pub fn gradient_along(&self, sums: &Sums) -> DVector<f64> {
         self.along(sums, &self.problem, &self.newton_iterate.point)
     }
 
-    /// One test as a class of its own.
+    /// A class of one test.
     fn class_of(&self, reduction: ReductionRef<'_>) -> Class {
         let alone = std::iter::once(reduction).collect();
         self.problem.classes.single(&self.evidence(&alone), 0)
     }
 
-    /// A gradient in mean coordinates and Σ along the tangent basis.
+    /// The gradient from sums at a point of a problem, along the tangent basis of this state.
     fn along(&self, sums: &Sums, problem: &Problem, point: &Point) -> DVector<f64> {
         let chart = problem.covariance.chart(&point.root);
         let score = self.problem.covariance.elements.pack_score(&sums.score());
@@ -164,12 +164,12 @@ impl FinalState {
 }
 
 impl UpcomingPoint {
-    /// Asks for what [`FinalState::at_other_alpha`] will ask for from there.
+    /// Requests in advance what [`FinalState::at_other_alpha`] will need at this point.
     pub fn ask(&self, reductions: &Reductions, alpha: &Alpha) {
         _ = Reevaluation::of((&self.problem, &self.point, None), reductions, &self.assumed.at(alpha));
     }
 
-    /// Asks how many tests there are, and how many inform each state there: what a fit tells of its end.
+    /// Requests the number of tests and the number that inform each state, which a fit reports at its end.
     pub fn ask_counts(&self) {
         _ = self.problem.told_counts();
         self.problem.classes.remote.iter().for_each(|remote| _ = remote.ask(Question::Survey));
@@ -189,7 +189,7 @@ impl Reevaluation {
         Ok(sums.map(|sums| Reevaluation { problem: own, point, sums }))
     }
 
-    /// ∂ℓ/∂(μ in η, γ; σ pairs): of every element, whatever the structure holds.
+    /// ∂ℓ/∂(μ in η, γ; σ pairs) for every element, whether the structure holds it or not.
     pub fn scores(&self) -> DVector<f64> {
         let of_sigma = self.problem.covariance.elements.pack_score(&self.sums.score());
         DVector::from_iterator(
@@ -198,12 +198,12 @@ impl Reevaluation {
         )
     }
 
-    /// The gradient along the tangent basis of the place it was taken from.
+    /// The gradient along the tangent basis of the state that the point was taken from.
     pub fn gradient(&self, home: &FinalState) -> DVector<f64> {
         home.along(&self.sums, &self.problem, &self.point)
     }
 
-    /// The law of ξ_j at the point.
+    /// The distribution of ξ_j at the point.
     pub fn law(&self) -> InitialLaw {
         initial_law::law_with(&self.problem, &self.point, self.sums.near())
     }
@@ -219,12 +219,12 @@ impl Reevaluation {
     }
 }
 
-/// The point with its root in the chart that places have.
+/// The point with its root in the form that its chart gives, as in a Newton iterate.
 fn charted(problem: &Problem, point: &Point) -> Point {
     Point { root: problem.covariance.chart(&point.root).root, ..point.clone() }
 }
 
-/// The root with the same coordinates ψ where matrices of the structure follow α.
+/// The root with the same coordinates ψ where matrices of the structure depend on α.
 fn carried(from: &CovarianceMap, to: &CovarianceMap, root: &DMatrix<f64>) -> DMatrix<f64> {
     let parts = from.parts.iter().zip(&to.parts);
     to.assembled(parts.map(|(old, new)| carried_part(&old.form, &new.form, old.of(root))))
@@ -255,7 +255,7 @@ impl Problem {
         DMatrix::from_fn(score.nrows(), score.ncols(), |i, j| score[(i, j)] / (scale[i] * scale[j]))
     }
 
-    /// Asks for a sum at a point of tests that are elsewhere together with what α's score is made of there, which is wanted next.
+    /// Requests sums of remote tests at a point together with the score in α there, which is needed next.
     pub(super) fn with_score<T>(&self, point: &Point, ask: impl FnOnce() -> T) -> T {
         let Some(remote) = &self.classes.remote else { return ask() };
         remote.answers.together(|| {
@@ -266,14 +266,14 @@ impl Problem {
         })
     }
 
-    /// Numbers of the tests that are elsewhere that inform and observe each state, as if each stood alone; `None` where nobody has
-    /// answered, or nobody is asked.
+    /// Numbers of remote tests that inform and that observe each state, as if there were no groups; `None` where there is
+    /// no answer, or no remote test.
     pub fn told_counts(&self) -> Option<Vec<f64>> {
         let remote = self.classes.remote.as_ref()?;
         remote.ask(Question::Observability { frame: self.classes.apart().frame })
     }
 
-    /// The problem of other reductions of the same tests, in the coordinates η and with the criterion of another.
+    /// The problem of other reductions of the same tests, with the coordinates η and the criterion of another problem.
     pub fn within(
         reductions: &Reductions,
         structure: &Structure<'_>,

@@ -1,4 +1,4 @@
-//! An order of tests that does not see theirs, and which tests are one class.
+//! An order of tests that does not depend on their order in the data, and the classes of tests.
 
 use std::cmp::Ordering;
 
@@ -7,17 +7,17 @@ use rayon::prelude::*;
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::{Chain, ChainPhase};
 
-/// Which tests are in which class, by their numbers.
+/// The tests of each class, by their numbers.
 #[derive(Debug, Clone)]
 pub(super) struct Members {
-    /// Class after class.
+    /// Numbers of the tests, class after class.
     tests: Vec<usize>,
-    /// Where each class ends.
+    /// End of each class in `tests`.
     ends: Vec<usize>,
 }
 
 impl Members {
-    /// Each of some tests a class to itself.
+    /// Classes of one test each.
     pub(super) fn each(tests: &[usize]) -> Members {
         Members { tests: tests.to_vec(), ends: (1..=tests.len()).collect() }
     }
@@ -38,10 +38,10 @@ impl Members {
     }
 }
 
-/// The reductions by the first and the last number of R, then in [`canonical`] order. `chained`: tests are one class only if they are
-/// in every phase.
+/// The reductions sorted by the first and the last number of R, then in [`canonical`] order. `chained`: tests form one
+/// class only if they agree in every phase.
 pub(super) fn ordered(reductions: &Reductions, chained: bool) -> Members {
-    // most are told apart by these numbers, which are looked at without a visit to each reduction
+    // these numbers distinguish most reductions, and are compared without access to the rest of each
     let keyed = |j: usize| {
         let factor = reductions.factor(j);
         ((factor.first().map_or(0, |x| ordinal(*x)), factor.last().map_or(0, |x| ordinal(*x))), j)
@@ -55,17 +55,17 @@ pub(super) fn ordered(reductions: &Reductions, chained: bool) -> Members {
     let mut ends: Vec<usize> = (1..order.len()).filter(|&at| differ(&order[at - 1], &order[at])).collect();
     ends.extend((!order.is_empty()).then_some(order.len()));
     let mut tests: Vec<usize> = order.into_iter().map(|(_, j)| j).collect();
-    tests.shrink_to_fit(); // they stand where the keys stood, which took three times as much
+    tests.shrink_to_fit(); // the list reuses the memory of the keys, which took three times as much
     Members { tests, ends }
 }
 
-/// A whole number that goes with [`f64::total_cmp`].
+/// An integer with the same order as [`f64::total_cmp`].
 fn ordinal(x: f64) -> i64 {
     let bits = x.to_bits() as i64;
     bits ^ (((bits >> 63) as u64) >> 1) as i64
 }
 
-/// Order by R, covariates, C, then id: a total order that gathers classes and does not see the order of the tests.
+/// Order by R, covariates, C, then id: a total order that puts classes together and ignores the order of the tests.
 fn canonical(reductions: &Reductions, a: usize, b: usize) -> Ordering {
     compare(reductions.factor(a), reductions.factor(b))
         .then_with(|| compare(reductions.covariates(a), reductions.covariates(b)))
@@ -74,7 +74,7 @@ fn canonical(reductions: &Reductions, a: usize, b: usize) -> Ordering {
         .then_with(|| reductions.id(a).cmp(reductions.id(b)))
 }
 
-/// By all matrices of the phases, and where the links come from.
+/// Order by all matrices of the phases and of the links between them.
 fn compare_chains(a: Option<&Chain>, b: Option<&Chain>) -> Ordering {
     let (Some(a), Some(b)) = (a, b) else { return a.is_some().cmp(&b.is_some()) };
     let of_phases = |(a, b): (&ChainPhase, &ChainPhase)| {
@@ -89,7 +89,7 @@ fn compare_chains(a: Option<&Chain>, b: Option<&Chain>) -> Ordering {
     different.unwrap_or_else(|| a.phases.len().cmp(&b.phases.len()))
 }
 
-/// C of a test.
+/// C of a test; empty where nothing is measured exactly.
 fn exact(reductions: &Reductions, number: usize) -> &[f64] {
     reductions.exact(number).map_or(&[], |exact| &exact.coefficients)
 }

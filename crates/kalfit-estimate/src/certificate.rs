@@ -1,8 +1,8 @@
 //! The optimality certificate (theory §3): what "converged" means, on the boundary of the cone too.
 //!
-//! With the Lagrange multipliers Λ of the constraints on Σ: ∂ℓ/∂μ = 0 along the free mean; (G - Λ)Σ = 0; and
-//! -(G - Λ) ⪰ 0 on the null space of Σ. Each figure is in the scale of standard errors: how many of them the
-//! optimum may still be away.
+//! With Λ the Lagrange multipliers of the constraints on Σ, the conditions are ∂ℓ/∂μ = 0 along the free mean, (G - Λ)Σ
+//! = 0, and -(G - Λ) ⪰ 0 on the null space of Σ. Each figure of the certificate is in standard errors: the number of
+//! them by which the optimum may still be away.
 
 use nalgebra::{DMatrix, DMatrixView, DVector};
 
@@ -13,23 +13,26 @@ use crate::newton::NewtonIterate;
 use crate::relaxed::{relax, undetermined};
 use kalfit_algebra::symmetric;
 
-/// Rounding errors above this many standard errors are told, those above the other one withhold the certificate.
+/// Rounding errors above this many standard errors are reported.
 const NOTABLE: f64 = 1e-6;
+/// Rounding errors above this many standard errors withhold the certificate.
 const IMPRECISE: f64 = 1e-3;
 
 /// Null-space scores below this many standard errors count as zero.
 const NULL_TOLERANCE: f64 = 1e-5;
 
-/// Eigenvalues of Σ (in natural sizes) below this count as zero: so near the boundary, a score in L no longer shows a way inward.
+/// Eigenvalues of Σ (in natural sizes) below this count as zero: so near the boundary, the score in L no longer
+/// indicates a direction inward.
 const NEAR_NULL: f64 = 1e-10;
 
 /// Standard deviations (in η) below this count as zero.
 const NO_STD_DEV: f64 = 1e-9;
 
-/// Of two standard deviations that leave zero together, none is less than this part of the other, in natural units.
+/// Where two standard deviations leave zero together, the smaller is at least this fraction of the larger, in natural
+/// units.
 const LEAST_PART: f64 = 1e-3;
 
-/// How far the conditions of a maximum are from holding, in standard errors.
+/// Deviations from the conditions of a maximum, in standard errors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Certificate {
     /// Score of the free mean coordinates.
@@ -40,12 +43,13 @@ pub struct Certificate {
     pub null_space: f64,
     /// Newton decrement over all coordinates together.
     pub decrement: f64,
-    /// A bound of what rounding errors leave open: where large numbers are added up, scores vanish before the optimum is reached.
+    /// A bound on the effect of rounding errors: where large numbers are added up, computed scores vanish before the
+    /// optimum is reached.
     pub rounding: f64,
 }
 
 impl Certificate {
-    /// Whether the conditions hold to this tolerance, and rounding errors leave no more open than a reader could notice.
+    /// Whether the conditions hold to this tolerance, and rounding errors are below a thousandth of a standard error.
     pub fn holds(&self, tolerance: f64) -> bool {
         self.decrement <= tolerance && self.null_space <= NULL_TOLERANCE && self.is_precise()
     }
@@ -55,12 +59,13 @@ impl Certificate {
         self.rounding <= IMPRECISE
     }
 
-    /// Whether rounding errors are larger than the scores that a search ends with, so that they say how far the optimum may be.
+    /// Whether rounding errors exceed the scores that a search ends with, so that they limit how well the optimum is
+    /// known.
     pub fn is_limited_by_rounding(&self) -> bool {
         self.rounding > NOTABLE
     }
 
-    /// How far the optimum may be, in standard errors.
+    /// A bound on the distance to the optimum, in standard errors.
     pub fn distance(&self) -> f64 {
         self.decrement.max(self.rounding)
     }
@@ -77,11 +82,11 @@ pub(crate) struct Escape {
     /// dΣ, a positive semidefinite matrix of rank one or Σ* itself.
     pub(crate) direction: DMatrix<f64>,
     pub(crate) length: f64,
-    /// Score along it, in standard errors.
+    /// Score along `direction`, in standard errors.
     pub(crate) score: f64,
 }
 
-/// The certificate at a place, and the way off the boundary when it fails there.
+/// The certificate at an iterate, and the direction off the boundary where the certificate fails on the null space.
 pub(crate) fn certificate(map: &CovarianceMap, place: &NewtonIterate, tests: f64) -> (Certificate, Option<Escape>) {
     let escape = escape(map, place, tests);
     let (mean, covariance) = scores(place);
@@ -92,7 +97,7 @@ pub(crate) fn certificate(map: &CovarianceMap, place: &NewtonIterate, tests: f64
     )
 }
 
-/// Decrements of the mean and of Σ, each with the other held.
+/// Decrements of the mean and of Σ, each with the other held fixed.
 fn scores(place: &NewtonIterate) -> (f64, f64) {
     let tangent = &place.tangent;
     let (q, n) = (tangent.mean, tangent.gradient.len());
@@ -110,7 +115,7 @@ fn decrement(information: DMatrixView<'_, f64>, gradient: &DVector<f64>) -> f64 
     Curvature::scaled_by(scale, gradient, information).decrement()
 }
 
-/// The worst direction of the null space of Σ within the structure.
+/// The direction of largest score in the null space of Σ, within the structure.
 fn escape(map: &CovarianceMap, place: &NewtonIterate, tests: f64) -> Option<Escape> {
     map.parts.iter().filter_map(|part| part_escape(map, part, place, tests)).max_by(|a, b| a.score.total_cmp(&b.score))
 }
@@ -144,9 +149,9 @@ fn part_escape(map: &CovarianceMap, part: &PhaseForm, place: &NewtonIterate, tes
     }
 }
 
-/// Σ = DRD where standard deviations are zero: ℓ is flat in them there to first order, unless others that are not zero are
-/// correlated with them, which the gradient sees. To second order ℓ rises by u'(G∘R)u when they grow to u ≥ 0; tried one by
-/// one and two by two.
+/// The direction for Σ = DRD where standard deviations are zero. To first order ℓ is flat in them, unless others that
+/// are not zero are correlated with them, which the gradient shows. To second order ℓ rises by u'(G∘R)u when they grow
+/// to u ≥ 0; single standard deviations and pairs are tried.
 fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tests: f64) -> Option<Escape> {
     let (residual, weight) = (&place.tangent.residual_score, &place.local.weight);
     let sigma = place.point.covariance();
@@ -162,7 +167,7 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
         along(direction, slope, weight, tests)
     };
     let unit = |i: usize| if weight[(i, i)] > 0.0 { (tests / weight[(i, i)]).sqrt() } else { 0.0 };
-    // what ℓ loses by one of them alone: -a u² - b v² + 2cuv is largest, for its size, where u : v = √b : √a
+    // loss of ℓ by one alone: -a u² - b v² + 2cuv is largest, relative to its size, where u : v = √b : √a
     let loss = |i: usize| (-residual[(i, i)] * r[(i, i)]).max(0.0).sqrt() * unit(i);
     let pairs = zero.iter().enumerate().flat_map(|(k, &i)| zero[..k].iter().map(move |&j| (i, j)));
     let singles = zero.iter().map(|&i| grown(&[(i, unit(i))]));
@@ -174,7 +179,8 @@ fn std_dev_escape(r: &DMatrix<f64>, states: &[usize], place: &NewtonIterate, tes
     singles.chain(both).max_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// The worst direction of the null space of Σ on blocks, once multipliers that are not determined have done what they can.
+/// The direction of largest score in the null space of Σ on blocks, after undetermined multipliers have made that score
+/// as small as possible.
 fn null_escape(
     blocks: &[Vec<usize>],
     root: &DMatrix<f64>,
@@ -204,8 +210,9 @@ fn null_escape(
     Some(along(direction, *scores.last()?, weight, tests))
 }
 
-/// What the range of FF' leaves of each block, orthogonal to it in the natural size of each element: a spread much larger than another
-/// must not make the other look like nothing. Where GΣ = 0 it stands for the null space, as any complement of the range does.
+/// The complement of the range of FF' in each block, orthogonal to the range in the natural size of each element: a
+/// spread much larger than another must not make the other look negligible. Where GΣ = 0 the complement serves as the
+/// null space, as any complement of the range does.
 fn null_spaces(blocks: &[Vec<usize>], root: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
     let sizes = natural_sizes(root);
     let of = |block: &Vec<usize>| {
@@ -230,7 +237,7 @@ fn block_diagonal(parts: &[DMatrix<f64>]) -> DMatrix<f64> {
     whole
 }
 
-/// In direction D the expected information is about ½ N tr(W̄DW̄D).
+/// The escape in direction D, where the expected information is about ½ N tr(W̄DW̄D).
 fn along(direction: DMatrix<f64>, slope: f64, weight: &DMatrix<f64>, tests: f64) -> Escape {
     let each = weight * &direction; // N W̄D
     let information = 0.5 * (&each * &each).trace() / tests;
@@ -289,14 +296,14 @@ mod tests {
             ([2.0, 1.0, 2.0], [1.0, 0.0], 2.0 / 3.0),
             // eigenvalues 3 and -1 along (1, ±1)/√2: ½/3 + ½
             ([1.0, 2.0, 1.0], [1.0, 0.0], 2.0 / 3.0),
-            // the same in other units
+            // the previous case in other units
             ([16.0, 8.0, 1.0], [4.0, 0.0], 2.0 / 3.0),
-            // flat along (1, -1): nothing is known there
+            // flat along (1, -1): the data do not inform that direction
             ([1.0, 1.0, 1.0], [3.0, 3.0], 9.0),
             ([1.0, 1.0, 1.0], [3.0, -3.0], 0.0),
-            // no information at all in one of them
+            // no information at all on one coordinate
             ([4.0, 0.0, 0.0], [6.0, 5.0], 9.0),
-            // concave the wrong way round
+            // a negative eigenvalue
             ([-4.0, 0.0, 9.0], [2.0, 6.0], 5.0),
         ];
         for ([a, b, c], g, expected) in cases {
@@ -306,7 +313,8 @@ mod tests {
         }
     }
 
-    /// Each null vector is orthogonal to F where elements count in their natural sizes, and there are as many as the rank leaves.
+    /// Null vectors are orthogonal to F with elements in their natural sizes, and their number is the dimension less
+    /// the rank.
     #[test]
     fn a_null_space_is_what_the_range_leaves() {
         for (columns, expected) in [
@@ -314,7 +322,7 @@ mod tests {
             (vec![[1e4, 1.0, 0.0]], 2),
             (vec![[1e4, 1.0, 0.0], [0.0, 2.0, 1e-3]], 1),
             (vec![[1.0, 0.0, 0.0], [0.0, 1e-6, 0.0]], 2), // 1e-12 of its natural size
-            (vec![[1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]], 1), // 1e-8
+            (vec![[1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]], 1), // 1e-8 of its natural size
             (vec![[1e6, 0.0, 0.0], [0.0, 1e6, 0.0], [0.0, 0.0, 1e6]], 0),
         ] {
             let root = DMatrix::from_fn(3, 3, |i, c| columns.get(c).map_or(0.0, |column: &[f64; 3]| column[i]));

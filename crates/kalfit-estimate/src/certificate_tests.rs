@@ -13,7 +13,7 @@ use kalfit_model::Path;
 use kalfit_model::Reduction;
 use kalfit_model::{Alpha, CovarianceKind, CovarianceStructure, Expression, FixedElement, MeanStructure};
 
-/// Tests of one design.
+/// Number of tests, all of one design.
 const TESTS: usize = 48;
 /// Tolerance of a search that rounding does not stop: a hundred times that of the settings.
 const TOLERANCE: f64 = 1e-6;
@@ -32,13 +32,13 @@ fn design(p: usize) -> DMatrix<f64> {
     })
 }
 
-/// What an ensemble and a point of Σ are made of.
+/// The matrices that define an ensemble and a point of Σ.
 struct Case {
-    /// R.
+    /// R of every test.
     factor: DMatrix<f64>,
     /// F with FF' = RΣR', p × r.
     spread: DMatrix<f64>,
-    /// C.
+    /// C, the second moment of z.
     moment: DMatrix<f64>,
 }
 
@@ -55,7 +55,7 @@ impl Case {
         Case { factor, spread, moment }
     }
 
-    /// R = I at Σ = 0.
+    /// The case R = I at Σ = 0.
     fn at_zero(moment: DMatrix<f64>) -> Case {
         let p = moment.nrows();
         Case { factor: DMatrix::identity(p, p), spread: DMatrix::zeros(p, 0), moment }
@@ -65,7 +65,7 @@ impl Case {
         DVector::from_fn(self.factor.nrows(), |i, _| 1.0 + i as f64)
     }
 
-    /// Pairs ±√p C^½ e_k, as often as it takes.
+    /// Tests whose z are pairs ±√p C^½ e_k, repeated until there are `TESTS` of them.
     fn data(&self) -> Reductions {
         let p = self.factor.nrows();
         assert_eq!(TESTS % (2 * p), 0, "the second moment needs whole pairs");
@@ -121,7 +121,7 @@ impl Case {
     }
 }
 
-/// A point, looked at.
+/// A problem and an iterate to be certified.
 struct Spot {
     problem: Problem,
     place: NewtonIterate,
@@ -142,7 +142,7 @@ impl Spot {
         Spot { problem, place }
     }
 
-    /// At a Σ of the structure, whose root is of the structure's shape.
+    /// The iterate at a Σ of the structure, with a root in the form of the structure.
     fn of_members(data: &Reductions, covariance: &CovarianceStructure, mean: &[f64], sigma: &DMatrix<f64>) -> Spot {
         let spot = Spot::new(data, covariance, mean, &DMatrix::zeros(mean.len(), mean.len()));
         let map = &spot.problem.covariance;
@@ -156,20 +156,21 @@ impl Spot {
         certificate(&self.problem.covariance, &self.place, TESTS as f64).0
     }
 
-    /// ℓ where a probe off the boundary ends, less ℓ here.
+    /// Gain in ℓ of a probe off the boundary, if one is found.
     fn probe(&self) -> Option<f64> {
         let next = escaped(&self.problem, &self.problem.covariance, TESTS as f64, &mut self.place.clone())?;
         Some(next.local.value - self.place.local.value)
     }
 
-    /// Accepted at the tolerance, and no way up is found.
+    /// The certificate holds at the tolerance, and no direction upwards is found.
     fn is_accepted(&self, what: &str) {
         let found = self.certificate();
         assert!(found.holds(TOLERANCE), "{what} must be accepted: {found:?}");
         assert_eq!(self.probe(), None, "{what}: no way up");
     }
 
-    /// Refused for a positive score on the null space of Σ alone, which is this many standard errors: all else vanishes.
+    /// The certificate is refused for a positive score on the null space of Σ alone, of this many standard errors; all
+    /// else vanishes.
     fn is_refused_off_the_range(&self, score: f64, what: &str) {
         self.is_refused_between((1.0 - 1e-7) * score, (1.0 + 1e-7) * score, what);
     }
@@ -250,7 +251,7 @@ fn a_covariance_off_along_its_range_is_refused() {
             assert!((found.covariance - far).abs() < 1e-3 * far && found.mean < 1e-3 * far, "{what}");
             assert!(!found.holds(TOLERANCE) && !found.holds(0.1 * far) && found.holds(1.1 * far), "{what}");
         }
-        // a range that is turned
+        // a rotated range
         let mut turned = Case { moment: case.moment.clone(), factor: design(3), spread: case.spread.clone() };
         turned.spread = turned_about_first(1e-4) * &turned.spread;
         let found = turned.spot(&full()).certificate();
@@ -267,8 +268,8 @@ fn a_small_variance_is_no_null_direction() {
     assert!(found.covariance > 0.1, "{found:?}");
 }
 
-/// The variance of z along U is 1 + m where Σ says 1, of standard error √(2/N) if all else is known. Directions that the range has part in
-/// give less of it, several directions together more.
+/// The variance of z along U is 1 + m where Σ gives 1, with the standard error √(2/N) if all else is known. Directions
+/// that overlap the range give a smaller score, several directions together a larger one.
 #[test]
 fn a_positive_score_on_a_slanted_null_space_is_refused() {
     for m in [0.3, 1e-3] {
@@ -319,11 +320,11 @@ fn a_trap_of_zero_columns_is_left_for_the_maximum() {
         let expected = &inverse * (&case.moment - DMatrix::identity(3, 3)) * inverse.transpose();
         let found = spot.problem.values_of(&end.point).covariance;
         assert!((&found - &expected).amax() < 1e-6, "rank {}: {found} {expected}", range.len());
-        // one step leaves it
+        // one step leaves the trap
         let (end, _) = climb(&spot.problem, map, TESTS as f64, spot.place.clone(), ClimbLimits { steps: 1, ..limits });
         let gain = end.local.value - spot.place.local.value;
         assert!(gain > 0.1, "rank {}: {gain}", range.len());
-        // and where no step may follow, the end is not called a maximum
+        // where no step may follow, the end is not certified
         let none = ClimbLimits { steps: 0, ..limits };
         assert_eq!(climb(&spot.problem, map, TESTS as f64, spot.place.clone(), none).1, Stop::PassLimit);
     }
@@ -342,7 +343,7 @@ fn blocks_are_looked_at_one_by_one() {
         let case = Case { moment, ..Case::at_zero(DMatrix::identity(4, 4)) };
         case.spot(&blocks).is_refused_off_the_range(score, &format!("scores {first} and {second} in two blocks"));
     }
-    // a covariance between blocks is none of theirs
+    // a covariance between blocks does not concern the blocks
     let between = DMatrix::identity(4, 4) * 0.8 + &(&along + &other) * (&along + &other).transpose() * 0.15;
     Case::at_zero(between.clone()).spot(&blocks).is_accepted("a covariance between blocks");
     assert!(!Case::at_zero(between).spot(&full()).certificate().holds(1.0), "in a full Σ it counts");
@@ -367,7 +368,7 @@ fn a_scale_of_zero_is_refused_where_it_would_grow() {
 fn standard_deviations_of_zero_are_tried_by_themselves_and_in_pairs() {
     let given = |r: f64| of(CovarianceKind::Correlation(numbers(&symmetric([1.0, r, 1.0]))));
     let n = (TESTS as f64 / 2.0).sqrt();
-    // by itself: u² G_11
+    // one alone: u² G_11
     let single = Case::at_zero(symmetric([0.9, 0.0, 1.2]));
     single.spot(&given(0.6)).is_refused_off_the_range(0.2 * n, "one standard deviation");
     Case::at_zero(symmetric([0.9, 0.0, 0.8])).spot(&given(0.6)).is_accepted("neither of them");
@@ -381,8 +382,8 @@ fn standard_deviations_of_zero_are_tried_by_themselves_and_in_pairs() {
     }
 }
 
-/// One of two is zero and the other is not. C = S + N, with N_10 = c and N_11 = m, makes G_11 = ½ N m and, where it is zero, ∂ℓ/∂σ_1 = 2 G_10 r σ_0
-/// of the sign of c r.
+/// One of two standard deviations is zero and the other is not. C = S + N, with N_10 = c and N_11 = m, makes G_11 = ½ N
+/// m and, where the standard deviation is zero, ∂ℓ/∂σ_1 = 2 G_10 r σ_0 of the sign of c r.
 #[test]
 fn a_standard_deviation_of_zero_beside_another_follows_their_correlation() {
     let s: f64 = 0.8;
@@ -398,7 +399,7 @@ fn a_standard_deviation_of_zero_beside_another_follows_their_correlation() {
         spot(0.0, -0.2).is_accepted(&format!("no slope, but a loss, r = {r}"));
         // ℓ falls at first, whatever comes after
         spot(-0.1 * r, 0.2).is_accepted(&format!("a slope downwards, r = {r}"));
-        // ℓ rises at first: the gradient says so
+        // ℓ rises at first, as the gradient shows
         for m in [0.2, -0.2] {
             let found = spot(0.1 * r, m).certificate();
             assert!(found.decrement > 0.05 && !found.holds(1e-2), "a slope upwards, m = {m}, r = {r}: {found:?}");
@@ -406,8 +407,9 @@ fn a_standard_deviation_of_zero_beside_another_follows_their_correlation() {
     }
 }
 
-/// ℓ falls with one of two standard deviations, is flat in the other, and rises with both as long as the first is small enough: the least
-/// part that is tried, in units of what the tests know of each. These differ where a third one that is not zero hides the first.
+/// ℓ falls with one of two standard deviations, is flat in the other, and rises with both if the first is small enough:
+/// at the smallest ratio that is tried, in natural units. These units differ where a third one that is not zero masks
+/// the first.
 #[test]
 fn a_pair_of_standard_deviations_is_tried_in_their_own_units() {
     let (s, r, a, c) = (4.0_f64, 0.6, 0.05, 0.1);
@@ -430,7 +432,7 @@ fn a_pair_of_standard_deviations_is_tried_in_their_own_units() {
     spot.is_refused_off_the_range(case.slope(&along), "flat in one, but not in both");
 }
 
-/// β = 0 is on the boundary, any other β is not: there the gradient says all.
+/// β = 0 is on the boundary; any other β is not, and there the gradient is enough.
 #[test]
 fn a_scale_that_is_not_zero_has_no_null_space() {
     let star = symmetric([1.0, 0.7, 2.0]);

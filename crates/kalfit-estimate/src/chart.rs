@@ -83,7 +83,7 @@ impl Chart {
         for (k, entries) in self.coordinates.iter().enumerate() {
             for &(i, c, x) in entries {
                 match self.bounded[k] {
-                    // written anew, so that zero is exactly zero and no rounding goes below
+                    // written anew, so that zero is exact and rounding cannot go below zero
                     Some(value) => root[(i, c)] = (value + step[k]).max(0.0) * x,
                     None => root[(i, c)] += step[k] * x,
                 }
@@ -93,7 +93,7 @@ impl Chart {
     }
 }
 
-/// Lower-triangular coordinates in a pivoted order, after turning F (which leaves FF' alone) into that shape.
+/// Adds lower-triangular coordinates in a pivoted order, after rotating F (which leaves FF' unchanged) into that shape.
 fn factor_chart(blocks: &[Vec<usize>], root: &DMatrix<f64>, states: &Range<usize>, chart: &mut Chart) {
     let (start, p) = (states.start, states.len());
     chart.root.view_mut((start, start), (p, p)).fill(0.0);

@@ -12,20 +12,20 @@ pub struct ClassRef<'a> {
     pub constant: f64,
     /// R, p × p by rows, upper triangular; C, q × p by rows.
     pub factor: &'a [f64],
-    /// Mean of d_j, and of g_j.
+    /// Mean of d_j, followed by the mean of g_j.
     pub(crate) mean: &'a [f64],
-    /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; no more of them than they are long,
-    /// and none for a single test.
+    /// Vectors whose outer products add up to Σ_j (d_j - mean)(d_j - mean)', one after the other; at most as many as
+    /// each is long, and none for a single test.
     pub(crate) scatter: &'a [f64],
     /// Scaled covariates of the regressions.
     pub(crate) covariates: &'a [f64],
-    /// Some test of it needs square-root arithmetic.
+    /// Whether some test of the class needs square-root arithmetic.
     pub(crate) square_root: bool,
-    /// The same phase by phase; R, d and their scatter are then empty.
+    /// The class phase by phase, where it is stored so; R, d and their scatter are then empty.
     pub chain: Option<&'a ChainStore>,
 }
 
-/// A class with its numbers, and room for others in its place.
+/// A class that owns its numbers, also used as a buffer for one class after another.
 #[derive(Debug, Clone, Default)]
 pub struct Class {
     pub(crate) count: f64,
@@ -52,7 +52,7 @@ impl Class {
         }
     }
 
-    /// Takes the place of what was here.
+    /// Overwrites this class with another one.
     pub(super) fn set(&mut self, class: ClassRef<'_>) {
         let copy = |to: &mut Vec<f64>, from: &[f64]| {
             to.clear();
@@ -68,7 +68,7 @@ impl Class {
 }
 
 impl ClassRef<'_> {
-    /// For each element i, Σ (y - Jμ)_i² - J_ii over the tests and J_ii of one of them.
+    /// For each element i, writes Σ (y - Jμ)_i² - J_ii, summed over the tests, and J_ii of one test.
     pub(super) fn excess(&self, mean: &[f64], found: &mut Vec<(f64, f64)>) {
         let p = mean.len();
         let rows = || self.factor.chunks_exact(p.max(1));

@@ -1,4 +1,4 @@
-//! The reductions as the estimator wants them: scaled, centred, and tests that share one R gathered into one class.
+//! The reductions in the estimator's form: scaled, centred, and with tests that share one R gathered into one class.
 //!
 //! Inside this module ξ = m + D η with a centre m near the population mean and a diagonal D that gives the average
 //! test unit information on each state, so that nothing here depends on the user's units. For a class of n tests
@@ -34,20 +34,20 @@ use kalfit_model::remote::Remote;
 /// All reductions of an ensemble, ready for passes.
 #[derive(Debug, Clone)]
 pub struct Classes {
-    /// Where each class stands, in an order that does not depend on the order of the tests.
+    /// Index of each class in its storage, in an order that does not depend on the order of the tests.
     places: Arc<Vec<ClassIndex>>,
-    /// How much larger all noise is than where they were gathered; their numbers are those of this noise, but for the constants that
-    /// blocks know one by one.
+    /// Scale of all noise relative to the reductions that were gathered. The stored numbers are those at this noise,
+    /// except the constants of individual classes in blocks.
     noise: Option<NoiseScale>,
-    /// Those of a single test that are worked on side by side.
+    /// Classes of a single test each that are evaluated in lanes.
     pub(crate) blocks: ClassBatches,
-    /// The same of several tests each.
+    /// Classes of several tests each that are evaluated in lanes.
     pub(crate) shared: ClassBatches,
-    /// The others.
+    /// All other classes.
     pub listed: Listed,
-    /// Numbers of those of them that are worked on one by one.
+    /// Numbers of the `listed` classes that are evaluated one by one.
     pub(crate) unbatched: Vec<usize>,
-    /// Those of them that are worked on side by side, in phases.
+    /// The `listed` classes in phases that are evaluated in lanes.
     pub(crate) chains: Vec<Arc<Packed>>,
     pub frame: Frame,
     pub tests: usize,
@@ -57,44 +57,45 @@ pub struct Classes {
     pub(crate) elements: Elements,
     /// Number of tests that have each phase.
     pub present: Vec<f64>,
-    /// Tests are kept phase by phase where that can be.
+    /// Whether tests are stored phase by phase where possible.
     chained: bool,
-    /// Which tests are in which class; `None` where the classes are a part of others.
+    /// The tests of each class; `None` where these classes are a subset of others.
     members: Option<Arc<Members>>,
-    /// Of which reductions they are.
+    /// Stamp of the reductions that the classes were made from, if there are such.
     stamp: Option<u64>,
-    /// Where tests stand in groups: the groups of the outermost level with all that stands in them, none of tests that are elsewhere.
+    /// The groups of the outermost level with all that belongs to them, where tests are in groups; empty for remote
+    /// tests.
     pub units: Option<Arc<Units>>,
-    /// Where the tests are when they are elsewhere: then there are no classes here.
+    /// The connection to remote tests, which have no classes here.
     pub remote: Option<Remote>,
 }
 
-/// Where a class stands.
+/// Position of a class in its storage.
 #[derive(Debug, Clone, Copy)]
 struct ClassIndex {
     kind: ClassKind,
     at: u32,
 }
 
-/// How a class is worked on.
+/// The storage of a class.
 #[derive(Debug, Clone, Copy)]
 enum ClassKind {
-    /// In blocks of single tests.
+    /// In blocks of classes of one test each.
     Single,
-    /// In blocks of several tests.
+    /// In blocks of classes of several tests each.
     Several,
     Listed,
 }
 
-/// Puts the class with a number into a place.
+/// Writes the class with a number into a buffer.
 type ClassFill<'a> = &'a (dyn Fn(usize, &mut Class) + Sync);
 
-/// Classes that one thread puts together.
+/// Number of classes that one thread gathers at a time.
 const CHUNK: usize = 64;
 
 impl Classes {
-    /// Gathers reductions with the states of each phase at these places and `regressors` covariates each. `chained`: keep tests
-    /// phase by phase where their reductions are.
+    /// Gathers reductions with `regressors` covariates each; `ranges` holds the states of each phase. `chained`: tests
+    /// are stored phase by phase where their reductions are.
     pub(crate) fn new(reductions: &Reductions, ranges: Vec<Range<usize>>, regressors: usize, chained: bool) -> Classes {
         let elements = Elements::new(ranges);
         let chained = chained && !elements.is_single();
@@ -106,13 +107,13 @@ impl Classes {
         Classes::gathered(reductions, members, (pooled.frame(), &pooled), (elements, chained))
     }
 
-    /// The same in coordinates that are given.
+    /// Gathers reductions in the coordinates of other classes.
     pub(crate) fn within(reductions: &Reductions, like: &Classes) -> Classes {
         like.again(reductions, like.chained)
     }
 
-    /// With the groups that the tests stand in. All tests of the reductions, which must be in what is a test's own and what each of its
-    /// groups adds, are in some. Then the centre is that of the sum.
+    /// The classes with the groups of their tests. The reductions must be in the states of the test and of each of its
+    /// groups, and every test must be in a group. The centre becomes that of the sum of these states.
     pub(crate) fn in_groups(mut self, reductions: &Reductions, grouping: &Arc<Grouping>) -> Classes {
         let centre = self.frame.centred(grouping.depth() + 1);
         if centre != self.frame {
@@ -120,13 +121,13 @@ impl Classes {
         }
         let units = Units::new(reductions, &self, grouping).expect("every test is in a group");
         if self.remote.is_none() {
-            self.present = units.counts(); // of tests that are elsewhere it is told
+            self.present = units.counts(); // remote tests report the counts
         }
         self.units = Some(Arc::new(units));
         self
     }
 
-    /// Those of tests that are elsewhere, as if each stood alone where it stands in groups.
+    /// The classes of remote tests as if there were no groups.
     pub(crate) fn apart(&self) -> Classes {
         let Some(p) = self.units.as_ref().map(|units| units.states) else { return self.clone() };
         Classes {
@@ -139,10 +140,10 @@ impl Classes {
         }
     }
 
-    /// Other reductions, or in other ways, in the same coordinates.
+    /// The classes of other reductions, or stored in another way, in the same coordinates.
     fn again(&self, reductions: &Reductions, chained: bool) -> Classes {
         if let Some(remote) = reductions.remote() {
-            return Classes { remote: Some(remote.clone()), ..self.clone() }; // what starts need is near enough
+            return Classes { remote: Some(remote.clone()), ..self.clone() }; // the pooled sums suffice for starts
         }
         let classes = Classes::in_frame(reductions, &self.frame, self.elements.clone(), chained);
         match &self.units {
@@ -151,7 +152,7 @@ impl Classes {
         }
     }
 
-    /// Gathers reductions in coordinates that are given.
+    /// Gathers reductions in given coordinates.
     pub(super) fn in_frame(reductions: &Reductions, frame: &Frame, elements: Elements, chained: bool) -> Classes {
         let chained = chained && !elements.is_single();
         let members = ordered(reductions, chained);
@@ -159,7 +160,7 @@ impl Classes {
         Classes::gathered(reductions, members, (frame.clone(), &pooled), (elements, chained))
     }
 
-    /// Those of tests that are elsewhere, by what they say together: (their number, that of those that have each phase, the rest).
+    /// The classes of remote tests from their survey: (number of tests, number that have each phase, pooled sums).
     pub(super) fn of_survey(
         remote: &Remote,
         (tests, present, pooled): (usize, Vec<f64>, &Pooled),
@@ -210,7 +211,7 @@ impl Classes {
         Classes { members: Some(Arc::new(members)), ..classes }
     }
 
-    /// The classes, and who is worked on side by side with whom; `fill` puts a class into a place.
+    /// Stores the classes by their kinds; `fill` writes a class into a buffer.
     fn arranged(
         (kinds, fill): (Vec<ClassKind>, ClassFill<'_>),
         chains: Vec<Arc<Packed>>,
@@ -253,12 +254,12 @@ impl Classes {
         }
     }
 
-    /// How many they are.
+    /// Number of classes.
     pub fn len(&self) -> usize {
         self.places.len()
     }
 
-    /// The class with this number; there is room for its numbers.
+    /// The class with a number, which is read into `room` where it is in blocks.
     pub(crate) fn get<'a>(&'a self, number: usize, room: &'a mut Class) -> ClassRef<'a> {
         if let ClassIndex { kind: ClassKind::Listed, at } = self.places[number] {
             return self.listed.get(at as usize);
@@ -267,7 +268,7 @@ impl Classes {
         room.view()
     }
 
-    /// Puts the class with this number into a place.
+    /// Writes the class with a number into a buffer.
     fn read(&self, number: usize, class: &mut Class) {
         let ClassIndex { kind, at } = self.places[number];
         match kind {
@@ -278,30 +279,30 @@ impl Classes {
         class.constant += self.noise.as_ref().map_or(0.0, |noise| noise.change(number));
     }
 
-    /// These classes, if they are those of the reductions, or the classes of the reductions in the same coordinates.
+    /// These classes if they were made from the reductions, else the classes of the reductions in the same coordinates.
     pub fn of<'a>(&'a self, reductions: &Reductions) -> Cow<'a, Classes> {
         let own = self.stamp.is_some_and(|stamp| stamp == reductions.stamp());
         if own { Cow::Borrowed(self) } else { Cow::Owned(Classes::within(reductions, self)) }
     }
 
-    /// The same as the classes of these reductions, which are those of the same tests in the same order at the noise of the classes.
+    /// These classes as the classes of reductions of the same tests, in the same order and at the noise of the classes.
     pub(super) fn grounded(&self, reductions: &Reductions) -> Option<Classes> {
         let members = self.members.as_ref().filter(|members| members.tests().len() == reductions.len());
         let known = members.is_some() && self.units.is_none();
         known.then(|| Classes { stamp: Some(reductions.stamp()), ..self.clone() })
     }
 
-    /// Numbers of the tests of a class, by their ids, of the reductions that these are the classes of.
+    /// Numbers of the tests of a class, sorted by id, in the reductions that the classes were made from.
     pub fn tests_of(&self, class: usize) -> &[usize] {
         self.members.as_ref().expect("they are of reductions").class(class)
     }
 
-    /// Every test has a class to itself, of those that these are the classes of.
+    /// Whether every test of the reductions that the classes were made from has a class to itself.
     pub fn are_single(&self) -> bool {
         self.stamp.is_some() && self.len() == self.tests
     }
 
-    /// Some tests, each a class to itself, in the same η. The pooled information is the share that goes with them.
+    /// Classes of one test each, in the same η. The pooled information is scaled by the share of the tests.
     pub fn each(&self, reductions: &Reductions, tests: &[usize]) -> Classes {
         let share = tests.len() as f64 / reductions.len() as f64;
         let present = self.present.iter().map(|tests| tests * share).collect();
@@ -309,8 +310,8 @@ impl Classes {
         Classes::of_members(reductions, Members::each(tests), (&self.frame, &self.elements, self.chained), found)
     }
 
-    /// The same where all noise is λ times as large, from what each class says of it, in coordinates that are √λ times as large.
-    /// They are the classes of no reductions, and of tests in one phase.
+    /// The classes with all noise variances multiplied by λ, from the residual of each class, in coordinates that are
+    /// √λ times as large. They belong to no reductions, and their tests must be in one phase.
     pub(crate) fn with_noise(&self, variance: f64, told: &Arc<Vec<Residual>>) -> Classes {
         debug_assert!(self.chains.is_empty(), "between phases noise has links of its own");
         let noise = NoiseScale { variance, told: told.clone() };
@@ -347,7 +348,7 @@ impl Classes {
         }
     }
 
-    /// Every so-many-th class in their order, in the same η. The pooled information is the share that goes with the tests.
+    /// Every `every`-th class in order, in the same η. The pooled information is scaled by the share of the tests.
     pub(crate) fn thinned(&self, every: usize) -> Classes {
         if let Some(units) = &self.units {
             let units = units.thinned(every);
@@ -378,7 +379,7 @@ impl Classes {
         Classes::arranged((kinds, &fill), chains, (&self.frame, &self.elements, self.chained), found)
     }
 
-    /// Those of some classes side by side that can be.
+    /// Packs the chains of some classes into lanes, where they have a common shape.
     fn repacked(&self, numbers: &[usize]) -> Vec<Arc<Packed>> {
         let lanes = Isa::best().lanes();
         let mut room = Class::default();
@@ -390,7 +391,7 @@ impl Classes {
         groups.into_par_iter().map(pack).collect()
     }
 
-    /// The classes of the reductions, kept phase by phase, whatever these classes are.
+    /// The classes of the reductions stored phase by phase, even where these classes are not.
     pub fn by_phase(&self, reductions: &Reductions) -> Cow<'_, Classes> {
         if self.chained {
             return self.of(reductions);
@@ -398,7 +399,7 @@ impl Classes {
         Cow::Owned(self.again(reductions, true))
     }
 
-    /// One test as a class of its own, in the same η.
+    /// A class of one test, in the same η.
     pub fn single(&self, reductions: &Reductions, test: usize) -> Class {
         let mut class = Class::default();
         if self.chained && reductions.chain(test).is_some() {
@@ -409,14 +410,14 @@ impl Classes {
         class
     }
 
-    /// Some test measures something exactly.
+    /// Whether some test measures something exactly.
     pub(super) fn has_exact(&self) -> bool {
         let p = self.dimension();
         !self.is_chained() && (0..self.listed.len()).any(|number| self.listed.get(number).mean.len() > p)
     }
 
-    /// A class whose exact rows have a singular covariance at a point, if there is one: standard deviations in units of what tests
-    /// differ by, given those of the rows before.
+    /// A class whose exact rows have a singular covariance at a point, if there is one: in η, the standard deviation of
+    /// one row given the rows before is nearly zero.
     pub(super) fn collapsed(&self, point: &Point) -> Option<usize> {
         const NONE: f64 = 1e-8;
         let (p, mut room) = (self.dimension(), Class::default());
@@ -431,13 +432,13 @@ impl Classes {
         })
     }
 
-    /// p.
+    /// p, the number of states.
     pub fn dimension(&self) -> usize {
         self.frame.scale.len()
     }
 }
 
-/// Those with these numbers, one after the other.
+/// The classes with these numbers, as a list.
 fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
     let some = |numbers: &[usize]| {
         let (mut listed, mut room) = (Listed::default(), Class::default());
@@ -453,8 +454,8 @@ fn list(numbers: &[usize], fill: ClassFill<'_>) -> Listed {
     all
 }
 
-/// How many tests have each phase: all have the first one; of tests that are not kept phase by phase, those that say something
-/// of its states.
+/// Number of tests that have each phase. All have the first one; tests that are not stored phase by phase have the
+/// phases whose states they inform.
 pub(super) fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> {
     let has = |j: usize, f: usize, range: &Range<usize>| match reductions.chain(j) {
         Some(chain) => f < chain.phases.len(),
@@ -467,7 +468,7 @@ pub(super) fn present(reductions: &Reductions, elements: &Elements) -> Vec<f64> 
     elements.blocks().iter().enumerate().map(count).collect()
 }
 
-/// Classes of tests in phases that can be worked on side by side, by their numbers.
+/// Packs classes of tests in phases into lanes where possible, by their numbers.
 fn side_by_side(
     reductions: &Reductions,
     members: &Members,
@@ -483,7 +484,7 @@ fn side_by_side(
     groups.into_par_iter().map(pack).collect()
 }
 
-/// Where each of so many classes in phases stands; of none where none is side by side with others.
+/// The lane of each class in phases, by its number; empty where no classes are packed.
 fn in_lanes(chains: &[Arc<Packed>], classes: usize) -> Vec<Option<ChainStore>> {
     if chains.is_empty() {
         return Vec::new();

@@ -1,4 +1,5 @@
-//! Newton's method from a place onwards, for objectives near one that is solved already: no start to find, few steps.
+//! Newton's method from a given iterate, for objectives near one that is solved already: no start is needed, and few
+//! steps are.
 
 use crate::certificate::{Escape, certificate};
 use crate::covariance::CovarianceMap;
@@ -7,19 +8,19 @@ use crate::newton::{Attempt, Damping, NewtonIterate, moved};
 use crate::point::Point;
 use crate::settings::Stop;
 
-/// Along flat directions ℓ rises by at least this part of what their slopes promise, or it stays where it is.
+/// Smallest fraction of the gain promised by the slopes along flat directions at which a step along them is accepted.
 const RISES: f64 = 0.05;
 
-/// When a climb ends.
+/// The limits of a climb.
 #[derive(Debug, Clone, Copy)]
 pub struct ClimbLimits {
     /// Newton decrement that counts as the optimum.
     pub tolerance: f64,
-    /// Most accepted steps.
+    /// Maximum number of accepted steps.
     pub steps: usize,
 }
 
-/// Steps until the certificate holds, leaving the boundary where it must.
+/// Takes Newton steps until the certificate holds, leaving the boundary where it must.
 pub fn climb(
     objective: &dyn Objective,
     map: &CovarianceMap,
@@ -45,7 +46,7 @@ pub fn climb(
     (place, if certified { Stop::Certified } else { Stop::PassLimit })
 }
 
-/// A better place off the boundary, when the certificate fails on the null space of Σ.
+/// A better iterate off the boundary, where the certificate fails on the null space of Σ.
 pub(crate) fn escaped(
     objective: &dyn Objective,
     map: &CovarianceMap,
@@ -64,7 +65,7 @@ pub(crate) fn escaped(
     None
 }
 
-/// A better place along directions that are left out of steps as flat, when ℓ rises there as their slopes say.
+/// A better iterate along the flat directions that ordinary steps leave out, where ℓ rises as their slopes promise.
 pub(crate) fn slid(objective: &dyn Objective, map: &CovarianceMap, place: &mut NewtonIterate) -> Option<NewtonIterate> {
     let (step, promised) = place.curvature.along_flat()?;
     place.surpassed(objective, |place| {

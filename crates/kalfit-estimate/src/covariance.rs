@@ -25,17 +25,17 @@ pub enum CoordinateForm {
     Scale(DMatrix<f64>),
     /// Σ = D root root' D, D = diag(ψ) over these states.
     StdDevs(DMatrix<f64>, Vec<usize>),
-    /// Σ is this.
+    /// Σ is this matrix.
     Fixed(DMatrix<f64>),
 }
 
 /// The structure of the Σ of one phase, in η.
 #[derive(Debug, Clone)]
 pub struct PhaseForm {
-    /// Its states.
+    /// States of the phase.
     pub states: Range<usize>,
     pub form: CoordinateForm,
-    /// Its members are those of a linear covariance structure.
+    /// Whether the phase has a linear covariance structure.
     pub linear: bool,
     /// Start value from the model.
     pub start: Option<DMatrix<f64>>,
@@ -52,12 +52,12 @@ pub struct Constraint {
 #[derive(Debug, Clone)]
 pub struct CovarianceMap {
     pub(crate) p: usize,
-    /// By phase.
+    /// The form of each phase.
     pub parts: Vec<PhaseForm>,
     pub constraints: Vec<Constraint>,
     /// States whose variance is not held at zero.
     pub random: Vec<usize>,
-    /// States whose means regression coefficients act on, in their order: their variances are what the coefficients are measured in.
+    /// The state whose mean each regression coefficient acts on: its variance sets the coefficient's natural size.
     pub(crate) regressors: Vec<usize>,
     pub elements: Elements,
 }
@@ -81,7 +81,7 @@ impl CovarianceMap {
         Ok(all)
     }
 
-    /// Takes in the structure of a phase whose states begin at `start`.
+    /// Adds the structure of a phase whose states begin at `start`.
     fn append(&mut self, phase: CovarianceMap, start: usize) {
         self.parts.extend(phase.parts.into_iter().map(|part| part.moved(start as isize)));
         self.random.extend(phase.random.iter().map(|i| start + i));
@@ -103,7 +103,7 @@ impl CovarianceMap {
         }
     }
 
-    /// Blocks Σ_b = L_b L_b' of all phases that have such.
+    /// Blocks Σ_b = L_b L_b' of all phases that have blocks.
     pub(crate) fn blocks(&self) -> impl Iterator<Item = &Vec<usize>> {
         self.parts.iter().flat_map(|part| match &part.form {
             CoordinateForm::Factor(blocks) => blocks.as_slice(),
@@ -111,7 +111,7 @@ impl CovarianceMap {
         })
     }
 
-    /// The form of the Σ that a state has part in.
+    /// The form of the Σ that a state belongs to.
     pub fn form_of(&self, state: usize) -> &CoordinateForm {
         &self.parts[self.elements.block_of(state)].form
     }
@@ -135,7 +135,7 @@ impl CovarianceMap {
         }
     }
 
-    /// Sets what the form makes zero to zero.
+    /// Σ with structural zeros set to zero.
     pub fn mask(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
         DMatrix::from_fn(self.p, self.p, |i, j| if self.is_structural_zero(i, j) { 0.0 } else { sigma[(i, j)] })
     }
@@ -146,7 +146,7 @@ impl CovarianceMap {
         DVector::from_iterator(self.constraints.len(), self.constraints.iter().map(|c| left(c) - c.value))
     }
 
-    /// The largest residual beside the elements that it is about: a large variance elsewhere excuses nothing.
+    /// The largest residual relative to the elements of its constraint: a large variance elsewhere must not hide it.
     pub fn relative_residual(&self, sigma: &DMatrix<f64>, residual: &DVector<f64>) -> f64 {
         let size = |c: &Constraint| {
             let spread = |i: usize, j: usize| (sigma[(i, i)] * sigma[(j, j)]).max(0.0).sqrt();
@@ -167,7 +167,7 @@ impl CovarianceMap {
         self.parts.iter().map(of_form).sum::<usize>() - self.constraints.len()
     }
 
-    /// A root F of the structure's own shape from any Σ that is nearly of the structure.
+    /// A root F in the form of the structure, from a Σ that nearly meets the structure.
     pub fn root_of(&self, sigma: &DMatrix<f64>) -> DMatrix<f64> {
         let mut root = DMatrix::zeros(self.p, self.p);
         for part in &self.parts {
@@ -198,20 +198,20 @@ impl CovarianceMap {
 }
 
 impl PhaseForm {
-    /// Its block of a matrix.
+    /// The phase's block of a matrix.
     pub fn of(&self, matrix: &DMatrix<f64>) -> DMatrix<f64> {
         let (start, n) = (self.states.start, self.states.len());
         matrix.view((start, start), (n, n)).clone_owned()
     }
 
-    /// A matrix of its own in the place of its block, zero elsewhere.
+    /// A p × p matrix with the given block for the phase, zero elsewhere.
     pub fn placed(&self, own: &DMatrix<f64>, p: usize) -> DMatrix<f64> {
         let mut whole = DMatrix::zeros(p, p);
         whole.view_mut((self.states.start, self.states.start), own.shape()).copy_from(own);
         whole
     }
 
-    /// The same for states that are counted from elsewhere.
+    /// The form with its state numbers shifted.
     fn moved(&self, by: isize) -> PhaseForm {
         let at = |i: usize| i.strict_add_signed(by);
         let form = match &self.form {

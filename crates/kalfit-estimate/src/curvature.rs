@@ -1,4 +1,4 @@
-//! A positive definite model of -Hessian, and the steps that it asks for.
+//! A positive definite model of -Hessian, and the steps that it gives.
 
 use std::sync::OnceLock;
 
@@ -8,19 +8,20 @@ use crate::local::Tangent;
 use kalfit_algebra::regular::Regular;
 use kalfit_algebra::symmetric;
 
-/// A positive definite model of -Hessian: scaled to unit diagonal, eigenvalues by absolute value, flat directions left out.
+/// A positive definite model of -Hessian: scaled to unit diagonal, eigenvalues by absolute value, without flat
+/// directions.
 #[derive(Debug, Clone)]
 pub(crate) struct Curvature {
     scale: DVector<f64>,
-    /// Scaled as well.
+    /// Gradient along the tangent basis, times `scale`.
     gradient: DVector<f64>,
-    /// Where no eigenvalue is negative or flat.
+    /// The undamped step, where no eigenvalue is negative or flat.
     plain: Option<UndampedStep>,
-    /// Otherwise, or worked out when asked for.
+    /// The eigenvalues: computed at once where there is no undamped step, else when first needed.
     spectrum: OnceLock<Spectrum>,
 }
 
-/// The step without damping, by the root of the model; what it promises, and the decrement.
+/// The step without damping, from the root of the model, with the gain it promises and the decrement.
 #[derive(Debug, Clone)]
 struct UndampedStep {
     step: DVector<f64>,
@@ -28,29 +29,30 @@ struct UndampedStep {
     decrement: f64,
 }
 
-/// Eigenvalues in ascending order.
+/// Eigenvalues in ascending order, with their eigenvectors.
 #[derive(Debug, Clone)]
 struct Spectrum {
     values: Vec<f64>,
     vectors: DMatrix<f64>,
-    /// Gradient in the eigenvectors.
+    /// Gradient in the basis of the eigenvectors.
     gradient: DVector<f64>,
 }
 
-/// Further from the optimum than this (in standard errors), by the model's account, the model is not to be trusted.
+/// A model with a negative eigenvalue is not trusted beyond this decrement, in standard errors.
 const FAR: f64 = 1.0;
 
-/// A step that fails is tried again at no less and no more than these parts of its length.
+/// A step that fails is tried again at no less than this fraction of its length.
 const SHORTEST: f64 = 0.25;
+/// A step that fails is tried again at no more than this fraction of its length.
 const LONGEST: f64 = 0.5;
 
-/// Information in a coordinate, at its natural size, below this part of the largest is rounding.
+/// Information on a coordinate, at its natural size, below this fraction of the largest is rounding.
 pub const NOTHING: f64 = 1e-14;
-/// Scaled eigenvalues below this are flat: the data say nothing there.
+/// Directions with scaled eigenvalues up to this are flat: the data do not inform them.
 const FLAT: f64 = 1e-10;
-/// Scaled eigenvalues below this are rounding.
+/// Scaled eigenvalues below this are rounding: steps along flat directions divide by this instead.
 const ROUNDING: f64 = 1e-15;
-/// A flat direction along which the slope promises no more than this of ℓ is let be.
+/// No step is taken along flat directions whose slopes promise a gain in ℓ of at most this.
 const LITTLE: f64 = 1e-6;
 
 impl Curvature {
@@ -65,14 +67,15 @@ impl Curvature {
         Curvature::scaled_by(scale, gradient, h.as_view())
     }
 
-    /// Of information and a gradient that this scale, which is already on the gradient, brings to size one.
+    /// The model from an information matrix that `scale` brings to unit diagonal, and a gradient that is scaled
+    /// already.
     pub(super) fn scaled_by(
         scale: DVector<f64>,
         gradient: DVector<f64>,
         information: DMatrixView<'_, f64>,
     ) -> Curvature {
         let mut found = Curvature { scale, gradient, plain: None, spectrum: OnceLock::new() };
-        // of many states neither the matrix nor its root can stay: what they say can
+        // with many states neither the matrix nor its root can be stored, but the step derived from them can
         found.plain = Regular::within(found.scaled(information)).map(|root| UndampedStep::of(&root, &found.gradient));
         if found.plain.is_none() {
             found.spectrum(information);
@@ -85,11 +88,11 @@ impl Curvature {
         DMatrix::from_fn(n, n, |i, j| scale[i] * information[(i, j)] * scale[j])
     }
 
-    /// The information is that of the tangent space.
+    /// The eigenvalues, computed on first use. `information` is the one along the tangent basis.
     fn spectrum(&self, information: DMatrixView<'_, f64>) -> &Spectrum {
         self.spectrum.get_or_init(|| {
             let scaled = self.scaled(information);
-            // where there is a root, of what it is the root of
+            // where there is a root, the matrix decomposed is the product of that root
             let root = self.plain.as_ref().and_then(|_| Regular::within(scaled.clone()));
             let (values, vectors) = symmetric::eigen(&root.map_or(scaled, Regular::into_product));
             let gradient = vectors.transpose() * &self.gradient;
@@ -97,7 +100,7 @@ impl Curvature {
         })
     }
 
-    /// The spectrum that stands for a root.
+    /// The spectrum, which exists where there is no root.
     fn known(&self) -> &Spectrum {
         self.spectrum.get().expect("it is worked out where there is no root")
     }
@@ -107,15 +110,16 @@ impl Curvature {
         self.plain.as_ref().map_or_else(|| self.known().decrement(), |plain| plain.decrement)
     }
 
-    /// The step along the tangent basis that the slopes along flat directions ask for, and the gain it promises, for ℓ itself to judge: of what
-    /// is all but confounded, as a state and another times 10⁷ ± 1, ℓ knows more than its curvature can tell. `None` where that is little.
+    /// The step along flat directions by their slopes, in the tangent basis, and the gain it promises; `None` where
+    /// that is little. The gain must be checked on ℓ itself: where two quantities are almost confounded, as a state and
+    /// another times 10⁷ ± 1, ℓ determines more than its curvature can show.
     pub(crate) fn along_flat(&self) -> Option<(DVector<f64>, f64)> {
         let spectrum = self.spectrum.get().filter(|_| self.plain.is_none())?;
         let (step, gain) = spectrum.along_flat();
         (gain > LITTLE).then(|| (step.component_mul(&self.scale), gain))
     }
 
-    /// Damping for a place where the value is not concave: the model holds less far.
+    /// Damping where the value is not concave: the model holds over less distance there.
     pub(crate) fn doubtful(&self) -> f64 {
         if self.plain.is_some() {
             return 0.0;
@@ -124,13 +128,14 @@ impl Curvature {
         if least < -1e-3 && self.decrement() > FAR { 0.6 * -least } else { 0.0 }
     }
 
-    /// The damping for the next try after a step with this much gave only `gain`: the value along the step as a parabola with
-    /// the slope at the place says how much shorter, between a quarter and a half. The information is that of the tangent space.
+    /// The damping for the next try after a step with `damping` gained only `gain`: a parabola through both values,
+    /// with the slope at the first, gives the new length, between a quarter and a half of the old one. `information` is
+    /// the one along the tangent basis.
     pub(crate) fn shorter(&self, information: &DMatrix<f64>, damping: f64, gain: f64) -> f64 {
         let spectrum = self.spectrum(information.as_view());
         let length = |d: f64| spectrum.terms().map(|(_, h, g)| (g / (h + d)).powi(2)).sum::<f64>().sqrt();
         let slope: f64 = spectrum.terms().map(|(_, h, g)| g * g / (h + damping)).sum();
-        let part = slope / (2.0 * (slope - gain)); // zero where there is no value
+        let part = slope / (2.0 * (slope - gain)); // zero where ℓ has no value
         let wanted = length(damping) * part.clamp(SHORTEST, LONGEST);
         let (mut low, mut high) = (damping, damping.max(1e-3));
         while length(high) > wanted && high < 1e30 {
@@ -144,7 +149,8 @@ impl Curvature {
         high
     }
 
-    /// Step along the tangent basis with this much damping, and the gain it promises. The information is that of the tangent space.
+    /// Step along the tangent basis with the given damping, and the gain it promises. `information` is the one along
+    /// the tangent basis.
     pub(crate) fn step(&self, information: &DMatrix<f64>, damping: f64) -> (DVector<f64>, f64) {
         let (step, gain) = match &self.plain {
             Some(plain) if damping == 0.0 => (plain.step.clone(), plain.gain),
@@ -169,10 +175,10 @@ impl Spectrum {
     }
 
     fn decrement(&self) -> f64 {
-        self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // a sum of nothing is -0
+        self.terms().map(|(_, h, g)| g * g / h).fold(0.0, |a, b| a + b).sqrt() // an empty sum would be -0
     }
 
-    /// The step along flat directions, and what it promises.
+    /// The step along flat directions, and the gain it promises.
     fn along_flat(&self) -> (DVector<f64>, f64) {
         let mut along = DVector::zeros(self.values.len());
         let mut gain = 0.0;
@@ -255,7 +261,7 @@ mod tests {
         }
     }
 
-    /// A coordinate counts from 10⁻¹⁴ of the largest information on, each at its natural size.
+    /// A coordinate counts where its information exceeds 10⁻¹⁴ of the largest, each taken at its natural size.
     #[test]
     fn information_is_nothing_beside_the_largest_at_natural_sizes() {
         for (small, size, counts) in
@@ -283,7 +289,8 @@ mod tests {
         }
     }
 
-    /// Beyond the optimum of a value that is no parabola: g'(H + d)⁻¹ grows shorter, to between a quarter and a half of what failed.
+    /// Where the value is no parabola, a failed step g'(H + d)⁻¹ is shortened to between a quarter and a half of its
+    /// length.
     #[test]
     fn a_step_that_failed_is_made_shorter_as_its_gain_says() {
         let (values, g) = ([4.0, 1.0], [8.0, 3.0]);
@@ -292,7 +299,8 @@ mod tests {
         for damping in [0.0, 0.7] {
             let length = |d: f64| (0..2).map(|k| (g[k] / (values[k] + d)).powi(2)).sum::<f64>().sqrt();
             let slope: f64 = (0..2).map(|k| g[k] * g[k] / (values[k] + damping)).sum();
-            // a parabola with this slope that has fallen by `loss` at the end of the step has its top at this part of it
+            // a parabola with this slope that has fallen by `loss` at the end of the step has its maximum at this
+            // fraction of the step
             for (loss, part) in [(0.1 * slope, 1.0 / 2.2), (f64::INFINITY, 0.25), (-0.01 * slope, 0.5)] {
                 let found = length(curvature.shorter(&h, damping, -loss)) / length(damping);
                 assert!((found - part).abs() < 1e-4, "{damping} {loss}: {found} {part}");

@@ -12,7 +12,7 @@ impl CovarianceMap {
         self.directions(chart, false)
     }
 
-    /// The same, where Σ = βΣ* along β: dΣ/dψ vanishes at Σ = 0, and yet β > 0 is a direction.
+    /// As `free_directions`, but along β where Σ = βΣ*: dΣ/dψ vanishes at Σ = 0, and yet β > 0 is a direction.
     pub fn cone_directions(&self, chart: &Chart) -> Sparse {
         self.directions(chart, true)
     }

@@ -1,4 +1,4 @@
-//! What classes say at a point, one after the other; those in phases side by side.
+//! Evaluation of all classes at a point, one by one or, for packed classes in phases, in lanes.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -12,14 +12,14 @@ use crate::classes::Classes;
 use crate::point::{Point, Regressors};
 use crate::terms::ClassTerms;
 
-/// Classes that one thread takes at a time.
+/// Number of classes that one thread evaluates at a time.
 const CHUNK: usize = 256;
 
-/// Classes by their numbers.
+/// Access to classes by their numbers.
 type Numbered<'a, 'c> = &'a (dyn Fn(usize) -> ClassRef<'c> + Sync);
 
-/// Evaluates every class at a point and folds what each says, by `of`, into parts that begin as `start()`. Which classes make a part does
-/// not depend on threads.
+/// Evaluates every class at a point and folds its terms, by `of`, into parts that begin as `start()`. The division into
+/// parts does not depend on the number of threads.
 pub fn map_classes<T: Send>(
     classes: &Classes,
     regressors: &Regressors,
@@ -45,15 +45,15 @@ pub fn map_classes<T: Send>(
     parts.into_iter().map(|(made, _)| made).collect()
 }
 
-/// Classes by themselves are given to `one`, with their numbers, and those that are packed to `several`; what they make begins with
-/// `start`, whatever thread they are on.
+/// Folds unpacked classes by `one`, with their numbers, and packed ones by `several`, into parts that begin as
+/// `start()`. The division into parts does not depend on the number of threads.
 pub(super) fn map_classes_and_packed<T: Send>(
     classes: &Classes,
     start: &(dyn Fn() -> T + Sync),
     one: &(dyn Fn(&mut T, usize, ClassRef<'_>) + Sync),
     several: &(dyn Fn(&mut T, &Packed) + Sync),
 ) -> Vec<T> {
-    // where some are packed all are listed, in their order
+    // where some classes are packed, all are listed in order
     let packed = !classes.chains.is_empty();
     let alone = if packed { classes.unbatched.clone() } else { (0..classes.len()).collect() };
     let one_by_one = |numbers: &[usize]| {

@@ -22,16 +22,18 @@ pub(crate) enum ConditionalStep {
     Covariance,
 }
 
-/// What a pass must give EM: the information on the mean between phases only where the mean may need least squares.
+/// The sums that EM needs from a pass: with the information on the mean between phases only where the mean may need
+/// least squares.
 pub(crate) fn order(problem: &Problem) -> Order {
     let (p, mean) = (problem.classes.dimension(), &problem.mean);
     let closed = mean.basis.ncols() == p && mean.regressors.is_empty() && problem.covariance.random.len() == p;
     if closed && problem.criterion() == Criterion::Ml { Order::First } else { Order::Mean }
 }
 
-/// One EM step from the sums at a point. Where μ has no closed form beside Σ (a singular Σ with a constrained mean,
-/// or a regression), μ and Σ take turns: generalised least squares for μ, EM for Σ (ECM). So they do under the restricted
-/// likelihood, where the mean is missing data too, with a flat prior: its uncertainty adds to the second moment.
+/// One EM step from the sums at a point. Where μ has no closed form together with Σ (a singular Σ with a constrained
+/// mean, or a regression), μ and Σ alternate: generalised least squares for μ, EM for Σ (ECM). They also alternate
+/// under the restricted likelihood, where the mean is missing data too, with a flat prior: its uncertainty adds to the
+/// second moment.
 pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut ConditionalStep) -> Point {
     let tests = counts(problem);
     let sigma = point.covariance();
@@ -63,7 +65,7 @@ pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums, turn: &mut Con
     Point { mean: next_mean.as_slice().to_vec(), coefficients: point.coefficients.clone(), root }
 }
 
-/// For each element the number of tests that have its phase: an M-step averages over those.
+/// Number of tests that have the phase of each element: an M-step averages over those tests.
 fn counts(problem: &Problem) -> DVector<f64> {
     let (classes, p) = (&problem.classes, problem.classes.dimension());
     DVector::from_fn(p, |i, _| classes.present[classes.elements.block_of(i)].max(1.0))

@@ -1,43 +1,43 @@
-//! Why there is no estimate.
+//! The reasons why there is no estimate.
 
 use kalfit_model::StructureError;
 
-/// Why there is no estimate.
+/// The reason why there is no estimate.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// There are no tests.
     #[error("there are no tests")]
     NoTests,
-    /// The structure of Σ cannot be.
+    /// The structure of Σ is not valid.
     #[error(transparent)]
     Structure(#[from] StructureError),
     /// Two tests have the same id.
     #[error("two tests have the id `{id}`")]
     DuplicateTest {
-        /// The id.
+        /// The id of both.
         id: String,
     },
-    /// A test of which is not known which groups it stands in, under a model with levels.
+    /// The groups of a test are not known, under a model with levels.
     #[error("the model has levels of groups, and the groups of test `{test}` are not known")]
     Ungrouped {
-        /// Its id.
+        /// The id of the test.
         test: String,
     },
-    /// A test that measures estimated states without noise, under a model with levels.
+    /// A test measures estimated states without noise, under a model with levels.
     #[error(
         "test `{test}` measures a combination of estimated states without any noise, which levels of groups do not take"
     )]
     ExactInGroups {
-        /// Its id.
+        /// The id of the test.
         test: String,
     },
-    /// A test that is not kept phase by phase, where each phase is to be taken by itself.
+    /// A test is not stored phase by phase, where each phase is to be fitted separately.
     #[error("the reduction of test `{test}` does not hold its phases one by one, which `marginal` needs")]
     NoPhases {
-        /// Its id.
+        /// The id of the test.
         test: String,
     },
-    /// The restricted likelihood of phases taken by themselves.
+    /// The restricted likelihood is requested for phases that are fitted separately.
     #[error("the restricted likelihood is not available for phases that are fitted separately (`marginal`)")]
     RestrictedMarginal,
     /// Σ became singular along what tests measure without noise.
@@ -56,7 +56,7 @@ pub enum FitError {
     NotMonotone {
         /// ℓ before the step.
         before: f64,
-        /// ℓ after it.
+        /// ℓ after the step.
         after: f64,
     },
 }

@@ -1,4 +1,4 @@
-//! What the likelihood that is maximised is of.
+//! The reductions that the maximised likelihood is computed from.
 
 use std::borrow::Cow;
 
@@ -11,8 +11,8 @@ use crate::{levels, marginal};
 use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_model::Reduction;
 
-/// The reductions whose likelihood is maximised: those given, or, phase by phase, what is left of each phase without the one before, or,
-/// where tests stand in groups, in what is a test's own and what each of its groups adds.
+/// The reductions whose likelihood is maximised: those given; under `Marginal`, each phase less its prediction from the
+/// phase before; for tests in groups, reductions in the states of the test and of each of its groups.
 pub fn evidence<'a>(
     reductions: &'a Reductions,
     structure: &Structure<'_>,

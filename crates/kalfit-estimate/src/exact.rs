@@ -54,7 +54,7 @@ impl Objective for ExactTests<'_> {
     }
 }
 
-/// Newton steps from the current root; every step raises the objective, so a step that is cut short is still a GEM step.
+/// Takes Newton steps from the current root. Every step raises the objective, so an early stop is still a GEM step.
 pub(crate) fn maximise_exact(map: &CovarianceMap, second: &DMatrix<f64>, root: DMatrix<f64>, n: f64) -> DMatrix<f64> {
     let objective =
         ExactTests { second, n, random: &map.random, elements: &map.elements, jacobian: DMatrix::zeros(0, 0) };

@@ -17,14 +17,15 @@ use kalfit_filter::reduce::Reductions;
 use kalfit_model::Chain;
 use kalfit_model::Population;
 
-/// How far, in standard deviations, a population may be off the structure: it went through a file.
+/// Largest deviation of a population from the structure, in standard deviations, that counts as rounding: the
+/// population was read from a file.
 const ROUNDING: f64 = 1e-6;
 
-/// Why there is no such state.
+/// The reason why there is no state at a population.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ExpectedError {
     Fit(FitError),
-    /// An element of the population is not what the structure makes it.
+    /// An element of the population does not agree with the structure.
     Off {
         element: Element,
         found: f64,
@@ -38,7 +39,7 @@ impl From<FitError> for ExpectedError {
     }
 }
 
-/// The state at a population that was checked. What the reductions say of the measurements is not read.
+/// The state at a population, which must agree with the structure. Measured values in the reductions are ignored.
 pub fn at_population(
     reductions: &Reductions,
     structure: &Structure<'_>,
@@ -88,7 +89,7 @@ fn local(sums: &Sums) -> Local {
     }
 }
 
-/// The population in η, which must be on the structure.
+/// The population as a point in η; an error where it does not agree with the structure.
 fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedError> {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
     let mean = DVector::from_vec(frame.mean_in(&population.mean));
@@ -109,14 +110,15 @@ fn point(problem: &Problem, population: &Population) -> Result<Point, ExpectedEr
     Ok(Point { mean: on.as_slice().to_vec(), coefficients, root })
 }
 
-/// Variances that are this part of the largest are none.
+/// Variances below this fraction of the largest count as zero.
 const NOTHING: f64 = 1e-18;
 
-/// A root of Σ of the structure's own shape, or the element (i, j, value on the structure) that is farthest off it.
+/// A root of Σ in the form of the structure, or the element (i, j, value by the structure) that deviates most from the
+/// structure.
 fn root(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, (usize, usize, f64)> {
     let root = map.root_of(&map.mask(sigma));
     let on = &root * root.transpose();
-    // in η all states are of one size: what is far smaller than the largest is rounding beside a zero
+    // in η all states are of about one size: what is far smaller than the largest is a zero with rounding
     let largest = (0..map.p).fold(0.0, |most: f64, i| most.max(sigma[(i, i)]));
     let size = |i: usize| sigma[(i, i)].max(on[(i, i)]).max(NOTHING * largest).sqrt();
     let (mut worst, mut most) = (None, ROUNDING);

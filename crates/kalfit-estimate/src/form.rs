@@ -1,4 +1,4 @@
-//! The structure of the Σ of one phase, from what the model says of it.
+//! The structure of the Σ of one phase, from the model.
 
 use nalgebra::DMatrix;
 
@@ -65,7 +65,7 @@ impl CovarianceMap {
     }
 }
 
-/// Which states have their variance held at zero.
+/// For each state, whether its variance is held at zero.
 fn zero_variances(structure: &CovarianceStructure, p: usize) -> Vec<bool> {
     let mut zero = vec![false; p];
     for element in &structure.fixed {
@@ -108,7 +108,7 @@ fn is_fixed_zero(structure: &CovarianceStructure, i: usize, j: usize) -> bool {
     structure.fixed.iter().any(|e| e.value == 0.0 && (e.i, e.j) == (i.max(j), i.min(j)) && i != j)
 }
 
-/// Splits blocks into the connected components that zeros leave.
+/// Splits blocks into the connected components that remain without the zero elements.
 fn split(blocks: Vec<Vec<usize>>, is_zero: &dyn Fn(usize, usize) -> bool) -> Vec<Vec<usize>> {
     let mut result = Vec::new();
     for block in blocks {
@@ -130,7 +130,7 @@ fn split(blocks: Vec<Vec<usize>>, is_zero: &dyn Fn(usize, usize) -> bool) -> Vec
     result
 }
 
-/// Fixed and equal elements that the form does not give by itself, in η, scaled to coefficients of order one.
+/// Constraints for fixed and equal elements that the form does not imply, in η, scaled to coefficients of order one.
 fn constraints(structure: &CovarianceStructure, frame: &Frame, map: &CovarianceMap) -> Vec<Constraint> {
     if !matches!(map.parts[0].form, CoordinateForm::Factor(_)) {
         return Vec::new();

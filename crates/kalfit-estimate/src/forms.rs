@@ -1,4 +1,4 @@
-//! Quadratic forms u'Wu of what classes say, W itself never put together where classes stand side by side.
+//! Quadratic forms u'Wu of the classes; in lanes, W itself is never assembled.
 #![expect(non_snake_case, reason = "W is the letter of the theory")]
 
 use std::ops::Range;
@@ -16,8 +16,8 @@ use crate::terms::ClassTerms;
 use kalfit_algebra::parts::{ColumnWork, in_parts};
 use kalfit_algebra::rows::Rows;
 
-/// What `of` makes of each class and of its W: u'Wu for every column u of `directions`. Some classes by themselves, as
-/// [`map_classes`](crate::map_classes).
+/// Folds u'Wu of each class, for every column u of `directions`, by `of` into parts that begin as `start()`, like
+/// [`map_classes`](crate::estimate::map_classes).
 pub fn map_forms<T: Send>(
     classes: &Classes,
     (regressors, point): (&Regressors, &Point),
@@ -58,7 +58,7 @@ pub fn map_forms<T: Send>(
     parts.into_iter().map(|(made, ..)| made).collect()
 }
 
-/// u'Wu of classes side by side, for every column u; one class after the other.
+/// u'Wu of packed classes for every column u, class after class.
 struct Forms<'a> {
     packed: &'a Packed,
     classes: &'a Listed,
@@ -90,7 +90,7 @@ impl Kernel for Forms<'_> {
     }
 }
 
-/// A few directions at a time.
+/// The kernel of `Forms` for a few directions at a time.
 struct OfDirections<'a, T> {
     said: &'a ChainTerms<T>,
     ranges: &'a [&'a Range<usize>],
@@ -113,7 +113,7 @@ impl<T: Lanes> ColumnWork for OfDirections<'_, T> {
             let (before, own) = blocks.as_slice().split_at(k);
             blocks.nth(k);
             for a in 0..one.len() {
-                // W is symmetric: what lies between phases counts twice
+                // W is symmetric: blocks between phases count twice
                 let (mut twice, mut once) = ([zero; N], [zero; N]);
                 for (W, other) in before.iter().zip(self.ranges) {
                     self.row::<N>(W.as_ref(), (a, other.start), from, &mut twice);
@@ -130,7 +130,7 @@ impl<T: Lanes> ColumnWork for OfDirections<'_, T> {
 }
 
 impl<T: Lanes> OfDirections<'_, T> {
-    /// Adds row a of a block of W times what some directions have there.
+    /// Adds row a of a block of W times the entries of N directions at the block's columns, which begin at `start`.
     #[inline(always)]
     fn row<const N: usize>(&self, W: Option<&Rows<T>>, (a, start): (usize, usize), from: usize, sums: &mut [T; N]) {
         let Some(W) = W else { return };
@@ -161,7 +161,8 @@ mod tests {
         (0..size).flat_map(|k| (0..=k).map(move |i| entry(i, k))).collect()
     }
 
-    /// A test of phases of two states each; each second one lacks the last phase, and one calls for square roots.
+    /// A test with phases of two states each; every second test lacks the last phase, and one needs square-root
+    /// arithmetic.
     fn test(number: usize) -> Reduction {
         let phase = |at: usize| {
             let seed = 10 * number + at;

@@ -10,14 +10,14 @@ use kalfit_model::ExactRows;
 
 pub(crate) use kalfit_model::remote::Coordinates as Frame;
 
-/// Tests that are added up by themselves.
+/// Number of tests that form one partial sum.
 const CHUNK: usize = 1024;
 
 /// What tests say together.
 pub(super) struct Pooled {
     /// Σ R'R, packed.
     information: Vec<f64>,
-    /// Tests that inform each state.
+    /// Number of tests that inform each state.
     informed: Vec<f64>,
     /// Σ R'd.
     y: Vec<f64>,
@@ -53,7 +53,7 @@ impl Pooled {
         }
     }
 
-    /// All of the reductions; `order` is one that does not depend on theirs.
+    /// Sums over all reductions; `order` must not depend on their order in the data.
     pub(super) fn all(reductions: &Reductions, order: &[usize], (p, regressors): (usize, usize)) -> Pooled {
         let units = &exact_units(reductions, order);
         let of = |part| Pooled::of((reductions, units), part, (p, regressors));
@@ -61,13 +61,13 @@ impl Pooled {
         parts.iter().fold(Pooled::none((p, regressors)), |sum, part| sum.and(part))
     }
 
-    /// As a list that adds.
+    /// The sums as a list of numbers that can be added to others.
     pub(super) fn numbers(&self) -> Vec<f64> {
         let Pooled { information, informed, y, squares, tests } = self;
         [information, informed, y, squares].into_iter().flatten().copied().chain([*tests]).collect()
     }
 
-    /// From such a list; `None` where it is not of the right length.
+    /// The sums from such a list; `None` where its length is wrong.
     pub(super) fn of_numbers((p, regressors): (usize, usize), numbers: &[f64]) -> Option<Pooled> {
         let (information, rest) = numbers.split_at_checked(pairs(p))?;
         let (informed, rest) = rest.split_at_checked(p)?;
@@ -104,7 +104,8 @@ impl Pooled {
         sum
     }
 
-    /// Adds what a test measures exactly as if it were known to these units: they are but to find coordinates by.
+    /// Adds what a test measures exactly as if it were known with the standard errors `units`: the sums only serve to
+    /// choose coordinates.
     fn add_exact(&mut self, exact: &ExactRows, units: &[f64], factor: &[f64]) {
         let p = self.y.len();
         for ((row, value), unit) in exact.rows(p).zip(units) {
@@ -132,7 +133,8 @@ impl Pooled {
     }
 }
 
-/// How much the first, second, … of the values that tests measure exactly differ from test to test, or else how large they are.
+/// Standard deviation over tests of the first, second, … value that tests measure exactly, or else the size of these
+/// values.
 fn exact_units(reductions: &Reductions, order: &[usize]) -> Vec<f64> {
     let mut found: Vec<Spread> = Vec::new();
     for exact in order.iter().filter_map(|&j| reductions.exact(j)) {
@@ -164,7 +166,7 @@ impl Spread {
     }
 }
 
-/// Of the first numbers, as many as both have: four sums side by side.
+/// Dot product over the shorter length, by four partial sums.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let size = a.len().min(b.len());
     let (a, b) = (a[..size].chunks_exact(4), b[..size].chunks_exact(4));

@@ -1,4 +1,4 @@
-//! One class, from its tests.
+//! Gathers the tests of one class.
 
 use nalgebra::DMatrix;
 
@@ -14,7 +14,7 @@ use kalfit_model::Chain;
 use kalfit_model::ExactRows;
 use kalfit_model::Path;
 
-/// Puts some tests with one R, by their numbers, into the place of a class.
+/// Writes tests with one R, by their numbers, into the buffer of a class.
 pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
     let p = frame.scale.len();
     let zeros = |numbers: &mut Vec<f64>, size: usize| {
@@ -24,7 +24,7 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
     let exact = reductions.exact(tests[0]);
     let rows = p + exact.map_or(0, |exact| exact.values.len());
     zeros(&mut class.factor, rows * p);
-    zeros(&mut class.mean, rows); // R × the centre, and C × it
+    zeros(&mut class.mean, rows); // R × centre, then C × centre
     let factor = reductions.factor(tests[0]);
     for k in 0..p {
         for (i, &x) in factor[pair(k, 0)..][..=k].iter().enumerate() {
@@ -41,14 +41,14 @@ pub(super) fn gather(reductions: &Reductions, tests: &[usize], frame: &Frame, cl
         scatter((reductions, tests), (&offset, &units), class);
     }
     class.constant = tests.iter().map(|&j| reductions.constant(j)).sum();
-    // the density of g in other units
+    // the density of g in the units of the scaled rows
     class.constant += tests.len() as f64 * units.iter().map(|unit| unit.ln()).sum::<f64>();
     class.square_root = exact.is_some() || tests.iter().any(|&j| reductions.path(j) == Path::SquareRoot);
     class.chain = None;
     about(reductions, tests, frame, class);
 }
 
-/// Puts C into a class, its rows of length one, and C × the centre; returns what the rows were divided by, as factors of them.
+/// Writes C, with rows of length one, and C × centre into a class; returns the factors that scaled the rows.
 fn put_exact(exact: &ExactRows, frame: &Frame, class: &mut Class) -> Vec<f64> {
     let p = frame.scale.len();
     let mut units = Vec::with_capacity(exact.values.len());
@@ -63,7 +63,7 @@ fn put_exact(exact: &ExactRows, frame: &Frame, class: &mut Class) -> Vec<f64> {
     units
 }
 
-/// The same of tests in phases; `place`: where their chain stands if it is made.
+/// Writes tests in phases into the buffer of a class; `place` is their lane if they are packed.
 pub(super) fn gather_chains(
     (reductions, tests): (&Reductions, &[usize]),
     (frame, elements): (&Frame, &Elements),
@@ -80,7 +80,7 @@ pub(super) fn gather_chains(
     about(reductions, tests, frame, class);
 }
 
-/// How many they are, and their covariates in units of the frame.
+/// Sets the number of tests and their covariates in units of the frame.
 fn about(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Class) {
     class.count = tests.len() as f64;
     class.covariates.clear();
@@ -88,7 +88,8 @@ fn about(reductions: &Reductions, tests: &[usize], frame: &Frame, class: &mut Cl
     class.covariates.extend(covariates.map(|(x, s)| x / s));
 }
 
-/// The mean of d and g of several tests, and vectors whose outer products add up to their scatter about it; g in these units.
+/// Computes the mean of d and g of several tests, and vectors whose outer products add up to the scatter around that
+/// mean; g is multiplied by `units`.
 fn scatter((reductions, tests): (&Reductions, &[usize]), (offset, units): (&[f64], &[f64]), class: &mut Class) {
     let (rows, mean) = (offset.len(), &mut class.mean);
     let own = |j: usize, i: usize| {

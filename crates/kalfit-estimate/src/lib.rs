@@ -14,7 +14,7 @@
 //! [`CovarianceStructure`](kalfit_model::CovarianceStructure).
 //!
 //! The estimator sees reductions, never data. [`fit`] returns an [`Estimate`], which always carries the optimality
-//! [`Certificate`]: an estimate without one cannot be written down.
+//! [`Certificate`]: an estimate without one cannot be constructed.
 
 mod at_other_alpha;
 mod canonical;
@@ -119,8 +119,8 @@ use crate::search::{Beginning, Search};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Population;
 
-/// Maximises ℓ(μ, Σ) over the reductions under a structure, or the restricted likelihood of Σ with μ by generalised least
-/// squares, as the criterion of the settings says.
+/// Maximises, by the criterion of the settings, ℓ(μ, Σ) over the reductions under a structure, or the restricted
+/// likelihood of Σ with μ by generalised least squares.
 pub fn fit(
     reductions: &Reductions,
     structure: &Structure<'_>,
@@ -131,8 +131,8 @@ pub fn fit(
     Search::new(problem, settings, progress).run(Beginning::Open, structure)?.of_all(reductions)
 }
 
-/// As [`fit`], from values that are near the optimum: those of a fit under another structure or to other tests. They
-/// need not meet the structure. Regression coefficients that are not given start at zero.
+/// Fits as [`fit`] does, from values near the optimum: those of a fit under another structure or to other tests. The
+/// values need not meet the structure. Regression coefficients that are not given start at zero.
 pub fn fit_from(
     reductions: &Reductions,
     structure: &Structure<'_>,
@@ -151,7 +151,7 @@ pub fn fit_on(end: &FinalState, reductions: &Reductions, structure: &Structure<'
     Search::new(problem, &end.settings, &mut Silent).run(start, structure)?.of_all(reductions)
 }
 
-/// The place where a search would begin, with the expected information there.
+/// The problem, the point where a search would begin, and the sums there with the expected information.
 pub fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(Problem, Point, Sums), FitError> {
     let problem = problem(reductions, structure, &Settings::default())?;
     let start = start::start(&problem, structure)?;
@@ -160,7 +160,7 @@ pub fn at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<(P
     Ok((problem, start, sums.at_rest()))
 }
 
-/// Of ids that two tests have, the first by order.
+/// The first id, in alphabetical order, that two tests share.
 fn duplicate_id(reductions: &Reductions) -> Option<&str> {
     let hash = |j: usize| {
         let mut hasher = DefaultHasher::new();
@@ -177,7 +177,7 @@ fn duplicate_id(reductions: &Reductions) -> Option<&str> {
     again.min()
 }
 
-/// What is maximised over the reductions; an error where that has no meaning.
+/// The problem to be maximised over the reductions; an error where it is not well defined.
 fn problem(reductions: &Reductions, structure: &Structure<'_>, settings: &Settings) -> Result<Problem, FitError> {
     let reductions = &*evidence(reductions, structure, settings)?;
     if reductions.is_empty() && reductions.remote().is_none() {

@@ -1,7 +1,9 @@
-//! Linear covariance structures Σ = G0 + Σ_g θ_g G_g (Anderson 1973) as what the solver knows: blocks and linear constraints.
+//! Linear covariance structures Σ = G0 + Σ_g θ_g G_g (Anderson 1973) in the solver's terms: blocks and linear
+//! constraints.
 //!
-//! An element that is zero in every matrix is zero by form. Of the others, as many pivots are chosen as there are generators;
-//! with the generators in echelon form, every other element is linear in the pivots, and that is one constraint.
+//! An element that is zero in every matrix is a structural zero. Among the others, as many pivots are chosen as there
+//! are generators; with the generators in echelon form, every other element is linear in the pivots, and that is one
+//! constraint.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,11 +13,11 @@ use kalfit_algebra::echelon::echelon;
 use kalfit_algebra::symmetric;
 use kalfit_model::{CovarianceStructure, StructureError};
 
-/// Least eigenvalue (of the correlations) of a comfortable start.
+/// Smallest eigenvalue of the correlations at which a start counts as well inside the cone.
 const INTERIOR: f64 = 0.05;
-/// Rounds of projections onto the structure and the cone.
+/// Maximum number of rounds of projections onto the structure and the cone.
 const ROUNDS: usize = 500;
-/// Beside the largest of its constraint, a coefficient below this is rounding.
+/// Coefficients below this fraction of the largest one in their constraint are rounding.
 const ROUNDING: f64 = 1e-14;
 
 /// A linear structure in η.
@@ -45,24 +47,24 @@ impl LinearStructure {
         Ok(LinearStructure { constant, generators })
     }
 
-    /// Whether an element is zero in every member.
+    /// Whether an element is zero in every member of the structure.
     pub(crate) fn is_zero(&self, i: usize, j: usize) -> bool {
         self.constant[(i, j)] == 0.0 && self.generators.iter().all(|g| g[(i, j)] == 0.0)
     }
 
-    /// States that are not without variance in every member.
+    /// States with a variance that is not zero in every member of the structure.
     pub(crate) fn random(&self) -> Vec<usize> {
         (0..self.constant.nrows()).filter(|&i| !self.is_zero(i, i)).collect()
     }
 
-    /// Constraints on the elements that the form leaves free.
+    /// Constraints on the elements that are not structural zeros.
     pub(crate) fn constraints(&self, map: &CovarianceMap) -> Result<Vec<Constraint>, StructureError> {
         let all = (0..map.p).flat_map(|i| (0..=i).map(move |j| (i, j)));
         let (zero, free): (Vec<_>, Vec<_>) = all.partition(|&(i, j)| map.is_structural_zero(i, j));
         if zero.iter().any(|&(i, j)| !self.is_zero(i, j)) {
-            return Err(StructureError::NoMember); // a covariance with a state that has no variance
+            return Err(StructureError::NoMember); // a state without variance has a covariance
         }
-        // each generator at a size of one, so that a small one is not taken for none
+        // each generator is scaled to size one, so that a small one is not taken for zero
         let unit = |g: &DMatrix<f64>| if g.amax() > 0.0 { g.amax().recip() } else { 0.0 };
         let units: Vec<f64> = self.generators.iter().map(unit).collect();
         let span = DMatrix::from_fn(free.len(), units.len(), |s, g| self.generators[g][free[s]] * units[g]);
@@ -74,7 +76,7 @@ impl LinearStructure {
         Ok(others.map(|s| self.constraint(&free, &pivots, span.row(s).iter().copied(), s)).collect())
     }
 
-    /// σ_s - Σ_g e_g σ_pivot(g) = the same of G0, scaled to coefficients of order one.
+    /// The constraint σ_s - Σ_g e_g σ_pivot(g) = the same combination of G0, scaled to coefficients of order one.
     fn constraint(
         &self,
         free: &[(usize, usize)],
@@ -99,7 +101,7 @@ fn check(matrix: &DMatrix<f64>, p: usize, what: impl Fn() -> String) -> Result<(
     let places = (0..p).flat_map(|row| (row..p).map(move |column| (row, column)));
     for (row, column) in places {
         let (above, below) = (matrix[(row, column)], matrix[(column, row)]);
-        let same = (above - below).abs() <= 1e-12 * above.abs().max(below.abs()); // false for what is not a number
+        let same = (above - below).abs() <= 1e-12 * above.abs().max(below.abs()); // false for NaN
         if !(same && above.is_finite()) {
             return Err(StructureError::Asymmetric { what: what(), row, column, above, below });
         }
@@ -107,8 +109,8 @@ fn check(matrix: &DMatrix<f64>, p: usize, what: impl Fn() -> String) -> Result<(
     Ok(())
 }
 
-/// A positive semidefinite Σ, of one phase, that (nearly) meets the constraints, near a wanted one: projections onto the constraints and the
-/// cone in turn, well inside the cone if that can be had.
+/// A positive semidefinite Σ of one phase that (nearly) meets the constraints, near `wanted`: by alternating
+/// projections onto the constraints and the cone, well inside the cone if possible.
 pub(crate) fn member(map: &CovarianceMap, wanted: &DMatrix<f64>) -> DMatrix<f64> {
     let normals = crate::local::normals(&map.constraints, &map.elements);
     // in the metric tr(DD) an element off the diagonal counts twice

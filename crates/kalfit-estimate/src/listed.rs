@@ -1,10 +1,10 @@
-//! Classes that stand in no blocks.
+//! A list of classes that are not in blocks.
 
 use crate::chained::ChainStore;
 use crate::class::ClassRef;
 use kalfit_algebra::row_lists::RowLists;
 
-/// Classes one after the other, their numbers in columns.
+/// A list of classes, with one column for each of their quantities.
 #[derive(Debug, Clone, Default)]
 pub struct Listed {
     counts: Vec<f64>,
@@ -47,7 +47,7 @@ impl Listed {
         self.chains.push(class.chain.cloned());
     }
 
-    /// Adds others.
+    /// Appends another list.
     pub(crate) fn append(&mut self, mut others: Listed) {
         let (own, more) = (self.len(), others.len());
         self.factors.append(own, &others.factors, more);
@@ -60,7 +60,8 @@ impl Listed {
         self.chains.append(&mut others.chains);
     }
 
-    /// The same with other noise: d and what classes scatter so many times as large, and this much more of the constant of each.
+    /// The list at another noise level: d and scatter are multiplied by `unit`, and `change` is added to the constant
+    /// of each class.
     pub(crate) fn shrunk(&self, unit: f64, change: impl Fn(usize) -> f64) -> Listed {
         let mut listed = self.clone();
         listed.constants.iter_mut().enumerate().for_each(|(k, constant)| *constant += change(k));

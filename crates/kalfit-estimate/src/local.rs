@@ -1,4 +1,4 @@
-//! A function of (mean coordinates, Σ) near a point: value, score, information; and its picture in free coordinates.
+//! A function of (mean coordinates, Σ) near a point: value, score and information, also in free coordinates.
 
 use std::sync::Arc;
 
@@ -31,7 +31,7 @@ pub struct Local {
 }
 
 impl Local {
-    /// The second derivatives by the elements of Σ are taken out of the sums.
+    /// Value and derivatives from sums. The second derivatives by the elements of Σ are moved out of the sums.
     pub fn of(sums: &mut Sums) -> Local {
         Local {
             value: sums.value,
@@ -53,8 +53,8 @@ impl Local {
 
 /// Something to maximise over (mean coordinates, Σ).
 pub trait Objective {
-    /// Value and derivatives; `None` where the function is not defined. `near` is the
-    /// covariance of the free mean coordinates at a place near by, where it is known.
+    /// Value and derivatives; `None` where the function is not defined. `near` is the covariance of the free mean
+    /// coordinates at a nearby point, where it is known.
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local>;
     /// d(mean coordinates) / d(free mean coordinates).
     fn mean_jacobian(&self) -> &DMatrix<f64>;
@@ -62,10 +62,10 @@ pub trait Objective {
     fn move_mean(&self, point: &Point, step: &[f64]) -> Point;
 }
 
-/// The picture in free coordinates (mean, then ψ) on the tangent space of the constraints.
+/// The derivatives in free coordinates (mean, then ψ), along the tangent space of the constraints.
 #[derive(Debug, Clone)]
 pub struct Tangent {
-    /// Free mean coordinates.
+    /// Number of free mean coordinates.
     pub mean: usize,
     pub chart: Chart,
     /// dσ/dψ, elements × ψ.
@@ -76,11 +76,11 @@ pub struct Tangent {
     pub gradient: DVector<f64>,
     /// Negative Hessian of the Lagrangian along `basis`.
     pub information: DMatrix<f64>,
-    /// A step along each column of `basis` that is of the size of what varies there, in [`natural_sizes`].
+    /// Natural length of a step along each column of `basis`, by [`natural_sizes`].
     pub sizes: Vec<f64>,
     /// Lagrange multipliers: dℓ_max / d(constraint value).
     pub multipliers: Vec<f64>,
-    /// G - Λ: the score that is left once the constraints have taken their share.
+    /// G - Λ: the score that remains after the constraints' multipliers are subtracted.
     pub residual_score: DMatrix<f64>,
 }
 
@@ -120,7 +120,7 @@ impl Tangent {
         tangent
     }
 
-    /// Derivatives by mean coordinates and by ψ, along the basis.
+    /// The gradient along the basis from the derivatives by mean coordinates and by ψ.
     pub fn pulled_back(
         &self,
         mean_jacobian: &DMatrix<f64>,
@@ -132,7 +132,7 @@ impl Tangent {
         self.basis.transposed_times(&DVector::from_iterator(self.basis.nrows(), all))
     }
 
-    /// Works the information out.
+    /// Computes the information along the basis.
     pub(crate) fn inform(&mut self, local: &Local, mean_jacobian: &DMatrix<f64>) {
         let all = free_information(local, mean_jacobian, &self.chart, &self.jacobian, &self.residual_score);
         self.information = along(&self.basis, all);
@@ -148,13 +148,14 @@ fn along(basis: &Sparse, mut information: DMatrix<f64>) -> DMatrix<f64> {
     information
 }
 
-/// What varies in each element, in η: √(1 + Σ_ii), the spread over the tests and what one test leaves open. Information on
-/// an element counts in this unit: a large Σ makes the information on μ and Σ small, yet it is all there is to know.
+/// The natural size of each element of ξ, in η: √(1 + Σ_ii), the spread over tests together with the uncertainty that
+/// one test leaves. Information on an element is measured in this unit: a large Σ makes the information on μ and Σ
+/// small, yet no more can be known.
 pub fn natural_sizes(root: &DMatrix<f64>) -> Vec<f64> {
     root.row_iter().map(|row| (1.0 + row.norm_squared()).sqrt()).collect()
 }
 
-/// The step along Σ weight × coordinate that is of natural size: the smallest size counts most, as it does for information.
+/// Natural length of a step along Σ weight × coordinate: the smallest size counts most, as it does for information.
 pub fn harmonic(parts: impl Iterator<Item = (f64, f64)>) -> f64 {
     let sum: f64 = parts.map(|(weight, size)| (weight / size).powi(2)).sum();
     if sum > 0.0 { sum.sqrt().recip() } else { 1.0 }
@@ -168,7 +169,7 @@ fn coordinate_sizes(
     root: &DMatrix<f64>,
 ) -> Vec<f64> {
     let sizes = natural_sizes(root);
-    // regression coefficients, whose covariates are of size one: that of the state that they move
+    // a regression coefficient, whose covariates are of size one, has the size of the state that it acts on
     let of = |i: usize| sizes[if i < sizes.len() { i } else { regressors[i - sizes.len()] }];
     let mean = mean_jacobian.column_iter().map(|c| harmonic(c.iter().enumerate().map(|(i, x)| (*x, of(i)))));
     let psi = chart.coordinates.iter().map(|entries| harmonic(entries.iter().map(|&(i, _, x)| (x, sizes[i]))));
@@ -186,8 +187,9 @@ pub(crate) fn normals(constraints: &[Constraint], elements: &Elements) -> DMatri
     normals
 }
 
-/// Lagrange multipliers. Where all elements of a constraint stand at zero variances, no step in ψ feels it (dσ/dψ = 0): then
-/// they share the score so that what is left of it lies along the constraint, as the certificate needs it.
+/// Lagrange multipliers. Where all elements of a constraint belong to zero variances, no step in ψ changes the
+/// constraint (dσ/dψ = 0): its multiplier is then chosen so that the remaining score lies along it, as the certificate
+/// needs.
 fn multipliers(
     (constraints, elements): (&[Constraint], &Elements),
     (in_sigma, normals): (&DMatrix<f64>, &DMatrix<f64>),
@@ -200,7 +202,8 @@ fn multipliers(
     let mut found = symmetric::pseudo_solve(&(normals * normals.transpose()), &(normals * gradient));
     let numb: Vec<usize> = (0..normals.nrows()).filter(|&m| normals.row(m).amax() == 0.0).collect();
     if !numb.is_empty() {
-        // along the constraint, elements grow in the ratio of its coefficients: their parts of the score are made to count alike
+        // along the constraint, elements grow in the ratio of its coefficients: these sizes give their parts of the
+        // score equal weight
         let mut size = DVector::from_element(score.len(), 1.0);
         for &m in &numb {
             if let [(i, j, x), (k, l, y)] = constraints[m].terms[..] {
@@ -253,13 +256,13 @@ fn free_information(
     information
 }
 
-/// Bounded coordinates that stand at zero and would go below.
+/// Bounded coordinates that are at zero and that the gradient would move below zero.
 fn held_coordinates(chart: &Chart, gradient: &DVector<f64>) -> Vec<usize> {
     let at_zero = |&k: &usize| chart.bounded[k].is_some_and(|value| value <= 0.0) && gradient[k] <= 0.0;
     (0..chart.bounded.len()).filter(at_zero).collect()
 }
 
-/// Orthonormal columns that span (all of the mean) × (null space of the normals, held coordinates left out).
+/// Orthonormal columns that span (all of the mean) × (null space of the normals), without the held coordinates.
 fn tangent_basis(q: usize, normals: &DMatrix<f64>, held: &[usize], n: usize) -> Sparse {
     let kept: Vec<usize> = (0..n).filter(|k| !held.contains(k)).collect();
     let mut basis = Sparse::of_height(q + n);
@@ -281,7 +284,7 @@ fn tangent_basis(q: usize, normals: &DMatrix<f64>, held: &[usize], n: usize) -> 
 mod tests {
     use super::*;
 
-    /// 1/size² = Σ (weight/size)², and one where nothing moves.
+    /// The length satisfies 1/length² = Σ (weight/size)², and is one where all weights are zero.
     #[test]
     fn the_smallest_size_counts_most() {
         let found = harmonic([(2.0, 1.0), (3.0, 0.5), (0.0, 1e-9)].into_iter());

@@ -1,16 +1,18 @@
 //! Each phase by itself: the paper's quick analysis, in information form (theory §7, "Three ways to fit").
 //!
-//! The least-squares estimate of σ_i from phase i alone, less what the one of σ_{i-1} from phase i-1 alone makes of it, is a
-//! difference with the mean Eμ_i and the covariance EΣ_iE' + J_e⁻¹. With S = I + R_iCC'R_i' = U'U for the noise between the phases,
+//! The least-squares estimate of σ_i from phase i alone, less its prediction from the estimate of σ_{i-1} by phase i-1
+//! alone, is a difference with the mean Eμ_i and the covariance EΣ_iE' + J_e⁻¹. With S = I + R_iCC'R_i' = U'U for the
+//! noise between the phases,
 //!
 //! ```text
 //! J_m = R_i'S⁻¹R_i = (I + J_i CC')⁻¹J_i        J_e = J_m - J_mG (J_{i-1} + G'J_mG)⁺ G'J_m
 //! ```
 //!
-//! which is what is left of the rows [R_{i-1} 0 | d_{i-1}] and U⁻ᵀ[R_iG R_i | d_i - R_ig] once σ_{i-1} is projected out. The paper
-//! leaves the correlation of these differences between phases out; what is maximised is the sum of the logarithms of their
-//! densities, log N(difference; Eμ_i, EΣ_iE' + J_e⁻¹). Where J_e is singular that is the density of J_e times the difference over its
-//! range, in an orthonormal basis: ½ log of the product of the eigenvalues of J_e that are not zero, less ½ rank log 2π.
+//! which is what remains of the rows [R_{i-1} 0 | d_{i-1}] and U⁻ᵀ[R_iG R_i | d_i - R_ig] once σ_{i-1} is projected
+//! out. The paper ignores the correlation of these differences between phases and maximises the sum of the logarithms
+//! of their densities, log N(difference; Eμ_i, EΣ_iE' + J_e⁻¹). Where J_e is singular, the density is that of J_e times
+//! the difference over the range of J_e, in an orthonormal basis: ½ log of the product of the non-zero eigenvalues of
+//! J_e, less ½ rank log 2π.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -21,11 +23,11 @@ use kalfit_model::Path;
 use kalfit_model::{Chain, ChainPhase, Link};
 use kalfit_model::{Reduction, unpack};
 
-/// Singular values below this part of what the columns were before anything was taken out of them are zero.
+/// Singular values below this count as zero, with each column in units of its norm before the projection.
 const RANK_TOLERANCE: f64 = 1e-12;
 
-/// The reduction of a test whose phases know nothing of each other; `None` where it is not kept phase by phase. `states` are those
-/// of all phases of the model.
+/// The reduction of a test with its phases treated as independent; `None` where the reduction is not stored phase by
+/// phase. `states` counts the states of all phases of the model.
 pub(crate) fn marginal(reduction: ReductionRef<'_>, states: usize) -> Option<Reduction> {
     let chain = reduction.chain?;
     let mut before: Option<&ChainPhase> = None;
@@ -40,7 +42,7 @@ pub(crate) fn marginal(reduction: ReductionRef<'_>, states: usize) -> Option<Red
     Some(Reduction { constant, residual: None, data, factor, chain: Some(Box::new(chain)), ..reduction.into() })
 }
 
-/// What is known of the σ of a phase apart from the phase before: log density = constant - ½ ‖data - factor σ‖².
+/// The density of a phase's difference, as a function of the phase's σ: log density = constant - ½ ‖data - factor σ‖².
 struct Difference {
     factor: DMatrix<f64>,
     data: DVector<f64>,
@@ -57,7 +59,7 @@ impl Difference {
         }
     }
 
-    /// What is left of both phases' rows once σ of the phase before is projected out.
+    /// The difference from both phases' rows, with σ of the phase before projected out.
     fn left(before: &ChainPhase, link: &Link, (own, data): (DMatrix<f64>, DVector<f64>)) -> Difference {
         let (earlier, q) = (unpack(&before.factor, before.data.len()), own.nrows());
         let from = earlier.nrows();
@@ -80,8 +82,8 @@ impl Difference {
         Difference::on_its_range(&full, kept.columns(0, q).clone_owned(), kept.column(q).clone_owned())
     }
 
-    /// The density of what the rows see; parts of the data that they do not explain are no difference. `full`: the rows before
-    /// anything was taken out of them.
+    /// The density over the range of the rows; parts of the data outside that range are dropped. `full` holds the rows
+    /// before the projection.
     fn on_its_range(full: &DMatrix<f64>, factor: DMatrix<f64>, data: DVector<f64>) -> Difference {
         let range = range(&factor, full);
         let rank = range.ncols();
@@ -92,7 +94,8 @@ impl Difference {
         Difference { factor: range.transpose() * factor, data: range.transpose() * data, constant }
     }
 
-    /// As a phase of its own states: those that only inherit have no part in ξ.
+    /// The difference as an independent phase of the states that belong to ξ; states that are only inherited have no
+    /// part in ξ.
     fn phase(self, before: Option<usize>, like: &ChainPhase) -> ChainPhase {
         let own = like.own;
         let rows = self.factor.nrows();
@@ -117,7 +120,7 @@ impl Difference {
     }
 }
 
-/// An orthonormal basis of the space of the columns, each in units of the one of `full`.
+/// An orthonormal basis of the column space, with each column in units of the norm of that column of `full`.
 fn range(a: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
     let seen: Vec<usize> = (0..a.ncols()).filter(|&k| full.column(k).norm() > 0.0).collect();
     if seen.is_empty() {
@@ -131,7 +134,7 @@ fn range(a: &DMatrix<f64>, full: &DMatrix<f64>) -> DMatrix<f64> {
     vectors.select_columns(&kept)
 }
 
-/// d and packed R of all phases, which know nothing of each other.
+/// d and packed R of all phases together, with zeros between phases.
 fn side_by_side(chain: &Chain, states: usize) -> (Vec<f64>, Vec<f64>) {
     let mut data: Vec<f64> = chain.phases.iter().flat_map(|phase| phase.data.iter().copied()).collect();
     data.resize(states, 0.0);

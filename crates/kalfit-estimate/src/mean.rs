@@ -14,11 +14,11 @@ pub struct MeanMap {
     pub offset: DVector<f64>,
     /// Q, p × q.
     pub basis: DMatrix<f64>,
-    /// Elements the regression coefficients act on.
+    /// The element that each regression coefficient acts on.
     pub regressors: Vec<usize>,
-    /// γ = coefficient × this.
+    /// Scale of each regression coefficient: γ = coefficient × scale.
     pub coefficient_scale: Vec<f64>,
-    /// Elements of μ that are fixed, in the user's units.
+    /// Value of each element of μ that is fixed, in the user's units.
     pub(crate) fixed: Vec<Option<f64>>,
 }
 
@@ -62,8 +62,8 @@ impl MeanMap {
     }
 
     /// The paper's (20), generalised: the point of the structure nearest to the mean of the posterior means in the
-    /// metric Σ⁻¹. With nothing constrained that is (8): the mean itself. `None` when Σ is singular and the mean is
-    /// constrained: then the metric has no meaning and the mean needs generalised least squares instead.
+    /// metric Σ⁻¹. Without constraints that is (8), the mean itself. `None` when Σ is singular and the mean is
+    /// constrained: the metric is not defined then, and the mean needs generalised least squares instead.
     pub(crate) fn maximise(&self, posterior_mean: &DVector<f64>, sigma: &DMatrix<f64>) -> Option<DVector<f64>> {
         if self.basis.ncols() == posterior_mean.len() {
             return Some(posterior_mean.clone());
@@ -77,9 +77,9 @@ impl MeanMap {
     }
 }
 
-/// Orthonormal columns with the span of the columns of a matrix of full column rank, by Gram-Schmidt, twice. Columns without
-/// a common element are left as they are: reflections would give them rounding errors in elements that are theirs by no
-/// right, and so a trace of information to means that the data say nothing about.
+/// Orthonormal columns with the span of the columns of a matrix of full column rank, by Gram-Schmidt, twice. Columns
+/// without a common element keep their directions: reflections would cause rounding errors in elements that are zero,
+/// and so give a trace of information to means that the data do not inform.
 fn orthonormal(mut a: DMatrix<f64>) -> DMatrix<f64> {
     for c in 0..a.ncols() {
         for _ in 0..2 {

@@ -1,7 +1,7 @@
 //! Newton's method in (μ, ψ) with the exact Hessian (theory §3).
 //!
-//! Eigenvalues of the Hessian by absolute value, Levenberg damping, every accepted step raises the value. It stops on
-//! the Newton decrement, never on a small change of the value.
+//! Eigenvalues of the Hessian enter by absolute value, steps have Levenberg damping, and every accepted step raises the
+//! value. The search stops on the Newton decrement, never on a small change of the value.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::point::Point;
 use kalfit_algebra::folded::Folded;
 use kalfit_algebra::symmetric;
 
-/// A point with all that is known there.
+/// A point with the value and the derivatives of the objective there.
 #[derive(Debug, Clone)]
 pub struct NewtonIterate {
     pub point: Point,
@@ -35,7 +35,8 @@ impl NewtonIterate {
         NewtonIterate::at(objective.local(&point, near)?, objective.mean_jacobian(), map, point)
     }
 
-    /// The place where this is known; `None` where it is not finite, or so far out that its derivatives overflow.
+    /// The iterate from value and derivatives at a point; `None` where the value is not finite or the derivatives
+    /// overflow.
     pub fn at(
         local: Local,
         mean_jacobian: &DMatrix<f64>,
@@ -52,7 +53,7 @@ impl NewtonIterate {
         place.decrement().is_finite().then_some(place)
     }
 
-    /// What places near by may take from this one.
+    /// The covariance of the free mean coordinates, where it is known: evaluations at nearby points may reuse it.
     pub fn near(&self) -> Option<&DMatrix<f64>> {
         self.local.mean_covariance.as_ref()
     }
@@ -61,9 +62,9 @@ impl NewtonIterate {
         self.curvature.decrement()
     }
 
-    /// Another place that is to take the place of this one, if `make` finds it. Meanwhile large matrices of this one are put aside: those
-    /// by elements of Σ in half their memory, what follows from them not at all. They are back where nothing is found; of this place
-    /// nothing may be asked where something is.
+    /// The successor of this iterate, if `make` returns one. Meanwhile large matrices of this iterate are put aside:
+    /// those by elements of Σ are stored in half their memory, those that follow from them are dropped. They are
+    /// restored where `make` returns none; after a success this iterate must not be used any more.
     pub(crate) fn surpassed(
         &mut self,
         objective: &dyn Objective,
@@ -82,14 +83,14 @@ impl NewtonIterate {
         next
     }
 
-    /// Drops what is large and follows from the rest.
+    /// Drops the information along the tangent basis if it is large: it can be computed again.
     pub(crate) fn slim(&mut self) {
         if self.tangent.information.nrows() >= LARGE {
             self.tangent.information = DMatrix::zeros(0, 0);
         }
     }
 
-    /// Works out again what was dropped.
+    /// Computes the information along the tangent basis again if it was dropped.
     pub(crate) fn restore(&mut self, objective: &dyn Objective) {
         if self.tangent.information.is_empty() {
             self.tangent.inform(&self.local, objective.mean_jacobian());
@@ -97,28 +98,30 @@ impl NewtonIterate {
     }
 }
 
-/// Rows of a matrix that is large.
+/// Number of rows from which on a matrix counts as large.
 const LARGE: usize = 500;
 
-/// What became of one attempt to step.
+/// The outcome of an attempted step.
 pub(crate) enum Attempt {
-    /// A better place.
+    /// A better iterate was found.
     Better(Box<NewtonIterate>),
-    /// No damping helped.
+    /// The step failed with every damping tried.
     Failed,
-    /// The step promised less than the rounding errors of the value, and the value fell: it cannot tell any step from another.
+    /// The step promised less than the rounding errors of the value, and the value fell: it cannot distinguish steps
+    /// any more.
     Blind,
 }
 
-/// Damping that is remembered from step to step.
+/// Levenberg damping, carried over from step to step.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Damping(f64);
 
-/// How often one step is tried with more damping before the safeguard takes over.
+/// Maximum number of tries of one step, each with more damping, before the safeguard takes over.
 const TRIES: usize = 6;
 
 impl Damping {
-    /// Steps from `place`, with more damping until the value rises. Of the place nothing may be asked after a better one is found.
+    /// Steps from an iterate, with more damping until the value rises. After a better iterate is returned, the old one
+    /// must not be used any more.
     pub(crate) fn attempt(
         &mut self,
         objective: &dyn Objective,
@@ -151,7 +154,7 @@ impl Damping {
 }
 
 impl Damping {
-    /// Less damping after a step that gave what it promised, more after one that did not.
+    /// Reduces the damping after a step that gained what it promised, raises it after one that did not.
     fn judge(&mut self, ratio: f64) {
         if ratio > 0.75 {
             self.0 *= 0.1;
@@ -180,7 +183,7 @@ pub(crate) fn moved(
 }
 
 impl CovarianceMap {
-    /// The root nearby whose FF' meets the constraints, if there is one.
+    /// A nearby root F whose FF' meets the constraints, if one is found.
     pub fn onto(&self, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         let chart = self.chart(root);
         let still = DVector::zeros(chart.coordinates.len());
@@ -219,7 +222,7 @@ mod tests {
     use crate::covariance::{CoordinateForm, PhaseForm};
     use kalfit_algebra::elements::Elements;
 
-    /// A value of one mean whose model is everywhere slope x - ½ x²; where it has been asked.
+    /// An objective of one mean coordinate whose model is everywhere slope x - ½ x², with a record of its evaluations.
     struct LineStep<F> {
         slope: f64,
         value: F,
@@ -252,7 +255,7 @@ mod tests {
         }
     }
 
-    /// One attempt from zero, with this much damping before it: where it ends, what is left of the damping, where it asked.
+    /// One attempt from zero with the given damping: its outcome, the damping afterwards, and the points of evaluation.
     fn attempt(slope: f64, damping: f64, value: impl Fn(f64) -> Option<f64>) -> (Attempt, f64, Vec<f64>) {
         let objective = LineStep { slope, value, jacobian: DMatrix::identity(1, 1), asked: RefCell::default() };
         let fixed =
@@ -299,10 +302,10 @@ mod tests {
         assert!(better(&end) > 0.02 && better(&end) <= 0.1, "{}", better(&end));
         assert!(asked.windows(2).all(|two| two[1] < 0.51 * two[0] && two[1] > 0.24 * two[0]), "{asked:?}");
         assert!(damping > 1.0, "{damping}: what helped is remembered");
-        // where there is no value at all, each is a quarter of the last
+        // where there is no value at all, each step is a quarter of the one before
         let (_, _, asked) = attempt(1.0, 0.0, |x| (x < 0.1).then_some(x));
         assert!(asked.windows(2).all(|two| (two[1] / two[0] - 0.25).abs() < 1e-3), "{asked:?}");
-        // none is good
+        // no step is good
         let (end, _, asked) = attempt(1.0, 0.0, |x| Some(-x.abs()));
         assert!(matches!(end, Attempt::Failed), "all fall");
         assert_eq!(asked.len(), TRIES, "{asked:?}");
@@ -310,12 +313,13 @@ mod tests {
 
     #[test]
     fn what_promises_less_than_rounding_is_blind() {
-        // ½ slope² beside 1e-13, and of the second try a quarter as far less than half as much
+        // the promise ½ slope² is compared with 1e-13; the second try is a quarter as long and promises less than half
+        // as much
         for (slope, blind, tries) in [(4e-7, true, 1), (5e-7, true, 2), (1e-3, false, TRIES)] {
             let (end, _, asked) = attempt(slope, 0.0, |x| Some(-x.abs()));
             assert_eq!((matches!(end, Attempt::Blind), asked.len()), (blind, tries), "{slope}: {asked:?}");
         }
-        // nor is it refused for falling by less
+        // a step whose value falls by less than 1e-13 is not refused
         let (end, ..) = attempt(4e-7, 0.0, |x| Some(if x == 0.0 { 0.0 } else { -0.9e-13 }));
         assert!((better(&end) - 4e-7).abs() < 1e-18, "{}", better(&end));
     }
@@ -331,7 +335,7 @@ mod tests {
             (2e-5, 1.0, 2e-6),
             (2.5e-7, 0.24, 1e-6),
         ] {
-            // ½ slope² / (1 + damping)² (1 + 2 damping) is what a damped step promises
+            // a damped step promises ½ slope² / (1 + damping)² (1 + 2 damping)
             let promised = 0.5 * (1.0 + 2.0 * before) / f64::powi(1.0 + before, 2);
             let (end, damping, _) = attempt(1.0, before, |x| Some(if x == 0.0 { 0.0 } else { part * promised }));
             assert!((better(&end) - 1.0 / (1.0 + before)).abs() < 1e-12, "{}", better(&end));

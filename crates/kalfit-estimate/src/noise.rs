@@ -1,9 +1,9 @@
-//! A factor of all noise: fits where all variances of noise are λ times as large, without new reductions, and derivatives by λ.
+//! A factor λ of all noise variances: fits at any λ without new reductions, and derivatives by λ.
 //!
-//! R and d are then R/√λ and d/√λ, so that ℓ depends on λ through Σ/λ, a factor 1/λ of the squared residuals, and a constant. With
-//! u = log λ, O = Σ r r', W = Σ W_j, G = ∂ℓ/∂Σ, Q = Σ e'(I + RΣR')⁻¹e for e = d - Rμ, n measurements, r the residual sum of squares
-//! that tests are left with at any ξ and, under the restricted likelihood, q directions of the mean that the tests inform (otherwise
-//! none), at u = 0
+//! R and d are then R/√λ and d/√λ, so that ℓ depends on λ through Σ/λ, a factor 1/λ of the squared residuals, and a
+//! constant. Let u = log λ, O = Σ r r', W = Σ W_j, G = ∂ℓ/∂Σ, Q = Σ e'(I + RΣR')⁻¹e for e = d - Rμ, n the number of
+//! measurements, r the residual sum of squares of the tests that no ξ can reduce and, under the restricted likelihood,
+//! q the number of directions of the mean that the tests inform (otherwise zero). Then at u = 0
 //!
 //! ```text
 //! ∂ℓ/∂u         = ½ (r - n + Q) + ½ tr(WΣ) - ½ tr(OΣ)
@@ -12,7 +12,8 @@
 //! ∂²ℓ/∂u²       = -½ (n - q) - ∂ℓ/∂u + tr(OΣ) + ∂²ℓ/∂Σ∂Σ [Σ, Σ]
 //! ```
 //!
-//! What the restricted likelihood adds to ℓ is a(Σ/λ) + ½ q u with a its value at λ = 1, and ½ q - tr(A Σ) to ∂ℓ/∂u with A = ∂a/∂Σ.
+//! The restricted likelihood adds a(Σ/λ) + ½ q u to ℓ, with a its value at λ = 1, and ½ q - tr(A Σ) to ∂ℓ/∂u, with A =
+//! ∂a/∂Σ.
 
 use std::sync::Arc;
 
@@ -27,12 +28,12 @@ use crate::{Estimate, FinalState, FitError, Settings, Silent, Structure, problem
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::{Population, StructureError};
 
-/// Tests in one phase, alone or in groups, whose noise may be scaled: Σ is then that of every level.
+/// Tests in one phase, with or without groups, whose noise can be scaled; with groups, Σ is that of every level.
 #[derive(Debug)]
 pub struct Noisy {
-    /// At λ = 1.
+    /// Classes at λ = 1.
     classes: Classes,
-    /// Of each class.
+    /// Residual of each class.
     told: Arc<Vec<Residual>>,
     all: Residual,
 }
@@ -49,7 +50,7 @@ impl Noisy {
         Ok(Noisy { classes, told: Arc::new(told), all })
     }
 
-    /// The best (μ, Σ) where all noise is λ times as large, from values near them if there are any.
+    /// The best (μ, Σ) with all noise variances multiplied by λ, from nearby values if they are given.
     pub fn fit(
         &self,
         variance: f64,
@@ -72,13 +73,13 @@ impl Noisy {
         0.5 * (own + state.problem.informed() as f64) - restricted.unwrap_or(0.0)
     }
 
-    /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ) there, from ∂ℓ/∂u.
+    /// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ) at a state, from ∂ℓ/∂u.
     pub fn information(&self, slope: f64, state: &FinalState) -> NoiseInformation {
         state.noise_information(self.all.measurements, slope)
     }
 }
 
-/// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ), this along the tangent basis of the state's place.
+/// -∂²ℓ/∂u² and -∂²ℓ/∂u∂(μ, Σ), the latter along the tangent basis of the state.
 #[derive(Debug, Clone)]
 pub struct NoiseInformation {
     pub own: f64,
@@ -105,7 +106,7 @@ impl FinalState {
 }
 
 impl FinalState {
-    /// The same, its classes those of reductions of the same tests.
+    /// The state with its classes as those of reductions of the same tests.
     pub fn grounded(self, reductions: &Reductions) -> Result<FinalState, StructureError> {
         let problem = match self.problem.classes.grounded(reductions) {
             Some(classes) => Problem::of(classes, &self.structure(), self.problem.criterion())?,
@@ -129,7 +130,7 @@ mod tests {
         ((7 * j + 3 * at) as f64).sin()
     }
 
-    /// Each third test has a design of its own, two of three share theirs, and two want square roots.
+    /// Every third test has a separate design, the others share designs, and two tests need square-root arithmetic.
     fn test(j: usize) -> Reduction {
         let design = if j.is_multiple_of(3) { j } else { 1 + j / 15 };
         let factor = vec![2.0 + wave(design, 1), wave(design, 2), 1.5 + 0.5 * wave(design, 3)];
@@ -151,7 +152,7 @@ mod tests {
         }
     }
 
-    /// The reductions where all noise is λ times as large.
+    /// The reduction with all noise variances multiplied by λ.
     fn noisier(test: ReductionRef<'_>, variance: f64) -> Reduction {
         let residual = test.residual.expect("it is known");
         let shrunk = |numbers: &[f64]| numbers.iter().map(|x| x / variance.sqrt()).collect();

@@ -1,4 +1,4 @@
-//! What a pass is asked for.
+//! What a pass is to compute.
 
 use nalgebra::DMatrix;
 
@@ -8,21 +8,22 @@ use kalfit_algebra::symmetric::pairs;
 
 pub use kalfit_model::remote::Detail as Order;
 
-/// Bytes that the sums of all tasks of a pass may occupy at the same time, if they are several.
+/// Bytes that the sums of all tasks of a pass may occupy at the same time, if there are several tasks.
 const ROOM: usize = 64 << 20;
 
-/// The most tasks that a pass over p states is parted into: each has sums of its own, two matrices over pairs of states. A task of many
-/// states is itself the work of several threads.
+/// Maximum number of tasks of a pass over p states: each task has separate sums, two matrices over pairs of states. A
+/// task with many states is itself split over several threads.
 pub(crate) fn most_tasks(p: usize) -> usize {
     (ROOM / (16 * pairs(p).pow(2)).max(1)).max(1)
 }
 
-/// Matrices over all elements of Σ that a fit holds at the same time, and those of them by elements between two blocks, as measured.
+/// Number of matrices over all elements of Σ that a fit holds at the same time, as measured.
 const MATRICES: u64 = 5;
+/// Number of matrices over the elements between two blocks that a fit holds at the same time, as measured.
 const BETWEEN: u64 = 4;
 
-/// About how many bytes a fit takes for second derivatives by the elements of Σ, which has blocks of so many states. What tests take
-/// comes on top.
+/// Approximate number of bytes that a fit needs for second derivatives by the elements of Σ, from the number of states
+/// in each block. Memory for the tests comes on top.
 pub fn memory(blocks: &[usize]) -> u64 {
     let square = |n: usize| (n as u64).saturating_mul(n as u64);
     let elements = blocks.iter().map(|&p| pairs(p)).fold(0, usize::saturating_add);
@@ -31,7 +32,8 @@ pub fn memory(blocks: &[usize]) -> u64 {
     (square(elements).saturating_mul(MATRICES)).saturating_add(between.saturating_mul(BETWEEN)).saturating_mul(8)
 }
 
-/// What the restricted likelihood needs of every class: X = E × jacobian, the mean by its free coordinates.
+/// Input of the restricted likelihood for every class: X = E × jacobian, the derivative of the mean by its free
+/// coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FlatMean<'a> {
     /// d(mean coordinates) / d(free mean coordinates).
@@ -40,7 +42,7 @@ pub(crate) struct FlatMean<'a> {
     pub(crate) covariance: Option<&'a DMatrix<f64>>,
 }
 
-/// What a pass adds up.
+/// The sums that a pass is to compute.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SumsWanted<'a> {
     pub(crate) elements: &'a Elements,

@@ -1,4 +1,4 @@
-//! What the classes say where Σ is zero.
+//! Sums over the classes at Σ = 0.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,8 +12,8 @@ use crate::point::Point;
 use crate::remote;
 use crate::terms::ClassTerms;
 
-/// Of a class its number of tests and, for each element i, Σ (y - Jμ)_i² - J_ii over them, which has the mean Σ (JΣJ)_ii, and J_ii of
-/// one of them.
+/// Number of tests of a class and, for each element i, Σ (y - Jμ)_i² - J_ii over these tests, which has the mean Σ
+/// (JΣJ)_ii, and J_ii of one test.
 type Excess = (f64, Vec<(f64, f64)>);
 
 impl Classes {
@@ -37,14 +37,14 @@ impl Classes {
         information
     }
 
-    /// The centre, without spread.
+    /// The point at the centre, with Σ = 0.
     fn origin(&self, regressors: usize) -> Point {
         let p = self.dimension();
         Point { mean: vec![0.0; p], coefficients: vec![0.0; regressors], root: DMatrix::zeros(p, p) }
     }
 
-    /// For each element i the sums over tests of (y - Jμ)_i² - J_ii, which has the mean Σ (JΣJ)_ii, and of J_ii²; of those of a level of
-    /// groups over the groups.
+    /// For each element i the sums over tests of (y - Jμ)_i² - J_ii, which has the mean Σ (JΣJ)_ii, and of J_ii²; for
+    /// elements of a level of groups, the sums over its groups.
     pub(crate) fn excess(&self, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
         let p = mean.len();
         if let Some(remote) = &self.remote {
@@ -73,7 +73,7 @@ impl Classes {
         (excess, weight)
     }
 
-    /// Of each class, in their order, where some are kept phase by phase.
+    /// The excess of each class, in order, where some classes are stored phase by phase.
     fn chained_excesses(&self, mean: &DVector<f64>) -> Vec<Excess> {
         let p = mean.len();
         let point = Point { mean: mean.as_slice().to_vec(), ..self.origin(0) };
@@ -87,7 +87,7 @@ impl Classes {
         told.into_iter().map(|(_, told)| told).collect()
     }
 
-    /// Some are kept phase by phase.
+    /// Whether some classes are stored phase by phase.
     pub(super) fn is_chained(&self) -> bool {
         !self.chains.is_empty() || self.unbatched.iter().any(|&k| self.listed.get(k).chain.is_some())
     }

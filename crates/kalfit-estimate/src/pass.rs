@@ -1,4 +1,4 @@
-//! One pass over the classes: ℓ(μ, Σ) and its derivatives (theory §3), the sums that every solver lives on.
+//! One pass over the classes: ℓ(μ, Σ) and its derivatives (theory §3), the sums that every solver uses.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use kalfit_algebra::elements::Elements;
 /// Classes summed by one task. Fixed, so that sums have the same bits for any number of threads.
 const CHUNK: usize = 128;
 
-/// Most tasks that tests in phases are summed by: each needs much room for second derivatives.
+/// Maximum number of tasks that tests in phases are split into: each needs much memory for second derivatives.
 const CHAIN_TASKS: usize = 16;
 
 impl SumsWanted<'_> {
@@ -28,7 +28,7 @@ impl SumsWanted<'_> {
         Sums::zero(self.elements, self.regressors.len(), self.order, self.flat)
     }
 
-    /// Of tests in groups: their second derivatives are matrices of their own.
+    /// Zero sums for tests in groups, whose second derivatives are in separate matrices.
     pub(super) fn zero_in_groups(self) -> Sums {
         let mut zero = SumsWanted { order: self.order.min(Order::Mean), ..self }.zero();
         let second = if self.order >= Order::Second { self.elements.count() } else { 0 };
@@ -38,7 +38,7 @@ impl SumsWanted<'_> {
         zero
     }
 
-    /// W between phases is wanted.
+    /// Whether W between phases is requested.
     pub(super) fn between(&self) -> bool {
         self.order >= Order::Mean
     }
@@ -72,11 +72,11 @@ pub(crate) fn pass(
     if refused.is_empty() { sums } else { sums.and(1.0, &one_by_one(&refused, point, wanted)) }
 }
 
-/// ℓ where it is -∞, for those who add up what some places say.
+/// The value that stands for ℓ = -∞ in sums that are sent and added up.
 const NO_LIKELIHOOD: f64 = -1e300;
 
-/// The same as it is told to those who have no classes. They also ask without spread what the tests inform of the mean, where ℓ is -∞ if
-/// something is measured exactly.
+/// A pass whose sums are sent to a search elsewhere. Such a search also requests, at Σ = 0, the information of the
+/// tests on the mean, where ℓ is -∞ if something is measured exactly.
 pub(super) fn told_pass(
     classes: &Classes,
     regressors: &Regressors,
@@ -93,7 +93,7 @@ pub(super) fn told_pass(
     sums
 }
 
-/// Adds what tests in phases say that are worked on side by side; classes that need more care are left, and returned.
+/// Adds the sums of tests in phases that are evaluated in lanes; returns the classes that need more careful arithmetic.
 fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassRef<'a>> {
     let isa = classes.blocks.isa();
     let of = |blocks: &[Arc<Packed>]| isa.run(ChainKernel { blocks, classes: &classes.listed, point, wanted });
@@ -108,7 +108,7 @@ fn add_chains<'a>(sums: &mut Sums, classes: &'a Classes, point: &Point, wanted: 
     left
 }
 
-/// Sums over classes one by one.
+/// Sums over classes that are evaluated one by one.
 pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let of_chunk = |chunk: &[ClassRef<'_>]| {
         let (mut sums, mut at) = (Accumulator::new(wanted), ClassEvaluator::new(point, wanted.regressors));
@@ -132,7 +132,7 @@ pub(super) fn one_by_one(classes: &[ClassRef<'_>], point: &Point, wanted: SumsWa
     sums
 }
 
-/// What one class says by itself.
+/// Sums over one class.
 pub(crate) fn of_class(
     classes: &Classes,
     class: &Class,
@@ -143,7 +143,7 @@ pub(crate) fn of_class(
     one_by_one(&[class.view()], point, wanted(&classes.elements, regressors, order, flat))
 }
 
-/// Regressions and the restricted likelihood need all of the information on the mean.
+/// The request for a pass; regressions and the restricted likelihood need all of the information on the mean.
 fn wanted<'a>(
     elements: &'a Elements,
     regressors: &'a Regressors,

@@ -1,22 +1,25 @@
-//! A start from a part of the tests.
+//! A start from a subset of the tests.
 //!
-//! Of very many designs every so-many-th, in an order that goes by what they tell, stand for all. The best (μ, Σ) of those few
-//! costs little to find and lies within their sampling error of that of all, where Newton's method needs but a few passes.
+//! Where designs are very many, every k-th one in the order of their information represents all. The best (μ, Σ) of
+//! this subset costs little and lies within the subset's sampling error of the best for all, from where Newton's method
+//! needs only a few passes.
 
 use crate::problem::Problem;
 use crate::{Criterion, FitError, Structure};
 
-/// Fewest classes of a pilot, and fewest for each free coordinate of (μ, Σ).
+/// Smallest number of classes in a pilot.
 const CLASSES: usize = 512;
+/// Smallest number of classes in a pilot for each free coordinate of (μ, Σ).
 const EACH: usize = 6;
-/// A pilot is of no more than this part of all classes.
+/// A pilot holds at most one in this many of all classes.
 const PART: usize = 8;
 
-/// The problem of a part of the classes, in the same coordinates; `None` where there are too few to be worth it.
+/// The problem of a subset of the classes, in the same coordinates; `None` where the classes are too few to make it
+/// worthwhile.
 pub(crate) fn problem(whole: &Problem, structure: &Structure<'_>) -> Result<Option<Problem>, FitError> {
     let coordinates = whole.mean.basis.ncols() + whole.mean.regressors.len() + whole.covariance.elements.count();
     let wanted = CLASSES.max(EACH * coordinates);
-    // of tests in groups whole units, whose restricted likelihood would want all designs
+    // tests in groups are selected by whole units; their restricted likelihood would need all designs
     let all = match &whole.classes.units {
         Some(_) if whole.criterion() == Criterion::Reml => return Ok(None),
         Some(units) => units.len(),

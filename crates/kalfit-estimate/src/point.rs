@@ -22,7 +22,7 @@ impl Point {
         mean
     }
 
-    /// The same into a place for it.
+    /// Writes μ of the tests of a class into `mean`.
     pub fn put_mean(&self, class: ClassRef<'_>, regressors: &Regressors, mean: &mut Vec<f64>) {
         mean.clone_from(&self.mean);
         for (c, &element) in regressors.iter().enumerate() {
@@ -40,7 +40,7 @@ impl Point {
 pub(crate) type Regressors = [usize];
 
 impl Packed {
-    /// The covariates of each class, so many.
+    /// The first `count` covariates of each class, one class per lane.
     #[inline(always)]
     pub(crate) fn covariates<'a, T: Lanes>(&self, class: impl Fn(usize) -> ClassRef<'a>, count: usize) -> Vec<T> {
         let mut covariates = Vec::with_capacity(count);
@@ -54,7 +54,7 @@ impl Packed {
         covariates
     }
 
-    /// μ of the tests of each class, whose covariates these are.
+    /// μ of the tests of each class, one class per lane, from the covariates of the classes.
     #[inline(always)]
     pub(crate) fn means<T: Lanes>(&self, covariates: &[T], point: &Point, regressors: &Regressors) -> Vec<T> {
         let mut mean = Vec::with_capacity(point.mean.len());

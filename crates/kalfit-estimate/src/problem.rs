@@ -22,7 +22,7 @@ use kalfit_algebra::symmetric;
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::{Population, StructureError};
 
-/// What is maximised: ℓ(μ, Σ) of the reductions under a structure, with what the restricted likelihood adds to it.
+/// The problem to maximise ℓ(μ, Σ) of the reductions under a structure, or the restricted likelihood.
 #[derive(Debug)]
 pub struct Problem {
     pub classes: Classes,
@@ -31,9 +31,9 @@ pub struct Problem {
     mean_jacobian: DMatrix<f64>,
     restriction: Option<Restriction>,
     passes: AtomicUsize,
-    /// The search looks for its end: what it finds of a place may be the last.
+    /// Whether the search is near its end, so that the next point evaluated may be the last.
     ending: AtomicBool,
-    /// The last place that it looked at since, with all that is known there.
+    /// The last point evaluated near the end of the search, with its sums.
     last: Mutex<Option<(Point, Sums)>>,
 }
 
@@ -52,7 +52,7 @@ impl Problem {
         Problem::of(classes, structure, criterion)
     }
 
-    /// The problem of these classes.
+    /// The problem of given classes.
     pub(crate) fn of(
         classes: Classes,
         structure: &Structure<'_>,
@@ -80,7 +80,7 @@ impl Problem {
         })
     }
 
-    /// A level of groups, by its block of Σ, has one group only.
+    /// Whether a level of groups, numbered by its block of Σ, has only one group.
     pub fn is_one_group(&self, level: usize) -> bool {
         level > 0 && self.classes.units.is_some() && self.classes.present[level] <= 1.0
     }
@@ -100,25 +100,25 @@ impl Problem {
         Some((alone, point))
     }
 
-    /// What is maximised and its derivatives: one pass over the classes. The restricted likelihood's second derivatives hold
-    /// the covariance C⁻¹ of the mean under the sum over classes, and C is such a sum itself: there `near` stands for it, from
-    /// a place near by. They are exact when that place is this one, and nothing else depends on it.
+    /// The objective and its derivatives: one pass over the classes. The restricted likelihood's second derivatives
+    /// contain the covariance C⁻¹ of the mean within the sum over classes, and C is such a sum itself: `near`, from a
+    /// nearby point, replaces it there. They are exact when that point is this one; nothing else depends on `near`.
     /// `None` where the restricted likelihood is not defined.
     pub(crate) fn sums(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Option<Sums> {
         let sums = self.unrestricted(point, order, near);
         if self.classes.remote.is_some() && sums.value.is_nan() {
-            return None; // nobody has answered
+            return None; // there is no answer
         }
         self.restricted(sums)
     }
 
-    /// The same before the restricted likelihood adds its own.
+    /// The sums without the term of the restricted likelihood: one pass.
     pub fn unrestricted(&self, point: &Point, order: Order, near: Option<&DMatrix<f64>>) -> Sums {
         self.count_pass();
         pass(&self.classes, &self.mean.regressors, point, order, self.flat(near).as_ref())
     }
 
-    /// With what the restricted likelihood adds, if that is maximised.
+    /// Adds the term of the restricted likelihood, if that is maximised.
     fn restricted(&self, sums: Sums) -> Option<Sums> {
         let Some(restriction) = &self.restriction else { return Some(sums) };
         let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
@@ -126,12 +126,12 @@ impl Problem {
         Some(sums.restrict(restricted))
     }
 
-    /// What the restricted likelihood wants of every class.
+    /// Input of the restricted likelihood for every class; `None` under maximum likelihood.
     fn flat<'a>(&'a self, near: Option<&'a DMatrix<f64>>) -> Option<FlatMean<'a>> {
         self.restriction.as_ref().map(|_| FlatMean { jacobian: &self.mean_jacobian, covariance: near })
     }
 
-    /// Whether without one class of tests the others inform the same directions of the mean, as far as that matters, from the
+    /// Whether the tests without one class inform the same directions of the mean, where that matters, from the
     /// [`unrestricted`](Problem::unrestricted) sums over all at a point.
     pub fn informed_without(&self, all: &Sums, class: &Class, point: &Point) -> bool {
         let Some(restriction) = &self.restriction else { return true };
@@ -140,21 +140,22 @@ impl Problem {
         restriction.informs(&free(&(&all.mean_information - &own.mean_information)), &free(&all.mean_information))
     }
 
-    /// All that is maximised without one class of tests, from the [`unrestricted`](Problem::unrestricted) sums over all at the same
-    /// point and `near`: the restricted likelihood is that of the others by themselves, as long as they inform the same directions
-    /// of the mean, but for a constant.
+    /// The objective and its derivatives without one class of tests, from the [`unrestricted`](Problem::unrestricted)
+    /// sums over all at the same point and `near`. Up to a constant, the restricted likelihood is that of the other
+    /// tests, as long as they inform the same directions of the mean.
     pub fn without(&self, all: Sums, class: &Class, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Sums> {
         let flat = self.flat(near);
         let own = of_class(&self.classes, class, (&self.mean.regressors, flat.as_ref()), point, Order::Second);
         self.restricted(all.and(-1.0, &own))
     }
 
-    /// Whether the next place may be the last one, of which the expected information is wanted too: it is then found in the same pass.
+    /// Sets whether the next point may be the last one, where the expected information is needed too: the same pass
+    /// then computes it.
     pub(crate) fn ends_soon(&self, soon: bool) {
         self.ending.store(soon && self.restriction.is_none(), Ordering::Relaxed);
     }
 
-    /// All that is known of a place where the search ends: one pass, if the search did not do it.
+    /// The sums at the iterate where the search ends: one pass, unless the search has computed them already.
     pub(crate) fn at_end(&self, place: &NewtonIterate) -> Option<Sums> {
         let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).take();
         match last {
@@ -166,23 +167,24 @@ impl Problem {
         }
     }
 
-    /// ℓ and its derivatives, whatever is maximised: one pass.
+    /// ℓ and its derivatives, whatever the criterion: one pass.
     pub fn likelihood(&self, point: &Point, order: Order) -> Sums {
         self.count_pass();
         pass(&self.classes, &self.mean.regressors, point, order, None)
     }
 
-    /// What one class says by itself.
+    /// Sums over one class.
     pub(crate) fn of_class(&self, class: &Class, point: &Point, order: Order) -> Sums {
         of_class(&self.classes, class, (&self.mean.regressors, None), point, order)
     }
 
-    /// What is maximised.
+    /// The criterion that is maximised.
     pub(crate) fn criterion(&self) -> Criterion {
         if self.restriction.is_some() { Criterion::Reml } else { Criterion::Ml }
     }
 
-    /// Directions of the mean that the restricted likelihood has integrated out; none under maximum likelihood.
+    /// Number of directions of the mean that the restricted likelihood has integrated out; zero under maximum
+    /// likelihood.
     pub(crate) fn informed(&self) -> usize {
         self.restriction.as_ref().map_or(0, Restriction::rank)
     }
@@ -192,7 +194,7 @@ impl Problem {
         self.passes.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Passes so far.
+    /// Number of passes so far.
     pub(crate) fn passes(&self) -> usize {
         self.passes.load(Ordering::Relaxed)
     }
@@ -215,7 +217,7 @@ impl Problem {
         Population { mean, coefficients, covariance }
     }
 
-    /// What one unit in η of each mean coordinate is in the user's units.
+    /// One unit in η of each mean coordinate, in the user's units.
     pub fn mean_units(&self) -> Vec<f64> {
         let coefficients = self.mean.coefficient_scale.iter().map(|scale| scale.recip());
         self.classes.frame.scale.iter().copied().chain(coefficients).collect()
@@ -231,7 +233,8 @@ impl Problem {
         }
     }
 
-    /// The free mean coordinates that maximise ℓ at the Σ of these sums: generalised least squares (theory §3).
+    /// The step in free mean coordinates that maximises ℓ at the Σ of these sums: generalised least squares (theory
+    /// §3).
     pub(crate) fn least_squares_step(&self, sums: &Sums) -> DVector<f64> {
         let information = self.mean_jacobian.transpose() * &sums.mean_information * &self.mean_jacobian;
         let score = self.mean_jacobian.transpose() * &sums.mean_score;
@@ -251,12 +254,12 @@ pub(crate) fn scaled_solve(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
 impl Objective for Problem {
     fn local(&self, point: &Point, near: Option<&DMatrix<f64>>) -> Option<Local> {
         let ending = self.ending.load(Ordering::Relaxed);
-        // what tests that are elsewhere say costs a round, however much they are asked
+        // a request to remote tests costs one round, whatever its size
         if !ending && (self.classes.remote.is_none() || self.restriction.is_some()) {
             return Some(Local::of(&mut self.sums(point, Order::Second, near)?));
         }
         let last = || self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        *last() = None; // its room is wanted
+        *last() = None; // its memory is needed
         let asked = || self.sums(point, Order::Expected, near);
         let sums = if ending { self.with_score(point, asked) } else { asked() }?;
         let mut sums = sums.settled();

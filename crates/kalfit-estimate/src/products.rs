@@ -1,24 +1,24 @@
-//! Sums of products over tests, as second derivatives need them.
+//! Sums of products over tests, for second derivatives.
 
 use nalgebra::DMatrix;
 
 use kalfit_algebra::elements::Elements;
 use kalfit_algebra::symmetric::{pair, pairs};
 
-/// Adds another matrix times a sign.
+/// Adds another matrix, times a sign.
 pub(super) fn add_times(own: &mut DMatrix<f64>, sign: f64, other: &DMatrix<f64>) {
     own.zip_apply(other, |own, x| *own += sign * x);
 }
 
-/// Sums block by block; none where they are not wanted.
+/// Sums in blocks; there are no blocks where the sums are not wanted.
 #[derive(Debug, Clone)]
 pub(crate) struct ProductBlocks(Vec<ProductBlock>);
 
-/// Sums of so many rows and columns.
+/// The sums of one block.
 #[derive(Debug, Clone)]
 struct ProductBlock {
     shape: (usize, usize),
-    /// Empty until something is added.
+    /// The matrix of sums; empty until something is added.
     sum: DMatrix<f64>,
 }
 
@@ -38,7 +38,7 @@ impl ProductBlock {
         if self.sum.is_empty() { 0.0 } else { self.sum[at] }
     }
 
-    /// Adds sums by rows. The first ones are the sums from then on, in the memory that they have.
+    /// Adds sums given by rows. The first ones of a square block become its matrix without a copy.
     fn take(&mut self, sums: Vec<f64>) {
         let (rows, columns) = self.shape;
         if self.sum.is_empty() && rows == columns {
@@ -53,18 +53,18 @@ impl ProductBlock {
 }
 
 impl ProductBlocks {
-    /// Adds other sums, times a sign.
+    /// Adds the sums of another set of blocks, times a sign.
     pub(crate) fn add(&mut self, sign: f64, other: &ProductBlocks) {
         let added = self.0.iter_mut().zip(&other.0).filter(|(_, other)| !other.sum.is_empty());
         added.for_each(|(own, other)| add_times(own.whole(), sign, &other.sum));
     }
 
-    /// Adds sums, those of each block by rows.
+    /// Adds sums given by rows, one list for each block.
     pub(crate) fn take(&mut self, sums: Vec<Vec<f64>>) {
         self.0.iter_mut().zip(sums).for_each(|(block, sums)| block.take(sums));
     }
 
-    /// All numbers.
+    /// All sums, block by block.
     pub(super) fn numbers(&self) -> impl Iterator<Item = f64> {
         let of = |block: &ProductBlock| {
             let missing = block.shape.0 * block.shape.1 - block.sum.len();
@@ -73,19 +73,19 @@ impl ProductBlocks {
         self.0.iter().flat_map(move |block| block.sum.iter().copied().chain(of(block)))
     }
 
-    /// The same, to be set.
+    /// All sums, block by block, as mutable references.
     pub(super) fn places_mut(&mut self) -> impl Iterator<Item = &mut f64> {
         self.0.iter_mut().flat_map(|block| block.whole().iter_mut())
     }
 }
 
-/// Sums of A ⊗ B over tests, A and B symmetric, as far as second derivatives by two elements of Σ need them: A_la B_bk with k, l
-/// of one phase and a, b of one phase. Within a phase entry (l a, b k) stands at a pair of pairs, between phases at a pair of places
-/// of the block.
+/// Sums of A ⊗ B over tests, A and B symmetric: the entries A_la B_bk that second derivatives by two elements of Σ
+/// need, with k, l of one phase and a, b of one phase. Within a phase entry (l a, b k) is indexed by a pair of pairs,
+/// between phases by a pair of positions in the block.
 #[derive(Debug, Clone)]
 pub(crate) struct Products {
     elements: Elements,
-    /// For phases f ≥ g at f(f+1)/2 + g.
+    /// The block of phases f ≥ g has the index f(f+1)/2 + g.
     pub(super) blocks: ProductBlocks,
 }
 
@@ -99,7 +99,7 @@ impl Products {
         Products { elements: elements.clone(), blocks: ProductBlocks(blocks) }
     }
 
-    /// A_la B_bk, k and l of one phase, a and b of one phase.
+    /// Sum of A_la B_bk, with k and l of one phase, a and b of one phase.
     pub(crate) fn get(&self, (l, a): (usize, usize), (b, k): (usize, usize)) -> f64 {
         let (f, g) = (self.elements.block_of(l), self.elements.block_of(a));
         let ranges = self.elements.blocks();
@@ -120,7 +120,7 @@ impl Products {
 pub(crate) struct Crosses {
     elements: Elements,
     coordinates: usize,
-    /// By phase: entry (m, k, l) at (k × coordinates + m, l).
+    /// One block for each phase, with entry (m, k, l) at (k × coordinates + m, l).
     pub(super) blocks: ProductBlocks,
 }
 
@@ -131,7 +131,7 @@ impl Crosses {
         Crosses { elements: elements.clone(), coordinates, blocks: ProductBlocks(blocks) }
     }
 
-    /// A_mk r_l.
+    /// Sum of A_mk r_l.
     pub(crate) fn get(&self, m: usize, (k, l): (usize, usize)) -> f64 {
         let f = self.elements.block_of(k);
         let start = self.elements.blocks()[f].start;
@@ -153,7 +153,7 @@ mod tests {
         let mut sums = Products::zero(&elements, true);
         let mut crosses = Crosses::zero(&elements, 6, true);
         let tests: Vec<_> = (0..40).map(|j| (matrix(f64::from(j)), matrix(0.3 * f64::from(j)))).collect();
-        // the places of each pair of phases in a matrix by rows
+        // the positions of each pair of phases in a matrix by rows
         let places = [(0..2, 0..2), (2..5, 0..2), (2..5, 2..5)].map(|(rows, columns)| {
             let within = rows == columns;
             let row = |i: usize| columns.clone().filter(move |&k| !within || k <= i).map(move |k| i * 5 + k);

@@ -1,9 +1,9 @@
 //! A step on the quadratic model of ℓ in (mean, Σ) itself, over the cone that Σ must stay in.
 //!
-//! Newton's method in (mean, ψ), Σ = FF', has a quadratic model in ψ. Where a column of F goes to zero while the score along it
-//! vanishes too, ℓ is of fourth order in that column, and such steps only shrink it by a third each. In Σ there is no such
-//! degeneracy: maximising the quadratic model in (mean, Σ) over Σ = FF' costs no pass, and its end is a step that finds the
-//! boundary at once.
+//! Newton's method in (mean, ψ), Σ = FF', has a quadratic model in ψ. Where a column of F goes to zero while the score
+//! along it vanishes too, ℓ is of fourth order in that column, and each such step only shrinks it by a third. In Σ
+//! there is no such degeneracy: maximising the quadratic model in (mean, Σ) over Σ = FF' costs no pass, and gives a
+//! step that reaches the boundary at once.
 
 use std::sync::Arc;
 
@@ -16,18 +16,18 @@ use crate::newton::NewtonIterate;
 use crate::point::Point;
 use kalfit_algebra::elements::Elements;
 
-/// Steps on the model.
+/// Maximum number of Newton steps on the model.
 const STEPS: usize = 25;
-/// Columns of F (in η) below this may be zero.
+/// Columns of F (in η) below this are tried at zero.
 const SMALL: f64 = 0.1;
-/// How many times what they were variances may become.
+/// A step may raise a variance v (in η) to at most this many times 1 + v.
 const REACH: f64 = 4.0;
-/// What a value of ℓ may be off by, relative to its size.
+/// Rounding error of a value of ℓ, relative to its size.
 const NOISE: f64 = 1e-13;
-/// The part of the promised gain that makes a step good.
+/// Smallest fraction of the promised gain at which a step is accepted.
 const ENOUGH: f64 = 0.05;
 
-/// The better place at the model's maximum; `None` where it is not better by what the model promised. One pass.
+/// The iterate at the model's maximum, for one pass; `None` where it gains too little of what the model promised.
 pub(crate) fn step(
     objective: &dyn Objective,
     map: &CovarianceMap,
@@ -43,18 +43,18 @@ pub(crate) fn step(
     place.surpassed(objective, |place| {
         let next = NewtonIterate::new(objective, map, point, place.near())?;
         let gain = next.local.value - place.local.value;
-        // where the value has no digits left to tell, the decrement does
+        // where rounding hides the gain, the decrement decides
         let closer = gain >= -noise && next.decrement() < 0.5 * place.decrement();
         (if promised > noise { gain >= ENOUGH * promised } else { closer }).then_some(next)
     })
 }
 
-/// What a value of ℓ near a place may be off by.
+/// Rounding error of a value of ℓ near an iterate.
 fn noise(place: &NewtonIterate) -> f64 {
     NOISE * place.local.value.abs().max(1.0)
 }
 
-/// The model's maximum, and the gain that it promises; `None` where it is out of reach.
+/// The model's maximum, and the gain that it promises; `None` where the maximum is too far off.
 fn aim(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &NewtonIterate) -> Option<(Point, f64)> {
     let model = LocalQuadratic::new(objective, place, &map.elements);
     let start = NewtonIterate::new(&model, map, place.point.clone(), None)?;
@@ -65,7 +65,8 @@ fn aim(objective: &dyn Objective, map: &CovarianceMap, tests: f64, place: &Newto
     (!promised.is_nan() && is_near(&end.point, &place.point)).then_some((end.point, promised))
 }
 
-/// The end with columns of F set to zero, the smallest first, as long as the model does not mind: it nears a boundary slowly.
+/// The end of a climb with columns of F set to zero, the smallest first, while the model's value does not fall: a climb
+/// approaches the boundary slowly.
 fn flattened(
     model: &LocalQuadratic<'_>,
     map: &CovarianceMap,
@@ -86,7 +87,7 @@ fn flattened(
     end
 }
 
-/// F with the smallest column that is small, but not zero, set to zero.
+/// F with its smallest column set to zero, of those that are small but not zero.
 fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let is_factor = |c: &usize| matches!(map.form_of(*c), CoordinateForm::Factor(_));
     let small = |c: &usize| (0.0..SMALL).contains(&root.column(*c).amax()) && root.column(*c).amax() > 0.0;
@@ -99,13 +100,13 @@ fn without_least_column(map: &CovarianceMap, root: &DMatrix<f64>) -> Option<DMat
     Some(root)
 }
 
-/// ℓ near a place to second order, curvature by absolute value.
+/// ℓ to second order about an iterate, as an objective.
 struct LocalQuadratic<'a> {
     objective: &'a dyn Objective,
     place: &'a NewtonIterate,
     elements: &'a Elements,
     sigma: DMatrix<f64>,
-    /// In mean coordinates, then elements of Σ.
+    /// Gradient in mean coordinates, then elements of Σ.
     gradient: DVector<f64>,
 }
 
@@ -150,7 +151,7 @@ impl<'a> LocalQuadratic<'a> {
     }
 }
 
-/// Whether Σ stays within reach of what it was: beyond, a model of second order says little.
+/// Whether the variances in Σ have not grown too much: beyond that a model of second order is unreliable.
 fn is_near(point: &Point, from: &Point) -> bool {
     let spread = |point: &Point, i: usize| point.root.row(i).norm_squared();
     (0..point.mean.len()).all(|i| spread(point, i) <= REACH * (1.0 + spread(from, i)))

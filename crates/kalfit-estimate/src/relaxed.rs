@@ -1,8 +1,8 @@
 //! Multipliers that are not determined: at a singular Σ, combinations Λ of constraints with ΛΣ = 0 change no first-order condition.
 //!
-//! The certificate asks for *some* multipliers with -(G - Λ) ⪰ 0 on the null space of Σ. Those combinations are therefore chosen
-//! so that the largest eigenvalue there is as small as can be. Where it stays positive, the matrix P ⪰ 0 that proves it is a
-//! direction in which Σ may grow: it keeps the constraints, tr(PΛ) = 0.
+//! The certificate needs *some* multipliers with -(G - Λ) ⪰ 0 on the null space of Σ. Those combinations are therefore
+//! chosen so that the largest eigenvalue there is as small as possible. Where it stays positive, the matrix P ⪰ 0 that
+//! proves it is a direction in which Σ may grow: it keeps the constraints, tr(PΛ) = 0.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -10,11 +10,11 @@ use crate::covariance::Constraint;
 use crate::local::natural_sizes;
 use kalfit_algebra::symmetric;
 
-/// Steps for each sharpness.
+/// Number of gradient steps at each sharpness.
 const STEPS: usize = 80;
-/// Sharpness of the smooth maximum, in units of the largest element.
+/// Sharpness of the smooth maximum of the eigenvalues, times the largest element of the matrix.
 const SHARPNESS: [f64; 6] = [1.0, 4.0, 16.0, 64.0, 256.0, 1024.0];
-/// Squared effect, in natural sizes, below which a combination changes nothing.
+/// Squared effect on F, in natural sizes, below which a combination counts as having none.
 const NOTHING: f64 = 1e-9;
 
 /// Matrices Λ (p × p), combinations of the constraints, with ΛF = 0.
@@ -47,7 +47,8 @@ fn matrix(constraint: &Constraint, p: usize) -> DMatrix<f64> {
     matrix
 }
 
-/// (A - Σ t_m S_m, P): the largest eigenvalue as small as the S_m can make it, and the density matrix P that proves it.
+/// (A - Σ t_m S_m, P): the matrix with its largest eigenvalue made as small as possible by the t_m, and the density
+/// matrix P that proves it.
 pub(crate) fn relax(a: &DMatrix<f64>, free: &[DMatrix<f64>]) -> (DMatrix<f64>, DMatrix<f64>) {
     let free = orthonormal(free);
     let mut best = a.clone();
@@ -109,7 +110,7 @@ mod tests {
         let largest = *symmetric::eigen(&best).0.last().expect("two");
         assert!((largest - 1.0).abs() < 0.02, "{largest} 1");
         assert!(p.component_mul(&s).sum().abs() < 0.2, "{p}");
-        // two directions that can make all three eigenvalues alike, seen from other axes
+        // two directions that can make all three eigenvalues equal, in rotated axes
         let turn = DMatrix::from_fn(3, 3, |i, k| ((3 * i + 5 * k + 1) as f64).sin()).qr().q();
         let seen = |diagonal: [f64; 3]| {
             &turn * DMatrix::from_diagonal(&DVector::from_column_slice(&diagonal)) * turn.transpose()
@@ -125,7 +126,7 @@ mod tests {
             let bound = p.component_mul(&seen(of)).sum();
             assert!((p.trace() - 1.0).abs() < 1e-12 && (bound - mean).abs() < 0.1 * size, "{of:?}: {bound} {mean}");
         }
-        // a free direction with a trace makes it as negative as one likes
+        // a free direction with a trace makes the largest eigenvalue as negative as one likes
         let (best, _) = relax(&a, &[DMatrix::identity(2, 2)]);
         assert!(*symmetric::eigen(&best).0.last().expect("two") < 0.0);
     }

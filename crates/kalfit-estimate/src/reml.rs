@@ -1,4 +1,4 @@
-//! The restricted likelihood (theory §3): what the data say of Σ once the mean has taken its share.
+//! The restricted likelihood (theory §3): the likelihood of Σ after the mean is integrated out.
 //!
 //! With μ_j = m0 + X_jβ, X_j = E_jB, and C = Σ_j X_j'W_jX_j the information on β at a known Σ,
 //!
@@ -8,10 +8,10 @@
 //! -d²a[D,E] = Σ_j tr(W_jX_j C⁻¹ X_j'W_j D W_j E) - ½ tr(C⁻¹ Ċ[D] C⁻¹ Ċ[E])        Ċ[D] = -Σ_j X_j'W_j D W_jX_j
 //! ```
 //!
-//! a does not depend on β, so the search is over (β, Σ) jointly as under maximum likelihood. β counts in the user's units.
-//! A direction of β that no test informs has no place in |C|: the determinant is then the product of the non-zero
-//! eigenvalues of C in the user's coordinates and q their number. That is a convention; fits that leave the same directions
-//! uninformed can be compared, others not.
+//! a does not depend on β, so the search is over (β, Σ) jointly as under maximum likelihood. β is in the user's units.
+//! A direction of β that no test informs is left out of |C|: the determinant is then the product of the non-zero
+//! eigenvalues of C in the user's coordinates, and q is their number. That is a convention; only fits that leave the
+//! same directions uninformed can be compared.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -23,19 +23,19 @@ use kalfit_algebra::symmetric::{pair, pairs};
 /// Scaled eigenvalues of the information on β below this are zero: no test informs that direction.
 const UNINFORMED: f64 = 1e-10;
 
-/// What a(Σ) needs to know beside C: which directions of β are informed, and the user's units.
+/// The part of a(Σ) that does not depend on Σ: the informed directions of β, and the user's units.
 #[derive(Debug, Clone)]
 pub(crate) struct Restriction {
-    /// Directions Z of β (in η) that stand for the informed ones, q × rank.
+    /// Directions Z of β (in η) that represent the informed ones, q × rank.
     informed: DMatrix<f64>,
-    /// ½ rank log 2π, less half of what turns log|Z'CZ| into the log-determinant in the user's coordinates.
+    /// ½ rank log 2π, less half of what converts log|Z'CZ| to the log-determinant in the user's coordinates.
     constant: f64,
 }
 
 /// a(Σ) at a point, with its derivatives.
 #[derive(Debug, Clone)]
 pub(crate) struct RemlTerm {
-    /// a.
+    /// Value of a(Σ).
     pub(crate) value: f64,
     /// V = C⁻¹ on the informed directions, zero elsewhere: covariance of β at a known Σ, in η (q × q).
     pub(crate) covariance: DMatrix<f64>,
@@ -46,12 +46,12 @@ pub(crate) struct RemlTerm {
 }
 
 impl Restriction {
-    /// From the information on the free mean coordinates at Σ = 0 (q × q, in η) and the derivative of those coordinates by the
-    /// user's β (q × q).
+    /// The restriction from the information on the free mean coordinates at Σ = 0 (q × q, in η) and the derivative of
+    /// those coordinates by the user's β (q × q).
     pub(crate) fn new(information: &DMatrix<f64>, by_user: &DMatrix<f64>) -> Restriction {
         let q = information.nrows();
         let user = by_user.transpose() * information * by_user;
-        // coordinates of unit information, so that neither units nor a large element hide a rank
+        // in coordinates of unit information neither units nor a large element can hide the rank
         let unit = DVector::from_fn(q, |i, _| if user[(i, i)] > 0.0 { user[(i, i)].sqrt().recip() } else { 1.0 });
         let (values, vectors) = symmetric::eigen(&DMatrix::from_fn(q, q, |i, j| unit[i] * user[(i, j)] * unit[j]));
         let empty: Vec<usize> = (0..q).filter(|&k| values[k] < UNINFORMED).collect();
@@ -72,7 +72,7 @@ impl Restriction {
         self.informed.ncols()
     }
 
-    /// Whether this C informs every direction that another one does, even if much less.
+    /// Whether the C `information` informs every direction that the C `whole` does, even if much less.
     pub(crate) fn informs(&self, information: &DMatrix<f64>, whole: &DMatrix<f64>) -> bool {
         let own = |of: &DMatrix<f64>| self.informed.transpose() * of * &self.informed;
         let Some(unit) = own(whole).cholesky() else { return false };

@@ -1,4 +1,4 @@
-//! Sums over tests that are elsewhere: what is asked for, and how an answer is read.
+//! Sums over remote tests: the requests, and the reading of the answers.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -14,21 +14,21 @@ use kalfit_filter::reduce::Reductions;
 use kalfit_model::Path;
 use kalfit_model::remote::{Flat, Place, Question, Remote};
 
-/// Counts of the tests of one place or of all, at the head of its answer to [`Question::Survey`].
+/// Counts of the tests of one place or of all places, at the head of the answer to [`Question::Survey`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counts {
     pub tests: usize,
     pub steps: usize,
     pub observations: usize,
     pub square_root_tests: usize,
-    /// Added place by place: what two have in common counts twice.
+    /// Number of designs, added over places: a design that two places share counts twice.
     pub designs: usize,
 }
 
 impl Counts {
     const LENGTH: usize = 5;
 
-    /// Of the tests behind reductions, wherever they are.
+    /// Counts of the tests behind reductions, wherever they are.
     pub fn of(reductions: &Reductions) -> Counts {
         if let Some(remote) = reductions.remote() {
             let survey = remote.ask(Question::Survey).unwrap_or_default();
@@ -57,7 +57,7 @@ impl Counts {
 }
 
 impl Classes {
-    /// Those of tests that are elsewhere, in the coordinates that all of them together suggest.
+    /// The classes of remote tests, in coordinates from the survey of all of them.
     pub(super) fn afar(remote: &Remote, (elements, regressors): (Elements, usize), chained: bool) -> Classes {
         let (blocks, sizes) = (elements.blocks().len(), (elements.states(), regressors));
         let told = || {
@@ -71,7 +71,7 @@ impl Classes {
     }
 }
 
-/// ℓ and its derivatives at a point; NaN where nobody has answered.
+/// ℓ and its derivatives at a point; NaN where there is no answer.
 pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let flat = wanted.flat.map(|flat| Flat {
         free: flat.jacobian.ncols(),
@@ -84,7 +84,7 @@ pub(super) fn pass((remote, classes): (&Remote, &Classes), point: &Point, wanted
     answer.and_then(|numbers| zero().of_numbers(&numbers)).unwrap_or_else(|| zero().unknown())
 }
 
-/// [`Classes::excess`] of tests that are elsewhere; zero where nobody has answered.
+/// [`Classes::excess`] of remote tests; zero where there is no answer.
 pub(super) fn excess(remote: &Remote, frame: &Frame, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
     let p = mean.len();
     let answer = remote.ask(Question::Excess { frame: frame.clone(), mean: mean.as_slice().to_vec() });
@@ -93,7 +93,7 @@ pub(super) fn excess(remote: &Remote, frame: &Frame, mean: &DVector<f64>) -> (DV
 }
 
 impl Point {
-    /// As others are told of it.
+    /// The point in the form that is sent to remote places.
     pub(super) fn told(&self) -> Place {
         Place { mean: self.mean.clone(), coefficients: self.coefficients.clone(), root: list(&self.root) }
     }

@@ -1,23 +1,23 @@
-//! What tests say of the level of the noise.
+//! The information on the noise level within tests.
 
 use std::sync::Arc;
 
 use kalfit_filter::reduce::Reductions;
 
-/// What tests say of the level of the noise by themselves.
+/// Information of tests on the noise level that does not depend on ξ.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Residual {
-    /// n.
+    /// n, the number of measurements.
     pub measurements: f64,
-    /// r.
+    /// r, the residual sum of squares.
     pub squares: f64,
 }
 
 impl Residual {
-    /// Of a test whose r is known.
+    /// The residual of a test whose r is known.
     pub fn of(reductions: &Reductions, number: usize) -> Residual {
         let (squares, observations) = reductions.residual(number);
-        let squares = squares.expect("r is known").max(0.0); // rounding leaves less than nothing
+        let squares = squares.expect("r is known").max(0.0); // rounding may make it negative
         Residual { measurements: observations as f64, squares }
     }
 
@@ -25,17 +25,17 @@ impl Residual {
         Residual { measurements: self.measurements + other.measurements, squares: self.squares + other.squares }
     }
 
-    /// What is added to the constant where all noise is so many times as large: -½ n log λ - ½ r (1/λ - 1).
+    /// Change of the constant where all noise variances are multiplied by λ: -½ n log λ - ½ r (1/λ - 1).
     pub fn change(self, variance: f64) -> f64 {
         -0.5 * (self.measurements * variance.ln() + self.squares * (variance.recip() - 1.0))
     }
 }
 
-/// All noise λ times as large, in coordinates that are √λ times as large: R stays, d is d/√λ.
+/// All noise variances multiplied by λ, in coordinates that are √λ times as large: R stays, d becomes d/√λ.
 #[derive(Debug, Clone)]
 pub(crate) struct NoiseScale {
     pub(crate) variance: f64,
-    /// Of each class.
+    /// Residual of each class.
     pub(crate) told: Arc<Vec<Residual>>,
 }
 
@@ -45,7 +45,7 @@ impl NoiseScale {
         self.variance.sqrt().recip()
     }
 
-    /// What is added to the constant of a class.
+    /// Change of the constant of a class.
     pub(crate) fn change(&self, class: usize) -> f64 {
         self.told[class].change(self.variance)
     }

@@ -1,4 +1,4 @@
-//! Where a search ended.
+//! The result of a search.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use kalfit_filter::reduce::Reductions;
 use kalfit_model::Grouping;
 use kalfit_model::Population;
 
-/// Where the search ended, in the user's units.
+/// The result of a search, in the user's units.
 #[derive(Debug, Clone)]
 pub struct Estimate {
     /// μ (p).
@@ -30,11 +30,12 @@ pub struct Estimate {
     pub coefficients: Vec<f64>,
     /// Σ (p × p). Fixed elements have exactly their values.
     pub covariance: DMatrix<f64>,
-    /// ℓ, or under [`Criterion::Reml`] the restricted ℓ_R; every constant included. It is that of all phases together, also where
-    /// something else was maximised.
+    /// ℓ, or under [`Criterion::Reml`] the restricted ℓ_R, with every constant included. The value is that of all
+    /// phases together, even where another function was maximised.
     pub log_likelihood: f64,
-    /// What was maximised instead, under [`Combination::Marginal`] in several phases: the sum of the log-densities of the phases'
-    /// least-squares differences. Standard errors within a phase, the certificate and the trace are of it.
+    /// The function that was maximised instead under [`Combination::Marginal`] in several phases: the sum of the
+    /// log-densities of the phases' least-squares differences. Standard errors within a phase, the certificate and the
+    /// trace belong to that function.
     pub composite: Option<f64>,
     /// The optimality certificate.
     pub certificate: Certificate,
@@ -48,14 +49,15 @@ pub struct Estimate {
     pub classes: usize,
     /// Solver that was used.
     pub solver: Solver,
-    /// What was maximised.
+    /// The criterion that was maximised.
     pub criterion: Criterion,
-    /// What inference needs: the problem, the final point in its own coordinates, and the derivatives there.
+    /// The input of inference: the problem, the final point in the estimator's coordinates, and the derivatives there.
     pub state: FinalState,
 }
 
 impl Estimate {
-    /// With the log-likelihood of all phases together, where something else was maximised.
+    /// Adds the log-likelihood of all phases together, where another function was maximised; an error where ℓ is
+    /// unbounded.
     pub(super) fn of_all(mut self, reductions: &Reductions) -> Result<Estimate, FitError> {
         let classes = &self.state.problem.classes;
         if self.stop != Stop::Certified
@@ -72,7 +74,7 @@ impl Estimate {
         Ok(self)
     }
 
-    /// The groups that the tests stand in, where the model has levels.
+    /// The groups of the tests, where the model has levels.
     pub fn grouping(&self) -> Option<&Arc<Grouping>> {
         self.state.problem.classes.units.as_ref().map(|units| &units.grouping)
     }
@@ -111,7 +113,7 @@ impl From<&Estimate> for Population {
     }
 }
 
-/// The end of the search in the estimator's own coordinates.
+/// The end of a search, in the estimator's coordinates.
 #[derive(Debug, Clone)]
 pub struct FinalState {
     pub problem: Arc<Problem>,
@@ -119,7 +121,8 @@ pub struct FinalState {
     pub sums: Sums,
     pub(crate) assumed: Assumed,
     pub settings: Settings,
-    /// What standard errors are made of where dynamic parameters are estimated too, with their uncertainty in it.
+    /// The joint distribution with the dynamic parameters, for standard errors, where these parameters are estimated
+    /// too.
     pub joint: Option<JointLaw>,
 }
 
@@ -129,13 +132,14 @@ impl FinalState {
         evidence(reductions, &self.structure(), &self.settings).expect("the estimate was made from such")
     }
 
-    /// Each phase was taken by itself.
+    /// Whether each phase was fitted separately.
     pub fn is_marginal(&self) -> bool {
         let levels = self.problem.classes.units.is_some();
         self.settings.phases == Combination::Marginal && !self.problem.covariance.elements.is_single() && !levels
     }
 
-    /// What rounding leaves open, by mean coordinate (elements of μ, then regression coefficients), in standard errors.
+    /// Bound on the effect of rounding errors for each mean coordinate (elements of μ, then regression coefficients),
+    /// in standard errors.
     pub fn rounding(&self) -> Vec<f64> {
         rounding(&self.problem.classes.frame, &self.newton_iterate)
     }

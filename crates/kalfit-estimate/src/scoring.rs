@@ -1,8 +1,9 @@
 //! Fisher scoring: the start of the Newton solver.
 //!
-//! One pass gives the mean by generalised least squares at the present Σ, the score of Σ at *that* mean, and the expected
-//! information; the scoring step in Σ is exact when all tests are alike. No direction of Σ shrinks more than tenfold. With
-//! several phases the sums do not tell the score at another mean, so a pass of first order moves the mean beforehand.
+//! One pass gives the mean by generalised least squares at the present Σ, the score of Σ at *that* mean, and the
+//! expected information; the scoring step in Σ is exact when all tests have the same design. No direction of Σ shrinks
+//! more than tenfold. With several phases the sums do not determine the score at another mean, so a pass of first order
+//! moves the mean beforehand.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,10 +18,10 @@ use kalfit_algebra::regular::Regular;
 use kalfit_algebra::sparse::Sparse;
 use kalfit_algebra::symmetric;
 
-/// The largest part of Σ that one step may take away in any direction.
+/// Largest fraction of Σ that one step may remove in any direction.
 const LARGEST_LOSS: f64 = 0.9;
 
-/// The point with the mean of generalised least squares, in several phases; else the point itself.
+/// The point after generalised least squares for the mean, where there are several phases; else the point itself.
 pub(crate) fn prepared(problem: &Problem, point: Point) -> Option<Point> {
     if problem.covariance.elements.is_single() {
         return Some(point);
@@ -29,7 +30,8 @@ pub(crate) fn prepared(problem: &Problem, point: Point) -> Option<Point> {
     Some(problem.move_mean(&point, problem.least_squares_step(&sums).as_slice()))
 }
 
-/// The next point, and the gain in ℓ that the step promises, from the sums of order [`Expected`](crate::Order::Expected) at a point.
+/// The next point, and the gain in ℓ that the step promises, from the sums of order
+/// [`Expected`](crate::estimate::order::Order::Expected) at a point.
 pub(crate) fn step(problem: &Problem, point: &Point, sums: &Sums) -> (Point, f64) {
     let map = &problem.covariance;
     let move_mean = problem.least_squares_step(sums);
@@ -65,7 +67,7 @@ fn metric(root: &DMatrix<f64>, free: &Sparse, elements: &Elements) -> DMatrix<f6
     free.congruence_of(elements.over(|k, l, a, b| inverse[(l, a)] * inverse[(b, k)]))
 }
 
-/// The solution of I x = g where there is only one.
+/// The solution of I x = g where it is unique.
 fn solved(mut information: DMatrix<f64>, score: &DVector<f64>) -> Option<DVector<f64>> {
     let size = DVector::from_vec(symmetric::sizes(&information));
     for (j, mut column) in information.column_iter_mut().enumerate() {
@@ -75,8 +77,9 @@ fn solved(mut information: DMatrix<f64>, score: &DVector<f64>) -> Option<DVector
     root.is_whole().then(|| root.solve(&score.component_div(&size)).component_div(&size))
 }
 
-/// The smallest solution of I x = g in a metric: what the data do not determine changes as little as it can relative to Σ.
-/// That keeps the regression of an unobserved state on the observed ones (the paper's §2.3), and so keeps Σ positive.
+/// The smallest solution of I x = g in a metric: what the data do not determine changes as little as possible relative
+/// to Σ. That preserves the regression of an unobserved state on the observed ones (the paper's §2.3), and so keeps Σ
+/// positive.
 fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMatrix<f64>) -> DVector<f64> {
     let (size, values, vectors) = symmetric::scaled_eigen(metric);
     let floor = values.last().copied().unwrap_or(0.0) * 1e-14;
@@ -87,12 +90,12 @@ fn relative_solve(information: &DMatrix<f64>, score: &DVector<f64>, metric: &DMa
     half * symmetric::pseudo_solve(&relative, &right)
 }
 
-/// Σ + change, with the change cut where it would leave less than a tenth of Σ = FF': direction by direction, or, so as to
-/// keep constraints, as a whole.
+/// Σ + change, with the change reduced where it would leave less than a tenth of Σ = FF': direction by direction, or as
+/// a whole where constraints must be kept.
 fn grown(root: &DMatrix<f64>, change: &DMatrix<f64>, by_direction: bool) -> Option<DMatrix<f64>> {
     let (size, values, vectors) = symmetric::scaled_eigen(&(root * root.transpose()));
     let largest = values.last().copied().filter(|v| *v > 0.0)?;
-    // only within the range of Σ, where a relative change has a meaning; zero rows (fixed variances) stay
+    // only within the range of Σ, where a relative change is defined; zero rows (fixed variances) stay zero
     let range: Vec<usize> = (0..values.len()).filter(|&k| values[k] > 1e-14 * largest).collect();
     let half =
         DMatrix::from_fn(root.nrows(), range.len(), |i, k| size[i] * vectors[(i, range[k])] * values[range[k]].sqrt());

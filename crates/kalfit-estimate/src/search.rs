@@ -21,33 +21,36 @@ use crate::sums::Sums;
 use crate::{Criterion, Structure, pilot, quadratic, scoring, start, unobserved};
 use kalfit_model::Population;
 
-/// Most scoring steps before Newton's method takes over.
+/// Maximum number of scoring steps before Newton's method takes over.
 const SCORING_STEPS: usize = 5;
-/// Newton's method takes over once scoring promises, or has just given, no more than this of ℓ.
+/// Scoring hands over to Newton's method once a step promises, or the last one has given, a gain in ℓ below this.
 const ENOUGH: f64 = 0.5;
-/// … or has given less than this part of what it promised.
+/// Scoring also hands over once a step has gained less than this fraction of what it promised.
 const KEPT: f64 = 0.7;
-/// Newton's method in ψ is left to itself while it takes the decrement down by this, unless the model in Σ costs little: up to
-/// so many mean coordinates and elements of Σ.
+/// Newton's method in ψ steps alone while each step reduces the decrement to less than this fraction of the one before;
+/// otherwise the quadratic model in Σ is tried first.
 const FAST: f64 = 0.1;
+/// Largest number of mean coordinates and elements of Σ up to which the quadratic model in Σ is tried at every step: it
+/// costs little there.
 const CHEAP: usize = 120;
-/// Where no step raises ℓ any more, for rounding, so many tolerances are near enough: a millionth of a standard error.
+/// Where rounding keeps every step from raising ℓ, a decrement of at most this many tolerances is accepted: a millionth
+/// of a standard error by default.
 const NEAR_ENOUGH: f64 = 1e2;
-/// From a place with a decrement below this the next step is likely to be the last: Newton's method squares it, more or less.
+/// Below this decrement the next step is probably the last: Newton's method roughly squares the decrement.
 const NEAR_END: f64 = 1e-3;
-/// Decrement that ends a search on a part of the tests: far below the sampling error that it has from all.
+/// Decrement, in standard errors, that stops a search on a subset of the tests: far below the subset's sampling error.
 const ROUGH: f64 = 1e-2;
-/// EM passes between two looks at the certificate.
+/// Number of EM steps between two evaluations of the certificate.
 const EM_LOOK: usize = 16;
-/// A trailing column of the factor this small (in η) is tried at exactly zero when the search has ended.
+/// Columns of the factor smaller than this (in η) are tried at exactly zero when the search has ended.
 const SNAP: f64 = 1e-5;
-/// The same, once, of a column this small where the model in Σ finds no step: where only few matrices of a lower rank meet the
-/// constraints, the decrement is not to be trusted near them.
+/// As `SNAP`, but tried once during the search, where the model in Σ finds no step: if only few matrices of a lower
+/// rank meet the constraints, the decrement near them is unreliable.
 const SMALL: f64 = 1e-3;
 
 /// Where a search begins.
 pub(crate) enum Beginning<'a> {
-    /// At a start of its own, from the model file or from the data.
+    /// At a start computed from the model file or from the data.
     Open,
     /// At values near the optimum, which need not meet the structure.
     Near(&'a Population),
@@ -67,7 +70,8 @@ impl<'a> Search<'a> {
         Search { problem, settings, progress, trace: Vec::new() }
     }
 
-    /// To the optimum; from a start that is not known to be near it by way of a part of the tests, or by Fisher scoring.
+    /// Searches for the optimum. A start that is not known to be near the optimum is first improved on a subset of the
+    /// tests, or by Fisher scoring.
     pub(crate) fn run(mut self, beginning: Beginning<'_>, structure: &Structure<'_>) -> Result<Estimate, FitError> {
         let is_near = !matches!(beginning, Beginning::Open);
         let start = match beginning {
@@ -98,7 +102,7 @@ impl<'a> Search<'a> {
         self.progress.step(Step { passes: self.problem.passes(), log_likelihood: value, decrement });
     }
 
-    /// Why the search must end here, wherever it is.
+    /// The reason why the search must stop now, if there is one.
     fn ends(&self) -> Option<Stop> {
         if self.progress.stops() {
             return Some(Stop::Interrupted);
@@ -110,14 +114,14 @@ impl<'a> Search<'a> {
         NewtonIterate::new(&self.problem, &self.problem.covariance, point, near).ok_or(FitError::NotFinite)
     }
 
-    /// The place where these are the sums.
+    /// The iterate at a point whose sums are computed already.
     fn known(&self, point: Point, mut sums: Sums) -> Result<NewtonIterate, FitError> {
         let problem = &self.problem;
         NewtonIterate::at(Local::of(&mut sums), problem.mean_jacobian(), &problem.covariance, point)
             .ok_or(FitError::NotFinite)
     }
 
-    /// Newton, and EM where Newton finds no step.
+    /// Newton's method, with an EM step where Newton's method finds none.
     fn newton(&mut self, mut place: NewtonIterate) -> Result<(NewtonIterate, Stop), FitError> {
         self.accept(place.local.value, Some(place.decrement()));
         let mut damping = Damping::default();
@@ -174,7 +178,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The best place of a part of the tests, where they are very many; `None` where it is no better than the start may be.
+    /// The optimum of a subset of the tests, as a start for all; `None` where the tests are too few, or where the
+    /// subset's search does not converge.
     fn piloted(&self, start: &Point, structure: &Structure<'_>) -> Result<Option<NewtonIterate>, FitError> {
         let Some(problem) = pilot::problem(&self.problem, structure)? else { return Ok(None) };
         let settings = Settings { tolerance: ROUGH.max(self.settings.tolerance), ..self.settings.clone() };
@@ -186,8 +191,8 @@ impl<'a> Search<'a> {
         Ok(self.place(point, None).ok())
     }
 
-    /// The start, moved on by Fisher scoring while that promises much; ℓ need not rise on the way, and where it falls the
-    /// better point is kept, which needs no new pass.
+    /// The start, improved by Fisher scoring while that promises much. ℓ need not rise at every step: where it falls,
+    /// the better point before is returned, which needs no new pass.
     fn scored_start(&mut self, start: Point) -> Result<NewtonIterate, FitError> {
         let mut best: Option<(Sums, Point)> = None;
         let mut point = start;
@@ -203,7 +208,7 @@ impl<'a> Search<'a> {
             }
             self.accept(sums.value, None);
             let gained = before.map_or(f64::INFINITY, |before| sums.value - before);
-            drop(best.take()); // of many states there is no room for both
+            drop(best.take()); // with many states, both do not fit in memory
             let (next, promised) = scoring::step(&self.problem, &point, &sums);
             let kept_its_word = gained >= KEPT * expected;
             expected = promised;
@@ -220,14 +225,14 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// An EM step, where it raises ℓ and is wanted.
+    /// An EM step, where it raises ℓ and `wanted` is true.
     fn safeguard(&mut self, place: &mut NewtonIterate, wanted: bool) -> Result<Option<NewtonIterate>, FitError> {
         let sums = self.problem.sums(&place.point, Order::Mean, None).ok_or(FitError::NotFinite)?;
         let next = em::step(&self.problem, &place.point, &sums, &mut ConditionalStep::Covariance);
         self.surpassed(place, next, |next, place| wanted && next.local.value > place.local.value)
     }
 
-    /// The place at a point, where it is good: of the other one nothing may be asked then.
+    /// The iterate at a point, where `good` accepts it; the iterate passed in must not be used any more then.
     fn surpassed(
         &self,
         place: &mut NewtonIterate,
@@ -242,7 +247,7 @@ impl<'a> Search<'a> {
         failed.map_or(Ok(next), Err)
     }
 
-    /// The paper's algorithm. ℓ is checked to rise at every step; the certificate is looked at now and then.
+    /// The paper's algorithm. Every step is checked to raise ℓ; the certificate is evaluated every few steps.
     fn em(&mut self, mut point: Point) -> Result<(NewtonIterate, Stop), FitError> {
         let mut turn = ConditionalStep::Mean;
         let mut before = f64::NEG_INFINITY;
@@ -251,7 +256,7 @@ impl<'a> Search<'a> {
         loop {
             let sums = self.problem.sums(&point, order, None).ok_or(FitError::NotFinite)?;
             if self.problem.criterion() == Criterion::Reml && turn == ConditionalStep::Mean {
-                // the restricted likelihood is that at the mean of least squares, which comes first
+                // the restricted likelihood is taken at the mean of least squares, so the step in the mean comes first
                 point = em::step(&self.problem, &point, &sums, &mut turn);
                 continue;
             }
@@ -277,7 +282,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Sets what is all but zero to zero, looks at everything once more, and leaves the estimator's coordinates.
+    /// Sets nearly zero columns of the factor to zero, computes the final certificate, and converts the result to the
+    /// user's units.
     fn finish(
         mut self,
         mut place: NewtonIterate,
@@ -287,7 +293,7 @@ impl<'a> Search<'a> {
         let enough = place.decrement().max(self.settings.tolerance);
         place = self.snapped(&mut place, SNAP, enough)?.unwrap_or(place);
         if self.problem.criterion() == Criterion::Reml {
-            // the second derivatives are exact once the covariance of the mean is that of this very place
+            // the second derivatives are exact only with the covariance of the mean at this very point
             let same = place.point.clone();
             place = self.surpassed(&mut place, same, |_, _| true)?.unwrap_or(place);
         }
@@ -310,7 +316,8 @@ impl<'a> Search<'a> {
         Ok(Estimate { passes, ..leave(state, certificate, stop, self.trace, self.settings.solver) })
     }
 
-    /// What no test observes put back to the law it started with, where Newton's steps have moved it.
+    /// The iterate with the distribution of what no test observes reset to that of the start, where Newton's steps have
+    /// changed it.
     fn restored(&mut self, mut place: NewtonIterate, start: &DMatrix<f64>) -> Result<NewtonIterate, FitError> {
         let (map, information) = (&self.problem.covariance, &self.problem.classes.information);
         let Some(root) = unobserved::restored(map, information, start, &place.point.root) else { return Ok(place) };
@@ -320,8 +327,8 @@ impl<'a> Search<'a> {
         Ok(self.surpassed(&mut place, point, fine)?.unwrap_or(place))
     }
 
-    /// The place with trailing columns of the factor up to this size set to zero; `None` where there are none, where ℓ minds, or where the
-    /// decrement is more than `enough`.
+    /// The iterate with columns of the factor below this size set to zero; `None` where there are none, where ℓ falls,
+    /// or where the decrement exceeds `enough`.
     fn snapped(
         &mut self,
         place: &mut NewtonIterate,
@@ -348,20 +355,20 @@ impl<'a> Search<'a> {
     }
 }
 
-/// ℓ is no less, but for rounding.
+/// Whether ℓ is no lower, apart from rounding.
 fn is_as_good(next: &NewtonIterate, place: &NewtonIterate) -> bool {
     next.local.value >= place.local.value - 1e-9
 }
 
 impl Estimate {
-    /// What is known at a place that no search has ended at.
+    /// The estimate at an iterate where no search has ended.
     pub fn unfinished(state: FinalState) -> Estimate {
         let certificate = certified(&state.problem, &state.newton_iterate);
         leave(state, certificate, Stop::PassLimit, Vec::new(), Solver::Newton)
     }
 }
 
-/// The certificate of a place, with what rounding leaves open there.
+/// The certificate of an iterate, with its bound on rounding errors.
 fn certified(problem: &Problem, place: &NewtonIterate) -> Certificate {
     let (certificate, _) = certificate(&problem.covariance, place, problem.classes.tests as f64);
     certificate.with_rounding(&rounding(&problem.classes.frame, place))

@@ -1,6 +1,6 @@
-//! How to search, whom to tell, and why a search stopped.
+//! Settings of a search, reports of its progress, and the reasons why it stops.
 
-/// How μ and Σ are sought.
+/// The algorithm that estimates μ and Σ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Solver {
     /// Fisher scoring, then Newton's method with the exact Hessian in (μ, L), EM as safeguard.
@@ -22,7 +22,7 @@ pub enum Criterion {
     Reml,
 }
 
-/// How the phases of a test are put together (theory §7). For tests in one phase all are the same.
+/// How the phases of a test are combined (theory §7). For tests in one phase all three are identical.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Combination {
     /// Phase by phase, at a cost linear in the number of phases. Exact.
@@ -30,22 +30,22 @@ pub enum Combination {
     Chain,
     /// All phases as one big test: the reference. Exact.
     Stacked,
-    /// Each phase by its least-squares differences from the phase before, their correlation over phases ignored: the paper's
-    /// quick analysis. It throws information away and approximates nothing.
+    /// Each phase by its least-squares differences from the phase before, with their correlation over phases ignored:
+    /// the paper's quick analysis. It discards information but approximates nothing.
     Marginal,
 }
 
 /// Settings of a fit of μ and Σ.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// How to search.
+    /// The algorithm.
     pub solver: Solver,
     /// What is maximised.
     pub criterion: Criterion,
-    /// How phases are put together.
+    /// How the phases of a test are combined.
     pub phases: Combination,
-    /// Stop when the Newton decrement is at most this: the distance to the optimum in standard errors. Where rounding keeps every step
-    /// from raising ℓ, a hundred times as much is near enough.
+    /// Newton decrement at which the search stops: the distance to the optimum in standard errors. Where rounding keeps
+    /// every step from raising ℓ, a hundred times as much is accepted.
     pub tolerance: f64,
     /// Largest number of passes over the reductions.
     pub max_passes: usize,
@@ -74,45 +74,45 @@ impl Settings {
     }
 }
 
-/// What the search tells as it goes.
+/// The state of the search after an accepted step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
     /// Passes over the reductions so far.
     pub passes: usize,
-    /// Log-likelihood now.
+    /// Log-likelihood after the step.
     pub log_likelihood: f64,
     /// Newton decrement, where it is known: distance to the optimum in standard errors.
     pub decrement: Option<f64>,
 }
 
-/// What is done beside the steps of a search.
+/// Work of a search between its steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stage<'a> {
     /// Start values of free parameters are sought.
     StartValues {
-        /// Filter runs that it took so far.
+        /// Filter runs spent on start values so far.
         filter_runs: usize,
     },
     /// The filters run over all data, at new values of free parameters.
     Filters {
-        /// Filter runs that the search took so far.
+        /// Filter runs of the search so far.
         filter_runs: usize,
     },
-    /// EM over free parameters gains slowly here, and another method would take far fewer runs.
+    /// EM over free parameters gains slowly, and another method would take far fewer filter runs.
     Slow,
     /// An end of an interval by profile likelihood is sought.
     Interval {
-        /// What the interval is of: `` `tau` ``, or ``the mean of `bias` ``.
+        /// The quantity that the interval is for: `` `tau` ``, or ``the mean of `bias` ``.
         of: &'a str,
-        /// The upper end, not the lower one.
+        /// Whether the upper end is sought, not the lower one.
         is_upper: bool,
-        /// Filter runs since the search ended; none where α is known.
+        /// Filter runs since the search ended; zero where α is known.
         filter_runs: usize,
     },
 }
 
-/// Listens to the search, and to what is inferred from its end: there in whatever thread works at it.
+/// Receives the progress of the search and of the inference after it, the latter in whichever thread does the work.
 pub trait Progress: Send {
     /// Called when something begins that may take long, before the first step and between steps.
     fn stage(&mut self, _: Stage<'_>) {}
@@ -120,15 +120,15 @@ pub trait Progress: Send {
     /// Called after each accepted step.
     fn step(&mut self, step: Step);
 
-    /// True once the search is to end where it is, with [`Stop::Interrupted`](crate::Stop::Interrupted). It is asked
-    /// between steps; while intervals by profile likelihood are sought, before each run of the filters: those from standard errors
-    /// stand for them then; and while the expected information is worked out, for which the observed one stands then.
+    /// True once the search is to stop, with [`Stop::Interrupted`](crate::estimate::Stop::Interrupted). It is called
+    /// between steps; before each filter run for intervals by profile likelihood, which intervals from standard errors
+    /// then replace; and while the expected information is computed, which the observed information then replaces.
     fn stops(&self) -> bool {
         false
     }
 }
 
-/// Listens to nothing.
+/// Ignores all reports.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 
@@ -141,9 +141,9 @@ impl Progress for Silent {
 pub enum Stop {
     /// The certificate holds.
     Certified,
-    /// The passes ran out first.
+    /// The limit of passes was reached first.
     PassLimit,
-    /// [`Progress::stops`](crate::Progress::stops) asked for it.
+    /// [`Progress::stops`](crate::estimate::Progress::stops) returned true.
     Interrupted,
     /// No step raises ℓ, yet the certificate does not hold.
     Stalled,

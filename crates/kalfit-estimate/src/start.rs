@@ -9,17 +9,17 @@ use crate::{Classes, FitError, Structure, linear, pilot};
 use kalfit_algebra::symmetric;
 use kalfit_model::{Population, StructureError};
 
-/// Smallest start variance, in units of what one average test tells of the state.
+/// Smallest start variance of a state in η, where an average test has unit information on the state.
 const LEAST: f64 = 0.05;
 
-/// Where the search begins.
+/// The point where the search begins.
 pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Point, FitError> {
     let map = &problem.covariance;
     let (mean, coefficients) = mean(problem, structure);
     let from_data = match map.parts.iter().all(|part| part.start.is_some()) {
         true => DMatrix::zeros(map.p, map.p),
         false => {
-            // of very many tests a part will do
+            // with very many tests a subset is enough
             let pilot = pilot::problem(problem, structure)?;
             let classes = pilot.as_ref().map_or(&problem.classes, |pilot| &pilot.classes);
             DMatrix::from_diagonal(&variances(classes, &mean))
@@ -33,7 +33,7 @@ pub(crate) fn start(problem: &Problem, structure: &Structure<'_>) -> Result<Poin
     Ok(Point { mean: mean.as_slice().to_vec(), coefficients, root: map.assembled(parts) })
 }
 
-/// A root for one phase near a wanted Σ.
+/// A root for one phase, with FF' near the given Σ.
 fn part_root(map: &CovarianceMap, linear: bool, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, FitError> {
     if map.constraints.is_empty() {
         return Ok(map.root_of(&map.mask(sigma)));
@@ -45,7 +45,7 @@ fn part_root(map: &CovarianceMap, linear: bool, sigma: &DMatrix<f64>) -> Result<
     feasible(map, sigma)
 }
 
-/// A root of the highest rank that the structure has: that of a start from nothing but the structure.
+/// A root of the highest rank that the structure allows, made from the structure alone.
 pub fn generic_root(problem: &Problem) -> DMatrix<f64> {
     let map = &problem.covariance;
     let of = |part: &PhaseForm| {
@@ -59,7 +59,7 @@ pub fn generic_root(problem: &Problem) -> DMatrix<f64> {
     map.assembled(map.parts.iter().map(of))
 }
 
-/// Σ is singular for [`near`] when a scaled eigenvalue is below this.
+/// [`near`] treats Σ as singular when a scaled eigenvalue is below this.
 const SINGULAR: f64 = 1e-6;
 
 /// The point of the structure near given values. A singular Σ is made regular: in its null space, ℓ would look flat to
@@ -86,12 +86,13 @@ pub(crate) fn near(problem: &Problem, values: &Population) -> Result<Point, FitE
     })
 }
 
-/// A pilot's end as a start for all tests: an end on the boundary a little inside, where the others may want to go.
+/// A pilot's end as a start for all tests; an end on the boundary is moved a little inside, where the best point of all
+/// tests may be.
 pub(crate) fn onward(whole: &Problem, pilot: &Problem, end: &Point) -> Result<Point, FitError> {
     near(whole, &pilot.values_of(end))
 }
 
-/// Pooled least squares on the structure, with the model's start values where the data say nothing or the model says so.
+/// The start of the mean: the model's start values where given, else pooled least squares on the structure.
 fn mean(problem: &Problem, structure: &Structure<'_>) -> (DVector<f64>, Vec<f64>) {
     let (map, frame) = (&problem.mean, &problem.classes.frame);
     let start = structure.mean_start();
@@ -128,8 +129,8 @@ fn feasible(map: &CovarianceMap, sigma: &DMatrix<f64>) -> Result<DMatrix<f64>, F
         wanted[(j, i)] = constraint.value;
         own[i] &= i != j;
     }
-    // The free variances grow until the fixed covariances fit beside them, and no longer than that helps: zero variances, and
-    // fixed elements that are singular among themselves, stay what they are.
+    // The free variances grow until Σ is positive definite with the fixed covariances, and only while growth helps:
+    // zero variances, and fixed elements that are singular among themselves, stay as they are.
     let least = |sigma: &DMatrix<f64>| symmetric::scaled_range(&sub(sigma, &map.random)).0;
     for _ in 0..60 {
         let before = least(&wanted);

@@ -1,5 +1,5 @@
-//! What is assumed of μ and Σ, phase by phase. Quantities of all phases stand in a row, first those of the first phase;
-//! states of different phases are independent (theory §7).
+//! The assumed structure of μ and Σ, phase by phase. Quantities of all phases are concatenated, those of the first
+//! phase first; states of different phases are independent (theory §7).
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -10,29 +10,31 @@ use nalgebra::DMatrix;
 use kalfit_model::Grouping;
 use kalfit_model::{Alpha, CovarianceStructure, GroupLevel, MeanElement, MeanStructure, PhasedModel, Regression};
 
-/// What is assumed of μ and Σ.
+/// The assumed structure of μ and Σ.
 #[derive(Debug, Clone)]
 pub struct Structure<'a> {
-    /// Of each phase. What groups of tests add to a test's ξ stands like further phases after the only one, level by level from the
-    /// innermost on: independent of it and of each other, with the mean zero.
+    /// The structure of each phase. For a model with levels, the only phase is followed by one entry for each level,
+    /// from the innermost on: for what its groups add to a test's ξ, independent of the phase and of the other levels,
+    /// with mean zero.
     pub phases: Vec<PhaseStructure<'a>>,
     /// Parameters that matrices of the covariance structures refer to.
     pub alpha: &'a Alpha,
-    /// Which tests are of one group, where the model has levels.
+    /// The groups of the tests, where the model has levels.
     pub grouping: Option<Arc<Grouping>>,
 }
 
-/// What is assumed of the μ and Σ of one phase, or of what the groups of a level add.
+/// The assumed structure of μ and Σ of one phase, or of what the groups of a level add.
 #[derive(Debug, Clone)]
 pub struct PhaseStructure<'a> {
-    /// Of μ.
+    /// Structure of μ.
     pub mean: Cow<'a, MeanStructure>,
-    /// Of Σ.
+    /// Structure of Σ.
     pub covariance: &'a CovarianceStructure,
 }
 
 impl<'a> Structure<'a> {
-    /// The structure of a model, with its parameters at α; of a model with levels, whose tests are in these groups.
+    /// The structure of a model with its parameters at α; for a model with levels, `grouping` holds the groups of the
+    /// tests.
     pub fn of(model: &'a PhasedModel, alpha: &'a Alpha, grouping: Option<&Arc<Grouping>>) -> Structure<'a> {
         let of = |phase: &'a kalfit_model::Phase| PhaseStructure {
             mean: Cow::Borrowed(&phase.model.mean),
@@ -52,7 +54,7 @@ impl<'a> Structure<'a> {
         Structure { phases: vec![PhaseStructure { mean: Cow::Borrowed(mean), covariance }], alpha, grouping: None }
     }
 
-    /// p, the number of states that a test's reduction is in: of all phases, but of a level's groups not once more.
+    /// p, the number of states of a test's reduction: those of all phases, without those that levels add.
     pub fn reduced_dimension(&self) -> usize {
         match self.grouping {
             Some(_) => self.phases[0].mean.elements.len(),
@@ -60,12 +62,12 @@ impl<'a> Structure<'a> {
         }
     }
 
-    /// Σ_i p_i.
+    /// Σ_i p_i, the number of states of all phases and levels.
     pub fn dimension(&self) -> usize {
         self.phases.iter().map(|phase| phase.mean.elements.len()).sum()
     }
 
-    /// Where the elements of each phase stand among those of all.
+    /// The range of each phase's elements among those of all phases.
     pub fn ranges(&self) -> Vec<Range<usize>> {
         let mut end = 0;
         let range = |phase: &PhaseStructure<'_>| {
@@ -85,7 +87,7 @@ impl<'a> Structure<'a> {
         self.phases.iter().zip(self.ranges()).flat_map(of).collect()
     }
 
-    /// What was said of the elements of μ, ties among the elements of all phases.
+    /// The structure of each element of μ, with ties numbered over the elements of all phases.
     pub fn elements(&self) -> Vec<MeanElement> {
         let of = |(phase, range): (&PhaseStructure<'_>, Range<usize>)| -> Vec<MeanElement> {
             let moved = |element: &MeanElement| match element {
@@ -120,7 +122,7 @@ impl<'a> Structure<'a> {
     }
 }
 
-/// A structure of its own.
+/// A structure that owns its parts.
 #[derive(Debug, Clone)]
 pub(crate) struct Assumed {
     phases: Vec<(MeanStructure, CovarianceStructure)>,
@@ -137,12 +139,12 @@ impl From<&Structure<'_>> for Assumed {
 }
 
 impl Assumed {
-    /// The structure, to be looked at.
+    /// A view of the structure.
     pub(crate) fn structure(&self) -> Structure<'_> {
         self.at(&self.alpha)
     }
 
-    /// The same with other parameters.
+    /// A view of the structure with other parameters.
     pub(crate) fn at<'a>(&'a self, alpha: &'a Alpha) -> Structure<'a> {
         let of = |(mean, covariance): &'a (MeanStructure, CovarianceStructure)| PhaseStructure {
             mean: Cow::Borrowed(mean),

@@ -1,4 +1,4 @@
-//! What a place that holds some of the tests answers: sums over their reductions.
+//! The answers of a place that holds some of the tests: sums over their reductions.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -22,18 +22,18 @@ use kalfit_filter::score::{InitialLaw, by_columns};
 use kalfit_model::Grouping;
 use kalfit_model::remote::{Answer, Flat, Law, Place, Question};
 
-/// The reductions of one place at one α, ready to be asked for sums over them.
+/// The reductions of one place at one α, prepared for sums over them.
 #[derive(Debug)]
 pub struct Summed {
     pub reductions: Reductions,
-    /// Of tests in groups: the reductions in what is a test's own and what each of its groups adds.
+    /// The reductions of tests in groups, in the states of the test and of each of its groups.
     stacked: Option<Reductions>,
     grouping: Option<Arc<Grouping>>,
-    /// p of a test.
+    /// p, the number of states of a test.
     states: usize,
     elements: Elements,
     regressors: Vec<usize>,
-    /// The classes in the coordinates that were asked for last.
+    /// The classes in the coordinates of the last request.
     gathered: Option<(Frame, Classes)>,
 }
 
@@ -55,12 +55,12 @@ impl Summed {
         }
     }
 
-    /// What the likelihood is of.
+    /// The reductions that the likelihood is computed from.
     fn evidence(&self) -> &Reductions {
         self.stacked.as_ref().unwrap_or(&self.reductions)
     }
 
-    /// The answer to a question about μ and Σ; `None` where it is none, or not of this model.
+    /// The answer to a question about μ and Σ; `None` where the question is of another kind or does not fit this model.
     pub fn answer(&mut self, question: &Question) -> Option<Answer> {
         let numbers = match question {
             Question::Survey => self.survey(),
@@ -81,7 +81,8 @@ impl Summed {
         Some(numbers.iter().all(|x| x.is_finite()).then_some(numbers))
     }
 
-    /// The classes in these coordinates, with the elements that regressions act on; `None` where the coordinates are not of this model.
+    /// The classes in these coordinates, with the elements that regressions act on; `None` where the coordinates do not
+    /// fit this model.
     pub(crate) fn classes(&mut self, frame: &Frame) -> Option<(&Classes, &Regressors)> {
         let fits = self.is_state(&frame.centre) && self.is_state(&frame.scale);
         if !fits || frame.covariate_scale.len() != self.regressors.len() {
@@ -99,7 +100,8 @@ impl Summed {
         Some((classes, &self.regressors))
     }
 
-    /// The classes of the tests as if each stood alone, in these coordinates; `None` where they are not of this model.
+    /// The classes of the tests as if there were no groups, in these coordinates; `None` where the coordinates do not fit
+    /// this model.
     pub fn apart(&mut self, frame: &Frame) -> Option<Cow<'_, Classes>> {
         if self.grouping.is_none() {
             return self.classes(frame).map(|(classes, _)| Cow::Borrowed(classes));
@@ -112,7 +114,7 @@ impl Summed {
         Some(Cow::Owned(Classes::in_frame(&self.reductions, frame, elements, true)))
     }
 
-    /// The law of ξ of each test, as it is told; `None` where it is not of this model.
+    /// The distribution of ξ of each test, from the form that is sent; `None` where it does not fit this model.
     pub fn law(&mut self, law: &Law) -> Option<InitialLaw> {
         let own = InitialLaw::from_message(law, (self.states, self.regressors.len()))?;
         let Some(given) = &law.given else { return self.grouping.is_none().then_some(own) };

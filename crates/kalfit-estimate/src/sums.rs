@@ -1,4 +1,4 @@
-//! What a pass adds up, and the derivatives of ℓ that are made of it (theory §3).
+//! The sums of a pass, and the derivatives of ℓ that are computed from them (theory §3).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -15,21 +15,21 @@ use kalfit_algebra::symmetric::{pair, pairs};
 /// Sums over tests. The mean coordinates are the p elements of μ, then the regression coefficients.
 #[derive(Debug, Clone)]
 pub struct Sums {
-    /// ℓ.
+    /// ℓ, or ℓ_R where `restricted` is present.
     pub value: f64,
     /// Σ (d - Rμ)'(I + RΣR')⁻¹(d - Rμ).
     pub(crate) quadratic: f64,
     /// ∂ℓ/∂(mean coordinates): Σ E'r.
     pub mean_score: DVector<f64>,
-    /// Σ E'WE.
+    /// Information on the mean coordinates: Σ E'WE.
     pub mean_information: DMatrix<f64>,
     /// Σ r r', zero between phases.
     pub(crate) outer: DMatrix<f64>,
     /// Σ W, zero between phases.
     pub(crate) weight: DMatrix<f64>,
-    /// What the restricted likelihood adds, already part of `value`.
+    /// The term of the restricted likelihood, already part of `value`.
     pub(crate) restricted: Option<RemlTerm>,
-    /// Σ X'W ⊗ WX, pairs of free mean coordinates × elements; nothing under maximum likelihood.
+    /// Σ X'W ⊗ WX, pairs of free mean coordinates × elements; empty under maximum likelihood.
     pub(super) spread: DMatrix<f64>,
     /// Σ W ⊗ (r r' - ½W); under the restricted likelihood Σ W ⊗ (r r' - ½W + W X V X'W).
     pub(super) curvature: Products,
@@ -37,9 +37,9 @@ pub struct Sums {
     pub(super) cross: Crosses,
     /// Σ W ⊗ W.
     pub(super) expected: Products,
-    /// Second derivatives of tests in groups, which no sum over tests gives.
+    /// Second derivatives of tests in groups, which are no sums over tests.
     pub(super) of_levels: Option<OfLevels>,
-    /// ½ Σ tr(W D W E) where a search has ended, in place of all that it is made of.
+    /// ½ Σ tr(W D W E) where a search has ended, in place of the products that it is computed from.
     rested: Option<Folded>,
     /// The elements of Σ.
     pub(crate) elements: Elements,
@@ -52,7 +52,7 @@ pub(crate) struct OfLevels {
     pub(super) observed: DMatrix<f64>,
     /// -∂²ℓ by a mean coordinate and an element.
     pub(super) cross: DMatrix<f64>,
-    /// What the first of them is on average.
+    /// Expected value of `observed`.
     pub(super) expected: DMatrix<f64>,
 }
 
@@ -78,7 +78,8 @@ impl Sums {
         }
     }
 
-    /// With what other tests say, times a sign: -1 takes it away. What was added up of fewer derivatives of them is left as it is.
+    /// Adds the sums of other tests, times a sign: -1 subtracts them. Products that the other sums do not hold stay as
+    /// they are.
     pub(super) fn and(mut self, sign: f64, other: &Sums) -> Sums {
         self.value += sign * other.value;
         self.quadratic += sign * other.quadratic;
@@ -96,7 +97,7 @@ impl Sums {
         self
     }
 
-    /// Adds what classes say, their constants apart.
+    /// Adds the totals of classes, without their constants.
     pub(super) fn take(&mut self, totals: ClassSums) {
         self.value += totals.value;
         self.quadratic += totals.quadratic;
@@ -125,14 +126,14 @@ impl Sums {
                 }
             }
         }
-        // each is gone before the next grows
+        // each list is freed before the next matrix grows
         self.curvature.blocks.take(totals.curvature);
         self.cross.blocks.take(totals.cross);
         self.expected.blocks.take(totals.expected);
         self.take_spread(&totals.spread);
     }
 
-    /// Σ X'W ⊗ WX from Σ WX ⊗ WX by phases, pq × pq by rows.
+    /// Adds Σ X'W ⊗ WX from Σ WX ⊗ WX of each phase, pq × pq by rows.
     fn take_spread(&mut self, sums: &[Vec<f64>]) {
         let ranges = self.elements.blocks();
         for (s, (k, l)) in self.elements.all().enumerate() {
@@ -154,7 +155,7 @@ impl Sums {
         &self.spread
     }
 
-    /// With what the restricted likelihood adds.
+    /// Adds the term of the restricted likelihood.
     pub(crate) fn restrict(mut self, restricted: RemlTerm) -> Sums {
         self.value += restricted.value;
         self.restricted = Some(restricted);
@@ -162,7 +163,7 @@ impl Sums {
         self
     }
 
-    /// What places near by may take from this one.
+    /// The covariance of the free mean coordinates, where it is known: evaluations at nearby points may reuse it.
     pub(crate) fn near(&self) -> Option<&DMatrix<f64>> {
         self.restricted.as_ref().map(|r| &r.covariance)
     }
@@ -180,8 +181,8 @@ impl Sums {
         (self.moment() - &self.weight) * 0.5
     }
 
-    /// G once the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact in one phase without regressors;
-    /// with them their part of the shift is left out. Needs [`Order::Expected`].
+    /// G after the mean coordinates have moved by `shift`: r_j becomes r_j - W_j E_j shift. Exact in one phase without
+    /// regressors; with regressors their part of the shift is ignored. Needs [`Order::Expected`].
     pub(crate) fn score_after(&self, regressors: &Regressors, shift: &DVector<f64>) -> DMatrix<f64> {
         let p = self.outer.nrows();
         debug_assert!(self.elements.is_single(), "between phases the sums do not tell");
@@ -201,8 +202,8 @@ impl Sums {
         (outer - &self.weight) * 0.5
     }
 
-    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element moves both of its places. It is taken out of the sums: of many
-    /// states each such matrix is most of the memory there is.
+    /// -∂²ℓ/∂σ_kl ∂σ_ab, elements × elements; an off-diagonal element stands for both entries of Σ. The matrix is moved
+    /// out of the sums: with many states each such matrix takes most of the available memory.
     pub(crate) fn observed_information(&mut self) -> DMatrix<f64> {
         let curvature = std::mem::replace(&mut self.curvature, Products::zero(&self.elements, false));
         let own = match &mut self.of_levels {
@@ -237,12 +238,12 @@ impl Sums {
         |k, l, a, b| 0.5 * self.expected.get((l, a), (b, k))
     }
 
-    /// The same, where the expected information is no longer asked for.
+    /// The sums without the products of the expected information.
     pub(super) fn without_expected(self) -> Sums {
         Sums { expected: Products::zero(&self.elements, false), ..self }
     }
 
-    /// The same, with the expected information in half the memory of what it is made of.
+    /// The sums with the expected information computed, in half the memory of the products that it is computed from.
     pub(super) fn settled(mut self) -> Sums {
         if self.rested.is_none() {
             self.rested = Some(match &mut self.of_levels {
@@ -253,7 +254,8 @@ impl Sums {
         self.without_expected()
     }
 
-    /// What is asked for where a search has ended: of second derivatives by elements of Σ the expected ones alone.
+    /// The sums that are needed where a search has ended: of second derivatives by elements of Σ the expected ones
+    /// alone.
     pub(super) fn at_rest(mut self) -> Sums {
         self.curvature = Products::zero(&self.elements, false);
         Sums { of_levels: None, ..self.settled() }
@@ -276,7 +278,7 @@ impl Sums {
     }
 }
 
-/// Adds to both places of a symmetric matrix.
+/// Adds to both entries of a symmetric matrix.
 fn add_symmetric(matrix: &mut DMatrix<f64>, (a, b): (usize, usize), x: f64) {
     matrix[(a, b)] += x;
     if a != b {
@@ -284,9 +286,9 @@ fn add_symmetric(matrix: &mut DMatrix<f64>, (a, b): (usize, usize), x: f64) {
     }
 }
 
-/// Sums as a list of numbers that adds: what one place tells another.
+/// Sums as a list of numbers that places send and that can be added up.
 impl Sums {
-    /// All that was added up.
+    /// All sums, as a list.
     pub(super) fn numbers(&self) -> Vec<f64> {
         let matrices = [&self.mean_information, &self.outer, &self.weight, &self.spread];
         let of_levels = self.of_levels.iter().flat_map(|own| [&own.observed, &own.cross, &own.expected]);
@@ -296,7 +298,7 @@ impl Sums {
         plain.chain(matrices.into_iter().chain(of_levels).flatten().copied()).chain(products).collect()
     }
 
-    /// Those of such a list, of the form of these; `None` where it is of another length.
+    /// The sums from such a list, with the shapes of these; `None` where the list has another length.
     pub(super) fn of_numbers(mut self, numbers: &[f64]) -> Option<Sums> {
         let matrices = [&mut self.mean_information, &mut self.outer, &mut self.weight, &mut self.spread];
         let of_levels =
@@ -314,7 +316,7 @@ impl Sums {
         (count == numbers.len() && count == self.numbers().len()).then_some(self)
     }
 
-    /// What is not known.
+    /// Sums whose value is not known.
     pub(super) fn unknown(self) -> Sums {
         Sums { value: f64::NAN, ..self }
     }

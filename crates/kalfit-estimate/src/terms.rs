@@ -1,5 +1,5 @@
-//! What one class of tests says at a point, for those who look at classes one by one. With S = I + RΣR' = LDL', U = L⁻¹R and
-//! u = L⁻¹(d - Rμ), which needs no inverse of R, J or Σ and no square root:
+//! The terms of ℓ and its derivatives from one class of tests at a point, for code that handles classes one at a time.
+//! With S = I + RΣR' = LDL', U = L⁻¹R and u = L⁻¹(d - Rμ), they need no inverse of R, J or Σ and no square root:
 //!
 //! ```text
 //! ℓ = constant - ½ log|D| - ½ u'D⁻¹u      W = U'D⁻¹U = (I+JΣ)⁻¹J      r = U'D⁻¹u = (I+JΣ)⁻¹(y - Jμ)
@@ -15,7 +15,7 @@ use crate::point::{Point, Regressors};
 use kalfit_algebra::rows::Rows;
 use kalfit_lanes::Real;
 
-/// What one class says at a point, and the room to work it out. Matrices p × p by rows.
+/// The terms of one class at a point, with the workspace for them. Matrices are p × p by rows.
 #[derive(Debug)]
 pub struct ClassTerms<'a> {
     at: ClassEvaluator<'a>,
@@ -29,9 +29,9 @@ pub struct ClassTerms<'a> {
     pub(crate) W: Vec<f64>,
     /// Σ_j r_j r_j' over the class.
     pub(crate) outer: Vec<f64>,
-    /// Of tests kept phase by phase, Var[ξ_i | z] of each phase, where it was asked for ([`ChainDetail::Posterior`]).
+    /// Var[ξ_i | z] of each phase for tests stored phase by phase, where requested ([`ChainDetail::Posterior`]).
     pub covariances: Vec<Rows<f64>>,
-    /// And log|S| of the links alone.
+    /// log|S| of the links between phases alone, computed together with `covariances`.
     pub link_log_det: f64,
 }
 
@@ -50,8 +50,8 @@ impl<'a> ClassTerms<'a> {
         }
     }
 
-    /// All that the class says; of tests kept phase by phase in as much detail as is wanted, with zeros where nothing is: between
-    /// phases, or, for posteriors, in all of W and Σ r r'.
+    /// Computes the terms of a class. For tests stored phase by phase `detail` selects them, with zeros elsewhere:
+    /// between phases, or, for posteriors, in all of W and Σ r r'.
     pub fn evaluate(&mut self, class: ClassRef<'_>, detail: ChainDetail) {
         if let Some(chain) = class.chain {
             let said = self.at.in_phases(class, chain, detail);
@@ -77,7 +77,8 @@ impl<'a> ClassTerms<'a> {
         class.constant - 0.5 * (class.count * log_det + self.quadratic)
     }
 
-    /// What a class in phases says, as far as it is wanted; where the states of its phases stand.
+    /// Copies the terms of a class in phases that `detail` selects; `ranges` holds the positions of the states of each
+    /// phase.
     #[inline(always)]
     pub(crate) fn take<N: Real>(
         &mut self,
@@ -105,7 +106,7 @@ impl<'a> ClassTerms<'a> {
         }
     }
 
-    /// W and Σ r r' of each pair of phases of which W is known.
+    /// Copies W and Σ r r' of each pair of phases for which W is known.
     #[inline(always)]
     fn take_pairs<N: Real>(
         &mut self,

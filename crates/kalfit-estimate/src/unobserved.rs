@@ -1,7 +1,8 @@
-//! What no test observes keeps the law it started with (theory §5).
+//! What no test observes keeps the distribution that it had at the start (theory §5).
 //!
-//! Where J_jn = 0 for all tests, ℓ sees only o = V'ξ, V spanning the rest. EM leaves the law of ξ given o as it was; Newton's
-//! steps wander along such directions, to no loss or gain. With Σ0 the start and K = Σ0V(V'Σ0V)⁻¹ that law is kept by
+//! Where J_jn = 0 for all tests, ℓ depends only on o = V'ξ, with V spanning the complement. EM leaves the distribution
+//! of ξ given o unchanged; Newton's steps drift along such directions without changing ℓ. With Σ0 the start and K =
+//! Σ0V(V'Σ0V)⁻¹ that distribution is preserved by
 //!
 //! ```text
 //! Σ = K (V'ΣV) K' + (Σ0 - K (V'Σ0V) K')
@@ -12,11 +13,11 @@ use nalgebra::{DMatrix, DVector};
 use crate::covariance::{CoordinateForm, CovarianceMap, PhaseForm, sub};
 use kalfit_algebra::symmetric;
 
-/// Scaled information below this is none.
+/// Scaled information below this counts as zero.
 const NONE: f64 = 1e-10;
 
-/// The root of Σ with the same law of what is observed, and the start's law of the rest given that. `None` where all is
-/// observed, or constraints tie the rest to it.
+/// The root of a Σ with the present distribution of what is observed, and the start's distribution of the rest given
+/// what is observed. `None` where everything is observed, or where constraints tie the rest to it.
 pub(crate) fn restored(
     map: &CovarianceMap,
     information: &DMatrix<f64>,
@@ -45,7 +46,7 @@ pub(crate) fn restored(
     changed.then_some(found)
 }
 
-/// V with orthonormal columns: the directions that are observed, where some are not.
+/// V with orthonormal columns, the directions that are observed; `None` where all are.
 fn observed(information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let range = symmetric::range(information, |value| value >= NONE);
     (range.ncols() < information.nrows()).then_some(range)

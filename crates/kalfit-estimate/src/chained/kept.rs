@@ -1,4 +1,4 @@
-//! Where what a class in phases says is kept.
+//! Storage of a class in phases: by itself, or in one lane of several.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -9,14 +9,14 @@ use crate::chained::{ChainShape, ChainedClass, Packed};
 /// A class in phases.
 #[derive(Debug, Clone)]
 pub enum ChainStore {
-    /// By itself.
+    /// The class is stored by itself.
     Apart(Arc<ChainedClass>),
-    /// In one lane of several.
+    /// The class is in this lane of a pack.
     Lane(Arc<Packed>, usize),
 }
 
 impl ChainStore {
-    /// The class.
+    /// The class, unpacked if it is in a lane.
     pub fn chained(&self) -> Cow<'_, ChainedClass> {
         match self {
             ChainStore::Apart(chained) => Cow::Borrowed(chained),
@@ -24,7 +24,7 @@ impl ChainStore {
         }
     }
 
-    /// The sizes of its matrices.
+    /// The sizes of the class's matrices.
     fn sizes(&self) -> &ChainShape {
         match self {
             ChainStore::Apart(chained) => &chained.shape,
@@ -32,28 +32,29 @@ impl ChainStore {
         }
     }
 
-    /// Its shape; `None` where it needs square-root arithmetic, and so to be worked on by itself.
+    /// Shape of the class; `None` where it needs square-root arithmetic, and so cannot be packed.
     pub(crate) fn shape(&self) -> Option<Cow<'_, ChainShape>> {
         (!self.is_careful()).then(|| Cow::Borrowed(self.sizes()))
     }
 
-    /// Needs square-root arithmetic.
+    /// Whether the class needs square-root arithmetic.
     pub(crate) fn is_careful(&self) -> bool {
         matches!(self, ChainStore::Apart(chained) if chained.careful)
     }
 
-    /// How many coordinates enter each phase that its tests have.
+    /// Number of coordinates that enter each phase of the class's tests.
     pub fn entering(&self) -> Vec<usize> {
         self.sizes().phases.iter().map(|phase| phase.size).collect()
     }
 
-    /// Where the states of its phases stand.
+    /// Range of the states of each phase among those of all phases.
     pub(crate) fn ranges(&self) -> Vec<Range<usize>> {
         self.sizes().ranges().cloned().collect()
     }
 }
 
-/// Numbers of classes by shape, as many together as there are lanes, or fewer, in their order; those without a shape are left out.
+/// Groups the numbers of classes by shape, in their order, with at most `lanes` in a group; classes without a shape are
+/// omitted.
 pub(crate) fn grouped<'a>(
     shapes: impl Iterator<Item = (usize, Option<Cow<'a, ChainShape>>)>,
     lanes: usize,

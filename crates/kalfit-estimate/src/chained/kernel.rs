@@ -1,28 +1,28 @@
-//! What tests in phases that share all matrices say at a point (theory §7).
+//! Likelihood terms, at a point, of tests in phases that share all matrices (theory §7).
 //!
-//! With σ_{i+1} = Eξ_{i+1} + G σ_i + w, E = [I; 0], and each phase's log p(z_i | σ_i) = constant - ½ ‖d_i - R_i σ_i‖², backwards
-//! from the last phase, where R̃ = R, d̃ = d:
+//! With σ_{i+1} = Eξ_{i+1} + G σ_i + w, E = [I; 0], and log p(z_i | σ_i) = constant - ½ ‖d_i - R_i σ_i‖² of each phase,
+//! the backward pass starts from the last phase, where R̃ = R, d̃ = d:
 //!
 //! ```text
 //! S = I + R̃_{i+1} (EΣE' + CC') R̃_{i+1}' = U'U
-//! [R̃_i d̃_i] = what QR leaves of [R_i d_i] above U⁻ᵀ[R̃_{i+1}G  d̃_{i+1} - R̃_{i+1}Eμ]
+//! [R̃_i d̃_i] = triangle from QR of [R_i d_i] above U⁻ᵀ[R̃_{i+1}G  d̃_{i+1} - R̃_{i+1}Eμ]
 //! ```
 //!
-//! log|U| and the residual of the QR are what ℓ loses there. Forwards, with the root B_i and the mean m_i⁻ of the prior of σ_i given
-//! the phases before it, C_i a root of (P⁻⁻¹ + J_i)⁻¹ = B_i(I + B_i'J_iB_i)⁻¹B_i':
+//! log|U| and the residual of the QR are what this step takes off ℓ. The forward pass has the root B_i and the mean
+//! m_i⁻ of the prior of σ_i given the phases before it, and C_i, a root of (P⁻⁻¹ + J_i)⁻¹ = B_i(I + B_i'J_iB_i)⁻¹B_i':
 //!
 //! ```text
-//! [U u] = what QR leaves of [I 0] above [R_iB_i  d_i - R_i m_i⁻]      C_i = B_iU⁻¹
+//! [U u] = triangle from QR of [I 0] above [R_iB_i  d_i - R_i m_i⁻]      C_i = B_iU⁻¹
 //! m_i = m_i⁻ + C_iu      m_{i+1}⁻ = Eμ + G m_i      B_{i+1} = [EF | G C_i | C]
 //! ```
 //!
-//! u is U⁻ᵀB_i'R_i'(d_i - R_i m_i⁻), but as a product of these it would lose digits with the square of R_i: all of them where a
-//! measurement is very exact.
+//! u is U⁻ᵀB_i'R_i'(d_i - R_i m_i⁻), but computed as this product it would lose digits with the square of R_i: all of
+//! them where a measurement is very exact.
 //!
-//! R̃_i, d̃_i say what this phase and all later ones know of σ_i, B_i and m_i⁻ what the earlier ones do, so with S = I + R̃BB'R̃'
-//! the formulas of one phase hold: r_i = R̃'S⁻¹(d̃ - R̃m⁻) and N_i = R̃'S⁻¹R̃. The blocks of W are W_ii = E'N_iE and W_ki =
-//! E'N_k F_{k-1}…F_i E, F_i = G_i(I - C_iC_i'J_i). No inverse of P⁻, Σ or J occurs; the cost is linear in the number of phases but for
-//! the blocks of W between phases.
+//! R̃_i, d̃_i are the information of this phase and all later ones on σ_i, and B_i, m_i⁻ that of the earlier ones, so
+//! with S = I + R̃BB'R̃' the formulas of one phase hold: r_i = R̃'S⁻¹(d̃ - R̃m⁻) and N_i = R̃'S⁻¹R̃. The blocks of W
+//! are W_ii = E'N_iE and W_ki = E'N_k F_{k-1}…F_i E, F_i = G_i(I - C_iC_i'J_i). No inverse of P⁻, Σ or J occurs; the
+//! cost is linear in the number of phases, except for the blocks of W between phases.
 #![expect(non_snake_case, reason = "B, C, R, F, N are the letters of the theory")]
 
 use std::borrow::Cow;
@@ -40,7 +40,7 @@ use kalfit_lanes::Real;
 pub(crate) struct Root<'a>(Cow<'a, DMatrix<f64>>);
 
 impl<'a> Root<'a> {
-    /// Of any F, with the same FF'.
+    /// The lower triangular root with the same FF' as any root F.
     pub(crate) fn of(root: &'a DMatrix<f64>) -> Self {
         let p = root.nrows();
         if (0..p).all(|i| root[(i, i)] >= 0.0 && (i + 1..p).all(|c| root[(i, c)] == 0.0)) {
@@ -49,62 +49,63 @@ impl<'a> Root<'a> {
         Root(Cow::Owned(root.transpose().qr().r().transpose()))
     }
 
-    /// F.
+    /// The matrix F.
     pub(crate) fn lower(&self) -> &DMatrix<f64> {
         &self.0
     }
 }
 
-/// Where phases meet a point: F and μ, both of all phases.
+/// The point at which phases are evaluated: F and μ, both of all phases.
 pub(super) struct Prior<'a, T> {
     pub(super) root: &'a Root<'a>,
     pub(super) mean: &'a [T],
 }
 
-/// How much of what a class says is wanted.
+/// Which likelihood terms of a class are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChainDetail {
-    /// r, and W within phases.
+    /// r, and the blocks of W within phases.
     Phases,
-    /// And W between phases.
+    /// r, and all blocks of W.
     Between,
-    /// r, W within phases, and what posteriors need.
+    /// r, the blocks of W within phases, and what posteriors need.
     Posterior,
 }
 
-/// What a class says at a point. Matrices by rows.
+/// Likelihood terms of a class at a point. Matrices are by rows.
 #[derive(Debug, Clone)]
 pub(crate) struct ChainTerms<T = f64> {
-    /// Σ_j of the quadratic forms.
+    /// Sum over the tests of their quadratic forms.
     pub(crate) quadratic: T,
-    /// |I + RΣR'| of a test is the square of the first times 2 to the second.
+    /// Root of |I + RΣR'| of one test, as (mantissa, exponent): |I + RΣR'| = (mantissa × 2^exponent)².
     pub(crate) root_det: (T, T),
-    /// By phase r of the mean and of the columns of the scatter, p × columns.
+    /// r of each phase, p × columns: of the mean, then of the columns of the scatter.
     pub(crate) r: Vec<Rows<T>>,
-    /// W_ki for k ≥ i, at k(k+1)/2 + i, p_k × p_i; without the blocks between phases if those were not asked for.
+    /// W_ki for k ≥ i, at k(k+1)/2 + i, p_k × p_i; blocks between phases are `None` unless requested.
     pub(crate) W: Vec<Option<Rows<T>>>,
-    /// Var[ξ_i | z] by phase, p_i × p_i, where it is asked for.
+    /// Var[ξ_i | z] of each phase, p_i × p_i; empty unless requested.
     pub(crate) covariances: Vec<Rows<T>>,
-    /// What log|S| of the links alone is, as `root_det`: what ℓ at Σ = 0 loses to the noise between the phases; where it is asked for.
+    /// Root of |S| of the links alone, as `root_det`, for what the noise between the phases takes off ℓ at Σ = 0; one
+    /// unless posteriors are requested.
     pub(crate) link_root_det: (T, T),
 }
 
-/// The phases of tests that share all matrices, and how many tests there are.
+/// The phases of tests that share all matrices, and the number of tests.
 pub(super) struct ChainPhases<'a, A: Algebra> {
     pub(super) phases: &'a [PhaseView<A::Matrix, A::Data>],
     pub(super) count: A::Number,
 }
 
-/// What the later phases and a phase itself know of its σ.
+/// Information of a phase and all later ones on the phase's σ.
 struct PhaseInformation<A: Algebra> {
-    /// R̃.
+    /// R̃, q × q.
     factor: A::Matrix,
-    /// d̃.
+    /// d̃, q × columns.
     data: A::Data,
 }
 
 impl<A: Algebra> ChainPhases<'_, A> {
-    /// All that the class says; `None` where the arithmetic would lose digits.
+    /// Likelihood terms of the class; `None` where the arithmetic would lose digits.
     #[inline(always)]
     pub(super) fn said(&self, prior: &Prior<'_, A::Number>, detail: ChainDetail) -> Option<ChainTerms<A::Number>> {
         let (mut root_det, mut borne) = (RootDet::new(), true);
@@ -153,7 +154,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
         borne.then_some(ChainTerms { quadratic, root_det: root_det.parts(), r, W, covariances, link_root_det })
     }
 
-    /// |S| of the links alone.
+    /// Root of |S| of the links alone: from the backward pass at Σ = 0.
     #[inline(always)]
     fn link_root_det(&self, borne: &mut bool) -> RootDet<A::Number> {
         let states = self.phases.iter().map(|phase| phase.own.end).max().unwrap_or(0);
@@ -163,7 +164,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
         root_det
     }
 
-    /// R̃_i and d̃_i of each phase, and what ℓ loses to residuals.
+    /// Backward pass: R̃_i and d̃_i of each phase, and the sum of the squared residuals of the QRs.
     #[inline(always)]
     fn backward(
         &self,
@@ -192,7 +193,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
         (all, lost)
     }
 
-    /// W_ki = E'N_k F_{k-1}…F_i E; those within phases are given.
+    /// All blocks W_ki = E'N_k F_{k-1}…F_i E; `within` has the blocks W_kk.
     #[inline(always)]
     fn blocks(
         &self,
@@ -219,7 +220,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
     }
 }
 
-/// Blocks within phases, and none between them.
+/// The blocks of W within phases, with `None` between phases.
 fn alone<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
     let mut blocks = Vec::with_capacity(within.len() * (within.len() + 1) / 2);
     for (k, own) in within.into_iter().enumerate() {
@@ -230,13 +231,13 @@ fn alone<T>(within: Vec<Rows<T>>) -> Vec<Option<Rows<T>>> {
 }
 
 impl<T: Real> Prior<'_, T> {
-    /// (EF)' of a phase.
+    /// (EF)' of a phase: the root of Σ of its new states.
     #[inline(always)]
     fn root<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
         A::root_of(&self.root.0, &phase.own, &phase.factor)
     }
 
-    /// Eμ for the mean of the tests; the columns of the scatter have none.
+    /// Eμ of a phase for the mean of the tests, zero for the columns of the scatter.
     #[inline(always)]
     fn mean<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Data {
         A::mean_of(self.mean, &phase.own, &phase.data)
@@ -245,14 +246,14 @@ impl<T: Real> Prior<'_, T> {
 
 /// The posterior of σ_i given this phase and the earlier ones.
 struct PhaseUpdate<A: Algebra> {
-    /// C', by rows.
+    /// C', with C a root of the posterior covariance.
     root: A::Matrix,
-    /// m.
+    /// m, the posterior mean.
     mean: A::Data,
 }
 
 impl<A: Algebra> PhaseUpdate<A> {
-    /// From the prior of σ_i: B' and m⁻.
+    /// Updates the prior of σ_i, given by B' and m⁻, with the phase's data.
     #[inline(always)]
     fn new(phase: &PhaseView<A::Matrix, A::Data>, (B, prior): (A::Matrix, A::Data)) -> PhaseUpdate<A> {
         let rows = A::transposed(&A::times_upper_transpose(&B, &phase.factor));
@@ -263,7 +264,7 @@ impl<A: Algebra> PhaseUpdate<A> {
         PhaseUpdate { root, mean }
     }
 
-    /// I - CC'J.
+    /// The matrix I - CC'J.
     #[inline(always)]
     fn left(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
         let seen = A::times_upper_transpose(&self.root, &phase.factor);
@@ -271,8 +272,8 @@ impl<A: Algebra> PhaseUpdate<A> {
     }
 }
 
-/// Var[ξ_i | z]: with N° the information that all else gives on ξ_i, F(I + F'N°F)⁻¹F'. `rest` is a root of the prior of σ_i but for
-/// its own ξ_i, by rows.
+/// Var[ξ_i | z] = F(I + F'N°F)⁻¹F', with N° the information on ξ_i from everything but its prior. `rest` is a root, by
+/// rows, of the prior of σ_i without the part of ξ_i.
 #[inline(always)]
 fn posterior_covariance<A: Algebra>(
     prior: &Prior<'_, A::Number>,
@@ -295,7 +296,7 @@ fn posterior_covariance<A: Algebra>(
     A::corner(&A::transpose_times(&half, &half), p, p)
 }
 
-/// Upper triangular R with R'R = rows'rows; no more rows than columns.
+/// Upper triangular R with R'R = rows'rows, square.
 #[inline(always)]
 pub(super) fn compressed<F: Factors>(rows: Rows<F::Number>) -> Rows<F::Number> {
     let q = rows.ncols();
@@ -304,7 +305,7 @@ pub(super) fn compressed<F: Factors>(rows: Rows<F::Number>) -> Rows<F::Number> {
     upper
 }
 
-/// |U|, as a product.
+/// |U|, accumulated as mantissa × 2^exponent.
 struct RootDet<T> {
     mantissa: T,
     exponent: T,

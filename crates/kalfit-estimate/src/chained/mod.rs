@@ -1,7 +1,8 @@
-//! Tests in phases that share all matrices, and what they say at a point, phase by phase (theory §7).
+//! Classes of tests in phases that share all matrices, and their likelihood terms at a point, phase by phase (theory
+//! §7).
 //!
-//! Data of a class: everything is linear in d, so a class of n tests is the mean of its d and columns whose outer products
-//! add up to the scatter about it, no more of them than numbers in d.
+//! Data of a class: everything is linear in d, so n tests are represented by the mean of their d, and by columns whose
+//! outer products add up to the scatter about it, at most as many columns as numbers in d.
 
 mod kept;
 mod kernel;
@@ -29,27 +30,28 @@ pub(crate) use kernel::{ChainTerms, Root};
 pub(crate) use packed::Packed;
 pub(crate) use shape::ChainShape;
 
-/// Tests whose chains share all matrices, in η: σ in units of the frame where it is a phase's own, centred.
+/// Tests whose chains share all matrices, in η: the coordinates of σ that are new in a phase are centred and in units
+/// of the frame.
 #[derive(Debug, Clone)]
 pub struct ChainedClass<T = f64> {
     phases: Vec<PhaseView<Rows<T>, Rows<T>>>,
-    /// The sizes of its matrices.
+    /// The sizes of the class's matrices.
     shape: Arc<ChainShape>,
-    /// n.
+    /// n, number of tests.
     count: T,
-    /// Some phase needs square-root arithmetic.
+    /// Whether some phase needs square-root arithmetic.
     careful: bool,
 }
 
 impl ChainedClass {
-    /// n J of a phase by itself, in what enters it.
+    /// n J of a phase by itself, in the coordinates that enter it.
     pub fn own_information(&self, phase: usize) -> DMatrix<f64> {
         let factor = &self.phases[phase].factor;
         let gram = factor.transpose_times(factor);
         DMatrix::from_fn(gram.nrows(), gram.ncols(), |i, k| self.count * gram[(i, k)])
     }
 
-    /// n J of the first phases together on the initial states of all, `states` of them.
+    /// n J of the first `phases` phases together on the initial states of all phases, `states` × `states`.
     pub fn information(&self, phases: usize, states: usize) -> DMatrix<f64> {
         let first = ChainedClass { phases: self.phases[..phases].to_vec(), ..self.clone() };
         let said = first.at(&vec![0.0; states], &Root::of(&DMatrix::zeros(states, states)), ChainDetail::Between);
@@ -69,15 +71,15 @@ impl ChainedClass {
         information
     }
 
-    /// All that the class says at a point: μ of its tests and F with Σ = FF', both of all phases, in as much
-    /// detail as is wanted.
+    /// Likelihood terms of the class at a point: `mean` is μ of its tests, `root` is F with Σ = FF', both of all
+    /// phases.
     pub(crate) fn at(&self, mean: &[f64], root: &Root<'_>, detail: ChainDetail) -> ChainTerms {
         let prior = Prior { root, mean };
         let plain = if self.careful { None } else { self.through::<CrossFactors<f64>>().said(&prior, detail) };
         plain.unwrap_or_else(|| self.through::<Rotations<f64>>().said(&prior, detail).expect(BEARS))
     }
 
-    /// The same matrices of no tests, which say nothing.
+    /// A class with the same matrices and no tests, whose terms are zero.
     fn without_tests(&self) -> ChainedClass {
         let mut none = self.clone();
         none.count = 0.0;
@@ -87,7 +89,7 @@ impl ChainedClass {
         none
     }
 
-    /// Where the states of its phases stand.
+    /// Range of the states of each phase among those of all phases.
     pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
         self.phases.iter().map(|phase| &phase.own)
     }
@@ -100,17 +102,17 @@ impl<T: Real> ChainedClass<T> {
     }
 }
 
-/// Why careful arithmetic has an answer.
+/// Why square-root arithmetic always gives a result.
 const BEARS: &str = "rotations bear any size";
 
-/// The unit of each of q coordinates of a phase's σ: that of the frame where it is its own.
+/// Unit of each of the q coordinates of a phase's σ: that of the frame for the phase's new states, else one.
 fn scales(q: usize, own: &Range<usize>, frame: &Frame, scale: &mut Vec<f64>) {
     scale.clear();
     scale.extend_from_slice(&frame.scale[own.clone()]);
     scale.resize(q, 1.0);
 }
 
-/// σ of a phase at the centre of the frame without noise, from that of the phase before.
+/// σ of a phase at the centre of the frame without noise; `before` is σ of the phase before.
 fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, before: &[f64], sigma: &mut Vec<f64>) {
     sigma.clear();
     sigma.extend_from_slice(&frame.centre[own.clone()]);
@@ -122,7 +124,7 @@ fn centre(phase: &ChainPhase, own: &Range<usize>, frame: &Frame, before: &[f64],
     }
 }
 
-/// R_i σ of a phase.
+/// Product R_i σ of row i of a phase's R.
 fn told(phase: &ChainPhase, i: usize, sigma: &[f64]) -> f64 {
     (i..sigma.len()).map(|k| packed(&phase.factor, i, k) * sigma[k]).sum()
 }
@@ -138,8 +140,8 @@ fn centred(chain: &Chain, ranges: &[Range<usize>], frame: &Frame) -> Vec<f64> {
     all
 }
 
-/// The mean of the data of several tests, then columns whose outer products add up to the scatter about it: one for each test, or, if
-/// that is less, one for each number of data.
+/// The mean of the data of several tests, then columns whose outer products add up to the scatter about it: one for
+/// each test, or one for each number in d if that is fewer.
 fn columns(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> Rows {
     let all: Vec<Vec<f64>> = chains.iter().map(|chain| centred(chain, ranges, frame)).collect();
     let (n, size) = (all.len(), all[0].len());
@@ -168,14 +170,15 @@ mod tests {
     use kalfit_lanes::{Counted, Isa, Kernel, Lanes};
     use kalfit_model::Path;
 
-    /// Phases of three states.
+    /// A class of one test in phases of three states.
     fn chain(phases: usize) -> (ChainedClass, Frame) {
         let (chain, ranges, _) = test(phases, (3, 3));
         let frame = Frame { centre: vec![0.0; 3 * phases], scale: vec![1.0; 3 * phases], covariate_scale: Vec::new() };
         (ChainedClass::new(&[&chain], &ranges, &frame), frame)
     }
 
-    /// A test in phases of q states, the first p of which are their own; where they stand, and a frame.
+    /// A test in phases of q states, the first p of which are new in their phase; the ranges of the new states, and a
+    /// frame.
     fn test(phases: usize, (q, p): (usize, usize)) -> (Chain, Vec<Range<usize>>, Frame) {
         let wave =
             |seed: usize, size: usize| -> Vec<f64> { (0..size).map(|k| ((seed + 3 * k) as f64).sin()).collect() };
@@ -256,7 +259,8 @@ mod tests {
         }
     }
 
-    /// Two states of law N(0, I), their sum measured by σ and the second by 1; then the first by 1, which r is of.
+    /// Two states of law N(0, I): their sum is measured with standard deviation σ, the second with 1; in the next
+    /// phase, whose r is checked, the first is measured with 1.
     #[test]
     fn however_exact_a_phase_is_the_next_one_begins_from_its_mean() {
         for sigma in [1e-2, 1e-4, 1e-6, 1e-8] {
@@ -329,7 +333,7 @@ mod tests {
         }
     }
 
-    /// All that a class says, one lane of it.
+    /// All likelihood terms of a class, in one lane.
     fn figures<T: Real>(said: &ChainTerms<T>, lane: impl Fn(T) -> f64) -> Vec<f64> {
         let root_det = |(mantissa, exponent): (T, T)| lane(mantissa).log2() + lane(exponent);
         let matrices = said.r.iter().chain(said.W.iter().flatten()).chain(&said.covariances);

@@ -1,4 +1,4 @@
-//! Classes in phases of one shape, side by side.
+//! Classes in phases of one shape, one class in each lane.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -16,18 +16,20 @@ use kalfit_algebra::factors::CrossFactors;
 use kalfit_algebra::fixed::Fixed;
 use kalfit_model::Chain;
 
-/// As many classes of one shape as there are lanes, or fewer: lanes that no class takes have a class without tests.
+/// Classes of one shape, one in each lane; remaining lanes hold a class without tests.
 #[derive(Debug, Clone)]
 pub(crate) struct Packed {
     pub(crate) members: Vec<usize>,
     shape: Arc<ChainShape>,
     lanes: usize,
-    /// n of each, then all their numbers, entry by entry: of each phase the upper triangle of R by rows, d, G and C'.
+    /// Numbers of the classes, entry by entry, each entry once per lane: n, then for each phase the upper triangle of R
+    /// by rows, d, G and C'.
     numbers: Vec<f64>,
 }
 
 impl Packed {
-    /// Of classes by their numbers, at least one and at most as many as there are lanes; `of` has what each says.
+    /// Packs classes, given by their numbers, at least one and at most one for each lane; `of` returns a class by its
+    /// number.
     pub(crate) fn new<'a>(
         shape: Arc<ChainShape>,
         members: Vec<usize>,
@@ -41,7 +43,7 @@ impl Packed {
         })
     }
 
-    /// Of classes as the estimator gathers them; `of` has the chains of the tests of each.
+    /// Packs classes as the estimator gathers them; `of` returns the chains of the tests of a class.
     pub(crate) fn of_tests<'a>(
         shape: Arc<ChainShape>,
         members: Vec<usize>,
@@ -52,7 +54,7 @@ impl Packed {
         Packed::filled(shape, members, lanes, |member, to| put_tests(&of(member), (ranges, frame), to, lanes))
     }
 
-    /// Each class put by `put` where the first of every so many numbers stands.
+    /// Lets `put` write each class to every `lanes`-th number of a slice, which starts at the lane of the class.
     fn filled(shape: Arc<ChainShape>, members: Vec<usize>, lanes: usize, put: impl Fn(usize, &mut [f64])) -> Packed {
         let mut numbers = vec![0.0; shape.size() * lanes];
         for (lane, &member) in members.iter().enumerate() {
@@ -63,7 +65,7 @@ impl Packed {
         packed
     }
 
-    /// Fills the lanes that no class takes with the design of the first class, and no tests.
+    /// Fills the remaining lanes with the matrices of the first class, and no tests.
     fn fill(&mut self) {
         if self.members.len() == self.lanes {
             return;
@@ -74,17 +76,17 @@ impl Packed {
         }
     }
 
-    /// Numbers of its classes.
+    /// Numbers of the classes, lane by lane.
     pub(crate) fn members(&self) -> &[usize] {
         &self.members
     }
 
-    /// Of what shape its classes are.
+    /// Shape of the classes.
     pub(crate) fn shape(&self) -> &ChainShape {
         &self.shape
     }
 
-    /// How many tests each class has.
+    /// Number of tests of each class.
     #[inline(always)]
     pub(crate) fn count<T: Lanes>(&self) -> T {
         T::load(&self.numbers)
@@ -96,8 +98,8 @@ impl Packed {
         ChainedClass { phases, shape: self.shape.clone(), count: self.numbers[lane], careful: false }
     }
 
-    /// [`ChainedClass::at`] of all; `None` where one of them needs more care. Tests by themselves, with few states, by sizes that the
-    /// compiler knows.
+    /// [`ChainedClass::at`] of all classes; `None` where one of them needs square-root arithmetic. Classes of one test
+    /// with few states use matrices whose sizes are known at compile time.
     #[inline(always)]
     pub(crate) fn said<T: Lanes>(&self, mean: &[T], root: &Root<'_>, detail: ChainDetail) -> Option<ChainTerms<T>> {
         debug_assert_eq!(T::COUNT, self.lanes, "packed for others");
@@ -123,7 +125,7 @@ impl Packed {
         A::Number::apart(By::<A> { packed: self, prior, detail })
     }
 
-    /// All phases; `number` reads an entry of `lanes` numbers.
+    /// The matrices and data of all phases; `number` reads an entry of `lanes` numbers.
     #[inline(always)]
     fn phases<A: Algebra>(
         &self,
@@ -160,7 +162,8 @@ impl Packed {
 }
 
 impl ChainedClass {
-    /// Tests with equal matrices, at least one, in a frame; `ranges` says where the states of each phase of the model stand.
+    /// A class of tests with equal matrices, at least one, in a frame; `ranges` has the states of each phase of the
+    /// model.
     pub(crate) fn new(chains: &[&Chain], ranges: &[Range<usize>], frame: &Frame) -> ChainedClass {
         let shape = Arc::new(ChainShape::of(chains, ranges));
         let packed = Packed::of_tests(shape, vec![0], 1, (ranges, frame), |_| chains.to_vec());
@@ -176,7 +179,7 @@ fn read<T>(row: &mut [T], entries: &mut ChunksExact<'_, f64>, number: &impl Fn(&
     }
 }
 
-/// Puts the numbers of a class where the first of every so many stands.
+/// Writes the numbers of a class to every `every`-th position of `to`.
 fn put(chained: &ChainedClass, to: &mut [f64], every: usize) {
     let mut to = to.iter_mut().step_by(every);
     let mut write = |numbers: &[f64]| numbers.iter().zip(&mut to).for_each(|(x, to)| *to = *x);
@@ -193,7 +196,7 @@ fn put(chained: &ChainedClass, to: &mut [f64], every: usize) {
     }
 }
 
-/// The same of a class as its tests are, which have equal matrices.
+/// As `put`, from the chains of the class's tests, which have equal matrices.
 fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: &mut [f64], every: usize) {
     let mut at = 0;
     let mut write = |x: f64| {
@@ -236,7 +239,7 @@ fn put_tests(chains: &[&Chain], (ranges, frame): (&[Range<usize>], &Frame), to: 
     }
 }
 
-/// All that the classes say, by matrices of one kind.
+/// Evaluates packed classes with one kind of matrices.
 struct By<'a, A: Algebra> {
     packed: &'a Packed,
     prior: &'a Prior<'a, A::Number>,

@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-/// One phase, its matrices and data kept in whatever way.
+/// One phase, generic in the types of its matrices and data.
 #[derive(Debug, Clone)]
 pub(super) struct PhaseView<M, D> {
-    /// Its states among those of all phases.
+    /// Range of the phase's states among those of all phases.
     pub(super) own: Range<usize>,
     /// R, q × q, upper triangular.
     pub(super) factor: M,
@@ -14,11 +14,11 @@ pub(super) struct PhaseView<M, D> {
     pub(super) link: Option<LinkView<M>>,
 }
 
-/// What leads to a phase from the one before.
+/// Link from the phase before: σ = Eξ + G σ_before + noise of covariance CC'.
 #[derive(Debug, Clone)]
 pub(super) struct LinkView<M> {
-    /// G, q × q of the phase before.
+    /// G, q × (q of the phase before).
     pub(super) sensitivity: M,
-    /// C', any number × q.
+    /// C', root of the covariance CC' of the noise between the phases; q columns.
     pub(super) root: M,
 }

@@ -1,4 +1,4 @@
-//! The sizes of the matrices of a test in phases: tests of one shape can be worked on side by side.
+//! The sizes of the matrices of a test in phases: tests of one shape can be packed in lanes.
 
 use std::ops::Range;
 
@@ -8,29 +8,30 @@ use kalfit_model::{Chain, ChainPhase};
 /// Sizes of all matrices of a class.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct ChainShape {
-    /// Of its data.
+    /// Number of columns of the data.
     pub(super) columns: usize,
     pub(super) phases: Vec<PhaseShape>,
 }
 
-/// Sizes of those of one phase.
+/// Sizes of the matrices of one phase.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct PhaseShape {
-    /// Its states among those of all phases.
+    /// Range of the phase's states among those of all phases.
     pub(super) own: Range<usize>,
-    /// q.
+    /// q, number of coordinates that enter the phase.
     pub(super) size: usize,
-    /// Rows of C' of the link that leads here.
+    /// Number of rows of C' of the link that leads to this phase.
     pub(super) noise: Option<usize>,
 }
 
 impl ChainShape {
-    /// That of tests which can be worked on side by side with others: some, and no phase needs rotations.
+    /// Shape of tests that can be packed in lanes with others; `None` without tests, or where some phase needs
+    /// rotations.
     pub(crate) fn side_by_side(chains: &[&Chain], ranges: &[Range<usize>]) -> Option<ChainShape> {
         (!chains.is_empty() && !is_careful(chains)).then(|| ChainShape::of(chains, ranges))
     }
 
-    /// Of tests with equal matrices, at least one; `ranges` says where the states of each phase of the model stand.
+    /// Shape of tests with equal matrices, at least one; `ranges` has the states of each phase of the model.
     pub(super) fn of(chains: &[&Chain], ranges: &[Range<usize>]) -> ChainShape {
         let phase = |(phase, own): (&ChainPhase, &Range<usize>)| PhaseShape {
             own: own.clone(),
@@ -42,7 +43,7 @@ impl ChainShape {
         ChainShape { columns: columns(chains.len(), data), phases }
     }
 
-    /// How many numbers it takes.
+    /// Number of values that a class of this shape takes.
     pub(super) fn size(&self) -> usize {
         let mut before = 0;
         let of = |phase: &PhaseShape| {
@@ -54,23 +55,23 @@ impl ChainShape {
         1 + self.phases.iter().map(of).sum::<usize>()
     }
 
-    /// The most rows or columns of any matrix.
+    /// The largest number of rows or columns of any matrix.
     pub(super) fn widest(&self) -> usize {
         self.phases.iter().map(|phase| phase.size.max(phase.noise.unwrap_or(0))).max().unwrap_or(0)
     }
 
-    /// Where the states of its phases stand.
+    /// Range of the states of each phase among those of all phases.
     pub(crate) fn ranges(&self) -> impl Iterator<Item = &Range<usize>> {
         self.phases.iter().map(|phase| &phase.own)
     }
 }
 
-/// Some phase of tests needs rotations: such a class is worked on by itself.
+/// Whether some phase of the tests needs rotations: such a class is evaluated by itself.
 pub(super) fn is_careful(chains: &[&Chain]) -> bool {
     chains.iter().flat_map(|chain| &chain.phases).any(|phase| phase.path == Path::SquareRoot)
 }
 
-/// Columns of the data of so many tests with so many numbers each: their mean, and the scatter about it.
+/// Number of data columns of a class of `tests` tests with `data` numbers each: their mean, and the scatter about it.
 pub(super) fn columns(tests: usize, data: usize) -> usize {
     if tests == 1 { 1 } else { 1 + tests.min(data) }
 }

@@ -1,6 +1,6 @@
-//! What classes say, added up, whatever worked it out: by itself or side by side, in one phase or in several, with regressions, and
-//! with what the restricted likelihood wants (theory §3). The mean of test j is E_jm: m the p elements of μ, then the coefficients of
-//! the regressions, M in all.
+//! Sums of the likelihood terms of classes, evaluated one by one or in lanes, in one phase or in several, with
+//! regressions, and with the terms of the restricted likelihood (theory §3). The mean of test j is E_jm: m has the p
+//! elements of μ, then the coefficients of the regressions, M in all.
 #![expect(non_snake_case, reason = "W, E, V, X are the letters of the theory")]
 
 use kalfit_lanes::Lanes;
@@ -12,63 +12,67 @@ use crate::order::Order;
 use crate::order::SumsWanted;
 use kalfit_algebra::symmetric::{pair, pairs};
 
-/// What one class says, or one in each lane. States are counted within their phase.
+/// Likelihood terms of one class, or of one class in each lane. States are counted within their phase.
 pub(crate) trait Contribution<T> {
-    /// How many phases its tests have, the first ones of all.
+    /// Number of phases of the class's tests, which are the first phases of the model.
     fn phases(&self) -> usize;
 
-    /// n; `None` where each is of one test.
+    /// n of each class; `None` where every class is a single test.
     fn count(&self) -> Option<T>;
 
-    /// |S| of one of its tests as mantissa × 2^exponent.
+    /// |S| of one test of the class, as mantissa × 2^exponent.
     fn det(&self) -> (T, T);
 
-    /// Σ u'D⁻¹u over its tests.
+    /// Σ u'D⁻¹u over the tests of the class.
     fn quadratic(&self) -> T;
 
-    /// r of the mean of its tests: state a of phase k.
+    /// r of the mean of the class's data, for state a of phase k.
     fn r(&self, k: usize, a: usize) -> T;
 
-    /// W: state a of phase k by those of phase i, k ≥ i; within a phase those up to a at least.
+    /// Row of W for state a of phase k, over the states of phase i ≤ k; within a phase at least up to state a.
     fn weight(&self, at: (usize, usize), i: usize) -> &[T];
 
-    /// Σ r r' over its tests: state a of phase k by the first states of phase i, as many as there is room for.
+    /// Writes the row of Σ r r' over the class's tests for state a of phase k, over as many first states of phase i as
+    /// `to` holds.
     fn outer(&self, at: (usize, usize), i: usize, to: &mut [T]);
 }
 
-/// Sums over tests. A pair of phases k ≥ i stands at k(k+1)/2 + i. Matrices by rows; of a phase with itself the lower triangle.
+/// Sums over tests. The pair of phases k ≥ i has index k(k+1)/2 + i. Matrices are by rows, those of a phase with itself
+/// as lower triangles.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ClassSums {
-    /// ℓ, constants apart.
+    /// ℓ without the constants.
     pub(crate) value: f64,
-    /// Σ u'D⁻¹u.
+    /// Sum of the quadratic forms, Σ u'D⁻¹u.
     pub(crate) quadratic: f64,
-    /// Σ E'r, M.
+    /// Σ E'r (M).
     pub(crate) score: Vec<f64>,
-    /// Σ W by pairs of phases; zero between phases where that is not wanted.
+    /// Σ W by pairs of phases; zero between phases where these are not requested.
     pub(crate) weight: Vec<Vec<f64>>,
-    /// The rows of Σ E'WE of the coefficients.
+    /// Rows of Σ E'WE that belong to the coefficients.
     pub(crate) regression: Vec<f64>,
-    /// Σ r r' by phase.
+    /// Σ r r' of each phase.
     pub(crate) outer: Vec<Vec<f64>>,
-    /// Σ W ⊗ (r r' - ½W), where V is known Σ W ⊗ (r r' - ½W + WXVX'W), by pairs of phases, places × places, if it is wanted.
+    /// Σ W ⊗ (r r' - ½W), or Σ W ⊗ (r r' - ½W + WXVX'W) where V is known, by pairs of phases: elements of the pair ×
+    /// elements of the pair; empty unless requested.
     pub(crate) curvature: Vec<Vec<f64>>,
-    /// Σ WE ⊗ r by phase, pM × p, if it is wanted.
+    /// Σ WE ⊗ r of each phase, pM × p; empty unless requested.
     pub(crate) cross: Vec<Vec<f64>>,
-    /// Σ W ⊗ W as the curvature, if it is wanted.
+    /// Σ W ⊗ W, arranged as the curvature; empty unless requested.
     pub(crate) expected: Vec<Vec<f64>>,
-    /// Σ WX ⊗ WX by phase, pq × pq, if it is wanted.
+    /// Σ WX ⊗ WX of each phase, pq × pq; empty unless requested.
     pub(crate) spread: Vec<Vec<f64>>,
 }
 
-/// Sums in lanes, and what one class says, in each lane.
+/// Sums in lanes, and buffers for the terms of one class in each lane.
 pub(crate) struct Accumulator<'a, T> {
     wanted: SumsWanted<'a>,
-    /// M and q.
+    /// M, number of mean coordinates.
     mean: usize,
+    /// q, number of free mean coordinates: columns of X.
     free: usize,
     log_det: f64,
-    /// Π |S| = mantissa × 2^exponent, of classes of one test.
+    /// Π |S| over classes of one test, as mantissa × 2^exponent.
     mantissa: T,
     exponent: T,
     quadratic: T,
@@ -80,12 +84,13 @@ pub(crate) struct Accumulator<'a, T> {
     cross: Vec<Gather<T>>,
     expected: Vec<Gather<T>>,
     spread: Vec<Gather<T>>,
-    /// WE, p × M.
+    /// WE of the current class, p × M.
     WE: Vec<T>,
-    /// WX, p × q, and WXV.
+    /// WX of the current class, p × q.
     WX: Vec<T>,
+    /// WXV of the current class, p × q.
     WXV: Vec<T>,
-    /// A row of Σ r r'.
+    /// A row of Σ r r' of the current class.
     moment: Vec<T>,
 }
 
@@ -126,7 +131,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         }
     }
 
-    /// Adds what a class says whose covariates these are.
+    /// Adds the terms of a class with these covariates.
     #[inline(always)]
     pub(crate) fn add(&mut self, said: &impl Contribution<T>, covariates: &[T]) {
         let count = said.count().unwrap_or(T::splat(1.0));
@@ -171,7 +176,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         }
     }
 
-    /// WE.
+    /// Computes WE.
     #[inline(always)]
     fn weigh(&mut self, said: &impl Contribution<T>, covariates: &[T]) {
         let (m, blocks) = (self.mean, self.wanted.elements.blocks());
@@ -198,7 +203,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         }
     }
 
-    /// n E'r and n E'WE of the coefficients.
+    /// Adds n E'r and n E'WE of the coefficients.
     #[inline(always)]
     fn add_regressions(&mut self, count: T, said: &impl Contribution<T>, covariates: &[T]) {
         let (m, elements) = (self.mean, self.wanted.elements);
@@ -216,7 +221,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         }
     }
 
-    /// n WX ⊗ WX; says whether V is known, and leaves WX and WXV.
+    /// Adds n WX ⊗ WX, and stores WX and WXV; returns whether V is known.
     #[inline(always)]
     fn add_flat(&mut self, count: T, phases: usize) -> bool {
         let (q, Some(flat)) = (self.free, self.wanted.flat) else { return false };
@@ -235,7 +240,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         true
     }
 
-    /// n W, n r r' and what the scatter adds to it, and their products, of phases k ≥ i.
+    /// Adds n W, Σ r r' with the part of the scatter, and their products, for phases k ≥ i.
     #[inline(always)]
     fn add_pair(&mut self, (k, i): (usize, usize), count: T, said: &impl Contribution<T>, uncertain: bool) {
         let (number, q, blocks) = (pair(k, i), self.free, self.wanted.elements.blocks());
@@ -282,7 +287,7 @@ impl<'a, T: Lanes> Accumulator<'a, T> {
         }
     }
 
-    /// n WE ⊗ r of a phase.
+    /// Adds n WE ⊗ r of a phase.
     #[inline(always)]
     fn add_cross(&mut self, k: usize, count: T, said: &impl Contribution<T>) {
         let (m, own) = (self.mean, &self.wanted.elements.blocks()[k]);
@@ -315,7 +320,7 @@ fn summed<T: Lanes>(numbers: &[T]) -> Vec<f64> {
     numbers.iter().map(|x| x.sum()).collect()
 }
 
-/// Scale × the numbers.
+/// Writes scale × numbers.
 #[inline(always)]
 fn scaled<T: Lanes>(scale: T, numbers: &[T], to: &mut [T]) {
     for (to, x) in to.iter_mut().zip(numbers) {
@@ -323,7 +328,7 @@ fn scaled<T: Lanes>(scale: T, numbers: &[T], to: &mut [T]) {
     }
 }
 
-/// A × B, A as wide as B is high.
+/// A × B, by rows; A has `width` columns.
 #[inline(always)]
 fn times<T: Lanes>(A: &[T], width: usize, B: &DMatrix<f64>, to: &mut [T]) {
     for (to, from) in to.chunks_exact_mut(B.ncols()).zip(A.chunks_exact(width)) {

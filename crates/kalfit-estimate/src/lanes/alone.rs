@@ -1,4 +1,4 @@
-//! Classes one by one.
+//! Evaluation of classes one by one.
 
 use std::ops::Range;
 
@@ -27,12 +27,13 @@ impl<'a> ClassEvaluator<'a> {
         ClassEvaluator { point, regressors, root, room, block: Vec::new() }
     }
 
-    /// What a class says that is kept phase by phase.
+    /// Likelihood terms of a class that is stored phase by phase.
     pub(crate) fn in_phases(&self, class: ClassRef<'_>, chain: &ChainStore, detail: ChainDetail) -> ChainTerms {
         chain.chained().at(&self.point.mean_of(class, self.regressors), &self.root, detail)
     }
 
-    /// What another one says; where the states of each phase stand.
+    /// Likelihood terms of a class that is not stored phase by phase; `phases` has the range of the states of each
+    /// phase.
     pub(crate) fn whole<'b>(&'b mut self, class: ClassRef<'_>, phases: &'b [Range<usize>]) -> InBlock<'b, f64> {
         let p = self.point.mean.len();
         let exact = class.mean.len() - p;

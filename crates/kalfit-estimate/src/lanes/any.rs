@@ -1,12 +1,13 @@
-//! What tests with one J each say at a point, a block of them side by side or one by itself, for any number of states: the formulas
-//! of [`super::dense`], row by row. One elimination takes S to D⁻¹-free triangular form and R and d with it:
+//! Likelihood terms, at a point, of a block of classes in lanes or of one class by itself, for any number of states:
+//! the formulas of [`super::dense`], row by row. One elimination takes S to D⁻¹-free triangular form, and R and d with
+//! it:
 //!
 //! ```text
 //! [S R d-Rμ] → [DL' U u]      U = L⁻¹R, u = L⁻¹(d-Rμ)      [W r; r' u'D⁻¹u] = [U u]'D⁻¹[U u]
 //! ```
 //!
-//! Of classes of several tests u has further columns, of the vectors of their scatter. Rows C that are measured exactly stand before those
-//! of R, and have no noise in S (theory §13): S = diag(0, I) + [C; R]Σ[C; R]'.
+//! For classes of several tests u has further columns, one for each vector of their scatter. Rows C that are measured
+//! exactly come before those of R, and have no noise in S (theory §13): S = diag(0, I) + [C; R]Σ[C; R]'.
 #![expect(non_snake_case, reason = "R, S, L, D, U, W, F are the letters of the theory")]
 
 use kalfit_lanes::Lanes;
@@ -16,23 +17,23 @@ use crate::lanes::rows::add_weighed;
 use crate::point::{Point, Regressors};
 use kalfit_algebra::fold::fold;
 
-/// The room that one block needs, and what it says at last. Matrices by rows.
+/// Workspace for one block, which holds its terms at the end. Matrices are by rows.
 #[derive(Debug)]
 pub(super) struct ClassWorkspace<T> {
     p: usize,
-    /// q, rows of C.
+    /// q, number of rows of C.
     exact: usize,
-    /// Columns of u.
+    /// Number of columns of u.
     columns: usize,
-    /// μ of each test.
+    /// Mean of the test in each lane.
     mean: Vec<T>,
-    /// F.
+    /// F with Σ = FF', lower triangular.
     F: DMatrix<f64>,
     /// (RF)', p × (q + p).
     X: Vec<T>,
-    /// [S R d-Rμ], then [DL' U u]: (q + p) × (q + 2p + columns); S from its diagonal on.
+    /// [S R d-Rμ], later [DL' U u]: (q + p) × (q + 2p + columns); rows of S hold only entries from the diagonal on.
     rows: Vec<T>,
-    /// D⁻¹.
+    /// Diagonal of D⁻¹.
     inverse: Vec<T>,
     minus_inverse: Vec<T>,
     /// The lower triangle of [W r; r' u'D⁻¹u], (p + columns) × (p + columns).
@@ -40,7 +41,7 @@ pub(super) struct ClassWorkspace<T> {
 }
 
 impl<T: Lanes> ClassWorkspace<T> {
-    /// For a point: μ and F, lower triangular; and so many columns of u.
+    /// A workspace for a point, given by μ and F, lower triangular, with this number of columns of u.
     pub(super) fn new(mean: &[f64], root: &DMatrix<f64>, columns: usize) -> ClassWorkspace<T> {
         let p = mean.len();
         let zeros = |size: usize| vec![T::splat(0.0); size];
@@ -58,7 +59,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// Makes room for so many rows of C and columns of u.
+    /// Resizes the workspace for these numbers of rows of C and columns of u.
     pub(super) fn resize(&mut self, exact: usize, columns: usize) {
         (self.exact, self.columns) = (exact, columns);
         let (height, width, zero) = (self.height(), self.width(), T::splat(0.0));
@@ -69,7 +70,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         self.W.resize(width * width, zero);
     }
 
-    /// Moves μ by the regressions.
+    /// Sets the mean to μ moved by the regressions.
     #[inline(always)]
     pub(super) fn move_mean(&mut self, covariates: &[T], point: &Point, regressors: &Regressors) {
         for &element in regressors {
@@ -80,20 +81,20 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// Rows of C and R.
+    /// Number of rows of C and R together.
     #[inline(always)]
     fn height(&self) -> usize {
         self.exact + self.p
     }
 
-    /// Numbers of a row of [R d-Rμ].
+    /// Number of columns of [R d-Rμ].
     #[inline(always)]
     fn width(&self) -> usize {
         self.p + self.columns
     }
 
-    /// Evaluates a block: R by columns, C by rows, d and g, then vectors of the scatter for the other columns of u, in lanes. |S| as
-    /// mantissa × 2^exponent. d and the scatter are so many times as large as they stand there.
+    /// Evaluates a block, which holds in lanes R by columns, C by rows, d and g, then vectors of the scatter for the
+    /// other columns of u; d and the scatter are multiplied by `unit`. Returns |S| as mantissa × 2^exponent.
     #[inline(always)]
     pub(super) fn evaluate(&mut self, block: &[f64], unit: f64) -> (T, T) {
         self.load(block, unit);
@@ -104,7 +105,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         det
     }
 
-    /// [0 R d-Rμ].
+    /// Sets `rows` to [0 R d-Rμ].
     #[inline(always)]
     fn load(&mut self, block: &[f64], unit: f64) {
         let (p, exact, height) = (self.p, self.exact, self.height());
@@ -136,7 +137,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// (RF)': row c is Σ_k F_kc (column k of R).
+    /// Computes (RF)': row c is Σ_k F_kc (column k of R).
     #[inline(always)]
     fn spread(&mut self, block: &[f64]) {
         let (p, exact, height) = (self.p, self.exact, self.height());
@@ -154,7 +155,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// S = I + RF(RF)'.
+    /// Adds S = I + RF(RF)' to `rows`.
     #[inline(always)]
     fn cover(&mut self) {
         let (p, exact, height) = (self.p, self.exact, self.height());
@@ -166,7 +167,8 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// [S R d-Rμ] → [DL' U u]. Of S a root may be known, upper triangular by rows with S = root' root: S itself is then not read.
+    /// Eliminates [S R d-Rμ] → [DL' U u]; returns |S|. With `root`, upper triangular by rows with S = root' root, S
+    /// itself is not read.
     #[inline(always)]
     fn eliminate(&mut self, root: Option<&[T]>) -> (T, T) {
         let (exact, height) = (self.exact, self.height());
@@ -184,7 +186,8 @@ impl<T: Lanes> ClassWorkspace<T> {
                     *s = known[0] * *x;
                 }
             }
-            // S ⪰ diag(0, I), so no pivot of R is below one; rounding must not make it so. Where Σ is zero along C nothing is likely
+            // S ⪰ diag(0, I), so no pivot of R is below one, and rounding must not make it so. A pivot of C is zero
+            // where Σ is zero along C: the likelihood is then zero
             let pivot = row[0].maximum(T::splat(if i < exact { f64::MIN_POSITIVE } else { 1.0 }));
             self.inverse[i] = pivot.recip();
             self.minus_inverse[i] = -self.inverse[i];
@@ -194,7 +197,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         (mantissa, exponent)
     }
 
-    /// [W r; r' u'D⁻¹u].
+    /// Computes [W r; r' u'D⁻¹u].
     #[inline(always)]
     fn weigh(&mut self) {
         let (height, width) = (self.height(), self.width());
@@ -206,7 +209,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         }
     }
 
-    /// Columns of u.
+    /// Number of columns of u.
     #[inline(always)]
     pub(super) fn columns(&self) -> usize {
         self.columns
@@ -218,7 +221,7 @@ impl<T: Lanes> ClassWorkspace<T> {
         &self.row(self.p + column)[..self.p]
     }
 
-    /// u'D⁻¹u of a column.
+    /// u'D⁻¹u of a column of u.
     #[inline(always)]
     pub(super) fn quadratic(&self, column: usize) -> T {
         self.row(self.p + column)[self.p + column]
@@ -232,7 +235,7 @@ impl<T: Lanes> ClassWorkspace<T> {
 }
 
 impl ClassWorkspace<f64> {
-    /// The same as [`Self::evaluate`] without forming S: the rows of (RF)' folded into I by QR.
+    /// As [`Self::evaluate`], without forming S: the rows of (RF)' are folded into I by QR.
     pub(super) fn evaluate_by_qr(&mut self, block: &[f64], unit: f64) -> (f64, f64) {
         self.load(block, unit);
         self.spread(block);

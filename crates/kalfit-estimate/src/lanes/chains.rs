@@ -19,12 +19,12 @@ pub(crate) struct ChainKernel<'a> {
     pub(crate) wanted: SumsWanted<'a>,
 }
 
-/// What a pass finds.
+/// Results of a pass.
 pub(crate) struct ChainSums {
     pub(crate) totals: ClassSums,
-    /// Σ constant.
+    /// Sum of the constants of the classes.
     pub(crate) constant: f64,
-    /// Classes that need more care than this.
+    /// Classes that need square-root arithmetic, and are not in the sums.
     pub(crate) refused: Vec<usize>,
 }
 
@@ -54,7 +54,7 @@ impl Kernel for ChainKernel<'_> {
     }
 }
 
-/// What a block says.
+/// Likelihood terms of a block, one class in each lane.
 pub(crate) struct InPhases<'a, T> {
     pub(crate) said: &'a ChainTerms<T>,
     pub(crate) count: T,

@@ -1,5 +1,5 @@
-//! What tests with one J each say at a point, a block of them side by side: the pass of the theory with sizes that the compiler
-//! knows (theory §3). The same formulas for any size and any class stand in [`super::any`].
+//! Likelihood terms, at a point, of a block of tests in lanes, each with one J: the pass of the theory with sizes known
+//! at compile time (theory §3). [`super::any`] has the same formulas for any size and any class.
 //!
 //! ```text
 //! S = I + RΣR' = LDL'      U = L⁻¹R      u = L⁻¹(d - Rμ)      W = U'D⁻¹U      r = U'D⁻¹u
@@ -8,31 +8,31 @@
 
 use kalfit_lanes::Lanes;
 
-/// Where ℓ is evaluated: μ and F with Σ = FF', lower triangular.
+/// The point at which ℓ is evaluated: μ and F with Σ = FF', lower triangular.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LaneLaw<const P: usize> {
-    /// How many times as large as in the blocks d is.
+    /// Factor on d in the blocks.
     pub(super) unit: f64,
     pub(super) mean: [f64; P],
     pub(super) root: [[f64; P]; P],
 }
 
-/// What a block says.
+/// Likelihood terms of a block, one test in each lane.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BlockTerms<T, const P: usize> {
-    /// u'D⁻¹u.
+    /// The quadratic form u'D⁻¹u.
     pub(super) quadratic: T,
     pub(super) r: [T; P],
-    /// The lower triangle.
+    /// Lower triangle of W.
     pub(super) W: [[T; P]; P],
 }
 
-/// Numbers of one block, in lanes: R by columns, then d.
+/// Number of values of one test in a block: R by columns, then d.
 pub(super) const fn entries(p: usize) -> usize {
     p * (p + 1) / 2 + p
 }
 
-/// Evaluates a block, and multiplies a product, mantissa × 2^exponent, by |S|.
+/// Evaluates a block, and multiplies `det`, mantissa × 2^exponent, by |S|.
 #[inline(always)]
 pub(super) fn told<T: Lanes, const P: usize>(block: &[f64], law: &LaneLaw<P>, det: &mut (T, T)) -> BlockTerms<T, P> {
     let zero = T::splat(0.0);
@@ -94,13 +94,13 @@ fn covariance<T: Lanes, const P: usize>(R: &[[T; P]; P], law: &LaneLaw<P>) -> [[
     S
 }
 
-/// S = LDL', L below the diagonal in its place: D⁻¹; `det` is multiplied by |D|.
+/// Factorises S = LDL' in place, L below the diagonal; multiplies `det` by |D| and returns D⁻¹.
 #[inline(always)]
 fn factorise<T: Lanes, const P: usize>(S: &mut [[T; P]; P], det: &mut (T, T)) -> [T; P] {
     let one = T::splat(1.0);
     let mut inverse = [one; P];
     for k in 0..P {
-        // S ⪰ I, so no pivot is below one; rounding must not make it so
+        // S ⪰ I, so no pivot is below one, and rounding must not make it so
         let pivot = S[k][k].maximum(one);
         inverse[k] = pivot.recip();
         let (mantissa, exponent) = (det.0 * pivot).split();
@@ -118,7 +118,7 @@ fn factorise<T: Lanes, const P: usize>(S: &mut [[T; P]; P], det: &mut (T, T)) ->
     inverse
 }
 
-/// U = L⁻¹R and u = L⁻¹u.
+/// Replaces R by U = L⁻¹R and u by L⁻¹u.
 #[inline(always)]
 fn forward<T: Lanes, const P: usize>(L: &[[T; P]; P], R: &mut [[T; P]; P], u: &mut [T; P]) {
     for k in 0..P {

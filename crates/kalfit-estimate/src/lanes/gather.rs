@@ -1,39 +1,41 @@
-//! Sums of products over tests side by side: Σ a b' over vectors a, b.
+//! Sums of products Σ a b' over tests in lanes.
 
 use kalfit_lanes::{Lanes, Part};
 use rayon::prelude::*;
 
 use kalfit_algebra::parts::{ColumnWork, in_parts};
 
-/// Blocks whose products are added together: each sum is then read and written once for so many, and summed over its lanes once.
+/// Number of blocks whose products are added in one go: each sum is then read, written and reduced over its lanes once
+/// for all of them.
 const TOGETHER: usize = 16;
 
-/// So many sums, and more, are worked on by several threads, so many rows by each at a time.
+/// Number of sums from which on several threads share the work.
 const MANY: usize = 1 << 20;
+/// Number of rows of sums that one thread takes at a time.
 const STRIP: usize = 64;
 
-/// Σ a b'. Products of a few blocks are added together.
+/// Σ a b', a with `rows` and b with `columns` numbers; vectors of several blocks are buffered before they are added.
 #[derive(Debug, Clone)]
 pub(super) struct Gather<T> {
     rows: usize,
     columns: usize,
-    /// Block after block.
+    /// The vectors a, block after block.
     left: Vec<T>,
     right: Vec<T>,
     filled: usize,
-    /// Over all lanes, by rows.
+    /// Sums over all lanes and the blocks added so far, by rows.
     sum: Vec<f64>,
 }
 
 impl<T: Lanes> Gather<T> {
-    /// Of products that are wanted, or of none.
+    /// Empty sums; if they are not `wanted`, they stay without rows and cost nothing.
     pub(super) fn new((rows, columns): (usize, usize), wanted: bool) -> Gather<T> {
         let rows = if wanted { rows } else { 0 };
         let room = |size: usize| vec![T::splat(0.0); size * if wanted { TOGETHER } else { 0 }];
         Gather { rows, columns, left: room(rows), right: room(columns), filled: 0, sum: vec![0.0; rows * columns] }
     }
 
-    /// Room for the next a and b, both to be written whole.
+    /// Buffers for the next a and b, both to be written completely.
     #[inline(always)]
     pub(super) fn next(&mut self) -> (&mut [T], &mut [T]) {
         if self.filled == TOGETHER {
@@ -74,9 +76,9 @@ impl<T: Lanes> Gather<T> {
     }
 }
 
-/// Adds what is gathered to some rows of the sums.
+/// Adds the buffered products to some rows of the sums.
 struct RowSums<'a, T> {
-    /// From the first of these rows on; and how far it is from block to block.
+    /// The vectors a, from the first of these rows on; blocks are `rows` numbers apart.
     left: &'a [T],
     rows: usize,
     blocks: usize,
@@ -85,7 +87,7 @@ struct RowSums<'a, T> {
     sum: &'a mut [f64],
 }
 
-/// Rows that are worked on at once.
+/// Most rows of sums that are updated at once.
 const TALLEST: usize = 4;
 
 impl<T: Lanes> Part for RowSums<'_, T> {
@@ -107,7 +109,7 @@ impl<T: Lanes> Part for RowSums<'_, T> {
     }
 }
 
-/// Adds to so many rows of the sums; says how many.
+/// Adds to M rows of the sums from `row` on; returns M.
 #[inline(always)]
 fn some_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> usize {
     let RowSums { left, rows, blocks, right, columns, ref mut sum } = *all;
@@ -118,7 +120,7 @@ fn some_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> 
 
 /// M rows of the sums.
 struct Tile<'a, T, const M: usize> {
-    /// M numbers of each block, so far apart.
+    /// M numbers of a for each block; blocks are `rows` numbers apart.
     left: &'a [T],
     rows: usize,
     blocks: usize,

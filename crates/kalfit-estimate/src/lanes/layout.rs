@@ -1,46 +1,46 @@
-//! What stands in a block, and where.
+//! Layout of a block of classes.
 
 use crate::class::{Class, ClassRef};
 use kalfit_algebra::symmetric::{pair, pairs};
 
-/// What stands in a block, each number of all its classes side by side: R by columns, C by rows, d and g, the vectors of the scatter of
-/// classes of several tests, the covariates, and n of classes of several tests.
+/// Order of the numbers in a block, each with one lane for every class: R by columns, C by rows, d and g, for classes
+/// of several tests the vectors of the scatter, the covariates, and for classes of several tests n.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ClassLayout {
     pub(super) p: usize,
-    /// q, the rows of C.
+    /// q, number of rows of C.
     pub(super) exact: usize,
     pub(super) covariates: usize,
     pub(super) several: bool,
 }
 
 impl ClassLayout {
-    /// Where the vectors of the scatter stand.
+    /// Offset of the vectors of the scatter.
     pub(super) fn scatter(&self) -> usize {
         pairs(self.p) + self.exact * self.p + self.rows()
     }
 
-    /// Rows of R and C.
+    /// Number of rows of R and C together.
     pub(super) fn rows(&self) -> usize {
         self.p + self.exact
     }
 
-    /// Where the covariates stand.
+    /// Offset of the covariates.
     pub(super) fn covariates(&self) -> usize {
         self.scatter() + if self.several { self.rows() * self.rows() } else { 0 }
     }
 
-    /// Where n stands, if it does.
+    /// Offset of n, for classes of several tests.
     pub(super) fn count(&self) -> usize {
         self.covariates() + self.covariates
     }
 
-    /// Numbers of a class.
+    /// Number of values of a class.
     pub(super) fn size(&self) -> usize {
         self.count() + usize::from(self.several)
     }
 
-    /// Puts a class into a lane of a block that held nothing there.
+    /// Writes a class into a lane of a block that holds zeros there.
     pub(super) fn put(&self, class: ClassRef<'_>, (block, lane, lanes): (&mut [f64], usize, usize)) {
         let p = self.p;
         let triangle = (0..p).flat_map(|k| (0..=k).map(move |i| class.factor[i * p + k]));
@@ -56,7 +56,7 @@ impl ClassLayout {
         }
     }
 
-    /// Takes the class in a lane out of a block, d and its scatter so many times as large, its constant apart.
+    /// Reads the class in a lane of a block, without its constant; d and the scatter are multiplied by `unit`.
     pub(super) fn read(&self, (block, lane, lanes): (&[f64], usize, usize), unit: f64, class: &mut Class) {
         let p = self.p;
         let number = |at: usize| block[at * lanes + lane];
@@ -70,7 +70,7 @@ impl ClassLayout {
         for k in 0..p {
             (0..=k).for_each(|i| class.factor[i * p + k] = number(pair(k, i)));
         }
-        // vectors beyond those that there are hold zeros
+        // a class of fewer tests than states has fewer scatter vectors; the others hold zeros
         let vectors = if self.several { p.min(class.count as usize) } else { 0 };
         copy(&mut class.mean, pairs(p), p);
         copy(&mut class.scatter, self.scatter(), vectors * p);

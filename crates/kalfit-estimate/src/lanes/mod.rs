@@ -1,5 +1,5 @@
-//! Tests side by side: blocks of tests with one J each, whose numbers stand in lanes, and passes over them. A class by itself is a
-//! block of one lane.
+//! Tests in lanes: blocks of classes that each have one J, one class in each lane, and passes over the blocks. A class
+//! by itself is a block of one lane.
 
 mod accumulator;
 mod alone;
@@ -27,36 +27,37 @@ pub(crate) use alone::ClassEvaluator;
 pub(crate) use chains::{ChainKernel, ChainSums, InPhases};
 pub(crate) use whole::flops_of_a_test;
 
-/// Classes of p states that are not in phases, in blocks of as many as the machine has lanes: all of a single test, or all of several.
-/// Places that no class takes hold zeros, which add nothing.
+/// Classes of p states that are not in phases, in blocks with one class in each lane: either all are of a single test,
+/// or all of several. Lanes without a class hold zeros, which add nothing.
 #[derive(Debug, Clone)]
 pub(crate) struct ClassBatches {
     isa: Isa,
     layout: ClassLayout,
     numbers: Arc<Vec<f64>>,
-    /// Of each class, as they were gathered.
+    /// Constant of each class at `unit` = 1.
     constants: Arc<Vec<f64>>,
-    /// Σ constant.
+    /// Sum of the constants of all classes.
     constant: f64,
-    /// How many times as large as these numbers d and what classes scatter are.
+    /// Factor on d and on the scatter vectors in `numbers`.
     unit: f64,
 }
 
-/// Fewest blocks that one thread fills.
+/// Fewest blocks that one thread fills at a time.
 const FILLED: usize = 16;
 
-/// Fewest blocks that one task sums, of many states and of one: a task of few states takes no less time than one of many. How many it
-/// is depends on nothing but the blocks, so that sums have the same bits for any number of threads.
+/// Fewest blocks that one task sums, for many states. The size of tasks depends on nothing but the blocks, so that sums
+/// have the same bits for any number of threads.
 const FEWEST: usize = 16;
+/// Fewest blocks that one task sums, for one state: more, so that the task takes no less time than one for many states.
 const FEWEST_OF_ONE: usize = 512;
-/// The most are so many times as many.
+/// Most blocks that one task sums, as a multiple of the minimum.
 const MOST: usize = 32;
-/// Tasks there are at least, where blocks are many.
+/// Fewest tasks, where there are many blocks.
 const TASKS: usize = 64;
 
 impl ClassBatches {
-    /// So many classes of p states and so many covariates, of several tests each or of one, with no need of rotations; `class` puts
-    /// the one with a number into a place.
+    /// Fills blocks with `count` classes of p states with `covariates` covariates, of several tests each or of one,
+    /// none of which needs rotations; `class` writes the class with a given number into a buffer.
     pub(crate) fn filled(
         (p, covariates, several): (usize, usize, bool),
         isa: Isa,
@@ -79,7 +80,7 @@ impl ClassBatches {
         ClassBatches { isa, layout, numbers: Arc::new(numbers), constants: Arc::new(constants), constant, unit: 1.0 }
     }
 
-    /// Puts the class with this number into a place, its constant as it was gathered.
+    /// Reads the class with this number into `class`, with its constant at `unit` = 1.
     pub(crate) fn read(&self, number: usize, class: &mut Class) {
         let lanes = self.isa.lanes();
         let size = self.layout.size() * lanes;
@@ -87,22 +88,23 @@ impl ClassBatches {
         class.constant = self.constants[number];
     }
 
-    /// The same with other noise: d and what classes scatter so many times as large, and this much more of Σ constant.
+    /// The same classes with other noise: d and the scatter are multiplied by `unit`, and `change` is added to the
+    /// constant.
     pub(crate) fn shrunk(&self, unit: f64, change: f64) -> ClassBatches {
         ClassBatches { constant: self.constant + change, unit: self.unit * unit, ..self.clone() }
     }
 
-    /// What it is worked on with.
+    /// Instruction set that the blocks are packed for.
     pub(crate) fn isa(&self) -> Isa {
         self.isa
     }
 
-    /// Σ constant over the tests.
+    /// Sum of the constants of all tests.
     pub(crate) fn constant(&self) -> f64 {
         self.constant
     }
 
-    /// What all classes say at a point, one part after the other.
+    /// Sums over the classes at a point, one for each task, in their order.
     pub(crate) fn totals(&self, point: &Point, wanted: SumsWanted<'_>) -> Vec<ClassSums> {
         if self.constants.is_empty() {
             return Vec::new();

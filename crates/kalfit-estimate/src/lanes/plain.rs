@@ -1,4 +1,4 @@
-//! Sums over blocks of classes of one test each, of a number of states that the compiler knows.
+//! Sums over blocks of classes of one test each, for numbers of states known at compile time.
 #![expect(non_snake_case, reason = "W is the letter of the theory")]
 
 use kalfit_lanes::Lanes;
@@ -33,7 +33,7 @@ impl BlockPass<'_> {
         products.into(sums.totals())
     }
 
-    /// First derivatives alone. Nothing else is in the loop, so that the sums of few states stay in registers.
+    /// Sums of first derivatives alone: the loop has nothing else, so that the sums of few states stay in registers.
     #[inline(always)]
     fn first<T: Lanes, const P: usize>(self, law: &LaneLaw<P>) -> ClassSums {
         let mut sums = FirstOrderSums::<T, P>::new();
@@ -56,12 +56,12 @@ impl BlockPass<'_> {
     }
 }
 
-/// What second derivatives add up.
+/// Sums of products for second derivatives.
 struct SecondOrderSums<T> {
     p: usize,
-    /// W ⊗ [r r' - ½W, r].
+    /// Σ W ⊗ [r r' - ½W, r].
     observed: Gather<T>,
-    /// W ⊗ W, if it is wanted.
+    /// Σ W ⊗ W, if requested.
     expected: Gather<T>,
     is_expected: bool,
 }
@@ -73,7 +73,7 @@ impl<T: Lanes> SecondOrderSums<T> {
         SecondOrderSums { p, observed, expected: Gather::new((s, s), is_expected), is_expected }
     }
 
-    /// Takes in W, r r' - ½W and r of a block.
+    /// Adds the products of W with r r' - ½W and r of a block.
     #[inline(always)]
     fn take<const P: usize>(&mut self, told: &BlockTerms<T, P>) {
         let (weights, right) = self.observed.next();
@@ -106,7 +106,7 @@ impl<T: Lanes> SecondOrderSums<T> {
 }
 
 impl<T: Lanes, const P: usize> BlockTerms<T, P> {
-    /// W, r r' - ½W and r.
+    /// Writes W, r r' - ½W and r.
     #[inline(always)]
     fn write(&self, weights: &mut [T], inner: &mut [T], r: &mut [T]) {
         let half = T::splat(0.5);
@@ -122,9 +122,9 @@ impl<T: Lanes, const P: usize> BlockTerms<T, P> {
     }
 }
 
-/// Sums in lanes.
+/// Sums of first order, in lanes.
 struct FirstOrderSums<T, const P: usize> {
-    /// Π |S| = mantissa × 2^exponent.
+    /// Π |S| over the tests, as mantissa × 2^exponent.
     det: (T, T),
     quadratic: T,
     r: [T; P],

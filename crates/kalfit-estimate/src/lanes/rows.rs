@@ -1,8 +1,8 @@
-//! What all work on rows in lanes is made of: y ← y + Σ a x, and sums over the lanes at last.
+//! Basic operations on rows in lanes: y ← y + Σ a x, and sums over the lanes.
 
 use kalfit_lanes::Lanes;
 
-/// Rows that are added at once: each number of y is then read and written once for four products.
+/// Number of rows that are added at once: each number of y is then read and written once for four products.
 const TOGETHER: usize = 4;
 
 /// y ← y + a x.
@@ -23,8 +23,8 @@ fn add_four<T: Lanes>(y: &mut [T], a: [T; TOGETHER], x: [&[T]; TOGETHER]) {
     }
 }
 
-/// y ← y + Σ_k w_k x_kl x_k over `count` rows x_k, the weight of each its own number l and w_k, if there is one. Row k starts at
-/// k × width of what is given.
+/// y ← y + Σ_k w_k x_kl x_k over `count` rows x_k: each is multiplied by its entry l and by w_k, if weights are given.
+/// Row k starts at index k × width.
 #[inline(always)]
 pub(super) fn add_weighed<T: Lanes>(
     y: &mut [T],

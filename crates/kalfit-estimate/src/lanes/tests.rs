@@ -1,4 +1,4 @@
-//! Sums over classes, side by side and one by one, against the formulas of the theory.
+//! Sums over classes, in lanes and one by one, against the formulas of the theory.
 #![expect(non_snake_case, reason = "R, S, W, E, X are the letters of the theory")]
 
 use kalfit_lanes::Isa;
@@ -38,7 +38,7 @@ fn point(p: usize) -> Point {
     }
 }
 
-/// All sums in one row, of classes in one phase, in the order of [`crate::sums::Sums::numbers`].
+/// All sums over classes in one phase, as one vector in the order of [`crate::estimate::sums::Sums::numbers`].
 fn by_hand(classes: &[Class], point: &Point, SumsWanted { regressors, flat, .. }: SumsWanted<'_>) -> Vec<f64> {
     let (p, m) = (point.mean.len(), point.mean.len() + regressors.len());
     let mean = DVector::from_iterator(m, point.mean.iter().chain(&point.coefficients).copied());
@@ -90,7 +90,7 @@ fn by_hand(classes: &[Class], point: &Point, SumsWanted { regressors, flat, .. }
     sums
 }
 
-/// Asserts that the sums over blocks of classes, and over the classes one by one, are those by hand.
+/// Asserts that the sums over blocks of classes, and over the classes one by one, equal those by hand.
 fn assert_sums(classes: &[Class], (isa, several): (Isa, bool), point: &Point, wanted: SumsWanted<'_>) {
     let p = point.mean.len();
     let fill = |j: usize, place: &mut Class| place.set(classes[j].view());
@@ -98,7 +98,7 @@ fn assert_sums(classes: &[Class], (isa, several): (Isa, bool), point: &Point, wa
     let mut together = wanted.zero();
     together.value += blocks.constant();
     blocks.totals(point, wanted).into_iter().for_each(|totals| together.take(totals));
-    // each second one by square roots
+    // every second class by square roots
     let view = |j: usize| ClassRef { square_root: j % 2 == 1, ..classes[j].view() };
     let alone = one_by_one(&(0..classes.len()).map(view).collect::<Vec<_>>(), point, wanted);
     let expected = by_hand(classes, point, wanted);
@@ -172,7 +172,7 @@ fn sums_over_several_tests_with_regressions_and_the_restricted_likelihood_are_th
     }
 }
 
-/// What is put into blocks comes out again.
+/// Classes that are written into blocks are read back unchanged.
 #[test]
 fn classes_are_read_as_they_were_put() {
     for (p, covariates, several) in [(1, 0, false), (3, 2, false), (2, 1, true), (4, 0, true)] {

@@ -1,4 +1,4 @@
-//! Passes over blocks of classes: of few states by sizes that the compiler knows, else of any number of states.
+//! Passes over blocks of classes, for few states with sizes known at compile time, else for any number of states.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ use kalfit_algebra::symmetric::pairs;
 pub(super) struct BlockPass<'a> {
     pub(super) blocks: &'a [f64],
     pub(super) layout: ClassLayout,
-    /// How many times as large as in the blocks d and what classes scatter are.
+    /// Factor on d and on the scatter vectors in the blocks.
     pub(super) unit: f64,
     pub(super) point: &'a Point,
     /// F with Σ = FF', lower triangular.
@@ -30,7 +30,7 @@ pub(super) struct BlockPass<'a> {
 impl Kernel for BlockPass<'_> {
     type Output = ClassSums;
 
-    /// Few states by sizes that the compiler knows, so that all of a block stays in registers.
+    /// For few states sizes are known at compile time, so that all of a block stays in registers.
     #[inline(always)]
     fn run<T: Lanes>(self) -> ClassSums {
         if self.layout.several || self.layout.covariates > 0 || self.wanted.flat.is_some() {
@@ -74,8 +74,8 @@ impl BlockPass<'_> {
     }
 }
 
-/// Floating-point operations on one test of p states, counted as they are done: those of the kernel, and of adding what it says to the
-/// sums of first derivatives.
+/// Floating-point operations on one test of p states, counted by running the code: those of the kernel, and of adding
+/// its terms to the sums of first derivatives.
 pub(crate) fn flops_of_a_test(p: usize) -> Flops {
     let elements = Elements::single(p);
     let wanted = SumsWanted { elements: &elements, regressors: &[], order: Order::Mean, flat: None };
@@ -87,12 +87,12 @@ pub(crate) fn flops_of_a_test(p: usize) -> Flops {
     })
 }
 
-/// What a block says.
+/// Likelihood terms of a block, one class in each lane.
 pub(crate) struct InBlock<'a, T> {
     pub(super) room: &'a ClassWorkspace<T>,
     pub(super) det: (T, T),
     pub(super) count: Option<T>,
-    /// Where the states of each phase stand.
+    /// Range of the states of each phase.
     pub(super) phases: &'a [Range<usize>],
 }
 

@@ -1,4 +1,4 @@
-//! Units that are walked through together: in columns where their designs are the same, in lanes where they are not.
+//! Units that are evaluated together: in columns where their designs are equal, in lanes where they differ.
 
 use std::ops::Range;
 
@@ -9,26 +9,26 @@ use crate::levels::design::{Leaf, UnitDesign, UnitGroup, UnitTest};
 use crate::levels::units::Units;
 use kalfit_algebra::rows::Rows;
 
-/// What is known of some units.
+/// Designs and data of units that are evaluated together.
 pub(super) struct BatchData<'a, T> {
-    /// The groups, those of inner levels before those that they stand in; the last one is the unit.
+    /// The groups, inner groups before the groups that contain them; the last one is the unit.
     pub(super) groups: &'a [UnitGroup],
-    /// Of each test the number of its leaf among these, and its group.
+    /// Leaf, as an index into `leaves`, and group of each test.
     pub(super) tests: Vec<UnitTest>,
     pub(super) leaves: Vec<Leaf<T>>,
-    /// d of the tests from the centre on: of each test p rows of a number for each column.
+    /// d of each test relative to the centre, p × columns.
     pub(super) data: Vec<Rows<T>>,
-    /// How many units stand in columns.
+    /// Number of units in columns; one for units in lanes.
     pub(super) columns: usize,
 }
 
 impl<'a> BatchData<'a, f64> {
-    /// Some units of a design, a column each.
+    /// Some units of one design, one in each column.
     pub(super) fn alike(units: &Units, design: &'a UnitDesign, some: Range<usize>) -> BatchData<'a, f64> {
         let mut leaves: Vec<Leaf> = Vec::new();
         let mut last = None;
         let tests = design.tests.iter().map(|member| {
-            // tests of one leaf in a group stand one after the other
+            // tests of a group with the same leaf are consecutive
             if last != Some(member.leaf) {
                 leaves.push(units.leaves[member.leaf].clone());
                 last = Some(member.leaf);
@@ -43,7 +43,7 @@ impl<'a> BatchData<'a, f64> {
 }
 
 impl<T> BatchData<'_, T> {
-    /// Whether a group is another one, or stands in it.
+    /// Whether `group` is `other`, or is contained in it.
     pub(super) fn stands_in(&self, mut group: usize, other: usize) -> bool {
         while group != other && self.groups[group].parent != group {
             group = self.groups[group].parent;
@@ -53,7 +53,8 @@ impl<T> BatchData<'_, T> {
 }
 
 impl<'a, T: Lanes> BatchData<'a, T> {
-    /// The units of a batch, a lane each. Lanes without a unit, and tests that a unit does not have, hold zeros: they add nothing.
+    /// The units of a batch, one in each lane. Lanes without a unit, and tests that a unit does not have, hold zeros,
+    /// which add nothing.
     #[inline(always)]
     pub(super) fn of(units: &Units, batch: &'a UnitBatch) -> BatchData<'a, T> {
         let p = units.states;
@@ -82,7 +83,7 @@ impl<'a, T: Lanes> BatchData<'a, T> {
     }
 }
 
-/// A test in each lane: its leaf, its data, and its column there.
+/// The test in each lane: its leaf, the data of its design, and its column there.
 type TestLanes<'a> = [Option<(&'a Leaf, &'a Rows, usize)>; MOST];
 
 #[inline(always)]
@@ -108,7 +109,7 @@ fn side_by_side<T: Lanes>(found: &TestLanes<'_>, p: usize) -> Leaf<T> {
     leaf
 }
 
-/// A number of each test, zero where there is none.
+/// One number of the test in each lane, zero where there is no test.
 #[inline(always)]
 fn in_lanes<T: Lanes>(found: &TestLanes<'_>, number: impl Fn(&(&Leaf, &Rows, usize)) -> f64) -> T {
     let mut all = [0.0; MOST];

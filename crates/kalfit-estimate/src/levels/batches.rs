@@ -1,33 +1,34 @@
-//! Units that are walked through side by side though their tests differ: one in each lane.
+//! Batches of units with different designs, one unit in each lane.
 
 use kalfit_lanes::{Isa, MOST};
 
 use crate::levels::design::{UnitDesign, UnitGroup};
 
-/// As many units as the machine has lanes, or fewer, laid out alike: where a unit has fewer groups or tests than another, an empty one
-/// stands, of which nothing is said.
+/// Units in lanes with a common layout: where a unit has fewer groups or tests than another, its lane has empty ones,
+/// which add nothing.
 #[derive(Debug, Clone)]
 pub(super) struct UnitBatch {
-    /// The groups, those of inner levels before those that they stand in; the last one is the unit.
+    /// The groups, inner groups before the groups that contain them; the last one is the unit.
     pub(super) groups: Vec<UnitGroup>,
     /// The group of each test.
     pub(super) tests: Vec<usize>,
-    /// The units in the lanes.
+    /// The unit in each lane.
     pub(super) lanes: Vec<UnitInLane>,
 }
 
-/// A unit in a lane.
+/// A unit that takes a lane of a batch.
 #[derive(Debug, Clone)]
 pub(super) struct UnitInLane {
-    /// The number of its design, and which of the units of the design it is.
+    /// Number of the unit's design.
     pub(super) design: usize,
+    /// Number of the unit in its design.
     pub(super) unit: usize,
-    /// Of each test of the batch the number of its test in the design.
+    /// For each test of the batch the number of the test in the design; `None` where the unit has none.
     pub(super) tests: Vec<Option<usize>>,
 }
 
-/// Batches of the units whose design too few others have. How many share one lane by lane depends on the machine; the rest on the
-/// tests alone.
+/// Batches of the units whose design too few other units have. The number of units in a batch depends on the machine,
+/// everything else on the tests alone.
 pub(super) fn batches(designs: &[UnitDesign]) -> Vec<UnitBatch> {
     let isa = Isa::best();
     let few = |(number, design): (usize, &UnitDesign)| {
@@ -41,12 +42,12 @@ pub(super) fn batches(designs: &[UnitDesign]) -> Vec<UnitBatch> {
 }
 
 impl UnitDesign {
-    /// So many units have the design that their matrices, worked out once, are cheaper than side by side.
+    /// Whether so many units have the design that computing its matrices once is cheaper than in lanes.
     pub(super) fn is_shared(&self) -> bool {
         self.units.len() >= Isa::best().lanes()
     }
 
-    /// What stands in each group.
+    /// Members of each group of the design.
     fn contents(&self) -> Vec<Contents> {
         let mut all = vec![Contents::default(); self.groups.len()];
         for (group, node) in self.groups.iter().enumerate().filter(|(group, node)| node.parent != *group) {
@@ -57,14 +58,14 @@ impl UnitDesign {
     }
 }
 
-/// What stands in a group: groups, and the tests that are in none of them.
+/// Members of a group: inner groups, and the tests that are in none of these.
 #[derive(Debug, Clone, Default)]
 struct Contents {
     inner: Vec<usize>,
     tests: Vec<usize>,
 }
 
-/// How many groups and tests stand in a group.
+/// Numbers of groups and tests in a group.
 #[derive(Debug, Clone)]
 struct UnitShape {
     level: usize,
@@ -78,18 +79,18 @@ impl UnitShape {
         UnitShape { level: design.groups[group].level, tests: contents[group].tests.len(), inner }
     }
 
-    /// Tests in all.
+    /// Number of tests, with those in inner groups.
     fn size(&self) -> usize {
         self.tests + self.inner.iter().map(UnitShape::size).sum::<usize>()
     }
 
-    /// Equal for equal shapes.
+    /// A list of numbers that is equal for equal shapes.
     fn signature(&self) -> Vec<usize> {
         let inner = self.inner.iter().flat_map(UnitShape::signature);
         [self.tests, self.inner.len()].into_iter().chain(inner).collect()
     }
 
-    /// Makes room for another one of its level.
+    /// Enlarges the shape so that another shape of the same level fits into it.
     fn widen(&mut self, other: &UnitShape) {
         self.tests = self.tests.max(other.tests);
         self.inner.iter_mut().zip(&other.inner).for_each(|(own, other)| own.widen(other));
@@ -97,7 +98,7 @@ impl UnitShape {
         self.inner.extend_from_slice(more);
     }
 
-    /// Groups and the group of each test, inner ones first; tells the group's number.
+    /// Appends the groups, inner ones first, and the group of each test; returns the index of this group.
     fn lay(&self, groups: &mut Vec<UnitGroup>, tests: &mut Vec<usize>) -> usize {
         let inner: Vec<usize> = self.inner.iter().map(|shape| shape.lay(groups, tests)).collect();
         let own = groups.len();
@@ -107,7 +108,8 @@ impl UnitShape {
         own
     }
 
-    /// The tests of a group of a design in the places of this shape, in the order of [`UnitShape::lay`].
+    /// Appends for each test of this shape the test of a group of a design, or `None`, in the order of
+    /// [`UnitShape::lay`].
     fn place(&self, contents: &[Contents], group: Option<usize>, places: &mut Vec<Option<usize>>) {
         let inner = |at: usize| contents[group?].inner.get(at).copied();
         self.inner.iter().enumerate().for_each(|(at, shape)| shape.place(contents, inner(at), places));

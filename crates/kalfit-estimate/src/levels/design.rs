@@ -2,7 +2,7 @@
 
 use kalfit_algebra::rows::Rows;
 
-/// What tests of one class share.
+/// Design that the tests of one class share.
 #[derive(Debug, Clone)]
 pub(super) struct Leaf<T = f64> {
     /// R, p × p.
@@ -14,17 +14,17 @@ pub(super) struct Leaf<T = f64> {
 /// Units whose tests have the same designs in the same groups.
 #[derive(Debug, Clone)]
 pub(super) struct UnitDesign {
-    /// Of each test the number of its leaf and its group.
+    /// Leaf and group of each test.
     pub(super) tests: Vec<UnitTest>,
-    /// The groups, those of inner levels before those that they stand in; the last one is the unit.
+    /// The groups, inner groups before the groups that contain them; the last one is the unit.
     pub(super) groups: Vec<UnitGroup>,
-    /// The units, each by the numbers of its reductions and of its groups in their levels.
+    /// The units with this design.
     pub(super) units: Vec<UnitMembers>,
-    /// d of the tests from the centre on: of each test p rows of as many numbers as there are units.
+    /// d of each test relative to the centre, p × units.
     pub(super) data: Vec<Rows>,
 }
 
-/// A test of a unit.
+/// A test of a unit: its leaf (design) and its innermost group.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct UnitTest {
     pub(super) leaf: usize,
@@ -34,23 +34,23 @@ pub(super) struct UnitTest {
 /// A group of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) struct UnitGroup {
-    /// Its level, the innermost being 1: that of its Σ among the blocks.
+    /// Level of the group, 1 for the innermost: the block of its Σ.
     pub(super) level: usize,
-    /// The group that it stands in; itself for the unit.
+    /// The group that contains this group; the unit itself for the unit.
     pub(super) parent: usize,
 }
 
-/// One group of the outermost level.
+/// A unit, by the numbers of its reductions and groups.
 #[derive(Debug, Clone)]
 pub(super) struct UnitMembers {
-    /// Numbers of its reductions, in the order of the tests of the design.
+    /// Numbers of the unit's reductions, in the order of the tests of the design.
     pub(super) tests: Vec<usize>,
-    /// Numbers of its groups in their levels, in the order of the groups of the design.
+    /// Numbers of the unit's groups in their levels, in the order of the groups of the design.
     pub(super) groups: Vec<usize>,
 }
 
 impl UnitDesign {
-    /// Some of the units.
+    /// The same design with only some of the units.
     pub(super) fn some(&self, units: &[usize]) -> UnitDesign {
         let of = |data: &Rows| Rows::from_fn(data.nrows(), units.len(), |i, at| data[(i, units[at])]);
         UnitDesign {

@@ -1,26 +1,27 @@
-//! Tests of one unit, level by level (theory §11).
+//! Tests in groups, level by level (theory §11). A unit is a group of the outermost level.
 //!
-//! ξ of a test is μ and what each of its groups adds and its own: ξ_j = μ_j + β_u + γ_j, independent of each other. A level is a map from
-//! reductions to reductions: with what is its own integrated out, a test (J, y) says of the mean m of its group
+//! ξ of a test is μ plus the effects of its groups plus a per-test effect, all independent: ξ_j = μ_j + β_u + γ_j. A
+//! level maps reductions to reductions: with its per-test effect integrated out, a test (J, y) gives, on the mean m of
+//! its group,
 //!
 //! ```text
 //! W = (I+JΣ)⁻¹J      s = (I+JΣ)⁻¹y      c - ½log|I+JΣ| + ½y'Σs
 //! ```
 //!
-//! and the group says of the next level's mean what its members say together, J = ΣW and y = Σs. Back from the outermost level, with the
-//! posterior (m̂, V) of the mean of a group, each member has
+//! and the reduction of the group is the sum over its members, J = ΣW and y = Σs, to which the next level applies. Back
+//! from the outermost level, with the posterior (m̂, V) of the mean of a group, each member has
 //!
 //! ```text
 //! r = s - Wm̂      W̄ = W - WVW      ∂ℓ/∂Σ of its level: ½(rr' - W̄)
-//! m̂ + Σr          (I-ΣW)V(I-WΣ) + Σ - ΣWΣ                        the posterior of its own ξ, the mean of its own members
+//! m̂ + Σr          (I-ΣW)V(I-WΣ) + Σ - ΣWΣ             posterior of a test's ξ, or of the mean of a group's members
 //! ```
 //!
-//! Reductions are kept as square roots on the way ([`walk`]), and tests come together as groups by design: groups whose members have
-//! the same designs cost one pass over matrices ([`Units`]), others stand side by side in lanes. Second derivatives are those of the scores, along each element of each Σ
-//! ([`tangents`]).
+//! Reductions are square roots throughout ([`walk`]). Units with the same designs share one pass over matrices
+//! ([`Units`]), other units are evaluated in lanes. Second derivatives are the derivatives of the scores along each
+//! element of each Σ ([`tangents`]).
 //!
-//! In [`Elements`](kalfit_algebra::elements::Elements) what the groups of a level add stands like a further phase: block 0 is the tests' own
-//! level, the next one the innermost level of groups.
+//! In [`Elements`](crate::linalg::elements::Elements) each level is a block, like a further phase: block 0 is the level
+//! of the tests, block 1 the innermost level of groups.
 
 mod batch_data;
 mod batches;

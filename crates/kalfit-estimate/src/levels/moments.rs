@@ -1,4 +1,4 @@
-//! First variances of each level by moments.
+//! Start values for the variances of each level, by moments.
 
 use nalgebra::DVector;
 
@@ -6,8 +6,8 @@ use crate::levels::design::{Leaf, UnitDesign};
 use crate::levels::units::Units;
 
 impl Units {
-    /// With J and y - Jμ of all that stands in a group, the sums of (y - Jμ)_i² - J_ii and of J_ii² over the groups of each level, tests
-    /// first.
+    /// Sums of (y - Jμ)_i² - J_ii and of J_ii² over the groups of each level, tests first, with J and y - Jμ summed
+    /// over all tests in a group.
     pub(crate) fn excess(&self, mean: &DVector<f64>) -> (DVector<f64>, DVector<f64>) {
         let (levels, p) = (self.levels(), self.states);
         let centre: Vec<f64> = (0..p).map(|i| (0..levels).map(|l| mean[l * p + i]).sum()).collect();
@@ -21,8 +21,9 @@ impl Units {
         (excess, squares)
     }
 
-    /// A variance for each state at each level by moments, as if the states were uncorrelated: that [excess](Units::excess) of level k has
-    /// the mean Σ_l v_l N_min(k,l), N_l = Σ J_ii² over those of level l. By levels, tests first; none where the groups say nothing.
+    /// A variance for each state at each level by moments, as if the states were uncorrelated: the
+    /// [excess](Units::excess) of level k has the mean Σ_l v_l N_min(k,l), N_l = Σ J_ii² over the groups of level l. By
+    /// levels, tests first; `None` where the groups have no information.
     pub(crate) fn variances(&self, (excess, squares): (&DVector<f64>, &DVector<f64>)) -> Vec<Vec<Option<f64>>> {
         let (levels, p) = (self.levels(), self.states);
         let of_level = |sums: &DVector<f64>, i: usize| (0..levels).map(|l| sums[l * p + i]).collect::<Vec<f64>>();
@@ -32,7 +33,7 @@ impl Units {
     }
 }
 
-/// Variances of one state at all levels, the outermost first found: differences of the equations of neighbouring levels.
+/// Variances of one state at all levels, from the outermost on, by differences of the equations of neighbouring levels.
 fn solved(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
     // e_k = Σ_l v_l N_min(k,l), so e_k - e_(k-1) = (N_k - N_(k-1)) Σ_(l≥k) v_l
     let mut above = 0.0;
@@ -54,7 +55,7 @@ fn solved(excess: &[f64], squares: &[f64]) -> Vec<Option<f64>> {
 }
 
 impl UnitDesign {
-    /// Calls `of` with the level, the state, (y - Jμ)_i and J_ii of each test and of all that stands in each group.
+    /// Calls `of` with the level, the state i, (y - Jμ)_i and J_ii of each test, and of the sum over each group.
     fn moments(&self, leaves: &[Leaf], (mean, scale): (&[f64], f64), of: &mut dyn FnMut(usize, usize, f64, f64)) {
         let p = mean.len();
         for unit in 0..self.units.len() {

@@ -18,12 +18,13 @@ use crate::point::Point;
 use crate::sums::{OfLevels, Sums};
 use kalfit_algebra::rows::Rows;
 
-/// Most units of one design that are walked through at once.
+/// Most units of one design that are evaluated at once.
 const TOGETHER: usize = 64;
-/// Tasks there are at most; fixed, so that sums have the same bits for any number of threads.
+/// Most tasks of a pass; fixed, so that sums have the same bits for any number of threads.
 const TASKS: usize = 64;
 
-/// ℓ and its derivatives at a point. The mean is the sum of those of all levels, so what is said of one is said of each.
+/// ℓ and its derivatives at a point. The mean is the sum of the means of all levels, so derivatives by each of them are
+/// equal.
 pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums {
     let flat = wanted.flat.map(|flat| (folded(flat, units.states, units.levels()), flat.covariance));
     let wish = Wish {
@@ -41,7 +42,8 @@ pub(crate) fn pass(units: &Units, point: &Point, wanted: SumsWanted<'_>) -> Sums
     sums((units, units.constant), parts.into_iter().fold(UnitSums::zero(wish), UnitSums::and), wanted)
 }
 
-/// Calls `of` with the numbers of the reductions of each unit and its sums of first order, the constants of its tests apart.
+/// Calls `of` for each unit with the numbers of its reductions and its sums of first order, without the constants of
+/// its tests.
 pub(crate) fn each_unit(units: &Units, point: &Point, wanted: SumsWanted<'_>, of: &mut dyn FnMut(&[usize], &Sums)) {
     let wish = Wish::of(units, wanted, Order::First);
     for design in units.designs.iter() {
@@ -60,7 +62,7 @@ impl Wish<'_> {
     }
 }
 
-/// Units that are walked through together.
+/// Units that are evaluated together.
 enum UnitWork<'a> {
     /// Some units of one design.
     Columns(&'a UnitDesign, Range<usize>),
@@ -92,7 +94,7 @@ fn pieces<'a>(units: &'a Units) -> Vec<UnitWork<'a>> {
     shared.chain(units.batches.iter().map(UnitWork::Batch)).collect()
 }
 
-/// Sums over units whose designs are shared.
+/// Sums over units of equal designs, evaluated in columns.
 fn in_columns<'a>(
     units: &Units,
     (point, wanted): (&Point, SumsWanted<'_>),
@@ -105,7 +107,7 @@ fn in_columns<'a>(
     totals
 }
 
-/// Units of some batches, in lanes.
+/// Kernel that sums over the units of some batches, in lanes.
 struct UnitKernel<'a> {
     units: &'a Units,
     point: &'a Point,
@@ -128,7 +130,7 @@ impl Kernel for UnitKernel<'_> {
     }
 }
 
-/// d(μ, coefficients) / d(free mean coordinates): the mean is the sum over the levels.
+/// d(μ, coefficients) / d(free mean coordinates), with μ the sum of the means of all levels.
 fn folded(flat: &FlatMean<'_>, p: usize, levels: usize) -> DMatrix<f64> {
     let all = flat.jacobian;
     DMatrix::from_fn(all.nrows() - p * (levels - 1), all.ncols(), |row, c| match row.checked_sub(p) {
@@ -141,7 +143,7 @@ fn sums((units, constant): (&Units, f64), totals: UnitSums, wanted: SumsWanted<'
     let (p, levels) = (units.states, units.levels());
     let mut sums = wanted.zero_in_groups();
     let all = sums.mean_score.len();
-    // of each mean coordinate of all levels the one that it is
+    // index of a mean coordinate of any level among (μ, coefficients)
     let own = |m: usize| if m < p * levels { m % p } else { m - p * (levels - 1) };
     sums.value = constant + totals.value;
     sums.quadratic = totals.quadratic;

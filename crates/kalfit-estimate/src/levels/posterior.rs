@@ -9,51 +9,53 @@ use crate::levels::walk::{GroupMean, LevelLaws, Walked};
 use crate::point::{Point, Regressors};
 use kalfit_algebra::rows::Rows;
 
-/// What is known of every test and group of an ensemble, in η.
+/// Posteriors of every test and group of an ensemble, in η.
 #[derive(Debug, Clone)]
 pub struct LevelPosteriors {
-    /// Of the tests, by their numbers in the grouping.
+    /// Posteriors of the tests, by their numbers in the grouping.
     pub tests: Vec<TestPosterior>,
-    /// Of the groups, level by level from the innermost on, by their numbers.
+    /// Posteriors of the groups, level by level from the innermost on, by their numbers.
     pub groups: Vec<Vec<ScaledGroupPosterior>>,
 }
 
-/// ξ of a test given all tests of its unit.
+/// Posterior of ξ of a test given all tests of its unit.
 #[derive(Debug, Clone, Default)]
 pub struct TestPosterior {
     pub mean: Vec<f64>,
     /// V, p × p by rows.
     pub covariance: Vec<f64>,
-    /// What its mean coordinates do to the posterior mean, p × coordinates by rows; nothing where that was not asked for.
+    /// d(posterior mean) / d(mean coordinates), p × coordinates by rows; empty unless requested.
     pub(crate) moved: Vec<f64>,
 }
 
-/// The mean of the members of a group given all tests of its unit, and how far the group is from the population by itself.
+/// Posterior of the mean of the members of a group given all tests of its unit, and the distance of the group, without
+/// the rest of its unit, from the population.
 #[derive(Debug, Clone, Default)]
 pub struct ScaledGroupPosterior {
     pub mean: Vec<f64>,
     /// V, p × p by rows.
     pub covariance: Vec<f64>,
-    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ) of all that its tests say, Σ that of its level and those above.
+    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ) for the mean of the group, with Σ the sum over its level and the levels above.
     pub squared: f64,
-    /// Rank of J.
+    /// Rank of J, the information of the group's tests on its mean.
     pub degrees_of_freedom: usize,
-    /// Squares of how far its tests and inner groups are from each other: of all that its tests say, less `squared`.
+    /// Squared distance of its tests and inner groups from each other: the quadratic form of all its tests minus
+    /// `squared`.
     pub within: f64,
-    /// log p of the measurements of all its tests by themselves.
+    /// log p of the measurements of all its tests, without the rest of the unit.
     pub log_density: f64,
-    /// What the mean coordinates do to its mean, p × coordinates by rows; nothing where that was not asked for.
+    /// d(posterior mean) / d(mean coordinates), p × coordinates by rows; empty unless requested.
     pub follows: Vec<f64>,
 }
 
-/// A test by the number of its reduction, or a group by its level and number.
+/// Posterior of a test, with the number of its reduction, or of a group, with its level and number.
 enum MemberId {
     Test(usize, TestPosterior),
     Group(usize, usize, ScaledGroupPosterior),
 }
 
-/// The posteriors at a point. `constants`: those of the reductions, without which the log densities lack them; `coordinates`: with what
-/// the mean coordinates do to the posteriors.
+/// The posteriors at a point. `constants`: the constants of the reductions, which log densities otherwise lack;
+/// `coordinates`: whether derivatives by the mean coordinates are computed.
 pub fn posteriors(
     units: &Units,
     (point, regressors): (&Point, &Regressors),
@@ -93,7 +95,7 @@ pub fn posteriors(
     all
 }
 
-/// Units of one design, and what they say.
+/// Units of one design: their members, data and results.
 type EqualUnits<'a> = (&'a [UnitMembers], &'a BatchData<'a, f64>, &'a Walked<f64>);
 
 fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize) -> Vec<MemberId> {
@@ -103,7 +105,7 @@ fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize
     let leaf = &bundle.leaves[member.leaf];
     let centre = at.mean_of(leaf);
     let p = centre.len();
-    // with the mean coordinates by one the mean of ξ is that much further, and the data that much less
+    // a unit step of a mean coordinate moves the prior mean of ξ by its effect, and lowers d - Rμ by R times the effect
     let moved: Vec<f64> = (0..p)
         .flat_map(|i| (0..walked.before).map(move |c| (i, c)))
         .map(|(i, c)| at.effect(leaf, i, c) - mean.mean[(i, c)])
@@ -119,7 +121,7 @@ fn of_test(at: &LevelLaws<'_>, (units, bundle, walked): EqualUnits<'_>, t: usize
     units.iter().enumerate().map(one).collect()
 }
 
-/// Roots F' of the sum of the Σ of each level and those above.
+/// For each level a root F' of the sum of the Σ of that level and the levels above.
 struct Above(Vec<Rows>);
 
 impl Above {
@@ -144,7 +146,8 @@ fn of_group(
     let (squares, log_det) = up.apart(&above.0[node.level]);
     let within = walked.within(bundle, g);
     let members: Vec<usize> = (0..bundle.tests.len()).filter(|&t| bundle.stands_in(bundle.tests[t].group, g)).collect();
-    // with μ by one its mean is that much further, and the data that much less; of a coefficient by what is regressed on it
+    // a unit step of an element of μ moves the prior mean of the group and lowers d - Rμ; of a coefficient, only the
+    // latter
     let follow = |(i, c): (usize, usize)| f64::from(u8::from(i == c)) - mean.mean[(i, c)];
     let follows: Vec<f64> = (0..p).flat_map(|i| (0..walked.before).map(move |c| (i, c))).map(follow).collect();
     let one = |(unit, numbers): (usize, &UnitMembers)| {

@@ -1,12 +1,13 @@
-//! How what is said moves with an element of a Σ: derivatives of r and W̄ of every test and group (theory §11).
+//! Derivatives of r and W̄ of every test and group by an element of a Σ (theory §11).
 //!
-//! With E the derivative of Σ of a level, W and s of that level's members move by -WEW and -WEs, and of the groups above them by
+//! With E the derivative of Σ of a level, W and s of the members at that level change by -WEW and -WEs, and those of
+//! the groups above them by
 //!
 //! ```text
 //! dW = G dJ G'      ds = G(dy - dJ Σ s)      G = (I+JΣ)⁻¹ = I - WΣ
 //! ```
 //!
-//! On the way down, with (dm̂, dV) of the mean of a group, its members have
+//! In the downward pass, with (dm̂, dV) of the mean of a group, its members have
 //!
 //! ```text
 //! dr = ds - dW m̂ - W dm̂      dW̄ = dW - dW V W - W V dW - W dV W
@@ -19,7 +20,7 @@ use crate::levels::batch_data::BatchData;
 use crate::levels::walk::{Down, GroupMean, LevelLaws, Walked};
 use kalfit_algebra::rows::Rows;
 
-/// An element of the Σ of a level, in both of its places.
+/// An element of the Σ of a level, in both triangles.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Along {
     pub(super) level: usize,
@@ -27,30 +28,31 @@ pub(super) struct Along {
     pub(super) column: usize,
 }
 
-/// What moves of a test or a group.
+/// Derivatives of a test or a group.
 pub(super) struct NodeTangent<'a, T> {
     pub(super) level: usize,
-    /// Its number among the tests of the batch data; `None` for a group.
+    /// Index of the test in the batch data; `None` for a group.
     pub(super) test: Option<usize>,
     pub(super) of: &'a Down<T>,
-    /// dr.
+    /// dr, with the columns of r.
     pub(super) r: &'a Rows<T>,
-    /// dW̄.
+    /// dW̄, p × p.
     pub(super) weight: &'a Rows<T>,
 }
 
-/// Where what moves of one test after the other is worked out.
+/// Buffers for the derivatives of one test after the other.
 pub(super) struct Scratch<T> {
     r: Rows<T>,
     weight: Rows<T>,
-    /// Er + dm̂, and E - EWV - VWE + dV.
+    /// Er + dm̂.
     shift: Rows<T>,
+    /// E - EWV - VWE + dV.
     inner: Rows<T>,
     half: Rows<T>,
 }
 
 impl<T: Lanes> Scratch<T> {
-    /// For p states and so many columns.
+    /// Buffers for p states and this number of columns.
     #[inline(always)]
     pub(super) fn new(p: usize, columns: usize) -> Scratch<T> {
         Scratch {
@@ -63,20 +65,20 @@ impl<T: Lanes> Scratch<T> {
     }
 }
 
-/// (dW, ds) or (dr, dW̄).
+/// Derivatives (dW, ds) or (dr, dW̄).
 type TangentPair<T> = (Rows<T>, Rows<T>);
-/// (dW, ds), where they are not zero.
+/// Derivatives (dW, ds); `None` where they are zero.
 type WeightTangent<T> = Option<TangentPair<T>>;
 
 impl Along {
-    /// Both places of the element, the diagonal's once.
+    /// Positions of the element in the matrix: two, or one on the diagonal.
     #[inline(always)]
     fn places(self) -> impl Iterator<Item = (usize, usize)> {
         let places = [(self.row, self.column), (self.column, self.row)];
         places.into_iter().take(if self.row == self.column { 1 } else { 2 })
     }
 
-    /// E.
+    /// The matrix E.
     #[inline(always)]
     fn matrix<T: Lanes>(self, p: usize) -> Rows<T> {
         let mut matrix = Rows::zeros(p, p);
@@ -86,7 +88,7 @@ impl Along {
         matrix
     }
 
-    /// Ex.
+    /// The product Ex.
     #[inline(always)]
     fn times<T: Lanes>(self, x: &Rows<T>) -> Rows<T> {
         let mut moved = Rows::zeros(x.nrows(), x.ncols());
@@ -96,7 +98,7 @@ impl Along {
         moved
     }
 
-    /// Tells what moves, groups first.
+    /// Calls `tell` with the derivatives of every group, then of every test.
     #[inline(always)]
     pub(super) fn through<T: Lanes>(
         self,
@@ -107,7 +109,7 @@ impl Along {
     ) {
         let changes = self.up(at, bundle, walked);
         let last = bundle.groups.len() - 1;
-        let mut means: Vec<GroupMean<T>> = Vec::with_capacity(bundle.groups.len()); // the last group first
+        let mut means: Vec<GroupMean<T>> = Vec::with_capacity(bundle.groups.len()); // in reverse order of the groups
         for (own, node) in bundle.groups.iter().enumerate().rev() {
             let above = match node.parent == own {
                 true => None,
@@ -128,7 +130,8 @@ impl Along {
         }
     }
 
-    /// dr = -W(Er + dm̂) and dW̄ = -W(E - EWV - VWE + dV)W of a test, E where it is of the tests' own level.
+    /// dr = -W(Er + dm̂) and dW̄ = -W(E - EWV - VWE + dV)W of a test; E is zero unless the element is of the tests'
+    /// level.
     #[inline(always)]
     fn test<T: Lanes>(
         self,
@@ -161,7 +164,7 @@ impl Along {
         product(1.0, half, W, weight);
     }
 
-    /// Adds (dW, ds) of a member of its own level: -WEW and -WEs.
+    /// Adds (dW, ds) of a member at the level of the element: -WEW and -WEs.
     #[inline(always)]
     fn add_own<T: Lanes>(self, (sum_W, sum_s): &mut TangentPair<T>, (W, s): (&Rows<T>, &Rows<T>)) {
         for (i, k) in self.places() {
@@ -177,7 +180,7 @@ impl Along {
         }
     }
 
-    /// (dW, ds) of the groups.
+    /// Upward pass: (dW, ds) of the groups.
     #[inline(always)]
     fn up<T: Lanes>(
         self,
@@ -229,7 +232,7 @@ fn add<T: Lanes>(sum: &mut WeightTangent<T>, (W, s): (&Rows<T>, &Rows<T>)) {
     });
 }
 
-/// AB, so many times, into a matrix of its shape.
+/// Writes scale × AB into `into`.
 #[inline(always)]
 fn product<T: Lanes>(scale: f64, a: &Rows<T>, b: &Rows<T>, into: &mut Rows<T>) {
     for i in 0..a.nrows() {
@@ -243,13 +246,13 @@ fn product<T: Lanes>(scale: f64, a: &Rows<T>, b: &Rows<T>, into: &mut Rows<T>) {
     }
 }
 
-/// A + A'.
+/// The sum A + A'.
 #[inline(always)]
 fn twice<T: Lanes>(a: &Rows<T>) -> Rows<T> {
     a.transposed().plus(a)
 }
 
-/// (dr, dW̄).
+/// (dr, dW̄) of a group; `above` is the posterior mean of the group that it belongs to, and the derivative of that.
 #[inline(always)]
 fn moved<T: Lanes>(
     (W, down): (&Rows<T>, &Down<T>),
@@ -272,7 +275,7 @@ fn moved<T: Lanes>(
     (r, weight)
 }
 
-/// (dm̂, dV) of the mean of the members of a group: of m̂ + Σr and TVT' + Σ - ΣWΣ with T = I - ΣW.
+/// (dm̂, dV) of the mean of the members of a group: derivatives of m̂ + Σr and TVT' + Σ - ΣWΣ with T = I - ΣW.
 #[inline(always)]
 fn inherited<T: Lanes>(
     (W, down, sigma): (&Rows<T>, &Down<T>, &Rows<T>),

@@ -1,4 +1,4 @@
-//! Against the joint Gaussian of all tests of a unit, written down whole.
+//! Results for tests in groups against the dense joint Gaussian of all tests of a unit.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use kalfit_model::Reduction;
 use kalfit_model::{Alpha, CovarianceStructure, MeanElement, MeanStructure, Regression};
 use kalfit_model::{Grouping, Label};
 
-/// Some numbers that look like noise.
+/// A deterministic number between -1 and 1 that looks like noise.
 fn wave(seed: usize) -> f64 {
     let x = (seed as f64 * 12.9898).sin() * 43758.5453;
     2.0 * (x - x.floor()) - 1.0
@@ -34,7 +34,8 @@ struct Ensemble {
     alpha: Alpha,
 }
 
-/// p states, the members of each group of each level from the outermost on, tests last; every `shared`-th test has a design of its own.
+/// An ensemble of p states; `members`: numbers of members of a group at each level from the outermost on, tests last;
+/// every `shared`-th test has a unique design.
 fn ensemble(p: usize, members: &[usize], (shared, regression): (usize, bool)) -> Ensemble {
     let depth = members.len() - 1;
     let mut paths: Vec<Vec<usize>> = vec![Vec::new()];
@@ -51,7 +52,7 @@ fn ensemble(p: usize, members: &[usize], (shared, regression): (usize, bool)) ->
         let factor: Vec<f64> = (0..p)
             .flat_map(|k| (0..=k).map(move |i| (i, k)))
             .map(|(i, k)| match i == k {
-                // some tests do not see some states
+                // some tests do not inform some states
                 true if (design + k) % 7 == 3 => 0.0,
                 true => 1.2 + 0.8 * wave(design * 31 + k),
                 false => 0.7 * wave(design * 57 + 5 * i + k),
@@ -124,7 +125,7 @@ impl Ensemble {
         units
     }
 
-    /// Covariance of ξ of two tests.
+    /// Covariance between ξ of test a and ξ of test b.
     fn between(&self, a: usize, b: usize, sigmas: &[DMatrix<f64>]) -> DMatrix<f64> {
         let number = |j: usize| self.grouping.number(self.reductions.id(j)).expect("it was named");
         let own = if a == b { sigmas[0].clone() } else { DMatrix::zeros(self.p, self.p) };
@@ -184,7 +185,7 @@ impl Ensemble {
     }
 }
 
-/// Some point of an ensemble, in the user's units; the last level's Σ of rank one.
+/// A point of an ensemble, in the user's units, with Σ of the last level of rank one.
 fn somewhere(ensemble: &Ensemble, levels: usize) -> (Vec<f64>, Vec<f64>, Vec<DMatrix<f64>>) {
     let p = ensemble.p;
     let mean = (0..p).map(|i| 0.4 + 0.1 * i as f64).collect();
@@ -197,7 +198,7 @@ fn somewhere(ensemble: &Ensemble, levels: usize) -> (Vec<f64>, Vec<f64>, Vec<DMa
     (mean, vec![0.3; ensemble.mean.regression.len()], (0..levels).map(sigma).collect())
 }
 
-/// The point in the problem's coordinates.
+/// A point in the user's units, converted to the problem's coordinates.
 fn point(problem: &Problem, (mean, coefficients, sigmas): &(Vec<f64>, Vec<f64>, Vec<DMatrix<f64>>)) -> Point {
     let (frame, p) = (&problem.classes.frame, mean.len());
     let all = p * sigmas.len();
@@ -234,7 +235,7 @@ fn the_likelihood_and_its_derivatives_are_those_of_the_joint_gaussian() {
         let dense = |here: &(Vec<f64>, Vec<f64>, Vec<DMatrix<f64>>)| ensemble.dense((&here.0, &here.1), &here.2);
         let value = dense(&here);
         assert!((sums.value - value).abs() < 1e-10 * (1.0 + value.abs()), "{} {value}", sums.value);
-        // by differences of the oracle, in the user's units
+        // derivatives by differences of the dense ℓ, in the user's units
         let (p, frame, h) = (ensemble.p, &problem.classes.frame, 1e-4);
         let moved = |x: &[f64]| {
             let mut there = here.clone();
@@ -288,7 +289,7 @@ fn the_likelihood_and_its_derivatives_are_those_of_the_joint_gaussian() {
 
 #[test]
 fn the_expected_information_is_what_the_observed_one_is_on_average() {
-    // ½ tr(Ω⁻¹ dΩ Ω⁻¹ dΩ) of the joint Gaussian
+    // expected: ½ tr(Ω⁻¹ dΩ Ω⁻¹ dΩ) of the joint Gaussian
     for ensemble in kinds() {
         let levels = ensemble.grouping.depth() + 1;
         let problem = ensemble.problem(Criterion::Ml);
@@ -366,7 +367,7 @@ fn posteriors_are_those_of_the_joint_gaussian() {
     }
 }
 
-/// The mean of a group a little further along each mean coordinate.
+/// Derivatives of the mean of a group against differences along each mean coordinate.
 #[test]
 fn means_of_groups_follow_mean_and_coefficients() {
     for ensemble in kinds() {
@@ -382,7 +383,7 @@ fn means_of_groups_follow_mean_and_coefficients() {
                 *if c < p { &mut place.mean[c] } else { &mut place.coefficients[c - p] } += step;
                 at(&place)
             };
-            let (low, high) = (side(-0.5), side(0.5)); // it is linear
+            let (low, high) = (side(-0.5), side(0.5)); // the mean is linear in the coordinates
             for (level, groups) in found.groups.iter().enumerate() {
                 for (g, own) in groups.iter().enumerate() {
                     for i in 0..p {
@@ -398,7 +399,7 @@ fn means_of_groups_follow_mean_and_coefficients() {
 
 #[test]
 fn what_all_tests_of_a_group_say_alike_has_its_own_rank() {
-    // every test sees the same combination of two states; folding leaves rounding in the second row
+    // every test informs the same combination of two states; folding leaves rounding errors in the second row
     let mut ensemble = ensemble(2, &[4, 5], (1, false));
     let alike = |(j, r): (usize, kalfit_filter::reduce::ReductionRef<'_>)| {
         let size = 0.3 + 0.1 * j as f64;
@@ -451,7 +452,7 @@ fn with_one_test_in_each_group_the_answer_is_that_of_one_level() {
 
 #[test]
 fn units_in_lanes_say_what_they_say_one_by_one() {
-    // lots of ragged trees: lanes without a unit, units without some groups and tests
+    // lots with trees of different shapes: lanes without a unit, units without some groups and tests
     for ensemble in
         [ensemble(2, &[11, 3, 2], (1, true)), ensemble(3, &[2, 4], (2, false)), ensemble(1, &[9, 1], (1, false))]
     {

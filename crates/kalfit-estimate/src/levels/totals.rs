@@ -1,4 +1,4 @@
-//! What units say, added up.
+//! Sums of ℓ and its derivatives over units.
 
 use kalfit_lanes::Lanes;
 use nalgebra::DMatrix;
@@ -13,32 +13,39 @@ use kalfit_algebra::symmetric::{pair, pairs};
 /// Sums over units. Mean coordinates are the p elements of μ, then the regression coefficients.
 #[derive(Debug, Clone)]
 pub(super) struct UnitSums<T = f64> {
-    /// ℓ, constants apart.
+    /// ℓ without the constants.
     pub(super) value: T,
     pub(super) quadratic: T,
-    /// Of the mean coordinates, a column.
+    /// ∂ℓ by the mean coordinates, a column.
     pub(super) score: Rows<T>,
     pub(super) information: Rows<T>,
-    /// Σ rr' and Σ W̄, by levels.
+    /// Σ rr' of each level.
     pub(super) outer: Vec<Rows<T>>,
+    /// Σ W̄ of each level.
     pub(super) weight: Vec<Rows<T>>,
-    /// Of the restricted likelihood: Σ ½(X'r X'r' + …) by pairs of free mean coordinates, elements.
+    /// For the restricted likelihood: Σ ½ (r_c r_d' + r_d r_c'), pairs c, d of free mean coordinates × elements of the
+    /// Σ.
     pub(super) spread: Rows<T>,
-    /// -∂²ℓ by two elements, and by a mean coordinate and an element.
+    /// -∂²ℓ by two elements.
     pub(super) observed: Rows<T>,
+    /// -∂²ℓ by a mean coordinate and an element.
     pub(super) cross: Rows<T>,
+    /// Expected information by two elements.
     pub(super) expected: Rows<T>,
 }
 
-/// What is to be added up.
+/// Which sums are computed, and their sizes.
 #[derive(Clone, Copy)]
 pub(super) struct Wish<'a> {
     pub(super) order: Order,
-    /// How many states, levels and mean coordinates there are.
+    /// Number of states.
     pub(super) states: usize,
+    /// Number of levels, including the level of the tests.
     pub(super) levels: usize,
+    /// Number of mean coordinates.
     pub(super) coordinates: usize,
-    /// Free mean coordinates of the restricted likelihood: the jacobian on (μ, coefficients), and their covariance where it is known.
+    /// Free mean coordinates, for the restricted likelihood: d(μ, coefficients) / d(free mean coordinates), and the
+    /// covariance of the latter where it is known.
     pub(super) flat: Option<(&'a DMatrix<f64>, Option<&'a DMatrix<f64>>)>,
 }
 
@@ -68,7 +75,7 @@ impl<T: Lanes> UnitSums<T> {
         totals
     }
 
-    /// Adds what some units say.
+    /// Adds the terms of some units.
     #[inline(always)]
     pub(super) fn take(&mut self, at: &LevelLaws<'_, T>, bundle: &BatchData<'_, T>, wish: Wish<'_>) {
         let coordinates = !at.regressors.is_empty() || wish.flat.is_some();
@@ -154,7 +161,7 @@ impl<T: Lanes> UnitSums<T> {
         }
     }
 
-    /// Adds how all scores move along an element.
+    /// Adds the derivatives of all scores by an element.
     #[inline(always)]
     fn along(
         &mut self,
@@ -183,7 +190,7 @@ impl<T: Lanes> UnitSums<T> {
         );
     }
 
-    /// Adds how the scores of a test or group move along element e.
+    /// Adds the derivatives of the scores of a test or group by element e.
     #[inline(always)]
     fn moved(
         &mut self,
@@ -257,7 +264,7 @@ impl UnitSums {
     }
 }
 
-/// Of each mean coordinate of a test the state that it moves, and how much.
+/// For each mean coordinate the state of a test that it moves, and the derivative.
 #[inline(always)]
 fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl Iterator<Item = (usize, T)> {
     let states = (0..at.mean.len()).map(
@@ -267,7 +274,7 @@ fn each_coordinate<T: Lanes>(at: &LevelLaws<'_, T>, covariates: &[T]) -> impl It
     states.chain(at.regressors.iter().copied().zip(covariates.iter().copied()))
 }
 
-/// What free mean coordinates do, from what the mean coordinates do, which stand first.
+/// Columns of r for the free mean coordinates, from the first columns of `r`, those of the mean coordinates.
 #[inline(always)]
 fn of_free<T: Lanes>(r: &Rows<T>, jacobian: &DMatrix<f64>) -> Rows<T> {
     r.first_columns(jacobian.nrows()).times(&numbers(jacobian))
@@ -283,7 +290,7 @@ fn numbers<T: Lanes>(matrix: &DMatrix<f64>) -> Rows<T> {
     )
 }
 
-/// Adds AB' of the columns after the first ones.
+/// Adds AB' over the columns from `before` on.
 #[inline(always)]
 fn add_products<T: Lanes>(sum: &mut Rows<T>, (a, b): (&Rows<T>, &Rows<T>), before: usize) {
     for i in 0..a.nrows() {

@@ -1,4 +1,4 @@
-//! Tests of each unit as a tree, in an order that does not depend on the order of the tests.
+//! Groups and tests of each unit as a tree, in an order that does not depend on the order of the tests.
 
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -9,17 +9,17 @@ use crate::levels::design::{UnitGroup, UnitTest};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Grouping;
 
-/// A group with all that stands in it, its members in an order that does not depend on the order of the tests.
+/// A group with its inner groups and tests, in an order that does not depend on the order of the tests.
 pub(super) struct GroupTree {
-    /// Which group of its level it is.
+    /// Number of the group in its level.
     group: usize,
     level: usize,
-    /// Equal for groups of equal design.
+    /// Number of the group's design, equal for groups of equal design.
     pub(super) kind: usize,
-    /// The place of its first test in the order of the ids.
+    /// Position of the group's first test in the order of the ids.
     first: usize,
     inner: Vec<GroupTree>,
-    /// (leaf, place in the order of the ids, number of the reduction).
+    /// Tests that are in no inner group: (leaf, position in the order of the ids, number of the reduction).
     tests: Vec<(usize, usize, usize)>,
 }
 
@@ -61,7 +61,7 @@ impl GroupTree {
         GroupTree { group, level, kind: 0, first, inner: Vec::new(), tests: Vec::new() }
     }
 
-    /// Orders what stands in it, and finds its kind.
+    /// Sorts the inner groups and tests, and determines the kind.
     fn settle(&mut self, kinds: &mut HashMap<Vec<usize>, usize>) {
         self.tests.sort_unstable();
         let by_kind = |a: &GroupTree, b: &GroupTree| -> Ordering { a.kind.cmp(&b.kind).then(a.first.cmp(&b.first)) };
@@ -72,7 +72,7 @@ impl GroupTree {
         self.kind = *kinds.entry(signature).or_insert(next);
     }
 
-    /// The groups, inner ones first, each with the numbers of what stands in it: `of` is told of each test and of each group.
+    /// Appends the groups, inner ones first, and the tests to `unit`; returns the index of this group there.
     fn visit(&self, unit: &mut Laid) -> usize {
         let inner: Vec<usize> = self.inner.iter().map(|tree| tree.visit(unit)).collect();
         let own = unit.groups.len();
@@ -83,7 +83,7 @@ impl GroupTree {
     }
 }
 
-/// A unit laid out in rows.
+/// Groups and tests of a unit as flat lists, with the number of each group in its level and of each test's reduction.
 #[derive(Default)]
 pub(super) struct Laid {
     pub(super) groups: Vec<(UnitGroup, usize)>,

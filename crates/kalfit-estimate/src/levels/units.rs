@@ -1,4 +1,4 @@
-//! Tests gathered as what stands in one group of the outermost level.
+//! Tests gathered by groups of the outermost level.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -16,28 +16,28 @@ use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_model::Grouping;
 use kalfit_model::Reduction;
 
-/// All tests of an ensemble, by the groups of the outermost level ("units") and these by their design.
+/// All tests of an ensemble, by groups of the outermost level ("units"), which are sorted by design.
 #[derive(Debug, Clone)]
 pub struct Units {
-    /// p, the states of a test.
+    /// p, number of states of a test.
     pub states: usize,
     pub grouping: Arc<Grouping>,
-    /// The number of each reduction's test in the grouping.
+    /// Number in the grouping of the test of each reduction.
     pub(super) numbers: Arc<Vec<usize>>,
-    /// Σ constant over the tests.
+    /// Sum of the constants of the tests.
     pub(super) constant: f64,
-    /// What d of the designs is multiplied by.
+    /// Factor on d of the designs.
     pub(super) unit: f64,
-    /// Designs of tests.
+    /// Designs of tests, one for each class.
     pub(super) leaves: Arc<Vec<Leaf>>,
     /// Designs of units.
     pub(super) designs: Arc<Vec<UnitDesign>>,
-    /// Which units are walked through side by side.
+    /// Units that are evaluated in lanes.
     pub(super) batches: Arc<Vec<UnitBatch>>,
 }
 
 impl Units {
-    /// Of reductions with the classes they are of; `Err` with the id of a test that is in no group.
+    /// Gathers reductions, given with their classes; `Err` with the id of a test that is in no group.
     pub(crate) fn new(reductions: &Reductions, classes: &Classes, grouping: &Arc<Grouping>) -> Result<Units, String> {
         let frame = &classes.frame;
         let states = frame.scale.len() / (grouping.depth() + 1);
@@ -78,12 +78,12 @@ impl Units {
         })
     }
 
-    /// The same with other noise: d so many times as large, and this much more of Σ constant.
+    /// The same units with other noise: d is multiplied by `unit`, and `change` is added to the constant.
     pub(crate) fn with_noise(&self, unit: f64, change: f64) -> Units {
         Units { unit: self.unit * unit, constant: self.constant + change, ..self.clone() }
     }
 
-    /// Every so-many-th unit.
+    /// A part of the units, one in `every`, evenly spread; the constant is reduced in proportion.
     pub(crate) fn thinned(&self, every: usize) -> Units {
         let mut first = 0;
         let mut designs = Vec::new();
@@ -99,17 +99,17 @@ impl Units {
         Units { batches: Arc::new(batches(&designs)), designs: Arc::new(designs), constant, ..self.clone() }
     }
 
-    /// How many units there are.
+    /// Number of units.
     pub(crate) fn len(&self) -> usize {
         self.designs.iter().map(|design| design.units.len()).sum()
     }
 
-    /// Number of levels, that of the tests among them.
+    /// Number of levels, including the level of the tests.
     pub(crate) fn levels(&self) -> usize {
         self.grouping.depth() + 1
     }
 
-    /// How many there are of each level, tests first.
+    /// Number of tests, then number of groups of each level.
     pub(crate) fn counts(&self) -> Vec<f64> {
         let mut counts = vec![0.0; self.levels()];
         for design in self.designs.iter() {
@@ -122,7 +122,7 @@ impl Units {
 }
 
 impl UnitDesign {
-    /// Of units that are alike.
+    /// The design of units whose trees have equal kinds.
     fn of(trees: &[GroupTree], reductions: &Reductions, frame: &Frame, p: usize) -> UnitDesign {
         let laid: Vec<Laid> = trees.iter().map(Laid::of).collect();
         let tests: Vec<UnitTest> = laid[0].tests.iter().map(|(member, _)| *member).collect();
@@ -151,13 +151,13 @@ impl UnitDesign {
     }
 }
 
-/// (d - R × the centre)_i of a test whose reduction is [`stacked`].
+/// Entry i of d - R × centre of the frame, for a test whose reduction is [`stacked`].
 fn from_centre(reduction: ReductionRef<'_>, frame: &Frame, i: usize) -> f64 {
     let moved = (i..reduction.data.len()).map(|k| reduction.factor[pair(k, 0) + i] * frame.centre[k]);
     reduction.data[i] - moved.sum::<f64>()
 }
 
-/// The reduction of a test in what is its own and what each of its groups adds: d - R(γ + β_1 + …).
+/// The reduction of a test in the stacked per-test effect and effects of its groups: d - R(γ + β_1 + …).
 pub(crate) fn stacked(reduction: ReductionRef<'_>, levels: usize) -> Reduction {
     let p = reduction.data.len();
     let mut data = reduction.data.to_vec();

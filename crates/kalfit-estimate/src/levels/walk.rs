@@ -1,4 +1,4 @@
-//! Through the groups of units that are walked through together, from the tests up and down again.
+//! Upward and downward pass through the groups of units: from the tests to the units and back.
 #![expect(non_snake_case, reason = "R, U, W, V are the letters of the theory")]
 
 use kalfit_lanes::{Lanes, MOST, Part};
@@ -10,25 +10,25 @@ use crate::point::{Point, Regressors};
 use kalfit_algebra::factors::{Factors, Rotations};
 use kalfit_algebra::rows::Rows;
 
-/// What is smaller than this part of its column is rounding.
+/// An entry below this fraction of the norm of its column counts as rounding.
 const ROUNDING: f64 = 1e-10;
 
-/// The Σ of each level and the mean, at a point.
+/// Σ of each level and the mean, at a point.
 pub(super) struct LevelLaws<'a, T = f64> {
     pub(super) regressors: &'a Regressors,
     /// μ, the sum of the means of all levels.
     pub(super) mean: Vec<T>,
     coefficients: Vec<T>,
-    /// F' of each level, Σ = FF', tests first.
+    /// F' of each level with Σ = FF', tests first.
     pub(super) roots: Vec<Rows<T>>,
     pub(super) sigmas: Vec<Rows<T>>,
-    /// What d of the designs is multiplied by.
+    /// Factor on d of the designs.
     unit: T,
 }
 
-/// What the matrices of a reduction say once what is its own is integrated out.
+/// Matrices of a reduction with the effect of its level integrated out.
 pub(super) struct Integrated<T> {
-    /// U with U'U = I + RΣR'.
+    /// U, upper triangular, with U'U = I + RΣR'.
     upper: Rows<T>,
     /// B = U⁻ᵀR.
     half: Rows<T>,
@@ -38,54 +38,58 @@ pub(super) struct Integrated<T> {
     log_det: T,
 }
 
-/// A node on the way up: what it says of the mean of its group.
+/// Upward result of a group: its information on the mean of the group that it belongs to.
 pub(super) struct Up<T> {
     pub(super) W: Rows<T>,
-    /// s, a column for each column of the batch data after those of the mean coordinates.
+    /// s: columns of the mean coordinates, if requested, then a column for each column of the batch data.
     pub(super) s: Rows<T>,
-    /// [R | d] of all that its members say of their mean, by columns as s.
+    /// [R | d] of the members' joint information on the group's mean; d has the columns of s.
     said: Rows<T>,
-    /// Squares of each column that are left of its members, its tests apart from that in inner groups.
+    /// Squared residuals of each column from joining the direct members, without those from within inner groups.
     left: Vec<T>,
-    /// log|…| of its members.
+    /// Sum of log|I + RΣR'| over the direct members.
     log_det: T,
 }
 
-/// A node on the way down.
+/// Downward result of a test or a group.
 pub(super) struct Down<T> {
-    /// r, by columns as [`Up::s`].
+    /// r, with the columns of [`Up::s`].
     pub(super) r: Rows<T>,
-    /// W̄.
+    /// W̄, p × p.
     pub(super) weight: Rows<T>,
 }
 
-/// The posterior of the mean of the members of a group.
+/// Posterior of the mean of the members of a group.
 pub(super) struct GroupMean<T> {
-    /// Less its own mean, by columns as [`Down::r`].
+    /// Posterior mean minus prior mean, with the columns of [`Down::r`].
     pub(super) mean: Rows<T>,
-    /// V.
+    /// V, the posterior covariance, p × p.
     pub(super) covariance: Rows<T>,
 }
 
-/// What units that are walked through together say at a point.
+/// Results of the upward and downward pass through some units at a point.
 pub(super) struct Walked<T> {
-    /// Columns before those of the units: what the mean coordinates do.
+    /// Number of columns before those of the units: the effects of the mean coordinates, where requested.
     pub(super) before: usize,
-    /// How many units stand in columns.
+    /// Number of units, one in each column.
     pub(super) columns: usize,
-    /// log|…| of the units in one column.
+    /// Sum of log|I + RΣR'| over all tests and groups of one unit.
     pub(super) log_det: T,
-    /// Squares that are left, of all columns.
+    /// Squared residuals, summed over all units.
     pub(super) quadratic: T,
-    /// What tests of each leaf say of the mean of their group.
+    /// Matrices of the tests of each leaf.
     pub(super) leaves: Vec<Integrated<T>>,
-    /// Of the groups.
+    /// Upward result of each group.
     pub(super) up: Vec<Up<T>>,
+    /// Downward result of each group.
     pub(super) down: Vec<Down<T>>,
+    /// Posterior of the mean of the members of each group.
     pub(super) means: Vec<GroupMean<T>>,
-    /// s of the tests, what else is known of them, and WV with V of the mean of their group.
+    /// s of each test.
     pub(super) said: Vec<Rows<T>>,
+    /// Downward result of each test.
     pub(super) tests: Vec<Down<T>>,
+    /// WV of each test, with V of the mean of its group.
     pub(super) known: Vec<Rows<T>>,
 }
 
@@ -124,7 +128,7 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         at
     }
 
-    /// μ of the tests of a leaf.
+    /// μ of the tests of a leaf, moved by their regressions.
     #[inline(always)]
     pub(super) fn mean_of(&self, leaf: &Leaf<T>) -> Vec<T> {
         let mut mean = self.mean.clone();
@@ -134,7 +138,7 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         mean
     }
 
-    /// d - Rμ of a test, after R times what each mean coordinate does to ξ, if that is wanted.
+    /// d - Rμ of a test in each unit; before it `before` columns, R times the effect of each mean coordinate on ξ.
     #[inline(always)]
     fn data(&self, (leaf, data): (&Leaf<T>, &Rows<T>), before: usize) -> Rows<T> {
         let (p, mean) = (self.mean.len(), self.mean_of(leaf));
@@ -159,7 +163,7 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         all
     }
 
-    /// Up and down through some units; with what the mean coordinates do, if that is wanted.
+    /// Passes up and down through some units, with the effects of the mean coordinates if `coordinates`.
     #[inline(always)]
     pub(super) fn walked(&self, bundle: &BatchData<'_, T>, coordinates: bool) -> Walked<T> {
         let before = if coordinates { self.mean.len() + self.regressors.len() } else { 0 };
@@ -185,7 +189,7 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         walked
     }
 
-    /// From the tests to the units.
+    /// Upward pass, from the tests to the units.
     #[inline(always)]
     fn up(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
         let p = self.mean.len();
@@ -218,10 +222,10 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         }
     }
 
-    /// From the units to the tests.
+    /// Downward pass, from the units to the tests.
     #[inline(always)]
     fn down(&self, bundle: &BatchData<'_, T>, walked: &mut Walked<T>) {
-        // the last group is the unit: they are found from the last one on
+        // the last group is the unit, so groups are visited from the last one on
         for (at, node) in bundle.groups.iter().enumerate().rev() {
             let (up, found) = (&walked.up[at], bundle.groups.len() - 1);
             let above = if node.parent == at { None } else { Some(&walked.means[found - node.parent]) };
@@ -243,7 +247,7 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
 }
 
 impl LevelLaws<'_> {
-    /// What a mean coordinate does to a state of the tests of a leaf.
+    /// Effect of a mean coordinate on a state of the tests of a leaf: dξ_state / d(coordinate).
     pub(super) fn effect(&self, leaf: &Leaf, state: usize, coordinate: usize) -> f64 {
         match coordinate.checked_sub(self.mean.len()) {
             None => f64::from(u8::from(coordinate == state)),
@@ -254,7 +258,8 @@ impl LevelLaws<'_> {
 }
 
 impl Walked<f64> {
-    /// log|…| of all that stands in a group, but of the group itself, and the squares of each column that are left of it.
+    /// Sum of log|I + RΣR'| over all tests and inner groups of a group, without the group itself, and the squared
+    /// residuals of each column from joining them.
     pub(super) fn within(&self, bundle: &BatchData<'_, f64>, group: usize) -> (f64, Vec<f64>) {
         let inner = (0..bundle.groups.len()).filter(|&own| bundle.stands_in(own, group));
         let mut sum = (0.0, vec![0.0; self.before + self.columns]);
@@ -267,7 +272,8 @@ impl Walked<f64> {
 }
 
 impl Up<f64> {
-    /// The squares of each column and log|I + RΣR'| where the group is by itself; `root`: F' of the Σ that it has then.
+    /// Squared residuals of each column and log|I + RΣR'| of the group without other groups; `root`: F' of the Σ of its
+    /// mean.
     pub(super) fn apart(&self, root: &Rows) -> (Vec<f64>, f64) {
         let p = self.said.nrows();
         let solved = Integrated::of(&self.said.first_columns(p), root);
@@ -275,7 +281,7 @@ impl Up<f64> {
         (squares(&left), solved.log_det)
     }
 
-    /// Rank of R. Folding leaves rounding where tests say the same: that counts for nothing.
+    /// Rank of R. Where tests inform the same directions, folding leaves rounding errors, which do not count.
     pub(super) fn rank(&self) -> usize {
         let p = self.said.nrows();
         let size = |k: usize| (0..=k).map(|i| self.said[(i, k)].powi(2)).sum::<f64>().sqrt();
@@ -284,11 +290,11 @@ impl Up<f64> {
     }
 }
 
-/// What the members of a group say together.
+/// Joint information of the members of a group.
 struct Gathered<T> {
-    /// [R | d].
+    /// [R | d], R upper triangular.
     upper: Rows<T>,
-    /// Squares of each column that are left.
+    /// Squared residuals of each column.
     left: Vec<T>,
     log_det: T,
 }
@@ -300,7 +306,7 @@ impl<T: Lanes> Gathered<T> {
         Gathered { upper: Rows::zeros(p, width), left: vec![zero; width - p], log_det: zero }
     }
 
-    /// Folds in what a member says.
+    /// Folds in the information of a member.
     #[inline(always)]
     fn take(&mut self, solved: &Integrated<T>, data: &Rows<T>) {
         let p = self.upper.nrows();
@@ -336,7 +342,7 @@ fn squares<T: Lanes>(left: &Rows<T>) -> Vec<T> {
 }
 
 impl<T: Lanes> Integrated<T> {
-    /// From R and F'.
+    /// Integrates out the effect of a level, from R and F'.
     #[inline(always)]
     fn of(factor: &Rows<T>, root: &Rows<T>) -> Integrated<T> {
         let upper = Rotations::identity_plus(&root.times_transpose(factor));
