@@ -1,6 +1,6 @@
-//! First sizes of noise levels. What the data do from row to row is noise of their measurement or of the motion, and ℓ often has a
-//! maximum where all of it is the one: a search over one level at a time, begun near the wrong one, ends there. So levels of
-//! measurements and levels of motion are first tried against each other.
+//! First sizes of noise levels. The variation from row to row is noise of the measurement or of the motion, and ℓ often
+//! has a maximum where all of it is attributed to one of them: a search over one level at a time that begins near the
+//! wrong one ends there. So levels of measurements and levels of motion are first tried in combination.
 
 use crate::Coordinate;
 use crate::profile_likelihood::ProfileLikelihood;
@@ -10,13 +10,14 @@ use kalfit_estimate::Progress;
 
 /// Powers of the factor tried for levels of one kind alone.
 const ALONE: [i32; 7] = [-3, -2, -1, 0, 1, 2, 3];
-/// For those of measurements against those of motion: the differences of successive values seldom leave room above them.
+/// Powers tried for levels of measurements in combination: these are seldom far above the differences of successive
+/// values.
 const MEASURED: [i32; 5] = [-4, -2, -1, 0, 1];
-/// For those of motion: the data's units are not those of every state.
+/// Powers tried for levels of motion in combination: the data's units are not those of every state.
 const MOVED: [i32; 9] = [-7, -5, -4, -3, -2, -1, 0, 1, 3];
 
-/// The unknown noise levels set to the likeliest of some points over both kinds. Returned: other points that are likelier than all
-/// beside them, the likeliest first.
+/// Sets the unknown noise levels to the likeliest of some points over both kinds. Returns other points that are
+/// likelier than all their neighbours, the likeliest first.
 pub(super) fn balance(
     small: &ProfileLikelihood<'_>,
     unknown: &[usize],
@@ -53,7 +54,8 @@ pub(super) fn balance(
     if let Some(best) = peaks.next() {
         *values = points[best].clone();
     }
-    // where measurements have hardly any noise ℓ may rise without end, as a free mean meets one of them ever more exactly
+    // where measurements have hardly any noise ℓ may rise without end, as a free mean fits one of them ever more
+    // exactly
     let inside = |k: &usize| rows.len() == 1 || *k >= columns.len();
     peaks.filter(inside).map(|k| points[k].clone()).collect()
 }
@@ -73,7 +75,7 @@ fn kinds(small: &ProfileLikelihood<'_>, unknown: &[usize]) -> (Vec<usize>, Vec<u
     (0..slots.len()).filter(level).partition(|s| measures(small.model, slots[*s].parameter))
 }
 
-/// Points of a table, row by row, that are higher than those beside them: of equals the first.
+/// Points of a table, row by row, that are higher than their neighbours; of equal neighbours the first.
 fn peaks(heights: &[f64], columns: usize) -> Vec<usize> {
     let peak = |&k: &usize| {
         let (row, column) = (k / columns, k % columns);

@@ -1,6 +1,6 @@
-//! Whether the filters are to run once more.
+//! A callback that decides before each run of the filters whether it is made.
 
-/// Hears how many runs there were, before the next one, and says whether there is to be one.
+/// Called before each run of the filters with the number of earlier runs; returns whether this one is made.
 #[derive(Clone, Copy)]
 pub struct BeforeRuns<'a>(pub &'a (dyn Fn(usize) -> bool + Sync));
 

@@ -1,6 +1,7 @@
 //! Sets of values that can move in one run of the filters.
 
-/// Sets of values that none of so many tests has in common. `values`: each with its tests, or with none where it goes with no other.
+/// Sets of values that no test has in common, among `tests` tests. `values`: each value with its tests, or with `None`
+/// where it cannot share a set.
 pub(super) fn colours<'t>(values: impl Iterator<Item = (usize, Option<&'t [usize]>)>, tests: usize) -> Vec<Vec<usize>> {
     let mut colours: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
     for (s, own) in values {

@@ -1,4 +1,4 @@
-//! The coordinates α is sought in: logarithms of what is positive, other values as they are; and their bounds.
+//! The coordinates in which α is sought: logarithms of positive values, other values as they are; and their bounds.
 //!
 //! ℓ is analytic in a variance v ≥ 0, not in its standard deviation or its logarithm: near zero a noise level moves in its variance,
 //! where zero is a bound like any other (theory §13), and elsewhere where ℓ is nearer to a quadratic in that.
@@ -6,17 +6,17 @@
 use crate::scales::time_constants;
 use kalfit_model::{Expression, PhasedModel, Site, Slots};
 
-/// A value that is no logarithm moves by a part of this at least.
+/// Least size of a value that is no logarithm, for the length of its steps.
 const LEAST: f64 = 1e-2;
-/// Curvature of ℓ in a variance below this part of its slope is none.
+/// Least curvature of ℓ in a variance, relative to its slope; a smaller one is raised to this.
 const STRAIGHT: f64 = 1e-3;
 
-/// How one free value is sought.
+/// The way in which one free value is sought.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Coordinate {
-    /// Its logarithm is sought.
+    /// Whether the logarithm of the value is sought.
     pub log: bool,
-    /// Of a noise level: its power with this exponent is its variance. `None` for anything else.
+    /// Exponent k of a noise level, whose k-th power is its variance; `None` for any other value.
     pub(crate) level: Option<f64>,
     /// Closed bounds of the value itself; a logarithm's lower bound is at least zero.
     pub lower: f64,
@@ -24,7 +24,7 @@ pub struct Coordinate {
 }
 
 impl Coordinate {
-    /// Of all free values of a model.
+    /// The coordinates of all free values of a model.
     pub fn of(model: &PhasedModel, slots: &Slots) -> Vec<Coordinate> {
         let (constants, noises) = (time_constants(model), noises(model));
         let one = |slot: &kalfit_model::Slot| {
@@ -51,7 +51,7 @@ impl Coordinate {
         if self.log { value } else { 1.0 }
     }
 
-    /// A step of this size in a logarithm; of another value, of this part of its size.
+    /// A step of length `part` for a logarithm; for another value, of this part of its size.
     pub fn step(&self, value: f64, part: f64) -> f64 {
         if self.log { part } else { part * value.abs().max(LEAST) }
     }
@@ -117,7 +117,7 @@ pub(super) fn in_variance(information: f64, exponent: f64, slope: f64) -> f64 {
     (information + bend).max(STRAIGHT * bend.abs())
 }
 
-/// The same place, to this part of each value.
+/// Whether two points agree, to this part of each value.
 pub fn alike(a: &[f64], b: &[f64], part: f64) -> bool {
     a.iter().zip(b).all(|(a, b)| (a - b).abs() <= part * a.abs().max(b.abs()))
 }

@@ -9,14 +9,16 @@ pub struct ValueCovariances {
     pub alpha: Vec<Option<f64>>,
     /// Values that are not of single tests: the first rows and columns of `whole`.
     pub shared: Vec<usize>,
-    /// Covariance of the coordinates of those, then along the tangent basis of (μ, Σ), the uncertainty of all α in it.
+    /// Covariance of the coordinates of `shared`, then along the tangent basis of (μ, Σ), including the uncertainty of
+    /// all α.
     pub whole: DMatrix<f64>,
-    /// Directions, in the coordinates of `whole`, along which ℓ does not change: what they move has no covariance.
+    /// Directions, in the coordinates of `whole`, along which ℓ does not change: values that take part in them have no
+    /// covariance.
     pub flat: Vec<DVector<f64>>,
 }
 
 impl ValueCovariances {
-    /// What others found to be flat is so here.
+    /// Removes variances that `others` has not, and takes over its flat directions.
     pub fn without_flat(&mut self, others: &ValueCovariances) {
         for (own, other) in self.alpha.iter_mut().zip(&others.alpha) {
             *own = own.filter(|_| other.is_some());

@@ -1,37 +1,38 @@
-//! Noises of measurements whose covariances are free, beside a process that is all but white.
+//! Transfer of variance between measurement noises with free covariances and a nearly white process.
 //!
 //! ```text
 //! R + h h'σ²      what measurements with noise covariance R, and h times a white process of variance σ², vary by
 //! ```
 //!
-//! So noise may take over such a process, covariances and all, or a process as much of the noise as it can, σ² = 1/(h'R⁻¹h): ℓ stays
-//! what it was, and the other explanation may lead on from there. With a variance alone in the place of another ℓ would fall far, as
-//! measurements would be correlated otherwise.
+//! So noise may take over such a process, covariances included, or a process as much of the noise as possible, σ² =
+//! 1/(h'R⁻¹h): ℓ is unchanged, and a search may lead on from the other explanation. If one variance alone replaced
+//! another, ℓ would fall far, because measurements would be correlated differently.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::profile_likelihood::ProfileLikelihood;
 use kalfit_model::{Expression, Model, Operator};
 
-/// A process leaves this part of what it could take over: covariances are sought within what variances allow.
+/// Part of the possible variance that a process does not take over: covariances are sought within the bounds that
+/// variances set.
 const LEFT: f64 = 1e-2;
 
-/// Measurements whose noises have free covariances, and what they measure of one process.
+/// Measurements whose noises have free covariances, and their coefficients of one process.
 pub(super) struct CrossedNoise<'b, 'a> {
     objective: &'b ProfileLikelihood<'a>,
     /// The level of each measurement's noise, and the exponent with which it is a variance.
     levels: Vec<(usize, f64)>,
-    /// Covariances of two of them.
+    /// Free covariances of two of these measurements, as (index, index, slot).
     covariances: Vec<(usize, usize, usize)>,
-    /// h.
+    /// Coefficients h of the process in the measurements.
     loadings: DVector<f64>,
     /// The level of the process, and its exponent.
     process: (usize, f64),
 }
 
 impl<'b, 'a> CrossedNoise<'b, 'a> {
-    /// Those beside the noise with level `s`, and the process with level `t`; `None` where there are none, or where levels, covariances
-    /// or what is measured is not that simple: ℓ would not stay what it is.
+    /// The noises that have covariances, with that of level `s` among them, and the process of level `t`; `None` where
+    /// there are none, or where levels, covariances or coefficients are not simple enough for ℓ to stay unchanged.
     pub(super) fn of(objective: &'b ProfileLikelihood<'a>, s: usize, t: usize) -> Option<Self> {
         let [phase] = &objective.model.phases[..] else { return None };
         let model = &phase.model;
@@ -54,7 +55,8 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         (noises.levels.iter().any(|(level, _)| *level == s) && noises.is_complete()).then_some(noises)
     }
 
-    /// Each level is one measurement's, and whatever the process is seen in has a covariance.
+    /// Whether each level belongs to one measurement, and all measurements that contain the process have covariances
+    /// with each other.
     fn is_complete(&self) -> bool {
         let count = self.levels.len();
         let seen = |i: usize| self.loadings[i] != 0.0;
@@ -64,12 +66,12 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
                 .all(|i| (0..i).all(|j| self.levels[i].0 != self.levels[j].0 && (!seen(i) || !seen(j) || has(i, j))))
     }
 
-    /// The level of the first of them.
+    /// The level of the first measurement's noise.
     pub(super) fn first(&self) -> usize {
         self.levels[0].0
     }
 
-    /// The process given to the noises.
+    /// The sought values with the process given to the noises.
     pub(super) fn given(&self, sought: &[f64]) -> Vec<f64> {
         let mut values = self.objective.values(sought);
         let (t, exponent) = self.process;
@@ -79,7 +81,7 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         self.with(values, &noises)
     }
 
-    /// As much of the noises as a process can take over, taken over by it; `None` where that is nothing.
+    /// The sought values with as much of the noises as possible given to the process; `None` where that is nothing.
     pub(super) fn taken(&self, sought: &[f64]) -> Option<Vec<f64>> {
         let mut values = self.objective.values(sought);
         let noises = self.matrix(&values);
@@ -92,7 +94,7 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         Some(self.with(values, &left))
     }
 
-    /// R.
+    /// The covariance R of the noises.
     fn matrix(&self, values: &[f64]) -> DMatrix<f64> {
         let variances = self.levels.iter().map(|&(level, exponent)| values[level].powf(exponent));
         let mut matrix = DMatrix::from_diagonal(&DVector::from_iterator(self.levels.len(), variances));
@@ -102,7 +104,7 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
         matrix
     }
 
-    /// What is sought where R is this.
+    /// The sought values for this covariance R of the noises.
     fn with(&self, mut values: Vec<f64>, noises: &DMatrix<f64>) -> Vec<f64> {
         for (m, &(level, exponent)) in self.levels.iter().enumerate().filter(|(m, _)| self.loadings[*m] != 0.0) {
             let coordinate = self.objective.coordinates[level];
@@ -113,7 +115,7 @@ impl<'b, 'a> CrossedNoise<'b, 'a> {
     }
 }
 
-/// The level of all tests that a variance is, or is the square of, and its exponent.
+/// The level, common to all tests, that a variance equals or is the square of, and its exponent.
 fn level_of(objective: &ProfileLikelihood<'_>, variance: &Expression) -> Option<(usize, f64)> {
     let (parameter, exponent) = match variance {
         Expression::Parameter(p) => (*p, 1.0),
@@ -127,7 +129,8 @@ fn level_of(objective: &ProfileLikelihood<'_>, variance: &Expression) -> Option<
     (objective.coordinates[slot].level == Some(exponent)).then_some((slot, exponent))
 }
 
-/// What these measurements measure of the one state that a level drives, where those are numbers and no other measurement sees it.
+/// Coefficients, in these measurements, of the one state that a level drives; `None` unless they are numbers and no
+/// other measurement contains that state.
 fn loadings(model: &Model, driven: usize, measurements: &[usize]) -> Option<DVector<f64>> {
     let drives = |k: &usize| model.states[*k].motion.noise_variance().is_some_and(|variance| variance.mentions(driven));
     let mut states = (0..model.states.len()).filter(drives);
@@ -137,7 +140,7 @@ fn loadings(model: &Model, driven: usize, measurements: &[usize]) -> Option<DVec
     (!is_elsewhere).then(|| DVector::from_iterator(measurements.len(), measurements.iter().map(|&m| all[m])))
 }
 
-/// What a measurement measures of a state, where that is a number.
+/// Coefficient of a state in a measurement, where that is a number.
 fn loading(model: &Model, measurement: usize, state: usize) -> Option<f64> {
     let terms = &model.measurements[measurement].equation.terms;
     let Some((_, coefficient)) = terms.iter().find(|(of, _)| *of == state) else { return Some(0.0) };
@@ -157,7 +160,8 @@ mod tests {
     use kalfit_model::{Labels, Source, Test};
     use kalfit_model::{PhasedModel, Slots};
 
-    /// y = a + p + noise and z = a - 0.3 p + noise, noises of these levels; more is added to the model, whose free values these are.
+    /// y = a + p + noise and z = a - 0.3 p + noise with these noise levels; `more` extends the model, whose free values
+    /// are `values`.
     fn instruments(
         levels: [Formula; 2],
         more: impl Fn(ModelBuilder) -> ModelBuilder,
@@ -214,7 +218,7 @@ mod tests {
         let [before, between, after] =
             [&white, &given, &taken].map(|place| objective.solve(place, None).expect("defined").value());
         assert!((between - before).abs() < 1e-8 && (after - before).abs() < 1e-8, "{before} {between} {after}");
-        // what is left of the noises has hardly any of the process's direction
+        // the remaining noises have hardly any variance in the direction of the process
         let (left, h) = (noises.matrix(&objective.values(&taken)), &noises.loadings);
         let full = h.dot(&(noises.matrix(&found).try_inverse().expect("regular") * h));
         assert!((full * h.dot(&(left.try_inverse().expect("regular") * h)).recip() - LEFT).abs() < 1e-6);

@@ -9,33 +9,33 @@ use crate::touching::Touching;
 
 /// Step of a logarithm for differences to both sides.
 const STEP: f64 = 1e-4;
-/// … and to one side.
+/// Step of a logarithm for differences to one side.
 const SHORT: f64 = 1e-6;
-/// A step of a value that is not positive should be between these parts of its standard error.
+/// Range, in standard errors, in which the step of a value that is not positive should lie.
 const PARTS: [f64; 2] = [1e-6, 3e-2];
-/// How often steps are made longer or shorter.
+/// Maximal number of times that steps are made longer or shorter.
 const ATTEMPTS: usize = 5;
 
-/// What they are taken of.
+/// What differences are taken of, and how.
 pub(super) struct Differences<'s> {
     pub(super) objective: &'s ProfileLikelihood<'s>,
     pub(super) home: &'s ProfilePoint,
     pub(super) touching: &'s Touching,
-    /// To both sides, not to one.
+    /// Differences are taken to both sides, not to one.
     pub(super) central: bool,
 }
 
 /// The columns of values that no test has in common.
 #[derive(Default)]
 pub(super) struct OwnColumns {
-    /// By (other value, value).
+    /// -∂²ℓ/∂α∂α, by (other value, value).
     pub(super) own: BTreeMap<(usize, usize), f64>,
-    /// Along the tangent basis of (μ, Σ), by value.
+    /// -∂²ℓ/∂α∂(μ, Σ) along the tangent basis, by value.
     pub(super) cross: Vec<(usize, RowDVector<f64>)>,
 }
 
 impl Differences<'_> {
-    /// Those of a colour, from one run of the filters or two.
+    /// The columns of the values of a colour, from one run of the filters or two.
     pub(super) fn columns(&self, colour: &[usize]) -> OwnColumns {
         let Differences { objective, home, central, .. } = *self;
         let mut steps: Vec<f64> = colour.iter().map(|&s| first_step(objective, &home.values, s, central)).collect();
@@ -94,7 +94,7 @@ impl Differences<'_> {
         OwnColumns { own, cross }
     }
 
-    /// Along the tangent basis, of a value of a colour.
+    /// Difference of the gradient along the tangent basis, for a value of a colour.
     fn cross(&self, (colour, s): (&[usize], usize), sides: &[FixedLawPoint; 2]) -> DVector<f64> {
         if colour.len() == 1 {
             return &sides[1].inner - &sides[0].inner;
@@ -109,7 +109,8 @@ impl Differences<'_> {
     }
 }
 
-/// ℓ on both sides of home, with the values of a colour moved; the lower side is home itself for differences to one side.
+/// Gradients on both sides of `home`, with the values of a colour moved; the lower side is `home` itself for
+/// differences to one side.
 fn sides(
     objective: &ProfileLikelihood<'_>,
     home: &ProfilePoint,
@@ -123,7 +124,7 @@ fn sides(
     two_sides(upper, lower, || objective.at_home(home))
 }
 
-/// Two sides, home being one of them where there is but another.
+/// Two sides; where one of them is undefined, `home` takes its place.
 pub fn two_sides<T>(upper: Option<T>, lower: Option<T>, home: impl FnOnce() -> Option<T>) -> Option<[T; 2]> {
     match (upper, lower) {
         (Some(upper), Some(lower)) => Some([upper, lower]),
@@ -133,7 +134,7 @@ pub fn two_sides<T>(upper: Option<T>, lower: Option<T>, home: impl FnOnce() -> O
     }
 }
 
-/// How far apart the sides are in each coordinate of a colour.
+/// Distance between the sides in each coordinate of a colour.
 fn widths(objective: &ProfileLikelihood<'_>, colour: &[usize], sides: &[FixedLawPoint; 2]) -> BTreeMap<usize, f64> {
     let width = |&s: &usize| {
         let [upper, lower] = [sides[0].values[s], sides[1].values[s]];
@@ -154,7 +155,7 @@ fn beside(
     values
 }
 
-/// Where [`Differences::columns`] looks first about some values, each of which all tests have in common.
+/// First points that [`Differences::columns`] evaluates about some values, where all tests depend on each of these.
 pub(crate) fn around(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],

@@ -1,9 +1,10 @@
 //! Covariances of noises, sought within the cone of positive semidefinite matrices.
 //!
-//! A parameter c that is but a factor of one covariance, f c, may be no larger than the edge e = √(V_i V_j)/|f|, the least over all
-//! rows. So t = c/e is sought between -1 and 1: every t is feasible, whatever the variances, and the edge is a bound like any other.
+//! A parameter c that occurs only as a factor of one covariance, f c, is bounded by the edge e = √(V_i V_j)/|f|, the
+//! least over all rows. So t = c/e is sought between -1 and 1: every t is feasible, whatever the variances, and the
+//! edge is a bound like any other.
 //!
-//! A covariance that is known asks for that much of a variance beside it: a bound of the level.
+//! A known covariance bounds the variances of its noises from below: a bound of the level.
 //!
 //! ```text
 //! c = t e(α)      ∂ℓ/∂t = e ∂ℓ/∂c      ∂ℓ/∂α at fixed t = ∂ℓ/∂α + t ∂ℓ/∂c ∂e/∂α
@@ -16,28 +17,28 @@ use kalfit_model::{Alpha, Expression, Model, Operator, PhasedModel, Scope, Site,
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{Label, Test};
 
-/// Rows with different cells that an edge is looked for over.
+/// Maximal number of rows with different cells over which an edge is computed.
 const MOST_ROWS: usize = 4096;
-/// A covariance stays below the edge by this part, which rounding asks for.
+/// Relative distance that a covariance keeps from the edge, because of rounding.
 const WITHIN: f64 = 1e-9;
-/// A start beyond the edge is brought to this part of it.
+/// Part of the edge to which a start beyond it is brought.
 const INSIDE: f64 = 0.95;
 
-/// All values that are sought in this way.
+/// All covariances of noises that are sought as parts of their bounds.
 #[derive(Debug, Clone, Default)]
 pub struct Edges(Vec<Edge>);
 
-/// One of them.
+/// A covariance of noises that is sought as a part of its bound, the edge.
 #[derive(Debug, Clone)]
 struct Edge {
     slot: usize,
     variances: [Expression; 2],
-    /// f.
+    /// The factor f of the parameter c.
     factor: Expression,
     rows: Vec<(Vec<f64>, Vec<Label>)>,
 }
 
-/// e and its derivatives to the other values.
+/// The edge e and its derivatives by the other values.
 struct EdgeValue {
     slot: usize,
     edge: f64,
@@ -45,7 +46,7 @@ struct EdgeValue {
 }
 
 impl Edges {
-    /// Those of a model that has neither given bounds nor put them anywhere else.
+    /// The covariances of a model that have no given bounds and occur nowhere else.
     pub(crate) fn of(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest]) -> Edges {
         let parameters = &model.shared().parameters;
         let open = |&p: &usize| {
@@ -55,14 +56,14 @@ impl Edges {
         Edges((0..parameters.len()).filter(open).filter_map(|p| Edge::of(model, slots, tests, p)).collect())
     }
 
-    /// What is sought for a slot lies between -1 and 1.
+    /// Bounds the coordinate of each covariance by -1 and 1.
     pub(crate) fn bound(&self, coordinates: &mut [Coordinate]) {
         for edge in &self.0 {
             (coordinates[edge.slot].lower, coordinates[edge.slot].upper) = (-1.0, 1.0);
         }
     }
 
-    /// Slots sought beside a known covariance, which asks for this much of them at least.
+    /// Slots of levels whose variance a known covariance bounds from below, with the least value of the level.
     pub(crate) fn least(model: &PhasedModel, slots: &Slots, tests: &[PhasedTest]) -> Vec<(usize, f64)> {
         let alpha = slots.alpha(model.shared(), &vec![1.0; slots.len()]);
         let mut least: std::collections::BTreeMap<usize, f64> = Default::default();
@@ -81,12 +82,12 @@ impl Edges {
         least.into_iter().filter(|(_, value)| *value > 0.0).collect()
     }
 
-    /// Slots that are sought in this way.
+    /// Whether a slot is a covariance sought as a part of its edge.
     pub fn has(&self, slot: usize) -> bool {
         self.0.iter().any(|edge| edge.slot == slot)
     }
 
-    /// The values of α where these are sought.
+    /// The values of α for these sought values.
     pub(crate) fn values(&self, sought: &[f64], alpha: &Alpha) -> Vec<f64> {
         let mut values = sought.to_vec();
         for edge in &self.0 {
@@ -95,7 +96,7 @@ impl Edges {
         values
     }
 
-    /// What is sought where α has these values; a start beyond the edge is brought inside.
+    /// The sought values for these values of α; a start beyond the edge is brought inside.
     pub(crate) fn sought(&self, values: &[f64], alpha: &Alpha) -> Vec<f64> {
         let mut sought = values.to_vec();
         for edge in &self.0 {
@@ -106,13 +107,13 @@ impl Edges {
         sought
     }
 
-    /// Slots of covariances beside the variances that a parameter stands in.
+    /// Slots of the covariances of noises whose variance depends on a parameter.
     pub(crate) fn beside(&self, parameter: usize) -> Vec<usize> {
         let of = |edge: &&Edge| edge.variances.iter().any(|variance| variance.exponent(parameter) != Some(0.0));
         self.0.iter().filter(of).map(|edge| edge.slot).collect()
     }
 
-    /// Derivatives to α made derivatives to what is sought.
+    /// Converts derivatives by the values of α to derivatives by the sought values.
     pub(crate) fn pull(&self, sought: &[f64], alpha: &Alpha, slots: &Slots, scores: &mut [Gradient]) {
         for at in self.0.iter().map(|edge| edge.at(alpha, slots)) {
             for score in scores.iter_mut() {
@@ -125,7 +126,7 @@ impl Edges {
         }
     }
 
-    /// Variances of what is sought made variances of α's values.
+    /// Converts variances of the sought values to variances of the values of α.
     pub fn spread(
         &self,
         (sought, alpha): (&[f64], &Alpha),
@@ -216,7 +217,7 @@ impl Edge {
     }
 }
 
-/// How large a level must be in θ^k f ≥ c²/V, row by row, where no other value is free.
+/// The least level θ with θ^k f ≥ c²/V, row by row, where no other value is free.
 fn known<'a>(
     own: &Expression,
     (other, covariance): (&Expression, &Expression),
@@ -238,7 +239,7 @@ fn known<'a>(
     }
     let one = |(numbers, texts): (Vec<f64>, Vec<Label>)| -> Option<(usize, f64)> {
         let scope = Scope { numbers: &numbers, texts: &texts, step: 0.0, alpha };
-        // at 1 the level leaves the factor of its power
+        // with the level at 1, the variance is the factor f of the level's power
         let [factor, variance, covariance] =
             [own.evaluate(&scope), other.evaluate(&scope), covariance.evaluate(&scope)];
         let least = covariance.ok()?.powi(2) / (variance.ok()? * factor.ok()?);
@@ -248,7 +249,7 @@ fn known<'a>(
     rows(&all, evidence).unwrap_or_default().into_iter().filter_map(one).collect()
 }
 
-/// A covariance of two noises beside their variances.
+/// The covariance of two noises, with their variances.
 struct CrossNoise<'a> {
     covariance: &'a Expression,
     variances: [&'a Expression; 2],
@@ -267,7 +268,7 @@ fn entries(model: &Model) -> Vec<CrossNoise<'_>> {
     measured.chain(moved).flatten().collect()
 }
 
-/// c times what does not hold c, whatever the sign of c.
+/// Whether a covariance is c times an expression without c, for either sign of c.
 fn is_multiple(covariance: &Expression, c: usize) -> bool {
     let is_one_sided = |part: &Expression| match part {
         Expression::Call(_, arguments) => arguments.iter().any(|argument| argument.mentions(c)),
@@ -277,7 +278,8 @@ fn is_multiple(covariance: &Expression, c: usize) -> bool {
     covariance.exponent(c) == Some(1.0) && !covariance.any(&mut |part| is_one_sided(part))
 }
 
-/// Rows of tests whose cells differ where these expressions read them; `None` where they are very many.
+/// The rows of tests, each once, as far as their cells differ where these expressions read them; `None` where there are
+/// too many.
 fn rows<'a>(
     expressions: &[&Expression],
     evidence: impl Iterator<Item = &'a Evidence>,
@@ -337,7 +339,7 @@ mod tests {
         assert!((values(&sought)[2] - 0.8 * 0.5 * 0.6 / 3.0).abs() < 1e-9, "{:?}", values(&sought));
         let back = edges.sought(&values(&sought), &alpha(&values(&sought)));
         assert!((back[2] - 0.8).abs() < 1e-9, "{back:?}");
-        // ℓ = 2s + 3r + 5c: by differences of what is sought
+        // ℓ = 2s + 3r + 5c, against differences in the sought values
         let value = |sought: &[f64]| values(sought).iter().zip([2.0, 3.0, 5.0]).map(|(v, w)| v * w).sum::<f64>();
         let mut scores = vec![vec![(0, 2.0), (1, 3.0), (2, 5.0)]];
         edges.pull(&sought, &alpha(&sought), &slots, &mut scores);

@@ -15,7 +15,8 @@ pub enum DynamicError {
     /// Tests cannot be grouped.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
-    /// Free parameters, and phases put together by their marginals: what would be maximised is no likelihood of α.
+    /// Parameters are free, and phases are put together by their marginals: what would be maximised is no likelihood of
+    /// α.
     #[error("`{parameter}` is free, and `marginal` is for known parameters: found {free} free values, expected none")]
     Marginal {
         /// The first free parameter.
@@ -23,10 +24,10 @@ pub enum DynamicError {
         /// Number of free values.
         free: usize,
     },
-    /// Nobody waits any longer.
+    /// The work was stopped on request.
     #[error("interrupted")]
     Interrupted,
-    /// Expected information of free parameters where it is not worked out.
+    /// The expected information of free parameters is not available here.
     #[error(
         "standard errors from the expected information beside free parameters (`{parameter}`) are for tests given as rows, without \
          `[filter]` and without values of single tests"

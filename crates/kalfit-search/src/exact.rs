@@ -1,5 +1,6 @@
-//! Scores through what tests measure without noise (theory §13): how C and g of Cξ = g depend on α is found by differences, all else of
-//! a test and the law of ξ as they are. The backward pass has the rest, for which exact measurements are but a condition on ξ.
+//! Scores through exact measurements (theory §13): how C and g of Cξ = g depend on α is found by differences, with
+//! everything else of a test and the law of ξ unchanged. The backward pass gives the rest; for it, exact measurements
+//! are only a condition on ξ.
 
 use rayon::prelude::*;
 
@@ -12,7 +13,7 @@ use kalfit_model::PhasedTest;
 use kalfit_model::unpack;
 use nalgebra::DMatrix;
 
-/// Adds to the scores of tests what their exact rows add.
+/// Adds the contributions of exact rows to the scores of their tests.
 pub fn add_exact(
     around: &Around<'_>,
     values: &[f64],
@@ -26,7 +27,7 @@ pub fn add_exact(
     let tests: Vec<PhasedTest> = numbers.iter().map(|&j| around.tests[j].clone()).collect();
     for slot in 0..values.len() {
         let about = |places: &[f64]| moved(around, values, (&[slot], places), |reducer| reducer.reduce(&tests));
-        // most values have no part in them
+        // most values do not affect exact rows
         let (beside, _) = about(&[1.0])?;
         let is_same = |(k, &j): (usize, &usize)| beside.iter().all(|there| there.exact(k) == reductions.exact(j));
         if numbers.iter().enumerate().all(is_same) {

@@ -1,18 +1,18 @@
-//! Two processes in each other's place: what goes over into what, and whether that leaves the model as it is.
+//! Exchange of two processes: which states and parameters change places, and whether the model stays unchanged.
 
 use kalfit_model::{Expression, Initial, Linear, Model, Motion, Site, State};
 
-/// States of two processes of one kind, and the parameters at the same places of them, in each other's place.
+/// Exchange of two processes of one kind: their states, and the parameters at the same places of them.
 #[derive(Debug)]
 pub(super) struct Exchange {
     states: Vec<(usize, usize)>,
-    /// By index, and none that both have.
+    /// Pairs of parameters by index, without those that both processes share.
     pub(super) parameters: Vec<(usize, usize)>,
 }
 
 impl Exchange {
-    /// Of two states, and of the hidden states that drive each of them alone; `None` where they are not of one kind, or share what would
-    /// have to go over into something else.
+    /// The exchange of two states, and of the hidden states that drive each of them alone; `None` where they are not of
+    /// one kind, or share something that would have to become something else.
     pub(super) fn of(model: &Model, i: usize, j: usize) -> Option<Exchange> {
         let (mut states, mut pairs) = (vec![(i, j)], Vec::new());
         let mut matched = 0;
@@ -37,7 +37,7 @@ impl Exchange {
         whole.then_some(Exchange { states, parameters })
     }
 
-    /// The exchange makes the same model of it.
+    /// Whether the exchange keeps the model unchanged.
     pub(super) fn leaves(&self, model: &Model) -> bool {
         let moves = |s: usize| self.states.iter().any(|&(a, b)| a == s || b == s);
         let all = model.expressions();
@@ -57,24 +57,24 @@ impl Exchange {
             && model.process_noise_covariance.iter().all(|(i, j, _)| !moves(*i) && !moves(*j))
     }
 
-    /// With the parameters in each other's place.
+    /// The expression with the parameters exchanged.
     fn exchanged(&self, expression: &Expression) -> Expression {
         expression.replaced(&|parameter| partner(&self.parameters, parameter).map(Expression::Parameter))
     }
 }
 
-/// The state in whose place this one comes.
+/// The state that this one is exchanged for, or itself.
 fn place(states: &[(usize, usize)], state: usize) -> usize {
     partner(states, state).unwrap_or(state)
 }
 
-/// The other one of the pair that this index is of.
+/// The other index of the pair that this index belongs to.
 fn partner(pairs: &[(usize, usize)], index: usize) -> Option<usize> {
     pairs.iter().find_map(|&(a, b)| if a == index { Some(b) } else { (b == index).then_some(a) })
 }
 
-/// Pairs of parameters at the same places of two states, and of the states that drive one of them each; `None` where the states are of
-/// different kinds.
+/// Adds pairs of parameters at the same places of two states, and pairs of states that drive one of them each; `None`
+/// where the states are of different kinds.
 fn match_states(a: &State, b: &State, states: &mut Vec<(usize, usize)>, pairs: &mut Vec<(usize, usize)>) -> Option<()> {
     match (&a.motion, &b.motion) {
         (
@@ -96,8 +96,8 @@ fn match_states(a: &State, b: &State, states: &mut Vec<(usize, usize)>, pairs: &
     }
 }
 
-/// The same of two linear forms. A state that only one of them has, and only one more is in the other, takes that one's place: the hidden
-/// rate of a process of second order, say.
+/// Adds the pairs from two linear forms. If each form has just one state that the other has not, these two are a pair:
+/// the hidden rates of processes of second order, say.
 fn match_forms(
     a: &Linear,
     b: &Linear,

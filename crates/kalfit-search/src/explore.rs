@@ -1,9 +1,10 @@
-//! Other maxima, looked for from the best end.
+//! Search for other maxima, from the best end.
 //!
-//! A certificate is about the neighbourhood of a point. ℓ of several noises often has more maxima than one, and they differ in what
-//! explains what: so each process is taken away and may come back in another shape, processes that coincide become one, levels at
-//! zero are tried at other sizes, and the search begins anew from the data where the start values were given. Of many rows a part
-//! will do: only where ℓ of that part is about as high elsewhere does the search go there on all of them.
+//! A certificate holds for the neighbourhood of a point. With several noises, ℓ often has more than one maximum, and
+//! they differ in which noise explains which variation. So each process is removed and may return in another shape,
+//! coinciding processes are merged, levels at zero are tried at other sizes, and the search begins anew from the data
+//! where the start values were given. Of many rows a part is enough: only where ℓ of that part is about as high
+//! elsewhere does the search go there on all rows.
 
 use crate::coordinates::alike;
 use crate::places::{each_once, places};
@@ -16,25 +17,26 @@ use crate::twins::ordered;
 use crate::{DynamicError, Explored, Method, Settings, start};
 use kalfit_estimate::{Progress, Stop};
 
-/// Rows that may be filtered for it, all runs together.
+/// Maximal number of rows that the exploration filters, over all runs.
 const ROWS: usize = 20_000_000;
-/// A part of the data serves where they are so many times as long.
+/// Ratio of all rows to those of the sample from which on the exploration uses the sample.
 const LONGER: usize = 2;
-/// Most runs of the filters.
+/// Maximal number of runs of the filters.
 const RUNS: usize = 600;
-/// With more values than this one search costs too much.
+/// Number of free values above which nothing is explored: a single search costs too much.
 const VALUES: usize = 24;
-/// Fewer runs than this are not begun with.
+/// Number of affordable runs below which nothing is explored.
 const FEWEST: usize = 150;
-/// Most times that a better end is looked around from.
+/// Maximal number of rounds, each about the best end so far.
 const ROUNDS: usize = 4;
-/// … more of them where rows are so few that all runs together are of no more than this.
+/// Maximal number of runs where rows are few.
 const MORE_RUNS: usize = 1800;
+/// Number of rows that these more numerous runs may filter in all.
 const FEW_ROWS: usize = 900_000;
-/// An end that is higher by no more than this is the same maximum, along a direction in which ℓ runs level.
+/// Rise of ℓ up to which a higher end is the same maximum, along a direction in which ℓ is level.
 const LITTLE: f64 = 1e-5;
 
-/// Adds the ends that are found, and says where it was looked; `told`: all start values were given.
+/// Adds the ends found, and returns how far the exploration went; `told`: all start values were given.
 pub(super) fn explore(
     objective: &ProfileLikelihood<'_>,
     ends: &mut Vec<SearchEnd>,
@@ -56,7 +58,7 @@ pub(super) fn explore(
     explored
 }
 
-/// Adds the best certified end that a part of the data leads to.
+/// Explores a part of the data, and adds the certified ends above the best one that it leads to on all of the data.
 fn on_part(
     (objective, hybrid, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     ends: &mut Vec<SearchEnd>,
@@ -90,7 +92,7 @@ fn on_part(
     Ok(if looked == Explored::Whole { Explored::Sample } else { looked })
 }
 
-/// Those of these starts that on larger parts of the data, too, lead away from `home`, and nearly as high.
+/// The starts that lead away from `home`, to nearly as high an ℓ, on larger parts of the data as well.
 fn apart_from(
     home: &[f64],
     elsewhere: Vec<SearchStart>,
@@ -110,12 +112,12 @@ fn apart_from(
     starts.split_off(1)
 }
 
-/// A certified end above another.
+/// Whether an end is certified and above `floor`.
 fn is_higher(end: &SearchEnd, floor: Option<f64>) -> bool {
     end.stop == Stop::Certified && floor.is_none_or(|floor| end.home.value() > floor)
 }
 
-/// The end by the method that was asked for.
+/// The end, searched for again where the settings request another method than the hybrid one.
 fn by_method(
     objective: &ProfileLikelihood<'_>,
     found: SearchEnd,
@@ -127,7 +129,7 @@ fn by_method(
     }
 }
 
-/// The best end that is found around another while a value is held; the other where none is higher.
+/// The first higher end found about another end while a value is held; the other end where none is higher.
 pub fn around(
     objective: &ProfileLikelihood<'_>,
     end: SearchEnd,
@@ -150,19 +152,19 @@ pub fn around(
     found.next().unwrap_or(end)
 }
 
-/// Other maxima are within reach of the runs that may be spent.
+/// Whether enough runs may be spent to look for other maxima.
 fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     most(objective) > 0
 }
 
-/// Runs of the filters that may be spent; none where they are too few for a search.
+/// Number of runs of the filters that may be spent; 0 where it is too small for a search.
 fn most(objective: &ProfileLikelihood<'_>) -> usize {
     let rows = objective.rows().max(1);
     let runs = (ROWS / rows).min(RUNS).max((FEW_ROWS / rows).min(MORE_RUNS));
     if runs < FEWEST || objective.slots.len() > VALUES { 0 } else { runs }
 }
 
-/// Adds ends that are higher than the best one, or no further below it than by `slack`; `told`: all start values were given.
+/// Adds ends that are higher than the best one, or lower by no more than `slack`; `told`: all start values were given.
 fn look_around(
     (objective, hybrid): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     ends: &mut Vec<SearchEnd>,
@@ -210,15 +212,16 @@ fn look_around(
     Ok(Explored::Part)
 }
 
-/// Places that have not been tried, each once.
+/// The points that have not been tried, each once.
 fn untried(objective: &ProfileLikelihood<'_>, places: &[Vec<f64>], tried: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let ordered = places.iter().map(|place| ordered(&objective.twins, place));
     each_once(ordered.filter(|place| !tried.contains(place)))
 }
 
-/// Places in turns, one with the highest ℓ and one as they are listed, none twice. Where another explanation is nearly as good already a
-/// search is short; but it may lead back to where it came from, and use up the runs that others are to have. Half of the `most` runs
-/// are left for searches: places beyond those are not valued.
+/// The points in alternation, one by the highest ℓ and one by the order of the list, each once. From a point with
+/// nearly as high an ℓ a search is short, but it may lead back to where it came from and use up the runs meant for
+/// others. Half of the `most` runs are reserved for searches: points after those that the other half allows are not
+/// evaluated.
 fn in_turns(
     objective: &ProfileLikelihood<'_>,
     places: Vec<Vec<f64>>,

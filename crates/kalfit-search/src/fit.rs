@@ -1,4 +1,4 @@
-//! The best (α, μ, Σ) that is found from all starts, and beyond them.
+//! The best (α, μ, Σ) found by searches from all starts, and by exploration beyond them.
 
 use std::sync::Arc;
 
@@ -16,18 +16,19 @@ use kalfit_model::remote::Answers;
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{PhasedModel, Population, Slots};
 
-/// Log-likelihoods that differ by this part are equal.
+/// Relative difference up to which log-likelihoods are equal.
 const ROUNDING: f64 = 1e-11;
-/// A level that is zero, or whose logarithm has no more information than this, is tried at this part of the size that it had or that the data
-/// suggest.
+/// Information on a level's logarithm below which the level, as one at zero, is tried at a larger size.
 const UNFELT: f64 = 1e-2;
+/// That size, relative to the former size of the level or to the one that the data suggest.
 const RAISED: f64 = 0.3;
-/// No more of them are.
+/// Maximal number of levels tried in this way.
 const FEW: usize = 8;
-/// An end that is higher by more is worth another search.
+/// Rise of ℓ above the best certified end from which on an uncertified end is worth another search.
 const HIGHER: f64 = 1e-6;
 
-/// Estimates α, μ and Σ of tests, phases and all. With no free values it is [`estimate::fit`](kalfit_estimate::fit) on the reductions.
+/// Estimates α, μ and Σ from tests, in any number of phases. With no free values it is
+/// [`estimate::fit`](crate::estimate::fit) on the reductions.
 pub fn fit(
     model: &PhasedModel,
     labels: &Labels,
@@ -57,7 +58,8 @@ pub fn fit(
     finished(&objective, best, (others, explored, unbounded))
 }
 
-/// The same of tests that are elsewhere, from these values: one search. They suggest such sizes of the values.
+/// Estimates α, μ and Σ from remote tests, by one search from these start values; the tests suggest the sizes `units`
+/// of the values.
 pub fn fit_remote(
     model: &PhasedModel,
     (slots, settings): (&Slots, &Settings),
@@ -69,8 +71,8 @@ pub fn fit_remote(
     finished(&objective, end, (Vec::new(), Explored::No, Vec::new()))
 }
 
-/// Where the searches end: from all starts, beyond them where that was looked for, and once more from what may lead on; with the first
-/// error of a start.
+/// The ends of the searches: from all starts, from the exploration beyond them, and from what may lead on; with the
+/// extent of the exploration and the first error of a start.
 fn all_ends(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
@@ -84,8 +86,8 @@ fn all_ends(
     Ok((ends, explored, first_error))
 }
 
-/// Where an end without a certificate is higher than the best one with it, another search begins: steps that failed on the way there,
-/// or runs that were used up, may lead on from a fresh start. If they do not, all stays as it was.
+/// Searches once more from an end without a certificate that is higher than the best one with it: steps that failed on
+/// the way there, or steps that were used up, may lead on from a fresh start. If they do not, all stays as it was.
 fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchEnd>, progress: &mut dyn Progress) {
     if progress.stops() {
         return;
@@ -98,8 +100,8 @@ fn search_higher_again(objective: &ProfileLikelihood<'_>, ends: &mut Vec<SearchE
     }
 }
 
-/// An end without small noise levels that may be anything up to some size at no loss, as the noise of one row a test beside the variance of
-/// what it measures: that variance would look known there.
+/// The end, with small noise levels raised where any size up to some limit costs nothing: the noise of one row a test
+/// next to the variance of what it measures, say. With the level at zero, that variance would look known.
 fn off_level_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress: &mut dyn Progress) -> SearchEnd {
     let is_unfelt = |s: usize| {
         let is_open = matches!(best.standing[s], Standing::Inside | Standing::Unidentified);
@@ -127,7 +129,8 @@ fn off_level_zeros(objective: &ProfileLikelihood<'_>, best: SearchEnd, progress:
     end.filter(|end| end.stop == Stop::Certified && end.home.value() >= least).unwrap_or(best)
 }
 
-/// What is told of the best end, beside where others ended, whether more were looked for, and levels without which ℓ has no bound.
+/// The fit at the best end, with the other ends, the extent of the exploration, and the levels with which ℓ is
+/// unbounded.
 fn finished(
     objective: &ProfileLikelihood<'_>,
     best: SearchEnd,
@@ -167,7 +170,7 @@ pub(crate) fn best(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progres
     chosen(&ends).map(|at| ends[at].restart())
 }
 
-/// Where the searches from all starts end, and the first error of those that do not.
+/// The ends of the searches from all starts, and the first error of those that fail.
 fn searched(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
@@ -189,7 +192,7 @@ fn searched(
     Ok((ends, first_error))
 }
 
-/// Covariances of noises, and levels beside known ones, at a bound of what is sought are at the edge of what they may be.
+/// Marks covariances of noises, and levels that a known covariance bounds, as on the edge where they stand at a bound.
 fn on_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<Standing> {
     let one = |(s, standing): (usize, Standing)| match standing {
         Standing::Lower | Standing::Upper if objective.edges.has(s) => Standing::Edge,
@@ -199,8 +202,8 @@ fn on_edges(objective: &ProfileLikelihood<'_>, standing: Vec<Standing>) -> Vec<S
     standing.into_iter().enumerate().map(one).collect()
 }
 
-/// The best certified end, of equals the first: what is not certified may be on its way to where ℓ has no bound. But no answer
-/// lies below the first start.
+/// Index of the best certified end, of equals the first: an end that is not certified may be on its way to where ℓ has
+/// no bound. A certified end below the first start does not count.
 fn chosen(ends: &[SearchEnd]) -> Option<usize> {
     let highest = |among: &dyn Fn(&SearchEnd) -> bool| {
         let ends = ends.iter().enumerate().filter(|(_, end)| among(end));
@@ -229,7 +232,7 @@ pub fn start_values(
     starts.first().map(|first| objective.values(&first.values)).ok_or(DynamicError::Fit(FitError::NoTests))
 }
 
-/// What has no meaning while parameters are free.
+/// Refuses tests and settings that have no meaning while parameters are free.
 fn refuse(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots, settings: &Settings) -> Result<(), DynamicError> {
     let name = |parameter: usize| model.shared().parameters[parameter].name.clone();
     grouping(model, tests)?;

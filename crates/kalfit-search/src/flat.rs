@@ -1,9 +1,10 @@
-//! Directions in α along which ℓ hardly changes once (μ, Σ) follow: not at all, as of a factor k of a state whose mean and variance are
-//! free, or little, as of what multiplies a column of 10⁴ ± 1 beside a state with a free mean.
+//! Directions in α along which ℓ hardly changes once (μ, Σ) follow: not at all, as for a factor k of a state whose mean
+//! and variance are free, or little, as for the coefficient of a column of 10⁴ ± 1 together with a state with a free
+//! mean.
 //!
-//! The information comes from differences of gradients, whose rounding hides so small a curvature, and leaves one, of either sign, of a flat
-//! direction. So ℓ is looked at itself, a step to either side: what it falls by is the curvature, and where that is next to nothing of what
-//! even differences could tell, the direction is flat.
+//! The information comes from differences of gradients, whose rounding hides so small a curvature and gives a flat
+//! direction one of either sign. So ℓ itself is evaluated a step to either side: its fall gives the curvature, and
+//! where this is next to nothing compared with what even differences could resolve, the direction is flat.
 
 use crate::joint::{InformationDirection, KnownEigenvalue};
 use crate::profile_likelihood::ProfileLikelihood;
@@ -11,37 +12,39 @@ use crate::ridge::{Ridge, RidgeStart};
 use crate::{Coordinate, DynamicFit};
 use kalfit_model::Population;
 
-/// So far a step goes, in logarithms and in parts of a value,
+/// Length of a step, in logarithms and in parts of a value.
 const STEP: f64 = 0.1;
-/// or so far that ℓ would fall by this many times its rounding,
+/// Fall of ℓ, in units of its rounding, that a step should reach: shorter steps are made longer.
 const SEEN: f64 = 100.0;
-/// which is this part of it, but not farther than this many standard errors.
+/// Rounding of ℓ, relative to its size.
 const ROUNDING: f64 = 1e-13;
+/// Longest step, in standard errors.
 const FARTHEST: f64 = 0.1;
-/// Curvature, in units of each coordinate's own, that differences cannot tell from none.
+/// Curvature, relative to that of each coordinate alone, that differences cannot distinguish from zero.
 const UNSURE: f64 = 1e-8;
-/// ℓ falls by less than this part of what was promised.
+/// Part of the expected curvature up to which a direction is flat.
 const PART: f64 = 0.05;
-/// A share of α in a direction that is not made of rounding: of a mean that all but grows without bound as a time constant does it may be this
-/// small.
+/// Share of α in a direction above which it does not come from rounding: it may be this small for a mean that grows
+/// almost without bound together with a time constant.
 const TRACE: f64 = 1e-6;
-/// A logarithm with a larger standard error than this is all but unknown.
+/// Standard error of a logarithm above which it is all but unknown.
 const LOST: f64 = 2.0;
-/// Less of ℓ than this may be rounding beside measurements that are all but exact.
+/// Change of ℓ below which it may be rounding where measurements are nearly exact.
 const VISIBLE: f64 = 1e-6;
-/// The variance by other directions is no more than this part of what ℓ tells, or ℓ says little of this one.
+/// Largest part of the variance that may be due to other directions: above it, ℓ says little about this one.
 const MOSTLY: f64 = 0.5;
-/// Where gradients tell how a ridge bends, this is its top, in standard errors.
+/// Distance from the top of a ridge, in standard errors, within which α is at the top.
 const TOP: f64 = 3e-2;
-/// ℓ falls alike where it falls to one side by less than this many times what it falls by to the other.
+/// Ratio of the falls of ℓ to the two sides below which ℓ falls evenly.
 const EVEN: f64 = 2.0;
-/// What ℓ falls by belies differences that are not faint where it is another curvature by more than this part.
+/// Relative difference above which the curvature from the fall of ℓ replaces that from differences which are not faint.
 const OTHER: f64 = 0.5;
-/// Of more directions, which cost up to [`STEPS`] runs of the filters to either side, none is looked at.
+/// Number of directions above which none is examined: each costs up to [`STEPS`] runs of the filters to either side.
 const MOST: usize = 8;
+/// Maximal number of steps to the top of a ridge.
 const STEPS: usize = 16;
 
-/// What ℓ says of the information along directions that are faint or doubtful.
+/// Eigenvalues of the information along faint or doubtful directions, from ℓ itself.
 pub fn looked_at(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<KnownEigenvalue> {
     let is_looked_at = |direction: &InformationDirection| match direction.is_of_alpha() {
         true => is_doubtful(objective, direction),
@@ -54,7 +57,7 @@ pub fn looked_at(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<Kno
     faint.iter().filter_map(|direction| told(objective, fit, direction)).collect()
 }
 
-/// What ℓ says of the information along a direction where that is anything that differences do not know.
+/// The eigenvalue along a direction from ℓ itself, where that is better known than from differences.
 ///
 /// ```text
 /// 1/p = r + v²/λ      p the curvature of ℓ where a component of α moves and all else follows, v the direction's part of it,
@@ -79,7 +82,7 @@ fn told(
     (direction.is_faint() || is_other).then(|| direction.with(curvature))
 }
 
-/// The same where gradients tell how a ridge along it bends, and α is at its top.
+/// The curvature along a direction where gradients determine that of a ridge along it, and α is at its top.
 fn told_by_gradients(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -94,13 +97,15 @@ fn told_by_gradients(
     of_direction(ridge.curvature, fit.joint.variances_of_most(direction)?)
 }
 
-/// v²/λ is 1/p - r as curvature; `None` where α varies as much by other directions, those that differences know or faint ones.
+/// The curvature along a direction, from v²/λ = 1/p - r; `None` where α varies as much along other directions, be they
+/// faint or resolved by differences.
 fn of_direction(curvature: f64, [by_known, by_faint]: [f64; 2]) -> Option<f64> {
     let is_its_own = curvature * by_known < MOSTLY && curvature * by_faint < MOSTLY;
     is_its_own.then(|| (curvature.recip() - by_known).recip())
 }
 
-/// ℓ hardly curves along it, or not enough to tell a logarithm: its own curvature may then be so small that differences say nothing of it.
+/// Whether ℓ hardly curves along a direction, or too little to determine a logarithm: the curvature may then be too
+/// small for differences to resolve.
 fn is_doubtful(objective: &ProfileLikelihood<'_>, direction: &InformationDirection) -> bool {
     let is_lost = |(part, coordinate): (&f64, &Coordinate)| {
         coordinate.log && part.abs() > LOST * direction.curvature.abs().sqrt()
@@ -108,18 +113,18 @@ fn is_doubtful(objective: &ProfileLikelihood<'_>, direction: &InformationDirecti
     direction.is_faint() || direction.alpha.iter().zip(&objective.coordinates).any(is_lost)
 }
 
-/// How ℓ falls to both sides along a direction, as curvatures.
+/// Fall of ℓ to both sides along a direction, expressed as curvatures.
 struct Fall {
     length: f64,
     least: f64,
     mean: f64,
-    /// To both sides alike, as along a parabola.
+    /// ℓ falls evenly to both sides, as a parabola does.
     is_even: bool,
-    /// What differences say, or the least that they could tell.
+    /// Curvature from differences, or the least that they could resolve.
     promised: f64,
 }
 
-/// `None` where ℓ is not defined to both sides.
+/// Fall of ℓ along a direction; `None` where ℓ is not defined to both sides.
 fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &InformationDirection) -> Option<Fall> {
     let home = fit.estimate.log_likelihood;
     let promised = direction.curvature.abs().max(UNSURE * own_curvature(fit, direction));
@@ -130,13 +135,14 @@ fn fall(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, direction: &Informa
         Some(2.0 * (home - value) / (length * length))
     });
     let (one, other) = (one?, other?);
-    // a ridge may end on one side, where a variance comes to zero
+    // a ridge may end on one side, where a variance reaches zero
     let least = one.abs().min(other.abs());
     let is_even = one > 0.0 && other > 0.0 && one.max(other) < EVEN * least;
     Some(Fall { length, least, mean: 0.5 * (one + other), is_even, promised })
 }
 
-/// ℓ beside some values, on the top of what may be a ridge along a direction: α goes on across it, because a ridge of several values is curved.
+/// ℓ near some values, on the top of a possible ridge along a direction: α moves on across it, because a ridge of
+/// several values is curved.
 fn on_ridge(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -154,7 +160,7 @@ fn on_ridge(
     best
 }
 
-/// The curvature along a direction in α alone, where nothing follows.
+/// Curvature along a direction from the coordinates of α one by one, where nothing follows.
 fn own_curvature(fit: &DynamicFit, direction: &InformationDirection) -> f64 {
     let of = |(s, part): (usize, &f64)| fit.joint.curvature(s).abs() * part * part;
     direction.alpha.iter().enumerate().map(of).sum()

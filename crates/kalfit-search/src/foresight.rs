@@ -1,4 +1,5 @@
-//! Fewer rounds where tests are elsewhere: with a step in (α, μ, Σ) goes the question for what is wanted once it is taken.
+//! Fewer rounds with remote tests: together with a step in (α, μ, Σ), the results are requested that are needed after
+//! it.
 
 use crate::differences::around;
 use crate::joint::JointStep;
@@ -7,8 +8,8 @@ use crate::search::HARDLY;
 use crate::search_state::SearchState;
 
 impl SearchState<'_, '_> {
-    /// [`ProfileLikelihood::step`](crate::profile_likelihood::ProfileLikelihood::step) from home. Where nobody has answered
-    /// what the tests say there, the differences about that place are asked for, too.
+    /// [`ProfileLikelihood::step`](crate::dynamic::profile_likelihood::ProfileLikelihood::step) from the present point.
+    /// Where remote tests have not answered for the new point yet, the differences about it are requested, too.
     pub(super) fn stepped(&self, values: &[f64], step: &JointStep, fine: bool) -> Option<ProfilePoint> {
         self.objective.together(|| {
             let next = self.objective.step(&self.home, values, &step.inner);
@@ -19,7 +20,7 @@ impl SearchState<'_, '_> {
         })
     }
 
-    /// Asks for the differences about the place of a step, to both sides where the search may end there.
+    /// Requests the differences about the end of a step, two-sided where the search may end there.
     fn foresee(&self, values: &[f64], step: &JointStep, fine: bool) {
         let objective = self.objective;
         let Ok(reduced) = objective.reduce(values) else { return };

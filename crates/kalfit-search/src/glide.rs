@@ -1,8 +1,8 @@
-//! Steps between two looks at the second derivatives.
+//! Steps between two computations of the second derivatives.
 //!
-//! Second derivatives cost a run of the filters for each value; the gradient comes with ℓ. After a step that kept its word what the
-//! gradient has done on the way corrects the information (Broyden, Fletcher, Goldfarb and Shanno's update), and the next step costs
-//! one run. The end is certified by differences all the same.
+//! Second derivatives cost a run of the filters for each value; the gradient comes with ℓ. After a step that raised ℓ
+//! as predicted, the change of the gradient updates the information (Broyden, Fletcher, Goldfarb and Shanno's update),
+//! and the next step costs one run. The end is certified by differences all the same.
 
 use crate::joint::JointInformation;
 use crate::profile_likelihood::ProfilePoint;
@@ -10,15 +10,16 @@ use crate::quadratic::{LevelScale, ProfileInformation, Quadratic};
 use crate::search_state::{LONGEST, SearchState};
 use crate::{Coordinate, Method};
 
-/// Most steps before the next look.
+/// Maximal number of steps before the second derivatives are computed again.
 const STEPS: usize = 12;
-/// A step keeps its word when ℓ rises by this part of what it promised.
+/// Part of the predicted rise by which ℓ must rise for these steps to continue.
 const KEPT: f64 = 0.2;
-/// Levels sink in their variances: a slope below and a curvature of its logarithm about it leave that to others.
+/// Ratio of curvature to slope of a level's logarithm, downward, below which these steps end: the level is on its way
+/// to zero, better in its variance.
 const SINKING: f64 = 2.5;
 
 impl<'b> SearchState<'b, '_> {
-    /// Goes on from where a step led; `before`: where it began, `joint` the information there.
+    /// Continues from the end of a step; `before`: the point where it began, `joint`: the information there.
     pub(super) fn glide(&mut self, joint: &JointInformation, before: &ProfilePoint) {
         if let Some(curvature) = ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, before))
         {
@@ -26,7 +27,7 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// The same by information that serves here, too; nothing is learnt on the way.
+    /// Continues by information from an earlier point that serves here, too, without updating it.
     pub(super) fn glide_by(&mut self, joint: &JointInformation) {
         if let Some(curvature) =
             ProfileInformation::of(&self.objective.coordinates, self.level_scale, (joint, &self.home))
@@ -35,7 +36,8 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// Goes on by the curvature at a maximum of a part of the data: by its scale of levels, or where that fails by the other one.
+    /// Steps by the curvature at a maximum of a part of the data: in its scale of levels, or where that fails in the
+    /// other one.
     pub(super) fn begin_with(&mut self, curvature: Option<ProfileInformation>) {
         let Some(curvature) = curvature else { return };
         let start = self.home.value();
@@ -53,7 +55,8 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// Goes on by a curvature at hand; `last`: where it was known, if that is not here; `learns`: it is corrected on the way.
+    /// Steps by a given curvature; `last`: the point of that curvature, if not the present one; `learns`: steps update
+    /// it.
     pub(super) fn quasi_newton_steps(
         &mut self,
         curvature: ProfileInformation,
@@ -89,7 +92,8 @@ impl<'b> SearchState<'b, '_> {
         }
     }
 
-    /// By which scale of levels the gradient after a step was foreseen better; as before where that cannot be said.
+    /// The scale of levels that predicted the gradient after a step better; the present one where this cannot be
+    /// decided.
     pub(super) fn straighter(&self, joint: &JointInformation, next: &ProfilePoint) -> LevelScale {
         if self.objective.settings.method != Method::Hybrid {
             return self.level_scale; // the gradient is not at the best (μ, Σ)

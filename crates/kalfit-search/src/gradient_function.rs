@@ -1,7 +1,8 @@
 //! Whether a noise level at zero is at a maximum: the *gradient function* (theory §13).
 //!
-//! v = 0 is a maximum in the variance v when D = ∂ℓ/∂v ≤ 0 there, and ∂ℓ/∂σ = 2σD = 0 says nothing. What only shapes that noise (its
-//! time constant, its correlations) has no effect while it is zero, and D depends on it: D ≤ 0 must hold over its whole range.
+//! v = 0 is a maximum in the variance v when D = ∂ℓ/∂v ≤ 0 there, and ∂ℓ/∂σ = 2σD = 0 says nothing. Values that only
+//! shape that noise (its time constant, its correlations) have no effect while it is zero, but D depends on them: D ≤ 0
+//! must hold over their whole range.
 
 use crate::Standing;
 use crate::joint::{JointInformation, LEVEL_GROUND};
@@ -9,37 +10,41 @@ use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 use crate::scales::time_constants;
 use crate::search_state::{RISE, SearchState};
 
-/// Levels at zero are given this part of what they were, where a derivative at zero is wanted.
+/// Part of its former size that a level at zero gets where a derivative at zero is wanted.
 const TRACE: f64 = 1e-7;
-/// … and this part where what they drive is to be felt.
+/// Part of its former size that a level at zero gets where values that shape its noise are to have an effect.
 const FELT: f64 = 0.3;
-/// A derivative at zero counts when the variance that was would gain this by it.
+/// Rise of ℓ, predicted for the former variance, above which a derivative at zero counts.
 const GAIN: f64 = 1e-7;
-/// Sizes at which a level may return: powers of this part of the variance it had; so many, and more, where smaller ones still promise a
-/// rise.
+/// Ratio of successive variances at which a level may return, beginning with its former one.
 const SMALLER: f64 = 0.125;
+/// Number of these variances that are tried in any case.
 const SIZES: i32 = 8;
+/// Maximal number of these variances, where smaller ones still promise a rise.
 const MOST_SIZES: i32 = 24;
-/// Parts of what a covariance may be.
+/// Values tried for a covariance, in parts of its bound.
 const PARTS: [f64; 4] = [-1.0, 1.0, -0.4, 0.4];
-/// Slopes below this are none.
+/// Slope of ℓ below which it counts as zero.
 const FLAT: f64 = 1e-9;
-/// Times that are tried for time constants without effect: by this factor, from this part of a step to as many spans.
+/// Ratio of successive times that are tried for time constants without effect.
 const FACTOR: f64 = 2.0;
+/// Shortest of these times, in lengths of a step.
 const PART: f64 = 0.05;
+/// Longest of these times, in lengths of a test.
 const SPANS: f64 = 4.0;
+/// Maximal number of these times.
 const MOST_TIMES: usize = 40;
-/// … and times as many spans, where what they drive is all but constant in a test.
+/// Further times tried, in lengths of a test, at which the process is all but constant in a test.
 const FAR: [f64; 3] = [30.0, 1e3, 1e6];
 
-/// Values for some slots.
+/// New values, as (slot, value).
 type ChangedValues = Vec<(usize, f64)>;
 
-/// A derivative at zero times the variance it had, of a level, with this shape of what it drives.
+/// Derivative at zero times the former variance, the slot of the level, and the shape of its noise.
 type Derivative = (f64, usize, ChangedValues);
 
 impl SearchState<'_, '_> {
-    /// A level at zero returns where ℓ rises with its variance, for some shape of what it drives.
+    /// Lets a level at zero return where ℓ rises with its variance, for some shape of its noise.
     pub(super) fn revived(&mut self, joint: &JointInformation) -> bool {
         let mut zeros = self.zeros();
         zeros.retain(|&s| self.objective.coordinates[s].lower == 0.0 && self.held != Some(s));
@@ -60,8 +65,8 @@ impl SearchState<'_, '_> {
         promising.into_iter().any(|(gain, s, shape)| self.returns(s, gain, &shape)) || self.crosses_back(&zeros)
     }
 
-    /// A noise with a free covariance to another returns together with it: the covariance grows as the level itself, so that ℓ has a
-    /// slope in the level that no derivative in its variance shows.
+    /// Lets a noise return together with its free covariance to another: the covariance grows as the level itself, so
+    /// that ℓ has a slope in the level that no derivative in its variance shows.
     fn crosses_back(&mut self, zeros: &[usize]) -> bool {
         let crossed = |&s: &usize| {
             let parameter = self.objective.slots.slots()[s].parameter;
@@ -71,8 +76,8 @@ impl SearchState<'_, '_> {
         ways.into_iter().any(|(s, shape)| self.returns(s, 0.0, &shape))
     }
 
-    /// Back from zero at the largest size at which ℓ is higher than at zero. `gain`: what the derivative promises of the variance it had,
-    /// of a smaller one as much less.
+    /// Returns a level from zero at the largest size at which ℓ is higher than at zero. `gain`: the predicted rise for
+    /// its former variance, proportionally less for a smaller one.
     fn returns(&mut self, s: usize, gain: f64, shape: &ChangedValues) -> bool {
         let exponent = self.objective.coordinates[s].level.unwrap_or(1.0);
         let is_worth = |size: &i32| *size < SIZES || gain * SMALLER.powi(*size) > RISE;
@@ -83,7 +88,7 @@ impl SearchState<'_, '_> {
             values[s] = value.clamp(self.bottom[s], self.objective.coordinates[s].upper);
             if let Some(next) = self.at(&values).filter(|next| next.value() > self.home.value() + RISE) {
                 self.home = next;
-                // time constants of a noise that has come back
+                // the time constants of the reactivated noise can move again
                 let idle = |standing: &&mut Standing| **standing == Standing::Unidentified;
                 self.standing.iter_mut().filter(idle).for_each(|standing| *standing = Standing::Inside);
                 self.drifted.fill(false);
@@ -99,7 +104,7 @@ impl SearchState<'_, '_> {
         AtZero { objective: self.objective, home: &self.home, before_zero: &self.before_zero }
     }
 
-    /// Shapes of what levels at zero drive: the present one, and values without effect over their ranges.
+    /// Shapes of noises whose levels are at zero: the present one, and values without effect over their ranges.
     fn shapes(&self, joint: &JointInformation) -> Vec<ChangedValues> {
         let mut all = vec![ChangedValues::new()];
         let idle = self.idle(joint);
@@ -128,8 +133,8 @@ impl SearchState<'_, '_> {
         all
     }
 
-    /// The derivative of a level between the times that were tried, at the tops of parabolas through three of them, where it is not
-    /// positive at the highest of these but may be beside it.
+    /// Derivatives of a level between the times that were tried, at the tops of parabolas through three of them, where
+    /// the highest of these is not positive but a neighbouring time may be.
     fn between(&self, s: usize, found: &[Derivative]) -> Vec<Derivative> {
         let own: Vec<&Derivative> = found.iter().filter(|(_, level, _)| *level == s).collect();
         let mut tops = Vec::new();
@@ -151,7 +156,7 @@ impl SearchState<'_, '_> {
         tops
     }
 
-    /// Values along which ℓ does not move at all.
+    /// Values along which ℓ does not change at all.
     fn idle(&self, joint: &JointInformation) -> Vec<usize> {
         let flat = |t: &usize| {
             let level_ground = self.home.gradient[*t].abs() < FLAT && joint.curvature(*t).abs() < LEVEL_GROUND;
@@ -160,7 +165,7 @@ impl SearchState<'_, '_> {
         (0..self.home.values.len()).filter(flat).collect()
     }
 
-    /// Values without effect while levels are zero are told from those that ℓ never depends on.
+    /// Marks values that have no effect while levels are zero, as opposed to those that ℓ never depends on.
     pub(super) fn name_idle(&mut self, joint: &JointInformation) {
         let zeros = self.zeros();
         let is_open = |t: &usize| matches!(self.standing[*t], Standing::Inside | Standing::Unidentified);
@@ -176,7 +181,7 @@ impl SearchState<'_, '_> {
     }
 }
 
-/// Where levels are at zero.
+/// A point where levels are at zero.
 #[derive(Clone, Copy)]
 struct AtZero<'s> {
     objective: &'s ProfileLikelihood<'s>,
@@ -185,7 +190,7 @@ struct AtZero<'s> {
 }
 
 impl AtZero<'_> {
-    /// ∂ℓ/∂v at v = 0 for each of some levels, times the variance it had, with other shapes for what they drive.
+    /// ∂ℓ/∂v at v = 0 for each of some levels, times its former variance, with another shape of the noises.
     fn derivatives(self, zeros: &[usize], shape: &ChangedValues) -> Vec<Derivative> {
         let AtZero { objective, home, before_zero } = self;
         let mut values = home.values.clone();
@@ -202,7 +207,7 @@ impl AtZero<'_> {
     }
 }
 
-/// The one time that a shape has.
+/// The time that all entries of a shape have in common; `None` if there is none.
 fn alone(shape: &ChangedValues) -> Option<f64> {
     let (_, time) = *shape.first()?;
     shape.iter().all(|(_, other)| *other == time).then_some(time)

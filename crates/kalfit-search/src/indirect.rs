@@ -1,5 +1,6 @@
-//! Scores through phases that are known by a filter's estimates (theory §8). How those depend on α, through Γ, S and φ, is found
-//! by differences: the phase at other values of α, everything else of the test and the law of ξ as they are.
+//! Scores through phases that are known by a filter's estimates (theory §8). How these estimates depend on α, through
+//! Γ, S and φ, is found by differences: the phase at other values of α, with everything else of the test and the law of
+//! ξ unchanged.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,14 +15,15 @@ use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
 
 /// Step of a logarithm, and of other values in units of their size. Differences of fourth order are good to about 1e-11 of ℓ.
 const STEP: f64 = 2e-3;
-/// Steps that leave the model's domain are shortened so many times, to this part each.
+/// Number of lengths tried for a step that leaves the model's domain.
 const TRIES: usize = 4;
+/// Factor by which such a step is shortened each time.
 const SHORTER: f64 = 0.1;
 /// Weights of ℓ at -2, -1, 1 and 2 steps.
 pub(super) const WEIGHTS: [(f64, f64); 4] =
     [(-2.0, 1.0 / 12.0), (-1.0, -8.0 / 12.0), (1.0, 8.0 / 12.0), (2.0, -1.0 / 12.0)];
 
-/// An ensemble, and α where some values are sought.
+/// An ensemble, and α as a function of the sought values.
 pub struct Around<'a> {
     pub model: &'a PhasedModel,
     pub tests: &'a [PhasedTest],
@@ -29,12 +31,12 @@ pub struct Around<'a> {
     pub alpha: &'a dyn Fn(&[f64]) -> Alpha,
 }
 
-/// What of an ensemble is known by estimates.
+/// The parts of an ensemble that are known by estimates.
 #[derive(Debug)]
 pub(crate) struct Indirect {
-    /// Whether some test has estimates in a phase.
+    /// Whether some test has estimates, by phase.
     phases: Vec<bool>,
-    /// Tests that have, by number, and the free values that their estimates depend on.
+    /// Tests with estimates, by number, and the free values that their estimates depend on.
     tests: Vec<(usize, Vec<usize>)>,
 }
 
@@ -64,7 +66,7 @@ impl Indirect {
         phases.flat_map(|(phase, _)| dependences(phase, slots)).collect()
     }
 
-    /// Adds what estimates add to the scores of their tests.
+    /// Adds the contributions of estimates to the scores of their tests.
     pub(crate) fn add(
         &self,
         around: &Around<'_>,
@@ -110,7 +112,7 @@ impl Indirect {
     }
 }
 
-/// What `at` gives at places about the values of a colour, so many steps away, and the steps.
+/// Results of `at` with the values of a colour moved by each of `places`, in steps, and the steps.
 pub(super) fn moved<T>(
     around: &Around<'_>,
     values: &[f64],
@@ -139,7 +141,7 @@ pub(super) fn moved<T>(
     Err(last.expect("there was a try"))
 }
 
-/// The phase is known by a filter's estimates, made here or elsewhere.
+/// Whether a phase is known by a filter's estimates, made here or elsewhere.
 fn is_indirect(model: &PhasedModel, at: usize, evidence: &Evidence) -> bool {
     match evidence {
         Evidence::Estimates(_) => true,
@@ -148,7 +150,7 @@ fn is_indirect(model: &PhasedModel, at: usize, evidence: &Evidence) -> bool {
     }
 }
 
-/// The phases of a test, those known by estimates at another α.
+/// The phases of a test, with those known by estimates taken at another α.
 fn mixed(
     model: &PhasedModel,
     test: &PhasedTest,

@@ -1,8 +1,9 @@
-//! Observed information of (α, μ, Σ) together, from differences of exact gradients; of a value that scales all noise, exact.
+//! Joint observed information of (α, μ, Σ), from differences of exact gradients; exact for a value that scales all
+//! noise.
 //!
-//! At fixed (μ, Σ) a small change of α gives a column of -∂²ℓ/∂α∂(α, μ, Σ). Values that no test has in common change at the
-//! same time: thousands of levels cost as many runs of the filters as one test has values. Values of single tests are
-//! eliminated test by test, so no matrix of their number is ever formed.
+//! At fixed (μ, Σ) a small change of α gives a column of -∂²ℓ/∂α∂(α, μ, Σ). Values that no test has in common change at
+//! the same time: thousands of levels cost as many runs of the filters as one test has values. Values of single tests
+//! are eliminated test by test, so no matrix of that size is ever formed.
 
 use std::collections::BTreeMap;
 
@@ -16,21 +17,22 @@ use crate::touching::Touching;
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{NOTHING, NoiseInformation, Tangent};
 
-/// Up to so many values none is eliminated by itself.
+/// Number of values up to which values of single tests are not eliminated test by test.
 const DENSE: usize = 24;
-/// Slope and curvature of a logarithm below this are none.
+/// Size of the slope and the curvature of a logarithm below which these count as zero.
 pub(crate) const LEVEL_GROUND: f64 = 1e-7;
-/// Along directions of less scaled information than this ℓ is looked at on both sides.
+/// Scaled information along a direction below which ℓ itself is evaluated on both sides.
 const FAINT: f64 = 1e-5;
-/// … and what differences say of less than this may be rounding.
+/// Scaled information along a direction below which the result of differences may be rounding.
 const SHAKY: f64 = 1e-6;
-/// Scaled eigenvalues of the information below this are flat.
+/// Scaled eigenvalue of the information up to which a direction is flat.
 pub(crate) const FLAT: f64 = 1e-10;
-/// Of a direction of length one, in coordinates of unit curvature, this much is something.
+/// Component of a unit direction, in coordinates of unit curvature, above which a coordinate takes part in it.
 pub(crate) const TAKES_PART: f64 = 1e-3;
-/// A score bends ℓ along a factor of Σ by no more than this many times itself,
+/// Curvature along a factor of Σ, in units of the largest remaining score, up to which it may come from that score
+/// alone.
 const BEND: f64 = 10.0;
-/// which counts where the score along it is less than this of a standard error.
+/// Score along that factor, in units of its standard error, up to which such a curvature is discarded.
 const STILL: f64 = 1e-9;
 
 /// The information in coordinates of α and along the tangent basis of (μ, Σ).
@@ -40,9 +42,9 @@ pub struct JointInformation {
     pub(crate) active: Vec<usize>,
     /// Values of single tests, by test.
     private: Vec<Vec<usize>>,
-    /// The others.
+    /// Values that are not of single tests.
     shared: Vec<usize>,
-    /// -∂²ℓ/∂α∂α where it is not zero, both triangles.
+    /// Nonzero entries of -∂²ℓ/∂α∂α, both triangles.
     own: BTreeMap<(usize, usize), f64>,
     /// -∂²ℓ/∂α∂(μ, Σ), a row for each value.
     cross: DMatrix<f64>,
@@ -50,73 +52,73 @@ pub struct JointInformation {
     inner: DMatrix<f64>,
 }
 
-/// Solution of Joint × step = gradient, or as near as positive curvature allows.
+/// Solution of information × step = gradient, with negative curvatures replaced by their absolute values.
 #[derive(Debug, Clone)]
 pub(crate) struct JointStep {
-    /// Of α, zero for values that do not move.
+    /// Step in α; zero for values that do not move.
     pub(crate) alpha: Vec<f64>,
-    /// Along the tangent basis of (μ, Σ).
+    /// Step along the tangent basis of (μ, Σ).
     pub(crate) inner: DVector<f64>,
-    /// What the step promises: half of this squared.
+    /// Newton decrement: the predicted rise of ℓ is half its square.
     pub(crate) decrement: f64,
-    /// The curvature is positive, flat directions apart.
+    /// ℓ is concave, except along flat directions.
     pub(crate) concave: bool,
 }
 
 /// A direction in α and (μ, Σ), an eigenvector of the scaled information.
 #[derive(Debug, Clone)]
 pub(crate) struct InformationDirection {
-    /// In α, its largest entry one; zero for values that are not shared.
+    /// Component in α, its largest entry one; zero for values that are not shared.
     pub(crate) alpha: Vec<f64>,
-    /// How much of it that entry is, in coordinates of unit curvature.
+    /// Size of that largest entry in coordinates of unit curvature, where the direction has length one.
     pub(crate) share: f64,
-    /// -∂²ℓ along it, as differences say.
+    /// -∂²ℓ along the direction, from differences.
     pub(crate) curvature: f64,
-    /// Which of the information's eigenvectors it is.
+    /// Index of the eigenvector of the information.
     pub(crate) number: usize,
-    /// The eigenvalue of a curvature of one along it.
+    /// Eigenvalue that a curvature of one along the direction gives.
     unit: f64,
 }
 
 impl InformationDirection {
-    /// The eigenvalue of a curvature along it.
+    /// Eigenvalue that this curvature along the direction gives.
     pub(crate) fn of_curvature(&self, curvature: f64) -> f64 {
         self.unit * curvature
     }
 
-    /// α takes part in it.
+    /// Whether α takes part in the direction.
     pub(crate) fn is_of_alpha(&self) -> bool {
         self.share > TAKES_PART
     }
 
-    /// Differences hardly tell its curvature.
+    /// Whether differences hardly resolve the curvature.
     pub(crate) fn is_faint(&self) -> bool {
         self.of_curvature(self.curvature).abs() < FAINT
     }
 
-    /// Rounding may be all of its curvature.
+    /// Whether all of the curvature may be rounding.
     pub(crate) fn is_shaky(&self) -> bool {
         self.of_curvature(self.curvature).abs() < SHAKY
     }
 
-    /// The eigenvalue that belongs to another curvature along it.
+    /// The eigenvalue for another curvature along the direction.
     pub(crate) fn with(&self, curvature: f64) -> KnownEigenvalue {
         KnownEigenvalue { number: self.number, value: self.of_curvature(curvature), share: self.share }
     }
 }
 
-/// An eigenvalue of the scaled information that is better known than differences know it; zero of a flat direction.
+/// An eigenvalue of the scaled information that is known better than from differences; zero for a flat direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownEigenvalue {
     number: usize,
     value: f64,
-    /// The largest part of a value of α in its direction.
+    /// Largest component of a value of α in the direction.
     share: f64,
 }
 
 impl JointInformation {
-    /// The information at a solved α among the values that are `active`. With differences to both sides it is good to
-    /// about 1e-7.
+    /// The information at a solved α among the values that are `active`. With two-sided differences (`central`) it is
+    /// accurate to about 1e-7.
     pub(crate) fn new(
         objective: &ProfileLikelihood<'_>,
         home: &ProfilePoint,
@@ -156,14 +158,14 @@ impl JointInformation {
         joint.without_flat(objective, home)
     }
 
-    /// Of a value that scales all noise, which needs no differences.
+    /// The information of a value that scales all noise, which needs no differences.
     fn of_scale(exact: &NoiseInformation, list: Vec<usize>, inner: DMatrix<f64>) -> JointInformation {
         let own = list.iter().map(|&s| ((s, s), exact.own)).collect();
         let cross = DMatrix::from_row_slice(1, inner.nrows(), exact.cross.as_slice());
         JointInformation { shared: list.clone(), private: Vec::new(), active: list, own, cross, inner }
     }
 
-    /// Logarithms that neither slope nor curve do not move: what differences show of them is rounding.
+    /// Removes logarithms along which ℓ has neither slope nor curvature: what differences give for them is rounding.
     fn without_flat(mut self, objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> JointInformation {
         let flat = |s: usize| {
             objective.coordinates[s].log
@@ -178,7 +180,7 @@ impl JointInformation {
         self
     }
 
-    /// No value that moves is of a single test.
+    /// Whether no moving value belongs to a single test.
     pub fn is_of_shared_values(&self) -> bool {
         self.private.is_empty()
     }
@@ -188,13 +190,13 @@ impl JointInformation {
         &self.shared
     }
 
-    /// The same with no value eliminated by itself.
+    /// The information with no value eliminated separately.
     #[cfg(test)]
     pub(crate) fn undivided(&self) -> JointInformation {
         JointInformation { shared: self.active.clone(), private: Vec::new(), ..self.clone() }
     }
 
-    /// All of it: the values, then the tangent basis.
+    /// The whole information matrix: the values, then the tangent basis.
     #[cfg(test)]
     pub(crate) fn undivided_matrix(&self) -> DMatrix<f64> {
         self.undivided().information()
@@ -217,12 +219,12 @@ impl JointInformation {
         DMatrix::from_fn(block.len(), block.len(), |i, k| self.entry(block[i], block[k]))
     }
 
-    /// In shared values and along the tangent basis, once private values have been eliminated.
+    /// Information matrix in shared values and along the tangent basis, with private values eliminated.
     fn information(&self) -> DMatrix<f64> {
         self.reduced(&vec![0.0; self.cross.nrows()], &DVector::zeros(self.inner.nrows()), 0.0).0
     }
 
-    /// The same with its gradient, and whether what was eliminated curves the right way.
+    /// Information matrix and gradient with private values eliminated, and whether ℓ is concave in those.
     fn reduced(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> (DMatrix<f64>, DVector<f64>, bool) {
         let (k, m) = (self.shared.len(), self.inner.nrows());
         let mut matrix = DMatrix::zeros(k + m, k + m);
@@ -247,7 +249,7 @@ impl JointInformation {
         (matrix, right, concave)
     }
 
-    /// The same with these noise levels, (slot, exponent), in their variances.
+    /// The information with these noise levels, (slot, exponent), by their variances.
     pub(crate) fn in_variances(&self, levels: &[(usize, f64)], gradient: &[f64]) -> JointInformation {
         let mut joint = self.clone();
         for &(s, exponent) in levels {
@@ -257,13 +259,13 @@ impl JointInformation {
         joint
     }
 
-    /// Newton's step with Levenberg's damping, in coordinates of unit curvature; where the curvature has the wrong sign its
-    /// absolute value stands for it.
+    /// Newton's step with Levenberg's damping, in coordinates of unit curvature; a curvature of the wrong sign is
+    /// replaced by its absolute value.
     pub(crate) fn step(&self, gradient: &[f64], inner: &DVector<f64>, damping: f64) -> JointStep {
         self.step_beside(gradient, inner, damping, &[])
     }
 
-    /// The same while some shared values make steps of their own, (slot, step).
+    /// Newton's step while some shared values make given steps, (slot, step).
     pub(crate) fn step_beside(
         &self,
         gradient: &[f64],
@@ -299,14 +301,16 @@ impl JointInformation {
         JointStep { alpha, inner: inner_step, decrement: promised.max(0.0).sqrt(), concave }
     }
 
-    /// The direction in shared values along which ℓ curves upward most, its largest entry one; `None` where it does not.
+    /// The direction in shared values along which ℓ curves upward most, its largest entry one; `None` where ℓ curves
+    /// upward nowhere.
     pub(crate) fn upward(&self) -> Option<Vec<f64>> {
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let (worst, _) = values.iter().enumerate().filter(|(_, v)| **v < -1e-6).min_by(|a, b| a.1.total_cmp(b.1))?;
         self.direction(&scale, vectors.column(worst))
     }
 
-    /// The direction in shared values of a scaled eigenvector, its largest entry one; `None` where it has none.
+    /// The direction in shared values of a scaled eigenvector, its largest entry one; `None` where the eigenvector has
+    /// no part in them.
     fn direction(&self, scale: &[f64], vector: DVectorView<'_, f64>) -> Option<Vec<f64>> {
         let mut direction = vec![0.0; self.cross.nrows()];
         self.shared.iter().enumerate().for_each(|(i, &s)| direction[s] = scale[i] * vector[i]);
@@ -314,8 +318,8 @@ impl JointInformation {
         (largest > 0.0).then(|| direction.iter().map(|d| d / largest).collect())
     }
 
-    /// The step in shared values, across this direction in them, that the gradient asks for; flat directions are left out. `None` where some
-    /// value is of a single test.
+    /// Newton's step in shared values, restricted to be across this direction; flat directions are left out. `None`
+    /// where some value belongs to a single test.
     pub(crate) fn onto_ridge(&self, along: &[f64], gradient: &[f64]) -> Option<Vec<f64>> {
         let (followed, scale, ridge) = self.ridge(along)?;
         let (n, ridge) = (scale.len(), ridge.normalize());
@@ -331,7 +335,8 @@ impl JointInformation {
         Some(all)
     }
 
-    /// Information in the shared values once all else follows, what brings it to a unit diagonal, and a direction in such units.
+    /// Profile information of the shared values, the scale that brings it to a unit diagonal, and the direction in that
+    /// scale.
     fn ridge(&self, along: &[f64]) -> Option<(DMatrix<f64>, Vec<f64>, DVector<f64>)> {
         let followed = self.followed()?;
         let scale: Vec<f64> = symmetric::sizes(&followed).into_iter().map(f64::recip).collect();
@@ -339,15 +344,16 @@ impl JointInformation {
         Some((followed, scale, ridge))
     }
 
-    /// The variance of what [`onto_ridge`](Self::onto_ridge) holds of α, by the other eigenvectors: those that differences know, and the faint
-    /// ones. `None` where some value is of a single test.
+    /// Variance of the combination of α that [`onto_ridge`](Self::onto_ridge) holds, due to the other eigenvectors: to
+    /// those that differences resolve, and to the faint ones. `None` where some value belongs to a single test.
     pub(crate) fn variances_beside(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let (_, units, ridge) = self.ridge(&direction.alpha)?;
         let weights: Vec<f64> = ridge.iter().zip(&units).map(|(own, unit)| own / unit / ridge.norm_squared()).collect();
         Some(self.variances_of(&weights, direction))
     }
 
-    /// The variance of a sum of shared values with these weights by all eigenvectors but one.
+    /// Variance of a weighted sum of shared values due to all eigenvectors but one: to those that differences resolve,
+    /// and to the faint ones.
     fn variances_of(&self, weights: &[f64], but: &InformationDirection) -> [f64; 2] {
         let (scale, values, vectors) = scaled_eigen(&self.information());
         let part = |k: usize| -> f64 { weights.iter().enumerate().map(|(i, w)| w * scale[i] * vectors[(i, k)]).sum() };
@@ -358,14 +364,14 @@ impl JointInformation {
         variances
     }
 
-    /// Which of the shared values most of a direction is of, in coordinates of unit curvature.
+    /// Index of the shared value with the largest component in a direction, in coordinates of unit curvature.
     fn most_of(&self, along: &[f64]) -> Option<usize> {
         let size = |i: usize| along[self.shared[i]].abs() * self.curvature(self.shared[i]).abs().sqrt();
         (0..self.shared.len()).max_by(|&i, &k| size(i).total_cmp(&size(k)))
     }
 
-    /// The variance of the value that most of a direction is of by the other eigenvectors, in steps along it: by those that differences know,
-    /// and by the faint ones.
+    /// Variance of the value with the largest component in a direction, in steps along that direction, due to the other
+    /// eigenvectors: to those that differences resolve, and to the faint ones.
     pub(crate) fn variances_of_most(&self, direction: &InformationDirection) -> Option<[f64; 2]> {
         let most = self.most_of(&direction.alpha)?;
         let mut weights = vec![0.0; self.shared.len()];
@@ -373,8 +379,8 @@ impl JointInformation {
         Some(self.variances_of(&weights, direction))
     }
 
-    /// What goes of the curvature along a direction in shared values where the others follow the one that most of it is of: b'H⁻¹b among the
-    /// others, b = -∂²ℓ along the direction and each value. `None` where some value is of a single test.
+    /// Curvature along a direction that is lost where all values but its largest component adapt: b'H⁻¹b among those
+    /// values, b = -∂²ℓ along the direction and each value. `None` where some value belongs to a single test.
     pub(crate) fn left_by_others(&self, along: &[f64], bends: &[f64]) -> Option<f64> {
         let (followed, held) = (self.followed()?, self.most_of(along)?);
         let others = followed.remove_row(held).remove_column(held);
@@ -386,7 +392,8 @@ impl JointInformation {
         Some(known.map(|(value, part)| part * part / value).sum())
     }
 
-    /// Information in the shared values once (μ, Σ) follow them, as long as no value is of a single test.
+    /// Profile information of the shared values, (μ, Σ) following them; `None` where some value belongs to a single
+    /// test.
     pub(crate) fn followed(&self) -> Option<DMatrix<f64>> {
         if !self.private.is_empty() {
             return None;
@@ -417,13 +424,13 @@ impl JointInformation {
         (0..values.len()).filter_map(along).collect()
     }
 
-    /// Covariances of all coordinates: the inverse, flat directions left out.
+    /// Covariances of all coordinates: the inverse of the information, flat directions left out.
     #[cfg(test)]
     pub(crate) fn covariances(&self) -> ValueCovariances {
         self.covariances_beside(&[])
     }
 
-    /// The same with these eigenvalues of the information.
+    /// Covariances of all coordinates, with these eigenvalues in place of those from differences.
     pub fn covariances_beside(&self, known: &[KnownEigenvalue]) -> ValueCovariances {
         let mut covariances = self.shared_covariances(&self.information(), known);
         for block in &self.private {
@@ -437,13 +444,13 @@ impl JointInformation {
         covariances
     }
 
-    /// The same from another information in the shared values and along the tangent basis; `None` where values of single tests
-    /// are among those that move.
+    /// Covariances from another information in the shared values and along the tangent basis; `None` where values of
+    /// single tests are among those that move.
     pub fn covariances_of(&self, information: &DMatrix<f64>) -> Option<ValueCovariances> {
         self.is_of_shared_values().then(|| self.shared_covariances(information, &[]))
     }
 
-    /// The same without values of single tests.
+    /// Covariances without the values of single tests.
     fn shared_covariances(&self, information: &DMatrix<f64>, known: &[KnownEigenvalue]) -> ValueCovariances {
         let (whole, flat, directions) = inverse(information, (known, self.shared.len()));
         let mut alpha = vec![None; self.cross.nrows()];
@@ -453,27 +460,28 @@ impl JointInformation {
         ValueCovariances { alpha, shared: self.shared.clone(), whole, flat: directions }
     }
 
-    /// Entries on both sides of the diagonal: where a value stands in matrices of the structures only, its column has none for
-    /// values of the tests, but theirs have one for it.
+    /// Completes entries on both sides of the diagonal: where a value stands in matrices of the structures only, its
+    /// column has no entries for values of the tests, but their columns have one for it.
     fn mirror(&mut self) {
         for ((s, t), value) in self.own.clone() {
             self.own.entry((t, s)).or_insert(value);
         }
     }
 
-    /// Information on one value when everything else follows it: the inverse of its variance.
+    /// Curvature -∂²ℓ of one value, everything else fixed.
     pub(crate) fn curvature(&self, s: usize) -> f64 {
         self.entry(s, s)
     }
 }
 
-/// The step that a matrix of information and a gradient ask for; `None` where the information is not positive.
+/// Newton's step for an information matrix and a gradient; `None` where the information is not positive.
 pub(crate) fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>) -> Option<DVector<f64>> {
     let (inverse, positive) = positive_inverse(matrix, 0.0);
     positive.then(|| inverse * gradient)
 }
 
-/// The inverse with damped eigenvalues by absolute value, flat directions left out; whether none is negative.
+/// The inverse by absolute values of the eigenvalues, damped and without flat directions; and whether no eigenvalue is
+/// negative.
 pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<f64>, bool) {
     let (scale, values, vectors) = scaled_eigen(matrix);
     let positive = values.iter().all(|v| *v > -1e-6);
@@ -482,8 +490,9 @@ pub(super) fn positive_inverse(matrix: &DMatrix<f64>, damping: f64) -> (DMatrix<
     (DMatrix::from_fn(scale.len(), scale.len(), |i, k| scale[i] * inverse[(i, k)] * scale[k]), positive)
 }
 
-/// The inverse where some eigenvalues are known, which coordinates take part in a flat direction, and those directions that are known to be.
-/// So many coordinates are of α: of what is known to be flat, those count by their part among them.
+/// The inverse where some eigenvalues are known, which coordinates take part in a flat direction, and the directions
+/// that are known to be flat. The first `of_alpha` coordinates are those of α: they take part in a known direction by
+/// their size relative to the largest one among them.
 fn inverse(
     matrix: &DMatrix<f64>,
     (known, of_alpha): (&[KnownEigenvalue], usize),
@@ -519,8 +528,8 @@ fn scaled_eigen(matrix: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     (scale, values, vectors)
 }
 
-/// The information along the tangent basis, without what the tests say nothing of: what rounding leaves there, and how Σ = FF' bends by as
-/// much of the score as is left.
+/// The information along the tangent basis, without coordinates that the tests do not inform: remainders of rounding,
+/// and the curvature of Σ = FF' that comes from the remaining score.
 fn informed(tangent: &Tangent) -> DMatrix<f64> {
     let n = tangent.sizes.len();
     let of = |i: usize| (tangent.information[(i, i)].abs(), tangent.gradient[i].abs(), tangent.sizes[i]);
@@ -529,7 +538,7 @@ fn informed(tangent: &Tangent) -> DMatrix<f64> {
     let of_sigma = tangent.mean..n;
     let left = of_sigma.clone().map(|i| of(i).1 * of(i).2).fold(0.0, f64::max);
     let is_bend = |i: usize| of_sigma.contains(&i) && own(i) <= BEND * left && of(i).1 <= STILL * of(i).0.sqrt();
-    // a mean that does not vary has no size of its own beside variances that are many times what one test tells
+    // a mean that does not vary between tests has no size to compare with much larger variances
     let largest_mean = (0..tangent.mean).map(|i| of(i).0).fold(0.0, f64::max);
     let is_mean = |i: usize| i < tangent.mean && of(i).0 > NOTHING * largest_mean;
     let is_known = |i: usize| (own(i) > NOTHING * largest && !is_bend(i)) || is_mean(i);

@@ -1,5 +1,6 @@
-//! Dynamic parameters α (time constants, noise levels, coefficients) together with μ and Σ: ℓ(α) = maximum over (μ, Σ) of the
-//! reductions at α, and the filters run again only when α moves (the paper's section 2.4, theory §6).
+//! Estimation of dynamic parameters α (time constants, noise levels, coefficients) together with μ and Σ: ℓ(α) is the
+//! maximum over (μ, Σ) on the reductions at α, and the filters run again only when α moves (the paper's section 2.4,
+//! theory §6).
 //!
 //! ```text
 //! ℓ(α) = max over (μ, Σ) of ℓ(μ, Σ | reductions at α)           the paper's Figure 1

@@ -1,4 +1,4 @@
-//! Where a search begins whose tests are in several places: what each of them suggests, put together.
+//! Start of a search whose tests are in several places: the combined suggestions of all places.
 
 use crate::profile_likelihood::ProfileLikelihood;
 use crate::sample::sample;
@@ -8,7 +8,8 @@ use kalfit_estimate::Progress;
 use kalfit_model::PhasedTest;
 use kalfit_model::{PhasedModel, Slots};
 
-/// A value that is this many times what the data suggest, or less by as much, is not put together with those of other places.
+/// Ratio of a start value to the size that the data suggest, up or down, beyond which the value is not combined with
+/// those of other places.
 const FAR: f64 = 1e4;
 
 /// The answer of one place to [`Question::Opening`](kalfit_model::remote::Question::Opening): its number of tests, and that many times the
@@ -43,7 +44,7 @@ fn suggested(objective: &ProfileLikelihood<'_>, progress: &mut dyn Progress) -> 
     found.unwrap_or_else(|| start::first(objective, progress))
 }
 
-/// What all places suggest: the mean over their tests.
+/// Suggestions of all places: the means over their tests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuggestedValues {
     pub(crate) tests: usize,
@@ -52,7 +53,7 @@ pub struct SuggestedValues {
 }
 
 impl SuggestedValues {
-    /// From the sum of the answers; `None` where they are not of these values.
+    /// The means from the sum of the answers; `None` where these are not about as many values.
     pub fn of(numbers: &[f64], coordinates: &[Coordinate]) -> Option<SuggestedValues> {
         let (tests, rest) = numbers.split_first()?;
         if rest.len() != 2 * coordinates.len() {

@@ -43,8 +43,8 @@ fn phases(first: Model, second: Model, carry: Vec<Carry>) -> PhasedModel {
 
 const TRUE: [(bool, f64); 6] = [(true, 1.5), (true, 0.5), (true, 0.3), (true, 0.4), (true, 0.5), (false, 0.8)];
 
-/// First bias, slope and a drift, then a rate and an angle that begins at a part of the bias and walks. τ, σ, the noise of the
-/// first phase, that of the walk, that of the second phase, and the part of the bias are free.
+/// First phase: bias, slope and a drift; second phase: a rate and an angle that begins at a part of the bias and walks.
+/// τ, σ, the noise of the first phase, that of the walk, that of the second phase, and the part of the bias are free.
 fn bench_and_flight() -> PhasedModel {
     let first = model(
         vec![
@@ -73,7 +73,7 @@ fn rows(id: &str, at: usize, rows: &[(f64, f64, f64)]) -> Evidence {
     Evidence::Rows(test)
 }
 
-/// Drawn from the model; every fifth test lacks the second phase.
+/// Tests drawn from the model; every fifth one lacks the second phase.
 fn drawn(tests: usize, seed: u64) -> Vec<PhasedTest> {
     let mut random = Lcg(seed);
     let [tau, sigma, noise, q, late, part] = TRUE.map(|(_, value)| value);
@@ -126,7 +126,7 @@ fn the_methods_end_at_one_point_in_phases() {
         let others: &[Method] =
             if criterion == Criterion::Ml { &[Method::Innovations, Method::Em] } else { &[Method::Innovations] };
         for &method in others {
-            // EM crawls from afar: it starts near by
+            // EM is slow from afar, so it starts near by
             let start = if method == Method::Em { near(&model, &hybrid.values) } else { model.clone() };
             let other = certified(&start, &tests, &settings(method, criterion));
             check_alike(&hybrid, &other, &format!("{method:?}, {criterion:?}"));
@@ -139,7 +139,7 @@ fn the_methods_end_at_one_point_in_phases() {
     }
 }
 
-/// The model with start values of its parameters near these.
+/// The model with its parameters starting near these values.
 fn near(model: &PhasedModel, values: &[f64]) -> PhasedModel {
     let mut near = model.clone();
     for phase in &mut near.phases {
@@ -150,7 +150,8 @@ fn near(model: &PhasedModel, values: &[f64]) -> PhasedModel {
     near
 }
 
-/// The first phase of the model above, whole and cut in two: the second part begins where the first one ends, with nothing new.
+/// The first phase of the model above, whole and cut in two: the second part begins where the first one ends, with
+/// nothing added.
 fn whole_and_halves() -> (PhasedModel, PhasedModel) {
     let whole = bench_and_flight().phases[0].model.clone();
     let whole = Model { parameters: whole.parameters[..3].to_vec(), ..whole };

@@ -1,4 +1,5 @@
-//! Places from which a search may lead to another maximum than the one that is known: what another part of the model may explain.
+//! Candidate starts from which a search may reach another maximum than the known one: another part of the model may
+//! explain the same variation.
 
 use crate::crossed::CrossedNoise;
 use crate::profile_likelihood::ProfileLikelihood;
@@ -9,21 +10,22 @@ use crate::tries::{FACTOR, best_of, longer, other_maxima};
 use crate::twins::ExchangeablePair;
 use kalfit_estimate::Progress;
 
-/// Parts of what a covariance of noises may be that are tried, those that are this far from the present one.
+/// Values tried for a covariance of noises, in parts of its bound.
 const PARTS: [f64; 4] = [-0.9, -0.3, 0.3, 0.9];
+/// Distance from the present part above which such a value is tried.
 const APART: f64 = 0.4;
-/// ℓ is as high as another to this.
+/// Difference up to which two values of ℓ count as equal.
 const LEVEL: f64 = 1e-3;
-/// A process whose time constant may be a quarter of what it is, at no more loss of ℓ than this, is white.
+/// Change of ℓ, at a quarter of its time constant, up to which a process is white.
 const WHITE: f64 = 1e-6;
-/// … and at no more than this it may be noise of a measurement.
+/// Change of ℓ, at a quarter of its time constant, up to which a process may be noise of a measurement.
 const NEARLY: f64 = 0.1;
-/// Of processes that are set apart so many shapes are followed.
+/// Number of shapes that are followed where two coinciding processes are separated.
 const APART_TRIED: usize = 3;
-/// Sizes of levels at zero that are tried, in units of what the data suggest.
+/// Sizes tried for levels at zero, in units of the size that the data suggest.
 const SIZES: [f64; 5] = [2.0, 0.7, 0.25, 0.08, 0.025];
 
-/// Where to look from an end: at common values but the one that is held.
+/// Candidate starts about an end, in common values except the one that is held.
 pub(super) fn places(
     objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
@@ -77,11 +79,11 @@ pub(super) fn places(
     }
     all.extend(exchanges.iter().map(|pair| pair.exchanged(values)));
     all.extend(all_times(objective, values));
-    // whatever moved it
+    // a candidate must not move the value that is held
     each_once(all.into_iter().filter(|place| held.is_none_or(|s| place[s] == values[s])))
 }
 
-/// Places in their order, none twice.
+/// The points in their order, each once.
 pub(super) fn each_once(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
     let mut all: Vec<Vec<f64>> = Vec::new();
     for place in places {
@@ -92,14 +94,14 @@ pub(super) fn each_once(places: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>>
     all
 }
 
-/// A level at zero.
+/// The values with one level set to zero.
 fn without(values: &[f64], s: usize) -> Vec<f64> {
     let mut without = values.to_vec();
     without[s] = 0.0;
     without
 }
 
-/// Time constants of processes that are white as far as ℓ can tell, and of those that are nearly so.
+/// Time constants of processes that ℓ cannot distinguish from white noise, and of nearly white ones.
 fn all_but_white(objective: &ProfileLikelihood<'_>, end: &SearchEnd, timed: &[usize]) -> [Vec<usize>; 2] {
     let loss = |&parameter: &usize| Some((parameter, loss_if_shorter(objective, end, parameter)?));
     let losses: Vec<(usize, f64)> = timed.iter().filter_map(loss).collect();
@@ -107,7 +109,8 @@ fn all_but_white(objective: &ProfileLikelihood<'_>, end: &SearchEnd, timed: &[us
         .map(|most| losses.iter().filter(|(_, loss)| *loss <= most).map(|(parameter, _)| *parameter).collect())
 }
 
-/// Of two processes that coincide one has taken the variance of both, and the other one may be of any size and shape beside it.
+/// Candidates where one of two coinciding processes takes the variance of both, and the other one gets another size and
+/// shape.
 fn set_apart(
     objective: &ProfileLikelihood<'_>,
     one: &[f64],
@@ -130,7 +133,8 @@ fn set_apart(
     valued.into_iter().take(APART_TRIED).map(|(_, place)| place).collect()
 }
 
-/// Processes in the place of a measurement's noise, which is at zero, given back to it: they may return in another shape.
+/// Candidates where a process that replaced a measurement's noise, now at zero, is given back to it: the process may
+/// return in another shape.
 fn given_back(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usize]) -> Vec<Vec<f64>> {
     let (driving, still): (Vec<usize>, Vec<usize>) = levels.iter().partition(|&&s| drives(objective, s));
     let values = &end.home.values;
@@ -139,8 +143,9 @@ fn given_back(objective: &ProfileLikelihood<'_>, end: &SearchEnd, levels: &[usiz
     pairs.filter_map(|pair| handed_over(objective, values, pair)).collect()
 }
 
-/// Where the size of a process is held, as much in all noises of measurements that are at zero, and the process in the shape that suits
-/// it best beside that: they may explain what it explains, and the process be of its size by being slow.
+/// Candidate where the size of a process is held: all measurement noises at zero get the same variance, and the process
+/// the best time constant given that. The noises may explain what the process did, and a slow process may keep the
+/// size.
 fn left_to_noise(
     objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
@@ -159,9 +164,9 @@ fn left_to_noise(
     is_other.then(|| best_of(objective, *parameter, &beside, progress))?.map(|(beside, _)| beside)
 }
 
-/// Processes that are all but white given to the noise of a measurement, as they stand and with another process in their place: what the
-/// other one explained may be explained as well, and the one that is at zero may return in another shape. Beside noises with a covariance
-/// the other process may take over what this one gave.
+/// Candidates where nearly white processes are given to the noise of a measurement, the other processes unchanged or in
+/// their place: the variation of the other process may be explained as well, and the process at zero may return in
+/// another shape. Where noises have a covariance, the other process may take over what this one gave.
 fn given_up(
     objective: &ProfileLikelihood<'_>,
     values: &[f64],
@@ -189,7 +194,8 @@ fn given_up(
     all
 }
 
-/// The variance of the level `t` handed over to the level `s`, and what it is of covariances beside that.
+/// The values with the variance of level `t` handed over to level `s`, together with its share of the noise
+/// covariances.
 fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
     if let Some(noises) = CrossedNoise::of(objective, s, t) {
         return Some(noises.given(values));
@@ -202,7 +208,7 @@ fn handed_over(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize
     Some(given)
 }
 
-/// By how much ℓ changes where a time constant is a quarter of what it is.
+/// Absolute change of ℓ where a time constant is a quarter of its value.
 fn loss_if_shorter(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_constant: usize) -> Option<f64> {
     let slot = objective.slots.common(time_constant)?;
     let mut shorter = end.home.values.clone();
@@ -210,7 +216,8 @@ fn loss_if_shorter(objective: &ProfileLikelihood<'_>, end: &SearchEnd, time_cons
     Some((objective.value(&shorter)? - end.home.value()).abs())
 }
 
-/// A process that is all but white, with the time constant that suits it best among those from which it is told apart from white noise.
+/// Candidate where a nearly white process has the best time constant among longer ones, at which ℓ begins to
+/// distinguish it from white noise.
 fn less_white(
     objective: &ProfileLikelihood<'_>,
     end: &SearchEnd,
@@ -222,8 +229,8 @@ fn less_white(
     is_level.then(|| longer(objective, time_constant, (best, value), progress))
 }
 
-/// All time constants together, longer or shorter, each process as rough as it is: what processes and the noise of measurements explain may
-/// be explained by slower and larger ones, or by quicker and smaller ones.
+/// Candidates with all time constants longer, or all shorter, each process as rough as before: the data may be
+/// explained by slower and larger processes, or by quicker and smaller ones.
 fn all_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>> {
     let open = |&parameter: &usize| objective.slots.common(parameter).is_some();
     let parameters: Vec<usize> = time_constants(objective.model).into_iter().filter(open).collect();
@@ -242,7 +249,8 @@ fn all_times(objective: &ProfileLikelihood<'_>, values: &[f64]) -> Vec<Vec<f64>>
     if parameters.is_empty() { Vec::new() } else { [FACTOR.ln(), -FACTOR.ln()].map(by).to_vec() }
 }
 
-/// The level of a process with this time constant, and whether it is the size of the process: its noise depends on the time constant too.
+/// The level of the process with this time constant, and whether it is the size of the process, so that its noise
+/// depends on the time constant, too.
 fn driven(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(usize, bool)> {
     objective.model.phases.iter().flat_map(|phase| &phase.model.states).find_map(|state| {
         let (form, noise_variance) = state.motion.parts()?;
@@ -254,8 +262,8 @@ fn driven(objective: &ProfileLikelihood<'_>, time_constant: usize) -> Option<(us
     })
 }
 
-/// Noise of a measurement, in the level `s`, taken over by a process with this time constant in the shape that suits it best; `height`: ℓ
-/// before.
+/// Candidate where a process with this time constant takes over the measurement noise of level `s`, with the best value
+/// of the time constant; `height`: ℓ before.
 fn taken_over(
     objective: &ProfileLikelihood<'_>,
     (values, height): (&[f64], f64),
@@ -271,12 +279,12 @@ fn taken_over(
     let crossed = noises.and_then(|noises| noises.taken(values));
     let over = crossed.or_else(|| replaced(objective, values, (s, taker)))?;
     let best = best_of(objective, time_constant, &over, progress)?;
-    // no higher and no lower: white as the noise was, and the way up may be close by
+    // ℓ is unchanged: the process is as white as the noise was, and ℓ may rise at a somewhat longer time constant
     let is_level = (best.1 - height).abs() <= LEVEL;
     Some(if is_level { longer(objective, time_constant, best, progress) } else { best.0 })
 }
 
-/// The level `t` in the place of the level `s`.
+/// The values with level `s` at zero and level `t` at the variance that `s` had.
 fn replaced(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, usize)) -> Option<Vec<f64>> {
     let (from, to) = (objective.coordinates[s].level?, objective.coordinates[t].level?);
     let mut replaced = values.to_vec();
@@ -285,7 +293,7 @@ fn replaced(objective: &ProfileLikelihood<'_>, values: &[f64], (s, t): (usize, u
     Some(replaced)
 }
 
-/// Other parts of what a covariance of noises may be: of the other sign, say.
+/// Candidates with other values of a noise covariance, such as of the other sign.
 fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
     let apart = PARTS.into_iter().filter(move |part| (part - values[t]).abs() > APART);
     apart.map(move |part| {
@@ -295,17 +303,17 @@ fn other_parts(values: &[f64], t: usize) -> impl Iterator<Item = Vec<f64>> {
     })
 }
 
-/// A level of a noise that has a free covariance with another.
+/// Whether a level is that of a noise with a free covariance to another noise.
 fn is_crossed(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
     !objective.edges.beside(objective.slots.slots()[s].parameter).is_empty()
 }
 
-/// A level of the motion of some state.
+/// Whether a level drives the motion of some state.
 fn drives(objective: &ProfileLikelihood<'_>, s: usize) -> bool {
     scales::drives(objective.model, objective.slots.slots()[s].parameter)
 }
 
-/// Other sizes of a level, the rest as it is, where ℓ is higher than at the sizes beside them.
+/// Candidates with other sizes of a level at zero: those at which ℓ is higher than at the neighbouring sizes.
 fn sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, f64)) -> Vec<Vec<f64>> {
     let value = end.home.values[s];
     if value > 0.0 && !end.is_at_zero(s) {
@@ -320,7 +328,7 @@ fn sizes(objective: &ProfileLikelihood<'_>, end: &SearchEnd, (s, unit): (usize, 
     let heights: Vec<f64> = places.iter().map(|place| objective.value(place).unwrap_or(f64::NEG_INFINITY)).collect();
     let beside = |k: usize, other: Option<usize>| other.and_then(|o| heights.get(o)).is_none_or(|h| *h < heights[k]);
     let peak = |k: &usize| heights[*k].is_finite() && beside(*k, k.checked_sub(1)) && beside(*k, Some(k + 1));
-    // the smallest size is beside zero
+    // zero is the neighbour of the smallest size
     let last = SIZES.len() - 1;
     (0..SIZES.len())
         .filter(peak)

@@ -30,13 +30,14 @@ use kalfit_model::PhasedTest;
 use kalfit_model::remote::{Answers, Question, Remote};
 use kalfit_model::{Alpha, PhasedModel, Population, Slots};
 
-/// So many tests are few, and so many rows,
+/// Number of tests up to which an ensemble is narrow: threads then work at several α at once.
 const NARROW: usize = 64;
+/// Number of rows, and of tests, up to which an ensemble is narrow in any case.
 const SHORT: usize = 1 << 15;
-/// and where they are, so many rows at a time may be worked at.
+/// Maximal number of rows in work at a time, over all threads, for an ensemble to be narrow.
 const ROOM: usize = 1 << 24;
 
-/// The ensemble and the model, ready for any α.
+/// An ensemble and a model, ready to evaluate ℓ(α).
 #[derive(Debug)]
 pub struct ProfileLikelihood<'a> {
     pub model: &'a PhasedModel,
@@ -44,35 +45,35 @@ pub struct ProfileLikelihood<'a> {
     pub slots: &'a Slots,
     pub coordinates: Vec<Coordinate>,
     pub(crate) settings: &'a Settings,
-    /// Covariances of noises, which are sought as parts of what they may be.
+    /// Covariances of noises, which are sought as parts of their bounds.
     pub edges: Edges,
-    /// Levels that a known covariance bounds.
+    /// Levels that a known covariance bounds from below.
     pub(crate) cone: BTreeSet<usize>,
-    /// Processes that may change places.
+    /// Pairs of exchangeable processes.
     pub twins: Vec<ExchangeablePair>,
-    /// The groups that tests stand in, where the model has levels.
+    /// Groups of the tests, where the model has levels.
     grouping: Option<Arc<Grouping>>,
     units: OnceLock<Vec<f64>>,
     scales: OnceLock<Scales>,
     order: OnceLock<Vec<usize>>,
     indirect: Indirect,
     scale: Option<Scale>,
-    /// What is known of the tests, where they are elsewhere.
+    /// Answers of remote tests, where the tests are elsewhere.
     answers: Option<Arc<Answers>>,
     batching: Batching,
-    /// Asked before each run of the filters.
+    /// Decides before each run of the filters whether it is made.
     before_runs: Option<BeforeRuns<'a>>,
     filter_passes: AtomicUsize,
     score_passes: AtomicUsize,
     passes: AtomicUsize,
 }
 
-/// The ensemble at an α.
+/// An ensemble at an α.
 pub struct Reduced {
-    /// What made the reductions; `None` where they were scaled from another α.
+    /// The reducer of the tests; `None` where reductions were scaled from another α, or are remote.
     reducer: Option<PhasedReducer>,
     pub reductions: Reductions,
-    /// Tests that are kept side by side.
+    /// Filter results that are kept in lanes for the scores.
     filtered: Option<FilteredPhases>,
 }
 
@@ -83,22 +84,22 @@ pub struct ProfilePoint {
     pub values: Vec<f64>,
     pub(crate) alpha: Alpha,
     pub estimate: Estimate,
-    /// dℓ/dcoordinate.
+    /// dℓ/dcoordinate of each free value.
     pub gradient: Vec<f64>,
     pub(crate) second_derivatives: SecondDerivatives,
 }
 
-/// What second derivatives are made of.
+/// Results from which second derivatives are made.
 #[derive(Debug, Clone)]
 pub(crate) enum SecondDerivatives {
-    /// Results of each test.
+    /// Results of each test, for differences.
     Tests(Box<OfTests>),
-    /// The information in the only value, which scales all noise, and with (μ, Σ) along the tangent basis. What each test says is
-    /// worked out when it is asked for.
+    /// Exact information on the only value, which scales all noise, and between it and (μ, Σ) along the tangent basis.
+    /// Results of each test are computed when requested.
     Scale(NoiseInformation),
 }
 
-/// What each test says at an α.
+/// Reductions and scores of each test at an α.
 #[derive(Debug, Clone)]
 pub(crate) struct OfTests {
     pub(crate) reductions: Reductions,
@@ -112,11 +113,11 @@ impl ProfilePoint {
     }
 }
 
-/// ℓ near a solved α at the (μ, Σ) found there.
+/// Gradients of ℓ near a solved α, at the (μ, Σ) found there.
 #[derive(Debug)]
 pub(crate) struct FixedLawPoint {
     pub(crate) values: Vec<f64>,
-    /// Gradient along the tangent basis of (μ, Σ) of the solved place.
+    /// Gradient along the tangent basis of (μ, Σ) of the solved point.
     pub(crate) inner: DVector<f64>,
     pub(crate) tests: OfTests,
     /// dℓ/dvalue through matrices of the covariance structure.
@@ -145,7 +146,7 @@ impl<'a> ProfileLikelihood<'a> {
             cone: cone.into_iter().map(|(s, _)| s).collect(),
             settings,
             twins: ExchangeablePair::of(model, slots),
-            grouping: grouping(model, tests).ok().flatten().map(Arc::new), // whether there is one is looked at before
+            grouping: grouping(model, tests).ok().flatten().map(Arc::new), // its errors are reported before
             units: OnceLock::new(),
             scales: OnceLock::new(),
             order: OnceLock::new(),
@@ -160,14 +161,14 @@ impl<'a> ProfileLikelihood<'a> {
         }
     }
 
-    /// The same of tests that are elsewhere, which suggest these sizes of the values.
+    /// ℓ(α) of remote tests, which suggest these sizes of the values.
     pub fn elsewhere(
         model: &'a PhasedModel,
         (slots, settings): (&'a Slots, &'a Settings),
         (answers, units): (&Arc<Answers>, Vec<f64>),
     ) -> ProfileLikelihood<'a> {
         let objective = ProfileLikelihood::new(model, &[], slots, settings);
-        // all of them together stand for one test that knows every value
+        // all tests together stand for one test that depends on every value
         ProfileLikelihood {
             scale: None,
             order: vec![0].into(),
@@ -177,33 +178,33 @@ impl<'a> ProfileLikelihood<'a> {
         }
     }
 
-    /// The same as long as somebody waits: nothing is defined any longer once nobody does.
+    /// This likelihood while `before_runs` allows runs of the filters; afterwards ℓ is nowhere defined.
     pub fn while_waited_for(self, before_runs: BeforeRuns<'a>) -> ProfileLikelihood<'a> {
         ProfileLikelihood { before_runs: Some(before_runs), ..self }
     }
 
-    /// Somebody still waits for what is worked out.
+    /// Fails when the caller no longer waits for results.
     fn go_on(&self) -> Result<(), DynamicError> {
         let goes_on = self.before_runs.is_none_or(|BeforeRuns(asks)| asks(self.filter_passes()));
         if goes_on { Ok(()) } else { Err(DynamicError::Interrupted) }
     }
 
-    /// The groups that tests stand in, where the model has levels.
+    /// The groups of the tests, where the model has levels.
     pub fn grouping(&self) -> Option<&Grouping> {
         self.grouping.as_deref()
     }
 
-    /// The tests are elsewhere: what is known is of all of them together.
+    /// Whether the tests are remote: only results of all of them together are known.
     pub(crate) fn is_elsewhere(&self) -> bool {
         self.answers.is_some()
     }
 
-    /// Something was asked of tests that are elsewhere that has no answer yet.
+    /// Whether a request to remote tests has no answer yet.
     pub(crate) fn is_waiting(&self) -> bool {
         self.answers.as_ref().is_some_and(|answers| answers.is_waiting())
     }
 
-    /// Does what asks for several things that do not depend on each other, of tests that are elsewhere all at once.
+    /// Makes several requests that do not depend on each other; of remote tests, all at once.
     pub(crate) fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
         match &self.answers {
             Some(answers) => answers.together(ask),
@@ -211,20 +212,21 @@ impl<'a> ProfileLikelihood<'a> {
         }
     }
 
-    /// The tests or their rows are few, so that threads had better work at several α at once, and there is room for that.
+    /// Whether tests or rows are so few that threads had better work at several α at once, and not too many rows are
+    /// then in work.
     pub(crate) fn is_narrow(&self) -> bool {
         let (threads, rows) = (rayon::current_num_threads(), self.rows());
         let is_small = self.tests.len() <= NARROW || rows.max(self.tests.len()) <= SHORT;
-        // filters scaled from one run to the next go one after the other
+        // each run of the filters serves later values of a scale, so these are evaluated one after the other
         !self.is_elsewhere() && self.scale.is_none() && threads > 1 && is_small && rows * threads <= ROOM
     }
 
-    /// One thing of each of some places: where tests or rows are few, of several at a time.
+    /// A result for each of some points; for several points at a time where tests or rows are few.
     pub(crate) fn each<P: Sync, T: Send>(&self, places: &[P], one: impl Fn(&P) -> T + Sync + Send) -> Vec<T> {
         if !self.is_narrow() {
             return places.iter().map(one).collect();
         }
-        self.order(); // known to all threads before they part
+        self.order(); // computed before the threads start
         places.par_iter().map(one).collect()
     }
 
@@ -233,7 +235,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.scales.get_or_init(|| Scales::of(self.model, self.tests, self.order()))
     }
 
-    /// What the data suggest for each value; 1 where they suggest nothing.
+    /// Size that the data suggest for each value; 1 where they suggest none.
     pub fn units(&self) -> &[f64] {
         self.units.get_or_init(|| {
             let unit = |slot: &kalfit_model::Slot| self.scales().guess(self.model, slot.parameter);
@@ -242,7 +244,7 @@ impl<'a> ProfileLikelihood<'a> {
         })
     }
 
-    /// Rows of all tests.
+    /// Number of rows of all tests.
     pub(crate) fn rows(&self) -> usize {
         self.tests.iter().map(PhasedTest::row_count).sum()
     }
@@ -255,23 +257,23 @@ impl<'a> ProfileLikelihood<'a> {
         self.coordinates.iter().zip(values).zip(step).map(one).collect()
     }
 
-    /// The same by the filters and their backward runs alone.
+    /// This likelihood by the filters and their backward runs alone, without scaling.
     #[cfg(test)]
     pub(crate) fn unscaled(self) -> ProfileLikelihood<'a> {
         ProfileLikelihood { scale: None, ..self }
     }
 
-    /// Runs of the filters over all tests, forward.
+    /// Number of forward runs of the filters over all tests.
     pub(crate) fn filter_passes(&self) -> usize {
         self.filter_passes.load(Ordering::Relaxed)
     }
 
-    /// Runs backward.
+    /// Number of backward runs over all tests.
     pub(crate) fn score_passes(&self) -> usize {
         self.score_passes.load(Ordering::Relaxed)
     }
 
-    /// Counts what another profile likelihood of the same ensemble has run.
+    /// Adds the counts of another profile likelihood of the same ensemble.
     pub(crate) fn absorb(&self, other: &ProfileLikelihood<'_>) {
         let pairs = [
             (&self.filter_passes, &other.filter_passes),
@@ -281,22 +283,22 @@ impl<'a> ProfileLikelihood<'a> {
         pairs.iter().for_each(|(own, more)| _ = own.fetch_add(more.load(Ordering::Relaxed), Ordering::Relaxed));
     }
 
-    /// Iterations of the solver; each uses the reductions of all tests.
+    /// Number of iterations of the solver; each uses the reductions of all tests.
     pub(crate) fn passes(&self) -> usize {
         self.passes.load(Ordering::Relaxed)
     }
 
-    /// α where these values are sought.
+    /// α for these sought values.
     pub fn alpha(&self, sought: &[f64]) -> Alpha {
         self.slots.alpha(self.model.shared(), &self.values(sought))
     }
 
-    /// The free values of α where these are sought: the same, but for covariances of noises.
+    /// The free values of α for these sought values: equal to them, except for covariances of noises.
     pub(crate) fn values(&self, sought: &[f64]) -> Vec<f64> {
         self.edges.values(sought, &self.slots.alpha(self.model.shared(), sought))
     }
 
-    /// What is sought where α has these free values, as a start.
+    /// The sought values for these free values of α, as a start.
     pub fn sought(&self, values: &[f64]) -> Vec<f64> {
         self.edges.sought(values, &self.slots.alpha(self.model.shared(), values))
     }
@@ -316,7 +318,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.filter(values)
     }
 
-    /// Runs the filters.
+    /// Reduces the tests by running the filters.
     fn filter(&self, values: &[f64]) -> Result<Reduced, DynamicError> {
         self.go_on()?;
         // where one value scales all noise, scores are known without a backward pass
@@ -325,7 +327,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.batching.share_steps(&mut reducer);
         self.filter_passes.fetch_add(1, Ordering::Relaxed);
         let (reductions, filtered) = match self.scale {
-            Some(_) => (reducer.reduce(self.tests).map_err(Box::new)?, None), // the filters hardly run
+            Some(_) => (reducer.reduce(self.tests).map_err(Box::new)?, None), // the filters run rarely here
             None => {
                 let told = (self.model, self.slots);
                 self.batching.reduce(told, &mut reducer, self.tests).map_err(Box::new)?
@@ -346,7 +348,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.solved(values, alpha, reduced, estimate)
     }
 
-    /// With the gradient at the best (μ, Σ).
+    /// The point with its gradient at the best (μ, Σ).
     fn solved(
         &self,
         values: &[f64],
@@ -362,7 +364,8 @@ impl<'a> ProfileLikelihood<'a> {
         Ok(ProfilePoint { values: values.to_vec(), alpha, estimate, gradient, second_derivatives: told })
     }
 
-    /// The same where one value scales all noise.
+    /// ℓ(α) and its gradient where one value scales all noise; `None` for other models, and where no reductions can be
+    /// scaled to this value.
     fn scaled(
         &self,
         values: &[f64],
@@ -388,7 +391,7 @@ impl<'a> ProfileLikelihood<'a> {
         }
     }
 
-    /// What each test says at a solved α.
+    /// Reductions and scores of each test at a solved α.
     pub(crate) fn of_tests<'s>(&self, home: &'s ProfilePoint) -> Result<Cow<'s, OfTests>, DynamicError> {
         if let SecondDerivatives::Tests(tests) = &home.second_derivatives {
             return Ok(Cow::Borrowed(&**tests));
@@ -408,19 +411,19 @@ impl<'a> ProfileLikelihood<'a> {
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
-    /// The same with the filters run at these very values, which keeps all digits however far they are from others.
+    /// ℓ(α) alone with the filters run at these very values, which keeps all digits however far these are from others.
     pub(crate) fn filtered_value(&self, values: &[f64]) -> Option<f64> {
         let reductions = self.filter(values).ok()?.reductions;
         let estimate = self.inner(&reductions, &self.alpha(values), None).ok()?;
         Some(estimate.log_likelihood).filter(|value| value.is_finite())
     }
 
-    /// What is assumed of μ and Σ at α.
+    /// The structure assumed for μ and Σ at α.
     fn structure<'s>(&'s self, alpha: &'s Alpha) -> Structure<'s> {
         Structure::of(self.model, alpha, self.grouping.as_ref())
     }
 
-    /// The best (μ, Σ) on reductions.
+    /// The best (μ, Σ) for given reductions.
     pub(crate) fn inner(
         &self,
         reductions: &Reductions,
@@ -441,7 +444,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.passes.fetch_add(estimate.passes, Ordering::Relaxed);
     }
 
-    /// ℓ and its gradient in α at other values but the (μ, Σ) of `home`; `None` where it is not defined.
+    /// The gradients of ℓ at other values but the (μ, Σ) of `home`; `None` where ℓ is not defined.
     pub(crate) fn shift(&self, home: &ProfilePoint, values: &[f64]) -> Option<FixedLawPoint> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
@@ -454,7 +457,7 @@ impl<'a> ProfileLikelihood<'a> {
         Some(FixedLawPoint { values: values.to_vec(), inner, tests, matrix })
     }
 
-    /// ℓ after a step in α and, along the tangent basis of home, in (μ, Σ); `None` where it is not defined.
+    /// The point after a step in α and, along the tangent basis of `home`, in (μ, Σ); `None` where ℓ is not defined.
     pub(crate) fn step(&self, home: &ProfilePoint, values: &[f64], inner: &DVector<f64>) -> Option<ProfilePoint> {
         let alpha = self.alpha(values);
         let reduced = self.reduce(values).ok()?;
@@ -463,7 +466,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.solved(values, alpha, reduced, Estimate::unfinished(state)).ok()
     }
 
-    /// ℓ(α) and its gradient where (μ, Σ) moved along with α: they are solved for by themselves.
+    /// ℓ(α) and its gradient with (μ, Σ) solved for, where these moved along with α before.
     pub(crate) fn settle(&self, home: &ProfilePoint) -> Result<ProfilePoint, DynamicError> {
         let (values, alpha) = (&home.values, self.alpha(&home.values));
         let reduced = self.reduce(values)?;
@@ -473,7 +476,7 @@ impl<'a> ProfileLikelihood<'a> {
         self.solved(values, alpha, reduced, estimate)
     }
 
-    /// What [`ProfileLikelihood::shift`] gives at home.
+    /// The result of [`ProfileLikelihood::shift`] at `home` itself.
     pub(crate) fn at_home(&self, home: &ProfilePoint) -> Option<FixedLawPoint> {
         let state = &home.estimate.state;
         let sigma = &home.estimate.covariance;
@@ -513,12 +516,12 @@ impl<'a> ProfileLikelihood<'a> {
         (0..self.slots.len()).filter(|&s| hidden.contains(&self.slots.slots()[s].parameter)).collect()
     }
 
-    /// The restricted likelihood is maximised.
+    /// Whether the restricted likelihood is maximised.
     pub(crate) fn restricted(&self) -> bool {
         self.settings.inner.criterion == Criterion::Reml
     }
 
-    /// The tests in an order that does not depend on theirs.
+    /// The tests in an order that does not depend on the order given.
     pub fn order(&self) -> &[usize] {
         self.order.get_or_init(|| by_id(self.tests))
     }
@@ -564,8 +567,8 @@ impl<'a> ProfileLikelihood<'a> {
         Ok(scorer.all_complete(self.tests, &reductions, &law).map_err(Box::new)?)
     }
 
-    /// The expected log-likelihood of the complete data at α and its gradient to the coordinates; `None` where it is not
-    /// defined.
+    /// The expected log-likelihood of the complete data at α and its gradient by the coordinates; `None` where it is
+    /// not defined.
     pub(crate) fn expected(&self, complete: &[PhasedComplete], values: &[f64]) -> Option<(f64, Vec<f64>)> {
         let alpha = self.alpha(values);
         let reducer = PhasedReducer::scoring(self.model, &alpha, self.slots).ok()?;
@@ -584,7 +587,7 @@ impl<'a> ProfileLikelihood<'a> {
         Ok(Levels::new(self.model, &reducer, self.slots, self.tests).map_err(Box::new)?)
     }
 
-    /// dℓ/dcoordinate from what tests and matrices give.
+    /// dℓ/dcoordinate of each value, from the scores of the tests and of the matrices.
     pub fn gradient(&self, values: &[f64], scores: &[Gradient], matrix: &Gradient) -> Vec<f64> {
         let mut gradient = vec![0.0; values.len()];
         for (slot, bar) in self.order().iter().flat_map(|&j| &scores[j]).chain(matrix) {
@@ -596,7 +599,8 @@ impl<'a> ProfileLikelihood<'a> {
     }
 }
 
-/// Tests in the order of their ids. Most are told apart by the first letters, which are looked at without a visit to each id.
+/// Tests in the order of their ids. Most ids differ in their first letters, which are compared without a visit to each
+/// id.
 fn by_id(tests: &[PhasedTest]) -> Vec<usize> {
     let first =
         |id: &str| id.bytes().chain(std::iter::repeat(0)).take(8).fold(0, |word, byte| word << 8 | u64::from(byte));

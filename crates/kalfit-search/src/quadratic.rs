@@ -1,8 +1,8 @@
-//! ℓ as a quadratic in α, once (μ, Σ) follow it, about a place.
+//! Quadratic model of ℓ in α about a point, with (μ, Σ) following α.
 //!
-//! Levels stand in it by their logarithms or by their variances. Where noises stand for each other it is variances that add up: along
-//! such a ridge ℓ runs straight in them, and bends in their logarithms. Far from any maximum logarithms are better. What a step does to
-//! the gradient tells which of the two has foreseen it.
+//! Levels enter it by their logarithms or by their variances. Where noises can replace each other, their variances add
+//! up: along such a ridge ℓ is straight in the variances, and bends in their logarithms. Far from any maximum
+//! logarithms are better. The change of the gradient over a step shows which of the two predicted it.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,24 +11,25 @@ use crate::coordinates::in_variance;
 use crate::joint::{JointInformation, positive_inverse, solved};
 use crate::profile_likelihood::ProfilePoint;
 
-/// What ℓ is taken to be quadratic in, of a level.
+/// The function of a level in which ℓ is taken to be quadratic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LevelScale {
     Logarithm,
     Variance,
 }
 
-/// Information in some values once (μ, Σ) follow them.
+/// Profile information of some values, with (μ, Σ) following them.
 #[derive(Debug, Clone)]
 pub struct ProfileInformation {
     slots: Vec<usize>,
     information: DMatrix<f64>,
-    /// What levels stand by in it: that in which ℓ has been nearer to a quadratic.
+    /// Scale of levels in it: the one in which ℓ has been nearer to a quadratic.
     pub(super) level_scale: LevelScale,
 }
 
 impl ProfileInformation {
-    /// At a place with this joint information; `None` where values of single tests stand between.
+    /// The profile information at a point with this joint information; `None` where some value belongs to a single
+    /// test.
     pub(super) fn of(
         coordinates: &[Coordinate],
         level_scale: LevelScale,
@@ -45,13 +46,13 @@ impl ProfileInformation {
         Some(ProfileInformation { slots, information, level_scale })
     }
 
-    /// With this covariance of the values in these slots, levels by their logarithms.
+    /// The profile information for this covariance of the values in these slots, levels by their logarithms.
     pub fn of_covariance(slots: &[usize], covariance: &DMatrix<f64>) -> ProfileInformation {
         let (information, _) = positive_inverse(covariance, 0.0);
         ProfileInformation { slots: slots.to_vec(), information, level_scale: LevelScale::Logarithm }
     }
 
-    /// The same at a maximum, by the other scale of levels.
+    /// The profile information at a maximum by the other scale of levels, in which it is identical.
     pub(super) fn other(self) -> ProfileInformation {
         let level_scale = match self.level_scale {
             LevelScale::Logarithm => LevelScale::Variance,
@@ -60,7 +61,7 @@ impl ProfileInformation {
         ProfileInformation { level_scale, ..self }
     }
 
-    /// What so many times the data would say.
+    /// The profile information of `factor` times the data.
     pub(super) fn times(self, factor: f64) -> ProfileInformation {
         ProfileInformation { information: self.information * factor, ..self }
     }
@@ -79,31 +80,31 @@ impl<'a> From<&'a ProfilePoint> for Iterate<'a> {
     }
 }
 
-/// The quadratic.
+/// Quadratic model of ℓ.
 #[derive(Debug)]
 pub struct Quadratic<'b> {
     coordinates: &'b [Coordinate],
     /// Values that move.
     slots: Vec<usize>,
-    /// Where a step of a variance is one of the logarithm.
+    /// Values at which a step of a variance equals one of the logarithm.
     about: Vec<f64>,
     level_scale: LevelScale,
     information: DMatrix<f64>,
 }
 
 impl<'b> Quadratic<'b> {
-    /// About a place where the curvature is known.
+    /// The quadratic about a point where the curvature is known.
     pub fn about(coordinates: &'b [Coordinate], curvature: ProfileInformation, values: &[f64]) -> Quadratic<'b> {
         let ProfileInformation { slots, information, level_scale } = curvature;
         Quadratic { coordinates, slots, about: values.to_vec(), level_scale, information }
     }
 
-    /// The exponent of a level that stands by its variance.
+    /// The exponent of a level that enters by its variance; `None` for other values.
     fn exponent(&self, s: usize) -> Option<f64> {
         self.coordinates[s].level.filter(|_| self.level_scale == LevelScale::Variance)
     }
 
-    /// What a unit of a value's coordinate here is in logarithms there.
+    /// Change of a value's logarithm, at `value`, per unit of its coordinate in the quadratic.
     fn unit(&self, s: usize, value: f64) -> f64 {
         self.exponent(s).map_or(1.0, |exponent| (self.about[s] / value).powf(exponent))
     }
@@ -112,12 +113,12 @@ impl<'b> Quadratic<'b> {
         DVector::from_iterator(self.slots.len(), self.slots.iter().map(|&s| one(s)))
     }
 
-    /// dℓ/dcoordinate at a place.
+    /// Gradient of ℓ at a point, in the coordinates of the quadratic.
     fn gradient(&self, at: Iterate<'_>) -> DVector<f64> {
         self.over_slots(|s| at.gradient[s] * self.unit(s, at.values[s]))
     }
 
-    /// From one place to another.
+    /// Step from one point to another, in the coordinates of the quadratic.
     fn way(&self, from: Iterate<'_>, to: Iterate<'_>) -> DVector<f64> {
         self.over_slots(|s| {
             let place = |value: f64| match self.exponent(s) {
@@ -128,7 +129,7 @@ impl<'b> Quadratic<'b> {
         })
     }
 
-    /// Newton's step from a place, and the decrement; `None` where ℓ does not curve downward.
+    /// Newton's step from a point, and the decrement; `None` where ℓ does not curve downward.
     pub fn step(&self, from: Iterate<'_>) -> Option<(DVector<f64>, f64)> {
         let gradient = self.gradient(from);
         let step = solved(&self.information, &gradient)?;
@@ -153,8 +154,8 @@ impl<'b> Quadratic<'b> {
         Some(moved)
     }
 
-    /// Learns from what the gradient did between two places (Broyden, Fletcher, Goldfarb and Shanno's update); `false` where that is not
-    /// the way of a maximum.
+    /// Updates the information by the change of the gradient between two points (Broyden, Fletcher, Goldfarb and
+    /// Shanno's update); `false` where ℓ does not curve downward between them.
     pub fn learn(&mut self, before: Iterate<'_>, after: Iterate<'_>) -> bool {
         let s = self.way(before, after);
         let y = self.gradient(before) - self.gradient(after);
@@ -167,7 +168,8 @@ impl<'b> Quadratic<'b> {
         true
     }
 
-    /// dℓ/dlogarithm of levels, and of other coordinates, after a step, less what was foreseen of it where it began.
+    /// Error of the predicted gradient after a step: dℓ/dlogarithm of levels, and dℓ/dcoordinate of other values, minus
+    /// the prediction from where the step began.
     pub(super) fn unforeseen(&self, before: Iterate<'_>, after: Iterate<'_>) -> DVector<f64> {
         let missed = self.gradient(after) - self.gradient(before) + &self.information * self.way(before, after);
         let units = self.over_slots(|s| self.unit(s, after.values[s]));
@@ -179,12 +181,13 @@ impl<'b> Quadratic<'b> {
         root(solved(&self.information, gradient)?.dot(gradient))
     }
 
-    /// Every value that moves is above its lower bound.
+    /// Whether every value that moves is above its lower bound.
     pub(super) fn is_above_bounds(&self, values: &[f64]) -> bool {
         self.slots.iter().all(|&s| !self.coordinates[s].at_lower(values[s]))
     }
 
-    /// A level by its logarithm with a slope downward and a curvature below so many times that: it is on its way to zero.
+    /// Whether some level, by its logarithm, has a downward slope and a curvature below `times` that slope: it is on
+    /// its way to zero.
     pub(super) fn sinks(&self, at: Iterate<'_>, times: f64) -> bool {
         let sinks = |(i, &s): (usize, &usize)| {
             let slope = at.gradient[s];
@@ -194,7 +197,7 @@ impl<'b> Quadratic<'b> {
     }
 }
 
-/// The root of a square, for rounding; `None` where it is no number.
+/// Square root, with small negative squares from rounding taken as zero; `None` where the square is not finite.
 fn root(square: f64) -> Option<f64> {
     square.is_finite().then(|| square.max(0.0).sqrt())
 }
@@ -206,20 +209,21 @@ mod tests {
     const BEST: [f64; 2] = [0.4, 2.5]; // variance, value
     const BENDS: [[f64; 2]; 2] = [[3.0, 0.8], [0.8, 1.2]];
 
-    /// A standard deviation and a value as it is.
+    /// The coordinates of a standard deviation and of a value sought as it is.
     fn coordinates() -> [Coordinate; 2] {
         let value = Coordinate { log: false, level: None, lower: f64::NEG_INFINITY, upper: f64::INFINITY };
         [Coordinate { log: true, level: Some(2.0), lower: 0.0, upper: f64::INFINITY }, value]
     }
 
-    /// Of ℓ that is a quadratic in the variance and the value: dℓ/dlog σ, dℓ/dvalue.
+    /// Gradient (dℓ/dlog σ, dℓ/dvalue) of an ℓ that is quadratic in the variance and the value.
     fn gradient([sigma, x]: [f64; 2]) -> [f64; 2] {
         let off = [sigma * sigma - BEST[0], x - BEST[1]];
         let [v, x] = [0, 1].map(|i| -(BENDS[i][0] * off[0] + BENDS[i][1] * off[1]));
         [2.0 * sigma * sigma * v, x]
     }
 
-    /// About these values; the information on the level by its logarithm or by steps z that make its variance v (1 + 2z).
+    /// The quadratic about these values; the information on the level by its logarithm or by steps z that make its
+    /// variance v (1 + 2z).
     fn about<'b>(coordinates: &'b [Coordinate], values: [f64; 2], scale: LevelScale) -> Quadratic<'b> {
         let change = 2.0 * values[0] * values[0]; // dv/dlog σ = dv/dz
         let mut information = DMatrix::from_fn(2, 2, |i, j| {
@@ -250,7 +254,7 @@ mod tests {
     #[test]
     fn a_step_in_variances_leads_to_the_maximum_of_what_is_quadratic_in_them() {
         let coordinates = coordinates();
-        // the step begins away from where variances are measured from
+        // the second step begins away from the point from which variances are measured
         for (home, from) in [([1.1, 1.0], [1.1, 1.0]), ([1.1, 1.0], [0.9, 3.0])] {
             let quadratic = about(&coordinates, home, LevelScale::Variance);
             let slope = gradient(from);
@@ -284,7 +288,7 @@ mod tests {
         let along = quadratic.way(at(1), at(2));
         let (found, expected) = (&quadratic.information * &along, &exact * &along);
         assert!((&found - &expected).amax() < 1e-13, "{found} and {expected}");
-        // back over a way on which the slope does not fall
+        // between points over which the slope does not fall
         assert!(!quadratic.learn(Iterate { gradient: &slopes[1], ..at(0) }, Iterate { gradient: &slopes[0], ..at(1) }));
     }
 

@@ -11,11 +11,11 @@ use kalfit_model::{Alpha, Slots};
 pub struct DynamicFit {
     /// Every value of α.
     pub alpha: Alpha,
-    /// Which of them are free.
+    /// Slots of the free values of α.
     pub slots: Slots,
-    /// Their values, in the order of the slots.
+    /// The free values, in the order of the slots.
     pub values: Vec<f64>,
-    /// The same as they are sought.
+    /// The free values as they are sought: covariances of noises as parts of their bounds.
     pub sought: Vec<f64>,
     /// Reductions at α, in the order of the tests.
     pub reductions: Reductions,
@@ -33,7 +33,7 @@ pub struct DynamicFit {
     pub filter_passes: usize,
     /// Backward runs over all tests.
     pub score_passes: usize,
-    /// Passes over reductions, all of them.
+    /// Passes over the reductions of all tests.
     pub passes: usize,
     /// Where other starts ended, best first.
     pub others: Vec<OtherEnd>,
@@ -46,7 +46,7 @@ pub struct DynamicFit {
     pub joint: JointInformation,
     /// Where each free value lies.
     pub standing: Vec<Standing>,
-    /// What was asked.
+    /// Settings of the search.
     pub settings: Settings,
 }
 
@@ -56,7 +56,7 @@ impl DynamicFit {
         &self.standing
     }
 
-    /// By how much other starts ended lower at certified maxima, those that differ by more than this.
+    /// Losses of ℓ, larger than `equal`, at which other starts ended at certified maxima.
     pub fn lower_maxima(&self, equal: f64) -> Vec<f64> {
         let certified = self.others.iter().filter(|end| end.stop == Stop::Certified);
         let gaps = certified.map(|end| self.estimate.log_likelihood - end.log_likelihood);
@@ -69,23 +69,23 @@ impl DynamicFit {
 pub enum Explored {
     /// Not at all: one search takes long.
     No,
-    /// As far as the runs of the filters went that may be spent on it.
+    /// In part: until the runs of the filters that may be spent on it were used up.
     Part,
-    /// Everywhere that is looked at, on a part of the data; on all of them where that part was about as likely elsewhere.
+    /// Completely, on a part of the data; on all of the data only where ℓ of that part was about as high elsewhere.
     Sample,
-    /// Everywhere that is looked at.
+    /// Completely, on all of the data.
     Whole,
 }
 
 /// Where another start ended.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OtherEnd {
-    /// ℓ there.
+    /// ℓ at that end.
     pub log_likelihood: f64,
     /// The free values of α, in the order of the slots.
     pub values: Vec<f64>,
     /// Why the search stopped.
     pub stop: Stop,
-    /// It was given up where no higher end than the best was in sight.
+    /// The search was given up, because it could not reach the best end.
     pub given_up: bool,
 }

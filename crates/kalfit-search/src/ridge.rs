@@ -1,42 +1,44 @@
-//! Ridges of ℓ: directions in α that (μ, Σ) make up for, all but a little, as for what multiplies a column of 10⁴ ± 1 beside a state with a
-//! free mean.
+//! Ridges of ℓ: directions in α that (μ, Σ) compensate almost entirely, as for the coefficient of a column of 10⁴ ± 1
+//! together with a state with a free mean.
 //!
-//! Differences of gradients at fixed (μ, Σ) do not tell so small a curvature: it is what is left where large numbers are all but equal.
-//! Gradients at the best (μ, Σ) a part of a standard error to either side do tell it, and how far the top of the ridge is.
+//! Differences of gradients at fixed (μ, Σ) do not resolve so small a curvature: it is a small difference of large
+//! numbers. Gradients at the best (μ, Σ), a part of a standard error to either side, do resolve it, and the distance to
+//! the top of the ridge.
 
 use crate::joint::{FLAT, InformationDirection, JointInformation};
 use crate::profile_likelihood::ProfileLikelihood;
 use kalfit_model::Population;
 
-/// To both sides, in standard errors.
+/// Distance of the sides from the point, in standard errors.
 const PART: f64 = 0.1;
 /// Gradients that differ by less than this, in coordinates of unit curvature, may differ by rounding.
 const SEEN: f64 = 1e-8;
-/// Where they do, the sides are so many times as far,
+/// Factor by which the sides move away where gradients may differ by rounding only.
 const FARTHER: f64 = 10.0;
-/// but where a logarithm would change by more than this.
+/// Largest change of a logarithm from the point to a side.
 const FARTHEST: f64 = 1.0;
-/// A curvature is that of the sides it was found with, up to this factor.
+/// Largest factor between a curvature and the one for which the distance of the sides was chosen.
 const OFF: f64 = 4.0;
-/// ℓ and its gradients say the same up to this part.
+/// Relative difference up to which ℓ and its gradients agree.
 const AGREES: f64 = 0.25;
-/// Of the curvature along a direction less than this part is for leading aside from the top of the ridge: differences do not tell where to
-/// more exactly than they do, and the top itself may be flat.
+/// Largest part of the curvature along a direction that may come from leaving the top of the ridge: differences do not
+/// resolve the course of the top any better, and the top itself may be flat.
 const ASIDE: f64 = 0.5;
-/// How often sides are looked for.
+/// Maximal number of distances tried for the sides.
 const LOOKS: usize = 8;
 
-/// ℓ along a ridge.
+/// Slope and curvature of ℓ along a ridge.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ridge {
-    /// -∂²ℓ along its top.
+    /// -∂²ℓ along the top of the ridge.
     pub(super) curvature: f64,
-    /// ∂ℓ along it.
+    /// ∂ℓ along the ridge.
     pub(super) slope: f64,
 }
 
 impl Ridge {
-    /// Along a direction from a place, as ℓ and its gradients say; `None` where they do not tell it from a flat one, or not the same.
+    /// The ridge along a direction from a point, by ℓ and its gradients; `None` where these do not distinguish it from
+    /// a flat direction, or disagree.
     pub(super) fn new(
         objective: &ProfileLikelihood<'_>,
         start: RidgeStart<'_>,
@@ -72,24 +74,25 @@ impl Ridge {
         None
     }
 
-    /// ℓ falls to a side by what the gradients say.
+    /// Whether ℓ falls to a side by as much as the gradients predict.
     fn tells(&self, side: &RidgeSide, length: f64, home: f64) -> bool {
         let bent = 0.5 * self.curvature * length * length;
         (home - side.value - (bent - self.slope * length)).abs() <= AGREES * bent
     }
 
-    /// How far it leads to its top.
+    /// Length of the step to the top of the ridge.
     pub(super) fn step(&self) -> f64 {
         self.slope / self.curvature
     }
 
-    /// The same in standard errors.
+    /// Distance to the top of the ridge, in standard errors.
     pub(super) fn score(&self) -> f64 {
         self.slope.abs() / self.curvature.sqrt()
     }
 }
 
-/// Where a ridge is looked at: values of α, a population near the best one there, ℓ, and the information as differences know it.
+/// The point at which a ridge is examined: values of α, a population near the best one there, ℓ, and the information
+/// from differences.
 #[derive(Clone, Copy)]
 pub(super) struct RidgeStart<'a> {
     pub(super) values: &'a [f64],
@@ -98,14 +101,15 @@ pub(super) struct RidgeStart<'a> {
     pub(super) joint: &'a JointInformation,
 }
 
-/// ℓ and its gradient in α beside a place, at the best (μ, Σ) there.
+/// ℓ and its gradient in α at a point to one side, at the best (μ, Σ) there.
 struct RidgeSide {
     value: f64,
     gradient: Vec<f64>,
 }
 
 impl RidgeSide {
-    /// So far along a direction; `None` where ℓ is not defined, beyond bounds, or where a logarithm would change by much.
+    /// The side at distance `length` along a direction; `None` where ℓ is not defined, beyond bounds, or where a
+    /// logarithm would change by much.
     fn new(
         objective: &ProfileLikelihood<'_>,
         start: RidgeStart<'_>,
@@ -126,7 +130,7 @@ impl RidgeSide {
     }
 }
 
-/// A gradient in α along a direction.
+/// Component along a direction of a gradient in α.
 pub(super) fn dot(gradient: &[f64], along: &[f64]) -> f64 {
     gradient.iter().zip(along).map(|(slope, part)| slope * part).sum()
 }

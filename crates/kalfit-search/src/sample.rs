@@ -12,21 +12,25 @@ use kalfit_model::{Evidence, PhasedTest};
 
 /// Ends on a part of the data whose ℓ is this close to the best one's are followed on all of it.
 pub(super) const CLOSE: f64 = 5.0;
-/// … so many of them, none but those that differ by more than this part.
+/// Maximal number of such ends that are followed.
 pub(super) const FOLLOWED: usize = 3;
+/// Relative difference of values up to which two ends are the same.
 pub(super) const ALIKE: f64 = 2e-2;
-/// A place leads to the same maximum on a part as on all data where it is no further below than this.
+/// Largest loss of ℓ, on a part of the data, from a maximum to a start that counts as one of the same maximum.
 const SAME: f64 = 10.0;
-/// Larger parts are so many times as long each, and no longer than this part of all.
+/// Ratio of the sizes of successive larger parts.
 const GROWS: usize = 8;
+/// Least ratio of the size of all data to that of a part.
 const SHORTER: usize = 4;
-/// … and a search on them ends this near to where it leads, in standard errors.
+/// Tolerance of a search on a larger part, in standard errors.
 const ROUGH: f64 = 1e-3;
-/// Rows of the part, and rows of one test in it.
+/// Number of rows beyond which the sample takes no more tests.
 const ROWS: usize = 100_000;
+/// Maximal number of rows of one test in the sample.
 const ROWS_OF_A_TEST: usize = 20_000;
-/// Where values are common to all tests, these rows are enough if they are of so many tests.
+/// Number of rows that is enough where values are common to all tests and the rows are of many tests.
 const ROWS_OF_MANY: usize = 20_000;
+/// Number of tests that are many in this sense.
 const MANY: usize = 256;
 
 /// The first rows of every phase of every test, as many tests as fit; `common`: values are common to all tests.
@@ -34,8 +38,8 @@ pub(super) fn sample(tests: &[PhasedTest], common: bool) -> Vec<PhasedTest> {
     sample_of(tests, common, 1)
 }
 
-/// Parts of the data between the sample and all of it, each larger than the one before, where the sample breaks records off: what is
-/// slow shows in whole ones. Of short tests it holds enough.
+/// Parts of the data between the sample and all of it, each larger than the one before, where the sample cuts records
+/// short: slow processes show in whole ones. There are none for short tests, of which the sample has enough.
 pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item = Vec<PhasedTest>> {
     let all = if tests.iter().any(|test| test.row_count() > ROWS_OF_A_TEST) { total(tests) } else { 0 };
     let least = SHORTER * ROWS.min(tests.len().max(1) * ROWS_OF_A_TEST);
@@ -44,14 +48,14 @@ pub(super) fn larger(tests: &[PhasedTest], common: bool) -> impl Iterator<Item =
     sizes.map(move |size| sample_of(tests, common, size)).take_while(move |part| SHORTER * total(part) <= all)
 }
 
-/// Settings of a search on such a part: where it ends exactly does not matter.
+/// Settings of a search on such a part: its exact end does not matter.
 pub(super) fn roughly(settings: &Settings) -> Settings {
     let mut rough = settings.clone();
     rough.inner.tolerance = rough.inner.tolerance.max(ROUGH);
     rough
 }
 
-/// So many times as many rows.
+/// The sample with `size` times as many rows.
 fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest> {
     let mut order: Vec<&PhasedTest> = tests.iter().collect();
     order.sort_by(|a, b| a.id.cmp(&b.id));
@@ -72,9 +76,9 @@ fn sample_of(tests: &[PhasedTest], common: bool, size: usize) -> Vec<PhasedTest>
     sample
 }
 
-/// Starts on all of the data: the values that were given, or where they lead on a part of it if ℓ is higher there, and where the best
-/// of many others end on that part. Each with how ℓ curves about it, as far as the part tells. The others as they are when they all
-/// fail there.
+/// Starts on all of the data: the given values, or the end that they lead to on a part of the data if ℓ is no lower
+/// there; and the ends on that part of the best of many others. Each comes with the curvature of ℓ on the part. Where
+/// all others fail on the part, they are returned as they are.
 pub(super) fn promising(
     (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     given: Option<Vec<f64>>,
@@ -105,8 +109,8 @@ pub(super) fn promising(
     kept
 }
 
-/// The same starts where they lead on a larger part of the data, if ℓ of all data is no lower there. The first one stays; of the
-/// others those that end near another do not, nor those that end far below.
+/// The starts moved to the ends that they lead to on a larger part of the data, if ℓ of all data is no lower there. The
+/// first one stays; others are dropped that end near another one, or far below.
 pub(super) fn nearer(
     (objective, larger): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     starts: Vec<SearchStart>,
@@ -133,17 +137,17 @@ pub(super) fn nearer(
     kept
 }
 
-/// A part of the data, of which all are `more` times as many.
+/// A part of the data; all of the data have `more` times as many rows.
 struct Subsample<'a, 'b> {
     small: &'a ProfileLikelihood<'b>,
     more: f64,
-    /// Searches that cannot come so high give up.
+    /// ℓ on the part below which a search gives up, when it cannot reach it.
     floor: Option<f64>,
     progress: &'a mut dyn Progress,
 }
 
 impl Subsample<'_, '_> {
-    /// Where a search ends, and ℓ there.
+    /// ℓ at the end of a search on the part, and that end as a start.
     fn end(&mut self, start: SearchStart) -> Option<(f64, SearchStart)> {
         let mut beside = SubsampleProgress { small: self.small, progress: &mut *self.progress };
         let start = SearchStart { curvature: start.curvature.map(|all| all.times(self.more.recip())), ..start };
@@ -153,8 +157,8 @@ impl Subsample<'_, '_> {
         Some((end.home.value(), SearchStart { values: end.restart(), curvature }))
     }
 
-    /// A start, or where it leads if ℓ of all data is no lower there; ℓ of the part where it leads. The last are places that are the
-    /// same: the start, and where it leads if that is no other maximum.
+    /// The start, or the end it leads to if ℓ of all data is no lower there; ℓ of the part at that end; and the points
+    /// that count as the same: the start that is returned, and the end if that is no other maximum.
     fn nearer(
         &mut self,
         objective: &ProfileLikelihood<'_>,
@@ -173,7 +177,7 @@ impl Subsample<'_, '_> {
     }
 }
 
-/// Listens to a search on a part of the data: it is about start values still.
+/// Progress of a search on a part of the data, reported as work on start values.
 pub(super) struct SubsampleProgress<'a, 'b> {
     pub(super) small: &'a ProfileLikelihood<'b>,
     pub(super) progress: &'a mut dyn Progress,

@@ -8,8 +8,8 @@
 //! ∂ℓ_j/∂log λ = ½ (r/λ + E‖d(θ) - R(θ)ξ‖² - n)      given z_j, under the law of ξ
 //! ```
 //!
-//! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again far from it. Nor are
-//! reductions needed where (μ, Σ) is sought: the classes gathered once serve for every θ near by ([`Noisy`]).
+//! so that θ moves, and its score is known, without the filters: they run at one value of θ, and again only far from
+//! it. Nor are reductions needed to find (μ, Σ): the classes gathered once serve for every θ near by ([`Noisy`]).
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -23,18 +23,19 @@ use kalfit_filter::score::{Gradient, expected_square};
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{PhasedModel, Population, Slots};
 
-/// Where variances are so many times as large as at θ_0, constants are small differences of large numbers; where they are so many
-/// times as small, sums of squares have grown with their rounding errors. So the filters run again where no digit may be lost, …
+/// Ratio of variances to those at θ_0, up or down, beyond which the filters run again where no digit may be lost: at
+/// large ratios constants are small differences of large numbers, at small ones sums of squares have grown with their
+/// rounding errors.
 pub(crate) const EXACT: f64 = 1e4;
-/// … and where a value is but compared with others far from it.
+/// Such a ratio where a value is only compared with others far from it.
 pub(crate) const ROUGH: f64 = 1e8;
 
-/// The only free value scales all noise.
+/// The only free value, which scales all noise.
 #[derive(Debug)]
 pub struct Scale {
-    /// k.
+    /// The exponent k.
     power: f64,
-    /// Where the filters ran last.
+    /// The ensemble at θ_0, where the filters ran last.
     home: Mutex<Option<Arc<Home>>>,
 }
 
@@ -42,7 +43,7 @@ pub struct Scale {
 #[derive(Debug)]
 struct Home {
     value: f64,
-    /// r of each test is known.
+    /// Reductions at θ_0; r of each test is known.
     reductions: Reductions,
     noisy: OnceLock<Noisy>,
 }
@@ -51,9 +52,9 @@ struct Home {
 #[derive(Debug)]
 pub(crate) struct AtScale {
     pub(crate) estimate: Estimate,
-    /// By the coordinate of θ.
+    /// dℓ/dcoordinate of θ.
     pub(crate) gradient: f64,
-    /// In that coordinate.
+    /// Information on the coordinate of θ.
     pub(crate) information: NoiseInformation,
 }
 
@@ -61,7 +62,8 @@ pub(crate) struct AtScale {
 type FilterRun<'a> = &'a dyn Fn(f64) -> Result<Reductions, DynamicError>;
 
 impl Scale {
-    /// `None` where α is not of this kind, where there are several phases, and where something is known otherwise than by rows.
+    /// The scale of all noise; `None` where α is not such a single value, with several phases, and where some test is
+    /// not given as rows.
     pub fn of(model: &PhasedModel, tests: &[PhasedTest], slots: &Slots) -> Option<Scale> {
         let ([slot], [phase]) = (slots.slots(), &model.phases[..]) else { return None };
         let rows = |test: &PhasedTest| matches!(test.phases[..], [Evidence::Rows(_)]);
@@ -73,7 +75,8 @@ impl Scale {
         Some(Scale { power, home: Mutex::new(None) })
     }
 
-    /// The ensemble at a θ_0 from which θ is not further than this, and λ; `None` where θ is not one that others can be had from.
+    /// The ensemble at a θ_0 near θ, and λ, which is within the factor `far` of 1; `None` where other values cannot be
+    /// computed from those at θ.
     fn home(&self, value: f64, far: f64, run: FilterRun<'_>) -> Result<Option<(Arc<Home>, f64)>, DynamicError> {
         if !(value > 0.0 && value.is_finite()) {
             return Ok(None);
@@ -100,18 +103,18 @@ impl Scale {
         self.home.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// λ.
+    /// The ratio of variances λ = (θ/θ_0)^k.
     fn variance(&self, home: &Home, value: f64) -> f64 {
         (value / home.value).powf(self.power)
     }
 
-    /// The reductions at θ. `None` where θ is not one that others can be had from.
+    /// The reductions at θ; `None` where they cannot be scaled from those at θ_0.
     pub(crate) fn reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         Ok(scaled(home.reductions.clone(), variance))
     }
 
-    /// The same at the end of a search: nothing is left here that others are had from.
+    /// The reductions at θ at the end of a search: those at θ_0 are no longer kept.
     pub(crate) fn last_reductions(&self, value: f64, run: FilterRun<'_>) -> Result<Option<Reductions>, DynamicError> {
         let Some((home, variance)) = self.home(value, EXACT, run)? else { return Ok(None) };
         *self.home.lock().unwrap_or_else(PoisonError::into_inner) = None;
@@ -119,7 +122,7 @@ impl Scale {
         Ok(scaled(reductions, variance))
     }
 
-    /// The same from this θ_0, whatever was asked before.
+    /// The reductions at θ scaled from this θ_0, whatever was requested before.
     pub fn reductions_from(
         &self,
         origin: f64,
@@ -132,7 +135,7 @@ impl Scale {
         }
     }
 
-    /// dℓ_j/dθ of each test at θ and this law; `None` where the reductions are not from here.
+    /// dℓ_j/dθ of each test at θ and this law; `None` where there are no reductions at a θ_0.
     pub fn scores(&self, value: f64, reductions: &Reductions, law: &InitialLaw) -> Option<Vec<Gradient>> {
         let home = self.last().filter(|_| value > 0.0)?;
         let variance = self.variance(&home, value);
@@ -146,8 +149,8 @@ impl Scale {
         all.iter().all(|score| score[0].1.is_finite()).then_some(all)
     }
 
-    /// The best (μ, Σ) at θ, and what ℓ does there in a coordinate of θ; [`EXACT`] or [`ROUGH`]. `None` where θ is not one that others
-    /// can be had from.
+    /// The best (μ, Σ) at θ, with slope and information in the coordinate of θ; `far`: [`EXACT`] or [`ROUGH`]. `None`
+    /// where the reductions at θ cannot be scaled.
     pub(crate) fn fit(
         &self,
         (value, coordinate): (f64, Coordinate),
@@ -171,7 +174,7 @@ impl Scale {
     }
 }
 
-/// To where variances are so many times as large; `None` where something is then not finite.
+/// The reductions with all variances multiplied by `variance`; `None` where some number is then not finite.
 fn scaled(mut all: Reductions, variance: f64) -> Option<Reductions> {
     let unit = variance.sqrt().recip();
     let mut finite = true;

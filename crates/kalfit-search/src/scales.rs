@@ -8,19 +8,19 @@ use kalfit_model::Test;
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{Expression, Operator, PhasedModel, Site};
 
-/// Rows of one test that are looked at.
+/// Maximal number of rows of one test that are read.
 const ROWS_OF_A_TEST: usize = 20_000;
-/// Tests that a thread looks at together, at least.
+/// Minimal number of tests that a thread reads together.
 const TOGETHER: usize = 256;
-/// Measured values and what is worked out of them are exact to this part of their size.
+/// Relative accuracy of measured values and of what is computed from them.
 const ROUNDING: f64 = 1e-12;
-/// … and no smaller part of the size of their differences is asked for: squares of its inverse are numbers still.
+/// Least relative rounding that is returned: squares of its inverse are still finite.
 const SMALLEST: f64 = 1e-60;
 
 /// Sizes found in the data.
 #[derive(Debug)]
 pub(crate) struct Scales {
-    /// Of the differences of successive measured values, by phase and measurement.
+    /// Sizes of the differences of successive measured values, by phase and measurement.
     noise: Vec<Vec<f64>>,
     /// Median length of a step.
     step: f64,
@@ -29,7 +29,8 @@ pub(crate) struct Scales {
 }
 
 impl Scales {
-    /// Of the tests of a model, in an order that does not depend on theirs: sums over them begin the search.
+    /// The sizes in the tests of a model, summed in an order independent of the order given: the search begins from
+    /// them.
     pub(crate) fn of(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> Scales {
         let noise_of = |at: usize| -> Vec<f64> {
             let (columns, rows) = (model.phases[at].model.measurements.iter(), phase_rows(tests, order, at));
@@ -49,18 +50,18 @@ impl Scales {
         Scales { noise, step: median(steps).unwrap_or(1.0), span: median(spans).unwrap_or(1.0) }
     }
 
-    /// Times from a part of the length of a step to so many times that of a test, each `factor` times the one before.
+    /// Times from `part` of the length of a step to `spans` times that of a test, each `factor` times the one before.
     pub(crate) fn range(&self, part: f64, spans: f64, factor: f64) -> impl Iterator<Item = f64> + use<> {
         let (first, last) = (part * self.step, spans * self.span.max(self.step));
         (0..).map(move |k| first * factor.powi(k)).take_while(move |time| *time <= last)
     }
 
-    /// Times so many times the length of a test, far longer than a record shows.
+    /// Multiples of the length of a test: times far longer than a record shows.
     pub(crate) fn beyond<const N: usize>(&self, spans: [f64; N]) -> [f64; N] {
         spans.map(|spans| spans * self.span.max(self.step))
     }
 
-    /// A value for a positive parameter.
+    /// First guess of a positive parameter.
     pub(crate) fn guess(&self, model: &PhasedModel, parameter: usize) -> f64 {
         if time_constants(model).contains(&parameter) {
             return (self.step * self.span).sqrt();
@@ -82,8 +83,8 @@ impl Scales {
     }
 }
 
-/// Rounding of the data, some thousand times that of a number, beside the sizes of their differences: the largest of all
-/// measurements.
+/// Rounding of the data, some thousand times that of a number, relative to the sizes of their differences: the largest
+/// of all measurements.
 pub(super) fn relative_rounding(model: &PhasedModel, tests: &[PhasedTest], order: &[usize]) -> f64 {
     let of_phase = |at: usize| {
         let rows = phase_rows(tests, order, at);
@@ -104,27 +105,28 @@ fn phase_rows<'a>(tests: &'a [PhasedTest], order: &[usize], at: usize) -> Vec<&'
     evidence.filter_map(|evidence| if let Evidence::Rows(rows) = evidence { Some(rows) } else { None }).collect()
 }
 
-/// Whether a parameter stands at one of these places of some phase.
+/// Whether a parameter occurs at one of these sites of some phase.
 fn stands(model: &PhasedModel, parameter: usize, at: impl Fn(Site) -> bool) -> bool {
     expressions(model).any(|(site, expression)| at(site) && expression.mentions(parameter))
 }
 
-/// Whether it stands in the variance of a measurement's noise.
+/// Whether a parameter occurs in the variance of a measurement's noise.
 pub(super) fn measures(model: &PhasedModel, parameter: usize) -> bool {
     stands(model, parameter, |site| matches!(site, Site::Noise(_)))
 }
 
-/// Whether it stands in the variance of the noise of some motion.
+/// Whether a parameter occurs in the variance of the noise of some motion.
 pub(super) fn drives(model: &PhasedModel, parameter: usize) -> bool {
     stands(model, parameter, |site| matches!(site, Site::ProcessNoise(_)))
 }
 
-/// A variance that was given as a standard deviation.
+/// Whether a variance was given as a standard deviation.
 fn is_square(variance: &Expression) -> bool {
     matches!(variance, Expression::Binary(Operator::Multiply, a, b) if a == b)
 }
 
-/// Root mean square of the differences of successive values within tests, over √2; where no two differ, of all from their mean.
+/// Root mean square of the differences of successive values within tests, over √2; where no two of these differ, the
+/// standard deviation of all values.
 fn differences(tests: &[&Test], column: usize) -> f64 {
     let of_test = |test: &&Test| {
         let (mut sum, mut count, mut last) = (0.0, 0.0, f64::NAN);

@@ -13,46 +13,49 @@ use crate::{DynamicError, Method, Standing};
 use kalfit_estimate::{Progress, Stop};
 use kalfit_model::Population;
 
-/// A variance grows by no more than this factor at once.
+/// Largest relative growth of a variance v in one step: to (1 + this) v.
 const HIGHEST: f64 = 20.0;
-/// With more damping than this a step goes nowhere.
+/// Damping from which on no shorter step is tried.
 const STIFF: f64 = 1e6;
-/// Most outer steps.
+/// Maximal number of outer steps, those of α, in one search.
 const STEPS: usize = 200;
-/// So many steps on end need not raise ℓ, where rounding hides what they do.
+/// Maximal number of consecutive steps that may leave ℓ unchanged within rounding.
 const LEVEL_STEPS: usize = 8;
-/// With a decrement below this, levels that are not felt are looked for.
+/// Decrement, in standard errors, below which the search looks for levels without effect on ℓ and for ridges.
 pub(super) const HARDLY: f64 = 1e-3;
-/// … and below this, processes that coincide become one.
+/// Decrement, in standard errors, below which coinciding processes are merged.
 const NEAR: f64 = 1.0;
-/// Steps along faint directions, in coordinates, and how often they are looked along.
+/// Lengths, in coordinates, of trial steps along directions in which ℓ hardly curves.
 const LOOKS: [f64; 6] = [0.3, -0.3, 1.5, -1.5, 4.0, -4.0];
+/// Maximal number of times that a search tries such steps.
 const FAINT_LOOKS: usize = 3;
-/// Where rounding keeps the search from the top of a ridge, so many standard errors are near enough.
+/// Distance from the top of a ridge, in standard errors, that is near enough where rounding prevents coming nearer.
 const RIDGE_ENOUGH: f64 = 1e-3;
-/// So often ridges are looked for where there is none, and so many moves go along them.
+/// Number of failed attempts to find a ridge after which a search looks for no more ridges.
 const RIDGES_MISSED: usize = 2;
+/// Maximal number of moves along ridges in one search.
 const RIDGE_MOVES: usize = 4;
-/// Values that factors of a product of zero may have.
+/// Lengths of trial steps off a point where several factors of a product are zero.
 const FACTORS: [f64; 5] = [1.0, 0.1, 0.01, 10.0, 100.0];
 
-/// A step that gave so many times what it promised is short.
+/// Ratio of the rise of ℓ to the predicted rise above which a step was too short.
 const SHORT: f64 = 1.5;
-/// … and so many on end are so for differences to one side, which bend with a step where a ridge is narrow.
+/// Number of consecutive short steps after which differences are two-sided: one-sided differences change with the step
+/// where a ridge is narrow.
 const SHORT_STEPS: usize = 3;
-/// A slope above this is one, with a curvature below [`LEVEL_GROUND`].
+/// Slope above which a point is no maximum although the curvature is below [`LEVEL_GROUND`].
 const SLOPE: f64 = 1e-3;
 
-/// How a search goes on.
+/// What a search does next.
 enum NextStep {
-    /// With differences to both sides, or to one.
+    /// Continue; `closer`: with two-sided differences.
     On { closer: bool },
-    /// Not at all.
+    /// End, for this reason.
     End(Stop),
 }
 
 impl<'b, 'a> SearchState<'b, 'a> {
-    /// To the optimum, certified by differences to both sides.
+    /// Runs the search to an optimum that two-sided differences certify.
     pub fn run(mut self) -> Result<SearchEnd, DynamicError> {
         let mut fine = self.glided.is_some_and(|decrement| decrement <= self.tolerance()); // differences to both sides
         let mut stop = Stop::PassLimit;
@@ -80,7 +83,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         Ok(self.ended(last, stop))
     }
 
-    /// Where it ended, with what is known there and how far that is from the optimum: no better than (μ, Σ) themselves.
+    /// The end of the search with the joint information and the certificate there. It counts as certified only if (μ,
+    /// Σ) are certified, too.
     pub(super) fn ended(mut self, (joint, certificate): (JointInformation, f64), mut stop: Stop) -> SearchEnd {
         self.name_idle(&joint);
         if stop == Stop::Certified && self.is_on_a_slope(&joint) {
@@ -93,7 +97,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         SearchEnd { home, standing, joint, certificate, stop, trace, before_zero, level_scale, given_up }
     }
 
-    /// ℓ runs straight along a logarithm: no step of Newton's follows, yet there is no maximum.
+    /// Whether ℓ is linear in some logarithm: without curvature Newton's method makes no step, yet there is no maximum.
     fn is_on_a_slope(&self, joint: &JointInformation) -> bool {
         let straight = |s: usize| {
             let moves =
@@ -103,7 +107,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         (0..self.standing.len()).any(straight)
     }
 
-    /// What to do where this is known; `fine` when it is by differences to both sides.
+    /// Makes the next move, given the information and Newton's step; `fine`: both come from two-sided differences.
     fn next_step(&mut self, joint: &JointInformation, step: &joint::JointStep, fine: bool) -> NextStep {
         if self.progress.stops() {
             return NextStep::End(Stop::Interrupted);
@@ -151,7 +155,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         NextStep::End(if enough { Stop::Certified } else { Stop::Stalled })
     }
 
-    /// Two processes that coincide become one, and the other is at zero: how they share what they explain is no matter of ℓ.
+    /// Merges two coinciding processes into one and sets the other to zero: ℓ does not depend on how they share their
+    /// variance.
     pub(super) fn joined(&mut self) -> bool {
         let objective = self.objective;
         let free =
@@ -161,12 +166,12 @@ impl<'b, 'a> SearchState<'b, 'a> {
             .iter()
             .filter(free)
             .filter_map(|twins| twins.merged(&self.home.values, &objective.coordinates));
-        let least = self.home.value() - 0.5 * RISE; // less than what lets a level return
+        let least = self.home.value() - 0.5 * RISE; // a smaller loss than the rise at which a level returns
         let next = merged.filter_map(|values| self.at(&values)).find(|next| next.value() >= least);
         next.map(|next| self.arrive(next)).is_some()
     }
 
-    /// Off a stationary point that is no maximum, along the direction in which ℓ curves upward most.
+    /// Leaves a stationary point that is no maximum, along the direction in which ℓ curves upward most.
     pub(super) fn off_saddle(&mut self, joint: &JointInformation) -> bool {
         let Some(direction) = joint.upward() else { return false };
         for length in [0.5, -0.5, 0.1, -0.1, 0.02, -0.02] {
@@ -179,8 +184,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         false
     }
 
-    /// Off a place where values are zero whose product alone ℓ hangs on: it neither slopes nor curves there along any of them, whatever it does
-    /// where none is zero.
+    /// Leaves a point where values are zero that ℓ depends on only through their product: along any single one of them,
+    /// ℓ has neither slope nor curvature there.
     fn off_product(&mut self, joint: &JointInformation) -> bool {
         let is_factor = |&s: &usize| {
             let is_bare = self.home.values[s] == 0.0 && self.home.gradient[s] == 0.0 && joint.curvature(s) == 0.0;
@@ -203,8 +208,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         false
     }
 
-    /// Where (μ, Σ) moved along with α, they are solved for by themselves, which certifies them and takes them off the boundary
-    /// of the cone where that is no maximum; `false` when that had been done.
+    /// Solves for (μ, Σ) alone where they moved along with α. This certifies them, and leaves the boundary of the cone
+    /// where that is no maximum; returns whether they are certified by this.
     fn settled(&mut self) -> bool {
         if self.objective.settings.method != Method::Innovations || self.home.estimate.stop == Stop::Certified {
             return false;
@@ -215,7 +220,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         certified
     }
 
-    /// Towards the tops of ridges whose curvature differences do not tell.
+    /// Moves towards the top of a ridge, where differences do not resolve the curvature along it.
     fn along_ridges(&mut self, joint: &JointInformation) -> bool {
         self.ridges.below = 0.0;
         let is_ridge = |direction: &InformationDirection| direction.is_of_alpha() && direction.is_shaky();
@@ -248,7 +253,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         false
     }
 
-    /// Off a certified point along directions in which ℓ hardly curves, where it rises further out.
+    /// Leaves a certified point along directions in which ℓ hardly curves, if ℓ rises further out.
     fn beside(&mut self, joint: &JointInformation) -> bool {
         if self.faint_looks >= FAINT_LOOKS {
             return false;
@@ -266,7 +271,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         false
     }
 
-    /// One step, damped until ℓ rises; `fine` when what follows is known by differences to both sides.
+    /// Makes one step, damped until ℓ rises; `fine`: derivatives at the new point will come from two-sided differences.
     fn advance(&mut self, joint: &JointInformation, decrement: f64, fine: bool) -> bool {
         let levels = match self.level_scale {
             LevelScale::Logarithm => self.levels_near_zero(joint),
@@ -282,20 +287,21 @@ impl<'b, 'a> SearchState<'b, 'a> {
             };
             let bottom = self.bottom.clone();
             let Some(next) = next.or_else(|| self.above_zero(&values)) else {
-                self.damping = (1.6 * self.damping).max(0.02); // farther than a step that only fails
+                self.damping = (1.6 * self.damping).max(0.02); // increased less than after a rejected step
                 continue;
             };
             if self.accept(next, (joint, &levels), (&step, decrement)) {
                 return true;
             }
-            self.bottom = bottom; // a step that is not taken says nothing of how low levels may go
+            self.bottom = bottom; // a rejected step does not show how low levels may go
             self.damping = (5.0 * self.damping).max(0.05);
         }
         self.damping = 0.0;
         false
     }
 
-    /// Takes a step if it has done what it promised, and goes on from there.
+    /// Accepts a step if ℓ rose by enough of the predicted gain, and continues from there by steps without second
+    /// derivatives.
     fn accept(
         &mut self,
         next: ProfilePoint,
@@ -322,7 +328,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         if goes_on {
             match gain > 0.2 * promised {
                 true => self.glide(joint, &before),
-                // what gradients did over so short a step is rounding
+                // the change of the gradient over so short a step is rounding
                 false if is_level => self.glide_by(joint),
                 false => {}
             }
@@ -330,8 +336,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         true
     }
 
-    /// The step with so much damping that no value goes too far; values of single tests are cut off by themselves. `levels` move
-    /// in their variances, to zero at most.
+    /// The step, damped so much that no shared value goes too far; values of single tests are clamped one by one.
+    /// `levels` move in their variances, to zero at most.
     fn within_reach(&mut self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let reach = |s: usize| match levels.iter().find(|(level, _)| *level == s) {
             Some((_, exponent)) => Some((-exponent.recip(), HIGHEST / exponent)),
@@ -352,7 +358,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         }
     }
 
-    /// The step, what reaches zero going no further, and the rest beside it.
+    /// The step with levels stopped at zero that would go below, and the other values solved for given that.
     fn to_zero_at_most(&self, joint: &JointInformation, levels: &[(usize, f64)]) -> joint::JointStep {
         let mut pinned: Vec<(usize, f64)> = Vec::new();
         loop {
@@ -382,8 +388,8 @@ impl<'b, 'a> SearchState<'b, 'a> {
         step.iter().enumerate().map(one).collect()
     }
 
-    /// The same step again and again, twice as long each time, while that raises ℓ: along a ridge that runs level, or that curves less than
-    /// differences say. Whether it did.
+    /// Repeats a step, twice as long each time, while ℓ rises: along a level ridge, or one that curves less than
+    /// differences indicate. Returns whether a repetition raised ℓ.
     fn stride(&mut self, step: &joint::JointStep, is_short: bool) -> bool {
         let far = step.alpha.iter().zip(&self.objective.coordinates).any(|(d, c)| c.log && d.abs() > DRIFT);
         if !(is_short || far) || step.decrement > 0.3 {
@@ -400,7 +406,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
     }
 }
 
-/// A search from a start, by the method that was asked for; it gives up where `floor` is out of reach.
+/// Searches from a start by the method of the settings; gives up where ℓ cannot reach `floor`.
 pub(crate) fn search(
     objective: &ProfileLikelihood<'_>,
     start: SearchStart,

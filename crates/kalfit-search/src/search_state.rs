@@ -1,4 +1,4 @@
-//! Where a search is, where it began and where it ended.
+//! State, start and end of a search.
 
 use nalgebra::DVector;
 
@@ -11,24 +11,24 @@ use kalfit_model::Population;
 
 /// Longest step of a logarithm.
 pub(super) const LONGEST: f64 = 2.0;
-/// Where rounding keeps the search from going on, so many tolerances are near enough.
+/// Decrement, in tolerances, that is near enough to the optimum where rounding keeps the search from advancing.
 pub(super) const NEAR_ENOUGH: f64 = 1e2;
-/// A step of a logarithm beyond this goes far.
+/// Step of a logarithm above which the value is moving far.
 pub(super) const DRIFT: f64 = 0.25;
-/// A search that promises no more than this, as a decrement, has arrived.
+/// Decrement, in standard errors, up to which a search has arrived.
 const ARRIVED: f64 = 1e-5;
-/// A level below this part of what the data suggest has no size of its own.
+/// Part of the size suggested by the data below which a level's own value is not taken as its size.
 const FAR_BELOW: f64 = 1e-3;
-/// A value that returns from zero does so at this part of what it was.
+/// Part of its former size at which a value at zero restarts.
 const RETURN: f64 = 5e-2;
-/// ℓ rises when it rises by more than this.
+/// Smallest rise of ℓ that counts as one.
 pub(super) const RISE: f64 = 1e-8;
 
-/// Where a search begins.
+/// Start of a search.
 #[derive(Debug, Clone)]
 pub(crate) struct SearchStart {
     pub(crate) values: Vec<f64>,
-    /// How ℓ curves about it, as far as a part of the data tells.
+    /// Curvature of ℓ about the start, estimated on a part of the data.
     pub(crate) curvature: Option<ProfileInformation>,
 }
 
@@ -38,7 +38,7 @@ impl From<Vec<f64>> for SearchStart {
     }
 }
 
-/// Where a search is.
+/// State of a search.
 pub struct SearchState<'b, 'a> {
     pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) progress: &'b mut dyn Progress,
@@ -52,35 +52,35 @@ pub struct SearchState<'b, 'a> {
     pub(super) damping: f64,
     pub(super) floor: Option<f64>,
     pub(super) held: Option<usize>,
-    /// Values left on their way to zero or to infinity.
+    /// Whether each value was left on its way to zero or to infinity.
     pub(super) drifted: Vec<bool>,
     pub(super) faint_looks: usize,
     pub(super) ridges: RidgesSeen,
-    /// What the last step without second derivatives promised, as a decrement.
+    /// Decrement at the last step without new second derivatives.
     pub(super) glided: Option<f64>,
     pub(super) given_up: bool,
-    /// Steps one after the other that did not raise ℓ.
+    /// Number of consecutive steps that did not raise ℓ.
     pub(super) level_steps: usize,
-    /// … and that raised it by more than was promised.
+    /// Number of consecutive steps that raised ℓ by more than predicted.
     pub(super) short_steps: usize,
-    /// Differences are taken to both sides, also far from the end.
+    /// Differences are two-sided, also far from the optimum.
     pub(super) is_central: bool,
-    /// What levels stand by in the next step.
+    /// Whether levels enter the next step by their logarithms or by their variances.
     pub(super) level_scale: LevelScale,
 }
 
-/// What a search knows of ridges of ℓ.
+/// Record of the ridges of ℓ that a search has met.
 #[derive(Debug, Default)]
 pub(super) struct RidgesSeen {
-    /// How far below the top of one it is, in standard errors.
+    /// Distance from the top of the ridge, in standard errors.
     pub(super) below: f64,
-    /// How often there was none where one was looked for.
+    /// Number of attempts that found no ridge.
     pub(super) missed: usize,
-    /// How often it moved along one.
+    /// Number of moves along ridges.
     pub(super) moves: usize,
 }
 
-/// Where it ended.
+/// End of a search.
 pub struct SearchEnd {
     pub home: ProfilePoint,
     pub(crate) standing: Vec<Standing>,
@@ -90,17 +90,17 @@ pub struct SearchEnd {
     pub(crate) trace: Vec<f64>,
     pub(super) before_zero: Vec<f64>,
     pub(super) level_scale: LevelScale,
-    /// Nothing higher than another end was in sight.
+    /// The search was given up: it could not reach the best end known.
     pub(crate) given_up: bool,
 }
 
 impl SearchEnd {
-    /// A level at zero, or as near to it as ℓ is defined.
+    /// Whether a level is at zero, or as near to it as ℓ is defined.
     pub(crate) fn is_at_zero(&self, s: usize) -> bool {
         self.home.values[s] == 0.0 || self.standing[s] == Standing::Vanishing
     }
 
-    /// The values as a start elsewhere: those at zero a little above it, where they can move.
+    /// The values as a new start: those at zero are raised a little, so that they can move.
     pub(crate) fn restart(&self) -> Vec<f64> {
         let zero = |(value, before): (&f64, &f64)| if *value == 0.0 { RETURN * before } else { *value };
         self.home.values.iter().zip(&self.before_zero).map(zero).collect()
@@ -143,7 +143,7 @@ impl<'b, 'a> SearchState<'b, 'a> {
         search
     }
 
-    /// Values at bounds that want to go beyond are held there, others are let go.
+    /// Updates where each value stands: at a bound past which ℓ rises, or free to move.
     pub(super) fn place(&mut self) {
         for s in 0..self.standing.len() {
             let (coordinate, value, slope) =
@@ -159,25 +159,25 @@ impl<'b, 'a> SearchState<'b, 'a> {
         }
     }
 
-    /// Holds a value where it is.
+    /// Holds a value fixed.
     pub fn hold(&mut self, slot: usize) {
         self.held = Some(slot);
     }
 
-    /// Gives up where no more than this ℓ is in sight.
+    /// Sets the best known ℓ: the search gives up where it cannot reach it.
     pub(crate) fn beyond(mut self, floor: Option<f64>) -> Self {
         self.floor = floor;
         self
     }
 
-    /// ℓ of another end is out of reach.
+    /// Whether the search cannot reach the best known ℓ.
     pub(super) fn hopeless(&self, decrement: f64) -> bool {
         let room = if decrement > ARRIVED { (3.0 * decrement).min(1.0) } else { 0.0 };
         let promised = self.home.value() + 2.0 * decrement * decrement + room;
         self.trace.len() > 3 && self.floor.is_some_and(|floor| promised < floor)
     }
 
-    /// The same without levels at zero, which could return.
+    /// Whether the search cannot reach the best known ℓ, and no level is at zero, from where it could return.
     pub(super) fn is_lost(&self, decrement: f64) -> bool {
         self.hopeless(decrement) && self.zeros().is_empty()
     }
@@ -191,41 +191,41 @@ impl<'b, 'a> SearchState<'b, 'a> {
         self.objective.settings.inner.tolerance.max(1e-7)
     }
 
-    /// What ℓ may lose by rounding.
+    /// Loss of ℓ that may be rounding.
     pub(super) fn slack(&self) -> f64 {
         1e-12 * self.home.value().abs().max(1.0)
     }
 
-    /// Somebody asks the search to end where it is.
+    /// Whether the caller asks the search to stop.
     pub(super) fn stops(&self) -> bool {
         self.progress.stops()
     }
 
-    /// Says how it goes.
+    /// Reports a stage of the search.
     pub(super) fn say(&mut self, stage: Stage<'_>) {
         self.progress.stage(stage);
     }
 
-    /// Says where a step has led, and how far that is from the optimum where it is known.
+    /// Reports a step: ℓ after it, and the decrement where that is known.
     pub(super) fn tell(&mut self, decrement: Option<f64>) {
         self.trace.push(self.home.value());
         let passes = self.objective.filter_passes();
         self.progress.step(Step { passes, log_likelihood: self.home.value(), decrement });
     }
 
-    /// Gradient along the coordinates of (μ, Σ): nothing where they have been solved for.
+    /// Gradient along the coordinates of (μ, Σ): zero where they have been solved for.
     pub(super) fn inner_gradient(&self) -> &DVector<f64> {
         &self.home.estimate.state.newton_iterate.tangent.gradient
     }
 
-    /// ℓ at other values, from the (μ, Σ) at hand; `None` where it is not defined.
+    /// The point at other values, solved from the present (μ, Σ); `None` where ℓ is not defined.
     pub(super) fn at(&self, values: &[f64]) -> Option<ProfilePoint> {
         let near = Population::from(&self.home.estimate);
         let solved = self.objective.solve(values, Some(&near)).ok()?;
         solved.value().is_finite().then_some(solved)
     }
 
-    /// Takes up a place.
+    /// Moves the search to a new point.
     pub(super) fn arrive(&mut self, next: ProfilePoint) {
         for s in 0..next.values.len() {
             let (before, value) = (self.home.values[s], next.values[s]);

@@ -1,8 +1,8 @@
-//! What is asked of a search for α.
+//! Settings of a search for α.
 
 use kalfit_estimate as estimate;
 
-/// How α is found; all end at the same maximum.
+/// Method of estimating α; all methods end at the same maximum.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Method {
     /// The paper's Figure 1: μ and Σ are solved on the reductions for each α, an outer step moves α.
@@ -14,12 +14,12 @@ pub enum Method {
     Em,
 }
 
-/// What is asked of a search for α.
+/// Settings of a search for α.
 #[derive(Debug, Clone, Default)]
 pub struct Settings {
-    /// How α is found.
+    /// Method of estimating α.
     pub method: Method,
-    /// Of the search for μ and Σ; its `tolerance` holds for α too.
+    /// Settings of the search for μ and Σ; its `tolerance` holds for α too.
     pub inner: estimate::Settings,
     /// Random starts besides the one worked out from the data.
     pub starts: usize,

@@ -1,4 +1,4 @@
-//! What messages call a free value.
+//! The name of a free value in messages.
 
 use kalfit_model::Labels;
 use kalfit_model::{Model, Slots};

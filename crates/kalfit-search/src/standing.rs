@@ -17,11 +17,11 @@ pub struct ParameterInference {
 /// Where a free value of α lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Standing {
-    /// Inside.
+    /// Inside its bounds.
     Inside,
     /// At its lower bound, or at zero.
     Lower,
-    /// A noise level that ℓ would have at zero, where a measurement would be exact: left a little above it.
+    /// A noise level that ℓ would have at zero, where a measurement would be exact: kept a little above it.
     Vanishing,
     /// At its upper bound.
     Upper,
@@ -29,8 +29,8 @@ pub enum Standing {
     Edge,
     /// ℓ still rises, ever more slowly, towards infinity: a time constant far longer than the records.
     Unbounded,
-    /// ℓ does not depend on it while some noise level is zero: its time constant, its correlation.
+    /// ℓ does not depend on the value while some noise level is zero: its time constant, its correlation.
     Idle,
-    /// ℓ does not depend on it, or not once others follow.
+    /// ℓ does not depend on the value, or no longer once others follow it.
     Unidentified,
 }

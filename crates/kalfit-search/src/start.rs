@@ -17,14 +17,15 @@ use crate::tries::{other_maxima, scan, valued};
 use kalfit_estimate::Progress;
 use kalfit_model::Value;
 
-/// Points scattered about the first guess, and their spread: standard deviation of a logarithm.
+/// Number of points scattered about the first guess.
 const SCATTERED: usize = 40;
+/// Spread of these points: standard deviation of a logarithm.
 const WIDE: f64 = 2.5;
 /// Spread of random starts: standard deviation of a logarithm.
 const SPREAD: f64 = 1.5;
 
-/// Start values, the likeliest first: the one worked out from the data, others where the likelihood looks to have other maxima
-/// in a time constant, and as many random ones as the settings say.
+/// Start values, the likeliest first: the one worked out from the data, others where the likelihood seems to have other
+/// maxima in a time constant, and as many random ones as the settings request.
 pub(crate) fn starts(
     objective: &ProfileLikelihood<'_>,
     progress: &mut dyn Progress,
@@ -35,14 +36,14 @@ pub(crate) fn starts(
     let unknown = unknown(objective);
     let (first, peaks) = likeliest((objective, &small), &unknown, progress);
     if small.value(&first).is_none() {
-        objective.solve(&first, None)?; // says what is wrong
+        objective.solve(&first, None)?; // returns the error
     }
     let mut all = vec![first.clone()];
     if !unknown.is_empty() {
         all.extend(peaks.into_iter().take(1));
     }
     if unknown.len() > 1 {
-        all.extend(scattered(&small, &unknown, &first, progress)); // of one alone the scan has seen all
+        all.extend(scattered(&small, &unknown, &first, progress)); // a single unknown has been scanned completely
     }
     for parameter in time_constants(objective.model).into_iter().filter(|&p| objective.slots.is_free(p)) {
         all.extend(other_maxima(&small, parameter, &first, progress));
@@ -51,7 +52,7 @@ pub(crate) fn starts(
     if total(&sample) == total(objective.tests) {
         return Ok(all.into_iter().map(SearchStart::from).collect());
     }
-    // values that were given are one start, whatever becomes of the others on a part of the data
+    // given values remain one of the starts, whatever becomes of the others on a part of the data
     let free = (0..objective.model.shared().parameters.len()).filter(|&p| objective.slots.is_free(p)).count();
     let given = (unknown.len() < free).then(|| all.remove(0));
     let mut starts = promising((objective, &small), given, all, progress);
@@ -63,7 +64,7 @@ pub(crate) fn starts(
     Ok(starts)
 }
 
-/// The first start on a part of the tests, and others where the likelihood looks to have other maxima.
+/// The first start on a part of the tests, and others where the likelihood seems to have other maxima.
 fn likeliest(
     (objective, small): (&ProfileLikelihood<'_>, &ProfileLikelihood<'_>),
     unknown: &[usize],
@@ -112,7 +113,7 @@ pub(crate) fn from_data(
     starts
 }
 
-/// Every free parameter has a start value.
+/// Whether every free parameter has a start value.
 pub(crate) fn all_given(objective: &ProfileLikelihood<'_>) -> bool {
     unknown(objective).is_empty()
 }
@@ -131,7 +132,7 @@ fn unknown(objective: &ProfileLikelihood<'_>) -> Vec<usize> {
         .collect()
 }
 
-/// A first value for each slot: those that were given where they are to be heeded.
+/// A first value for each slot; `heeded`: start values that were given are used.
 fn guess(objective: &ProfileLikelihood<'_>, heeded: bool) -> Vec<f64> {
     let scales = objective.scales();
     let is_noise = |parameter: usize| measures(objective.model, parameter) || drives(objective.model, parameter);
@@ -139,7 +140,7 @@ fn guess(objective: &ProfileLikelihood<'_>, heeded: bool) -> Vec<f64> {
         let parameter = &objective.model.shared().parameters[slot.parameter];
         let coordinate = objective.coordinates[s];
         if objective.edges.has(s) {
-            // the value itself, which is no part of the edge yet
+            // the value itself, not yet divided by its edge
             return if let Value::Free { start: Some(start) } = parameter.value { start } else { 0.0 };
         }
         let guess = match parameter.value {
@@ -153,8 +154,8 @@ fn guess(objective: &ProfileLikelihood<'_>, heeded: bool) -> Vec<f64> {
     objective.sought(&values)
 }
 
-/// The best of some points scattered widely about the first guess: noise may lie in the measurements or in the motion, and
-/// a search that begins with one may end there.
+/// The best of some points scattered widely about the first guess: the noise may be in the measurements or in the
+/// motion, and a search that begins with one of these may end there.
 fn scattered(
     small: &ProfileLikelihood<'_>,
     unknown: &[usize],
@@ -179,7 +180,8 @@ fn scattered(
     found.into_iter().take(2).map(|(values, _)| values).collect()
 }
 
-/// Random start `k`: logarithms moved by normal numbers, other values by their own size. A stream of its own for each.
+/// Random start `k`: logarithms moved by normal numbers, other values by their own size. Each start has a separate
+/// stream.
 fn random(objective: &ProfileLikelihood<'_>, first: &[f64], k: usize) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(objective.settings.seed);
     random.set_stream(k as u64);

@@ -18,7 +18,7 @@ pub(super) fn settings(method: Method, criterion: Criterion) -> Settings {
     settings
 }
 
-/// The gradient of both likelihoods at these values is that of differences.
+/// Checks that the gradient of both likelihoods at these values is that of differences.
 pub(super) fn check_gradient((model, tests, slots): (&PhasedModel, &[PhasedTest], &Slots), values: &[f64]) {
     for criterion in [Criterion::Ml, Criterion::Reml] {
         let settings = settings(Method::Hybrid, criterion);
@@ -37,7 +37,7 @@ pub(super) fn check_gradient((model, tests, slots): (&PhasedModel, &[PhasedTest]
     }
 }
 
-/// Two fits end at one point.
+/// Checks that two fits end at one point.
 pub(super) fn check_alike(one: &DynamicFit, other: &DynamicFit, what: &str) {
     let (a, b) = (one.estimate.log_likelihood, other.estimate.log_likelihood);
     assert!((a - b).abs() < 1e-8, "{what}: {a} {b}");
@@ -96,7 +96,7 @@ fn a_scale_far_from_where_the_filters_ran_has_them_run_again() {
     let settings = settings(Method::Hybrid, Criterion::Ml);
     let objective = ProfileLikelihood::new(&model, &tests, &slots, &settings);
     let filtered = ProfileLikelihood::new(&model, &tests, &slots, &settings).unscaled();
-    // where all is 1e-8 of what it is, half the digits of a constant would be those of the sum of squares
+    // where all noise is 1e-8 of its size, half the digits of a constant would be those of the sum of squares
     for (value, runs) in [(5e-9, 1), (0.5, 2), (0.4, 2), (7e-3, 2), (4e-3, 3)] {
         let found = objective.solve(&[value], None).expect("defined").value();
         let expected = filtered.solve(&[value], None).expect("defined").value();
@@ -159,7 +159,7 @@ fn the_joint_information_is_that_of_the_gradient_at_the_best_mean_and_covariance
         let values = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
         let home = objective.solve(&values, None).expect("defined");
         let found = JointInformation::new(&objective, &home, &[true; 5], true).covariances();
-        // the profile information by differences of gradients that each come with their own mean and covariance
+        // the profile information, by differences of gradients that each come with their own mean and covariance
         let h = 1e-4;
         let information = nalgebra::DMatrix::from_fn(5, 5, |i, s| {
             let at = |sign: f64| {
@@ -241,7 +241,7 @@ fn first_values_do_not_depend_on_the_order_of_the_tests() {
     let mut model = model(false);
     model.phases[0].model.parameters.iter_mut().for_each(|parameter| parameter.value = Value::Free { start: None });
     let (labels, tests) = ensemble(&model, 30, 16);
-    // by thirds, each backwards
+    // all tests in reverse order
     let shuffled: Vec<PhasedTest> = tests.chunks(10).rev().flat_map(|part| part.iter().rev().cloned()).collect();
     let settings = settings(Method::Hybrid, Criterion::Ml);
     let first = |tests: &[PhasedTest]| {
@@ -274,7 +274,7 @@ fn processes_that_coincide_become_one_in_a_search_unless_they_are_held() {
     assert!((values[1] - 0.5).abs() < 1e-12 && values[3] == 0.0, "one has the variance of both: {values:?}");
     let held = search([1.5, 0.3, 1.5, 0.4, 0.5], Some(3), &mut Silent);
     assert!(!held.0, "a value that is held stays: {:?}", held.2);
-    // close by, where ℓ does not fall by it
+    // close processes are merged only where ℓ does not fall by it
     let mut outcomes = [0, 0];
     for tau in [0.05, 0.2, 0.8, 1.5, 4.0, 12.0] {
         for (sigma, spread) in [(0.3, 0.4), (0.4, 0.3), (1.2, 0.1), (0.1, 1.2)] {
@@ -304,7 +304,7 @@ fn a_start_that_leads_where_the_given_one_leads_on_a_part_is_no_other() {
     let best = fit(&model, &labels, &tests, &settings, &mut Silent).expect("a fit").values;
     let beside: Vec<f64> = best.iter().map(|value| 1.1 * value).collect();
     let starts = promising((&objective, &small), Some(best.clone()), vec![beside], &mut Silent);
-    // the maximum of all data is no maximum of the part, and stays
+    // the maximum of all data, which is no maximum of the part, stays
     assert_eq!(starts.len(), 1, "{starts:?}");
     assert_eq!(starts[0].values, best);
 }

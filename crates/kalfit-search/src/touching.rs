@@ -1,4 +1,4 @@
-//! Which tests depend on which values of α: what no test has in common can move in one run of the filters.
+//! Which tests depend on which values of α: values that no test has in common can move in one run of the filters.
 
 use crate::colours::colours;
 use crate::profile_likelihood::{OfTests, ProfileLikelihood};
@@ -7,21 +7,21 @@ use kalfit_filter::score::Gradient;
 /// Which tests depend on which values.
 #[derive(Debug)]
 pub(super) struct Touching {
-    /// Tests by value.
+    /// Tests that depend on each value.
     pub(super) tests: Vec<Vec<usize>>,
-    /// Values by test.
+    /// Values that each test depends on.
     pub(super) of_test: Vec<Vec<usize>>,
-    /// The value stands in a matrix of the covariance structure.
+    /// Whether each value stands in a matrix of the covariance structure.
     pub(super) matrix: Vec<bool>,
     count: usize,
 }
 
 impl Touching {
-    /// From the values that the scores of each test mention, of n.
+    /// The dependences between tests and n values, from the values that occur in the scores of each test.
     pub(super) fn of(objective: &ProfileLikelihood<'_>, all: &OfTests, n: usize) -> Touching {
         let mut tests = vec![Vec::new(); n];
         let mentioned = |gradient: &Gradient| gradient.iter().map(|(s, _)| *s).collect();
-        // a value that moves one test moves what is known of all others of its unit
+        // a value that affects one test affects the results of all others of its unit
         let moved = |gradient| if objective.model.levels.is_empty() { mentioned(gradient) } else { (0..n).collect() };
         let of_test: Vec<Vec<usize>> = all.scores.iter().map(moved).collect();
         for (j, slots) in of_test.iter().enumerate() {
@@ -32,12 +32,12 @@ impl Touching {
         Touching { tests, of_test, matrix, count: all.scores.len() }
     }
 
-    /// All tests depend on it.
+    /// Whether all tests depend on a value.
     pub(super) fn everywhere(&self, s: usize) -> bool {
         self.tests[s].len() == self.count
     }
 
-    /// Sets of values that no test has in common; each value alone when `apart`.
+    /// Sets of values that no test has in common; with `apart`, each value alone.
     pub(super) fn colours(&self, active: &[usize], apart: bool) -> Vec<Vec<usize>> {
         if apart {
             return active.iter().map(|&s| vec![s]).collect();

@@ -1,26 +1,30 @@
-//! ℓ at values that are tried, cheaply: over many powers of ten of one parameter.
+//! Cheap trials of ℓ: over many powers of ten of one parameter.
 
 use crate::profile_likelihood::ProfileLikelihood;
 use kalfit_estimate::{Progress, Stage};
 
-/// Powers of this factor are tried, so many to each side.
+/// Ratio of successive values tried for a logarithm.
 pub(super) const FACTOR: f64 = 4.0;
+/// Number of values tried to each side.
 const EACH_SIDE: i32 = 6;
-/// Powers by which a value may be off what the data suggest and still be the middle of what is tried.
+/// Largest power of this factor by which a value may be off the size that the data suggest and still be the middle of
+/// the trials.
 const NEAR: f64 = 4.0;
-/// So many places at a time, between two looks at whether anybody waits.
+/// Number of points that are evaluated between two checks whether the caller still waits.
 const AT_A_TIME: usize = 8;
-/// ℓ is not told apart by less than this.
+/// Difference of ℓ that may be rounding.
 const ROUNDING: f64 = 1e-8;
-/// Part of a power by which what is all but white is made longer, so many times.
+/// Step, in powers of the factor, by which the time constant of a nearly white process is lengthened.
 const FINE: f64 = 0.25;
+/// Number of these steps.
 const FINE_STEPS: usize = 12;
-/// Values other than logarithms that are tried where none is given,
+/// Values tried for a parameter that is not sought by its logarithm.
 const TRIED: [f64; 5] = [0.0, 0.5, 0.9, -0.5, 1.0];
-/// each if ℓ is higher by this than at those before: where a coefficient and a mean move as one, large values cost digits.
+/// Rise of ℓ that each later one of these values must bring: where a coefficient and a mean move as one, large values
+/// cost digits.
 const BETTER: f64 = 1e-3;
 
-/// ℓ at each of some places; whoever waits hears of it, and nothing more is tried once nobody does.
+/// ℓ at each of some points, with reports of progress; points have no value once the caller no longer waits.
 pub(super) fn tried(
     small: &ProfileLikelihood<'_>,
     places: &[Vec<f64>],
@@ -34,7 +38,7 @@ pub(super) fn tried(
     places.chunks(at_a_time).flat_map(some).collect()
 }
 
-/// All levels of one parameter over many powers of a factor.
+/// Sets all levels of one parameter to the best of many powers of a factor.
 pub(super) fn scan(
     small: &ProfileLikelihood<'_>,
     parameter: usize,
@@ -50,7 +54,7 @@ pub(super) fn scan(
     }
 }
 
-/// The best of the same with all levels of one parameter over many powers of a factor, and ℓ there.
+/// The best values, with all levels of one parameter multiplied by many powers of a factor, and ℓ there.
 pub(super) fn best_of(
     objective: &ProfileLikelihood<'_>,
     parameter: usize,
@@ -59,12 +63,12 @@ pub(super) fn best_of(
 ) -> Option<(Vec<f64>, f64)> {
     let valued = valued(objective, grid(objective, parameter, values), progress);
     let highest = valued.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
-    // the last of those that rounding does not tell apart: the longest time constant of what is all but white
+    // the last of those that are equal within rounding: the longest time constant of a nearly white process
     valued.into_iter().rfind(|(_, value)| *value >= highest - ROUNDING)
 }
 
-/// Values with the time constant of what is all but white, where ℓ is highest among somewhat longer ones: as it comes to be felt by the
-/// shortest steps alone, ℓ may rise and fall again between the powers that are tried elsewhere.
+/// Lengthens the time constant of a nearly white process to where ℓ is highest: while it affects only the shortest
+/// steps, ℓ may rise and fall again between the powers tried elsewhere.
 pub(super) fn longer(
     objective: &ProfileLikelihood<'_>,
     parameter: usize,
@@ -87,7 +91,7 @@ fn grid(small: &ProfileLikelihood<'_>, parameter: usize, values: &[f64]) -> Vec<
     let with = |change: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
         values.iter().enumerate().map(|(s, &v)| if own(s) { change(s, v) } else { v }).collect()
     };
-    // about what the data suggest where a search has run away from it
+    // the size that the data suggest, where a search has gone far from it
     let middle = |s: usize, v: f64| {
         let unit = small.units()[s];
         if (v / unit).ln().abs() <= NEAR * FACTOR.ln() { v } else { unit }
@@ -101,7 +105,7 @@ fn grid(small: &ProfileLikelihood<'_>, parameter: usize, values: &[f64]) -> Vec<
     }
 }
 
-/// Places where ℓ is defined, and ℓ there.
+/// The points where ℓ is defined, and ℓ there.
 pub(super) fn valued(
     small: &ProfileLikelihood<'_>,
     places: Vec<Vec<f64>>,
@@ -111,7 +115,7 @@ pub(super) fn valued(
     places.into_iter().zip(values).filter_map(|(place, value)| Some((place, value?))).collect()
 }
 
-/// The first of the highest, where ℓ is not told apart by less than `apart`.
+/// The best point and ℓ there; a later point counts as better only if ℓ is higher by more than `apart`.
 fn best(
     small: &ProfileLikelihood<'_>,
     places: Vec<Vec<f64>>,
@@ -121,7 +125,7 @@ fn best(
     valued(small, places, progress).into_iter().reduce(|best, next| if best.1 + apart >= next.1 { best } else { next })
 }
 
-/// Starts where ℓ over the powers of a time constant has other maxima than at the first start.
+/// Starts at maxima of ℓ over the powers of a time constant, other than the one at the first start.
 pub(super) fn other_maxima(
     small: &ProfileLikelihood<'_>,
     parameter: usize,

@@ -1,6 +1,6 @@
-//! Parts of a model that may change places: two processes of one kind that are measured alike. Exchanging their parameters changes
-//! nothing, hidden states of theirs changing places as well, so ends that differ by it are one end, and two that coincide are one
-//! process of their variances' sum.
+//! Exchangeable parts of a model: two processes of one kind that are measured in the same way. Exchanging their
+//! parameters, and with them their hidden states, changes nothing. So ends that differ by an exchange are one end, and
+//! two coinciding processes are one process with the sum of their variances.
 
 use crate::Coordinate;
 use crate::exchange::Exchange;
@@ -10,32 +10,34 @@ use kalfit_model::{PhasedModel, Slots};
 /// Two processes of one kind whose free values, place by place, may be exchanged.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExchangeablePair {
-    /// Slots of the two: (of the one, of the other). What tells them apart comes first: time constants.
+    /// Slots of the two processes: (of the one, of the other). Time constants, which distinguish the processes, come
+    /// first.
     pub pairs: Vec<(usize, usize)>,
 }
 
-/// Values that are closer than this are equal: a part of them.
+/// Relative difference up to which values are equal.
 const EQUAL: f64 = 1e-2;
 
 impl ExchangeablePair {
-    /// All pairs of such processes in a model of one phase.
+    /// All exchangeable pairs in a model of one phase.
     pub(crate) fn of(model: &PhasedModel, slots: &Slots) -> Vec<ExchangeablePair> {
         ExchangeablePair::all(model, slots, true)
     }
 
-    /// Pairs of processes of one kind that are not measured alike: each may explain what the other one does, but not as well.
+    /// Pairs of processes of one kind that are measured differently: each may explain what the other one does, but not
+    /// as well.
     pub(crate) fn unlike(model: &PhasedModel, slots: &Slots) -> Vec<ExchangeablePair> {
         ExchangeablePair::all(model, slots, false)
     }
 
-    /// Pairs of processes of one kind whose exchange leaves the model as it is, or does not.
+    /// Pairs of processes of one kind whose exchange keeps the model unchanged (`leaves`), or changes it.
     fn all(model: &PhasedModel, slots: &Slots, leaves: bool) -> Vec<ExchangeablePair> {
         let [phase] = &model.phases[..] else { return Vec::new() };
         let levels = !model.levels.is_empty();
         let constants = time_constants(model);
         let (model, count) = (&phase.model, phase.model.states.len());
         let pairs = (0..count).flat_map(|i| (i + 1..count).map(move |j| (i, j)));
-        // what groups add to a state is not looked at
+        // contributions of groups to a state are not compared
         let apart =
             |&(i, j): &(usize, usize)| !(levels && (model.estimated.contains(&i) || model.estimated.contains(&j)));
         let exchanges = pairs.filter(apart).filter_map(|(i, j)| Exchange::of(model, i, j));
@@ -49,7 +51,7 @@ impl ExchangeablePair {
         });
         let mut found: Vec<ExchangeablePair> = Vec::new();
         for twin in twins {
-            // hidden states of a pair are the pair once more
+            // hidden states of a pair give the same pair again
             if !found.contains(&twin) {
                 found.push(twin);
             }
@@ -57,14 +59,14 @@ impl ExchangeablePair {
         found
     }
 
-    /// The values of the two exchanged.
+    /// The values with the two processes exchanged.
     pub fn exchanged(&self, values: &[f64]) -> Vec<f64> {
         let mut values = values.to_vec();
         self.pairs.iter().for_each(|&(s, t)| values.swap(s, t));
         values
     }
 
-    /// Exchanges the two where they are not in order.
+    /// Exchanges the two processes where their values are not in order.
     fn order(&self, values: &mut [f64]) {
         let first = self.pairs.iter().find(|(s, t)| values[*s] != values[*t]);
         if first.is_some_and(|(s, t)| values[*s] > values[*t]) {
@@ -77,12 +79,13 @@ impl ExchangeablePair {
         self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_some())
     }
 
-    /// A time constant of that process.
+    /// A time constant of the process that is at zero there.
     pub(crate) fn shape(&self, coordinates: &[Coordinate]) -> Option<usize> {
         self.pairs.iter().map(|&(_, t)| t).find(|&t| coordinates[t].level.is_none() && coordinates[t].log)
     }
 
-    /// Where the two coincide, one of them with the variance of both, between their shapes, and the other at zero.
+    /// Where the two coincide, the values with one process that has the variance of both and a shape between theirs,
+    /// and the other process at zero; `None` elsewhere.
     pub(crate) fn merged(&self, values: &[f64], coordinates: &[Coordinate]) -> Option<Vec<f64>> {
         let (levels, shapes): (Vec<_>, Vec<_>) =
             self.pairs.iter().copied().partition(|(s, _)| coordinates[*s].level.is_some());
@@ -115,7 +118,7 @@ pub fn ordered(twins: &[ExchangeablePair], values: &[f64]) -> Vec<f64> {
     values
 }
 
-/// Exchangeable processes of `values` in the places that bring them nearest to `home`.
+/// The values with exchangeable processes in the order that is nearest to `home`.
 pub(crate) fn aligned(twins: &[ExchangeablePair], values: &[f64], home: &[f64]) -> Vec<f64> {
     let apart = |a: f64, b: f64| if a > 0.0 && b > 0.0 { (a / b).ln().abs() } else { (a - b).abs() };
     let mut values = values.to_vec();
@@ -139,7 +142,8 @@ mod tests {
     use super::*;
     use kalfit_model::build::{Formula, constant, free, gauss_markov, gauss_markov_2, measurement, name};
 
-    /// Two drifts, the second with this weight and noise level, and the values of tau, sigma, rest, spread.
+    /// A model with two drifts in this measurement equation, the second with this noise level; its values are tau,
+    /// sigma, rest, spread, noise.
     fn drifts(equation: Formula, level: Formula) -> (PhasedModel, Slots) {
         let model = kalfit_model::Model::builder("")
             .time("t")
@@ -164,7 +168,7 @@ mod tests {
         let near = aligned(&twins, &[9.0, 1.0, 4.0, 2.0, 0.1], &[4.1, 2.0, 8.0, 1.0, 0.1]);
         assert_eq!(near, [4.0, 2.0, 9.0, 1.0, 0.1]);
         assert_eq!(ExchangeablePair::unlike(&model, &slots), []);
-        // measured otherwise, or by a level that stands in another place too, they may not
+        // measured differently, or with a level that occurs elsewhere, too, they may not
         for (equation, level) in [
             (name("bias") + name("one") + 2.0 * name("two"), name("spread")),
             (both(), name("spread") * name("noise")),
@@ -215,7 +219,7 @@ mod tests {
         let between = 5.0 * (5.001f64 / 5.0).powf(16.0 / 25.0); // by their variances
         assert!((merged[0] - between).abs() < 1e-12 && (merged[1] - 5.0).abs() < 1e-12, "{merged:?}");
         assert_eq!(merged[3], 0.0);
-        // neither beyond the bounds of a level
+        // no merged process where a level would exceed its bounds
         for (level, lower, upper) in [(1, 0.0, 4.5), (3, 0.1, f64::INFINITY)] {
             let mut bounded = coordinates.clone();
             (bounded[level].lower, bounded[level].upper) = (lower, upper);

@@ -5,8 +5,8 @@
 //! ℓ = -n log σ - ½ r/σ² + constant       as soon as σ is small beside all else; r: squares of residuals
 //! ```
 //!
-//! With r = 0 each power of ten of σ raises ℓ by as much as the one before, down to where the rounding of the data is felt. With any
-//! noise in the data ℓ falls before that.
+//! With r = 0 each power of ten of σ raises ℓ by as much as the one before, down to where the rounding of the data
+//! matters. With any noise in the data ℓ falls before that.
 
 use crate::Standing;
 use crate::coordinates::Coordinate;
@@ -15,22 +15,23 @@ use crate::scales::relative_rounding;
 use crate::search_state::SearchEnd;
 use kalfit_estimate::Stop;
 
-/// Levels below this part of what the data suggest are on their way to zero.
+/// Part of the size suggested by the data below which a level is on its way to zero.
 const SUNK: f64 = 1e-2;
-/// ℓ is looked at from where levels are this power of ten below what the data suggest, in so many steps, …
+/// Number of powers of ten by which levels are below the sizes suggested by the data where ℓ is first evaluated.
 const FIRST: f64 = 3.0;
+/// Number of steps from there to where rounding matters.
 const STEPS: usize = 3;
-/// … of so many powers of ten together at least: with fewer, noise is not told from rounding.
+/// Least range of all these steps, in powers of ten: over a smaller one, noise cannot be distinguished from rounding.
 const ROOM: f64 = 2.0;
-/// A rise by less for a power of ten is none: a single exact measurement gives log 10.
+/// Least rise of ℓ for a power of ten that counts: a single exact measurement gives log 10.
 const LEAST: f64 = 1.0;
-/// Rises are equal when they differ by no more than this part.
+/// Relative difference up to which rises are equal.
 const EQUAL: f64 = 0.02;
-/// With more levels than this they are not looked at one by one.
+/// Number of levels above which they are not examined one by one.
 const FEW: usize = 8;
 
-/// The end, of the best one and of one that is higher and not certified, where ℓ rises without bound, and the levels that go to zero
-/// there.
+/// The end where ℓ rises without bound, and the levels that go to zero there: the best end, or the highest uncertified
+/// one above it.
 pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: usize) -> Option<(usize, Vec<usize>)> {
     let value = |at: usize| ends[at].home.value();
     let higher = (0..ends.len()).filter(|&at| ends[at].stop != Stop::Certified && value(at) > value(best));
@@ -39,7 +40,8 @@ pub(super) fn find(objective: &ProfileLikelihood<'_>, ends: &[SearchEnd], best: 
     places.find_map(|at| Some((at, levels(objective, &ends[at])?)))
 }
 
-/// What is not certified, or has levels that a search left behind on their way, or that rounding of the data held up.
+/// Whether an end is not certified, has levels that a search left on their way to zero, or levels that only rounding of
+/// the data kept from it.
 fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
     let left = |s: usize| matches!(end.standing[s], Standing::Vanishing | Standing::Unidentified);
     let tiny = |s: usize| {
@@ -54,7 +56,7 @@ fn is_open(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> bool {
     }
 }
 
-/// The fewest levels found that ℓ rises without bound with as they go to zero together.
+/// The fewest levels found with which ℓ rises without bound as they go to zero together.
 fn levels(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> Option<Vec<usize>> {
     let depth = depth(objective)?;
     let (values, units) = (&end.home.values, objective.units());
@@ -84,23 +86,24 @@ fn levels(objective: &ProfileLikelihood<'_>, end: &SearchEnd) -> Option<Vec<usiz
     Some(found)
 }
 
-/// A noise level without a lower bound.
+/// Whether a value is a noise level without a lower bound.
 fn can_vanish(coordinate: &Coordinate) -> bool {
     coordinate.level.is_some() && coordinate.lower == 0.0
 }
 
-/// How many powers of ten levels can be below what the data suggest before rounding is felt; `None` where that is too few to tell.
+/// Number of powers of ten by which levels can be below the sizes suggested by the data before rounding matters; `None`
+/// where it is too small to decide.
 fn depth(objective: &ProfileLikelihood<'_>) -> Option<f64> {
     let depth = -relative_rounding(objective.model, objective.tests, objective.order()).log10();
     (depth >= FIRST + ROOM).then_some(depth)
 }
 
-/// A level whose standard deviation is so many powers of ten below what the data suggest.
+/// The value of a level whose standard deviation is `powers` powers of ten below the size suggested by the data.
 fn fallen(coordinate: &Coordinate, unit: f64, powers: f64) -> f64 {
     unit * 10f64.powf(-2.0 * powers / coordinate.level.unwrap_or(2.0))
 }
 
-/// ℓ rises by as much with each power of ten by which these levels fall.
+/// Whether ℓ rises equally with each power of ten by which these levels fall.
 fn rises(objective: &ProfileLikelihood<'_>, values: &[f64], set: &[usize], depth: f64) -> bool {
     let step = (depth - FIRST) / STEPS as f64;
     let at = |k: usize| {

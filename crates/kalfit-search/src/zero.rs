@@ -6,24 +6,25 @@ use crate::joint::JointInformation;
 use crate::profile_likelihood::ProfilePoint;
 use crate::search_state::{DRIFT, SearchState};
 
-/// A logarithm whose curvature is no more than this many times its slope has no optimum in sight: ℓ runs level towards a bound,
-/// as 1/x, x² or the like.
+/// Ratio of curvature to slope of a logarithm up to which no optimum is in sight: ℓ levels off towards a bound, as 1/x,
+/// x² or the like.
 const LEVEL: f64 = 3.5;
-/// … and only a slope below this, and so little of ℓ to be had, makes a leap worth a try.
+/// Slope of such a logarithm below which its bound is tried: little of ℓ can then be gained on the way.
 const TAIL: f64 = 0.1;
-/// A level with a slope below this moves in its variance where that is straighter.
+/// Slope of a level below which it may move in its variance, where ℓ is straighter in that.
 const STEEP: f64 = 5.0;
-/// A curvature upward of a variance by no more than this part of its slope is none.
+/// Negative curvature in a variance, relative to its slope, that is treated as zero.
 const HOLLOW: f64 = 0.1;
-/// ℓ that may still be had beyond, where a value counts as infinite.
+/// Remaining rise of ℓ up to which a value on its way to infinity or to zero is left where it is.
 const BEYOND: f64 = 1e-7;
-/// Where ℓ is not defined at zero, this part of the size that the level had stands for it: its square is nothing to ℓ, and leaves
-/// scores their digits.
+/// Part of its former size that stands for a level at zero where ℓ is not defined there: its square does not affect ℓ,
+/// and scores keep their digits.
 const NEARLY_ZERO: f64 = 1e-4;
-/// … and less where ℓ would rise by more than [`BEYOND`] at zero: by this part of that from there.
+/// Where ℓ would rise by more than [`BEYOND`] towards zero, a level is lowered until this part of [`BEYOND`] is left.
 const NEARER: f64 = 0.1;
-/// A level below this part of what it was, whose slope and curvature are below this, is not felt.
+/// Part of its former size below which a level may be without effect on ℓ.
 const FEW_PARTS: f64 = 1e-2;
+/// Slope and curvature below which such a level has no effect on ℓ.
 const UNFELT: f64 = 1e-6;
 
 impl SearchState<'_, '_> {
@@ -32,18 +33,18 @@ impl SearchState<'_, '_> {
         (0..self.home.values.len()).filter(|&s| self.is_at_zero(s)).collect()
     }
 
-    /// A noise level at its least value.
+    /// Whether a noise level is at its least value.
     pub(super) fn is_at_zero(&self, s: usize) -> bool {
         self.objective.coordinates[s].level.is_some() && self.home.values[s] <= self.bottom[s]
     }
 
-    /// A level that ℓ would have at zero, where it is not defined.
+    /// Whether a level is held above zero because ℓ, though higher near zero, is not defined there.
     pub(super) fn is_vanishing(&self, s: usize) -> bool {
         self.is_at_zero(s) && self.bottom[s] > self.objective.coordinates[s].lower
     }
 
-    /// Levels whose variance is nearer to ℓ's own coordinate than its logarithm, with their exponents: those that would reach zero,
-    /// and those far below their optimum.
+    /// Levels for which ℓ is straighter in the variance than in the logarithm, with their exponents: those that would
+    /// reach zero, and those far below their optimum.
     pub(super) fn levels_near_zero(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let near = |&s: &usize| -> Option<(usize, f64)> {
             let exponent = self.objective.coordinates[s].level?;
@@ -56,7 +57,7 @@ impl SearchState<'_, '_> {
         joint.active.iter().filter_map(near).collect()
     }
 
-    /// All levels that move, with their exponents, but those far from where ℓ curves downward in their variances.
+    /// All levels that move, with their exponents, except where ℓ is far from concave in the variance.
     pub(super) fn all_levels(&self, joint: &JointInformation) -> Vec<(usize, f64)> {
         let level = |&s: &usize| {
             let exponent = self.objective.coordinates[s].level?;
@@ -66,7 +67,8 @@ impl SearchState<'_, '_> {
         joint.active.iter().filter_map(level).collect()
     }
 
-    /// Where ℓ is not defined with levels at zero, the same with them a little above it, which is as low as they go from now on.
+    /// The point with levels a little above zero, where ℓ is not defined with them at zero; they go no lower from now
+    /// on.
     pub(super) fn above_zero(&mut self, values: &[f64]) -> Option<ProfilePoint> {
         let mut raised = values.to_vec();
         let fell =
@@ -82,7 +84,8 @@ impl SearchState<'_, '_> {
         Some(next)
     }
 
-    /// Levels as near to zero as ℓ was defined go nearer where that is worth it: in their variances ℓ runs straight there.
+    /// Lowers levels that are as near to zero as ℓ was defined, where that is worth it: ℓ is linear in their variances
+    /// there.
     pub(super) fn nearer_zero(&mut self) -> bool {
         let mut values = self.home.values.clone();
         let mut nearer = Vec::new();
@@ -101,13 +104,13 @@ impl SearchState<'_, '_> {
         true
     }
 
-    /// The size that a level has, or had.
+    /// The present size of a level, or its former size if that is larger.
     fn size(&self, s: usize) -> f64 {
         self.home.values[s].max(self.before_zero[s])
     }
 
-    /// Logarithms along which ℓ runs level downwards are tried at their lower bound, at zero say: all at once, then a few of
-    /// them one by one.
+    /// Tries logarithms along which ℓ levels off downwards at their lower bound, such as zero: all at once, then a few
+    /// of them one by one.
     pub(super) fn leap(&mut self, joint: &JointInformation) -> bool {
         let sinking = |&s: &usize| {
             let (slope, bend) = (self.home.gradient[s], joint.curvature(s));
@@ -122,14 +125,14 @@ impl SearchState<'_, '_> {
         let mut leapt = false;
         for set in sets.iter().filter(|set| !set.is_empty()) {
             if set.iter().any(|&s| self.home.values[s] <= self.bottom[s]) {
-                continue; // with all the others, a moment ago
+                continue; // the set of all has just moved this value
             }
             leapt |= self.jump(set);
         }
         leapt
     }
 
-    /// To the bottom of some values, unless ℓ falls.
+    /// Moves some values to their least values, unless ℓ falls.
     fn jump(&mut self, set: &[usize]) -> bool {
         let slack = 1e-11 * self.home.value().abs().max(1.0);
         let mut values = self.home.values.clone();
@@ -140,7 +143,7 @@ impl SearchState<'_, '_> {
         true
     }
 
-    /// Levels so small that ℓ does not feel them are at zero.
+    /// Sets levels to zero that are too small to affect ℓ.
     pub(super) fn sunk(&mut self, joint: &JointInformation) -> bool {
         let faint = |s: &usize| {
             let level = self.objective.coordinates[*s].level.is_some() && self.standing[*s] == Standing::Inside;
@@ -161,8 +164,8 @@ impl SearchState<'_, '_> {
         !faint.is_empty()
     }
 
-    /// Logarithms that would still go far for next to nothing are left where they are: at zero, as far as the data can tell, or
-    /// at infinity.
+    /// Leaves logarithms where they are that would still move far for a negligible gain: as far as the data can tell,
+    /// they are at zero or at infinity.
     pub(super) fn drifted(&mut self, joint: &JointInformation, step: &joint::JointStep) -> bool {
         if 0.5 * step.decrement.powi(2) > BEYOND {
             return false;

@@ -2,9 +2,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Differences that are remembered.
+/// Maximal number of differences that are kept.
 const DEPTH: usize = 16;
-/// Singular values below this part of the largest do not count.
+/// Part of the largest singular value below which others are left out.
 const RANK: f64 = 1e-9;
 
 /// Points x and their steps f so far.

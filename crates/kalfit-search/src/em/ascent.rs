@@ -1,32 +1,32 @@
-//! Maximum of a smooth function in the coordinates of α, within their bounds: limited-memory BFGS. What is learnt of the
-//! curvature is kept from one E-step to the next, as the complete data change little.
+//! Maximum of a smooth function in the coordinates of α, within their bounds, by limited-memory BFGS. The curvature
+//! learnt is kept from one E-step to the next, as the complete data change little.
 
 use crate::profile_likelihood::ProfileLikelihood;
 
-/// Pairs of steps and changes of the gradient that are remembered.
+/// Maximal number of pairs (step, change of the gradient) that are kept.
 const DEPTH: usize = 12;
-/// Most steps of one maximisation.
+/// Maximal number of steps of one maximisation.
 const STEPS: usize = 60;
-/// It ends when a step promises this part of what the first one did …
+/// Predicted rise, relative to that of the first step, at which a maximisation ends.
 const PART: f64 = 1e-10;
-/// … or this much.
+/// Predicted rise at which a maximisation ends in any case.
 const LITTLE: f64 = 1e-18;
-/// Longest first step of a coordinate, while nothing is known of the curvature.
+/// Longest first step of a coordinate, while the curvature is unknown.
 const FIRST: f64 = 0.1;
 /// Longest step of a logarithm.
 const LONGEST: f64 = 1.5;
 
-/// The curvature so far: (step, fall of the gradient).
+/// The curvature learnt so far, as pairs (step, fall of the gradient).
 #[derive(Debug, Clone, Default)]
 pub(super) struct Ascent {
     pairs: Vec<(Vec<f64>, Vec<f64>)>,
 }
 
-/// A function of the values and its gradient to the coordinates; `None` where it is not defined.
+/// A function of the values and its gradient by the coordinates; `None` where it is not defined.
 pub(super) type AscentFunction<'f> = dyn Fn(&[f64]) -> Option<(f64, Vec<f64>)> + 'f;
 
 impl Ascent {
-    /// The maximum near `values`, over those that are `free`; never below where it began.
+    /// The maximum near `values`, over those that are `free`; never below the value at the start.
     pub(super) fn maximise(
         &mut self,
         function: &AscentFunction<'_>,
@@ -48,7 +48,7 @@ impl Ascent {
                 if self.pairs.is_empty() {
                     break;
                 }
-                self.pairs.clear(); // the curvature was another
+                self.pairs.clear(); // the learnt curvature is no longer valid
                 continue;
             };
             let moved: Vec<f64> = (0..values.len())
@@ -119,7 +119,7 @@ fn inward(objective: &ProfileLikelihood<'_>, values: &[f64], gradient: &[f64], f
     (0..values.len()).map(one).collect()
 }
 
-/// The step, halved until the function rises as much as it should.
+/// The step, shortened until the function rises enough.
 fn climb(
     function: &AscentFunction<'_>,
     (values, value): (&[f64], f64),

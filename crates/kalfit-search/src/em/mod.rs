@@ -1,10 +1,11 @@
 //! EM on states and noises (Sun's, extended to tests that repeat).
 //!
-//! Complete data of a test: ξ, all states, all noises. The E-step is the smoother at (α, μ, Σ). The M-step sets every noise
-//! level in closed form, and raises the expected log-likelihood of the complete data over time constants and other
-//! coefficients. Two kinds of values are moved on ℓ itself, as ECME does, because it goes further: μ and Σ, whose maximum at
-//! the new α is found on the reductions; and what the complete data determine or do not know of (a coefficient that no noise
-//! accompanies, matrices of the covariance structure). ℓ never falls, and Anderson's extrapolation shortens the way.
+//! Complete data of a test: ξ, all states, all noises. The E-step is the smoother at (α, μ, Σ). The M-step sets every
+//! noise level in closed form, and raises the expected log-likelihood of the complete data over time constants and
+//! other coefficients. Two kinds of values are moved on ℓ itself, as ECME does, because it goes further: μ and Σ, whose
+//! maximum at the new α is found on the reductions; and values that the complete data determine or do not depend on (a
+//! coefficient that no noise accompanies, matrices of the covariance structure). ℓ never falls, and Anderson's
+//! extrapolation speeds up the iteration.
 
 mod anderson;
 mod ascent;
@@ -23,41 +24,44 @@ use ascent::Ascent;
 use kalfit_estimate::{Stage, Stop};
 use ways::{Way, ways};
 
-/// Most passes.
+/// Maximal number of passes.
 const PASSES: usize = 20_000;
-/// First look at the certificate.
+/// Pass after which the certificate is first computed.
 const FIRST: usize = 6;
-/// By so many passes another method would have been there.
+/// Pass at which EM is reported to be slow: another method would have ended by then.
 const SLOW: usize = 30;
-/// Most passes from one look to the next.
+/// Maximal number of passes between two certificates.
 const LONGEST_WAIT: usize = 128;
-/// So near a stationary point (in standard errors) that is no maximum EM would take very long to leave it.
+/// Distance from a stationary point that is no maximum, in standard errors, from which EM would take very long to leave
+/// it.
 const SADDLE: f64 = 0.05;
-/// A longer step must raise ℓ by this part of the slope along that of EM, which itself raises it by half of that or more.
+/// Part of the slope along the step of EM by which a longer step must raise ℓ; the step itself raises ℓ by half of that
+/// slope or more.
 const ENOUGH: f64 = 0.5;
-/// … and an extrapolation by this part.
+/// Part of that slope by which an extrapolation must raise ℓ.
 const LITTLE: f64 = 0.1;
-/// Bounds of how much longer.
+/// Least factor by which a step of EM is lengthened.
 const SHORTEST: f64 = 2.0;
+/// Largest factor by which a step of EM is lengthened.
 const LONGER: f64 = 1024.0;
-/// How often a step that does not raise ℓ is halved.
+/// Maximal number of times that a step which does not raise ℓ is halved.
 const HALVES: usize = 12;
-/// Looks at the certificate that find it no better, where steps no longer raise ℓ.
+/// Number of certificates without improvement, where steps no longer raise ℓ, after which EM ends.
 const PATIENCE: usize = 4;
 
-/// Where EM is.
+/// State of EM.
 pub(crate) struct Em<'b, 'a> {
     search: SearchState<'b, 'a>,
     ways: Vec<Way>,
-    /// Values that were zero when their ways were found.
+    /// Values that were zero when `ways` was determined.
     zero: Vec<usize>,
     ascent: Ascent,
     anderson: Anderson,
-    /// How many times its length a step of EM is tried at.
+    /// Factor by which the next step of EM is lengthened.
     stretch: f64,
 }
 
-/// A look at the certificate.
+/// A certificate.
 struct CertificateCheck {
     joint: JointInformation,
     decrement: f64,
@@ -71,10 +75,10 @@ impl<'b, 'a> Em<'b, 'a> {
         Ok(Em { search, ways, zero, ascent: Ascent::default(), anderson: Anderson::default(), stretch: SHORTEST })
     }
 
-    /// To the optimum, certified by differences to both sides.
+    /// Runs EM to an optimum that two-sided differences certify.
     pub(crate) fn run(mut self) -> Result<SearchEnd, DynamicError> {
         let (mut next, mut best, mut stuck) = (FIRST, f64::INFINITY, 0);
-        let mut before = f64::NEG_INFINITY; // ℓ at the last look
+        let mut before = f64::NEG_INFINITY; // ℓ at the last certificate
         let mut ended = None;
         for pass in 0..PASSES {
             let near = self.pass()?;
@@ -141,7 +145,7 @@ impl<'b, 'a> Em<'b, 'a> {
         self.anderson.clear();
     }
 
-    /// One pass; whether it hardly promises anything any more.
+    /// Makes one pass; returns whether its predicted rise is negligible or no step raised ℓ.
     fn pass(&mut self) -> Result<bool, DynamicError> {
         let active = self.search.active();
         let step = self.step(&active)?;
@@ -164,14 +168,14 @@ impl<'b, 'a> Em<'b, 'a> {
         Ok(near || !moved)
     }
 
-    /// The step of EM, longer than it is: as much longer as has gone well.
+    /// Tries the step of EM lengthened by a factor that grows while this succeeds.
     fn stretched(&mut self, step: &[f64], promised: f64) -> bool {
         let well = self.go(step, (self.stretch, ENOUGH * promised));
         self.stretch = if well { (2.0 * self.stretch).min(LONGER) } else { (0.25 * self.stretch).max(SHORTEST) };
         well
     }
 
-    /// The step of EM, halved until ℓ does not fall; what is moved on ℓ itself apart from the rest.
+    /// Tries the step of EM, halved until ℓ does not fall; values moved on ℓ itself are then moved separately.
     fn halving(&mut self, step: &[f64]) -> bool {
         if self.go(step, (1.0, 0.0)) {
             return true;
@@ -188,7 +192,7 @@ impl<'b, 'a> Em<'b, 'a> {
         moved
     }
 
-    /// Goes a part of a step in the coordinates unless ℓ rises by less than `gain`, rounding apart.
+    /// Takes a part of a step in the coordinates unless ℓ rises by less than `gain`, except for rounding.
     fn go(&mut self, step: &[f64], (part, gain): (f64, f64)) -> bool {
         let home = &self.search.home;
         let far = |(s, d): (usize, &f64)| if self.search.objective.coordinates[s].log { d.abs() } else { 0.0 };
@@ -205,14 +209,14 @@ impl<'b, 'a> Em<'b, 'a> {
         }
     }
 
-    /// The values as they are sought; 0 for logarithms of zero, which stay.
+    /// The coordinates of the values; 0 for logarithms of zero, which stay.
     fn coordinates(&self) -> Vec<f64> {
         let one =
             |(s, v): (usize, &f64)| Some(self.search.objective.coordinates[s].of_value(*v)).filter(|c| c.is_finite());
         self.search.home.values.iter().enumerate().map(|pair| one(pair).unwrap_or(0.0)).collect()
     }
 
-    /// What E-step and M-step do to the coordinates.
+    /// Change of the coordinates by E-step and M-step.
     fn step(&mut self, active: &[bool]) -> Result<Vec<f64>, DynamicError> {
         let (objective, home) = (self.search.objective, &self.search.home);
         let mut step = vec![0.0; active.len()];
@@ -254,7 +258,7 @@ fn level_step(coordinate: &crate::Coordinate, home: &ProfilePoint, s: usize, (de
     if count == 0.0 || value == 0.0 {
         return 0.0;
     }
-    // E[v²] is positive, rounding apart
+    // E[v²] is positive, except for rounding
     let factor = (1.0 + 2.0 * score / (degree * count)).max(1e-6).ln() / degree;
     let new = coordinate.moved(value, if coordinate.log { factor } else { value * factor.exp_m1() });
     coordinate.of_value(new) - coordinate.of_value(value)

@@ -20,7 +20,7 @@ fn continuous(terms: Vec<(usize, Expression)>, noise_variance: Expression) -> Mo
     by_hand::continuous(terms, number(0.0), noise_variance)
 }
 
-/// Measurement of columns 1, 2, …
+/// Measurement of one of the columns 1, 2, …
 fn meter(index: usize, terms: Vec<(usize, Expression)>, constant: Expression, noise: Expression) -> Measurement {
     by_hand::meter(&format!("y{index}"), 1 + index, linear(terms, constant), noise)
 }
@@ -34,8 +34,8 @@ fn model(states: Vec<State>, measurements: Vec<Measurement>, parameters: &[(bool
     by_hand::model([&["t", "y1", "y2"], &[], &[]], parameters, states, measurements)
 }
 
-/// A Gauss-Markov state beside a constant, seen by two sensors whose noises are correlated and grow with time; a gain and an
-/// offset are unknown. τ, σ, s1, r0, r1, gain, offset, covariance.
+/// A Gauss-Markov state together with a constant, measured by two sensors whose noises are correlated and grow with
+/// time; a gain and an offset are unknown. Parameters: τ, σ, s1, r0, r1, gain, offset, covariance.
 fn sensors() -> Model {
     let motion = gauss_markov(1, alpha(0), alpha(1));
     let states = vec![state("base", Motion::Constant, Initial::Estimated), state("gm", motion, Initial::Stationary)];
@@ -51,7 +51,7 @@ fn sensors() -> Model {
     model
 }
 
-/// Two states by recursion, with correlated noises. f11, f12, f21, f22, q1, q2, q12, r1, r2.
+/// Two states by recursion, with correlated noises. Parameters: f11, f12, f21, f22, q1, q2, q12, r1, r2.
 fn recursion() -> Model {
     let next = |i: usize| Motion::Discrete {
         next: linear(vec![(0, alpha(2 * i)), (1, alpha(2 * i + 1))], number(0.1)),
@@ -69,7 +69,7 @@ fn recursion() -> Model {
     model
 }
 
-/// A decay that no noise accompanies, and a random walk. rate, q, s.
+/// A decay that no noise accompanies, and a random walk. Parameters: rate, q, s.
 fn decay() -> Model {
     let walk = continuous(Vec::new(), square(alpha(1)));
     let known = Initial::Known { mean: number(0.0), variance: number(0.0) };
@@ -113,7 +113,7 @@ fn starts(model: &Model) -> Vec<f64> {
     model.parameters.iter().map(start).collect()
 }
 
-/// Start values, some way off.
+/// Values some way off the start values.
 fn off(model: &Model) -> Vec<f64> {
     let moved = |(k, x): (usize, f64)| x * if k % 2 == 0 { 1.25 } else { 0.8 };
     starts(model).into_iter().enumerate().map(moved).collect()

@@ -3,21 +3,21 @@
 use crate::DynamicError;
 use crate::profile_likelihood::{ProfileLikelihood, ProfilePoint};
 
-/// A step of a coordinate that shows whether the complete data let it move.
+/// Step of a coordinate that tests whether the complete data let it move.
 const PROBE: f64 = 1e-4;
 
 /// How one free value moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Way {
-    /// A noise level, in closed form: `count` variances go with its power `degree`.
+    /// A noise level moves in closed form: `count` variances are proportional to its `degree`-th power.
     Level { degree: f64, count: f64 },
-    /// By the expected log-likelihood of the complete data.
+    /// The value moves on the expected log-likelihood of the complete data.
     Expected,
-    /// By ℓ itself: the complete data determine the value, or do not depend on it.
+    /// The value moves on ℓ itself: the complete data determine it, or do not depend on it.
     Likelihood,
 }
 
-/// The way of every free value, by what the model says and, where it does not, by trying.
+/// How EM moves every free value: by what the model says and, where it says nothing, by trying.
 pub(super) fn ways(objective: &ProfileLikelihood<'_>, home: &ProfilePoint) -> Result<Vec<Way>, DynamicError> {
     let levels = objective.levels(&home.alpha)?;
     let mut direct = objective.matrix_slots();
