@@ -1,4 +1,4 @@
-//! What each constraint costs: its sensitivity dℓ_max/d(value), and the score test of it (theory §4).
+//! Constraints: the sensitivity dℓ_max/d(value) of each, and its score test (theory §4).
 
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -9,25 +9,26 @@ use kalfit_algebra::symmetric::pair;
 use kalfit_estimate::{CoordinateForm, Estimate, FinalState, Mixed, Objective};
 use kalfit_model::MeanElement;
 
-/// What holding one element costs. Beside the derivative stands the score (Lagrange multiplier) test of the constraint.
+/// Sensitivity of ℓ_max to the value at which one element is held, and the score (Lagrange multiplier) test of that
+/// constraint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensitivity {
     /// The element.
     pub element: Element,
     /// Value at which it is fixed.
     pub value: f64,
-    /// dℓ_max / d value; an off-diagonal element moves both of its places.
+    /// dℓ_max / d value; an off-diagonal element moves in both triangles.
     pub sensitivity: f64,
-    /// Score statistic; `None` where freeing the element alone makes no sense or carries no information.
+    /// Score statistic; `None` where freeing only this element makes no sense, or where there is no information on it.
     pub statistic: Option<f64>,
-    /// Its p-value: χ² with one degree of freedom, one-sided for a variance held at zero.
+    /// p-value of the statistic: χ² with one degree of freedom, one-sided for a variance held at zero.
     pub p_value: Option<f64>,
     /// By how much the element would change if it were free, to first order.
     pub expected_change: Option<f64>,
 }
 
-/// Sensitivities of all constrained elements: the mean first, then Σ by rows. That states of different phases are uncorrelated is no
-/// constraint.
+/// Sensitivities of all constrained elements: the mean first, then Σ by rows. Zero correlations between states of
+/// different phases do not count as constraints.
 pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     let state = &estimate.state;
     if !holds_any(state) {
@@ -36,7 +37,7 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     let law = AsymptoticLaw::new(state);
     let mut found: Vec<Sensitivity> = Vec::new();
     let elements = state.structure().elements();
-    let own = state.structure().reduced_dimension(); // what groups add has no mean
+    let own = state.structure().reduced_dimension(); // the effects of groups have no mean
     for (i, element) in elements.iter().enumerate().take(own) {
         if let MeanElement::Fixed(value) = element {
             found.push(of_mean(state, &law, &elements, (i, *value)));
@@ -50,22 +51,22 @@ pub fn sensitivities(estimate: &Estimate) -> Vec<Sensitivity> {
     found
 }
 
-/// Some element is held by a constraint, so that there is something to test.
+/// Whether some element is held by a constraint, so that there is something to test.
 pub fn holds_any(state: &FinalState) -> bool {
     let fixed = |element: &MeanElement| matches!(element, MeanElement::Fixed(_));
     state.structure().elements().iter().any(fixed)
         || state.problem.covariance.elements.all().any(|(i, j)| held(state, i, j).is_some())
 }
 
-/// How an element of Σ is held.
+/// What holds an element of Σ.
 enum HeldElement {
-    /// By a constraint with this multiplier, in η.
+    /// A constraint with this Lagrange multiplier, in η.
     Multiplier(f64),
-    /// By the form.
+    /// The form of Σ: a fixed Σ, or a zero outside its blocks.
     Form,
 }
 
-/// True when the structure holds element (i, j) of Σ.
+/// Whether the structure holds element (i, j) of Σ.
 pub fn is_held(state: &FinalState, i: usize, j: usize) -> bool {
     held(state, i, j).is_some()
 }
@@ -83,7 +84,7 @@ fn held(state: &FinalState, i: usize, j: usize) -> Option<HeldElement> {
     }
 }
 
-/// The mean moves with a fixed element, and with it the elements tied to that one.
+/// Sensitivity of a fixed element of the mean; elements tied to it move with it.
 fn of_mean(
     state: &FinalState,
     law: &AsymptoticLaw<'_>,
@@ -131,7 +132,7 @@ fn of_covariance(
     let own = local.information[(k, k)] * unit * unit;
     let value = estimate.covariance[(i, j)];
     let zero = |s: usize| estimate.covariance[(s, s)] == 0.0;
-    let alone = i == j || !(zero(i) || zero(j)); // a covariance beside a zero variance cannot be freed alone
+    let alone = i == j || !(zero(i) || zero(j)); // a covariance cannot be freed while one of its variances is zero
     let one_sided = i == j && value == 0.0;
     let column = local.mean_score.len() + k;
     let lost = lost(state, law, (&mean, &sigma), &|mixed| mixed.column(column) * unit);
@@ -144,8 +145,9 @@ fn of_covariance(
     Sensitivity { element: Element::Covariance(i, j), value, sensitivity: score, ..test }
 }
 
-/// I_ez I_zz⁻¹ I_ze: what of the information on an element is lost as the free coordinates adapt, those of α among them where the
-/// information of all is known. `sigma` and `mean` are the element's cross information, `of_alpha` takes the same from that of α.
+/// I_ez I_zz⁻¹ I_ze: information on an element that the free coordinates absorb as they adapt, those of α included
+/// where the joint information is known. `mean` and `sigma` are the element's cross information with mean coordinates
+/// and elements of Σ; `of_alpha` extracts its cross information with α.
 fn lost(
     state: &FinalState,
     law: &AsymptoticLaw<'_>,
@@ -165,8 +167,8 @@ fn lost(
     }
 }
 
-/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): the score of the element against its variance once the free coordinates have adapted, which leaves
-/// this much of its own information.
+/// s² / (I_ee - I_ez I_zz⁻¹ I_ze): squared score of the element over its variance once the free coordinates have
+/// adapted. `own` is I_ee, `information` is the denominator.
 fn score_test(score: f64, own: f64, information: f64, one_sided: bool) -> Sensitivity {
     if information.is_nan() || information <= 1e-10 * own.abs() {
         return without_test(score);

@@ -1,7 +1,7 @@
-//! Exact deletion: the answer without one test, and how well that answer predicts the test (theory §9).
+//! Exact deletion: the fit without one test, and how well that fit predicts the test (theory §9).
 //!
-//! The reductions are kept, so the ensemble without test j costs a few Newton steps from the optimum of all. The first of
-//! them is free: the sums over the others are the sums over all, less what the test says.
+//! The reductions are in memory, so the fit without test j costs a few Newton steps from the optimum of all tests. The
+//! first step needs no pass: the sums over the others are the sums over all less the terms of the test.
 
 use nalgebra::DMatrix;
 
@@ -29,11 +29,11 @@ pub struct Deletion {
     pub displacement: f64,
 }
 
-/// Steps of one deletion before a search of its own takes over.
+/// Most Newton steps of one deletion before a full search takes over.
 const STEPS: usize = 12;
 
-/// The fit without each test that stands in no group, in the order of the reductions. `None` where the others alone have no certified
-/// optimum, and for the only test; of all once nobody waits any longer.
+/// The fit without each test, where tests stand in no groups, in the order of the reductions. An entry is `None` where
+/// the other tests have no certified optimum, and for the only test; the whole is `None` once `progress` stops.
 pub(super) fn alone(
     estimate: &Estimate,
     reductions: &Reductions,
@@ -53,18 +53,20 @@ pub(super) fn alone(
     progress.each(reductions.len(), without)
 }
 
-/// Rough number of multiplications that [`deletions`](super::deletions) takes: of each step the pass, and what is done with its Hessian.
+/// Rough number of multiplications that [`deletions`](super::deletions) takes: the passes of its steps, and the work
+/// with their Hessians.
 pub(super) fn deletion_work(estimate: &Estimate, tests: usize) -> f64 {
     let (p, free) = (estimate.mean.len() as f64, estimate.state.newton_iterate.tangent.basis.ncols() as f64);
-    // without shortcuts where tests stand in groups: whole fits, from near their ends, of the tests and of groups
+    // where tests stand in groups there are no shortcuts: full fits without each test and each group, from near their
+    // optima
     let each = if estimate.grouping().is_some() { 60.0 } else { 3.0 };
     each * tests as f64 * (estimate.classes as f64 * (p + 1.0).powi(3) + 2.5 * free.powi(3))
 }
 
-/// All tests at their estimate.
+/// Sums over all tests at the estimate, before the term of the restricted likelihood.
 struct All {
     sums: Sums,
-    /// ℓ.
+    /// ℓ at the estimate.
     log_likelihood: f64,
 }
 
@@ -76,14 +78,14 @@ impl All {
     }
 }
 
-/// Where the others have their optimum.
+/// The optimum of the other tests.
 struct Others {
     point: Point,
-    /// ℓ of them there, where it is known.
+    /// ℓ of the other tests at `point`, where it is known.
     log_likelihood: Option<f64>,
 }
 
-/// All tests but one.
+/// Likelihood of all tests but one.
 struct Without<'a> {
     problem: &'a Problem,
     test: Class,
@@ -109,13 +111,13 @@ impl Objective for Without<'_> {
     }
 }
 
-/// Newton steps from the optimum of all tests, in its coordinates.
+/// Newton steps from the optimum of all tests; `None` where they do not end certified.
 fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)) -> Option<Others> {
     let state = &estimate.state;
     let (problem, map): (&Problem, &CovarianceMap) = (&state.problem, &state.problem.covariance);
     let objective = Without { problem, test: problem.classes.single(reductions, j) };
     if !problem.informed_without(&all.sums, &objective.test, &state.newton_iterate.point) {
-        return None; // log|ΣX'WX| is over fewer directions
+        return None; // log|ΣX'WX| has fewer directions without the test
     }
     let local = objective.from(all.sums.clone(), &state.newton_iterate.point, state.newton_iterate.near())?;
     let start = NewtonIterate::at(local, objective.mean_jacobian(), map, state.newton_iterate.point.clone())?;
@@ -125,7 +127,8 @@ fn climbed(estimate: &Estimate, all: &All, (reductions, j): (&Reductions, usize)
     (stop == Stop::Certified).then_some(Others { point: place.point, log_likelihood })
 }
 
-/// A search without some tests, from the optimum of all: its end in the coordinates of the estimate of all, and the other tests.
+/// A search without some tests, from the optimum of all: its optimum in the coordinates of the full fit, and the
+/// reductions of the remaining tests.
 pub(super) fn searched(estimate: &Estimate, reductions: &Reductions, removed: &[usize]) -> Option<(Point, Reductions)> {
     let kept: Vec<usize> = (0..reductions.len()).filter(|j| !removed.contains(j)).collect();
     if kept.is_empty() {

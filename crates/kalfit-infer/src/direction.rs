@@ -2,32 +2,33 @@
 
 use nalgebra::{DMatrix, DVector};
 
-/// Scaled information below this is none.
+/// Eigenvalues of an information, scaled to unit diagonal, below this are treated as zero.
 pub(crate) const NONE: f64 = 1e-10;
-/// What takes part in a direction by less than this, in natural sizes, is not in it.
+/// An element whose weight is below this fraction of the largest, in natural sizes, is not part of a direction.
 const PART: f64 = 1e-6;
 
-/// What a direction is a direction of.
+/// The quantity that a direction belongs to: μ or Σ.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
-    /// Of μ; entries by element, then by regression coefficient where there are any.
+    /// Directions of μ; entries by element, then by regression coefficient where there are any.
     Mean,
-    /// Of Σ; entries by element (0,0), (1,0), (1,1), (2,0), … of the first phase, then those of the next ones.
+    /// Directions of Σ; entries by element (0,0), (1,0), (1,1), (2,0), … of the first phase, then those of the next
+    /// phases.
     Covariance,
 }
 
-/// A direction without information: a unit vector in the user's units. What takes no part in it is zero, and whatever is not zero takes part,
-/// however small its number: a scale factor of 1e-6 may stand beside a bias of 1.
+/// A direction without information: a unit vector in the user's units. Exactly the entries that are not zero take part
+/// in it, however small they are: a scale factor of 1e-6 may take part together with a bias of 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Direction {
-    /// Of what.
+    /// The quantity: μ or Σ.
     pub quantity: Quantity,
     /// p entries for the mean and one for each regression coefficient; one for each element of the covariance.
     pub direction: Vec<f64>,
 }
 
-/// A basis of the same span with many zeros: Gauss-Jordan elimination with complete pivoting. Several directions that nothing
-/// was observed of come in any mixture otherwise, and say little to a reader.
+/// A basis of the same span with many zeros, by Gauss-Jordan elimination with complete pivoting. Without it, several
+/// unobserved directions would be arbitrary mixtures that tell a reader little.
 pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
     for c in 0..basis.ncols() {
         let (mut at, mut largest) = ((0, c), 0.0);
@@ -49,8 +50,8 @@ pub(super) fn simplest(mut basis: DMatrix<f64>) -> DMatrix<f64> {
     basis
 }
 
-/// A direction in natural sizes in the user's units, in which a natural size is this much of each element: what takes no part is zero, the
-/// length one, the largest entry positive.
+/// Converts a direction from natural sizes to the user's units; `units` has the natural size of each element in the
+/// user's units. Entries that take no part become zero, the length is one, the largest entry positive.
 pub(crate) fn in_units<'u>(natural: &DVector<f64>, units: impl Iterator<Item = &'u f64>) -> Vec<f64> {
     let least = PART * natural.amax();
     let kept = natural.iter().zip(units).map(|(x, unit)| if x.abs() > least { x * unit } else { 0.0 });
@@ -65,7 +66,7 @@ pub(crate) fn in_units<'u>(natural: &DVector<f64>, units: impl Iterator<Item = &
 mod tests {
     use super::*;
 
-    /// Whether a state takes part does not hang on its unit.
+    /// Whether a state takes part does not depend on its unit.
     #[test]
     fn what_takes_part_does_so_in_any_unit() {
         let natural = DVector::from_vec(vec![1.0, -1.0, 1e-9, 0.0]);

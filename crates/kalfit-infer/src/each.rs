@@ -1,4 +1,4 @@
-//! What is said of each test, whether tests stand in groups or not.
+//! Posteriors and deletions of single tests, with or without groups.
 
 use crate::deletion;
 use crate::deletion::Deletion;
@@ -10,12 +10,12 @@ use crate::progress::SharedProgress;
 use kalfit_estimate::{Estimate, Point, Problem, Silent};
 use kalfit_filter::reduce::Reductions;
 
-/// Posteriors of all tests, in their order.
+/// Posteriors of all tests, in the order of the reductions.
 pub fn posteriors(estimate: &Estimate, reductions: &Reductions) -> Posteriors {
     estimated(estimate, reductions).0
 }
 
-/// What is known of the tests, and of the groups of each level, the innermost first, at an estimate.
+/// Posteriors of the tests, and of the groups of each level, the innermost first, at an estimate.
 pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Posteriors, Vec<Vec<GroupPosterior>>) {
     let (problem, point) = (&estimate.state.problem, &estimate.state.newton_iterate.point);
     match estimate.grouping() {
@@ -24,8 +24,8 @@ pub(super) fn estimated(estimate: &Estimate, reductions: &Reductions) -> (Poster
     }
 }
 
-/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first, at any point. Of tests in groups the
-/// reductions are in what is a test's own and what each of its groups adds.
+/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first, at any point. Where
+/// tests stand in groups, the reductions are in the per-test effect and the effects of the test's groups.
 pub fn posteriors_at(
     problem: &Problem,
     point: &Point,
@@ -35,13 +35,13 @@ pub fn posteriors_at(
         .unwrap_or_else(|| (posterior::alone(problem, point, reductions), Vec::new()))
 }
 
-/// The fit without each test, in the order of the reductions. `None` where the others alone have no certified optimum, and for
-/// the only test.
+/// The fit without each test, in the order of the reductions. An entry is `None` where the other tests have no
+/// certified optimum, and for the only test.
 pub fn deletions(estimate: &Estimate, reductions: &Reductions) -> Vec<Option<Deletion>> {
     deletions_while(estimate, reductions, &SharedProgress::new(&mut Silent, None)).unwrap_or_default()
 }
 
-/// As [`deletions`], as long as somebody waits; `None` when they no longer do.
+/// As [`deletions`]; `None` once `progress` stops.
 pub fn deletions_while(
     estimate: &Estimate,
     reductions: &Reductions,

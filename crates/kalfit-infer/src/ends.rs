@@ -1,27 +1,29 @@
-//! Ends of profile intervals: where the maximum of ℓ with one quantity held has fallen by as much as the interval allows.
+//! Ends of profile intervals: values where the maximum of ℓ with one quantity held has fallen by as much as the
+//! interval allows.
 
 use crate::held::Held;
 use crate::progress::SharedProgress;
 
-/// Evaluations for one end; after so many, every second one halves the bracket, since where branches change slopes lead astray.
+/// Most evaluations of the profile for one end.
 const TRIES: usize = 30;
+/// Number of evaluations after which every second one halves the bracket: where branches change, slopes mislead.
 const SURELY: usize = 8;
-/// Where the profile jumps, the jump is known to this part of its distance.
+/// Where the profile jumps, the jump is located to this fraction of its distance from the estimate.
 const JUMP: f64 = 1e-3;
 
 /// Finds maxima with one quantity held.
 pub(crate) trait Holds: Sync {
-    /// The root of the deviance is found to this.
+    /// Absolute tolerance of ζ, the root of the deviance, at an end.
     const PRECISION: f64;
-    /// A quantity can stand at its limits, and not only near them.
+    /// Whether a quantity can be held at its limits, and not only near them.
     const ATTAINS_LIMITS: bool = false;
-    /// What can be held.
+    /// A quantity that can be held.
     type What: Copy + Sync;
-    /// Where a search for a maximum begins: a maximum nearby.
+    /// The start of a search for a maximum: another maximum nearby.
     type Near: Clone + Sync;
     /// The maximum with `what` held at `value`. `None` where no certified one is found.
     fn held(&self, what: Self::What, value: f64, near: &Self::Near) -> Option<Held<Self::Near>>;
-    /// It is on a branch that was not known when values further out were found too unlikely.
+    /// Whether the maximum is on a branch that was not known when values further out were found too unlikely.
     fn is_on_new_branch(_near: &Self::Near) -> bool {
         false
     }
@@ -31,22 +33,22 @@ pub(crate) trait Holds: Sync {
 pub(crate) struct Profile<'a, 'p, H: Holds> {
     pub(crate) holder: &'a H,
     pub(crate) what: H::What,
-    /// What whoever waits calls it.
+    /// Name of the quantity in progress reports.
     pub(crate) name: String,
-    /// Its estimate.
+    /// Estimate of the quantity.
     pub(crate) centre: f64,
-    /// ℓ there.
+    /// ℓ at the estimate.
     pub(crate) maximum: f64,
     /// An interval holds the values whose ℓ_max is within half the square of this of the maximum.
     pub(crate) quantile: f64,
     /// Values beyond which the quantity cannot go.
     pub(crate) limits: [Option<f64>; 2],
-    /// Once nobody waits any longer no end is found.
+    /// Receives which end is computed; once it stops, ends are `None`.
     pub(crate) progress: &'a SharedProgress<'p>,
 }
 
 impl<H: Holds> Profile<'_, '_, H> {
-    /// Both ends, a first step to each side of this length; `None` where one is not found.
+    /// Both ends, with a first step of length `step` to each side; `None` where one is not found.
     pub(crate) fn ends(&self, start: &H::Near, step: f64) -> Option<[f64; 2]> {
         Some([self.end(start, -step)?, self.end(start, step)?])
     }
@@ -59,8 +61,8 @@ impl<H: Holds> Profile<'_, '_, H> {
         Some((zeta, slope, held))
     }
 
-    /// Where ζ reaches the quantile or jumps over it, or the limit if it does so nowhere before: Newton's method with the exact slope,
-    /// which the multiplier gives, inside a bracket.
+    /// The value where ζ reaches or jumps over the quantile, or the limit if ζ stays below up to there: Newton's method
+    /// inside a bracket, with the exact slope from the Lagrange multiplier.
     pub(crate) fn end(&self, start: &H::Near, step: f64) -> Option<f64> {
         let sign = step.signum();
         let limit = self.limits[usize::from(sign > 0.0)];
@@ -69,14 +71,15 @@ impl<H: Holds> Profile<'_, '_, H> {
         }
         self.progress.seeks(&self.name, sign > 0.0);
         let mut near = start.clone();
-        let (mut below, mut above, mut is_unlikely) = (self.centre, f64::INFINITY * sign, false); // the last: what is above
+        // `is_unlikely`: ζ at `above` exceeds the quantile, as opposed to no certified maximum there
+        let (mut below, mut above, mut is_unlikely) = (self.centre, f64::INFINITY * sign, false);
         let mut x = self.inside(self.centre + step, self.centre, limit, sign);
         for tries in 1..=TRIES {
             if self.progress.stops() {
                 return None;
             }
             let Some((zeta, slope, held)) = self.root(x, &near, sign) else {
-                (above, is_unlikely) = (x, false); // no certified maximum there: nearer
+                (above, is_unlikely) = (x, false); // no certified maximum at x: try nearer
                 x = 0.5 * (below + x);
                 continue;
             };
@@ -122,7 +125,7 @@ impl<H: Holds> Profile<'_, '_, H> {
         }
     }
 
-    /// No further than the limit; where that is not attained, nine tenths of the way there.
+    /// `x`, or the limit if `x` is beyond it; where limits cannot be attained, nine tenths of the way to the limit.
     fn inside(&self, x: f64, below: f64, limit: Option<f64>, sign: f64) -> f64 {
         match limit {
             Some(limit) if sign * (x - limit) >= 0.0 && H::ATTAINS_LIMITS => limit,
@@ -137,7 +140,7 @@ mod tests {
     use super::*;
     use kalfit_estimate::Silent;
 
-    /// A profile that is known: ζ and its slope at a distance from the centre, `None` where no maximum is found.
+    /// A profile in closed form: ζ and its slope at a distance from the centre, `None` where no maximum is found.
     struct Known<F>(F);
 
     impl<F: Fn(f64) -> Option<(f64, f64)> + Sync> Holds for Known<F> {
@@ -152,7 +155,7 @@ mod tests {
         }
     }
 
-    /// The upper and the lower end, which lie alike.
+    /// The upper end, checked to be the mirror image of the lower end.
     fn end(profile: impl Fn(f64) -> Option<(f64, f64)> + Sync, step: f64, limit: Option<f64>) -> Option<f64> {
         let limits = [limit.map(|limit| -limit), limit];
         let (holder, mut silent) = (Known(profile), Silent);
@@ -192,7 +195,7 @@ mod tests {
     fn without_maxima_further_out_there_is_no_end_and_at_a_limit_it_is_the_limit() {
         let slow = |x: f64| (x, 1.0);
         assert_eq!(end(|x| (x < 1.0).then(|| slow(x)), 0.3, None), None);
-        // values that are as unlikely as can be are another matter: the edge is where they begin
+        // values of likelihood zero are different: the end is where they begin
         near(end(|x| Some(if x < 1.0 { slow(x) } else { (f64::INFINITY, 0.0) }), 0.3, None), 1.0, 1e-3);
         assert_eq!(end(|x| Some(slow(x)), 0.3, Some(1.5)), Some(1.5));
     }

@@ -1,13 +1,13 @@
-//! What can be estimated.
+//! Kinds of numbers that can be estimated.
 
 /// One number that was estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Estimated {
-    /// Of μ.
+    /// An element of μ.
     Mean(usize),
     /// A regression coefficient.
     Coefficient(usize),
-    /// Of Σ, i ≥ j.
+    /// An element of Σ, i ≥ j.
     Covariance(usize, usize),
     /// A free value of α, by its slot.
     Value(usize),

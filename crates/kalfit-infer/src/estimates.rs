@@ -1,16 +1,17 @@
-//! The covariance of all that was estimated: of μ, the regression coefficients, the elements of Σ and the free values of α together.
+//! The joint covariance of all estimates: μ, the regression coefficients, the elements of Σ and the free values of α.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimated::Estimated;
 use crate::law::AsymptoticLaw;
 
-/// The asymptotic covariance of the estimates, in the user's units. Numbers that are fixed, on a bound or at zero are not among them.
+/// The asymptotic covariance of the estimates, in the user's units, without numbers that are fixed, on a bound or at
+/// zero.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EstimateCovariance {
-    /// What was estimated, in the order of the rows.
+    /// The estimated numbers, in the order of the rows of the covariance.
     pub quantities: Vec<Estimated>,
-    /// Their covariance.
+    /// Covariance of the estimates.
     pub covariance: DMatrix<f64>,
     /// Estimates that the data do not determine.
     pub open: Vec<Estimated>,
@@ -18,13 +19,13 @@ pub struct EstimateCovariance {
     pub at_zero: Vec<Estimated>,
 }
 
-/// Covariances of more numbers are not told.
+/// Number of estimates up to which their covariance is reported.
 const MOST: usize = 200;
-/// Of something fixed, in η.
+/// A quantity whose derivatives, in η, are all at most this is fixed.
 const STILL: f64 = 1e-12;
 
 impl AsymptoticLaw<'_> {
-    /// The covariance of all that was estimated; `None` of very many numbers. `is_open`: whether the data do not determine one.
+    /// Covariance of all estimates; `None` where there are very many. `is_open`: whether the data do not determine one.
     pub(super) fn estimates(&self, is_open: &dyn Fn(Estimated) -> bool) -> Option<EstimateCovariance> {
         let joint = self.state.joint.as_ref();
         let empty = DMatrix::zeros(0, 0);
@@ -65,7 +66,8 @@ impl AsymptoticLaw<'_> {
         if all.len() > MOST {
             return None;
         }
-        // of generalised least squares at the estimated Σ; with it the mean moves as it follows α alone
+        // covariance of a mean with any other number: with the generalised least squares law, the mean is correlated
+        // with other estimates through α alone
         let followed = |mean: &DVector<f64>, other: &DVector<f64>| {
             let Some(follows) = self.follows().filter(|_| !free.is_empty()) else { return 0.0 };
             let by_values = follows.transpose() * mean.rows(0, coordinates);

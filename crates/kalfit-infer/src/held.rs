@@ -1,4 +1,4 @@
-//! The maximum of ℓ with one quantity held at a value: what profile likelihoods are made of.
+//! The maximum of ℓ with one quantity held at a value, from which profile likelihoods are made.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,7 +12,7 @@ use kalfit_estimate::{
 
 /// A maximum with one quantity held: a point of the profile.
 pub(crate) struct Held<N> {
-    /// Where it is, and where a search for another one nearby may begin.
+    /// Location of the maximum, from which a search for another one nearby may start.
     pub(crate) near: N,
     /// ℓ_max with the quantity held.
     pub(crate) value: f64,
@@ -20,24 +20,24 @@ pub(crate) struct Held<N> {
     pub(crate) slope: f64,
 }
 
-/// With all that is known there.
+/// A held maximum with the full iterate of the search.
 pub(crate) type HeldMaximum = Held<NewtonIterate>;
 
 impl HeldMaximum {
-    /// Where it is alone.
+    /// The same maximum with its point only.
     pub(super) fn point(self) -> Held<Point> {
         Held { near: self.near.point, value: self.value, slope: self.slope }
     }
 }
 
-/// Within this many standard errors a held maximum is found: ℓ is then right to half its square.
+/// Precision of a held maximum, in standard errors: ℓ is then right to half the square of this.
 const TOLERANCE: f64 = 1e-7;
-/// Steps of one climb.
+/// Most Newton steps of one climb.
 const STEPS: usize = 40;
-/// Turns of the linearisation of a correlation.
+/// Most fixed-point iterations of the linearised constraint on a correlation.
 const TURNS: usize = 30;
 
-/// ℓ with free mean coordinates restricted to the columns of Z.
+/// ℓ with the free mean coordinates restricted to the span of `directions`.
 struct RestrictedMean<'a> {
     problem: &'a Problem,
     directions: DMatrix<f64>,
@@ -59,7 +59,7 @@ impl Objective for RestrictedMean<'_> {
     }
 }
 
-/// Holds quantities near an estimate.
+/// Maximises ℓ near an estimate with one quantity held.
 pub(crate) struct Holder<'a> {
     state: &'a FinalState,
     law: AsymptoticLaw<'a>,
@@ -110,12 +110,12 @@ impl<'a> Holder<'a> {
         self.mean(&row, 1.0, value - now, near)
     }
 
-    /// Derivatives by (b, γ) of what has these by (μ, γ).
+    /// Weights on (μ, γ) in the user's units, converted to η.
     fn scaled(&self, weights: &DVector<f64>) -> DVector<f64> {
         weights.component_mul(&DVector::from_vec(self.state.problem.mean_units()))
     }
 
-    /// row'(b, γ) moved by `shift` and held; `unit` is one unit of it in the user's.
+    /// The maximum with row'(b, γ) moved by `shift` and held; `unit` is one unit of row'(b, γ) in the user's units.
     fn mean(&self, row: &DVector<f64>, unit: f64, shift: f64, near: &Point) -> Option<HeldMaximum> {
         let (problem, n) = (&*self.state.problem, row.len());
         let size = row.norm_squared();
@@ -136,7 +136,7 @@ impl<'a> Holder<'a> {
         Some(Held { value: place.local.value, slope, near: place })
     }
 
-    /// Σ coefficient σ_pair held at a value, in η.
+    /// The maximum with Σ weight σ_pair over `terms` held at a value, in η.
     fn covariance(&self, terms: Vec<(usize, usize, f64)>, value: f64, near: &Point) -> Option<HeldMaximum> {
         let problem = &*self.state.problem;
         let mut map = problem.covariance.clone();
@@ -147,8 +147,8 @@ impl<'a> Holder<'a> {
         Some(Held { value: place.local.value, slope, near: place })
     }
 
-    /// σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: there the two have the same value and the same
-    /// gradient, so a fixed point in t is the maximum on the curved constraint.
+    /// Holds σ_ij = ρ√(σ_ii σ_jj) through 2σ_ij = ρ(tσ_ii + σ_jj/t) with t² = σ_jj/σ_ii: at that t the two constraints
+    /// have the same value and the same gradient, so a fixed point in t is the maximum on the curved constraint.
     fn correlation(&self, (i, j): (usize, usize), rho: f64, near: &Point) -> Option<HeldMaximum> {
         let mut near = near.clone();
         let ratio = |point: &Point| {
@@ -178,8 +178,8 @@ impl<'a> Holder<'a> {
     }
 }
 
-/// A root that is near to meeting the last constraint: where that holds a variance, its row and column are stretched to it, which
-/// keeps the correlations. From a variance of zero no step along F would lead away.
+/// A root F that nearly meets the last constraint: where that holds a variance, its row and column of Σ are scaled to
+/// the value, which keeps the correlations. A variance of zero is set to the value, since no step along F leaves zero.
 fn begin(map: &CovarianceMap, constraints: &[Constraint], near: &Point) -> DMatrix<f64> {
     let Some(Constraint { terms, value }) = constraints.last() else { return near.root.clone() };
     let &[(i, k, _)] = &terms[..] else { return near.root.clone() };

@@ -1,13 +1,13 @@
-//! Quantities that can be held at a value, and that have an error and an interval.
+//! Quantities that can be held at a value, and that have a standard error and an interval.
 
 use nalgebra::DMatrix;
 
-/// What is estimated, in the user's units. Indices are places in μ and Σ of all phases together.
+/// An estimated quantity, in the user's units. Indices refer to μ and Σ of all phases together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Holdable {
     /// An element of μ.
     Mean(usize),
-    /// A regression coefficient, by its place among them.
+    /// A regression coefficient, by its index.
     Coefficient(usize),
     /// A standard deviation: the square root of a variance in Σ.
     StdDev(usize),
@@ -18,7 +18,8 @@ pub enum Holdable {
 }
 
 impl Holdable {
-    /// Its value where these are μ, the regression coefficients and Σ; `None` for a correlation with a variance of zero.
+    /// Value of the quantity at given μ, regression coefficients and Σ; `None` for a correlation with a variance of
+    /// zero.
     pub fn value(self, mean: &[f64], coefficients: &[f64], sigma: &DMatrix<f64>) -> Option<f64> {
         match self {
             Holdable::Mean(i) => Some(mean[i]),
@@ -33,23 +34,23 @@ impl Holdable {
     }
 }
 
-/// One of each quantity, by its kind.
+/// One entry for each quantity, by kind.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Quantities<T> {
-    /// Of μ (p).
+    /// Entries of the elements of μ (p).
     pub mean: Vec<T>,
-    /// Of the regression coefficients.
+    /// Entries of the regression coefficients.
     pub coefficients: Vec<T>,
-    /// Of the standard deviations (p).
+    /// Entries of the standard deviations (p).
     pub std_dev: Vec<T>,
-    /// Of Σ (p × p).
+    /// Entries of the elements of Σ (p × p).
     pub covariance: Vec<Vec<T>>,
-    /// Of the correlations (p × p).
+    /// Entries of the correlations (p × p).
     pub correlation: Vec<Vec<T>>,
 }
 
 impl<T: Copy> Quantities<T> {
-    /// The same of each; so many are in μ, and so many regression coefficients.
+    /// The same entry for every quantity, with p elements of μ and this number of regression coefficients.
     pub(crate) fn all(one: T, p: usize, coefficients: usize) -> Quantities<T> {
         Quantities {
             mean: vec![one; p],
@@ -60,7 +61,7 @@ impl<T: Copy> Quantities<T> {
         }
     }
 
-    /// That of a quantity.
+    /// The entry of a quantity.
     pub fn of(&self, what: Holdable) -> T {
         match what {
             Holdable::Mean(i) => self.mean[i],
@@ -71,7 +72,7 @@ impl<T: Copy> Quantities<T> {
         }
     }
 
-    /// Puts one in place, in both triangles.
+    /// Sets the entry of a quantity, in both triangles of a matrix.
     pub(crate) fn set(&mut self, what: Holdable, one: T) {
         match what {
             Holdable::Mean(i) => self.mean[i] = one,

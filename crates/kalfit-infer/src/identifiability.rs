@@ -1,7 +1,8 @@
-//! What the ensemble says nothing about (theory §5).
+//! Directions of μ and Σ that the ensemble does not determine (theory §5).
 //!
-//! For μ with its regression coefficients: the null space of Σ_j E_j'J_jE_j on what is free of them, μ_j = E_j(μ, γ). For Σ: the null space of the expected information
-//! ½ Σ_j tr(W_j D W_j E) on the free directions of Σ.
+//! For μ with its regression coefficients: the null space of Σ_j E_j'J_jE_j on the free directions of both, with
+//! μ_j = E_j(μ, γ). For Σ: the null space of the expected information ½ Σ_j tr(W_j D W_j E) on the free
+//! directions of Σ.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -18,29 +19,30 @@ use kalfit_estimate::{
 };
 use kalfit_filter::reduce::Reductions;
 
-/// What takes part by less than this in a direction that differences show is not in it.
+/// An element whose weight is below this fraction of the largest is not part of a direction that was found by
+/// differences.
 const FAINT: f64 = 1e-3;
 
-/// What the data identify, why not all, and from which tests.
+/// What the data do not identify and why, and which tests inform each state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Examination {
     /// Directions that the data do not determine.
     pub unidentified: Vec<Direction>,
-    /// Why, for each of them.
+    /// Why the data do not determine each of the directions.
     pub explanations: Vec<Explanation>,
-    /// Which tests say what of each state.
+    /// Which tests inform and observe each state.
     pub observability: Observability,
     /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
     pub phases: Vec<PhaseObservability>,
 }
 
-/// All of it before any fit: at the start values.
+/// Examines identifiability before any fit, at the start values.
 pub fn examine_at_start(reductions: &Reductions, structure: &Structure<'_>) -> Result<Examination, FitError> {
     let (problem, point, sums) = kalfit_estimate::at_start(reductions, structure)?;
     Ok(examination((&problem, &point, &sums), structure, (reductions, reductions), phases(&problem, reductions)))
 }
 
-/// `evidence`: what the estimate was made from, where that is not the reductions.
+/// Examines identifiability at an estimate; `evidence`: the reductions whose likelihood was maximised.
 pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &Reductions) -> Examination {
     let state = &estimate.state;
     let phases = phases(&state.problem, reductions);
@@ -58,13 +60,13 @@ pub(crate) fn examine(estimate: &Estimate, evidence: &Reductions, reductions: &R
     found
 }
 
-/// Directions of one quantity that are one but for rounding.
+/// Whether two directions are the same but for rounding.
 fn is_same(one: &Direction, other: &Direction) -> bool {
     let mut pairs = one.direction.iter().zip(&other.direction);
     one.quantity == other.quantity && pairs.all(|(a, b)| (a - b).abs() < FAINT)
 }
 
-/// What mean and covariance do along directions in which ℓ does not change while dynamic parameters move.
+/// How mean and covariance move along directions of dynamic parameters in which ℓ does not change.
 fn with_parameters(state: &FinalState) -> Vec<(Direction, Explanation)> {
     let Some(joint) = state.joint.as_ref().filter(|joint| !joint.flat.is_empty()) else { return Vec::new() };
     let law = AsymptoticLaw::new(state);
@@ -99,7 +101,7 @@ fn examination(
     phases: Vec<PhaseObservability>,
 ) -> Examination {
     let unidentified = directions(problem, point, sums);
-    // what tests in groups say of their states they say by themselves
+    // for observability, tests in groups are taken as if each stood alone
     let alone = problem.classes.units.as_ref().and_then(|_| problem.apart(structure, point, reductions));
     let (of, point, seen) = match &alone {
         Some((alone, point)) => (alone, point, reductions),
@@ -126,7 +128,7 @@ pub fn directions(problem: &Problem, point: &Point, sums: &Sums) -> Vec<Directio
     found
 }
 
-/// What the only group of a level adds, which is not told from the mean.
+/// Directions of the covariance of a level with only one group, whose effect cannot be separated from the mean.
 fn of_single_groups(problem: &Problem, free: &[f64]) -> Vec<Direction> {
     let elements = &problem.covariance.elements;
     let alone = |&e: &usize| {
@@ -154,7 +156,7 @@ fn mean_directions(problem: &Problem) -> Vec<Direction> {
         .collect()
 }
 
-/// A direction in η, in the user's units.
+/// Converts a direction in η to the user's units.
 fn out(quantity: Quantity, direction: &DVector<f64>, units: &[f64]) -> Direction {
     Direction { quantity, direction: in_units(direction, units.iter()) }
 }
@@ -173,9 +175,10 @@ fn covariance_directions(problem: &Problem, (root, free): (&DMatrix<f64>, &Spars
         .collect()
 }
 
-/// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A coordinate is one
-/// itself when, in steps of its size, it has nothing beside the best known one and beside `elsewhere`. The information is made where it
-/// is wanted: of many states it is most of the memory there is.
+/// Directions v with vanishing information after scaling to unit diagonal, in the unscaled coordinates. A single
+/// coordinate is such a direction when its information, in steps of its size, is negligible against that of the
+/// best-known coordinate and against `elsewhere`. The information is computed twice rather than held: for many states
+/// it would take most of the memory.
 fn null_space(information: &dyn Fn() -> DMatrix<f64>, sizes: &[f64], elsewhere: f64) -> Vec<DVector<f64>> {
     let mut scaled = information();
     let (n, diagonal) = (scaled.nrows(), scaled.diagonal());

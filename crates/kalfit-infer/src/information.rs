@@ -13,18 +13,18 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, FinalState, PhaseForm};
 use kalfit_filter::reduce::Reductions;
 
-/// A squared correlation this near to one is one.
+/// A squared correlation that differs from one by at most this is one.
 const END: f64 = 1e-6;
-/// Eigenvalues of a correlation matrix up to this are zero.
+/// Eigenvalues of a correlation matrix up to this are treated as zero.
 const ROUNDING: f64 = 1e-11;
 
-/// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, a variance of zero or a correlation of
-/// one. Where Σ is singular, they are those of matrices of its rank.
+/// Standard errors, in the user's units. `None` where a quantity is fixed, not identified, a variance of zero or a
+/// correlation of one. Where Σ is singular, standard errors are those among matrices of its rank.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Uncertainty {
-    /// The errors.
+    /// Standard error of each quantity.
     pub errors: Quantities<Option<f64>>,
-    /// Relative standard error of β in Σ = βΣ*, by phase.
+    /// Relative standard error of β in Σ = βΣ*, for each phase.
     pub scale: Vec<Option<f64>>,
     /// Blocks of Σ that are singular.
     pub boundary: Vec<Boundary>,
@@ -33,11 +33,11 @@ pub struct Uncertainty {
 /// A block of Σ on the boundary of the positive semidefinite cone.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Boundary {
-    /// Elements of the block.
+    /// States of the block.
     pub states: Vec<usize>,
-    /// Its rank.
+    /// Rank of the block.
     pub rank: usize,
-    /// Elements whose variance is zero.
+    /// States of the block whose variance is zero.
     pub zero_variances: Vec<usize>,
 }
 
@@ -46,12 +46,12 @@ fn takes_part(unidentified: &[Direction], quantity: Quantity, k: usize) -> bool 
     unidentified.iter().any(|d| d.quantity == quantity && d.direction[k] != 0.0)
 }
 
-/// Whether an element of Σ does; those between phases do not.
+/// Whether an element of Σ takes part in an unidentified direction; elements between phases do not.
 fn element_takes_part(unidentified: &[Direction], elements: &Elements, i: usize, j: usize) -> bool {
     elements.get(i, j).is_some_and(|k| takes_part(unidentified, Quantity::Covariance, k))
 }
 
-/// Which quantities of an estimate are neither fixed nor unidentified.
+/// For each quantity of an estimate, whether it is neither fixed nor unidentified.
 pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Quantities<bool> {
     let problem = &estimate.state.problem;
     let p = estimate.mean.len();
@@ -81,7 +81,7 @@ pub fn free(estimate: &Estimate, unidentified: &[Direction]) -> Quantities<bool>
     }
 }
 
-/// Standard errors at an estimate. The reductions are those it was made from; only the sandwich looks at them.
+/// Standard errors at an estimate, which was made from `reductions`; only the sandwich uses these.
 pub fn uncertainty(
     estimate: &Estimate,
     reductions: &Reductions,
@@ -91,7 +91,7 @@ pub fn uncertainty(
     uncertainty_of(estimate, &estimate.state.evidence(reductions), unidentified, kind).0
 }
 
-/// The same from the reductions whose likelihood was maximised, and the covariance of all that was estimated.
+/// Standard errors, and the covariance of all estimates, from the reductions whose likelihood was maximised.
 pub(super) fn uncertainty_of(
     estimate: &Estimate,
     evidence: &Reductions,
@@ -117,18 +117,18 @@ pub(super) fn uncertainty_of(
     (uncertainty, estimates)
 }
 
-/// Standard errors from the information in a state of the estimator, at the end of a search or anywhere else; `sigma` is Σ
-/// there, in the user's units.
+/// Standard errors from the information in a state of the estimator, at the end of a search or at any other point;
+/// `sigma` is Σ of that state, in the user's units.
 pub fn uncertainty_at(state: &FinalState, sigma: &DMatrix<f64>, unidentified: &[Direction]) -> Uncertainty {
     uncertainty_by(&AsymptoticLaw::new(state), sigma, unidentified, SingularBlock::Nothing)
 }
 
-/// What is said of a block of Σ that is singular.
+/// Which standard errors a singular block of Σ gets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum SingularBlock {
-    /// Standard errors on the face of the cone that the estimate lies in, the matrices of its rank.
+    /// Standard errors on the face of the cone that contains the estimate: among matrices of its rank.
     Face,
-    /// None: a value that is assumed, not estimated, will have estimates off the face.
+    /// No standard errors: where Σ is assumed, not estimated, its estimates will lie off the face.
     Nothing,
 }
 
@@ -149,7 +149,7 @@ fn uncertainty_by(
     };
     let elements = &map.elements;
     let known = |i: usize, j: usize| !(without(i) || without(j) || element_takes_part(unidentified, elements, i, j));
-    // on the face a correlation of 1 does not move, and rounding is no error
+    // on the face a correlation of 1 does not move: its standard error would be rounding
     let at_end = |i: usize, j: usize| {
         let size = sigma[(i, i)] * sigma[(j, j)];
         on_boundary(i) && on_boundary(j) && sigma[(i, j)].powi(2) >= (1.0 - END) * size
@@ -210,7 +210,7 @@ fn boundary(map: &CovarianceMap, root: &DMatrix<f64>) -> Vec<Boundary> {
         .collect()
 }
 
-/// Null space of (FF') on a block, in units of its standard deviations: what has eigenvalues up to `floor` in these.
+/// Null space of FF' on a block: eigenvectors with eigenvalues up to `floor`, in units of the standard deviations.
 pub(super) fn null_space(root: &DMatrix<f64>, block: &[usize], floor: f64) -> DMatrix<f64> {
     let own = DMatrix::from_fn(block.len(), root.ncols(), |i, c| root[(block[i], c)]);
     let norms: Vec<f64> = own.row_iter().map(|r| r.norm()).collect();

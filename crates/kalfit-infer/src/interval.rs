@@ -1,4 +1,4 @@
-//! 95 % intervals: Wald's, on scales where the law is nearly normal, and by profile likelihood.
+//! 95 % intervals: Wald intervals, on scales where the law is nearly normal, and intervals by profile likelihood.
 
 use rayon::prelude::*;
 
@@ -10,16 +10,18 @@ use crate::progress::SharedProgress;
 use kalfit_algebra::elements::Elements;
 use kalfit_estimate::{Criterion, Estimate, Point};
 
-/// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half its square of the maximum.
+/// Normal quantile of 97.5 %: an interval holds the values whose ℓ_max is within half the square of this of the
+/// maximum.
 pub(crate) const QUANTILE: f64 = 1.959_963_984_540_054;
 
-/// How intervals are made.
+/// Method of the intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum IntervalKind {
-    /// From standard errors: of means as they are, of standard deviations in logarithms, of correlations in Fisher's z.
+    /// From standard errors, of standard deviations in logarithms, of correlations in Fisher's z, of the rest as they
+    /// are.
     #[default]
     Wald,
-    /// Values that the likelihood-ratio test at 5 % does not reject.
+    /// By profile likelihood: values that the likelihood-ratio test at 5 % does not reject.
     Profile,
 }
 
@@ -28,11 +30,12 @@ pub use kalfit_search::Interval;
 /// 95 % intervals in the user's units. `None` where a quantity is fixed or not identified.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Intervals {
-    /// How they were made.
+    /// Method of these intervals.
     pub kind: IntervalKind,
-    /// How many come from standard errors where profiles were asked for, those of means under the restricted likelihood apart.
+    /// Number of intervals from standard errors where profiles were requested, not counting those of means under the
+    /// restricted likelihood.
     pub unprofiled: usize,
-    /// The intervals; of the variances, the squares of those of the standard deviations.
+    /// The intervals; those of variances are the squares of those of the standard deviations.
     pub ends: Quantities<Interval>,
 }
 
@@ -71,8 +74,9 @@ pub fn wald(estimate: &Estimate, uncertainty: &Uncertainty) -> Intervals {
     found
 }
 
-/// Intervals by profile likelihood; of means under the restricted likelihood, which has no profile of them, Wald's. A quantity on the
-/// boundary has one too; one for which no certified maximum is found near an end has none there. `None` once nobody waits any longer.
+/// Intervals by profile likelihood, also of quantities on the boundary; Wald intervals of means under the restricted
+/// likelihood, which has no profile of means. An end is `None` where no certified maximum is found near it; the whole
+/// is `None` once `progress` stops.
 pub(super) fn profile(
     estimate: &Estimate,
     uncertainty: &Uncertainty,
@@ -90,7 +94,7 @@ pub(super) fn profile(
     (!progress.stops()).then_some(found)
 }
 
-/// Free quantities that have a profile: under the restricted likelihood means have none.
+/// Free quantities that have a profile; means have no profile under the restricted likelihood.
 pub(crate) fn profiled(estimate: &Estimate, free: &Quantities<bool>) -> Vec<Holdable> {
     let elements = &estimate.state.problem.covariance.elements;
     let of_mean = |what: &Holdable| matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_));
@@ -100,7 +104,7 @@ pub(crate) fn profiled(estimate: &Estimate, free: &Quantities<bool>) -> Vec<Hold
 }
 
 impl Intervals {
-    /// Puts the profile intervals of some quantities in place; `start` is the maximum.
+    /// Computes and stores the profile intervals of the quantities in `wanted`; `start` is the maximum.
     pub(crate) fn follow<H: Holds<What = Holdable>>(
         &mut self,
         (estimate, uncertainty): (&Estimate, &Uncertainty),
@@ -139,7 +143,7 @@ pub(crate) fn value(estimate: &Estimate, what: Holdable) -> Option<f64> {
     what.value(&estimate.mean, &estimate.coefficients, &estimate.covariance)
 }
 
-/// A first step for a quantity of Σ without a standard error, from Σ_j W_j alone.
+/// First step for a quantity without a standard error, from Σ_j W_j alone.
 fn guess(estimate: &Estimate, what: Holdable) -> f64 {
     let state = &estimate.state;
     let (scale, weight) = (&state.problem.classes.frame.scale, &state.newton_iterate.local.weight);

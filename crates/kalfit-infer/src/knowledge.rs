@@ -1,4 +1,4 @@
-//! What is known of the estimates.
+//! How uncertain the estimates are, in the terms of a model.
 
 use nalgebra::DMatrix;
 
@@ -6,28 +6,28 @@ use crate::estimated::Estimated;
 use kalfit_model::Label;
 use kalfit_model::{Alpha, Level, PhasedModel};
 
-/// A step of a free value is this part of its standard error,
+/// Step of a difference by a free value, as a fraction of its standard error.
 const PART: f64 = 1e-3;
-/// and at most this part of the value.
+/// Largest step of a difference by a free value, as a fraction of the value.
 pub const MOST: f64 = 1e-3;
 
 /// One number that was estimated, as a model names it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Estimand {
-    /// Of μ, of the regression coefficients or of Σ.
+    /// An element of μ, a regression coefficient or an element of Σ.
     Population(Estimated),
     /// A dynamic parameter.
     Parameter {
-        /// Its place in the model.
+        /// Index of the parameter in the model.
         parameter: usize,
-        /// The text of its level.
+        /// Text of the level that the value belongs to.
         level: Option<String>,
     },
 }
 
 impl Estimand {
-    /// α with this parameter moved a little to both sides, and how far the sides are from each other; `None` of what is no parameter, or does
-    /// not move. `error`: its standard error, where there is one.
+    /// α with this parameter moved a little down and up, and the distance between the two values; `None` where the
+    /// number is no parameter, or the step is zero. `error`: its standard error, where there is one.
     pub fn sides(&self, model: &PhasedModel, alpha: &Alpha, error: Option<f64>) -> Option<([Alpha; 2], f64)> {
         let value = *self.value(model, &mut alpha.clone())?;
         let size = if value == 0.0 { 1.0 } else { value.abs() };
@@ -43,7 +43,8 @@ impl Estimand {
         (step > 0.0).then(|| (sides.map(moved), sides[1] - sides[0]))
     }
 
-    /// The value of a parameter at its level; `None` of what is no parameter, or where α has no value of its own there.
+    /// Value of a parameter at its level; `None` where the number is no parameter, or α has no separate value at the
+    /// level.
     pub fn value<'a>(&self, model: &PhasedModel, alpha: &'a mut Alpha) -> Option<&'a mut f64> {
         let Estimand::Parameter { parameter, level } = self else { return None };
         match (alpha.values.get_mut(*parameter)?, level) {
@@ -58,10 +59,10 @@ impl Estimand {
     }
 }
 
-/// How far estimates can be trusted.
+/// Uncertainty of the estimates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Knowledge {
-    /// What was estimated.
+    /// The estimated numbers, in the order of the rows of the covariance.
     pub quantities: Vec<Estimand>,
     /// Covariance of the estimates.
     pub covariance: DMatrix<f64>,
@@ -69,14 +70,14 @@ pub struct Knowledge {
     pub open: Vec<Estimand>,
     /// Free variances and noise levels whose estimate is zero.
     pub at_zero: Vec<Estimand>,
-    /// How many tests, or groups of the outermost level, they are from; infinitely many of values that are given.
+    /// Number of tests, or of groups of the outermost level, that the estimates come from; infinite for given values.
     pub tests: f64,
-    /// By restricted maximum likelihood: Σ allows for the means that were estimated with it.
+    /// Whether restricted maximum likelihood was used: Σ then allows for the estimation of the means.
     pub is_restricted: bool,
 }
 
 impl Knowledge {
-    /// Of values that are given: nothing was estimated.
+    /// For given values: nothing was estimated.
     pub fn exact() -> Knowledge {
         Knowledge {
             quantities: Vec::new(),
@@ -90,7 +91,7 @@ impl Knowledge {
 }
 
 impl Knowledge {
-    /// The same with some numbers known exactly.
+    /// This knowledge with some numbers taken as known exactly.
     #[must_use]
     pub fn without(&self, is_exact: &dyn Fn(&Estimand) -> bool) -> Knowledge {
         let kept: Vec<usize> = (0..self.quantities.len()).filter(|&i| !is_exact(&self.quantities[i])).collect();

@@ -1,4 +1,5 @@
-//! The asymptotic normal law of the estimates: the inverse of an information, or the sandwich, carried to what is reported.
+//! The asymptotic normal law of the estimates: the inverse of an information, or the sandwich, transformed to the
+//! quantities that are reported.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -11,35 +12,36 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::{FinalState, JointLaw, PhaseForm};
 use kalfit_filter::reduce::Reductions;
 
-/// Scaled eigenvalues of the information below this carry none.
+/// Eigenvalues of the information, scaled to unit diagonal, below this are treated as zero.
 const FLAT: f64 = 1e-10;
 
-/// The asymptotic normal law of the free coordinates, carried to mean coordinates and elements of Σ.
+/// The asymptotic normal law of the free coordinates, transformed to mean coordinates and elements of Σ.
 pub(crate) struct AsymptoticLaw<'a> {
     pub(super) state: &'a FinalState,
     /// Covariance of the coordinates along the tangent basis.
     coordinates: DMatrix<f64>,
-    /// The same for the mean alone: under the restricted likelihood that of generalised least squares at the estimated Σ, and at dynamic
-    /// parameters that it follows.
+    /// Covariance of the mean coordinates alone, under the restricted likelihood: that of generalised least squares at
+    /// the estimated Σ, plus what the uncertainty of estimated dynamic parameters adds.
     mean: Option<DMatrix<f64>>,
-    /// How it follows them there: coordinates × free values of α.
+    /// dβ̂/dα of the mean coordinates, where `mean` and estimated dynamic parameters are given: coordinates × free
+    /// values of α.
     follows: Option<DMatrix<f64>>,
     /// d(μ in η, γ; σ pairs) / d(tangent coordinates).
     jacobian: Sparse,
-    /// The same with the parameters that move Σ by themselves, where there are any.
+    /// The joint law with the free values of α, where some of them move Σ at fixed coordinates.
     joint: Option<WithParameters>,
 }
 
-/// Coordinates along the tangent basis, then free values of α.
+/// The law of the coordinates along the tangent basis, followed by the free values of α.
 struct WithParameters {
     covariance: DMatrix<f64>,
     jacobian: Sparse,
-    /// Of parameters that the data do not determine.
+    /// d(μ in η, γ; σ pairs) / d(values of α that the data do not determine).
     open: Sparse,
 }
 
 impl<'a> AsymptoticLaw<'a> {
-    /// From the observed information.
+    /// The law from the observed information.
     pub(crate) fn new(state: &'a FinalState) -> AsymptoticLaw<'a> {
         AsymptoticLaw::of(state, &Reductions::new(), StdErrors::Observed)
     }
@@ -58,7 +60,7 @@ impl<'a> AsymptoticLaw<'a> {
         });
         let jacobian = jacobian.times_columns(&tangent.basis);
         let coordinates = match kind {
-            // whatever the kind: with dynamic parameters it was made where they are known
+            // with estimated dynamic parameters the joint covariance was computed together with them, for every `kind`
             _ if state.joint.is_some() => {
                 let joint = state.joint.as_ref().expect("there is one");
                 joint.covariance.view((0, 0), (jacobian.ncols(), jacobian.ncols())).into_owned()
@@ -75,7 +77,8 @@ impl<'a> AsymptoticLaw<'a> {
                 half * bread
             }
         };
-        // the sandwich is of the mean as well; the other two are generalised least squares for it
+        // the sandwich covers the mean too; with the other two kinds the mean has its generalised least squares
+        // covariance
         let mean = gls.filter(|_| kind != StdErrors::Sandwich);
         let follows =
             mean.as_ref().and(state.joint.as_ref()).map(|joint| follows(joint, tangent.mean, jacobian.ncols()));
@@ -90,7 +93,7 @@ impl<'a> AsymptoticLaw<'a> {
         AsymptoticLaw { state, coordinates, mean, follows, jacobian, joint }
     }
 
-    /// Inverse of the information along the tangent basis.
+    /// Covariance of the coordinates along the tangent basis.
     pub(crate) fn coordinates(&self) -> &DMatrix<f64> {
         &self.coordinates
     }
@@ -100,17 +103,17 @@ impl<'a> AsymptoticLaw<'a> {
         &self.jacobian
     }
 
-    /// The law of the mean alone, where it has one.
+    /// Covariance of the mean coordinates alone, under the restricted likelihood.
     pub(super) fn mean_law(&self) -> Option<&DMatrix<f64>> {
         self.mean.as_ref()
     }
 
-    /// How the mean follows free values of α, where it has a law by itself: coordinates × values.
+    /// dβ̂/dα of the mean coordinates, where `mean_law` is given: coordinates × free values of α.
     pub(super) fn follows(&self) -> Option<&DMatrix<f64>> {
         self.follows.as_ref()
     }
 
-    /// What the rows of the jacobian are of: the row, the quantity, and its size in the user's units.
+    /// The rows of the jacobian: row, quantity, and the size of one unit of η in the user's units.
     pub(super) fn quantities(&self) -> Vec<(usize, Estimated, f64)> {
         let (p, problem) = (self.scale().len(), &self.state.problem);
         let means = (0..p).map(|i| (i, Estimated::Mean(i), self.scale()[i]));
@@ -133,14 +136,15 @@ impl<'a> AsymptoticLaw<'a> {
         &self.state.problem.classes.frame.scale
     }
 
-    /// Place of σ_ij among the rows of the jacobian, with its unit.
+    /// Row of σ_ij in the jacobian, and `weight` times the unit of σ_ij in the user's units.
     fn sigma(&self, i: usize, j: usize, weight: f64) -> (usize, f64) {
         let p = self.scale().len();
         let rows = p + self.state.problem.mean.regressors.len();
         (rows + self.state.problem.covariance.elements.index(i, j), weight * self.scale()[i] * self.scale()[j])
     }
 
-    /// Derivatives of a quantity by mean coordinates and elements of Σ; `None` where it has none. `sigma` is Σ in the user's units.
+    /// Derivatives of a quantity by mean coordinates and elements of Σ; `None` where they do not exist (a variance of
+    /// zero). `sigma` is Σ in the user's units.
     fn weights_of(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<DVector<f64>> {
         let variance = |i: usize| Some(sigma[(i, i)]).filter(|variance| *variance > 0.0);
         Some(match what {
@@ -162,7 +166,7 @@ impl<'a> AsymptoticLaw<'a> {
         })
     }
 
-    /// Standard error of a quantity; `None` where it has none. `sigma` is Σ in the user's units.
+    /// Standard error of a quantity; `None` where the quantity has none. `sigma` is Σ in the user's units.
     pub(super) fn error(&self, sigma: &DMatrix<f64>, what: Holdable) -> Option<f64> {
         let weights = &self.weights_of(sigma, what)?;
         match (what, &self.joint) {
@@ -175,7 +179,8 @@ impl<'a> AsymptoticLaw<'a> {
         }
     }
 
-    /// Derivative of a quantity along the tangent basis; zero where it has none. `sigma` is Σ in the user's units.
+    /// Derivative of a quantity along the tangent basis; zero where it does not exist. `sigma` is Σ in the user's
+    /// units.
     pub(crate) fn derivative(&self, sigma: &DMatrix<f64>, what: Holdable) -> DVector<f64> {
         match self.weights_of(sigma, what) {
             Some(weights) => self.jacobian.transposed_times(&weights),
@@ -191,7 +196,7 @@ impl<'a> AsymptoticLaw<'a> {
         self.jacobian.transposed_times(&self.weights(&entries))
     }
 
-    /// Relative standard error of a common factor on the Σ of a phase, read off its largest variance.
+    /// Relative standard error of a common factor on the Σ of a phase, from its largest variance.
     pub(super) fn scale_error(&self, sigma: &DMatrix<f64>, part: &PhaseForm) -> Option<f64> {
         let i = part.states.clone().max_by(|&a, &b| sigma[(a, a)].total_cmp(&sigma[(b, b)]))?;
         let error = self.error(sigma, Holdable::Covariance(i, i)).filter(|_| sigma[(i, i)] > 0.0)?;
@@ -212,7 +217,7 @@ impl WithParameters {
         WithParameters { covariance: joint.covariance.clone(), jacobian, open }
     }
 
-    /// Nothing that the data do not determine moves a quantity with these weights.
+    /// Whether a quantity with these weights is independent of all values of α that the data do not determine.
     fn is_known(&self, weights: &DVector<f64>) -> bool {
         self.open.transposed_times(weights).amax() <= PART * weights.amax()
     }
@@ -230,7 +235,7 @@ fn follows(joint: &JointLaw, mean: usize, coordinates: usize) -> DMatrix<f64> {
 
 /// Standard error of the quantity with these derivatives by mean coordinates and elements of Σ.
 fn error(jacobian: &Sparse, law: &DMatrix<f64>, weights: &DVector<f64>) -> Option<f64> {
-    // in η, where sizes have a meaning whatever the user's units
+    // sizes are compared in η, where they do not depend on the user's units
     let unit = Some(weights.amax()).filter(|unit| *unit > 0.0)?;
     let along = jacobian.transposed_times(&(weights / unit));
     let size = along.amax();
@@ -240,7 +245,7 @@ fn error(jacobian: &Sparse, law: &DMatrix<f64>, weights: &DVector<f64>) -> Optio
     (size > 1e-12 && variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
 }
 
-/// Σ s s' over what is independent, in mean coordinates and elements of Σ.
+/// Σ s s' over independent tests or units of tests; scores s by mean coordinates and elements of Σ.
 fn outer_scores(state: &FinalState, reductions: &Reductions, m: usize, s: usize) -> DMatrix<f64> {
     let mut sum = DMatrix::zeros(m + s, m + s);
     state.each_independent(reductions, &mut |_, own| {
@@ -252,7 +257,7 @@ fn outer_scores(state: &FinalState, reductions: &Reductions, m: usize, s: usize)
     sum
 }
 
-/// Inverse after scaling to unit diagonal; flat and negative directions count as no information and are left out.
+/// Inverse after scaling to unit diagonal; flat and negative directions carry no information and are omitted.
 fn inverse(information: &DMatrix<f64>) -> DMatrix<f64> {
     let n = information.nrows();
     let unit = |i: usize| if information[(i, i)] > 0.0 { information[(i, i)].sqrt().recip() } else { 0.0 };
@@ -279,7 +284,7 @@ mod tests {
     use kalfit_model::Reduction;
     use kalfit_model::{Alpha, CovarianceStructure, MeanStructure};
 
-    /// A fit of two states with variances near 0.4 and 9, which twenty tests know to a tenth.
+    /// A fit of two states with variances near 0.4 and 9, which twenty tests measure to about a tenth.
     fn fitted() -> Estimate {
         let factor = [10.0, 3.0, 10.0];
         let test = |j: usize| {

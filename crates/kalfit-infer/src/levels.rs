@@ -1,5 +1,4 @@
-//! What tests say of themselves and of each other where they stand in groups (theory §11): posteriors and distances of tests and of
-//! groups, and the answer without each of them.
+//! Tests in groups (theory §11): posteriors and distances of tests and of groups, and the fit without each of them.
 
 use nalgebra::DMatrix;
 use rayon::prelude::*;
@@ -13,30 +12,30 @@ use kalfit_estimate::Order;
 use kalfit_estimate::{Estimate, LevelPosteriors, Point, Problem, TestPosterior, Units, level_posteriors};
 use kalfit_filter::reduce::Reductions;
 
-/// The answer without each test, or each group of a level.
+/// The fit without each test, or without each group of a level.
 type Deletions = Vec<Option<Deletion>>;
 
 /// Results of one group.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroupPosterior {
-    /// log p of all measurements of its tests, by themselves.
+    /// log p of all measurements of the group's tests, without those of other groups.
     pub log_likelihood: f64,
-    /// E[m | z] of the mean m of its members, regressions apart (p).
+    /// E[m | z] of the mean m of the group's members, without regressions (p).
     pub mean: Vec<f64>,
     /// Var[m | z] (p × p).
     pub covariance: DMatrix<f64>,
     /// How far the group is from the population.
     pub distance: Distance,
-    /// Squares of how far its tests and inner groups are from each other, χ² with as many degrees of freedom as the distances of its tests
-    /// have more than its own.
+    /// Squared distance of the group's tests and inner groups from each other: χ² with degrees of freedom equal to the
+    /// sum of those of the tests' distances minus those of the group's `distance`.
     pub within: f64,
-    /// Number of its tests.
+    /// Number of tests in the group.
     pub tests: usize,
-    /// How `mean` follows μ and the regression coefficients (p × (p + coefficients)); `None` without regressions.
+    /// d`mean` / d(μ, regression coefficients) (p × (p + coefficients)); `None` without regressions.
     pub follows: Option<DMatrix<f64>>,
 }
 
-/// Tests in groups, with their reductions in what is a test's own and what each of its groups adds.
+/// Tests in groups, with their reductions in the per-test effect and the effects of the test's groups.
 struct GroupedTests<'a> {
     problem: &'a Problem,
     evidence: &'a Reductions,
@@ -50,13 +49,13 @@ impl GroupedTests<'_> {
         level_posteriors(self.units, (point, regressors), Some(&constants), !regressors.is_empty())
     }
 
-    /// In the user's units.
+    /// A covariance in the user's units (p × p), from one in η by rows.
     fn covariance(&self, numbers: &[f64]) -> DMatrix<f64> {
         let (p, scale) = (self.units.states, &self.problem.classes.frame.scale);
         symmetric::scaled(&scale[..p], |i, k| numbers[i * p + k])
     }
 
-    /// In the user's units; `None` of nothing.
+    /// d(group mean) / d(μ, regression coefficients) in the user's units; `None` where `numbers` is empty.
     fn follows(&self, numbers: &[f64]) -> Option<DMatrix<f64>> {
         let p = self.units.states;
         let units = self.problem.mean_units();
@@ -79,8 +78,8 @@ impl GroupedTests<'_> {
     }
 }
 
-/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first; `None` where there are no groups.
-/// A test's likelihood and distance are those of the test by itself.
+/// Posteriors of all tests, in their order, and of the groups of each level, the innermost first; `None` without
+/// groups. The likelihood and distance of a test are those of the test by itself.
 pub(super) fn posteriors(
     problem: &Problem,
     point: &Point,
@@ -106,8 +105,8 @@ pub(super) fn posteriors(
     Some((tests, found.groups.iter().enumerate().map(of_level).collect()))
 }
 
-/// The fit without each test, in their order, and without each group of each level, the innermost first. `None` where the others alone
-/// have no certified optimum, and where there are no others; of all once nobody waits any longer.
+/// The fit without each test, in their order, and without each group of each level, the innermost first. An entry is
+/// `None` where the other tests have no certified optimum, or there are no others; the whole once `progress` stops.
 pub(super) fn deletions(
     estimate: &Estimate,
     evidence: &Reductions,
@@ -140,7 +139,7 @@ pub(super) fn deletions(
 }
 
 impl GroupedTests<'_> {
-    /// The fit without some tests, and where it ends; its distance is not looked at.
+    /// The fit without some tests, and its optimum; the `distance` of the result is a placeholder.
     fn without(&self, estimate: &Estimate, removed: &[usize], whole: f64) -> Option<(Point, Deletion)> {
         let problem = self.problem;
         let (point, others) = searched(estimate, self.evidence, removed)?;

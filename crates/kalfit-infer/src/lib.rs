@@ -1,9 +1,9 @@
-//! How far each number can be trusted: standard errors, sensitivities, identifiability, and what each test says.
+//! How far each estimate can be trusted: standard errors, sensitivities, identifiability, and the results of each test.
 //!
 //! ```text
 //! Var θ̂ = H⁻¹, H = -∂²ℓ/∂θ²                                     standard errors, from the observed information
-//! V_j = Σ(I + J_jΣ)⁻¹,  x̂_j = μ + V_j(y_j - J_jμ)               what test j says of its own ξ                   (10), (11)
-//! λ = dℓ_max / d(value)                                         the price of a constraint                       (17)-(19)
+//! V_j = Σ(I + J_jΣ)⁻¹,  x̂_j = μ + V_j(y_j - J_jμ)               posterior of ξ in test j                  (10), (11)
+//! λ = dℓ_max / d(value)                                         the sensitivity to a constraint           (17)-(19)
 //! -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis)           χ², or a mixture of χ² on the boundary
 //! ```
 
@@ -77,82 +77,82 @@ use kalfit_estimate::{Criterion, Estimate, Progress, Silent};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::PhasedModel;
 
-/// What to infer, and how.
+/// Options of the inference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Choices {
-    /// What standard errors are made of; under the restricted likelihood always the observed information.
+    /// Matrix that standard errors come from; under the restricted likelihood always the observed information.
     pub std_errors: StdErrors,
-    /// How intervals are made.
+    /// Method of the intervals.
     pub intervals: IntervalKind,
-    /// Whether each test is left out in turn.
+    /// Whether the fit is repeated without each test.
     pub deletion: DeletionChoice,
-    /// Whether to say what each test says.
+    /// Whether results of single tests are computed.
     pub tests: TestsChoice,
 }
 
-/// Whether to say what each test says: of very many tests that takes more memory than the fit.
+/// Whether results of single tests are computed: for very many tests they take more memory than the fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum TestsChoice {
-    /// Every test.
+    /// Results of every test.
     #[default]
     Each,
-    /// None: no posteriors, and no fits without each test.
+    /// No results of single tests: neither posteriors nor fits without each test.
     None,
 }
 
-/// Whether each test is left out in turn.
+/// Whether the fit is repeated without each test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum DeletionChoice {
-    /// When that takes about a second at most.
+    /// Only when all these fits take about a second at most.
     #[default]
     Cheap,
-    /// Whatever it takes.
+    /// Always, however long the fits take.
     All,
-    /// Never.
+    /// Never: no fits without single tests.
     None,
 }
 
-/// Multiplications that count as cheap.
+/// Number of multiplications up to which the fits without each test count as cheap.
 const CHEAP: f64 = 5e8;
 
-/// All that is inferred from an estimate.
+/// Everything inferred from an estimate.
 #[derive(Debug, Clone)]
 pub struct Inference {
-    /// What standard errors are made of.
+    /// Matrix that the standard errors come from.
     pub std_errors: StdErrors,
-    /// Standard errors and the boundary.
+    /// Standard errors, and the blocks of Σ that are singular.
     pub uncertainty: Uncertainty,
-    /// The covariance of all that was estimated; `None` of very many numbers.
+    /// Covariance of all estimates; `None` where there are very many.
     pub estimates: Option<EstimateCovariance>,
     /// 95 % intervals.
     pub intervals: Intervals,
     /// Directions that the data do not determine.
     pub unidentified: Vec<Direction>,
-    /// Why, for each of them.
+    /// Why the data do not determine each of the unidentified directions.
     pub explanations: Vec<Explanation>,
-    /// Which tests say what of each state.
+    /// Which tests inform and observe each state.
     pub observability: Observability,
     /// Which directions enter at which phase; empty where the reductions do not hold their phases one by one.
     pub phases: Vec<PhaseObservability>,
-    /// What each constraint costs.
+    /// Sensitivity and score test of each constraint.
     pub sensitivities: Vec<Sensitivity>,
-    /// What each test says, in the order of the reductions; empty when that was not asked for.
+    /// Posterior of each test, in the order of the reductions; empty when not requested.
     pub posteriors: Posteriors,
-    /// The fit without each test, in the order of the reductions; `None` when that was not asked for.
+    /// The fit without each test, in the order of the reductions; `None` when not requested.
     pub deletions: Option<Vec<Option<Deletion>>>,
-    /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups, or where it was not asked for.
+    /// Posteriors of the groups of each level, the innermost first; empty without groups, or when not requested.
     pub groups: Vec<Vec<GroupPosterior>>,
-    /// The fit without each of them; `None` when that was not asked for.
+    /// The fit without each group of each level, the innermost first; `None` when not requested.
     pub group_deletions: Option<Vec<Vec<Option<Deletion>>>>,
 }
 
-/// Infers all of it, from the reductions that the estimate was made from.
+/// Computes the inference from an estimate and the reductions that it was made from.
 pub fn infer(estimate: &Estimate, reductions: &Reductions, choices: Choices) -> Inference {
     inferred(estimate, reductions, choices, &SharedProgress::new(&mut Silent, None))
 }
 
-/// As [`infer`], as long as somebody waits, who hears which interval is sought. Once nobody does, intervals are those from standard
-/// errors, and fits without each test are left out.
+/// As [`infer`], and reports to `progress` which interval is computed. Once `progress` stops, intervals come from
+/// standard errors, and fits without each test are omitted.
 pub fn infer_while(
     model: &PhasedModel,
     (estimate, reductions): (&Estimate, &Reductions),
@@ -162,7 +162,7 @@ pub fn infer_while(
     inferred(estimate, reductions, choices, &SharedProgress::new(progress, Some(model)))
 }
 
-/// The same, where threads share whoever waits.
+/// As `infer_while`, with a `progress` that is already shared between threads.
 pub(crate) fn inferred(
     estimate: &Estimate,
     reductions: &Reductions,
@@ -174,7 +174,7 @@ pub(crate) fn inferred(
         identifiability::examine(estimate, &evidence, reductions);
     let std_errors = match estimate.criterion {
         Criterion::Ml => choices.std_errors,
-        Criterion::Reml => StdErrors::Observed, // what it adds to ℓ is no sum over tests
+        Criterion::Reml => StdErrors::Observed, // its additional term in ℓ is not a sum over tests
     };
     let (uncertainty, estimates) = information::uncertainty_of(estimate, &evidence, &unidentified, std_errors);
     let profiled = match choices.intervals {

@@ -1,4 +1,4 @@
-//! Limits by profile likelihood of what is linear in the means: of a predicted mean, say.
+//! Profile-likelihood limits of linear combinations of the means, such as a predicted mean.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -13,21 +13,21 @@ use kalfit_model::Population;
 /// constant + weights'(μ, γ), in the user's units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeanCombination {
-    /// By μ (p), then by the regression coefficients.
+    /// Weights of μ (p), then of the regression coefficients.
     pub weights: DVector<f64>,
-    /// The rest.
+    /// The constant term.
     pub constant: f64,
 }
 
 impl MeanCombination {
-    /// Its value at a population.
+    /// Value of the combination at a population.
     pub fn value(&self, population: &Population) -> f64 {
         let all = population.mean.iter().chain(&population.coefficients);
         self.constant + all.zip(self.weights.iter()).map(|(x, weight)| x * weight).sum::<f64>()
     }
 }
 
-/// Holds combinations near an estimate.
+/// Maximises ℓ near an estimate with one combination held.
 struct Combinations<'a> {
     holder: Holder<'a>,
     all: &'a [MeanCombination],
@@ -35,7 +35,7 @@ struct Combinations<'a> {
 
 impl Holds for Combinations<'_> {
     const PRECISION: f64 = 1e-6;
-    /// Its number.
+    /// Index of the combination.
     type What = usize;
     type Near = Point;
 
@@ -45,9 +45,9 @@ impl Holds for Combinations<'_> {
     }
 }
 
-/// Between which values the likelihood-ratio test keeps each combination, where the parameters are known: those whose ℓ_max is within
-/// half the square of `quantile` of the maximum. Both are the estimate where nothing that was estimated moves it; `None` where an end
-/// is not found, as is none once nobody waits any longer.
+/// Limits of each combination by the likelihood-ratio test, where α is known: values whose ℓ_max is within half the
+/// square of `quantile` of the maximum. Both limits are the estimate where no estimated number moves the combination;
+/// `None` where an end is not found, or once `progress` stops.
 pub fn mean_limits(
     estimate: &Estimate,
     all: &[MeanCombination],

@@ -1,15 +1,16 @@
-//! Which tests say what of each state (theory §5, the paper's 2.3).
+//! Which tests inform and observe each state (theory §5, the paper's 2.3).
 //!
-//! A test informs a state when its measurements depend on it (row of J not zero), and observes it when it could estimate it
-//! alone (the unit vector of the state in the range of J). The mean of a state is then known from
+//! A test informs a state when its measurements depend on that state (row of J not zero), and observes the state when
+//! the test alone could estimate it (the unit vector of the state is in the range of J). The mean of a state is then
+//! known from
 //!
 //! ```text
 //! I = Σ_j W_j        variance of μ̂_i = u'Iu with u = I⁺e_i = Σ_j u'W_ju
 //! ```
 //!
-//! on the free directions of μ: test j's part of that sum is its share of what is known of the mean. A direction of the mean
-//! is weakly determined when it is nearly one that nothing was observed of: its condition index (Belsley, Kuh, Welsch 1980),
-//! √(λ_max / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
+//! on the free directions of μ: test j's part of that sum is its share of the information on the mean. A direction of
+//! the mean is weakly determined when it is nearly unobserved: its condition index (Belsley, Kuh, Welsch 1980), √(λ_max
+//! / λ) of I scaled to unit diagonal, exceeds [`WEAK`]. None of these figures depends on units.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -27,19 +28,19 @@ use kalfit_model::remote::Coordinates;
 
 /// Condition index beyond which a direction of the mean is weakly determined; 30 is Belsley, Kuh and Welsch's "strong".
 pub const WEAK: f64 = 30.0;
-/// No more ids of tests than this are listed.
+/// Number of tests up to which their ids are listed.
 pub const MOST_TESTS: usize = 20;
-/// A column of R below this part of that of the test with the largest is rounding error.
+/// A column of R whose norm is below this fraction of the largest over the tests is rounding error.
 const TRACE: f64 = 1e-12;
 
-/// What the ensemble says of the estimated states and of the mean.
+/// How well the ensemble determines the estimated states and the mean.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observability {
-    /// By element of μ.
+    /// Observability of each element of μ.
     pub states: Vec<StateObservability>,
     /// Number of tests that inform both i and k, p × p by rows.
     pub together: Vec<Vec<usize>>,
-    /// Directions of the mean that are known much worse than its elements suggest, the worst first.
+    /// Weakly determined directions of the mean, the worst first.
     pub weak: Vec<WeakDirection>,
     /// Blocks of Σ that too few tests inform.
     pub shortages: Vec<Shortage>,
@@ -48,23 +49,23 @@ pub struct Observability {
 /// How well the ensemble determines one state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StateObservability {
-    /// Number of tests whose measurements depend on it.
+    /// Number of tests whose measurements depend on the state.
     pub informed_by: usize,
-    /// Number of tests that could estimate it alone.
+    /// Number of tests that could estimate the state alone.
     pub observed_by: usize,
-    /// Ids of the tests that inform it, in order, when there are at most [`MOST_TESTS`]; else none.
+    /// Ids of the tests that inform the state, in order, when there are at most [`MOST_TESTS`]; else empty.
     pub tests: Vec<String>,
-    /// The test that most of what is known of its mean rests on; `None` where that is fixed or not identified. Regression
-    /// coefficients are taken as known.
+    /// The test with the largest share of the information on the state's mean; `None` where the mean is fixed or not
+    /// identified. Regression coefficients are taken as known.
     pub leading: Option<Leading>,
 }
 
-/// A test and its share of what is known.
+/// A test and its share of the information.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Leading {
-    /// Id of the test; of several with the same share, the first by id.
+    /// Id of the test; among several with equal shares, the first by id.
     pub test: String,
-    /// Its share, 0 to 1.
+    /// Share of the test, 0 to 1.
     pub share: f64,
 }
 
@@ -73,20 +74,20 @@ pub struct Leading {
 pub struct WeakDirection {
     /// A unit vector in the user's units (p).
     pub direction: Vec<f64>,
-    /// Its condition index.
+    /// Condition index of the direction.
     pub condition: f64,
-    /// The test with the most information on it.
+    /// The test with the most information on the direction.
     pub leading: Option<Leading>,
 }
 
-/// A block of Σ whose estimate must be singular: `tests` tests allow it no higher rank than `rank`.
+/// A block of Σ whose estimate must be singular: `tests` tests allow at most rank `rank`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Shortage {
     /// Elements of the block that any test informs.
     pub states: Vec<usize>,
-    /// Tests that inform any of them.
+    /// Number of tests that inform any of these states.
     pub tests: usize,
-    /// The highest rank that Σ can have there: one less than the tests when a mean is free, for then Σ r_j = 0 in GΣ = 0.
+    /// Highest rank that the block can have: one less than `tests` when a mean is free, for then Σ r_j = 0 in GΣ = 0.
     pub rank: usize,
 }
 
@@ -94,14 +95,14 @@ pub struct Shortage {
 struct ClassViews<'a> {
     classes: &'a Classes,
     reductions: &'a Reductions,
-    /// p of each class.
+    /// Whether the class informs each state: p entries for each class in turn.
     informs: Vec<bool>,
     observes: Vec<bool>,
 }
 
-/// Tests of one class.
+/// One class of tests, and which states they inform and observe.
 struct ClassView<'a> {
-    /// Their numbers, in order of their ids.
+    /// Numbers of the tests, in order of their ids.
     tests: &'a [usize],
     informs: &'a [bool],
     observes: &'a [bool],
@@ -141,7 +142,7 @@ pub(crate) fn observability(
     }
 }
 
-/// The same of tests that are elsewhere: numbers of tests, and none by its id.
+/// Observability from remote tests: numbers of tests only, without ids.
 fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
     let p = problem.classes.dimension();
     let counts =
@@ -163,7 +164,7 @@ fn afar(problem: &Problem, weight: &DMatrix<f64>) -> Observability {
     }
 }
 
-/// What a place answers to [`Question::Observability`]; `None` where that is not of its model.
+/// A shard's answer to [`Question::Observability`]; `None` where `frame` does not fit its model.
 pub fn counted(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
     let p = frame.centre.len();
     let reductions = summed.reductions.clone();
@@ -176,7 +177,7 @@ pub fn counted(summed: &mut Summed, frame: &Coordinates) -> Option<Vec<f64>> {
 }
 
 impl Observability {
-    /// Ids of the tests that inform any of these states, in order, when there are at most [`MOST_TESTS`]; else none.
+    /// Ids of the tests that inform any of these states, in order, when there are at most [`MOST_TESTS`]; else empty.
     pub(super) fn tests_of(&self, states: &[usize]) -> Vec<String> {
         let of = || states.iter().map(|&i| &self.states[i]);
         if of().any(|state| state.informed_by > MOST_TESTS) {
@@ -210,7 +211,7 @@ impl<'a> ClassViews<'a> {
         ClassViews { classes, reductions, informs, observes }
     }
 
-    /// Class by class.
+    /// The classes in turn.
     fn iter(&self) -> impl Iterator<Item = ClassView<'_>> {
         let p = self.classes.dimension();
         (0..self.classes.len()).map(move |class| ClassView {
@@ -220,12 +221,12 @@ impl<'a> ClassViews<'a> {
         })
     }
 
-    /// Number of tests of designs that `of` picks.
+    /// Number of tests in the classes that `of` selects.
     fn count(&self, of: impl Fn(&ClassView<'_>) -> bool) -> usize {
         self.iter().filter(of).map(|design| design.tests.len()).sum()
     }
 
-    /// Ids of the tests of designs that `of` picks, when they are few.
+    /// Ids of the tests in the classes that `of` selects, when they are few; else empty.
     fn listed(&self, of: impl Fn(&ClassView<'_>) -> bool) -> Vec<String> {
         let tests = self.iter().filter(of).flat_map(|design| design.tests).take(MOST_TESTS + 1);
         let mut ids: Vec<String> = tests.map(|&test| self.reductions.id(test).to_owned()).collect();
@@ -236,7 +237,7 @@ impl<'a> ClassViews<'a> {
         ids
     }
 
-    /// How many tests inform both of two states.
+    /// Number of tests that inform both of two states, p × p.
     fn together(&self, p: usize) -> Vec<Vec<usize>> {
         let mut alike: BTreeMap<&[bool], usize> = BTreeMap::new();
         self.iter().for_each(|design| *alike.entry(design.informs).or_default() += design.tests.len());
@@ -247,7 +248,7 @@ impl<'a> ClassViews<'a> {
     }
 }
 
-/// R of a class, packed, with what its tests measure exactly as rows of information like any other.
+/// R of a class, packed by columns; exact measurements of its tests count as rows of information like any other.
 fn told<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<'a, [f64]> {
     let first = classes.tests_of(class)[0];
     if reductions.exact(first).is_none() {
@@ -263,12 +264,13 @@ fn told<'a>(classes: &Classes, reductions: &'a Reductions, class: usize) -> Cow<
 /// A direction of the mean in η and its condition index.
 type Weak = (DVector<f64>, f64);
 
-/// The same in the user's units.
+/// A weak direction in the user's units.
 fn out(problem: &Problem, (direction, condition): Weak, leading: Option<Leading>) -> WeakDirection {
     WeakDirection { direction: in_units(&direction, problem.classes.frame.scale.iter()), condition, leading }
 }
 
-/// In η: for each element of μ the direction I⁺e_i when its mean is free and identified; and the weak directions.
+/// For each element of μ the direction I⁺e_i, `None` unless the element is free and identified; and the weak
+/// directions, all in η.
 fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVector<f64>>>, Vec<Weak>) {
     let basis = &problem.mean.basis;
     let (p, q) = basis.shape();
@@ -299,7 +301,7 @@ fn known_and_weak(problem: &Problem, weight: &DMatrix<f64>) -> (Vec<Option<DVect
     ((0..p).map(known).collect(), weak)
 }
 
-/// The tests that directions of the mean rest on.
+/// Finds the tests with the largest share of the information on directions of the mean.
 struct Shares<'a> {
     problem: &'a Problem,
     point: &'a Point,
@@ -307,7 +309,7 @@ struct Shares<'a> {
 }
 
 impl Shares<'_> {
-    /// For each direction u the test with the largest u'W_ju, and its share of their sum.
+    /// For each direction u the test with the largest u'W_ju, and its share of the sum over the tests.
     fn leading(&self, directions: &[DVector<f64>]) -> Vec<Option<Leading>> {
         let ClassViews { classes, reductions, .. } = self.designs;
         let p = classes.dimension();
@@ -331,7 +333,7 @@ impl Shares<'_> {
     }
 }
 
-/// For each direction u the sum of u'W_ju and its largest term, with the test it is of.
+/// For each direction u the sum of u'W_ju over tests, and its largest term with the id of that test.
 struct Parts<'a> {
     totals: Vec<f64>,
     best: Vec<Option<(f64, &'a str)>>,
@@ -351,7 +353,7 @@ impl<'a> Parts<'a> {
         }
     }
 
-    /// The larger stays; of equals the first by id, which most are not asked for.
+    /// Replaces the best term by a larger one, or by an equal one of a smaller id; `test` is called only where needed.
     fn offer(&mut self, c: usize, own: f64, test: impl Fn() -> &'a str) {
         let better = |&(most, id): &(f64, &str)| own > most || (own >= most && test() < id);
         if own > 0.0 && self.best[c].as_ref().is_none_or(better) {
@@ -360,7 +362,7 @@ impl<'a> Parts<'a> {
     }
 }
 
-/// Blocks of a Σ without fixed or equal elements that fewer tests inform than a regular estimate takes.
+/// Blocks of Σ, in parts without constraints, that too few tests inform for a regular estimate.
 fn shortages(problem: &Problem, designs: &ClassViews<'_>) -> Vec<Shortage> {
     let map = &problem.covariance;
     let loose = |part: &&PhaseForm| map.of_part(part).constraints.is_empty();

@@ -1,4 +1,4 @@
-//! Which states a test could estimate alone.
+//! Determines which states a test could estimate alone.
 
 use kalfit_lanes::{Isa, Kernel, Lanes};
 use nalgebra::DMatrix;
@@ -7,21 +7,21 @@ use crate::direction::NONE;
 use kalfit_algebra::fold::norm;
 use kalfit_algebra::symmetric;
 
-/// A state with more than this of a direction without information is not observed.
+/// A state whose part in the directions without information exceeds this (norm of its entries) is not observed.
 pub(super) const PART: f64 = 1e-6;
 
-/// Norm of a column of R, packed.
+/// Norm of column k of R, which is packed by columns.
 pub(super) fn column_norm(factor: &[f64], k: usize) -> f64 {
     norm(&factor[k * (k + 1) / 2..][..=k])
 }
 
-/// Leaves of the states that are informed those whose unit vector is in the range of J = R'R, on these.
+/// Clears `observes` for informed states whose unit vector is not in the range of J = R'R on the informed states.
 pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     let p = informs.len();
     let informed = || (0..p).filter(|&i| informs[i]);
     let entry = |i: usize, k: usize| if i <= k { factor[i + k * (k + 1) / 2] } else { 0.0 };
-    // Of J scaled to unit diagonal the least eigenvalue is at least a third of the determinant, and that at least Π R_kk²:
-    // eigenvalues need not be sought where it is plain that none is near zero.
+    // The least eigenvalue of J scaled to unit diagonal is at least a third of its determinant, and the determinant
+    // at least Π R_kk² of the scaled R: eigenvalues are not needed where this bound shows that none is near zero.
     let determinant: f64 = informed().map(|k| (entry(k, k) / column_norm(factor, k)).powi(2)).product();
     if determinant > 10.0 * NONE {
         return;
@@ -41,8 +41,8 @@ pub(super) fn observe(factor: &[f64], informs: &[bool], observes: &mut [bool]) {
     }
 }
 
-/// Whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least one is at least 1 / ‖D R⁻¹‖², D the norms of the
-/// columns of R, which is packed by columns.
+/// Kernel that checks whether no eigenvalue of R'R, scaled to unit diagonal, can be near zero: the least one is at
+/// least 1 / ‖D R⁻¹‖², D the norms of the columns of R, which is packed by columns.
 struct WellConditioned<'a> {
     factor: &'a [f64],
     norms: &'a [f64],
@@ -51,7 +51,7 @@ struct WellConditioned<'a> {
 impl Kernel for WellConditioned<'_> {
     type Output = bool;
 
-    /// Columns are worked on by as many numbers as registers hold.
+    /// Each column update uses as many numbers at a time as registers hold.
     #[inline(always)]
     fn run<T: Lanes>(self) -> bool {
         let n = self.norms.len();
@@ -69,7 +69,7 @@ impl Kernel for WellConditioned<'_> {
                 squares += (self.norms[m] * own) * (self.norms[m] * own);
             }
         }
-        10.0 * NONE * squares < 1.0 // false for what is not a number
+        10.0 * NONE * squares < 1.0 // false for NaN
     }
 }
 
@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn what_is_surely_observed_is_what_eigenvalues_say() {
-        // the last column nears the one before it, in units a million times as large
+        // the last column approaches the one before it, in units a million times as large
         for (off, expected) in [(1.0, true), (1e-2, true), (1e-3, true), (1e-9, false), (0.0, false)] {
             let factor = [2.0, 0.5, 1.0, 1e6, 2e6, off * 1e6];
             let norms: Vec<f64> = (0..3).map(|k| norm(&factor[k * (k + 1) / 2..][..=k])).collect();

@@ -7,22 +7,24 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::{ChainStore, ChainedClass, Problem};
 use kalfit_filter::reduce::Reductions;
 
-/// Classes of tests that are looked at before the ranks are counted again.
+/// Number of classes of tests whose information is added before the rank is computed again.
 const CHUNK: usize = 64;
 
-/// What a phase adds to what the ensemble knows of the initial states.
+/// Information that a phase adds on the initial states.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseObservability {
-    /// Rank of the information of the phase by itself on all that enters it: its own states, and those that inherit.
+    /// Rank of the information of the phase by itself on all states that enter it: new states and inherited ones.
     pub own_rank: usize,
-    /// Rank of the information of this and all earlier phases together on the states of all of them.
+    /// Rank of the information of this and all earlier phases together on the states of all these phases.
     pub rank_so_far: usize,
-    /// Combinations of the states of this and earlier phases that are known from this phase on: weights of all states of the model,
-    /// each a unit vector in the user's units. There are `rank_so_far` less that of the phase before of them.
+    /// Combinations of the states of this and earlier phases that are known from this phase on: weights of all states
+    /// of the model, each a unit vector in the user's units. Their number is the increase of `rank_so_far` in this
+    /// phase.
     pub entered: Vec<Vec<f64>>,
 }
 
-/// By phase; empty where tests are not kept phase by phase. Looks only at as many tests as it takes to find every rank full.
+/// Observability of each phase; empty where tests are not stored phase by phase. Classes are added only until a rank is
+/// full.
 pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObservability> {
     let elements = &problem.covariance.elements;
     let count = elements.blocks().len();
@@ -30,7 +32,7 @@ pub(crate) fn phases(problem: &Problem, reductions: &Reductions) -> Vec<PhaseObs
         return vec![single(problem)];
     }
     if problem.classes.units.is_some() || problem.classes.remote.is_some() {
-        return Vec::new(); // levels of groups, of one phase; tests that are elsewhere
+        return Vec::new(); // blocks are levels of groups, not phases; or tests are remote
     }
     let classes = problem.classes.by_phase(reductions);
     let chains: Option<Vec<&ChainStore>> = (0..classes.listed.len()).map(|k| classes.listed.get(k).chain).collect();
@@ -67,7 +69,7 @@ fn single(problem: &Problem) -> PhaseObservability {
     }
 }
 
-/// Σ of what the chains say, until the rank is as high as it can be.
+/// Sum of the information of the chains, up to where the rank is as high as it can be.
 fn gathered(
     chains: &[&ChainStore],
     highest: usize,
@@ -93,7 +95,7 @@ fn range(information: &DMatrix<f64>) -> DMatrix<f64> {
     symmetric::range(information, |value| value > NONE)
 }
 
-/// What of a range is not in the one before, as weights in the user's units.
+/// Directions of a range that are not in the range before, as weights in the user's units.
 fn entered(range: &DMatrix<f64>, before: &DMatrix<f64>, scale: &[f64]) -> Vec<Vec<f64>> {
     let new = range.ncols().saturating_sub(before.ncols());
     if new == 0 {

@@ -1,4 +1,4 @@
-//! What each test says: its likelihood, the posterior of its ξ (10), (11), and its distance from the population.
+//! Results of each test: its likelihood, the posterior of its ξ (10), (11), and its distance from the population.
 
 use std::ops::Range;
 
@@ -11,10 +11,10 @@ use kalfit_estimate::{ChainDetail, ClassRef, ClassTerms, Classes, Point, Problem
 use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_model::unpack;
 
-/// Tests that one thread takes at a time.
+/// Number of tests that one thread takes at a time.
 const CHUNK: usize = 64;
 
-/// Posteriors of all tests at a point, in their order, each by itself.
+/// Posteriors of all tests, where they stand in no groups, at a point, in the order of the reductions.
 pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -> Posteriors {
     let classes = problem.classes.of(reductions);
     let of = |classes: &Classes| of_classes((problem, classes), point, reductions);
@@ -27,7 +27,7 @@ pub(super) fn alone(problem: &Problem, point: &Point, reductions: &Reductions) -
     Posteriors::ordered(sizes(problem), &found)
 }
 
-/// Of tests that are classes to themselves.
+/// Posteriors of tests that each form a class of one.
 fn of_classes(
     (problem, classes): (&Problem, &Classes),
     point: &Point,
@@ -50,19 +50,19 @@ fn of_classes(
     found.into_iter().map(|(found, _)| found).collect()
 }
 
-/// States of each phase.
+/// Number of states of each phase.
 fn sizes(problem: &Problem) -> Vec<usize> {
     problem.covariance.elements.blocks().iter().map(Range::len).collect()
 }
 
-/// Room for what one test says.
+/// Buffers for the posterior of one test.
 #[derive(Debug, Default)]
 struct PosteriorRoom {
     mean: Vec<f64>,
     covariances: Vec<f64>,
 }
 
-/// Where tests are looked at.
+/// The point at which posteriors are computed.
 struct PosteriorLook<'a> {
     problem: &'a Problem,
     point: &'a Point,
@@ -70,7 +70,7 @@ struct PosteriorLook<'a> {
 }
 
 impl PosteriorLook<'_> {
-    /// E[ξ | z] = μ_j + Σr.
+    /// Writes E[ξ | z] = μ_j + Σr, in the user's units.
     fn mean(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, mean: &mut Vec<f64>) {
         self.point.put_mean(class, &self.problem.mean.regressors, mean);
         for (mean, sigma) in mean.iter_mut().zip(self.sigma.row_iter()) {
@@ -79,7 +79,7 @@ impl PosteriorLook<'_> {
         self.problem.classes.frame.take_mean_out(mean);
     }
 
-    /// Var[ξ_i | z] of each phase, in the user's units. Of phases that a test kept phase by phase lacks, Σ.
+    /// Var[ξ_i | z] of each phase, in the user's units; Σ for phases that a test stored phase by phase does not have.
     fn covariances(&self, class: ClassRef<'_>, terms: &ClassTerms<'_>, room: &mut PosteriorRoom) {
         let scale = &self.problem.classes.frame.scale;
         let whole = class.chain.is_none().then(|| posterior_covariance(class.factor, &self.point.root));
@@ -110,11 +110,12 @@ impl Distance {
         let freed = reduction.exact.map(|exact| (exact.values.len(), exact.freed(p)));
         let told = freed.map(|(q, freed)| (q, freed.least_squares(&unpack(reduction.factor, p), reduction.data)));
         let rank = told.map_or_else(own_rank, |(q, (rank, _))| q + rank);
-        // of tests kept phase by phase the quadratic form holds what their phases disagree on at any ξ as well: the stacked constant
-        // is what is left of those of the phases after that and after the noise between them
+        // For tests stored phase by phase the quadratic form also contains the disagreement of their phases at any ξ:
+        // the sum of the phases' constants exceeds the stacked constant by half of this disagreement and of the
+        // log-determinant of the noise between phases.
         let disagreement = match class.chain {
             Some(_) => 2.0 * (class.constant - reduction.constant) - terms.link_log_det,
-            // and of exact rows, what the others disagree with them
+            // with exact rows, it contains the disagreement of the other rows with them
             None => told.map_or(0.0, |(_, (_, left))| left),
         };
         let squared = (terms.quadratic - disagreement).max(0.0);
@@ -122,7 +123,7 @@ impl Distance {
     }
 }
 
-/// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R by rows, then C. F is that of the law given Cξ = g.
+/// F (I + F'JF)⁻¹ F'; `factor` is R with J = R'R by rows, then C. With exact rows C, F is the root of Σ given Cξ = g.
 fn posterior_covariance(factor: &[f64], root: &DMatrix<f64>) -> DMatrix<f64> {
     let p = root.nrows();
     let (factor, exact) = factor.split_at(p * p);

@@ -1,24 +1,24 @@
-//! What all tests say, in columns: a number, or as many as all tests have alike, for each test.
+//! Posteriors of all tests, stored in columns: every column has the same number of entries for each test.
 
 use nalgebra::DMatrixView;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// What each test says, in an order of tests.
+/// Posteriors of tests, in a given order of the tests.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Posteriors {
-    /// States of each phase.
+    /// Number of states of each phase.
     sizes: Vec<usize>,
     log_likelihood: Vec<f64>,
     mean: Vec<f64>,
-    /// Of each test phase after phase, by rows.
+    /// Covariance of each phase by rows, phase after phase, for each test in turn.
     covariances: Vec<f64>,
     distance: Vec<Distance>,
 }
 
-/// What one test says.
+/// Posterior of one test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Posterior<'a> {
-    /// log p of its measurements.
+    /// log p of the test's measurements.
     pub log_likelihood: f64,
     /// E[ξ | z] (p).
     pub mean: &'a [f64],
@@ -28,18 +28,18 @@ pub struct Posterior<'a> {
     pub distance: Distance,
 }
 
-/// Standardised squared distance of a test's own estimate from the population mean.
+/// Standardised squared distance of a test's estimate from the population mean.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Distance {
-    /// (y - Jμ)'(J + JΣJ)⁺(y - Jμ).
+    /// The squared distance (y - Jμ)'(J + JΣJ)⁺(y - Jμ).
     pub squared: f64,
-    /// Rank of J.
+    /// Rank of J, the information of the test.
     pub degrees_of_freedom: usize,
     /// χ² tail probability; `None` without degrees of freedom.
     pub p_value: Option<f64>,
 }
 
-/// What some tests say, each with its number.
+/// Posteriors of some tests, each with the number of its test.
 #[derive(Debug)]
 pub(super) struct NumberedPosteriors {
     numbers: Vec<usize>,
@@ -47,22 +47,22 @@ pub(super) struct NumberedPosteriors {
 }
 
 impl Posteriors {
-    /// Of no test yet, with so many states in each phase.
+    /// An empty store, with the number of states of each phase.
     pub(super) fn new(sizes: Vec<usize>) -> Posteriors {
         Posteriors { sizes, ..Posteriors::default() }
     }
 
-    /// How many tests they are.
+    /// Number of tests.
     pub fn len(&self) -> usize {
         self.distance.len()
     }
 
-    /// There are none.
+    /// Whether there are no tests.
     pub fn is_empty(&self) -> bool {
         self.distance.is_empty()
     }
 
-    /// What the test with this number says. Panics when there is no such test.
+    /// Posterior of the test with this number. Panics when there is no such test.
     pub fn get(&self, test: usize) -> Posterior<'_> {
         let (p, squares) = (self.states(), self.squares());
         Posterior {
@@ -74,12 +74,12 @@ impl Posteriors {
         }
     }
 
-    /// What each test says.
+    /// The posteriors, test by test.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = Posterior<'_>> {
         (0..self.len()).map(|test| self.get(test))
     }
 
-    /// Adds a test: `covariances` of each phase after the other, by rows.
+    /// Adds a test: `covariances` holds the covariance of each phase by rows, phase after phase.
     pub(super) fn push(&mut self, (log_likelihood, distance): (f64, Distance), mean: &[f64], covariances: &[f64]) {
         self.log_likelihood.push(log_likelihood);
         self.distance.push(distance);
@@ -88,7 +88,7 @@ impl Posteriors {
         debug_assert_eq!(self.covariances.len(), self.len() * self.squares());
     }
 
-    /// In the order of their numbers, which are those from 0 on.
+    /// Joins parts in the order of the tests' numbers, which are 0, 1, 2, … without gaps.
     pub(super) fn ordered(sizes: Vec<usize>, parts: &[NumberedPosteriors]) -> Posteriors {
         let mut places: Vec<(usize, usize, usize)> = parts
             .iter()
@@ -119,14 +119,14 @@ impl<'a> Posterior<'a> {
         DMatrixView::from_slice(self.square(phase), self.sizes[phase], self.sizes[phase])
     }
 
-    /// The same by rows.
+    /// The covariance of a phase by rows.
     pub fn square(&self, phase: usize) -> &'a [f64] {
         let (before, size) = (&self.sizes[..phase], self.sizes[phase]);
         let start: usize = before.iter().map(|size| size * size).sum();
         &self.covariances[start..][..size * size]
     }
 
-    /// The same of all phases.
+    /// The covariances of all phases.
     pub fn covariances(&self) -> impl ExactSizeIterator<Item = DMatrixView<'a, f64>> {
         let own = *self;
         (0..own.sizes.len()).map(move |phase| own.covariance(phase))
@@ -134,7 +134,7 @@ impl<'a> Posterior<'a> {
 }
 
 impl Distance {
-    /// Of χ² with so many degrees of freedom.
+    /// A distance, with its tail probability under χ² with these degrees of freedom.
     pub(super) fn new(squared: f64, degrees_of_freedom: usize) -> Distance {
         let p_value = ChiSquared::new(degrees_of_freedom as f64).ok().map(|chi| chi.sf(squared));
         Distance { squared, degrees_of_freedom, p_value }
@@ -142,12 +142,12 @@ impl Distance {
 }
 
 impl NumberedPosteriors {
-    /// Of no test yet.
+    /// An empty store; `sizes`: number of states of each phase.
     pub(super) fn new(sizes: &[usize]) -> NumberedPosteriors {
         NumberedPosteriors { numbers: Vec::new(), found: Posteriors::new(sizes.to_vec()) }
     }
 
-    /// Where to add the test with this number.
+    /// The store to which the test with this number is to be added next.
     pub(super) fn of(&mut self, number: usize) -> &mut Posteriors {
         self.numbers.push(number);
         &mut self.found

@@ -1,4 +1,4 @@
-//! Whoever waits for what is inferred: told and asked from every thread that works at it.
+//! Progress of the inference, reported from every thread that works at it.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError, TryLockError};
@@ -9,10 +9,10 @@ use crate::holdable::Holdable;
 use kalfit_estimate::{Progress, Stage, Step};
 use kalfit_model::PhasedModel;
 
-/// Progress that threads share.
+/// Progress reports shared between threads.
 pub struct SharedProgress<'p> {
     told: Mutex<ToldInterval<'p>>,
-    /// Somebody asked for the end: that stays so.
+    /// Whether a stop was requested; never reset.
     stopped: AtomicBool,
     /// Names of the elements of μ and Σ.
     names: Vec<String>,
@@ -20,7 +20,7 @@ pub struct SharedProgress<'p> {
 
 struct ToldInterval<'p> {
     progress: &'p mut dyn Progress,
-    /// The interval that was begun last, and its end.
+    /// Name of the quantity whose interval was begun last, and whether its upper end is computed.
     of: String,
     is_upper: bool,
     filter_runs: usize,
@@ -40,7 +40,7 @@ impl<'p> SharedProgress<'p> {
         SharedProgress { told, stopped: AtomicBool::new(false), names }
     }
 
-    /// True once nobody waits any longer.
+    /// Whether a stop was requested.
     pub(crate) fn stops(&self) -> bool {
         if self.stopped.load(Ordering::Relaxed) {
             return true;
@@ -54,13 +54,13 @@ impl<'p> SharedProgress<'p> {
         stops
     }
 
-    /// One thing of each of so many, side by side; `None` when nobody waits any longer.
+    /// Computes `one` for 0, …, `count` - 1 in parallel; `None` once a stop is requested.
     pub(crate) fn each<T: Send>(&self, count: usize, one: impl Fn(usize) -> T + Sync + Send) -> Option<Vec<T>> {
         let wanted = |k: usize| (!self.stops()).then(|| one(k));
         (0..count).into_par_iter().map(wanted).collect()
     }
 
-    /// Says which end of an interval is sought now, if somebody still waits.
+    /// Reports which end of an interval is computed now, unless a stop was requested.
     pub(crate) fn seeks(&self, of: &str, is_upper: bool) {
         if self.stops() {
             return;
@@ -70,7 +70,7 @@ impl<'p> SharedProgress<'p> {
         told.tell();
     }
 
-    /// Says that the filters are to run once more, if somebody still waits.
+    /// Reports the number of filter runs so far; false once a stop is requested.
     pub(crate) fn goes_on(&self, filter_runs: usize) -> bool {
         if self.stops() {
             return false;
@@ -83,7 +83,7 @@ impl<'p> SharedProgress<'p> {
         true
     }
 
-    /// What an interval of μ, of the regression coefficients or of Σ is of.
+    /// Name, in words, of the quantity of an interval.
     pub(crate) fn name(&self, what: Holdable) -> String {
         let element =
             |i: usize| self.names.get(i).map_or_else(|| format!("state {}", i + 1), |name| format!("`{name}`"));
@@ -97,7 +97,7 @@ impl<'p> SharedProgress<'p> {
     }
 }
 
-/// A search within an interval is asked to end like the rest, and its own steps are told to nobody.
+/// For a search within an interval: it stops with all the rest, and its steps are not reported.
 impl Progress for &SharedProgress<'_> {
     fn step(&mut self, _: Step) {}
 

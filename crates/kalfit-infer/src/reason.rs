@@ -1,4 +1,4 @@
-//! Why the data say nothing about a direction.
+//! Explains why the data do not determine a direction.
 
 use std::collections::BTreeSet;
 
@@ -19,50 +19,50 @@ pub enum Reason {
         /// The two states.
         states: [usize; 2],
     },
-    /// No test tells these states apart: it informs combinations of them only.
+    /// No test separates these states: each test informs only combinations of them.
     NeverApart {
         /// The states.
         states: Vec<usize>,
     },
-    /// The tests see too few different combinations of these states.
+    /// The tests inform too few different combinations of these states.
     TooFewCombinations {
         /// The states.
         states: Vec<usize>,
     },
-    /// Groups of some level have one member each, or too few have more: only the sum of what varies at two levels is known of these
-    /// states.
+    /// Groups of some level have one member each, or too few groups have more: for these states only the sum of the
+    /// variations at two levels is known.
     LevelsTogether {
         /// The states.
         states: Vec<usize>,
     },
-    /// There is one group at a level: what it adds to these states is not told from the mean.
+    /// A level has only one group: its effect on these states cannot be separated from the mean.
     OneGroup {
         /// The states.
         states: Vec<usize>,
     },
-    /// Dynamic parameters move it, and ℓ does not change while they do.
+    /// The direction moves together with dynamic parameters, and ℓ does not change along it.
     WithParameters {
         /// Indices of the parameters.
         parameters: Vec<usize>,
     },
-    /// Columns of these regressions vary too little, or together, over the tests that inform their states.
+    /// Covariates of these regressions vary too little, or together, over the tests that inform their states.
     Confounded {
         /// Indices of [`MeanStructure::regression`](kalfit_model::MeanStructure::regression).
         regressions: Vec<usize>,
     },
 }
 
-/// A direction's reason, and the tests that it is about.
+/// Why a direction is not identified, and the tests concerned.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Explanation {
-    /// Why.
+    /// Why the direction is not identified.
     pub reason: Reason,
-    /// Ids of the tests that inform any of its states, when they are few.
+    /// Ids of the tests that inform any of the direction's states, when they are few.
     pub tests: Vec<String>,
 }
 
 impl Explanation {
-    /// Parameters of another explanation of the same direction are named here too.
+    /// Adds the parameters of another explanation of the same direction.
     pub(crate) fn also(&mut self, other: &Explanation) {
         if let (Reason::WithParameters { parameters }, Reason::WithParameters { parameters: others }) =
             (&mut self.reason, &other.reason)
@@ -83,7 +83,7 @@ pub(crate) fn explain(problem: &Problem, directions: &[Direction], seen: &Observ
     directions.iter().map(one).collect()
 }
 
-/// What takes part.
+/// Indices of the elements that take part in a direction.
 fn support(direction: &[f64]) -> Vec<usize> {
     (0..direction.len()).filter(|&k| direction[k] != 0.0).collect()
 }
@@ -111,7 +111,7 @@ fn covariance(problem: &Problem, direction: &Direction, seen: &Observability) ->
     debug_assert_eq!(direction.direction.len(), elements.count(), "one weight for each element");
     let all: Vec<(usize, usize)> = elements.all().collect();
     let elements: Vec<(usize, usize)> = support(&direction.direction).into_iter().map(|at| all[at]).collect();
-    // states stand once in each level of groups
+    // the element indices repeat the states once for each level of groups
     let p = seen.states.len();
     let levels: BTreeSet<usize> = elements.iter().map(|(i, _)| i / p.max(1)).collect();
     let elements: Vec<(usize, usize)> = elements.into_iter().map(|(i, k)| (i % p, k % p)).collect();

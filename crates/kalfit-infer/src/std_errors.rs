@@ -1,9 +1,10 @@
-//! What standard errors are made of, and what has none.
+//! Kinds of standard errors, and the threshold below which an unidentified direction does not matter for them.
 
-/// An element that takes part in an unidentified direction by more than this has no standard error.
+/// A quantity has no standard error when undetermined values of α move it by more than this, relative to its largest
+/// derivative.
 pub(super) const PART: f64 = 1e-6;
 
-/// What standard errors are made of.
+/// Matrix that standard errors come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum StdErrors {
     /// H⁻¹, H the negative Hessian of ℓ.
@@ -11,6 +12,6 @@ pub enum StdErrors {
     Observed,
     /// I⁻¹, I the expected information (theory §3).
     Expected,
-    /// H⁻¹ (Σ_j s_j s_j') H⁻¹ with the scores s_j of the tests: right also when the model is not, given many tests.
+    /// H⁻¹ (Σ_j s_j s_j') H⁻¹ with the scores s_j of the tests: with many tests valid even if the model is wrong.
     Sandwich,
 }

@@ -5,13 +5,15 @@ use kalfit_search::ProfileLikelihood;
 use kalfit_search::alike;
 use kalfit_search::{ExchangeablePair, ordered};
 
-/// An end with ℓ lower by more is nowhere within an interval: half of χ²₁'s 95 % quantile.
+/// Loss of ℓ from which on an end is outside every interval: half of χ²₁'s 95 % quantile.
 pub(super) const WITHIN: f64 = 1.9208;
-/// So many ends are kept, none but those that differ by more than this part.
+/// Maximal number of other ends that are followed.
 const MOST: usize = 6;
+/// Relative difference of values up to which two ends are the same.
 pub(super) const ALIKE: f64 = 1e-3;
 
-/// Other ends of the searches from which a profile may be higher than from the best, as they are sought: the highest first.
+/// Other ends of the searches, as sought values, from which a profile may be higher than from the best end: the highest
+/// first.
 pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec<Vec<f64>> {
     let least = fit.estimate.log_likelihood - WITHIN;
     let mut kept = vec![fit.sought.clone()];
@@ -24,8 +26,8 @@ pub(super) fn others(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> Vec
     kept.split_off(1)
 }
 
-/// The same for the value in a slot: other ends, and the best and the others with each process that the value's own may be exchanged
-/// for in its place. An exchange that leaves the value where it is leads nowhere else.
+/// Starts on other branches for the value in a slot: other ends, and all ends with the process of that value exchanged
+/// for each one that it is exchangeable with. An exchange that does not move the value leads nowhere else.
 pub(super) fn others_of_value(
     objective: &ProfileLikelihood<'_>,
     (best, others): (&[f64], &[Vec<f64>]),
@@ -35,7 +37,7 @@ pub(super) fn others_of_value(
     let (own, rest): (Vec<ExchangeablePair>, Vec<_>) = objective.twins.iter().cloned().partition(moving);
     let place = |values: &[f64]| {
         let mut place = ordered(&rest, values);
-        place[slot] = 0.0; // held elsewhere
+        place[slot] = 0.0; // this value is held, so it does not count
         place
     };
     let ends = std::iter::once(best).chain(others.iter().map(Vec::as_slice));
@@ -51,7 +53,7 @@ pub(super) fn others_of_value(
     kept
 }
 
-/// The highest of what is found from nearby and from places of other branches, until one is higher than `enough`.
+/// The highest of the maxima found from nearby and from points of other branches, until one is higher than `enough`.
 pub(super) fn highest<T>(
     nearby: Option<T>,
     others: &[Vec<f64>],
@@ -98,7 +100,7 @@ mod tests {
         assert_eq!(of(&[], 0), [second.clone(), third.clone()], "of the five other orders");
         assert_eq!(of(&[], 1), [second, third]);
         assert_eq!(of(&[], 6), Vec::<Vec<f64>>::new(), "an exchange leaves the noise where it is");
-        // an end that differs by what is held, or by the order of the rest, begins no other branch
+        // an end that differs only in the held value, or in the order of the rest, begins no other branch
         assert_eq!(of(&[vec![7.0, 0.1, 2.0, 0.2, 3.0, 0.3, 0.9]], 0).len(), 4, "it does in another place");
         assert_eq!(of(&[vec![1.0, 0.1, 3.0, 0.3, 2.0, 0.2, 0.9]], 0), of(&[], 0));
         let many: Vec<Vec<f64>> = (2..9).map(|k| best.iter().map(|x| f64::from(k) * x).collect()).collect();

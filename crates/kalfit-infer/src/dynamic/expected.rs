@@ -1,6 +1,6 @@
-//! Expected information of (α, μ, Σ) together (theory §13): of a test, Σ_k ½ tr(S⁻¹S_aS⁻¹S_b) + E[e_a'S⁻¹e_b] over its innovations e,
-//! with their tangents along each coordinate. One filter carries P, the predicted state x̂ and the tangents of both; what of x̂ and of
-//! its tangents is random comes from the innovations before, which are white.
+//! Expected information of (α, μ, Σ) together (theory §13): for a test, Σ_k ½ tr(S⁻¹S_aS⁻¹S_b) + E[e_a'S⁻¹e_b] over its
+//! innovations e, with their tangents along each coordinate. One filter carries P, the predicted state x̂ and the
+//! tangents of both; the random parts of x̂ and of its tangents come from the earlier innovations, which are white.
 
 use std::collections::BTreeMap;
 
@@ -20,11 +20,11 @@ use kalfit_search::{DynamicError, DynamicFit};
 
 /// Step of a coordinate of α, and of the tangent basis in standard errors, for differences of coefficients.
 const STEP: f64 = 1e-4;
-/// After so many moments of a record it is asked whether somebody still waits.
+/// Number of time steps of a record between two checks whether the caller waits.
 const ASKED: usize = 4096;
 
-/// Covariances from the expected information; `None` where values of single tests are free, where some side is not defined, and when
-/// nobody waits any longer.
+/// Covariances from the expected information; `None` where values of single tests are free, where some difference is
+/// not defined, and when the caller no longer waits.
 pub(super) fn expected(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -42,15 +42,15 @@ pub(super) fn expected(
     Ok(if progress.stops() { None } else { fit.joint.covariances_of(&sum) })
 }
 
-/// Tests are rows, which the optimal filter runs over: those of which it is worked out.
+/// Whether the expected information is available: all tests are rows, over which the optimal filter runs.
 pub(super) fn is_possible(objective: &ProfileLikelihood<'_>) -> bool {
     let is_rows = |evidence: &Evidence| matches!(evidence, Evidence::Rows(_));
     let all_rows = objective.tests.iter().all(|test| test.phases.iter().all(is_rows));
     all_rows && objective.model.phases.iter().all(|phase| phase.filter.is_none())
 }
 
-/// Tests that know of each other, in an order that does not depend on theirs: those of one group of the outermost level, or each by
-/// itself.
+/// Units of correlated tests, in an order independent of the order given: the tests of one group of the outermost
+/// level, or each test by itself.
 fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
     let Some(grouping) = objective.grouping() else {
         return objective
@@ -66,21 +66,21 @@ fn units<'a>(objective: &ProfileLikelihood<'a>) -> Vec<Vec<GroupedTest<'a>>> {
         unit.push(GroupedTest { test: &objective.tests[j], groups });
     }
     let mut units: Vec<Vec<GroupedTest<'a>>> = units.into_values().collect();
-    // groups within groups one after the other
+    // tests of a nested group follow each other
     units
         .iter_mut()
         .for_each(|unit| unit.sort_by_key(|member| member.groups.iter().rev().copied().collect::<Vec<_>>()));
     units
 }
 
-/// The place of a fit, and places to both sides of it along each coordinate, with the distance between them.
+/// The point of a fit, and points to both sides along each coordinate, with the distance between these.
 struct Directions {
     home: RecordPoint,
     all: Vec<([RecordPoint; 2], f64)>,
 }
 
 impl Directions {
-    /// `None` where (μ, Σ) have no law to some side.
+    /// The points about a fit; `None` where (μ, Σ) have no law to some side.
     fn of(
         objective: &ProfileLikelihood<'_>,
         fit: &DynamicFit,
@@ -120,7 +120,7 @@ impl Directions {
         Ok(Some(Directions { home: place(&fit.alpha, state.law())?, all }))
     }
 
-    /// What tests that know of each other are expected to say; only a part of it when nobody waits any longer.
+    /// Expected information of a unit of tests; only a part of it when the caller no longer waits.
     fn information(
         &self,
         unit: &[GroupedTest<'_>],
@@ -135,7 +135,7 @@ impl Directions {
     }
 }
 
-/// Records at both sides, and the distance between them.
+/// A record at both sides, and the distance between these.
 struct RecordPair {
     up: RecordMoments,
     down: RecordMoments,
@@ -147,11 +147,11 @@ impl RecordPair {
     where
         T: std::ops::Sub<Output = T> + std::ops::Mul<f64, Output = T>,
     {
-        // a value between two bounds that meet has no sides
+        // a value between two equal bounds has no sides
         if self.width == 0.0 { (up - down) * 0.0 } else { (up - down) * self.width.recip() }
     }
 
-    /// Slopes of a moment, which is `own` at home.
+    /// Slopes of a time step, which is `own` at the fit.
     fn moment(&self, own: &TimeStep, up: TimeStep, down: TimeStep) -> TimeStep {
         let motion = own.motion.as_ref().map(|own| match (up.motion, down.motion) {
             (Some(up), Some(down)) => MotionValues {
@@ -170,7 +170,7 @@ impl RecordPair {
     }
 }
 
-/// What the filter carries: P and its tangents; mean and covariance of u = (x̂, tangents of x̂), one after the other.
+/// State of the filter: P and its tangents; mean and covariance of u = (x̂, tangents of x̂), one after the other.
 struct Carried {
     n: usize,
     variance: DMatrix<f64>,
@@ -181,7 +181,7 @@ struct Carried {
 }
 
 impl Carried {
-    /// Before anything has entered, with so many coordinates.
+    /// The filter before the first entry, with `k` coordinates.
     fn new(k: usize) -> Carried {
         Carried {
             n: 0,
@@ -193,7 +193,7 @@ impl Carried {
         }
     }
 
-    /// All moments of a record, as long as somebody waits.
+    /// The information from all time steps of a record, as long as the caller waits.
     fn over(mut self, home: &RecordMoments, pairs: &[RecordPair], progress: &SharedProgress<'_>) -> DMatrix<f64> {
         let mut beside: Vec<[TimeSteps<'_>; 2]> =
             pairs.iter().map(|pair| [pair.up.moments(), pair.down.moments()]).collect();
@@ -217,7 +217,7 @@ impl Carried {
         self.information
     }
 
-    /// Over a motion: x̂ → φx̂ + b, P → φPφ' + Q.
+    /// Predicts over a motion: x̂ → φx̂ + b, P → φPφ' + Q.
     fn advance(&mut self, own: &MotionValues, slopes: &[&MotionValues]) {
         let ((to, from), k) = (own.phi.shape(), slopes.len());
         let mut map = DMatrix::zeros(to * (k + 1), from * (k + 1));
@@ -239,13 +239,13 @@ impl Carried {
         self.spread = &map * &self.spread * map.transpose();
     }
 
-    /// A measurement z = h'x + d + v: its innovation is informative through its variance and its mean, and updates what is carried.
+    /// Updates by a measurement z = h'x + d + v, whose innovation is informative through its variance and its mean.
     fn measure(&mut self, own: &LineValues, slopes: &[&LineValues]) {
         let n = self.n;
         let carried = &self.variance * &own.h;
         let variance = own.h.dot(&carried) + own.noise;
         if variance <= 0.0 {
-            return; // it can only be one value, and says nothing
+            return; // the measurement is certain beforehand, and not informative
         }
         let gain = &carried / variance;
         let k = slopes.len();

@@ -1,4 +1,4 @@
-//! What each number of a fit with free α is worth.
+//! Uncertainty of each number of a fit with free α.
 
 use crate::dynamic::mixed::mixed;
 use crate::dynamic::{expected, interval, law, profile, sandwich};
@@ -12,11 +12,11 @@ use kalfit_search::ProfileLikelihood;
 use kalfit_search::ValueCovariances;
 use kalfit_search::{Coordinate, DynamicError, DynamicFit, ParameterInference, Standing, flat};
 
-/// A logarithm with a standard error beyond this is not determined by the data.
+/// Standard error of a logarithm beyond which the data do not determine it.
 const UNDETERMINED: f64 = 10.0;
 
-/// What each number is worth: of μ and Σ with the uncertainty of α in it, and of each free value of α. Whoever waits hears which
-/// interval is sought; once nobody does, intervals are those from standard errors, these from the observed information where the
+/// Uncertainty of μ and Σ, including that of α, and of each free value of α. `progress` hears which interval is sought;
+/// once it stops the work, intervals are those from standard errors, these come from the observed information where the
 /// expected one is not complete, and fits without each test are left out.
 pub fn infer(
     model: &PhasedModel,
@@ -38,7 +38,7 @@ pub fn infer(
         covariances.without_flat(&observed);
         spread(&objective, fit, covariances)
     };
-    // by profiles only once the maximum is certain
+    // intervals by profiles only where the maximum is certified
     let mut wald = Choices { intervals: IntervalKind::Wald, ..choices };
     let asked = match choices.std_errors {
         StdErrors::Sandwich if ml => Some(spread(sandwich::sandwich(&objective, fit, &observed)?)),
@@ -77,7 +77,7 @@ pub fn infer(
     Ok((inference, parameters))
 }
 
-/// Puts profile intervals in the place of those from standard errors.
+/// Replaces intervals from standard errors by profile intervals.
 fn profiles(
     (objective, fit): (&ProfileLikelihood<'_>, &DynamicFit),
     (estimate, observed): (&Estimate, &ValueCovariances),
@@ -101,14 +101,15 @@ pub(super) fn with_law(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> (
     (estimate, observed)
 }
 
-/// Covariances with those of noises that are as large as their variances allow.
+/// Covariances in which the variances of noise covariances are converted from those of their sought values.
 fn spread(objective: &ProfileLikelihood<'_>, fit: &DynamicFit, mut covariances: ValueCovariances) -> ValueCovariances {
     let known = (&fit.slots, &objective.coordinates[..]);
     objective.edges.spread((&fit.sought, &fit.alpha), known, &fit.values, &mut covariances);
     covariances
 }
 
-/// Covariances from the expected information, where it is worked out; `None` when nobody waits any longer.
+/// Covariances from the expected information, or an error where that is not available; `None` when the caller no longer
+/// waits.
 fn of_expectation(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -122,7 +123,8 @@ fn of_expectation(
     Ok(found)
 }
 
-/// Standard errors by the delta method; intervals by Wald in the coordinate, so that those of positive values are positive.
+/// Standard errors by the delta method; Wald intervals in the coordinate, so that those of positive values are
+/// positive.
 fn parameter_inferences(
     model: &PhasedModel,
     fit: &DynamicFit,

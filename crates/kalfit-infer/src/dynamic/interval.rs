@@ -1,7 +1,8 @@
-//! Profile-likelihood intervals of α: where the best ℓ with one value held is χ²₁'s 95 % quantile, halved, below the maximum.
+//! Profile-likelihood intervals of α, up to where the best ℓ with one value held is half of χ²₁'s 95 % quantile below
+//! the maximum.
 //!
-//! The best ℓ is that of the highest branch: other ends of the searches, and what is found around an end, are tried before a value is
-//! called unlikely.
+//! The best ℓ is that of the highest branch: other ends of the searches, and ends found about an end, are tried before
+//! a value counts as unlikely.
 
 use crate::dynamic::branches::{ALIKE, highest, others, others_of_value};
 use crate::{Held, Holds, Profile, QUANTILE, SharedProgress};
@@ -15,18 +16,19 @@ use kalfit_search::{DynamicError, DynamicFit, ParameterInference, Standing};
 use kalfit_search::{ProfileLikelihood, ProfilePoint};
 use kalfit_search::{SearchEnd, SearchState};
 
-/// A logarithm this far away has no limit there.
+/// Distance of a logarithm from the maximum at which an interval is open.
 const FAR: f64 = 25.0;
-/// A value at zero is followed from this part of what the data suggest for it.
+/// Part of the size suggested by the data from which a value at zero is followed.
 const TRACE: f64 = 1e-6;
-/// Logarithms move no further than this at first.
+/// Longest first step of a logarithm.
 const STRIDE: f64 = 3.0;
 
-/// Intervals of up to so many values are profiled; Wald's stand for those of more.
+/// Number of free values up to which intervals are profiled; with more values Wald's remain.
 pub const MOST_PROFILED: usize = 40;
 
-/// Profile intervals in the place of Wald's, at values that the data determine and at those on a bound; how many of those keep Wald's:
-/// covariances of noises, which move with the variances beside them, and all where there are very many.
+/// Replaces Wald intervals by profile intervals, at values that the data determine and at those on a bound. Returns the
+/// number of such values that keep Wald's: covariances of noises, which move with the variances of these, and all where
+/// there are very many.
 pub(crate) fn profiles(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -57,23 +59,23 @@ pub(crate) fn profiles(
     Ok(kept)
 }
 
-/// The value in a slot, held at a way of its coordinate from its maximum; from where nothing can be felt yet if that is zero, as from
-/// there no logarithm leads away.
+/// The value in a slot, held at some distance of its coordinate from its maximum; if that maximum is zero, from a value
+/// too small to affect ℓ, as no logarithm leads away from zero.
 struct HeldValue<'b, 'a, 'p> {
     objective: &'b ProfileLikelihood<'a>,
     best: &'b ProfilePoint,
     slot: usize,
-    /// Where ways begin.
+    /// Value from which these distances are measured.
     from: f64,
     progress: &'b SharedProgress<'p>,
 }
 
-/// The best ℓ with the value held, and places of other branches.
+/// The best point with the value held, and points on other branches.
 #[derive(Clone)]
 struct Branch {
     home: ProfilePoint,
     others: Vec<Vec<f64>>,
-    /// It was not known before.
+    /// The branch was not known before.
     is_new: bool,
 }
 
@@ -85,7 +87,7 @@ impl Holds for HeldValue<'_, '_, '_> {
 
     fn held(&self, (): (), way: f64, near: &Branch) -> Option<Held<Branch>> {
         let found = self.highest(near, self.objective.coordinates[self.slot].moved(self.from, way));
-        // where ℓ is not defined a value is as unlikely as can be
+        // where ℓ is not defined a value is as unlikely as possible
         let nowhere = || Held { value: f64::NEG_INFINITY, slope: 0.0, near: near.clone() };
         let held =
             |found: Branch| Held { value: found.home.value(), slope: found.home.gradient[self.slot], near: found };
@@ -109,7 +111,8 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         HeldValue { objective, best, slot, from, progress }
     }
 
-    /// Both ends; `error` is the standard error of the coordinate, if it has one. `None` where no value is unlikely enough.
+    /// Both ends; `error`: standard error of the coordinate, if it has one. `None` on a side where no value is unlikely
+    /// enough.
     fn ends(&self, name: String, others: Vec<Vec<f64>>, error: Option<f64>) -> [Option<f64>; 2] {
         let coordinate = self.objective.coordinates[self.slot];
         let (far, longest) = if coordinate.log { (FAR, STRIDE) } else { (f64::INFINITY, f64::INFINITY) };
@@ -126,7 +129,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
                 return Some(bound);
             }
             match profile.end(&start, sign * self.first_step(error).min(longest))? {
-                // every value down to zero, or up to infinity, may be
+                // all values down to zero, or up to infinity, are likely enough
                 end if limits[side] == Some(end) => Some(bound).filter(|bound| bound.is_finite()),
                 end => Some(coordinate.moved(self.from, end)),
             }
@@ -134,7 +137,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         [(0, -1.0), (1, 1.0)].map(one)
     }
 
-    /// About how far an end is: by the standard error, or at a bound by the slope there.
+    /// Approximate distance of an end: from the standard error, or at a bound from the slope there.
     fn first_step(&self, error: Option<f64>) -> f64 {
         let slope = self.best.gradient[self.slot].abs();
         match error {
@@ -144,7 +147,8 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         }
     }
 
-    /// The best ℓ with the value held here: from nearby, where that is too low from other ends, and at the quantile from around it.
+    /// The best point with the value held at `tried`: from nearby, from other ends where that is too low, and from
+    /// around it where it is close to the quantile.
     fn highest(&self, near: &Branch, tried: f64) -> Option<Branch> {
         let from = |values: &[f64]| self.held_from(&near.home, values, tried);
         let at = |root: f64| self.best.value() - 0.5 * root * root;
@@ -165,7 +169,7 @@ impl<'b, 'a, 'p> HeldValue<'b, 'a, 'p> {
         Some(Branch { home, others, is_new })
     }
 
-    /// The same from these values alone.
+    /// The end of a search with the value held at `tried`, from these values alone.
     fn held_from(&self, near: &ProfilePoint, values: &[f64], tried: f64) -> Option<SearchEnd> {
         let mut values = values.to_vec();
         values[self.slot] = tried;
@@ -212,7 +216,7 @@ mod tests {
             let between = |part: f64| fit.values[a] * (fit.values[b] / fit.values[a]).powf(part);
             for value in [-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5].map(between) {
                 let (one, other) = (profile(a, value), profile(b, value));
-                // what is likely enough is looked for no further
+                // where ℓ is high enough, no other branches are tried
                 let (least, most) = (one.min(other), one.max(other));
                 let same = most - least < 1e-6;
                 assert!(same || most < WITHIN, "{a} and {b} at {value}: ℓ falls by {one} and {other}");

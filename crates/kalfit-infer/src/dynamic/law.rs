@@ -10,7 +10,8 @@ use kalfit_search::ValueCovariances;
 use kalfit_search::matrix_derivatives;
 use kalfit_search::{Coordinate, DynamicFit, Standing};
 
-/// The covariance of the inner coordinates and of the free values, with what those move that stand in matrices of the structures.
+/// The covariance of the inner coordinates and of the free values, with the derivatives of Σ by free values that stand
+/// in matrices of the structures.
 pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCovariances) -> JointLaw {
     let coordinates = Coordinate::of(model, &fit.slots);
     let (state, sigma) = (&fit.estimate.state, &fit.estimate.covariance);
@@ -24,7 +25,7 @@ pub(crate) fn joint(model: &PhasedModel, fit: &DynamicFit, covariances: &ValueCo
         fit.standing[*slot] == Standing::Inside && covariances.alpha[*slot].is_some() && place(slot).is_some()
     };
     let (known, mut open): (Vec<usize>, Vec<usize>) = (0..fit.values.len()).partition(is_known);
-    // at a bound it stays
+    // a value at a bound stays there
     open.retain(|&slot| matches!(fit.standing[slot], Standing::Inside | Standing::Unidentified));
     let open_moving: Vec<usize> = open.iter().copied().filter(|slot| columns.contains_key(slot)).collect();
     let (elements, inner) = (state.problem.covariance.elements.count(), covariances.shared.len());

@@ -1,5 +1,5 @@
-//! Limits by profile likelihood of means that are predicted, where α is free: such a mean is linear in (μ, γ), with weights that
-//! hang on α.
+//! Profile-likelihood limits of predicted means where α is free: such a mean is linear in (μ, γ), with weights that
+//! depend on α.
 
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -16,15 +16,15 @@ use kalfit_search::ProfileLikelihood;
 
 /// Step of a coordinate for derivatives of weights.
 const STEP: f64 = 1e-4;
-/// A quantity that nothing moves by more than this part of itself is known.
+/// Relative change of a mean up to which it counts as known: nothing that was estimated moves it.
 const FAINT: f64 = 1e-12;
 
 /// All predicted means at an α, in one order; `None` where they have no value.
 pub type MeansAt<'a> = &'a (dyn Fn(&Alpha) -> Option<Vec<MeanCombination>> + Sync);
 
-/// Between which values the likelihood-ratio test keeps each predicted mean: those whose ℓ_max, over α, μ and Σ, is within half the
-/// square of `quantile` of the maximum. Both are the estimate where nothing that was estimated moves it; `None` where an end is not
-/// found, as is none once nobody waits any longer.
+/// Likelihood-ratio limits of each predicted mean: the mean's values whose ℓ_max, over α, μ and Σ, is within half the
+/// square of `quantile` of the maximum. Both limits are the estimate where no estimated quantity moves the mean; `None`
+/// where a limit is not found, as once `progress` stops the work.
 pub fn mean_limits(
     (model, tests): (&PhasedModel, &[PhasedTest]),
     fit: &DynamicFit,
@@ -56,7 +56,7 @@ pub fn mean_limits(
     (0..home.len()).into_par_iter().map(limits).collect()
 }
 
-/// Predicted means over α.
+/// Predicted means as functions of α.
 struct Means<'o, 'b, 'a> {
     outer: &'o Outer<'b, 'a>,
     means: MeansAt<'o>,
@@ -65,7 +65,7 @@ struct Means<'o, 'b, 'a> {
 
 impl Holds for Means<'_, '_, '_> {
     const PRECISION: f64 = 1e-4;
-    /// Its number.
+    /// Number of the mean.
     type What = usize;
     type Near = WarmStart;
 
@@ -74,7 +74,7 @@ impl Holds for Means<'_, '_, '_> {
     }
 }
 
-/// One of them.
+/// One of the predicted means.
 #[derive(Clone, Copy)]
 struct LimitedMean<'m, 'o, 'b, 'a> {
     means: &'m Means<'o, 'b, 'a>,

@@ -1,7 +1,7 @@
-//! How the scores of all elements of (μ, Σ) change with α: what the score test of a constraint wants of α.
+//! Change of the scores of all elements of (μ, Σ) with α, which the score test of a constraint needs where α is free.
 //!
-//! The information of (α, μ, Σ) is along the free directions of (μ, Σ). An element that a constraint holds is in none of them, so what
-//! it shares with α is worked out for itself, by differences of exact scores at fixed (μ, Σ).
+//! The information of (α, μ, Σ) is along the free directions of (μ, Σ). An element that a constraint holds is in none
+//! of them, so its mixed information with α is computed separately, by differences of exact scores at fixed (μ, Σ).
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,15 +12,15 @@ use kalfit_search::ProfileLikelihood;
 use kalfit_search::ValueCovariances;
 use kalfit_search::two_sides;
 
-/// Steps, in logarithms and in parts of standard errors.
+/// Step of a difference, in logarithms and in parts of standard errors.
 const STEP: f64 = 1e-4;
-/// … but no more than this part of a value's size.
+/// Largest step, as a part of a value's size.
 const PART: f64 = 1e-2;
-/// With more values than this tests are made at the α found.
+/// Number of values above which score tests are made at the estimated α, as if it were known.
 const MOST: usize = 24;
 
-/// Of the values that move at the end of a fit; `None` where none does or no element is held, where very many values move or those of single tests
-/// do, and where ℓ is not defined beside the end.
+/// Mixed information of the values that move at the end of a fit; `None` where none moves or no element is held, where
+/// very many values or those of single tests move, and where ℓ is not defined close to the end.
 pub(super) fn mixed(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,

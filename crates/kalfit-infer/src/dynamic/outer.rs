@@ -1,14 +1,15 @@
-//! ℓ over α with one quantity held.
+//! Profile of ℓ over α with one quantity held.
 //!
 //! ```text
 //! ℓ(x) = max over α of ℓ(α, x),   ℓ(α, x) = max over (μ, Σ) with the quantity held at x, on the reductions at α
 //! dℓ(α, x)/dα = ∂ℓ/∂α - λ ∂q/∂α there       dℓ(x)/dx = λ, the Lagrange multiplier there
 //! ```
 //!
-//! The inner maximum is that of profiles at a known α; q is the quantity, which hangs on α itself where it is a predicted mean. The
-//! outer maximum begins where the joint law of α and the quantity expects it, with the covariance of α given the quantity as the
-//! inverse of its curvature: one or two runs of the filters are enough. Where ℓ(x) is too low there, it begins at other ends of the
-//! searches for α as well: the highest of these branches counts.
+//! The inner maximum is that of profiles at a known α; q is the quantity, which depends on α itself where it is a
+//! predicted mean. The maximisation over α begins where the joint law of α and the quantity predicts the maximum, with
+//! the covariance of α given the quantity as the inverse of its curvature: one or two runs of the filters are enough.
+//! Where ℓ(x) is too low there, it begins at other ends of the searches for α as well: the highest of these branches
+//! counts.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -22,30 +23,30 @@ use kalfit_search::matrix_gradient;
 use kalfit_search::{DynamicFit, Standing};
 use kalfit_search::{Iterate, ProfileInformation, Quadratic};
 
-/// α is found to this part of its standard error: ℓ is then right to half its square.
+/// Tolerance of α, in standard errors: ℓ is then accurate to half its square.
 const TOLERANCE: f64 = 1e-3;
-/// … and where no step raises ℓ any more, this near is near enough.
+/// Distance of α from the maximum, in standard errors, that is near enough where no step raises ℓ any more.
 const NEAR_ENOUGH: f64 = 2e-2;
-/// Steps of α.
+/// Maximal number of steps of α.
 const STEPS: usize = 25;
-/// Shorter steps that are tried where one goes too far.
+/// Maximal number of lengths tried for one step, each shorter than the one before.
 const TRIES: usize = 8;
 /// Longest step of a logarithm.
 const LONGEST: f64 = 2.0;
-/// Standard error of a coordinate that is let off its bound.
+/// Standard error assumed for a coordinate that is released from its bound.
 const RELEASED: f64 = 0.3;
 
 /// A quantity that can be held at a value while α moves.
 pub(super) trait HeldQuantity: Copy + Sync {
-    /// The best (μ, Σ) at some α with it held, from a point nearby.
+    /// The best (μ, Σ) at some α with the quantity held, from a point nearby.
     fn maximum(self, at: (&Holder<'_>, &Alpha), x: f64, near: &Point) -> Option<HeldMaximum>;
-    /// Its estimate.
+    /// Estimate of the quantity.
     fn value(self, outer: &Outer<'_, '_>) -> Option<f64>;
-    /// Its derivative along the tangent basis at the estimate.
+    /// Derivative of the quantity along the tangent basis at the estimate.
     fn along(self, law: &AsymptoticLaw<'_>, estimate: &Estimate) -> DVector<f64>;
-    /// Its derivative by the coordinates of the values that move, at the estimate.
+    /// Derivative of the quantity by the coordinates of the values that move, at the estimate.
     fn slopes(self, outer: &Outer<'_, '_>) -> DVector<f64>;
-    /// The same at other values, with (μ, Σ) there.
+    /// Derivative of the quantity by those coordinates at other values, with (μ, Σ) there.
     fn slopes_at(self, outer: &Outer<'_, '_>, values: &[f64], there: &Population) -> Option<DVector<f64>>;
 }
 
@@ -71,36 +72,36 @@ impl HeldQuantity for Holdable {
     }
 }
 
-/// ℓ with a quantity held, over α.
+/// Profile of ℓ over α with a quantity held.
 pub(super) struct Outer<'b, 'a> {
     pub(super) objective: &'b ProfileLikelihood<'a>,
     pub(super) estimate: &'b Estimate,
     law: AsymptoticLaw<'b>,
     /// Values that may move.
     pub(super) slots: Vec<usize>,
-    /// Their covariance.
+    /// Covariance of the coordinates of these values.
     alpha: DMatrix<f64>,
-    /// That with the coordinates along the tangent basis.
+    /// Covariance of these coordinates with those along the tangent basis of (μ, Σ).
     cross: DMatrix<f64>,
-    /// And of these.
+    /// Covariance of (μ, Σ) along the tangent basis.
     inner: DMatrix<f64>,
-    /// Where other branches are.
+    /// Values of α on other branches.
     others: Vec<Vec<f64>>,
 }
 
-/// A maximum with a quantity held, to begin near.
+/// A maximum with a quantity held, from which to start nearby.
 #[derive(Clone)]
 pub(super) struct WarmStart {
     values: Vec<f64>,
     state: FinalState,
-    /// Where in the coordinates of the state's problem; `None` where the state itself is.
+    /// The point in the coordinates of the state's problem; `None` where it is that of the state itself.
     point: Option<Point>,
-    /// The value of the quantity; `None` at the maximum of all.
+    /// Value at which the quantity is held; `None` at the unrestricted maximum.
     at: Option<f64>,
 }
 
 impl WarmStart {
-    /// The maximum of all.
+    /// The unrestricted maximum.
     pub(super) fn best(fit: &DynamicFit, estimate: &Estimate) -> WarmStart {
         WarmStart { values: fit.sought.clone(), state: estimate.state.clone(), point: None, at: None }
     }
@@ -167,7 +168,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         }
     }
 
-    /// Covariance of the values with a quantity, and its variance.
+    /// Covariance of the values with a quantity, and variance of the quantity.
     fn with(&self, what: impl HeldQuantity) -> (DVector<f64>, f64) {
         let (along, slopes) = (what.along(&self.law, self.estimate), what.slopes(self));
         let with = &self.cross * &along + &self.alpha * &slopes;
@@ -180,7 +181,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         Some(self.with(what).1.sqrt()).filter(|error| error.is_finite() && *error > 0.0)
     }
 
-    /// Covariance of the values given a quantity, and how they follow it.
+    /// Covariance of the values given a quantity, and their regression coefficients on the quantity.
     fn given(&self, what: impl HeldQuantity) -> (DMatrix<f64>, DVector<f64>) {
         let (with, variance) = self.with(what);
         if variance > 0.0 && variance.is_finite() {
@@ -190,7 +191,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         }
     }
 
-    /// Values after a step in the coordinates of those that may move.
+    /// The values after a step in the coordinates of those that may move.
     fn moved(&self, values: &[f64], step: &DVector<f64>) -> Vec<f64> {
         let mut moved = values.to_vec();
         for (&s, d) in self.slots.iter().zip(step.iter()) {
@@ -201,7 +202,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         moved
     }
 
-    /// The best (μ, Σ) at these values, and which way ℓ rises from there.
+    /// The best (μ, Σ) at these values with the quantity held, and the gradient of ℓ there.
     fn at(&self, (what, x): (impl HeldQuantity, f64), values: Vec<f64>, near: &WarmStart) -> Option<Here> {
         let objective = self.objective;
         let reduced = objective.reduce(&values).ok()?;
@@ -221,8 +222,8 @@ impl<'b, 'a> Outer<'b, 'a> {
         gradient.iter().all(|g| g.is_finite()).then_some(Here { values, state, place, slope, gradient })
     }
 
-    /// Newton's step from here among values that do not stand at a bound beyond which ℓ rises, and what it promises; `None` where ℓ
-    /// does not curve downward.
+    /// Newton's step among the values that do not stand at a bound beyond which ℓ rises, and its squared decrement;
+    /// `None` where ℓ does not curve downward.
     fn step(&self, quadratic: &Quadratic<'_>, here: &Here) -> Option<(DVector<f64>, f64)> {
         let is_held = |s: usize| self.objective.coordinates[s].is_held(here.values[s], here.gradient[s]);
         let gradient: Vec<f64> =
@@ -232,7 +233,7 @@ impl<'b, 'a> Outer<'b, 'a> {
         Some((step, decrement * decrement))
     }
 
-    /// Up from here; `None` where no step raises ℓ.
+    /// The next point, by a step shortened until ℓ rises; `None` where no step raises ℓ.
     fn next(&self, held: (impl HeldQuantity, f64), here: &Here, step: &DVector<f64>, promised: f64) -> Option<Here> {
         let slack = 1e-12 * here.value().abs().max(1.0);
         let near = here.near(held.1);
@@ -260,7 +261,8 @@ impl Holds for Outer<'_, '_> {
 }
 
 impl Outer<'_, '_> {
-    /// The highest maximum with a quantity held that is found from nearby, or where that is too low from other branches.
+    /// The highest maximum with a quantity held that is found from nearby or, where that is too low, from other
+    /// branches.
     pub(super) fn highest(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Held<WarmStart>> {
         let from = |other: &[f64]| {
             let (values, state) = (other.to_vec(), self.estimate.state.clone());
@@ -271,7 +273,7 @@ impl Outer<'_, '_> {
         Some(Held { near: found.near(x), value: found.value(), slope: found.slope })
     }
 
-    /// The maximum that a search from nearby ends at.
+    /// The maximum that a search from nearby reaches.
     fn nearby(&self, what: impl HeldQuantity, x: f64, near: &WarmStart) -> Option<Here> {
         let (covariance, follows) = self.given(what);
         let from = near.at.or_else(|| what.value(self))?;

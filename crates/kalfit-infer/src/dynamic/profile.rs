@@ -1,4 +1,5 @@
-//! Profile-likelihood intervals of μ and Σ where α is free: ℓ with one quantity held, at the best of all other quantities and of α.
+//! Profile-likelihood intervals of μ and Σ where α is free: ℓ with one quantity held, maximised over all other
+//! quantities and α.
 //!
 //! ```text
 //! ℓ(x) = max over α of ℓ(α, x),   ℓ(α, x) = max over (μ, Σ) with the quantity held at x, on the reductions at α
@@ -16,12 +17,12 @@ use kalfit_search::ValueCovariances;
 use kalfit_search::matrix_derivatives;
 use kalfit_search::{DynamicFit, ParameterInference};
 
-/// So many quantities have profiles.
+/// Maximal number of quantities with profile intervals.
 const MOST_PROFILED: usize = 60;
-/// With more free values than this none has.
+/// Number of free values above which no quantity has a profile interval.
 const MOST_VALUES: usize = 24;
 
-/// Puts profile intervals of μ and Σ in the place of Wald's, and counts those that stay.
+/// Replaces Wald intervals of μ and Σ by profile intervals, and counts those that remain Wald's.
 pub(crate) fn profiles(
     (objective, fit): (&ProfileLikelihood<'_>, &DynamicFit),
     estimate: &Estimate,
@@ -33,7 +34,7 @@ pub(crate) fn profiles(
     let moved = moved_elements(objective, fit);
     let mut wanted = profiled(estimate, &free(estimate, &inference.unidentified));
     wanted.retain(|what| !matches!(what, Holdable::Covariance(i, j) if moved.contains(&(*i, *j))));
-    // covariances last: their correlations say more
+    // covariances last: their correlations are more informative
     wanted.sort_by_key(|what| matches!(what, Holdable::Covariance(..)));
     let has_profile = |what: &Holdable| {
         estimate.criterion == Criterion::Ml || !matches!(what, Holdable::Mean(_) | Holdable::Coefficient(_))
@@ -52,7 +53,7 @@ pub(crate) fn profiles(
     intervals.follow((estimate, &inference.uncertainty), &wanted, (&outer, &start), progress);
 }
 
-/// Elements of Σ beside its diagonal that parameters in matrices of its structure move.
+/// Off-diagonal elements of Σ that depend on parameters in matrices of its structure.
 fn moved_elements(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> BTreeSet<(usize, usize)> {
     let derivatives = matrix_derivatives(objective.model, &fit.alpha, objective.slots, &fit.estimate.covariance);
     let elements = &fit.estimate.state.problem.covariance.elements;
@@ -60,7 +61,7 @@ fn moved_elements(objective: &ProfileLikelihood<'_>, fit: &DynamicFit) -> BTreeS
     elements.all().filter(moves).collect()
 }
 
-/// Correlations that are parameters themselves: the intervals of those are theirs.
+/// Correlations that are parameters themselves, with those parameters, whose intervals they take.
 fn entries<'p>(
     objective: &ProfileLikelihood<'_>,
     parameters: &'p [ParameterInference],

@@ -1,9 +1,10 @@
 //! Likelihood-ratio tests where α is estimated too.
 //!
-//! What the hypothesis takes away of (μ, Σ) is judged at the model's α. The law of the whole: with nothing on a boundary χ² with
-//! all the degrees of freedom r. One quantity on its boundary, a variance or a value of α, makes the tangent cone a half space:
-//! ½χ²_{r-1} + ½χ²_r, whatever else is estimated. Any narrower cone lies within a half space, and the projection onto a part is
-//! no longer than that onto the whole, so the same mixture bounds the law from above when several are on their boundaries.
+//! The restriction of (μ, Σ) by the hypothesis is judged at the model's α. The law of the whole statistic: with nothing
+//! on a boundary χ² with all the degrees of freedom r. One quantity on its boundary, a variance or a value of α, makes
+//! the tangent cone a half space: ½χ²_{r-1} + ½χ²_r, whatever else is estimated. Any narrower cone lies within a half
+//! space, and the projection onto a part is no longer than that onto the whole, so the same mixture bounds the law from
+//! above when several are on their boundaries.
 
 use crate::{Bootstrap, BootstrapResult, Component, LikelihoodRatio, NotNested, ReferenceLaw};
 use crate::{GoesOn, NotNestedParameter, Restricted, fit_null, likelihood_ratio, replicates, restricted};
@@ -53,7 +54,7 @@ pub fn dynamic_ratio(
     })
 }
 
-/// What the hypothesis says of μ and Σ, at the model's α; `None` when it restricts nothing there.
+/// Likelihood ratio of the hypothesis about μ and Σ, at the model's α; `None` when it restricts nothing there.
 fn population(
     null: &PhasedModel,
     wide: (&PhasedModel, &DynamicFit),
@@ -79,7 +80,7 @@ fn population(
 }
 
 fn law(of_population: Option<&ReferenceLaw>, taken: Restricted, r: usize) -> ReferenceLaw {
-    // as far as μ and Σ go: nothing, or one quantity, or more on the boundary
+    // quantities of μ and Σ on the boundary: none, one, or more
     let edges = match of_population {
         None => 0,
         Some(law) if law.is_chi_squared() => 0,
@@ -102,8 +103,8 @@ fn is_half_space(law: &ReferenceLaw) -> bool {
         && !law.is_bound
 }
 
-/// Draws ensembles from the hypothesis, data and all, and fits hypothesis and model to each, α included. Replicate b is the b-th
-/// round of the tests that [`Simulator`] draws with the seed.
+/// Draws ensembles with new data from the hypothesis, and fits hypothesis and model to each, α included. Replicate b is
+/// the b-th round of the tests that [`Simulator`] draws with the seed.
 ///
 /// # Errors
 /// Data cannot be drawn for these tests.
@@ -118,7 +119,7 @@ pub fn dynamic_bootstrap(
     Ok(found.expect("nobody stops it"))
 }
 
-/// As [`dynamic_bootstrap`], as long as somebody wants it; `None` when they no longer do.
+/// As [`dynamic_bootstrap`], as long as `goes_on` allows; `None` once it does not.
 ///
 /// # Errors
 /// As [`dynamic_bootstrap`].

@@ -11,7 +11,7 @@ use kalfit_search::ValueCovariances;
 use kalfit_search::matrix_gradient;
 use kalfit_search::{DynamicError, DynamicFit};
 
-/// The covariances that the spread of the tests' scores gives, from those of the observed information.
+/// The sandwich of the covariances of the observed information and the spread of the tests' scores.
 pub(crate) fn sandwich(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,
@@ -35,7 +35,8 @@ pub(crate) fn sandwich(
     Ok(ValueCovariances { alpha, whole, ..observed.clone() })
 }
 
-/// The score of a test, or of all of a unit, in the coordinates of the shared values, then along the tangent basis.
+/// The score of a test, or of all tests of a unit, in the coordinates of the shared values, then along the tangent
+/// basis.
 fn score(
     objective: &ProfileLikelihood<'_>,
     fit: &DynamicFit,

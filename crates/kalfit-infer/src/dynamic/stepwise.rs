@@ -1,8 +1,8 @@
-//! Tests at an α, μ and Σ, step by step: how states move, and scalar measurements of them.
+//! Tests at an α, μ and Σ as sequences of time steps: motions of the states, and scalar measurements of them.
 //!
-//! What enters a phase is a motion like any other, from the last state of the phase before; the first one comes from nothing. The tests
-//! of a group follow each other, and the parts of ξ that its groups give stand before their states. Noises of a step that are
-//! correlated are states of that step.
+//! The entry into a phase is a motion like any other, from the last state of the phase before; the first entry starts
+//! from no states. The tests of a group follow each other, and the parts of ξ that its groups contribute stand before
+//! their states. Correlated noises of a step are states of that step.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -13,7 +13,7 @@ use kalfit_model::{Evidence, PhasedTest};
 use kalfit_search::DynamicError;
 use kalfit_search::ProfileLikelihood;
 
-/// A place in all coordinates.
+/// A point in all coordinates: α and the law of ξ.
 pub(super) struct RecordPoint {
     reducer: PhasedReducer,
     law: InitialLaw,
@@ -27,19 +27,19 @@ pub(super) struct GroupedTest<'t> {
     pub(super) groups: Vec<usize>,
 }
 
-/// Tests that follow each other, at a place.
+/// Tests that follow each other, evaluated at a point.
 pub(super) struct RecordMoments {
     sections: Vec<Section>,
 }
 
-/// A phase of a test: what enters it, and its steps.
+/// A phase of a test: the entry into it, and its steps.
 struct Section {
     entry: MotionValues,
     design: Design,
     data: Data,
     /// (i, j, covariance) of noises of the same step, by scalar measurement.
     covariances: Vec<(usize, usize, f64)>,
-    /// States that stand before those of the phase.
+    /// Number of states that stand before those of the phase.
     held: usize,
 }
 
@@ -76,7 +76,7 @@ impl RecordPoint {
         Ok(RecordPoint { reducer, law, roots })
     }
 
-    /// Tests one after the other.
+    /// Evaluates tests one after the other.
     pub(super) fn record(&self, members: &[GroupedTest<'_>]) -> Result<RecordMoments, ReduceError> {
         let mut work = self.reducer.workspace();
         work.phases.iter_mut().for_each(|phase| phase.covariances = Some(Vec::new()));
@@ -88,7 +88,7 @@ impl RecordPoint {
         Ok(RecordMoments { sections })
     }
 
-    /// The phases of a test. `last`: the test before, and how many states it left.
+    /// The phases of a test. `last`: the test before, and its number of states at the end.
     fn sections(
         &self,
         member: &GroupedTest<'_>,
@@ -122,7 +122,8 @@ impl RecordPoint {
         Ok(sections)
     }
 
-    /// Adds what groups give: that of groups of the test before stays, other groups are new.
+    /// Adds the contributions of groups to an entry: those of groups shared with the test before stay, other groups are
+    /// new.
     fn groups(
         &self,
         entry: &mut MotionValues,
@@ -145,7 +146,7 @@ impl RecordPoint {
         }
     }
 
-    /// Adds what a later phase inherits.
+    /// Adds the part of an entry that a later phase inherits.
     fn carry(
         &self,
         (entry, a): (&mut MotionValues, &DMatrix<f64>),
@@ -167,7 +168,7 @@ impl RecordPoint {
 }
 
 impl Section {
-    /// States that it ends with, its own and those before.
+    /// Number of states at the end of the phase, including those that stand before.
     fn states(&self) -> usize {
         self.held + self.design.frame.n
     }
@@ -176,7 +177,7 @@ impl Section {
         DMatrix::from_row_slice(self.design.frame.n, self.design.frame.p, &self.design.frame.sensitivity)
     }
 
-    /// What enters it from `before` states, of which nothing is kept yet; `own`: what the mean gives.
+    /// The entry from `before` states, no part of which is kept yet; `own`: the contribution of the mean.
     fn start(&self, before: usize, own: DVector<f64>) -> MotionValues {
         let (held, n, r) = (self.held, self.design.frame.n, self.design.frame.r);
         let mut entry = MotionValues::still((held + n, before));
@@ -191,22 +192,23 @@ impl Section {
 }
 
 impl RecordMoments {
-    /// All moments, in order.
+    /// All time steps, in order.
     pub(super) fn moments(&self) -> TimeSteps<'_> {
         TimeSteps { record: self, section: 0, step: None, inputs: 0, crossed: 0, extra: 0 }
     }
 }
 
-/// A record on its way through its moments.
+/// Iterator over the time steps of a record.
 pub(super) struct TimeSteps<'r> {
     record: &'r RecordMoments,
     section: usize,
-    /// The next step of the section; `None` before what enters it.
+    /// The next step of the section; `None` before the entry into it.
     step: Option<usize>,
-    /// Inputs that were taken, and covariances of noises.
+    /// Number of inputs that were taken.
     inputs: usize,
+    /// Number of covariances of noises that were taken.
     crossed: usize,
-    /// Noises that are states of the present step.
+    /// Number of noises that are states of the present step.
     extra: usize,
 }
 
@@ -245,7 +247,7 @@ impl Iterator for TimeSteps<'_> {
 }
 
 impl TimeSteps<'_> {
-    /// The covariances of noises of a step, which are taken.
+    /// Takes the covariances of noises of a step.
     fn crossed<'s>(&mut self, section: &'s Section, step: &DesignStep<'_>) -> &'s [(usize, usize, f64)] {
         let left = &section.covariances[self.crossed..];
         let own = left.iter().take_while(|(i, ..)| *i < step.rows.end).count();
@@ -253,7 +255,7 @@ impl TimeSteps<'_> {
         &left[..own]
     }
 
-    /// φ, Q and b of a transition, which takes its inputs.
+    /// φ, Q and b of a transition, for which inputs are taken.
     fn motion(&mut self, section: &Section, transition: &Transition) -> MotionValues {
         let (n, held) = (section.design.frame.n, section.held);
         let mut motion = MotionValues::none(held + n);
@@ -274,7 +276,7 @@ impl Section {
         step.rows.clone().filter(is_crossed).collect()
     }
 
-    /// Their covariance.
+    /// Covariance of these noises.
     fn covariance(&self, step: &DesignStep<'_>, noises: &[usize], crossed: &[(usize, usize, f64)]) -> DMatrix<f64> {
         let mut covariance = DMatrix::zeros(noises.len(), noises.len());
         for (k, row) in noises.iter().enumerate() {
@@ -290,7 +292,7 @@ impl Section {
         covariance
     }
 
-    /// A scalar measurement on so many states, `noise` the place of its noise among those that are states.
+    /// A scalar measurement on `states` states; `noise`: index of its noise among those that are states.
     fn line(&self, (line, row): (usize, usize), (states, noise): (usize, Option<usize>)) -> LineValues {
         let (of, terms) = self.design.terms(line);
         let mut h = DVector::zeros(states);
@@ -304,12 +306,12 @@ impl Section {
 }
 
 impl MotionValues {
-    /// To nothing at all, of so many states from so many: slopes of what does not change.
+    /// A motion of zeros, (to, from) these numbers of states: the slopes of a constant motion.
     pub(super) fn still((to, from): (usize, usize)) -> MotionValues {
         MotionValues { phi: DMatrix::zeros(to, from), noise: DMatrix::zeros(to, to), input: DVector::zeros(to) }
     }
 
-    /// Of n states that stay.
+    /// The motion of n states that do not change.
     fn none(n: usize) -> MotionValues {
         MotionValues { phi: DMatrix::identity(n, n), ..MotionValues::still((n, n)) }
     }
@@ -321,7 +323,8 @@ impl MotionValues {
         noise += root * root.transpose();
     }
 
-    /// The same where so many noises were states before, and these are now.
+    /// This motion from states the last `before` of which are noises, to states that end with noises of this
+    /// covariance.
     fn with_noises(&self, before: usize, covariance: &DMatrix<f64>) -> MotionValues {
         let ((to, from), now) = (self.phi.shape(), covariance.nrows());
         let mut motion = MotionValues::still((to + now, from + before));

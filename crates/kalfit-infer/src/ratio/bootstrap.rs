@@ -1,7 +1,8 @@
 //! The parametric bootstrap of a likelihood ratio: ensembles drawn from the hypothesis, both models fitted to each.
 //!
-//! What a test says about ξ is d = Rξ + e, e ~ N(0, I) on the rows of R that are not zero. So new ensembles are drawn as
-//! reductions, exactly, and no filter runs. The remaining part of each log-likelihood does not move the ratio.
+//! The information of a test about ξ is d = Rξ + e, e ~ N(0, I) on the rows of R that are not zero. So new ensembles
+//! are drawn exactly as reductions, without any filter. The remaining part of each log-likelihood does not change the
+//! ratio.
 
 use std::collections::BTreeMap;
 
@@ -18,30 +19,30 @@ use kalfit_filter::reduce::{ReductionRef, Reductions};
 use kalfit_model::Population;
 use kalfit_model::unpack;
 
-/// How many ensembles to draw, and the seed.
+/// Number of ensembles to draw, and the seed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Bootstrap {
-    /// Ensembles.
+    /// Number of ensembles.
     pub replicates: usize,
     /// Replicate b draws from stream b of ChaCha8 with this seed, whatever the threads.
     pub seed: u64,
 }
 
-/// What the bootstrap found.
+/// Result of the bootstrap.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BootstrapResult {
     /// Statistics of the replicates whose two fits were certified, in the order of the replicates.
     pub statistics: Vec<f64>,
-    /// Replicates that were not.
+    /// Number of replicates with a fit that was not certified.
     pub failed: usize,
     /// (1 + replicates at or above the statistic) / (1 + replicates).
     pub p_value: f64,
-    /// Its standard error: the bootstrap is a sample.
+    /// Standard error of the p-value, which comes from a sample of replicates.
     pub std_error: f64,
 }
 
-/// Draws ensembles from the hypothesis and tests it in each. `statistic` is that of the data, `reductions` those that the
-/// alternative was fitted to.
+/// Draws ensembles from the hypothesis and tests it in each. `statistic` is the statistic of the data, `reductions` are
+/// those that the alternative was fitted to.
 pub fn bootstrap(
     null: &Estimate,
     alternative: &Estimate,
@@ -52,10 +53,10 @@ pub fn bootstrap(
     bootstrap_while(null, alternative, reductions, (statistic, bootstrap), &mut |_| true).expect("nobody stops it")
 }
 
-/// Hears, every few replicates, how many are done, and says whether to go on.
+/// Called every few replicates with the number done; returns whether to go on.
 pub type GoesOn<'a> = &'a mut dyn FnMut(usize) -> bool;
 
-/// As [`bootstrap`], as long as somebody wants it; `None` when they no longer do.
+/// As [`bootstrap`], but `None` as soon as `goes_on` returns false.
 pub fn bootstrap_while(
     null: &Estimate,
     alternative: &Estimate,
@@ -74,7 +75,8 @@ pub fn bootstrap_while(
     Some(BootstrapResult::of(&found, statistic))
 }
 
-/// Replicates side by side, some at a time. Each depends on its number alone, so how many go together changes nothing.
+/// Computes replicates in parallel, in chunks. Each depends on its number alone, so the size of the chunks changes
+/// nothing.
 pub(crate) fn replicates<T: Send>(
     count: usize,
     one: impl Fn(usize) -> T + Sync + Send,
@@ -93,10 +95,10 @@ pub(crate) fn replicates<T: Send>(
 }
 
 impl BootstrapResult {
-    /// What the statistics of replicates, `None` where a fit failed, say of that of the data.
+    /// Compares the statistics of replicates, `None` where a fit failed, with the statistic of the data.
     pub(crate) fn of(found: &[Option<f64>], statistic: f64) -> BootstrapResult {
         let statistics: Vec<f64> = found.iter().copied().flatten().collect();
-        // within rounding of the statistic counts as at it: ties are common where both are zero
+        // replicates within rounding of the statistic count as equal to it: ties are common where both are zero
         let reached = statistics.iter().filter(|s| **s >= statistic - 1e-9 * statistic.max(1.0)).count();
         let n = statistics.len() as f64;
         let p_value = (1.0 + reached as f64) / (1.0 + n);
@@ -120,19 +122,19 @@ fn ratio(null: &Estimate, alternative: &Estimate, reductions: &Reductions, place
     (found >= -1e-7).then(|| found.max(0.0))
 }
 
-/// The values of the hypothesis as values of the model.
+/// The estimate of the hypothesis as values of the model; regressions that only the model has get coefficients of zero.
 pub(super) fn widened(null: &Estimate, places: &[usize], coefficients: usize) -> Population {
     let mut all = vec![0.0; coefficients];
     places.iter().zip(&null.coefficients).for_each(|(&at, value)| all[at] = *value);
     Population { coefficients: all, ..Population::from(null) }
 }
 
-/// Reductions with only these of their covariates.
+/// The reductions with a selection of their covariates.
 pub(super) fn select_covariates(reductions: &Reductions, places: &[usize]) -> Reductions {
     reductions.clone().with_covariates(places)
 }
 
-/// From the truth, and from the data when that does not end well.
+/// A certified fit from the true values or, when that fails, from a start that the data give.
 fn certified(state: &FinalState, reductions: &Reductions, start: &Population) -> Option<Estimate> {
     let (structure, settings) = (state.structure(), &state.settings);
     let near = fit_from(reductions, &structure, start, settings, &mut Silent).ok();
@@ -140,15 +142,15 @@ fn certified(state: &FinalState, reductions: &Reductions, start: &Population) ->
         .or_else(|| fit(reductions, &structure, settings, &mut Silent).ok().filter(|e| e.stop == Stop::Certified))
 }
 
-/// New data for the same tests.
+/// Draws new data for the same tests.
 struct Draw<'a> {
     reductions: &'a Reductions,
-    /// By id: draws do not depend on the order of the tests.
+    /// Numbers of the tests in the order of their ids, so that draws do not depend on the order of the tests.
     order: Vec<usize>,
     null: &'a Estimate,
-    /// Where the regressions of the hypothesis stand among the covariates.
+    /// Index of each regression of the hypothesis among the covariates of the reductions.
     places: &'a [usize],
-    /// F with Σ = FF', of the tests' own and of each level of groups, the innermost first.
+    /// F with Σ = FF' of the per-test effects, then of each level of groups, the innermost first.
     roots: Vec<DMatrix<f64>>,
 }
 
@@ -180,7 +182,7 @@ impl<'a> Draw<'a> {
         drawn
     }
 
-    /// What the groups of a test add; those that are new are drawn.
+    /// Sum of the effects of a test's groups; effects of groups that are not in `groups` yet are drawn.
     fn added(
         &self,
         test: &str,
@@ -198,7 +200,7 @@ impl<'a> Draw<'a> {
         sum
     }
 
-    /// New ξ of a test.
+    /// Draws ξ of a test; `added` is the sum of the effects of its groups.
     fn xi(&self, like: ReductionRef<'_>, added: DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
         let (p, root) = (self.roots[0].nrows(), &self.roots[0]);
         let mut xi = DVector::from_column_slice(&self.null.mean[..p]) + added + root * normal(root.ncols(), random);
@@ -208,7 +210,7 @@ impl<'a> Draw<'a> {
         xi
     }
 
-    /// New d of a test.
+    /// Draws d of a test, given ξ.
     fn data(&self, like: ReductionRef<'_>, xi: &DVector<f64>, random: &mut ChaCha8Rng) -> DVector<f64> {
         let p = xi.len();
         let factor = unpack(like.factor, p);

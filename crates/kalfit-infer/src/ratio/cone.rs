@@ -1,9 +1,10 @@
-//! The tangent cone of a model at a hypothesis, and the law of the likelihood ratio that it gives (Chernoff; Self and Liang).
+//! The tangent cone of a model at a hypothesis, and the law of the likelihood ratio that follows from it (Chernoff; Self
+//! and Liang).
 //!
 //! Near a Σ₀ of the hypothesis the model's Σ₀ + D must be positive semidefinite: N'DN ⪰ 0 on the null space N that the
-//! hypothesis gives a block. Where each such N is a line, these are m half-spaces, and -2 log λ is χ² of the other d - m
-//! directions plus the squared length of the projection of a normal vector onto an orthant: a mixture of χ² whose weights
-//! follow from the correlations of the m estimates.
+//! hypothesis gives a block. Where each such N is a line, these conditions are m half-spaces, and -2 log λ is χ² with d
+//! - m degrees of freedom plus the squared length of the projection of a normal vector onto an orthant: a mixture of χ²
+//! whose weights follow from the correlations of the m estimates.
 
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
@@ -18,21 +19,21 @@ use kalfit_algebra::symmetric;
 use kalfit_estimate::Order;
 use kalfit_estimate::{CoordinateForm, CovarianceMap, Estimate, PhaseForm, Problem, generic_root};
 
-/// Scaled eigenvalues below this count as none.
+/// Eigenvalues of an information or of a block of Σ, scaled to unit diagonal, below this count as zero.
 const NONE: f64 = 1e-10;
-/// Draws for the weights of four and more half-spaces.
+/// Number of draws for the weights of four and more half-spaces.
 const DRAWS: usize = 200_000;
-/// Half-spaces beyond which only the bound is given.
+/// Number of half-spaces up to which weights are computed; beyond, only the bound is given.
 const MOST: usize = 20;
 
-/// What the tangent cone says.
+/// Results from the tangent cone.
 pub(super) struct TangentCone {
     pub(super) degrees_of_freedom: usize,
     pub(super) law: ReferenceLaw,
     pub(super) null_on_boundary: bool,
 }
 
-/// `equal`: the two have one likelihood.
+/// The law of the likelihood ratio; `equal`: hypothesis and model have the same likelihood.
 pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> TangentCone {
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let places = regressions(&null.state.structure(), &alternative.state.structure()).expect("nesting was checked");
@@ -45,7 +46,8 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> T
     let sides = sides(&null.state.newton_iterate.point.root, inner, outer);
     let null_on_boundary = !null_is_generic(null, inner);
     if degrees_of_freedom == 0 && !equal {
-        // what the hypothesis takes away is limited by what it is never told from: a sum of two variances that one of them exceeds
+        // the hypothesis removes quantities that are identified only in a sum with others, and so bounds that sum: that
+        // of two variances is at least the one that remains
         let taken = wide.ncols().saturating_sub(narrow.ncols()).max(1);
         let law = ReferenceLaw { is_bound: true, ..ReferenceLaw::chi_squared(taken) };
         return TangentCone { degrees_of_freedom: taken, law, null_on_boundary };
@@ -61,7 +63,7 @@ pub(super) fn tangent(null: &Estimate, alternative: &Estimate, equal: bool) -> T
     TangentCone { degrees_of_freedom, law, null_on_boundary }
 }
 
-/// Expected information of mean coordinates and elements of Σ at the end of the hypothesis.
+/// Expected information on mean coordinates and elements of Σ of the model, at the estimate of the hypothesis.
 fn information(null: &Estimate, outer: &Problem, places: &[usize]) -> DMatrix<f64> {
     let mut point = null.state.newton_iterate.point.clone();
     let mut coefficients = vec![0.0; outer.mean.regressors.len()];
@@ -81,7 +83,7 @@ fn narrow_mean(jacobian: &DMatrix<f64>, rows: usize, places: &[usize]) -> DMatri
     mean
 }
 
-/// Directions of the free quantities in mean coordinates of the model and elements of Σ.
+/// Directions in which the free quantities move mean coordinates of the model and elements of Σ, as columns.
 fn directions(problem: &Problem, mean: DMatrix<f64>, root: &DMatrix<f64>) -> DMatrix<f64> {
     let map = &problem.covariance;
     let sigma = map.cone_directions(&map.chart(root)).dense();
@@ -102,13 +104,13 @@ fn rank(information: &DMatrix<f64>) -> usize {
     symmetric::eigen(&scaled).0.iter().filter(|v| **v > NONE).count()
 }
 
-/// Where the hypothesis puts Σ on the boundary of what the model allows.
+/// How the hypothesis puts Σ on the boundary of what the model allows.
 enum BoundaryCone {
-    /// Nowhere.
+    /// Σ is not on the boundary.
     None,
-    /// Half-spaces: D must not fall along these (weights of the elements of Σ).
+    /// D is in half-spaces: w'D ≥ 0 for each of these w (weights of the elements of Σ).
     Lines(Vec<DVector<f64>>),
-    /// A null space of more than one dimension within a block, or a curved structure.
+    /// Σ is on the boundary with a null space of more than one dimension within a block, or in a curved structure.
     Unknown,
 }
 
@@ -141,7 +143,7 @@ fn sides(here: &DMatrix<f64>, inner: &Problem, outer: &Problem) -> BoundaryCone 
     if lines.is_empty() { BoundaryCone::None } else { BoundaryCone::Lines(lines) }
 }
 
-/// D ↦ β over the elements of D = βΣ*.
+/// Weights of the elements of D that give β where D = βΣ*.
 fn along_scale(part: &PhaseForm, star: &DMatrix<f64>, elements: &Elements) -> DVector<f64> {
     let star = part.placed(&(star * star.transpose()), elements.states());
     let size = star.norm_squared();
@@ -149,14 +151,15 @@ fn along_scale(part: &PhaseForm, star: &DMatrix<f64>, elements: &Elements) -> DV
     DVector::from_iterator(elements.count(), elements.all().map(weight))
 }
 
-/// Null space that a hypothesis gives a block where it ended: the directions follow its estimates (as with DRD and a singular R);
-/// their number is that of a generic member, and where the end has more of them, so do the directions.
+/// Null space that a hypothesis gives a block at its estimate. Its directions follow the estimate (as with DRD and a
+/// singular R) where they are as many as for a generic member of the hypothesis; otherwise they are those of the
+/// member.
 fn null_space_at(here: &DMatrix<f64>, generic: &DMatrix<f64>, block: &[usize]) -> DMatrix<f64> {
     let (own, of_any) = (null_space(here, block, NONE), null_space(generic, block, NONE));
     if own.ncols() == of_any.ncols() { own } else { of_any }
 }
 
-/// D ↦ n'Dn over the elements of D.
+/// Weights of the elements of D that give n'Dn.
 fn line(n: &DVector<f64>, block: &[usize], elements: &Elements) -> DVector<f64> {
     let mut weights = DVector::zeros(elements.count());
     for a in 0..block.len() {
@@ -167,7 +170,7 @@ fn line(n: &DVector<f64>, block: &[usize], elements: &Elements) -> DVector<f64> 
     weights
 }
 
-/// Whether Σ of the hypothesis has the rank that the hypothesis gives it.
+/// Whether the estimated Σ of the hypothesis has the rank of a generic member of the hypothesis.
 fn null_is_generic(null: &Estimate, inner: &Problem) -> bool {
     let map: &CovarianceMap = &inner.covariance;
     let generic = generic_root(inner);
@@ -186,7 +189,7 @@ fn covariance_of(lines: &[DVector<f64>], wide: &DMatrix<f64>, information: &DMat
 
 /// The law for half-spaces with correlated estimates.
 fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw {
-    // a half-space without information has no part in the statistic
+    // a half-space without information does not affect the statistic
     let known: Vec<usize> = (0..covariance.nrows()).filter(|&k| covariance[(k, k)] > 0.0).collect();
     let m = known.len().min(degrees_of_freedom);
     if m == 0 {
@@ -208,7 +211,7 @@ fn mixture(covariance: &DMatrix<f64>, degrees_of_freedom: usize) -> ReferenceLaw
     }
 }
 
-/// ½χ²_{d-1} + ½χ²_d: no cone that is not the whole space gives a larger tail (Perlman).
+/// ½χ²_{d-1} + ½χ²_d: no cone other than the whole space gives a larger tail (Perlman).
 fn bound(degrees_of_freedom: usize) -> ReferenceLaw {
     let half = |d: usize| Component { degrees_of_freedom: d, weight: 0.5 };
     let components = vec![half(degrees_of_freedom.saturating_sub(1)), half(degrees_of_freedom)];
@@ -219,7 +222,8 @@ fn binomial(n: usize, k: usize) -> f64 {
     (0..k).fold(1.0, |product, i| product * (n - i) as f64 / (i + 1) as f64)
 }
 
-/// Probabilities that the projection of N(0, R) onto the positive orthant, in the metric R⁻¹, has 0, 1, …, m positive entries.
+/// Probabilities that the projection of N(0, R) onto the positive orthant, in the metric R⁻¹, has 0, 1, …, m positive
+/// entries.
 fn orthant_weights(r: &DMatrix<f64>) -> Vec<f64> {
     use std::f64::consts::PI;
     let arc = |x: f64| x.clamp(-1.0, 1.0).acos();
@@ -243,7 +247,7 @@ fn orthant_weights(r: &DMatrix<f64>) -> Vec<f64> {
     }
 }
 
-/// The same by drawing, with a seed of its own: the same weights every run.
+/// The weights of `orthant_weights` by drawing, with a fixed seed: every call gives the same weights.
 fn drawn_weights(r: &DMatrix<f64>) -> Vec<f64> {
     let m = r.nrows();
     let mut random = ChaCha8Rng::seed_from_u64(0);
@@ -257,7 +261,7 @@ fn drawn_weights(r: &DMatrix<f64>) -> Vec<f64> {
     counts.iter().map(|&n| n as f64 / DRAWS as f64).collect()
 }
 
-/// Positive entries of the minimiser of (x - u)'M(x - u) over x ≥ 0, by coordinate descent.
+/// Number of positive entries of the minimiser of (x - u)'M(x - u) over x ≥ 0, by coordinate descent.
 fn positive_entries(metric: &DMatrix<f64>, u: &DVector<f64>) -> usize {
     let mut x = u.map(|v| v.max(0.0));
     for _ in 0..200 {
@@ -310,7 +314,7 @@ mod tests {
         }
     }
 
-    /// Estimates of three variances that are correlated each in its own way: no two may be mistaken for each other.
+    /// Estimates of three variances with three different correlations, so that a swap of two would show.
     #[test]
     fn weights_of_unequal_correlations_are_those_by_drawing() {
         let r = DMatrix::from_row_slice(3, 3, &[1.0, 0.7, -0.2, 0.7, 1.0, 0.3, -0.2, 0.3, 1.0]);
@@ -323,7 +327,7 @@ mod tests {
         }
     }
 
-    /// β of D = βΣ*; of any other D that of the nearest βΣ*, tr(DΣ*)/tr(Σ*Σ*).
+    /// β where D = βΣ*; for any other D the β of the nearest βΣ*, tr(DΣ*)/tr(Σ*Σ*).
     #[test]
     fn a_common_factor_is_read_off_a_direction() {
         let star = DMatrix::from_row_slice(2, 2, &[1.0, 0.5, 0.5, 2.0]);

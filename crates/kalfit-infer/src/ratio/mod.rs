@@ -20,11 +20,12 @@ use kalfit_filter::reduce::Reductions;
 pub struct LikelihoodRatio {
     /// -2 log λ = 2 (ℓ of the model - ℓ of the hypothesis).
     pub statistic: f64,
-    /// Identified free quantities that the hypothesis takes away; where it limits a sum of several that are not told apart, all that it takes away.
+    /// Number of identified free quantities that the hypothesis removes; where the hypothesis bounds a sum of
+    /// quantities that are identified only together, the number of all that it removes.
     pub degrees_of_freedom: usize,
     /// Large-sample law of the statistic under the hypothesis.
     pub law: ReferenceLaw,
-    /// Blocks of Σ that the hypothesis leaves singular where the data put it there: the law then promises too much.
+    /// Whether Σ of the hypothesis is singular where only the data made it so: the law then promises too much.
     pub null_on_boundary: bool,
 }
 
@@ -40,7 +41,7 @@ impl LikelihoodRatio {
     }
 }
 
-/// Of the difference of two likelihoods that are equal.
+/// Relative difference up to which two log-likelihoods count as equal.
 const ROUNDING: f64 = 1e-8;
 
 /// Tests a hypothesis within a model, both fitted to the same reductions.
@@ -57,8 +58,8 @@ pub fn likelihood_ratio(null: &Estimate, alternative: &Estimate) -> Result<Likel
     })
 }
 
-/// Fits a hypothesis to the reductions of a model: those of the model, with the covariates of its regressions only. `None` when
-/// the hypothesis has a regression that the model has not.
+/// Fits a hypothesis to the reductions of a model, with only the covariates of the hypothesis' regressions. `None` when
+/// the hypothesis has a regression that the model does not have.
 pub fn fit_null(
     reductions: &Reductions,
     model: &Structure<'_>,
@@ -70,8 +71,8 @@ pub fn fit_null(
     Some(fit(&bootstrap::select_covariates(reductions, &places), null, settings, progress))
 }
 
-/// The model fitted again from the hypothesis, when the hypothesis has the higher likelihood: then the model's own search
-/// ended elsewhere than at the top.
+/// The fit of the model, repeated from the estimate of the hypothesis when that has the higher likelihood: the search
+/// for the model then ended at a local maximum.
 pub fn at_least(alternative: Estimate, null: &Estimate, reductions: &Reductions) -> Result<Estimate, FitError> {
     if alternative.log_likelihood >= null.log_likelihood - 1e-9 * null.log_likelihood.abs().max(1.0) {
         return Ok(alternative);

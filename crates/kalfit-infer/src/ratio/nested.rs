@@ -1,44 +1,44 @@
-//! Whether one structure lies within another.
+//! Checks whether one structure lies within another.
 
 use nalgebra::{DMatrix, DVector};
 
 use kalfit_algebra::symmetric;
 use kalfit_estimate::{Criterion, Estimate, Problem, Structure};
 
-/// Relative size of what counts as rounding.
+/// Relative difference that counts as rounding.
 const ROUNDING: f64 = 1e-8;
 
 /// Why a hypothesis cannot be tested within a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotNested {
-    /// They are of different states or data.
+    /// The two are about different states or data.
     #[error("the hypothesis and the model are not about the same states and tests")]
     Different,
-    /// Some mean of the hypothesis is not one of the model.
+    /// Some mean that the hypothesis allows is not allowed by the model.
     #[error("the hypothesis allows means that the model does not")]
     Mean,
-    /// Some covariance of the hypothesis is not one of the model.
+    /// Some covariance that the hypothesis allows is not allowed by the model.
     #[error("the hypothesis allows covariances that the model does not")]
     Covariance,
-    /// Restricted likelihoods of different means.
+    /// The restricted likelihoods are those of different means.
     #[error("restricted likelihoods of different means cannot be compared")]
     Restricted,
-    /// Phases that were each taken by themselves.
+    /// Each phase was fitted separately.
     #[error("no likelihood was maximised: `marginal` fits each phase separately")]
     Marginal,
-    /// Nothing is restricted.
+    /// The hypothesis restricts nothing.
     #[error("the hypothesis restricts nothing that the model leaves free")]
     Same,
 }
 
-/// Refuses a hypothesis that is not within the model.
+/// Rejects a hypothesis that is not within the model.
 pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNested> {
     if null.state.is_marginal() || alternative.state.is_marginal() {
         return Err(NotNested::Marginal);
     }
     let (inner, outer) = (&*null.state.problem, &*alternative.state.problem);
     let (a, b) = (&inner.classes.frame, &outer.classes.frame);
-    // the order of the tests follows their covariates too, so a hypothesis with fewer may differ in rounding
+    // the order of the tests depends on their covariates, so a hypothesis with fewer covariates may differ by rounding
     let same = |x: &[f64], y: &[f64]| {
         x.len() == y.len() && x.iter().zip(y).all(|(x, y)| (x - y).abs() <= 1e-9 * x.abs().max(y.abs()))
     };
@@ -57,13 +57,13 @@ pub(super) fn check(null: &Estimate, alternative: &Estimate) -> Result<(), NotNe
     if free(null) >= free(alternative) { Err(NotNested::Same) } else { Ok(()) }
 }
 
-/// Where the regressions of the one stand among those of the other; `None` when one is missing there.
+/// Index of each regression of `inner` among those of `outer`; `None` when one is missing there.
 pub(super) fn regressions(inner: &Structure<'_>, outer: &Structure<'_>) -> Option<Vec<usize>> {
     let outer = outer.regressions();
     inner.regressions().iter().map(|r| outer.iter().position(|o| o == r)).collect()
 }
 
-/// m0 + Bβ of the one among those of the other.
+/// Checks that every mean m0 + Bβ of `inner` is one of `outer`.
 fn mean(inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
     let q = &outer.mean.basis;
     let outside = |v: &DVector<f64>| (v - q * (q.transpose() * v)).amax();
@@ -74,7 +74,7 @@ fn mean(inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
     if worst > ROUNDING { Err(NotNested::Mean) } else { Ok(()) }
 }
 
-/// Σ at the end of the one is one of the other, and so is every Σ near it.
+/// Checks that the estimated Σ of `inner`, and every Σ of `inner` near it, is one of `outer`.
 fn covariance(null: &Estimate, inner: &Problem, outer: &Problem) -> Result<(), NotNested> {
     let root = &null.state.newton_iterate.point.root;
     let sigma = root * root.transpose();

@@ -1,4 +1,4 @@
-//! Whether a hypothesis on α lies within a model, and how much it takes away.
+//! Checks whether a hypothesis on α lies within a model, and counts the free values that it removes.
 
 use kalfit_model::Label;
 use kalfit_model::{Alpha, Model, Parameter, PhasedModel, Slots};
@@ -7,36 +7,36 @@ use kalfit_model::{Evidence, PhasedTest};
 /// Why a hypothesis on α cannot be tested within a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NotNestedParameter {
-    /// The model has it fixed.
+    /// The model fixes the parameter at another value, or the hypothesis leaves it free.
     #[error("the model fixes parameter `{name}` at {expected}, and the hypothesis {}", fixed_words(found))]
     Fixed {
-        /// Its name.
+        /// Name of the parameter.
         name: String,
-        /// Its value under the hypothesis, where that is fixed.
+        /// Value of the parameter under the hypothesis, where it is fixed there.
         found: Option<f64>,
-        /// Its value in the model.
+        /// Value of the parameter in the model.
         expected: f64,
     },
     /// The hypothesis has more than one value where the model has one.
     #[error("the hypothesis lets parameter `{name}` differ where the model has one value")]
     Levels {
-        /// Its name.
+        /// Name of the parameter.
         name: String,
     },
-    /// The hypothesis has a value that the model does not allow.
+    /// The hypothesis fixes the parameter at a value that the model does not allow.
     #[error("the hypothesis has parameter `{name}` at {found}, and the model wants it {expected}")]
     OutOfBounds {
-        /// Its name.
+        /// Name of the parameter.
         name: String,
-        /// Its value under the hypothesis.
+        /// Value of the parameter under the hypothesis.
         found: f64,
         /// The bound, in words.
         expected: String,
     },
-    /// The bounds are others.
+    /// The parameter is free in both, with different bounds.
     #[error("the bounds of parameter `{name}` are not the same in the hypothesis as in the model")]
     Bounds {
-        /// Its name.
+        /// Name of the parameter.
         name: String,
     },
 }
@@ -45,27 +45,27 @@ fn fixed_words(found: &Option<f64>) -> String {
     found.map_or("leaves it free".to_owned(), |value| format!("has it at {value}"))
 }
 
-/// What a hypothesis takes away of α.
+/// Free values of α that a hypothesis removes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Restricted {
-    /// Free values less.
+    /// Number of free values that the hypothesis removes.
     pub count: usize,
-    /// Those that it puts at a bound of theirs.
+    /// Number of free values that the hypothesis fixes at one of their bounds.
     pub at_bound: usize,
 }
 
-/// What becomes of a free value of the model under the hypothesis.
+/// A free value of the model under the hypothesis: still free, in a slot, or fixed at a value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Target {
     Slot(usize),
     Value(f64),
 }
 
-/// One side of a comparison.
+/// One of the two models of a comparison.
 struct ComparedModel<'a> {
     model: &'a Model,
     slots: &'a Slots,
-    /// Its free values do not matter.
+    /// α with zeros for the free values, which do not matter.
     alpha: Alpha,
 }
 
@@ -76,7 +76,8 @@ impl<'a> ComparedModel<'a> {
     }
 }
 
-/// What a hypothesis takes away of the α of a model, both with their free values in these tests.
+/// Counts the free values of α that a hypothesis removes from a model; both slots are those of the free values in
+/// `tests`.
 ///
 /// # Errors
 /// The hypothesis is not within the model.
@@ -91,7 +92,7 @@ pub fn restricted(
         let mut last: Option<&[Label]> = None;
         let rows = tests.iter().flat_map(|test| &test.phases).filter_map(Evidence::cells);
         for texts in rows.flat_map(|test| (0..test.rows()).map(|row| test.texts(row))) {
-            // most rows are like the one before
+            // most rows have the same labels as the row before
             if last.replace(texts) != Some(texts) {
                 follow(index, texts, (&null, &wide), &mut targets)?;
             }
@@ -111,7 +112,7 @@ pub fn restricted(
     Ok(Restricted { count: wide.slots.len().saturating_sub(null.slots.len()), at_bound })
 }
 
-/// What one parameter is on one row, in both.
+/// Records what the hypothesis makes of the model's value of one parameter on one row.
 fn follow(
     index: usize,
     texts: &[Label],
@@ -119,7 +120,7 @@ fn follow(
     targets: &mut [Option<Target>],
 ) -> Result<(), NotNestedParameter> {
     let name = || wide.model.parameters[index].name.clone();
-    // a row whose level is missing does not need the parameter, or the filters would have refused it
+    // a row without a level of the parameter does not need the parameter: otherwise the filters would have failed
     let (Ok(found), Ok(expected)) = (null.alpha.value(index, texts), wide.alpha.value(index, texts)) else {
         return Ok(());
     };
