@@ -1,4 +1,4 @@
-//! Allan's variance of any linear model: the sums over two spans are carried as states.
+//! Allan's variance of any linear model: the sum over a span is an additional state.
 #![expect(non_snake_case, reason = "the letters of the equations")]
 
 use nalgebra::{DMatrix, DVector};
@@ -6,7 +6,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::export::Exported;
 use kalfit_model::Expression;
 
-/// What a span of rows does to [x; s], s the sum of what was measured: [x; s] becomes M [x; s] + d + e, e ~ N(0, W).
+/// Effect of a span of rows on [x; s], with s the sum of the measured values: [x; s] becomes M [x; s] + d + e, e ~ N(0,
+/// W).
 #[derive(Debug, Clone)]
 struct SpanMap {
     M: DMatrix<f64>,
@@ -15,10 +16,10 @@ struct SpanMap {
 }
 
 impl SpanMap {
-    /// Of one row: it is measured, then a step is done.
+    /// The map of one row: a measurement, then a step.
     fn row(filter: &Exported, measurement: usize) -> SpanMap {
         let n = filter.F.nrows();
-        // of the inputs all columns are zero, and the constant is what it is
+        // inputs that read columns are zero; the constant input is 1
         let constant = |u: &Expression| if *u == Expression::Number(1.0) { 1.0 } else { 0.0 };
         let u = DVector::from_iterator(filter.inputs.len(), filter.inputs.iter().map(constant));
         let (mut M, mut W, mut d) =
@@ -32,7 +33,7 @@ impl SpanMap {
         SpanMap { M, d, W }
     }
 
-    /// This span, and then another.
+    /// This span, followed by another one.
     fn then(&self, next: &SpanMap) -> SpanMap {
         SpanMap {
             M: &next.M * &self.M,
@@ -41,7 +42,7 @@ impl SpanMap {
         }
     }
 
-    /// m of it, one after the other, by doubling.
+    /// m such spans, one after the other, by doubling.
     fn times(self, m: usize) -> SpanMap {
         let (mut whole, mut doubled, mut left) = (None, self, m);
         while left > 0 {
@@ -57,8 +58,8 @@ impl SpanMap {
     }
 }
 
-/// Allan's variance of a measurement (its place in the filter) over spans of m rows, the first two of a new test whose inputs are zero;
-/// `None` of a filter without a start, and where it has no finite value.
+/// Allan's variance of a measurement (by its index in the filter) over spans of m rows, the first two of a new test
+/// whose inputs are zero; `None` for a filter without a start, and where the variance is not finite.
 ///
 /// With x_0 at the start of the first span, x_1 = A x_0 + a + w at that of the second, and sums s_i = g x_{i-1} + b + e_i the
 /// difference is s_2 - s_1 = g(A - I) x_0 + g a + g w - e_1 + e_2.

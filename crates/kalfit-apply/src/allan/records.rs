@@ -2,9 +2,9 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// A step may differ by this part from the usual one.
+/// Largest deviation of a step from the usual step, as a fraction of the usual step.
 const JITTER: f64 = 0.1;
-/// Records in which a smaller part of the steps is the usual one are not regular.
+/// Smallest fraction of the steps that must be usual for records to have a usual step.
 const REGULAR: f64 = 0.5;
 
 /// Allan's variance of records over spans of one length.
@@ -12,7 +12,7 @@ const REGULAR: f64 = 0.5;
 pub struct Estimate {
     /// The mean of ½(ȳ_2 - ȳ_1)² over all pairs of neighbouring spans in a stretch.
     pub variance: f64,
-    /// Number of these pairs.
+    /// Number of such pairs in all stretches.
     pub pairs: usize,
     /// Effective degrees of freedom. A stretch of N values has M = N/m independent spans and counts ⅔(M - 1), or 1 where that is less:
     /// no more than the overlapping estimate has under white noise, flicker noise or a random walk.
@@ -20,7 +20,7 @@ pub struct Estimate {
 }
 
 impl Estimate {
-    /// 95 % limits of the variance: of that many degrees of freedom its estimate is as χ².
+    /// 95 % limits of the variance, whose estimate is taken as χ² with these degrees of freedom.
     pub fn interval95(&self) -> Option<[f64; 2]> {
         let chi = ChiSquared::new(self.degrees_of_freedom).ok()?;
         let limit = |p: f64| self.variance * self.degrees_of_freedom / chi.inverse_cdf(p);
@@ -43,18 +43,18 @@ fn is_usual(step: f64, usual: f64) -> bool {
     (step - usual).abs() <= JITTER * usual
 }
 
-/// The values of a record of (time, value) in stretches without a gap: two values stand in one where they follow each other by `step`,
-/// give or take 10 %.
+/// The values of a record of (time, value) in stretches without a gap: neighbouring values are in one stretch if the
+/// step between them is `step`, give or take 10 %.
 pub fn stretches(record: &[(f64, f64)], step: f64) -> Vec<Vec<f64>> {
     let apart = record.chunk_by(|before, after| is_usual(after.0 - before.0, step));
     apart.map(|stretch| stretch.iter().map(|(_, value)| *value).collect()).collect()
 }
 
-/// Allan's variance over spans of m values; `None` where no stretch has two of them.
+/// Allan's variance over spans of m values; `None` where no stretch contains two spans.
 pub fn estimate(stretches: &[Vec<f64>], m: usize) -> Option<Estimate> {
     let (mut sum, mut pairs, mut degrees_of_freedom) = (0.0, 0, 0.0);
     for stretch in stretches.iter().filter(|stretch| m > 0 && stretch.len() / 2 >= m) {
-        // a constant drops out; sums of what is left keep their digits
+        // a constant drops out; sums without the mean lose fewer digits
         let mean = stretch.iter().sum::<f64>() / stretch.len() as f64;
         let sums = stretch.iter().scan(0.0, |sum, value| {
             *sum += value - mean;

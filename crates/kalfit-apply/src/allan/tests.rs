@@ -1,4 +1,4 @@
-//! Allan's variance against closed forms, simulated records and double loops.
+//! Allan's variance, compared with closed forms, simulated records and double loops.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -11,7 +11,8 @@ use kalfit_model::{Alpha, Model, Population};
 
 const STEP: f64 = 0.5;
 
-/// A gyro with white noise of 0.3, a random walk of density `walk` and a Gauss-Markov state of 0.4 over 20 s, if they are wanted.
+/// A gyro with white noise `noise`, a random walk of density `walk`, and a Gauss-Markov state of deviation `sigma` and
+/// time constant 20 s; a zero switches each of them off.
 fn gyro(noise: f64, walk: f64, sigma: f64) -> Exported {
     let model = Model::builder("gyro")
         .time("t")

@@ -1,4 +1,4 @@
-//! What errors of the estimates do to the expectation of a sum of squares.
+//! Effects of the errors of estimates on the expectation of a sum of squares.
 
 use std::ops::Range;
 
@@ -12,46 +12,47 @@ use kalfit_model::{Phase, PhasedModel};
 /// How far the parameters that tests are compared with can be trusted.
 #[derive(Debug, Clone, Copy)]
 pub enum Trust<'a> {
-    /// As the covariance of all estimates says; exactly, where nothing was estimated.
+    /// With the covariance of all estimates; exactly, where nothing was estimated.
     Estimates(&'a Knowledge),
-    /// It is only known that so many tests, or groups of the outermost level, told them: as if each had told all of its states exactly, and with
-    /// dynamic parameters known.
+    /// Only the number of tests, or of groups of the outermost level, that the parameters were estimated from is known.
+    /// It is assumed that each of them determined all of its states exactly, and that dynamic parameters are known.
     Tests(usize),
 }
 
-/// What is known, by what it is of.
+/// Errors of the estimates, with those of the means picked out.
 pub(super) struct Doubt<'a> {
     pub(super) knowledge: &'a Knowledge,
     /// Number of states p.
     states: usize,
-    /// Means and regression coefficients among what was estimated: their places, and (element, regression column) of each.
+    /// Estimated means and regression coefficients: (index among the estimates, element of the mean, coefficient).
     of_means: Vec<(usize, usize, Option<usize>)>,
     covariance_of_means: DMatrix<f64>,
-    /// Of each of them, whether it is that of a state that is the same in all tests.
+    /// For each of `of_means`, whether it is the mean of a state that is identical in all tests.
     is_fixed: Vec<bool>,
-    /// Columns that means are regressed on.
+    /// Number of columns that means are regressed on.
     columns: usize,
 }
 
-/// How a parameter that was estimated moves what is expected of sums of squares, as long as its value is small.
+/// Derivatives of the expectations of sums of squares with respect to one estimated parameter.
 pub(super) struct ValueEffect {
-    /// Its place among what was estimated; `None` of one that the data do not determine.
+    /// Index among the estimates; `None` for a parameter that the data do not determine.
     pub(super) place: Option<usize>,
-    /// Of all distances together.
+    /// Derivative for the sum of all distances.
     pub(super) all: f64,
-    /// Of the distance of each test.
+    /// Derivative for the distance of each test.
     pub(super) tests: Vec<f64>,
-    /// Of that of each group, the innermost level first.
+    /// Derivative for the distance of each group, the innermost level first.
     pub(super) groups: Vec<Vec<f64>>,
-    /// Of each test's residual.
+    /// Derivative for each test's residual.
     pub(super) residuals: Vec<f64>,
 }
 
-/// Estimates of variances by themselves that go together by less than this are not tied.
+/// Smallest relative difference of E tr X² and Var[tr X] (see `dimension`) at which variances are taken to be equal.
 const TIED: f64 = 0.1;
-/// A mean that is the same in all tests took none of their variances where its errors are less than this part of all means'.
+/// A state that is identical in all tests counts as an estimated mean where its errors are at least this fraction of
+/// those of all means.
 const SHARE: f64 = 0.01;
-/// What hangs on something that is not determined by less than this part does not hang on it.
+/// A derivative below this fraction of its scale counts as zero: the expectation does not depend on the quantity.
 const FAINT: f64 = 1e-9;
 
 impl<'a> Doubt<'a> {
@@ -79,7 +80,8 @@ impl<'a> Doubt<'a> {
         Doubt { knowledge, states, of_means, covariance_of_means, is_fixed, columns: columns.len() }
     }
 
-    /// Dynamic parameters: their places among what was estimated, and their standard errors; `None` of those that the data do not determine.
+    /// Dynamic parameters with their index among the estimates and their standard error, both `None` where the data do
+    /// not determine the parameter.
     pub(super) fn parameters(&self) -> impl Iterator<Item = (Option<usize>, &'a Estimand, Option<f64>)> {
         let knowledge = self.knowledge;
         let error = |i: usize| knowledge.covariance[(i, i)].max(0.0).sqrt();
@@ -88,7 +90,7 @@ impl<'a> Doubt<'a> {
             .filter(|(_, known, _)| matches!(known, Estimand::Parameter { .. }))
     }
 
-    /// How the means that were estimated enter a test: p × means.
+    /// Derivatives of a test's mean with respect to the estimated means: p × means.
     pub(super) fn effect(&self, reduction: ReductionRef<'_>) -> DMatrix<f64> {
         let mut effect = DMatrix::zeros(self.states, self.of_means.len());
         for (at, &(_, element, coefficient)) in self.of_means.iter().enumerate() {
@@ -97,13 +99,14 @@ impl<'a> Doubt<'a> {
         effect
     }
 
-    /// What errors of the means add on average.
+    /// Expected increase of a sum of squares by errors of the means.
     pub(super) fn of_means(&self, weights: &DMatrix<f64>) -> f64 {
         weights.dot(&self.covariance_of_means).max(0.0)
     }
 
-    /// How many means of one element were estimated: one, one for each column that they are regressed on, and one for each state that is the same
-    /// in all tests whose errors are a part of `all`, what errors of the means add.
+    /// Number of means of one element that were estimated: one, one for each column that they are regressed on, and one
+    /// for each state that is identical in all tests and whose errors are a noticeable part of `all`, the increase by
+    /// errors of all means.
     pub(super) fn means(&self, weights: &DMatrix<f64>, all: f64) -> usize {
         let own = |at: usize| weights[(at, at)] * self.covariance_of_means[(at, at)];
         let is_noticed = |&at: &usize| self.is_fixed[at] && own(at) > SHARE * all;
@@ -111,7 +114,7 @@ impl<'a> Doubt<'a> {
         usize::from(random) + self.columns + (0..self.of_means.len()).filter(is_noticed).count()
     }
 
-    /// The derivative of the expectation by each element of Σ.
+    /// Derivative of the expectation with respect to an element of Σ; zero for any other quantity.
     fn by(&self, weights: &Weights, known: &Estimand) -> f64 {
         let Estimand::Population(Estimated::Covariance(i, j)) = *known else { return 0.0 };
         let (level, p) = (i / self.states, self.states);
@@ -119,13 +122,13 @@ impl<'a> Doubt<'a> {
         if i == j { own } else { 2.0 * own }
     }
 
-    /// The variance of the expectation by errors of covariances and parameters.
+    /// Variance of the expectation due to errors of covariances and parameters.
     pub(super) fn variance(&self, weights: &Weights, moved: &[(&ValueEffect, f64)]) -> f64 {
         let known = self.knowledge.quantities.iter().map(|known| self.by(weights, known));
         self.variance_along(DVector::from_iterator(self.knowledge.quantities.len(), known), moved)
     }
 
-    /// The same by errors of parameters alone.
+    /// Variance of the expectation due to errors of parameters alone.
     pub(super) fn variance_by_parameters(&self, moved: &[(&ValueEffect, f64)]) -> f64 {
         self.variance_along(DVector::zeros(self.knowledge.quantities.len()), moved)
     }
@@ -139,21 +142,22 @@ impl<'a> Doubt<'a> {
         slopes.dot(&(&self.knowledge.covariance * &slopes)).max(0.0)
     }
 
-    /// Whether what is expected hangs on something that the data of the fit do not determine.
+    /// Whether the expectation depends on a quantity that the data of the fit do not determine.
     pub(super) fn is_open(&self, weights: &Weights, moved: &[(&ValueEffect, f64)], degrees: f64) -> bool {
         let largest = weights.of_level.iter().map(DMatrix::amax).fold(0.0, f64::max);
         let by_sigma = self.knowledge.open.iter().any(|known| self.by(weights, known).abs() > FAINT * largest);
         by_sigma || self.is_moved_openly(moved, degrees)
     }
 
-    /// The same by parameters alone.
+    /// Whether the expectation depends on a parameter that the data of the fit do not determine.
     pub(super) fn is_moved_openly(&self, moved: &[(&ValueEffect, f64)], degrees: f64) -> bool {
         moved.iter().any(|(one, slope)| one.place.is_none() && slope.abs() > FAINT * degrees)
     }
 
-    /// Of how many degrees of freedom Σ of a level is estimated as one, and how many of them have one variance: p and 1 for a full p × p matrix, 1
-    /// and 1 for variances by themselves, 1 and m for m variances that are equal. X the error of Σ̂ in units of W⁻¹: E tr X² is (p + 1)/2 times
-    /// Var[tr X], once, and Var[tr X]/m.
+    /// Number of degrees of freedom whose covariance is estimated as one in Σ of a level, and number of them that share
+    /// one variance: p and 1 for a full p × p matrix, 1 and 1 for separate variances, 1 and m for m equal variances.
+    /// With X the error of Σ̂ in units of W⁻¹, E tr X² in these cases is (p + 1)/2 times Var[tr X], Var[tr X], and
+    /// Var[tr X]/m.
     pub(super) fn dimension(&self, w: &DMatrix<f64>, level: usize) -> (f64, f64) {
         let p = self.states;
         let own = |(place, known): (usize, &Estimand)| match *known {

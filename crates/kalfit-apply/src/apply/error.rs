@@ -1,10 +1,10 @@
-//! Why a model is not applied.
+//! Why a model cannot be applied.
 
 use kalfit_estimate::FitError;
 use kalfit_filter::reduce::{GroupingError, ReduceError};
 use kalfit_model::{PopulationError, StructureError};
 
-/// Why a model is not applied to tests.
+/// Why a model cannot be applied to tests.
 #[derive(Debug, thiserror::Error)]
 pub enum ApplyError {
     /// There are no tests.
@@ -13,26 +13,26 @@ pub enum ApplyError {
     /// A test that the model does not allow.
     #[error(transparent)]
     Reduce(Box<ReduceError>),
-    /// Tests that stand in no groups.
+    /// Tests whose groups are not known.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
-    /// Values of another shape than the model's.
+    /// Values whose shape differs from the model's.
     #[error(transparent)]
     Population(#[from] PopulationError),
-    /// Values that cannot be.
+    /// Values that are not possible.
     #[error(transparent)]
     Structure(#[from] StructureError),
-    /// Reductions that say nothing.
+    /// Reductions that the model cannot be applied to.
     #[error(transparent)]
     Fit(#[from] FitError),
-    /// States of a phase that is not known by its rows are not known either.
+    /// A test whose states cannot be computed, because a phase is not given by rows.
     #[error("the states of test `{test}` are not known: phase `{phase}` has {found}, not rows that are filtered here")]
     NoRows {
-        /// The test.
+        /// Id of the test.
         test: String,
-        /// The phase.
+        /// Name of the phase.
         phase: String,
-        /// What it has.
+        /// What the phase has instead of rows that are filtered here.
         found: &'static str,
     },
 }

@@ -1,4 +1,5 @@
-//! States given what was measured before a step, or up to it: the filter with the law of σ, as the innovations have it.
+//! States given the measurements before a step, or up to it: the filter together with the law of σ, as for the
+//! innovations.
 #![expect(non_snake_case, reason = "the letters of the theory: Psi, P")]
 
 use std::ops::Range;
@@ -42,7 +43,8 @@ fn of_test(
     states.into_iter().collect()
 }
 
-/// x̂ + Ψσ̂ with P + ΨVΨ' before or after the measurements of each step, as they are taken into the law of σ.
+/// x̂ + Ψσ̂ with covariance P + ΨVΨ', before or after the measurements of each step, which are taken into the law of σ
+/// on the way.
 fn filtered(
     kind: StateKind,
     gains: &Gains,
@@ -51,7 +53,7 @@ fn filtered(
 ) -> Vec<StepMoments> {
     own_innovations(gains, work);
     let q = work.design.frame.p;
-    // at σ = 0, with a column for each element of σ
+    // moments at σ = 0, with one column of sensitivities for each element of σ
     let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
     let run = BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });
     let mut states = Vec::with_capacity(work.design.steps());

@@ -1,8 +1,9 @@
 //! The law of a sum of squared distances of new tests from a population that was estimated.
 //!
-//! Of n tests that tell p numbers each, against a population estimated from N tests that do: D = N tr W⁻¹B, where W ~ Wishart_p(N - 1) and B is
-//! a sum of n squares about an estimated mean. That is Lawley's and Hotelling's trace, and McKeon's F has its first two moments (Biometrika
-//! 61, 1974, 381). It is exact for one test, which is Hotelling's T², and for one number:
+//! For n tests that determine p numbers each, against a population estimated from N such tests: D = N tr W⁻¹B, where W
+//! ~ Wishart_p(N - 1) and B is a sum of n squares about an estimated mean. That is Lawley's and Hotelling's trace, and
+//! McKeon's F has its first two moments (Biometrika 61, 1974, 381). It is exact for one test, where it is Hotelling's
+//! T², and for p = 1:
 //!
 //! ```text
 //! tr W⁻¹B ~ c F(a, b),   a = ph,   b = 4 + (a + 2)(ν - p - 3)(ν - p) / ((ν + h - p - 1)(ν - 1) - (ν - p - 3)(ν - p)),
@@ -14,27 +15,28 @@ use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor, Normal};
 /// A multiple of Fisher's F, or of χ².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Law {
-    /// What F is multiplied by.
+    /// Factor of F.
     pub scale: f64,
     /// Degrees of freedom of the numerator.
     pub numerator: f64,
-    /// Degrees of freedom of the denominator; infinite where nothing is estimated: `scale` times χ² over its degrees of freedom.
+    /// Degrees of freedom of the denominator. Infinite where nothing is estimated: the law is then that of χ² over its
+    /// degrees of freedom, multiplied by `scale`.
     pub denominator: f64,
 }
 
-/// With more degrees of freedom than this, above and below, the cube root of F is normal to all digits that count.
+/// Degrees of freedom, of numerator and denominator, above which the cube root of F is normal to all digits that count.
 const MANY: f64 = 1e4;
 
-/// Of degrees of freedom that were worked out.
+/// Rounding error of computed degrees of freedom.
 const ROUNDING: f64 = 1e-5;
 
 impl Law {
-    /// χ².
+    /// χ² with the given degrees of freedom.
     pub fn chi_squared(degrees: f64) -> Law {
         Law { scale: degrees, numerator: degrees, denominator: f64::INFINITY }
     }
 
-    /// How large it is on average; infinite where it has no average.
+    /// Mean of the law; infinite where it has none.
     pub fn mean(&self) -> f64 {
         match self.denominator {
             b if b.is_infinite() => self.scale,
@@ -43,7 +45,7 @@ impl Law {
         }
     }
 
-    /// Its standard deviation; infinite where it has none.
+    /// Standard deviation of the law; infinite where it has none.
     pub fn std_dev(&self) -> f64 {
         let (a, b) = (self.numerator, self.denominator);
         match b {
@@ -72,7 +74,7 @@ impl Law {
         Some([law.cdf(f), law.sf(f)])
     }
 
-    /// Twice the smaller tail.
+    /// Two-sided p-value of x: twice the smaller tail, at most 1.
     pub fn two_sided(&self, x: f64) -> Option<f64> {
         self.tails(x).map(|[below, above]| (2.0 * below.min(above)).min(1.0))
     }
@@ -81,31 +83,34 @@ impl Law {
 /// A sum of squared distances, and what estimation adds to it, to first order.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct DistanceSum {
-    /// How many distances it is of.
+    /// Number of distances.
     pub(super) count: f64,
-    /// Their degrees of freedom together.
+    /// Degrees of freedom of all distances together.
     pub(super) degrees: f64,
-    /// Degrees of freedom that are estimated together: p of a full p × p covariance, 1 of variances by themselves.
+    /// Number of degrees of freedom whose covariance is estimated as one: p for a full p × p covariance, 1 for separate
+    /// variances.
     pub(super) dimension: f64,
-    /// How many degrees of freedom have one variance: m where m variances are equal.
+    /// Number of degrees of freedom that share one variance: m where m variances are equal.
     pub(super) tied: f64,
-    /// Variance of the sum's expectation by errors of covariances and parameters, over the square of `degrees`: 2/(pN).
+    /// Variance of the sum's expectation due to errors of covariances and parameters, over the square of `degrees`:
+    /// 2/(pN).
     pub(super) variance: f64,
-    /// What errors of the mean add to it on average: np/N.
+    /// Expected increase of the sum by errors of the mean: np/N.
     pub(super) of_mean: f64,
-    /// How many means were estimated with the covariances.
+    /// Number of means that were estimated with the covariances.
     pub(super) means: f64,
-    /// Covariances are too small by those: not by restricted likelihood.
+    /// Whether estimating the means made the covariances too small: false by restricted likelihood.
     pub(super) is_biased: bool,
-    /// Tests, or groups, that all of it was estimated from.
+    /// Number of tests, or groups, that everything was estimated from.
     pub(super) tests: f64,
 }
 
-/// A relative variance below this is none.
+/// Relative variance below which covariances and parameters count as known.
 const KNOWN: f64 = 1e-12;
 
 impl DistanceSum {
-    /// Of so many tests, against as many others as told all of their states exactly, by maximum likelihood.
+    /// Sum over `count` tests, against estimates by maximum likelihood from `tests` others that determined all their
+    /// states exactly.
     pub(super) fn of_tests(count: f64, degrees: f64, tests: f64) -> DistanceSum {
         DistanceSum {
             count,
@@ -120,10 +125,11 @@ impl DistanceSum {
         }
     }
 
-    /// Its law; `None` where the estimates are from too few tests to have one.
+    /// Law of the sum; `None` where the estimates are from too few tests to have one.
     pub(super) fn law(&self) -> Option<Law> {
         let each = self.degrees / self.count;
-        // n squares, of which those along the estimated means are larger by their error: as many of one size
+        // n squares, those along the estimated means enlarged by the means' errors, are replaced by h squares of one
+        // size
         let error = self.of_mean / each;
         let means = self.means.min(self.count).max(1.0);
         let (sum, squares) = (self.count + error, self.count - means + means * (1.0 + error / means).powi(2));
@@ -139,8 +145,8 @@ impl DistanceSum {
         Some(Law { scale: one.scale * seen * self.tied * size, ..one }.times(copies))
     }
 
-    /// The part that maximum likelihood makes covariances too small by. How many tests there were is what the errors of the mean and of the
-    /// covariances say beside each other.
+    /// Relative amount by which maximum likelihood makes covariances too small. The number of tests follows from the
+    /// errors of the mean and of the covariances together.
     fn bias(&self, each: f64, seen: f64) -> f64 {
         if !self.is_biased || self.of_mean <= 0.0 {
             return 0.0;
@@ -152,7 +158,7 @@ impl DistanceSum {
     }
 }
 
-/// tr W⁻¹B.
+/// Law of tr W⁻¹B in p dimensions, W of `degrees` and B of h degrees of freedom.
 fn trace(p: f64, h: f64, degrees: f64) -> Option<Law> {
     let left = degrees - p;
     if h <= 1.0 {
@@ -169,7 +175,7 @@ fn trace(p: f64, h: f64, degrees: f64) -> Option<Law> {
 }
 
 impl Law {
-    /// The sum of so many of it, independent of each other.
+    /// Law of the sum of `number` independent copies, from its mean and variance.
     fn times(self, number: f64) -> Law {
         let (a, b) = (self.numerator, self.denominator);
         if number == 1.0 || b <= 4.0 {
@@ -186,7 +192,7 @@ impl Law {
 mod tests {
     use super::*;
 
-    /// n new tests of p states against N tests that tell their states exactly, by maximum likelihood.
+    /// n new tests of p states against N tests that determine their states exactly, by maximum likelihood.
     fn exact(p: f64, n: f64, tests: f64) -> DistanceSum {
         DistanceSum::of_tests(n, n * p, tests)
     }
@@ -206,7 +212,7 @@ mod tests {
         }
     }
 
-    /// Three states of one variance: three squares for each of N tests, less the three means.
+    /// Three states that share one variance: three squares for each of N tests, less the three means.
     #[test]
     fn equal_variances_have_the_degrees_of_freedom_of_all() {
         let tests = 5.0;
@@ -221,7 +227,7 @@ mod tests {
         }
     }
 
-    /// Of one state whose mean is known the ratio of two variances.
+    /// With one state of known mean, the law is that of the ratio of two variances.
     #[test]
     fn many_tests_of_one_state_have_the_law_of_fisher() {
         let sum = DistanceSum { of_mean: 0.0, means: 0.0, ..exact(1.0, 20.0, 12.0) };
@@ -233,17 +239,18 @@ mod tests {
         }
     }
 
-    /// E tr W⁻¹B = E tr W⁻¹ · tr of one square, and Var by the moments of the inverse of a Wishart matrix, both written down.
+    /// E tr W⁻¹B = E tr W⁻¹ · tr of one square, and Var from the moments of the inverse of a Wishart matrix, both
+    /// written out.
     #[test]
     fn the_trace_has_its_moments() {
         let (p, n, tests) = (3.0, 8.0, 20.0);
         let found = exact(p, n, tests).law().expect("enough tests");
         let expected = tests * n * (1.0 + 1.0 / tests) * p / (tests - 1.0 - p - 1.0);
         assert!((found.mean() - expected).abs() < 1e-9 * expected, "{} against {expected}", found.mean());
-        // the mean known: Var = E[2h tr V²] + h² Var[tr V], V the inverse of W
+        // with a known mean: Var = E[2h tr V²] + h² Var[tr V], V the inverse of W
         let known = DistanceSum { of_mean: 0.0, means: 0.0, ..exact(p, n, tests) }.law().expect("enough tests");
         let (nu, c) = (tests, (tests - p) * (tests - p - 1.0) * (tests - p - 3.0));
-        // E[V_ii V_kk] and E[V_ik²] of W of the unit matrix
+        // E[V_ii V_kk] and E[V_ik²] where W belongs to the unit matrix
         let same = 1.0 / ((nu - p - 1.0) * (nu - p - 3.0));
         let (pair, mixed) = ((nu - p - 2.0) / c, 1.0 / c);
         let (squared, both) = (p * same + p * (p - 1.0) * mixed, p * same + p * (p - 1.0) * pair);
@@ -267,7 +274,7 @@ mod tests {
 
     #[test]
     fn tails_agree_where_one_way_takes_over_from_another() {
-        // scipy.stats.f.sf(1.02, 9999, 9999), and the same of 10001
+        // scipy.stats.f.sf(1.02, 9999, 9999), and that for 10001
         for (degrees, expected) in [(9999.0, 0.161_075_081_1), (10001.0, 0.161_050_885_2)] {
             let law = Law { scale: 1.0, numerator: degrees, denominator: degrees };
             let [_, above] = law.tails(1.02).expect("there are degrees");

@@ -1,4 +1,4 @@
-//! Laws of what tests say against those of Hotelling and Fisher.
+//! Laws of test results compared with those of Hotelling and Fisher.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -37,7 +37,8 @@ fn population() -> Population {
     Population { mean: vec![0.5, -0.3], coefficients: vec![], covariance }
 }
 
-/// What N tests as these tell by maximum likelihood: of mean and covariance by Wishart's law, of σ by N times three residuals.
+/// Knowledge from N tests like these, by maximum likelihood: mean and covariance by Wishart's law, σ from N times three
+/// residuals.
 fn knowledge(fitted: f64) -> Knowledge {
     let own = population().covariance;
     let noise = SIGMA * SIGMA * DMatrix::from_diagonal(&DVector::from_vec(vec![1.0 / ROWS as f64, 0.1]));
@@ -51,7 +52,7 @@ fn knowledge(fitted: f64) -> Knowledge {
             covariance[(2 + a, 2 + b)] = product / fitted;
         }
     }
-    // σ is told by residuals alone, and Σ̂ is what is seen less the noise that σ̂ says
+    // σ is determined by residuals alone, and Σ̂ is the observed covariance less the noise according to σ̂
     let of_sigma = SIGMA * SIGMA / (2.0 * 3.0 * fitted);
     let by_sigma = [-2.0 * SIGMA / ROWS as f64, 0.0, -2.0 * SIGMA * 0.1];
     covariance[(5, 5)] = of_sigma;
@@ -82,7 +83,7 @@ fn laws(number: usize, trust: &Trust<'_>) -> (Said, Laws) {
     (said, laws)
 }
 
-/// Errors of Σ̂ that are those of σ̂ as well are a thousandth of what counts here.
+/// Compares to a thousandth, the size of the errors that Σ̂ shares with σ̂.
 fn near(what: &str, found: f64, expected: f64) {
     assert!((found - expected).abs() < 1e-3 * expected.abs(), "{what}: {found} against {expected}");
 }

@@ -1,4 +1,4 @@
-//! The laws of distances and residuals where what they are compared with was estimated.
+//! Laws of distances and residuals of tests that are compared with estimated parameters.
 
 use rayon::prelude::*;
 
@@ -11,26 +11,26 @@ use kalfit_infer::{Distance, Estimand, Knowledge};
 use kalfit_model::Evidence;
 use kalfit_model::{Alpha, Slots};
 
-/// Laws of what tests say, in the order of what they are of. `None`: without degrees of freedom, where it hangs on what the data of the fit do
-/// not determine, and where the fit's tests are too few to tell.
+/// Laws of the results of tests, in the order of the results. `None`: without degrees of freedom, where the result
+/// depends on something that the data of the fit do not determine, and where the fit has too few tests.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Laws {
-    /// Of the sum of the distances of all tests from the population, or of all groups of the outermost level.
+    /// Law of the sum of the distances of all tests from the population, or of all groups of the outermost level.
     pub distance: Option<Law>,
-    /// Of tests in groups, of the sum of what they are from each other.
+    /// Law of the sum of distances within groups, where tests stand in groups.
     pub within: Option<Law>,
-    /// Of the sum of all residuals.
+    /// Law of the sum of all residuals.
     pub residual: Option<Law>,
-    /// Of the distance of each test by itself.
+    /// Law of the distance of each test by itself.
     pub tests: Vec<Option<Law>>,
-    /// Of that of each group, the innermost level first.
+    /// Law of the distance of each group, the innermost level first.
     pub groups: Vec<Vec<Option<Law>>>,
-    /// Of each test's residual.
+    /// Law of each test's residual.
     pub residuals: Vec<Option<Law>>,
 }
 
 impl Laws {
-    /// χ² for all: of parameters that are known, and of tests that the parameters were estimated from.
+    /// χ² for every result: for known parameters, and for tests that the parameters were estimated from.
     pub fn known(said: &Said) -> Laws {
         let of = |degrees: usize| (degrees > 0).then(|| Law::chi_squared(degrees as f64));
         let of_distance = |distance: &Distance| of(distance.degrees_of_freedom);
@@ -50,14 +50,14 @@ impl Laws {
     }
 }
 
-/// Tests that one thread takes at a time.
+/// Number of tests that one thread takes at a time.
 const CHUNK: usize = 256;
 
 impl Applied<'_> {
-    /// The laws of what tests say that the parameters were not estimated from.
+    /// Laws of the results of tests that the parameters were not estimated from.
     ///
     /// # Errors
-    /// As [`Applied::new`], where the tests are reduced once more for derivatives.
+    /// The errors of [`Applied::new`]: the tests are reduced again for derivatives.
     pub fn laws(&self, said: &Said, trust: &Trust<'_>) -> Result<Laws, ApplyError> {
         let knowledge = match trust {
             Trust::Estimates(knowledge) => *knowledge,
@@ -81,8 +81,8 @@ impl Applied<'_> {
         TestTree::new(own, self.population, self.grouping.as_deref(), &|reduction| doubt.effect(reduction))
     }
 
-    /// How each parameter that was estimated moves what is expected, by the model at both sides of it. Nothing does where tests are no rows
-    /// that are filtered here.
+    /// Derivatives of the expectations with respect to each estimated parameter, from the model on both sides of it.
+    /// Empty where a phase of a test is not given by rows.
     fn moved(&self, tree: &TestTree, doubt: &Doubt<'_>) -> Result<Vec<ValueEffect>, ApplyError> {
         let is_reduced = self.tests.iter().any(|test| test.phases.iter().any(|own| !matches!(own, Evidence::Rows(_))));
         if is_reduced {
@@ -116,7 +116,7 @@ impl Applied<'_> {
     }
 }
 
-/// All that laws are made of.
+/// Everything that laws are computed from.
 struct Judge<'a> {
     said: &'a Said,
     trust: &'a Trust<'a>,
@@ -159,7 +159,7 @@ impl Judge<'_> {
         }
     }
 
-    /// The laws of the distances of tests, and what their sum hangs on.
+    /// Laws of the distances of tests, and the weights in their sum.
     fn tests(&self) -> (Vec<Option<Law>>, Weights) {
         let beyond = self.tree.beyond(0);
         let numbers: Vec<usize> = (0..self.said.posteriors.len()).collect();
@@ -185,7 +185,8 @@ impl Judge<'_> {
         all.iter().enumerate().map(law).collect()
     }
 
-    /// Of a sum over some tests or groups, of so many degrees of freedom. `level`: of the Σ that they mostly differ by.
+    /// Law of a sum over `count` tests or groups, with `degrees` degrees of freedom. `level`: level of the Σ that they
+    /// mostly differ by.
     fn law(
         &self,
         weights: &Weights,
@@ -221,7 +222,7 @@ impl Judge<'_> {
         DistanceSum { count, degrees, dimension, tied, variance, of_mean, means, is_biased, tests }.law()
     }
 
-    /// Of residuals: variances by themselves, which errors of the parameters alone move.
+    /// Law of residuals: separate variances, which only errors of the parameters affect.
     fn residual(&self, degrees: usize, moved: &dyn Fn(&ValueEffect) -> f64) -> Option<Law> {
         let degrees = degrees as f64;
         if degrees == 0.0 {

@@ -1,9 +1,9 @@
-//! A model whose parameters are all known, applied to tests: what each test says, whether the tests are of the population, and the states
-//! along their records (theory §12). Nothing is estimated.
+//! Applies a model whose parameters are all known to tests: what each test says of its initial state, whether the tests
+//! come from the population, and the states along their records (theory §12). Nothing is estimated.
 //!
 //! ```text
 //! (α, μ, Σ) + tests ──> Applied ──> posteriors, distances, log densities, innovations ──> Verdict, by Laws
-//!                               └─> states: predicted, filtered or smoothed, and what they say of each measurement
+//!                               └─> states: predicted, filtered or smoothed, with the prediction of each measurement
 //! ```
 
 mod doubt;
@@ -50,32 +50,34 @@ pub struct Applied<'a> {
     grouping: Option<Arc<Grouping>>,
     slots: Slots,
     reducer: PhasedReducer,
-    /// As the problem takes them.
+    /// Reductions in the form that `problem` was made from.
     reductions: Reductions,
     problem: Problem,
     point: Point,
 }
 
-/// What tests say, in their order.
+/// Results of tests, in the order of the tests.
 #[derive(Debug)]
 pub struct Said {
-    /// Their likelihoods, posteriors and distances.
+    /// Likelihood, posterior and distance of each test.
     pub posteriors: Posteriors,
-    /// What is known of the groups of each level, the innermost first; empty where tests stand in no groups.
+    /// Posterior of each group, level by level, the innermost first; empty where tests stand in no groups.
     pub groups: Vec<Vec<GroupPosterior>>,
-    /// `None` of tests whose measurements are not known.
+    /// Innovations of each test; `None` for tests whose measurements are not known.
     pub innovations: Vec<Option<Innovations>>,
-    /// What the measured values of a test are off the model whatever its initial state is: the sum of squares of its innovations less its
-    /// distance from the population, and the degrees of freedom of χ². The two are independent, also where tests stand in groups. `None`
-    /// where a phase is not known by its rows, and where a test is so far out that nothing is left of the difference but rounding.
+    /// How far the measured values of each test are off the model whatever its initial state is: (sum of squares of its
+    /// innovations less its squared distance from the population, degrees of freedom of χ²). Residual and distance are
+    /// independent, also where tests stand in groups. `None` where a phase is not known by its rows, and where a test
+    /// is so far out that the difference is nothing but rounding.
     pub residuals: Vec<Option<(f64, usize)>>,
 }
 
-/// Largest rounding of a residual that is told, in parts of one and the residual.
+/// Largest rounding error of a residual that is reported, relative to 1 + the residual.
 const ROUNDING: f64 = 1e-3;
 
 impl<'a> Applied<'a> {
-    /// Runs the filters over the tests. `population` is of the shape of the model; of a model with levels it holds each level.
+    /// Runs the filters over the tests. `population` has the shape of the model; for a model with levels it holds all
+    /// levels.
     ///
     /// # Errors
     /// No tests; a population of another shape; a test that the model does not allow.
@@ -93,7 +95,7 @@ impl<'a> Applied<'a> {
         let reducer = PhasedReducer::scoring(model, alpha, &slots)?;
         let reductions = reducer.reduce(tests)?;
         let grouping = grouping(model, tests)?.map(Arc::new);
-        // values are taken as they are: no structure may change them
+        // the given values are used as they are: no constraint of the structure may change them
         let covariances: Vec<CovarianceStructure> = model.blocks().map(|(own, _)| unconstrained(own)).collect();
         let of = Structure::of(model, alpha, grouping.as_ref());
         let phases = of.phases.iter().zip(&covariances).map(|(phase, covariance)| {
@@ -116,7 +118,7 @@ impl<'a> Applied<'a> {
     /// Results of each test.
     ///
     /// # Errors
-    /// As [`innovations`].
+    /// The errors of [`innovations`].
     pub fn said(&self) -> Result<Said, ApplyError> {
         let (posteriors, groups) = posteriors_at(&self.problem, &self.point, &self.reductions);
         let alone = self.population.together(self.model.dimension());
@@ -132,13 +134,13 @@ impl<'a> Applied<'a> {
         Ok(Said { posteriors, groups, innovations, residuals })
     }
 
-    /// Every phase of the test is known by rows that are filtered here.
+    /// Whether every phase of the test is known by rows that are filtered here.
     fn is_all_rows(&self, test: &PhasedTest) -> bool {
         self.refuse_without_rows(test).is_ok()
     }
 }
 
-/// Of any Σ, what tests bring of their own apart.
+/// A structure that does not constrain Σ; the known covariance that is added to it remains.
 fn unconstrained(own: &CovarianceStructure) -> CovarianceStructure {
     CovarianceStructure { known: own.known.clone(), ..CovarianceStructure::full() }
 }

@@ -1,4 +1,5 @@
-//! What states say of what was measured: steps and measurements of a phase as they stand in the data, noise not whitened.
+//! Measurements as the states predict them: steps and measurements of a phase as they stand in the data, noise not
+//! whitened.
 
 use std::ops::Range;
 
@@ -8,10 +9,10 @@ use crate::apply::states::{PhaseStates, Prediction, StepMoments, StepStates};
 use kalfit_filter::reduce::{DesignStep, PhaseReducer, ReduceError, Workspace};
 use kalfit_model::Test;
 
-/// h'x + d of the states in the order of the kernels.
+/// Linear form h'x + d of the states, in the order of the kernels.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct StateForm {
-    /// (state, coefficient).
+    /// Nonzero terms of h, as (state, coefficient).
     pub(crate) terms: Vec<(usize, f64)>,
     pub(crate) constant: f64,
 }
@@ -21,7 +22,7 @@ impl StateForm {
         self.terms.iter().map(|&(at, h)| h * x[at]).sum::<f64>() + self.constant
     }
 
-    /// A'h of a matrix with a row for each state.
+    /// A'h for a matrix A with one row per state.
     pub(crate) fn along(&self, matrix: &DMatrix<f64>) -> DVector<f64> {
         let mut sum = DVector::zeros(matrix.ncols());
         for &(at, h) in &self.terms {
@@ -30,7 +31,7 @@ impl StateForm {
         sum
     }
 
-    /// h'Vh of a covariance of the states.
+    /// h'Vh for a covariance V of the states.
     pub(crate) fn variance(&self, covariance: &DMatrix<f64>) -> f64 {
         let row = |&(i, a): &(usize, f64)| self.terms.iter().map(|&(k, b)| a * b * covariance[(i, k)]).sum::<f64>();
         let variance = self.terms.iter().map(row).sum::<f64>();
@@ -38,16 +39,16 @@ impl StateForm {
     }
 }
 
-/// What a value at a step is of.
+/// What a value at a step belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ValueSubject {
-    /// A state, by its place in the phase's model.
+    /// A state, by its index in the phase's model.
     State(usize),
-    /// A measurement, and its row among those of the phase.
+    /// A measurement, and its row among the rows of the phase.
     Measurement(usize, usize),
 }
 
-/// Rows of a step among those of the phase, its time, and its values.
+/// (Rows of a step among those of the phase, time of the step, values of the step).
 pub(crate) type StepForms = (Range<usize>, Option<f64>, Vec<(ValueSubject, StateForm)>);
 
 /// A phase of a test, evaluated.
@@ -67,7 +68,7 @@ impl<'a> EvaluatedPhase<'a> {
         Ok(EvaluatedPhase { phase, rows, work })
     }
 
-    /// Steps with what is known of the states after each of them; `noisy`: measurements have their noise.
+    /// States at each step, given their moments `known`; `noisy`: predictions include the noise of the measurements.
     pub(super) fn states(&self, phase: usize, known: impl Iterator<Item = StepMoments>, noisy: bool) -> PhaseStates {
         let steps = self.each_step().zip(known);
         let one = |((step, rows), known): ((DesignStep<'_>, Range<usize>), StepMoments)| {
@@ -89,7 +90,7 @@ impl<'a> EvaluatedPhase<'a> {
         PhaseStates { phase, steps: steps.map(one).collect() }
     }
 
-    /// Each step with its rows, its time and its values: the states, and then the measurements.
+    /// Rows, time and values of each step: first the states, then the measurements.
     pub(crate) fn forms(&self) -> Vec<StepForms> {
         let one = |(step, rows): (DesignStep<'_>, Range<usize>)| {
             let states = self.state_forms().enumerate().map(|(state, form)| (ValueSubject::State(state), form));
@@ -104,20 +105,20 @@ impl<'a> EvaluatedPhase<'a> {
         self.work.design.each_step().zip(self.work.step_rows())
     }
 
-    /// The states in the order of the model.
+    /// Linear forms of the states, in the order of the model.
     fn state_forms(&self) -> impl Iterator<Item = StateForm> {
         let place = &self.phase.reducer.preparer().order.place;
         place.iter().map(|&at| StateForm { terms: vec![(at, 1.0)], constant: 0.0 })
     }
 
-    /// What was measured at a step: line, measurement and row, and what it is of the states.
+    /// Measurements of a step: (line, (measurement, row), linear form in the states).
     fn measured(&self, step: &DesignStep<'_>) -> impl Iterator<Item = (usize, (usize, usize), StateForm)> {
         let (work, model) = (&self.work, &self.phase.reducer.preparer().model);
         step.lines.clone().zip(step.rows.clone()).map(move |(line, row)| {
             let instance = work.instances.get(row);
             let (states, h) = work.design.terms(line);
             let terms = states.iter().map(|&state| state as usize).zip(h.iter().copied()).collect();
-            // the data of a measurement are z - d
+            // `data.values` holds z - d
             let measured = self.rows.numbers(instance.row)[model.measurements[instance.meter].column];
             let form = StateForm { terms, constant: measured - work.data.values[row] };
             (line, (instance.meter, instance.row), form)

@@ -1,4 +1,4 @@
-//! States given all of a test: the smoother of the scores, from the posterior of ξ.
+//! States given all measurements of a test: the smoother of `score`, with the posterior of ξ.
 
 use std::ops::Range;
 

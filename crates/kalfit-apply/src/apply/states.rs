@@ -7,55 +7,56 @@ use nalgebra::DMatrix;
 use crate::apply::{Applied, ApplyError};
 use kalfit_model::{Evidence, PhasedTest};
 
-/// What is known of a state when it is told.
+/// Which measurements the states at a step are conditioned on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StateKind {
-    /// All that was measured before the step.
+    /// All measurements before the step.
     Predicted,
-    /// All that was measured up to the step, the step among it.
+    /// All measurements up to the step and at it.
     Filtered,
-    /// All that was measured in the test, before and after the step; where tests stand in groups, in all tests of the group.
+    /// All measurements of the test, before and after the step; where tests stand in groups, of all tests of the group.
     Smoothed,
 }
 
 /// States of one phase of a test.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhaseStates {
-    /// The phase, by its place in the model.
+    /// Index of the phase in the model.
     pub phase: usize,
-    /// Step by step.
+    /// States at each step.
     pub steps: Vec<StepStates>,
 }
 
 /// States at one step: rows of the same time are one step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepStates {
-    /// Its rows among those of the phase.
+    /// Rows of the step among those of the phase.
     pub rows: Range<usize>,
-    /// Its time, where the model has a column of times.
+    /// Time of the step, where the model has a column of times.
     pub time: Option<f64>,
-    /// One number for each state of the phase's model.
+    /// Mean of each state of the phase's model.
     pub mean: Vec<f64>,
-    /// Their standard deviations.
+    /// Standard deviation of each state.
     pub std_dev: Vec<f64>,
-    /// What the states say of each value that was measured at the step.
+    /// Prediction of each value that was measured at the step.
     pub measurements: Vec<Prediction>,
 }
 
-/// What the states say of one measured value.
+/// One measured value, as predicted by the states.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prediction {
-    /// The measurement, by its place in the phase's model.
+    /// Index of the measurement in the phase's model.
     pub measurement: usize,
-    /// Its row among those of the phase.
+    /// Row of the measurement among those of the phase.
     pub row: usize,
     /// Mx + d at the mean of the states.
     pub value: f64,
-    /// Its standard deviation: with the noise of the measurement where it is predicted, without it where it is filtered or smoothed.
+    /// Standard deviation of `value`: with the noise of the measurement where it is predicted, without it where it is
+    /// filtered or smoothed.
     pub std_dev: f64,
 }
 
-/// Mean and covariance of the states after each step, by place in the kernels: n and n × n numbers.
+/// Mean (n) and covariance (n × n) of the states at one step, in the order of the kernels.
 pub(super) struct StepMoments {
     pub(super) mean: Vec<f64>,
     pub(super) covariance: DMatrix<f64>,
@@ -74,10 +75,10 @@ impl Applied<'_> {
         }
     }
 
-    /// That [`states`](Applied::states) are known of all tests.
+    /// Checks that [`states`](Applied::states) are known for all tests.
     ///
     /// # Errors
-    /// [`ApplyError::NoRows`], of the first test whose are not.
+    /// [`ApplyError::NoRows`], for the first test whose states are not known.
     pub fn check_states(&self) -> Result<(), ApplyError> {
         self.tests.iter().try_for_each(|test| self.refuse_without_rows(test))
     }

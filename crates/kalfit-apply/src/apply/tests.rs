@@ -1,4 +1,4 @@
-//! States against the joint Gaussian of a whole record, written down.
+//! States compared with the joint Gaussian of a whole record, computed densely.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -8,7 +8,7 @@ use kalfit_model::PhasedTest;
 use kalfit_model::build::{Columns, ModelBuilder, constant, measurement, name, phase, random_walk};
 use kalfit_model::{Alpha, Model, PhasedModel, Population};
 
-/// Rows at these times; two of them at the same one, one with nothing measured.
+/// Times of the rows: two rows have the same time, one has no measurements.
 const TIMES: [f64; 7] = [0.0, 0.5, 0.5, 2.0, 2.3, 4.0, 4.5];
 const U: [f64; 7] = [1.0, -0.5, 2.0, 0.3, 0.0, -1.5, 0.7];
 const NAN: f64 = f64::NAN;
@@ -37,12 +37,12 @@ fn population() -> Population {
     Population { mean: vec![0.5, -0.3], coefficients: vec![], covariance }
 }
 
-/// The joint law of (bias, slope, walk at each of the distinct times), and what was measured of it.
+/// Joint law of (bias, slope, walk at each of the distinct times), and its measurements.
 struct Dense {
     times: Vec<f64>,
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
-    /// (step, row of H, value - constant, variance), in order.
+    /// (step, row of H, value - constant, variance) of each measurement, in order.
     seen: Vec<(usize, DVector<f64>, f64, f64)>,
 }
 
@@ -78,7 +78,7 @@ impl Dense {
         }
     }
 
-    /// Given what was measured at these steps.
+    /// Mean and covariance given the measurements of these steps.
     fn given(&self, counts: impl Fn(usize) -> bool) -> (DVector<f64>, DMatrix<f64>) {
         let seen: Vec<_> = self.seen.iter().filter(|seen| counts(seen.0)).collect();
         let h = DMatrix::from_fn(seen.len(), self.mean.len(), |i, k| seen[i].1[k]);
@@ -89,7 +89,7 @@ impl Dense {
         (&self.mean + &gain * e, &self.covariance - &gain * &h * &self.covariance)
     }
 
-    /// Compares the steps found with the law of the states there.
+    /// Compares states along the record with the joint law.
     fn compare(&self, kind: StateKind, found: &[StepStates]) {
         assert_eq!(found.len(), self.times.len(), "steps");
         for (step, states) in found.iter().enumerate() {
@@ -164,7 +164,7 @@ fn what_tests_say_is_that_of_the_joint_gaussian() {
     assert_eq!(verdict.distance.degrees_of_freedom, 2);
 }
 
-/// With any other initial state for the same noise, what is left of the innovations is the same.
+/// The residual is the same for any other population with the same noise.
 #[test]
 fn the_residual_does_not_depend_on_the_population() {
     let model = states((0.0, START), true).build().expect("a model");
@@ -179,7 +179,8 @@ fn the_residual_does_not_depend_on_the_population() {
     assert_eq!(found.1, expected.1);
 }
 
-/// Cut where two rows have one time, a record is two phases, the second of which goes on where the first ended.
+/// A record cut between two rows of the same time becomes two phases, the second of which continues where the first
+/// ended.
 #[test]
 fn a_record_in_two_phases_has_the_states_of_the_whole() {
     let (first, second) = (states((0.0, START), true), states((0.0, 0.0), false));
@@ -199,7 +200,7 @@ fn a_record_in_two_phases_has_the_states_of_the_whole() {
     let found = applied.states(StateKind::Smoothed, 0..1).expect("states");
     let [before, after] = &found[0][..] else { panic!("two phases: {}", found[0].len()) };
     let (mean, covariance) = dense.given(|_| true);
-    // the last step of the first phase and the first of the second are one moment
+    // the last step of the first phase and the first of the second are at the same time
     let steps = before.steps.iter().enumerate().chain(after.steps.iter().enumerate().map(|(k, step)| (k + 1, step)));
     for (step, states) in steps {
         for (state, at) in [0, 1, 2 + step].into_iter().enumerate() {
@@ -207,7 +208,7 @@ fn a_record_in_two_phases_has_the_states_of_the_whole() {
             near("its deviation", states.std_dev[state], covariance[(at, at)].sqrt());
         }
     }
-    // beyond the cut what came before is known
+    // after the cut, the measurements of the first phase count as well
     let filtered = applied.states(StateKind::Filtered, 0..1).expect("states");
     for (step, states) in filtered[0][1].steps.iter().enumerate() {
         let (mean, covariance) = dense.given(|other| other <= step + 1);

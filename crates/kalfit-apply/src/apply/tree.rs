@@ -1,11 +1,14 @@
-//! What tests and their groups weigh in sums of squared distances: how much the expectation of such a sum is moved by Σ of each level, and
-//! by an error of the mean.
+//! Weights of tests and their groups in sums of squared distances: the derivatives of the expectation of such a sum
+//! with respect to Σ of each level, and its increase by errors of the mean.
 //!
 //! ```text
-//! a node says N(y; Jm, J) of the mean m of its members: J of a test is its reduction's, that of a group the sum of W = (I + JΣ)⁻¹J of its members
-//! D = y'My about the population, M = (J + JΣ₊J)⁺, Σ₊ of its own level and all beyond: by Σ of those JMJ
-//! of a member c: s_c = B_c y_c, B_c = I - W_cΣ_c, so that Σ_c of its own level moves it by W_cMW_c, and M of its members is B_c'MB_c
-//! all distances of a unit together, whatever they are split in: by Σ_c W_c - W_cV_uW_c, V_u the posterior of the unit's m
+//! node: likelihood N(y; Jm, J) of the mean m of its members; J of a test is its reduction's,
+//!     J of a group is the sum of W = (I + JΣ)⁻¹J over its members
+//! its distance: D = y'My about the population, M = (J + JΣ₊J)⁺, Σ₊ of its own level and all beyond:
+//!     weight JMJ of each of these Σ
+//! its member c: s_c = B_c y_c, B_c = I - W_cΣ_c: weight W_cMW_c of Σ_c at the member's level,
+//!     and B_c'MB_c is M for the members of c
+//! all distances of a unit, however they are split: weight Σ_c W_c - W_cV_uW_c, V_u the posterior covariance of m
 //! ```
 
 use nalgebra::DMatrix;
@@ -19,39 +22,39 @@ use kalfit_model::unpack;
 
 /// A test, or a group of tests.
 pub(super) struct TreeNode {
-    /// J.
+    /// Information J, p × p.
     pub(super) information: DMatrix<f64>,
-    /// W at Σ of its own level.
+    /// W at Σ of the node's level, p × p.
     weight: DMatrix<f64>,
-    /// How what it says of m is moved by the means that were estimated: J times their effect, p × means.
+    /// Derivatives of y with respect to the estimated means: J times their effect, p × means.
     shift: DMatrix<f64>,
 }
 
-/// Tests and groups, the tests first, then the groups of each level, the innermost first.
+/// Tests and groups as nodes: the tests first, then the groups of each level, the innermost level first.
 pub(super) struct TestTree {
-    /// Σ of each level, that of the tests first, p × p.
+    /// Σ of each level, p × p; that of the tests first.
     sigmas: Vec<DMatrix<f64>>,
     pub(super) nodes: Vec<Vec<TreeNode>>,
-    /// Of each level but the last, the node of the next one that each node is a member of.
+    /// For each level but the last, the index of each node's parent among the nodes of the next level.
     parents: Vec<Vec<usize>>,
 }
 
-/// Weights in one sum of squares.
+/// Weights of Σ and of the means in one sum of squares.
 #[derive(Clone)]
 pub(super) struct Weights {
-    /// By Σ of each level, p × p.
+    /// Derivative with respect to Σ of each level, p × p.
     pub(super) of_level: Vec<DMatrix<f64>>,
-    /// By the means that were estimated: E[D] is larger by the trace of this times their covariance.
+    /// Weight of the estimated means, means × means: E[D] increases by the trace of this matrix times their covariance.
     pub(super) of_means: DMatrix<f64>,
 }
 
-/// How means that were estimated enter a test: p × means.
+/// How estimated means enter a test: p × means.
 pub(super) type Effect<'a> = dyn Fn(ReductionRef<'_>) -> DMatrix<f64> + Sync + 'a;
 
-/// What is measured exactly counts as known to this part of what the population knows of it: weights need no more digits.
+/// Standard deviation given to an exact measurement, relative to that in the population: weights need no more digits.
 const KNOWN: f64 = 1e-3;
 
-/// R, with rows for what is measured exactly.
+/// R, extended by a row for each exact measurement.
 fn told(reduction: ReductionRef<'_>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
     let p = sigma.nrows();
     let root = unpack(reduction.factor, p);
@@ -77,7 +80,7 @@ impl TestTree {
         let sigma = |level: usize| population.covariance.view((level * p, level * p), (p, p)).into_owned();
         let sigmas: Vec<DMatrix<f64>> = (0..=depth).map(sigma).collect();
         let test = |reduction: ReductionRef<'_>| {
-            // of tests in groups what each level adds stands after what is a test's own
+            // the first block of Σ is that of the tests themselves; the blocks of the levels follow
             let root = told(reduction, &sigmas[0]);
             let information = root.transpose() * &root;
             let shift = &information * effect(reduction);
@@ -118,7 +121,7 @@ impl TestTree {
         self.sigmas.len() - 1
     }
 
-    /// Σ of a level and all beyond.
+    /// Sum of Σ over a level and all beyond.
     pub(super) fn beyond(&self, level: usize) -> DMatrix<f64> {
         self.sigmas[level..].iter().sum()
     }
@@ -128,18 +131,18 @@ impl TestTree {
         Weights { of_level: vec![DMatrix::zeros(p, p); self.sigmas.len()], of_means: DMatrix::zeros(means, means) }
     }
 
-    /// Of the distance of a test by itself.
+    /// Weights in the distance of one test.
     pub(super) fn test(&self, number: usize, beyond: &DMatrix<f64>) -> Weights {
         self.distance(&self.nodes[0][number], 0, beyond).0
     }
 
-    /// Of the distance of each group of a level from the population.
+    /// Weights in the distance of each group of a level from the population.
     pub(super) fn groups(&self, level: usize) -> Vec<Weights> {
         let beyond = self.beyond(level);
         let top: Vec<(Weights, DMatrix<f64>)> =
             self.nodes[level].par_iter().map(|node| self.distance(node, level, &beyond)).collect();
         let (mut weights, mut inner): (Vec<Weights>, Vec<DMatrix<f64>>) = top.into_iter().unzip();
-        // which node of `level` each node of a level below is in, and M there
+        // the node of `level` that each node of the level below is in (`above`), and M of that node's parent (`inner`)
         let mut above: Vec<usize> = (0..weights.len()).collect();
         for below in (0..level).rev() {
             let parents = &self.parents[below];
@@ -161,7 +164,7 @@ impl TestTree {
         weights
     }
 
-    /// Of one node, as far as its own level and those beyond go; and M.
+    /// Weights in the distance of one node, for its own level and those beyond; and M of the node.
     fn distance(&self, node: &TreeNode, level: usize, beyond: &DMatrix<f64>) -> (Weights, DMatrix<f64>) {
         let j = &node.information;
         let m = scaled_inverse(&(j + j * beyond * j));
@@ -172,8 +175,9 @@ impl TestTree {
         (weights, m)
     }
 
-    /// Of all distances together, of the groups of the outermost level and of the tests within them; by means nothing that is not in those of
-    /// the groups. `posteriors`: of m of the groups of each level, the innermost first.
+    /// Weights in the sum of all distances, of the groups of the outermost level and of the tests within them. Weights
+    /// of the means are zero: all that means add is in the distances of the outermost groups. `posteriors`: covariances
+    /// of m of the groups of each level, the innermost first.
     pub(super) fn all(&self, posteriors: &[Vec<&DMatrix<f64>>]) -> Weights {
         let mut all = self.nothing();
         for (level, nodes) in self.nodes.iter().enumerate() {
@@ -187,8 +191,8 @@ impl TestTree {
         all
     }
 
-    /// How log |J⁻¹ + Σ₊| of each node of a level, of which its distance is a square, differs between two values of a parameter: this tree is
-    /// at the one between.
+    /// Difference of log |J⁻¹ + Σ₊|, the covariance that the distance of a node is measured by, between two values of a
+    /// parameter, for each node of a level. This tree is at the value between the two.
     pub(super) fn differences(&self, level: usize, [low, high]: [&TestTree; 2]) -> Vec<f64> {
         let beyond = self.beyond(level);
         let one = |at: usize| {
@@ -198,7 +202,7 @@ impl TestTree {
         (0..self.nodes[level].len()).into_par_iter().map(one).collect()
     }
 
-    /// The same of all distances together.
+    /// Difference of the log determinants of all distances together between two values of a parameter.
     pub(super) fn difference(&self, [low, high]: [&TestTree; 2]) -> f64 {
         let mut sum = 0.0;
         for (level, sigma) in self.sigmas.iter().enumerate() {
@@ -213,17 +217,17 @@ impl TestTree {
         sum
     }
 
-    /// Of log |J| on the range of J, which parameters do not move: tr J⁺ΔJ.
+    /// Difference of log |J| on the range of J, which parameters do not change: tr J⁺ΔJ.
     pub(super) fn own_difference(&self, level: usize, at: usize, low: &DMatrix<f64>, high: &DMatrix<f64>) -> f64 {
         scaled_inverse(&self.nodes[level][at].information).dot(&(high - low))
     }
 }
 
 impl Weights {
-    /// Of a sum of squares.
+    /// Weights in the sum of several sums of squares.
     ///
     /// # Panics
-    /// Of nothing.
+    /// If there are none.
     pub(super) fn sum<'a>(mut all: impl Iterator<Item = &'a Weights>) -> Weights {
         let mut sum = all.next().expect("there are tests").clone();
         all.for_each(|one| sum.add(one, 1.0));
@@ -236,14 +240,14 @@ impl Weights {
     }
 }
 
-/// R'(I + RΣR')⁻¹R, of J = R'R.
+/// W = R'(I + RΣR')⁻¹R for J = R'R.
 fn weight(root: &DMatrix<f64>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
     let inner = DMatrix::identity(root.nrows(), root.nrows()) + root * sigma * root.transpose();
     let half = inner.cholesky().map(|own| own.l()).and_then(|l| l.solve_lower_triangular(root));
     half.map_or_else(|| DMatrix::zeros(sigma.nrows(), sigma.nrows()), |half| half.transpose() * half)
 }
 
-/// The pseudo-inverse, so that no digits are lost for the sake of large entries.
+/// Pseudo-inverse, computed from the scaled matrix so that large entries cost small ones no digits.
 fn scaled_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     let size = symmetric::sizes(a);
     let inverse: Vec<f64> = size.iter().map(|x| x.recip()).collect();
@@ -266,12 +270,12 @@ mod tests {
     use kalfit_model::Path;
     use kalfit_model::Reduction;
 
-    /// Units of each lot, and tests of each unit.
+    /// Number of tests of each unit, lot by lot.
     const UNITS: [&[usize]; 2] = [&[2, 3], &[1, 2, 2]];
     const P: usize = 2;
     const LEVELS: usize = 3;
 
-    /// R of a test: what it says differs from test to test.
+    /// R of a test, different from test to test.
     fn root(number: usize) -> DMatrix<f64> {
         let k = number as f64;
         DMatrix::from_row_slice(P, P, &[1.0 + 0.3 * (k % 3.0), 0.4 - 0.2 * (k % 4.0), 0.0, 0.7 + 0.1 * (k % 5.0)])
@@ -285,7 +289,7 @@ mod tests {
         )
     }
 
-    /// Lots of units of tests, and the lot and unit of each test.
+    /// Reductions of tests of units of lots, and their grouping.
     fn ensemble() -> (Reductions, Grouping) {
         let (mut reductions, mut paths) = (Reductions::new(), Vec::new());
         for (lot, units) in UNITS.iter().enumerate() {
@@ -315,14 +319,15 @@ mod tests {
         (reductions, grouping)
     }
 
-    /// Var of the estimate of m of the tests of a unit and of the units of a lot, without the spread of its own level, by inverses.
+    /// Covariance of the estimate of a unit's m from its tests, without the spread of units, by inverses.
     fn of_unit(tests: std::ops::Range<usize>, sigmas: &[DMatrix<f64>]) -> DMatrix<f64> {
         let inverse = |a: DMatrix<f64>| a.try_inverse().expect("positive");
         let one = |test: usize| inverse(inverse(root(test).transpose() * root(test)) + &sigmas[0]);
         inverse(tests.map(one).sum())
     }
 
-    /// log det of the covariance of the estimates of all lots; and of those of all of their tests, written down as one matrix each.
+    /// Sums over lots of two log determinants: of the covariance of the lot's estimate, and of the joint covariance of
+    /// its tests.
     fn log_dets(sigmas: &[DMatrix<f64>]) -> [f64; 2] {
         let inverse = |a: DMatrix<f64>| a.try_inverse().expect("positive");
         let (mut first, mut lots, mut all) = (0, 0.0, 0.0);
@@ -363,7 +368,8 @@ mod tests {
         }
         let population = Population { mean: vec![0.0; P * LEVELS], coefficients: vec![], covariance };
         let tree = TestTree::new((&reductions, P), &population, Some(&grouping), &|_| DMatrix::zeros(P, 0));
-        // V of a lot is (Σ⁻¹ + J)⁻¹, of a unit what its own tests leave of it and what the lot does, from the joint law
+        // V of a lot is (Σ⁻¹ + J)⁻¹; V of a unit, by the joint law, has a part left by its own tests and a part from
+        // the lot
         let lots: Vec<DMatrix<f64>> =
             tree.nodes[2].iter().map(|node| posterior(&node.information, &sigmas[2])).collect();
         let of_unit = |(unit, node): (usize, &TreeNode)| {
@@ -396,7 +402,7 @@ mod tests {
         }
     }
 
-    /// (Σ⁻¹ + J)⁻¹.
+    /// Posterior covariance (Σ⁻¹ + J)⁻¹.
     fn posterior(information: &DMatrix<f64>, sigma: &DMatrix<f64>) -> DMatrix<f64> {
         (sigma.clone().try_inverse().expect("positive") + information).try_inverse().expect("positive")
     }

@@ -1,34 +1,36 @@
-//! Whether tests are of the population, all of them together.
+//! Whether all tests together come from the population.
 
 use crate::apply::{Law, Laws, Said};
 
-/// Sums over all tests against their laws.
+/// Sums over all tests, compared with their laws.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verdict {
-    /// Log density of all that was measured.
+    /// Log density of all measured values.
     pub log_density: f64,
-    /// Distances of the tests' initial states from the population, or of the groups of the outermost level.
+    /// Distances of the tests' initial states from the population; of groups of the outermost level, where tests stand
+    /// in groups.
     pub distance: Joint,
-    /// Of tests in groups: how far the tests of one group of the outermost level are from each other, whatever the group is.
+    /// Distances of the tests of one outermost group from each other, whatever the group is; `None` without groups.
     pub within: Option<Joint>,
-    /// What measured values are off the model whatever the initial states are; without degrees of freedom where nothing was measured.
+    /// Residuals of measured values whatever the initial states are; without degrees of freedom where nothing was
+    /// measured.
     pub residual: Joint,
 }
 
 /// A sum of squares and its law.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Joint {
-    /// Σ of the squares.
+    /// Sum of the squares.
     pub squared: f64,
-    /// Their degrees of freedom: what they add up to on average at known parameters.
+    /// Degrees of freedom of the squares: the expected value of their sum at known parameters.
     pub degrees_of_freedom: usize,
-    /// `None` without degrees of freedom, and where it is not known.
+    /// Law of the sum; `None` without degrees of freedom, and where the law is not known.
     pub law: Option<Law>,
-    /// Twice the smaller tail; `None` without a law.
+    /// Two-sided p-value, twice the smaller tail; `None` without a law.
     pub p_value: Option<f64>,
 }
 
-/// Number of squares that are not of nothing, and their degrees of freedom.
+/// (Number of squares that have degrees of freedom, sum of these degrees of freedom).
 type Degrees = (usize, usize);
 
 impl Joint {
@@ -38,7 +40,8 @@ impl Joint {
 }
 
 impl Said {
-    /// Of the distances of the groups of the outermost level or of the tests where there are none, of tests within groups, and of residuals.
+    /// Degrees of freedom of distances (of outermost groups, or of tests without groups), of distances within groups,
+    /// and of residuals.
     pub(super) fn degrees(&self) -> [Degrees; 3] {
         let of = |degrees: &mut dyn Iterator<Item = usize>| {
             degrees.filter(|own| *own > 0).fold((0, 0), |(count, sum), own| (count + 1, sum + own))
@@ -54,10 +57,10 @@ impl Said {
         }
     }
 
-    /// All tests together.
+    /// Sums over all tests, compared with `laws`.
     pub fn verdict(&self, laws: &Laws) -> Verdict {
         let [(_, of_distance), (_, of_within), (_, of_residual)] = self.degrees();
-        // tests of one group are not independent: the groups of the outermost level are
+        // tests of one group are not independent; groups of the outermost level are
         let squared = match self.groups.last() {
             Some(groups) => groups.iter().map(|group| group.distance.squared).sum(),
             None => self.posteriors.iter().map(|test| test.distance.squared).sum(),
@@ -75,7 +78,7 @@ impl Said {
         }
     }
 
-    /// Log density of all that was measured: tests of one group are not independent.
+    /// Log density of all measured values, summed over independent units: tests of one group are not independent.
     pub fn log_density(&self) -> f64 {
         match self.groups.last() {
             Some(groups) => groups.iter().map(|group| group.log_likelihood).sum(),

@@ -7,7 +7,7 @@ use kalfit_filter::reduce::{Fault, ReduceErrorKind, Subject};
 use kalfit_model::Label;
 use kalfit_model::{Alpha, Expression, Level, Model, Operator, Scope, Site};
 
-/// What expressions are evaluated at, as far as it is known, and what was found to differ from row to row.
+/// The known values of columns, parameters and step for expressions, and what was found to differ from row to row.
 #[derive(Debug)]
 pub struct Binder<'a> {
     model: &'a Model,
@@ -19,7 +19,7 @@ pub struct Binder<'a> {
 }
 
 impl<'a> Binder<'a> {
-    /// `at`: columns with their values.
+    /// A binder at α. `at`: columns with their values.
     pub fn new(
         (model, alpha): (&'a Model, &'a Alpha),
         step: Option<f64>,
@@ -40,7 +40,7 @@ impl<'a> Binder<'a> {
                 numbers.insert(column, number.ok_or_else(refused)?);
             }
             if let Some(column) = model.text_columns.iter().position(|column| column.name == *name) {
-                // a text that the model does not name is none of its literals
+                // a text that is not among the model's literals gets a label beyond them
                 let literal = model.literals.iter().position(|literal| literal == value);
                 let label = Label::literal(literal.unwrap_or(model.literals.len()));
                 texts.insert(column, (label, value.clone()));
@@ -49,7 +49,7 @@ impl<'a> Binder<'a> {
         Ok(Binder { model, alpha, step, numbers, texts, varies: Vec::new() })
     }
 
-    /// The expression with all put in that is known. Parts without a finite value stay as they are.
+    /// The expression with all known values substituted. Parts without a finite value stay as they are.
     pub fn bind(&self, expression: &Expression) -> Expression {
         use Expression as E;
         let own = |part: &Expression| Box::new(self.bind(part));
@@ -75,7 +75,8 @@ impl<'a> Binder<'a> {
         }
     }
 
-    /// The number that it is on all rows. Where it is none, what it differs with is noted and zero stands for it.
+    /// The number that the expression equals on all rows. If there is none, the columns it depends on are noted and
+    /// zero is returned.
     pub(super) fn number(&mut self, expression: &Expression, subject: Subject) -> Result<f64, ExportError> {
         let bound = self.bind(expression);
         match bound.as_number() {
@@ -84,7 +85,8 @@ impl<'a> Binder<'a> {
         }
     }
 
-    /// Notes what a bound expression that is no number differs with; `counts`: whether this part is not to differ.
+    /// Notes the columns that a bound expression depends on if it is not a number; `counts`: whether a dependence on
+    /// this part is noted.
     pub(super) fn open(
         &mut self,
         bound: &Expression,
@@ -136,7 +138,7 @@ impl<'a> Binder<'a> {
         Fault::new(subject, ReduceErrorKind::NotFinite).name(self.model, None).into()
     }
 
-    /// The value of a numeric column, where it is fixed; where not, what depends on it is noted.
+    /// The value of a numeric column that is fixed; if it is not, the dependence of `subject` on it is noted.
     pub(super) fn cell(&mut self, column: usize, subject: Subject) -> Result<f64, ExportError> {
         self.number(&Expression::Column(column), subject)
     }
@@ -152,7 +154,7 @@ impl<'a> Binder<'a> {
     }
 }
 
-/// Its number, where all parts are numbers and it has a finite one.
+/// The expression as a number if all its parts are numbers and its value is finite; otherwise the expression itself.
 fn folded(expression: Expression) -> Expression {
     let alpha = Alpha::default();
     let scope = Scope { numbers: &[], texts: &[], step: f64::NAN, alpha: &alpha };
@@ -168,7 +170,7 @@ fn folded(expression: Expression) -> Expression {
     }
 }
 
-/// a ∘ b, where one side may decide by itself.
+/// a ∘ b, as a number if one side alone determines it.
 fn product(operator: Operator, a: Box<Expression>, b: Box<Expression>) -> Expression {
     let zero = |side: &Expression| side.as_number() == Some(0.0);
     let truth = |side: &Expression| side.as_number().is_some_and(|x| x != 0.0);

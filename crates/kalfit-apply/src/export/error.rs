@@ -6,88 +6,88 @@ use kalfit_model::PopulationError;
 /// Why a model has no filter of constant matrices.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// There is no such phase.
+    /// The model has no such phase.
     #[error("the model has no phase `{found}`, expected {}", either(expected))]
     UnknownPhase {
-        /// What was asked for.
+        /// The phase requested.
         found: String,
-        /// Those of the model.
+        /// Phases of the model.
         expected: Vec<String>,
     },
-    /// It is not said which phase is meant.
+    /// No phase was named, although the model has several.
     #[error("the model has the phases {}, and each has a filter of its own", either(expected))]
     WhichPhase {
-        /// Those of the model.
+        /// Phases of the model.
         expected: Vec<String>,
     },
-    /// The length of a step is no length.
+    /// The length of a step is not a positive number.
     #[error("the step is {found}, expected a number above 0")]
     BadStep {
-        /// What was asked for.
+        /// The step requested.
         found: f64,
     },
-    /// Something depends on the length of a step.
+    /// The length of a step is needed, but not given.
     #[error("{what} depends on the length of a step, which is not given")]
     NoStep {
-        /// What depends on it.
+        /// What depends on the length of a step.
         what: String,
     },
-    /// Rows have no times.
+    /// A step was given, although the rows of the model have no times.
     #[error("a step of {found} has no effect: the rows of the model have no times, each is a step")]
     StepWithoutTime {
-        /// What was asked for.
+        /// The step requested.
         found: f64,
     },
     /// A column that nothing depends on is given a value.
     #[error("a value of column `{column}` has no effect: {}", reads(columns))]
     NoEffect {
-        /// The column.
+        /// Name of the column.
         column: String,
-        /// Columns that have one.
+        /// Columns whose values have an effect.
         columns: Vec<String>,
     },
     /// A column is given two values.
     #[error("column `{column}` is given a value more than once")]
     GivenTwice {
-        /// The column.
+        /// Name of the column.
         column: String,
     },
-    /// A column of numbers is given something else.
+    /// A column of numbers is given something that is not a finite number.
     #[error("column `{column}` is given the value `{found}`, expected a finite number")]
     NotANumber {
-        /// The column.
+        /// Name of the column.
         column: String,
-        /// What was given.
+        /// The value given.
         found: String,
     },
-    /// A parameter has no value at the level that was asked for.
+    /// A parameter has no value at the level requested.
     #[error("parameter `{parameter}` has no value where `{column}` is `{level}`{}", known(levels))]
     NoLevel {
-        /// The parameter.
+        /// Name of the parameter.
         parameter: String,
-        /// Its column.
+        /// The column with the levels of the parameter.
         column: String,
-        /// What was asked for.
+        /// The level requested.
         level: String,
-        /// Levels that have one.
+        /// Levels at which the parameter has a value.
         levels: Vec<String>,
     },
-    /// Matrices that differ from row to row.
+    /// The matrices differ from row to row.
     #[error("the filter has no constant matrices: {}", listed(varies))]
     Varies {
-        /// What differs, and with what.
+        /// Each quantity that differs, with the column that it depends on.
         varies: Vec<Varies>,
     },
-    /// No measurement is left.
+    /// No measurement reads a row at the given values.
     #[error("no measurement is left at these values: {} read no row", either(measurements))]
     NothingMeasured {
-        /// Those of the model.
+        /// Measurements of the model.
         measurements: Vec<String>,
     },
-    /// Values that do not fit the model.
+    /// The population does not fit the model.
     #[error(transparent)]
     Population(#[from] PopulationError),
-    /// A coefficient without a value, or noise that cannot be.
+    /// A coefficient has no value, or a noise covariance is impossible.
     #[error(transparent)]
     Reduce(Box<ReduceError>),
 }
@@ -95,16 +95,16 @@ pub enum ExportError {
 /// Something that differs from row to row.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Varies {
-    /// What: "derivative of state `angle`".
+    /// Description of the quantity, such as "derivative of state `angle`".
     pub what: String,
-    /// The column it differs with.
+    /// The column that the quantity depends on.
     pub column: String,
     /// The parameter that has a value for each level of the column; `None` where the column itself is read.
     pub parameter: Option<String>,
 }
 
 impl ExportError {
-    /// What to do about it.
+    /// What the user can do about the error, if there is a general answer.
     pub fn hint(&self) -> Option<String> {
         match self {
             ExportError::UnknownPhase { .. } => None,

@@ -1,4 +1,4 @@
-//! The matrices of a model with numbers for coefficients: those that the reducer filters with.
+//! The matrices of a model with numbers for coefficients, as the reducer's filter uses them.
 #![expect(non_snake_case, reason = "the letters of the equations")]
 
 use nalgebra::{DMatrix, DVector};
@@ -14,7 +14,7 @@ use kalfit_model::{Alpha, Expression, Scope};
 pub(super) struct ConstantModel {
     preparer: Preparer,
     moves: Moves,
-    /// u.
+    /// The inputs u.
     pub(super) inputs: Vec<Expression>,
 }
 
@@ -40,19 +40,19 @@ impl ConstantModel {
         Ok(ConstantModel { preparer, moves, inputs })
     }
 
-    /// F.
+    /// The transition matrix F, n × n.
     pub(super) fn phi(&self) -> DMatrix<f64> {
         let states = &self.preparer.order.states;
         self.moves.transition.phi_of(states.len(), |place| states[place])
     }
 
-    /// Q.
+    /// The covariance Q of the process noise, n × n.
     pub(super) fn noise(&self) -> DMatrix<f64> {
         let states = &self.preparer.order.states;
         self.moves.transition.noise_of(states.len(), |place| states[place])
     }
 
-    /// B: what one unit of each input does in a step.
+    /// The matrix B, n × k: the effect of one unit of each input in a step.
     pub(super) fn driven(&self, plain: &PlainModel) -> DMatrix<f64> {
         let (order, dynamics) = (&self.preparer.order, &self.preparer.dynamics);
         let mut B = DMatrix::zeros(order.states.len(), self.inputs.len());
@@ -72,7 +72,7 @@ impl ConstantModel {
         B
     }
 
-    /// Where the input of a state stands among those of the dynamics.
+    /// Index of the input of a state among the inputs of the dynamics; `None` where the state has no input.
     fn slot(&self, state: usize) -> Option<usize> {
         let dynamics = &self.preparer.dynamics;
         if let Some(own) = dynamics.recursions.iter().find(|own| own.state == state) {
@@ -84,7 +84,7 @@ impl ConstantModel {
         dynamics.components.iter().find_map(of)
     }
 
-    /// H.
+    /// The measurement matrix H, m × n.
     pub(super) fn equations(&self) -> DMatrix<f64> {
         let model = &self.preparer.model;
         let mut H = DMatrix::zeros(model.measurements.len(), model.states.len());
@@ -96,13 +96,13 @@ impl ConstantModel {
         H
     }
 
-    /// D.
+    /// The matrix D, m × k: the effect of the inputs on the measurements.
     pub(super) fn offsets(&self, plain: &PlainModel) -> DMatrix<f64> {
         let of = |m: usize, input: usize| coefficient(&plain.offsets[m], &self.inputs[input]);
         DMatrix::from_fn(plain.offsets.len(), self.inputs.len(), of)
     }
 
-    /// R.
+    /// The covariance R of the measurement noise, m × m.
     pub(super) fn measured_noise(&self) -> Result<DMatrix<f64>, ExportError> {
         let model = &self.preparer.model;
         let m = model.measurements.len();
@@ -118,7 +118,7 @@ impl ConstantModel {
         Ok(R)
     }
 
-    /// x0 = a + Aμ and P0 + AΣA'.
+    /// Mean x0 = a + Aμ and covariance P0 + AΣA' of the start.
     pub(super) fn start(
         &self,
         mean: &[f64],
@@ -147,12 +147,12 @@ impl ConstantModel {
     }
 }
 
-/// The coefficient of an input among terms.
+/// The coefficient of an input among terms; zero where it does not occur.
 fn coefficient(terms: &Terms, input: &Expression) -> f64 {
     terms.iter().find(|(_, term)| term == input).map_or(0.0, |(coefficient, _)| *coefficient)
 }
 
-/// Of a model with numbers for coefficients.
+/// The value of a coefficient, which must be a number.
 fn number(expression: &Expression) -> f64 {
     expression.as_number().expect("every coefficient is a number")
 }

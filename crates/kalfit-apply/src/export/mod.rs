@@ -6,10 +6,10 @@
 //! z_k = H x_k + D u_k + v_k,     v_k ~ N(0, R)
 //! ```
 //!
-//! F and Q are those of the reducer, by the same code; x0 = a + Aμ and P0 = P0 + AΣA' (theory §1), with what groups of all levels
-//! add. Columns that drive states or stand in an equation without a state are the inputs u, the constant 1 among them. A coefficient of
-//! a state, or noise, that differs from row to row has no place in constant matrices: the columns it reads are given values, or it is
-//! refused.
+//! F and Q are those of the reducer, by the same code; x0 = a + Aμ and P0 = P0 + AΣA' (theory §1), including the
+//! covariances of groups of all levels. The inputs u are columns that drive states or occur in an equation without a
+//! state, and the constant 1. A coefficient of a state, or a noise, that differs from row to row does not fit constant
+//! matrices: the columns it reads must be given values, or the model is refused.
 
 pub mod bind;
 mod error;
@@ -29,14 +29,14 @@ use crate::export::plain::PlainModel;
 use kalfit_filter::reduce::Subject;
 use kalfit_model::{Alpha, Expression, Phase, PhasedModel, Population};
 
-/// What filter is wanted.
+/// Which filter is to be exported.
 #[derive(Debug, Clone, Default)]
 pub struct Wanted {
-    /// Its phase; it can be left out where there is one.
+    /// Name of the phase; it can be left out where the model has one phase only.
     pub phase: Option<String>,
     /// Length of a step, where anything depends on it.
     pub step: Option<f64>,
-    /// Columns with the value that they have on all rows.
+    /// (column, value): columns that have this value on all rows.
     pub at: Vec<(String, String)>,
 }
 
@@ -44,36 +44,37 @@ pub struct Wanted {
 #[derive(Debug, Clone)]
 #[expect(non_snake_case, reason = "the letters of the equations")]
 pub struct Exported {
-    /// Place of its phase in the model.
+    /// Index of the phase in the model.
     pub phase: usize,
     /// Length of a step.
     pub step: Option<f64>,
-    /// n × n.
+    /// Transition matrix F, n × n.
     pub F: DMatrix<f64>,
-    /// n × n.
+    /// Covariance Q of the process noise of a step, n × n.
     pub Q: DMatrix<f64>,
-    /// n × k.
+    /// Effect B of the inputs on the states, n × k.
     pub B: DMatrix<f64>,
-    /// u, k expressions in the columns of the model; the number 1 for constants.
+    /// The inputs u: k expressions in the columns of the model; the number 1 for constants.
     pub inputs: Vec<Expression>,
-    /// Which measurements of the phase: those that read a row at the fixed values.
+    /// Indices of the measurements of the phase that read a row at the fixed values.
     pub measurements: Vec<usize>,
-    /// The rows that each of them is read from, where those are not all.
+    /// For each of these measurements, the condition on the rows it reads; `None` where it reads all rows.
     pub filters: Vec<Option<Expression>>,
-    /// m × n.
+    /// Measurement matrix H, m × n.
     pub H: DMatrix<f64>,
-    /// m × k.
+    /// Effect D of the inputs on the measurements, m × k.
     pub D: DMatrix<f64>,
-    /// m × m.
+    /// Covariance R of the measurement noise, m × m.
     pub R: DMatrix<f64>,
-    /// x0 and P0 of a new test; `None` of a phase that inherits from the phase before.
+    /// x0 and P0 of a new test; `None` for a phase that inherits from the phase before.
     pub start: Option<(DVector<f64>, DMatrix<f64>)>,
 }
 
-/// The filter of a phase at α, for a new test of a population of the shape of the model.
+/// The filter of a phase at α, for a new test of a population that fits the model.
 ///
 /// # Errors
-/// Matrices that are not constant, with the columns they depend on; a step that is missing or has no effect; a phase that there is not.
+/// Matrices that are not constant, with the columns they depend on; a step that is missing or has no effect; an unknown
+/// phase.
 pub fn export(
     model: &PhasedModel,
     alpha: &Alpha,
@@ -131,7 +132,7 @@ fn check_step(phase: &Phase, step: Option<f64>) -> Result<(), ExportError> {
     }
 }
 
-/// μ of a test with these columns.
+/// μ of a test whose columns have the values of the binder.
 fn mean(phase: &Phase, own: &Population, binder: &mut Binder<'_>) -> Result<Vec<f64>, ExportError> {
     let mut mean = own.mean.clone();
     for (r, (regression, coefficient)) in phase.model.mean.regression.iter().zip(&own.coefficients).enumerate() {

@@ -1,4 +1,4 @@
-//! A model with numbers for coefficients, and what its known inputs are made of.
+//! A model with numbers for coefficients, and the terms of its known inputs.
 
 use crate::export::ExportError;
 use crate::export::bind::Binder;
@@ -10,16 +10,17 @@ use kalfit_model::{Expression, Initial, Linear, Model, Motion};
 #[derive(Debug)]
 pub(super) struct PlainModel {
     pub(super) model: Model,
-    /// Inputs of each state.
+    /// Input terms of each state.
     pub(super) drives: Vec<Terms>,
-    /// Those of each measurement.
+    /// Input terms of each measurement.
     pub(super) offsets: Vec<Terms>,
     /// `where` of each measurement, if it is not the same on all rows.
     pub(super) filters: Vec<Option<Expression>>,
 }
 
 impl PlainModel {
-    /// What differs from row to row is left in the binder. `starts`: x_0 is wanted.
+    /// Replaces the coefficients of a model by numbers; what differs from row to row is noted in the binder. `starts`:
+    /// whether the law of x_0 is wanted.
     pub(super) fn new(model: &Model, binder: &mut Binder<'_>, starts: bool) -> Result<PlainModel, ExportError> {
         let mut plain =
             PlainModel { model: model.clone(), drives: Vec::new(), offsets: Vec::new(), filters: Vec::new() };
@@ -73,7 +74,7 @@ impl PlainModel {
     fn measurements(&mut self, binder: &mut Binder<'_>) -> Result<(), ExportError> {
         for (m, measurement) in self.model.measurements.iter_mut().enumerate() {
             let filter = measurement.filter.take().map(|filter| binder.bind(&filter));
-            // one that no row of these values has is as if it were not there
+            // a measurement that reads no row at these values is ignored
             self.filters.push(filter);
             if is_silent(&self.filters[m]) {
                 self.offsets.push(Terms::new());
@@ -96,14 +97,14 @@ impl PlainModel {
         self.model.measurements = kept_of(&self.model.measurements, &kept);
         self.offsets = kept_of(&self.offsets, &kept);
         self.filters = kept_of(&self.filters, &kept);
-        // one that every row of these values has is none
+        // a condition that holds on every row at these values is dropped
         self.filters.iter_mut().for_each(|filter| *filter = filter.take().filter(|own| own.as_number().is_none()));
         self.model.noise_covariance.iter_mut().for_each(|(i, j, _)| (*i, *j) = (place(*i), place(*j)));
         Ok(())
     }
 }
 
-/// No row of the fixed values is read.
+/// Whether a measurement with this condition reads no row at the fixed values.
 fn is_silent(filter: &Option<Expression>) -> bool {
     filter.as_ref().is_some_and(|own| own.as_number() == Some(0.0))
 }
@@ -112,7 +113,7 @@ fn kept_of<T: Clone>(all: &[T], kept: &dyn Fn(usize) -> bool) -> Vec<T> {
     all.iter().enumerate().filter(|(m, _)| kept(*m)).map(|(_, one)| one.clone()).collect()
 }
 
-/// Puts numbers for the coefficients of states, and takes the inputs apart.
+/// Replaces the coefficients of states by numbers, and splits the known input into terms.
 fn linear(binder: &mut Binder<'_>, form: &mut Linear, subject: Subject) -> Result<Terms, ExportError> {
     for (_, coefficient) in &mut form.terms {
         put(binder, coefficient, subject)?;
@@ -121,7 +122,7 @@ fn linear(binder: &mut Binder<'_>, form: &mut Linear, subject: Subject) -> Resul
     if form.constant.as_number().is_some() {
         return Ok(terms(&form.constant));
     }
-    // columns may drive; levels and an unknown step may not
+    // an input may depend on columns, but not on levels or an unknown step
     let open = |part: &Expression| matches!(part, Expression::Parameter(_) | Expression::Step);
     binder.open(&form.constant.clone(), subject, &mut |part| open(part))?;
     let own = terms(&form.constant);
@@ -139,7 +140,7 @@ fn put(binder: &mut Binder<'_>, expression: &mut Expression, subject: Subject) -
     Ok(())
 }
 
-/// Of the start: zero where it is not wanted.
+/// Replaces a coefficient of the start by its number, or by zero where the start is not wanted.
 fn start(
     binder: &mut Binder<'_>,
     expression: &mut Expression,

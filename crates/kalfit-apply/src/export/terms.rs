@@ -5,7 +5,7 @@ use kalfit_model::{Expression, Operator};
 /// (coefficient, term): terms are columns, or expressions in them; the constant is the term 1.
 pub(super) type Terms = Vec<(f64, Expression)>;
 
-/// The term of a constant.
+/// The term 1, whose coefficient is the constant.
 pub(super) const ONE: Expression = Expression::Number(1.0);
 
 /// The terms of a bound expression, each once, none with coefficient zero.

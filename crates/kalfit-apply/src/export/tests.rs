@@ -1,4 +1,4 @@
-//! The exported matrices, run as anybody would, against the innovations of the model.
+//! The exported matrices in a textbook filter, compared with the innovations of the model.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -38,7 +38,7 @@ fn population(p: usize) -> Population {
     Population { mean, coefficients: vec![], covariance: &root * root.transpose() }
 }
 
-/// (value, standard deviation) of each measured value as it is predicted, row after row: a filter from a textbook.
+/// (value, standard deviation) of the prediction of each measured value, row after row, by a textbook filter.
 fn run(filter: &Exported, model: &PhasedModel, rows: &kalfit_model::Test) -> Vec<(f64, f64)> {
     let model = &model.phases[filter.phase].model;
     let u = |row: usize| {
@@ -100,7 +100,7 @@ fn at(wanted: Wanted, column: &str, value: &str) -> Wanted {
     Wanted { at, ..wanted }
 }
 
-/// Every process there is in continuous time, with inputs and correlated noises.
+/// Every process type in continuous time, with inputs and correlated noises.
 fn instrument() -> ModelBuilder {
     let rate = name("bias") + name("drift") + 0.5 * name("slow") + name("gain") * (name("u") - 1.5) + 2.0;
     Model::builder("an instrument")
@@ -142,7 +142,7 @@ fn a_model_of_rows_needs_no_step() {
     assert!(matches!(refused, Err(ExportError::StepWithoutTime { .. })), "{refused:?}");
 }
 
-/// Coefficients that depend on data are constant where the data are.
+/// Coefficients that depend on data are constant where these data are constant.
 #[test]
 fn columns_that_multiply_states_are_fixed_or_named() {
     let noise = kalfit_model::build::when(text_is("lot", "B"), 0.5, 0.9);
@@ -175,7 +175,7 @@ fn columns_that_multiply_states_are_fixed_or_named() {
     assert!(matches!(refused(&at(wanted.clone(), "y", "1")), ExportError::NoEffect { .. }));
     assert!(matches!(refused(&at(stepped(), "T", "warm")), ExportError::NotANumber { .. }));
     assert!(matches!(refused(&at(wanted.clone(), "T", "28")), ExportError::GivenTwice { .. }));
-    // of another lot `z` is never measured
+    // in another lot, `z` is never measured
     let other = export(&model, &alpha, &population(2), &at(at(stepped(), "T", "27"), "lot", "A")).expect("constant");
     assert_eq!(other.measurements, [0]);
     near("the noise of other lots", other.R[(0, 0)], 0.81);
@@ -232,7 +232,7 @@ fn a_phase_that_inherits_has_no_start_of_its_own() {
     assert!(matches!(of(Some("later")), Err(ExportError::UnknownPhase { .. })));
 }
 
-/// x0 and P0 are those that the reducer starts tests with, which bring the law of their states along.
+/// x0 and P0 are those with which the reducer starts tests, plus the law of the estimated states.
 #[test]
 fn the_start_is_that_of_the_reducer() {
     let model = instrument().build().expect("a model");

@@ -1,37 +1,37 @@
-//! Why there is no plan.
+//! Why a plan is not possible.
 
 use kalfit_algebra::elements::Element;
 use kalfit_estimate::FitError;
 use kalfit_model::PopulationError;
 
-/// A refusal to plan.
+/// Why a plan is not possible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PlanError {
     /// The population does not fit the model.
     #[error("the population cannot be planned for: {0}")]
     Population(#[from] PopulationError),
-    /// The design or the structure cannot be.
+    /// A design or a structure that is not possible.
     #[error(transparent)]
     Design(#[from] FitError),
-    /// A number of tests of zero.
+    /// A number of tests that is zero.
     #[error("found a number of tests of 0, expected 1 or more")]
     ZeroTests,
     /// More tests than can be arranged in groups.
     #[error("found an arrangement of {found} tests, expected at most {most}")]
     TooManyTests {
-        /// How many there would be.
+        /// Number of tests of the arrangement.
         found: usize,
-        /// The most.
+        /// Largest number of tests that can be arranged.
         most: usize,
     },
-    /// An element of the population is not what the model's structure makes it.
+    /// An element of the population that contradicts the model's structure.
     #[error("{} is {found} in the population, and the model makes it {expected}", words(element))]
     OffStructure {
-        /// Which element, by places in μ and Σ.
+        /// The element, by its indices in μ or Σ.
         element: Element,
-        /// Its value in the population.
+        /// Value of the element in the population.
         found: f64,
-        /// Its value under the structure.
+        /// Value of the element under the structure.
         expected: f64,
     },
 }

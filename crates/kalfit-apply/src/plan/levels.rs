@@ -1,4 +1,4 @@
-//! Expected standard errors of tests in groups: more units, or more runs of each?
+//! Expected standard errors of tests in groups: are more units needed, or more runs of each?
 
 use std::sync::Arc;
 
@@ -10,27 +10,27 @@ use kalfit_model::Population;
 use kalfit_model::Reduction;
 use kalfit_model::{Grouping, Label};
 
-/// More tests than this are not arranged.
+/// Largest number of tests in an arrangement.
 const MOST_TESTS: usize = 200_000;
 
-/// So many groups in each group, and so many tests in each of the innermost ones.
+/// Number of groups in each group, and number of tests in each innermost group.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Arrangement {
-    /// By level, the outermost first: groups of the level in each group of the one above.
+    /// For each level, the outermost first: number of its groups in each group of the level above.
     pub groups: Vec<usize>,
-    /// Tests in each group of the innermost level.
+    /// Number of tests in each group of the innermost level.
     pub tests: usize,
 }
 
 impl Arrangement {
-    /// All tests.
+    /// Number of all tests.
     pub fn total(&self) -> usize {
         self.groups.iter().fold(self.tests, |product, groups| product.saturating_mul(*groups))
     }
 
-    /// What differs from one test, or group of a level, to the next is told from what differs between those that they stand in only
-    /// where there are several in each. For each block of Σ, the tests' own first and then the innermost level: the first block that it
-    /// is not told from; and last the same for the mean.
+    /// Differences between tests, or between groups of a level, can be separated from differences between the groups
+    /// that contain them only where these have several members. For each block of Σ, that of the tests first and then
+    /// the innermost level: the first block that it cannot be separated from; and last the same for the mean.
     fn together(&self) -> Vec<usize> {
         let members = std::iter::once(self.tests).chain(self.groups.iter().rev().copied());
         let mut first = vec![0];
@@ -41,7 +41,7 @@ impl Arrangement {
         first
     }
 
-    /// The number of the group of each level that each test stands in, within the group above.
+    /// For each test, the number of its group at each level, within the group above.
     fn paths(&self) -> Vec<Vec<usize>> {
         let start = vec![Vec::new()];
         let level = |paths: Vec<Vec<usize>>, &count: &usize| -> Vec<Vec<usize>> {
@@ -53,13 +53,13 @@ impl Arrangement {
     }
 }
 
-/// Expected standard errors for each arrangement of tests like those that the reductions were made of. The structure is of a model with
-/// levels, its population in what is a test's own and what each level adds. Groups of the arrangement are like those that the design's
-/// own tests stand in, one after the other and again from the first, and so are the tests of each; all tests are of one group where the
-/// structure has no grouping.
+/// Expected standard errors for each arrangement of tests like those that the reductions were made of. The structure is
+/// that of a model with levels, and its population has one part for the tests themselves and one for each level. Groups
+/// of the arrangement are like the groups of the design in turn, starting again after the last, and so are the tests in
+/// each group; all tests of the design are one group where the structure has no grouping.
 ///
 /// # Errors
-/// As [`plan`](crate::plan::plan); arrangements of too many tests.
+/// The errors of [`plan`](crate::plan::plan); arrangements of too many tests.
 pub fn plan_groups(
     reductions: &Reductions,
     structure: &Structure<'_>,
@@ -106,7 +106,7 @@ pub fn plan_groups(
     })
 }
 
-/// True where no other block has a share of the quantity that these groups do not tell from its own. `own` states are in each block.
+/// Whether the quantity can be separated from every other block that has a share in it. Each block has `own` states.
 fn is_told(quantity: Quantity, own: usize, population: &Population, together: &[usize]) -> bool {
     let (Quantity::StdDev(i) | Quantity::Correlation(i, _) | Quantity::Covariance(i, _)) = quantity else {
         return true;
@@ -117,16 +117,16 @@ fn is_told(quantity: Quantity, own: usize, population: &Population, together: &[
     (0..together.len()).all(|other| other == block || together[other] != together[block] || !varies(other))
 }
 
-/// What stands in each group of a design.
+/// Members of each group of a design.
 struct DesignGroups {
-    /// By level, the outermost first, and group: the numbers of the groups of the next level in it.
+    /// For each level, the outermost first, and each group: the numbers of its groups at the next level.
     inner: Vec<Vec<Vec<usize>>>,
-    /// By group of the innermost level: the numbers of its tests.
+    /// For each group of the innermost level: the numbers of its tests.
     tests: Vec<Vec<usize>>,
 }
 
 impl DesignGroups {
-    /// Of tests of these ids that stand in groups of so many levels; all in one where they stand in none.
+    /// Groups of tests with these ids, of `levels` levels; all tests are in one group where `grouping` is `None`.
     fn new(ids: &[&str], grouping: Option<&Grouping>, levels: usize) -> DesignGroups {
         let Some(own) = grouping else {
             return DesignGroups { inner: vec![vec![vec![0]]; levels], tests: vec![(0..ids.len()).collect()] };
@@ -147,7 +147,7 @@ impl DesignGroups {
         DesignGroups { inner, tests }
     }
 
-    /// The test of the design that one like this is: of this number in a group on this path.
+    /// The test of the design that stands for test `number` of the group on this path.
     fn like(&self, path: &[usize], number: usize) -> usize {
         let group = path.iter().zip(&self.inner).fold(0, |group, (&at, inner)| {
             let own = &inner[group];
@@ -158,7 +158,7 @@ impl DesignGroups {
     }
 }
 
-/// Tests like those of the design, in groups.
+/// Tests like those of the design, in the groups of an arrangement.
 fn arranged(
     design: &Reductions,
     groups: &DesignGroups,
@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn groups_are_like_those_of_the_design_one_after_the_other() {
-        // lots A with units of two runs and of one, and B with a unit of three
+        // lot A has units of two runs and of one, lot B a unit of three
         let units = [("A", "a"), ("A", "a"), ("A", "b"), ("B", "a"), ("B", "a"), ("B", "a")];
         let ids = ["r0", "r1", "r2", "r3", "r4", "r5"];
         let name = |text: &str| Label::literal(usize::from(text.as_bytes()[0]));

@@ -8,33 +8,33 @@ use kalfit_estimate::{FinalState, Structure, at_population};
 use kalfit_filter::reduce::Reductions;
 use kalfit_model::Population;
 
-/// Scaled information below this is none.
+/// Squared pivot of the scaled information below which there is no information.
 const FLAT: f64 = 1e-10;
 
-/// What the estimates of an ensemble say less than its measurements, at a population.
+/// Information lost by the estimates of an ensemble, compared with its measurements, at a population.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InformationLost {
-    /// Of each quantity that both inform of.
+    /// Ratios of standard errors, for each quantity that both inform of.
     pub std_errors: Vec<StdErrorRatio>,
-    /// log |I| of the estimates less that of the measurements, I the expected information on all that is free, at most 0:
-    /// it does not depend on units. `None` where either leaves something unidentified.
+    /// log |I| of the estimates less that of the measurements, I the expected information on all free values; at most
+    /// 0, and independent of units. `None` where either leaves something unidentified.
     pub log_determinant: Option<f64>,
 }
 
-/// How much less well a quantity is known.
+/// How much larger the standard error of a quantity is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StdErrorRatio {
-    /// Which.
+    /// The quantity.
     pub quantity: Quantity,
     /// Expected standard error from the estimates over that from the measurements, 1 or more.
     pub ratio: f64,
 }
 
-/// What the estimates of suboptimal filters lose of the measurements. `raw` and `suboptimal` are reductions of the same tests
-/// at one α; only information and covariates count.
+/// Information that the estimates of suboptimal filters lose, compared with the measurements. `raw` and `suboptimal`
+/// are reductions of the same tests at one α; only information and covariates count.
 ///
 /// # Errors
-/// As [`plan`].
+/// The errors of [`plan`].
 pub fn information_lost(
     raw: &Reductions,
     suboptimal: &Reductions,

@@ -1,4 +1,4 @@
-//! Expected standard errors before any test is run: how many tests it takes.
+//! Expected standard errors before any test is run: how many tests are needed.
 //!
 //! At a population (μ, Σ) the expected information of the tests of a design is, with W_j = (I + J_jΣ)⁻¹J_j (theory §3),
 //!
@@ -29,9 +29,9 @@ use kalfit_model::Population;
 /// Why a quantity has no standard error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reason {
-    /// The model holds it, so it has none.
+    /// The model fixes it, so it has no standard error.
     Fixed,
-    /// The design says nothing about it.
+    /// The design has no information about it.
     Unidentified,
     /// Σ is singular there: estimates pile up at the boundary, and no normal law describes them.
     Boundary,
@@ -40,23 +40,23 @@ pub enum Reason {
 /// One quantity and how well it will be known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planned {
-    /// Which.
+    /// The quantity.
     pub quantity: Quantity,
     /// Its value in the population; `None` for a correlation with a variance of zero.
     pub value: Option<f64>,
-    /// Its standard error at each number of tests, or why it has none. In groups of tests it may be infinite at some of them, which do not
-    /// identify it.
+    /// Standard error for each number of tests, or why there is none. In groups of tests it is infinite for
+    /// arrangements that do not identify the quantity.
     pub std_errors: Result<Vec<f64>, Reason>,
 }
 
-/// Expected standard errors against the number of tests.
+/// Expected standard errors for several numbers of tests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// Tests of the design.
+    /// Number of tests of the design.
     pub design_tests: usize,
-    /// The numbers of tests asked for.
+    /// Requested numbers of tests.
     pub tests: Vec<usize>,
-    /// How they are grouped, where the model has levels.
+    /// Arrangements in groups, where the model has levels.
     pub arrangements: Vec<Arrangement>,
     /// All quantities: μ, regression coefficients, standard deviations, correlations by rows, Σ by rows; pairs within a phase.
     pub quantities: Vec<Planned>,
@@ -95,7 +95,8 @@ pub struct Plan {
 /// ```
 ///
 /// # Errors
-/// No tests or numbers of tests of zero; a population that does not fit the structure; a structure that cannot be.
+/// No tests or numbers of tests of zero; a population that does not fit the structure; a structure that is not
+/// possible.
 pub fn plan(
     reductions: &Reductions,
     structure: &Structure<'_>,
@@ -124,7 +125,7 @@ pub fn plan(
     Ok(Plan { design_tests: n, tests: tests.to_vec(), arrangements: Vec::new(), quantities })
 }
 
-/// What is expected of some tests at a population.
+/// Expected information of some tests at a population, and what follows from it.
 struct Expected {
     state: FinalState,
     unidentified: Vec<Direction>,
@@ -152,7 +153,7 @@ fn off_structure(error: ExpectedError) -> PlanError {
     }
 }
 
-/// Those of all phases; of pairs, those within a phase: states of different phases are independent.
+/// Quantities of all phases. Pairs are within a phase, because states of different phases are independent.
 fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
     let p = elements.states();
     let below = || elements.all().filter(|(i, j)| i != j);
@@ -161,7 +162,7 @@ fn quantities(elements: &Elements, regressions: usize) -> Vec<Quantity> {
     means.chain(spreads).chain(elements.all().map(|(i, j)| Quantity::Covariance(i, j))).collect()
 }
 
-/// What was found at the population.
+/// Results at the population.
 struct Found<'a> {
     state: &'a FinalState,
     population: &'a Population,
@@ -179,7 +180,7 @@ impl Found<'_> {
         self.uncertainty.errors.of(quantity).filter(|error| error.is_finite())
     }
 
-    /// The number of an element of Σ.
+    /// Index of an element of Σ.
     fn element(&self, i: usize, j: usize) -> usize {
         self.state.problem.covariance.elements.index(i, j)
     }
@@ -193,7 +194,7 @@ impl Found<'_> {
         let elements: &[(usize, usize)] = match quantity {
             Quantity::Mean(i) if takes_part(infer::Quantity::Mean, i) => return Reason::Unidentified,
             Quantity::Mean(_) => return Reason::Fixed,
-            Quantity::Coefficient(_) => return Reason::Unidentified, // no structure holds one
+            Quantity::Coefficient(_) => return Reason::Unidentified, // no structure fixes one
             Quantity::StdDev(i) => &[(i, i)],
             Quantity::Covariance(i, j) => &[(i, j)],
             Quantity::Correlation(i, j) => &[(i, j), (i, i), (j, j)],

@@ -1,8 +1,9 @@
-//! Limits: for the mean, and such as a given part of all tests stays within.
+//! Limits of the mean, and limits that a given part of all tests stays within.
 //!
-//! The estimate of the mean and that of the variance over tests are taken as independent. Of N tests that tell a quantity of variance s²
-//! with an error of variance r each, the estimate of s² + r is (s² + r) χ²/ν, and that of the mean has the variance (s² + r) / N: both N and
-//! r follow from the standard errors. Given the estimates, what the mean and the variance may be is then (generalised confidence)
+//! The estimate of the mean and that of the variance over tests are treated as independent. For N tests that determine
+//! a quantity of variance s² with an error of variance r each, the estimate of s² + r is (s² + r) χ²/ν, and that of the
+//! mean has the variance (s² + r) / N: both N and r follow from the standard errors. Given the estimates, the mean and
+//! the variance are then distributed as (generalised confidence)
 //!
 //! ```text
 //! s_c² = (s² + r)/c² - r,    m_c = m - Z √V / c,    c² = χ²_ν/ν,    Z ~ N(0, 1)
@@ -10,8 +11,8 @@
 //! two sides:  P(Φ((m + h - m_c)/s_c) - Φ((m - h - m_c)/s_c) ≥ p) = γ
 //! ```
 //!
-//! That is exact where r = 0: the factors are those of the tables then. By maximum likelihood s² is too small by the means that were
-//! estimated with it, which is made good.
+//! The limits are exact where r = 0: their factors are then those of the tables. By maximum likelihood s² is too small
+//! because of the means that were estimated with it; this is corrected.
 
 use std::collections::HashMap;
 use std::sync::Mutex;
@@ -22,35 +23,35 @@ use crate::predict::root::{KnownRoots, crossing, rising};
 use crate::predict::widths::Widths;
 use crate::predict::{MeanLimits, Predicted};
 
-/// How sure, of how much, and on which sides.
+/// Confidence, content and sides of limits.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// γ: in this part of all ensembles the limits hold; a half or more.
+    /// γ: fraction of all ensembles in which the limits hold; a half or more.
     pub confidence: f64,
-    /// p: this part of all tests is meant to be within the tolerance limits; a half or more.
+    /// p: fraction of all tests that is meant to be within the tolerance limits; a half or more.
     pub content: f64,
-    /// Whether each of the two tolerance limits is meant by itself.
+    /// Whether p is meant for both tolerance limits together or for each of them.
     pub sides: Sides,
 }
 
-/// Which tests are beyond tolerance limits.
+/// Which tests count as beyond the tolerance limits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Sides {
-    /// Those on either side: between the limits are p of all tests.
+    /// Tests on either side: p of all tests are between the limits.
     #[default]
     Two,
-    /// Those on one side: p of all tests are below the upper limit, and p above the lower one.
+    /// Tests on one side: p of all tests are below the upper limit, and p above the lower one.
     One,
 }
 
-/// With more degrees of freedom than this a variance is as good as known.
+/// Degrees of freedom above which a variance is treated as known.
 const KNOWN: f64 = 1e5;
-/// Parts of the line that an expectation over a normal number is a sum over.
+/// Number of intervals in the sum that replaces an expectation over a normal variable.
 const NODES: usize = 40;
-/// The normal law is as good as within so many standard deviations.
+/// Half width of the range of that sum, in standard deviations; the normal law is negligible beyond.
 const WIDE: f64 = 6.7;
 
-/// What makes limits of predictions. Factors are kept: most values of a design share theirs with others.
+/// Computes limits of predictions. Factors are cached: most values of a design share theirs with others.
 #[derive(Debug)]
 pub struct Bounds {
     limits: Limits,
@@ -58,25 +59,25 @@ pub struct Bounds {
     known: Mutex<HashMap<[u64; 3], Option<f64>>>,
 }
 
-/// So many factors are kept.
+/// Largest number of factors that are cached.
 const KEPT: usize = 1 << 16;
 
-/// The variance over tests, and what is known of it.
+/// Variance over tests, and how well it is known.
 struct VarianceEstimate {
-    /// s².
+    /// Variance s² over tests.
     variance: f64,
-    /// s² + r.
+    /// s² + r, the variance with the errors of the tests.
     scale: f64,
-    /// ν; infinite where the variance is known.
+    /// Degrees of freedom ν of `scale`; infinite where the variance is known.
     degrees: f64,
-    /// V, of the estimate of the mean.
+    /// Variance V of the estimate of the mean.
     of_mean: f64,
-    /// Degrees of freedom of that.
+    /// Degrees of freedom of V.
     degrees_of_mean: f64,
 }
 
 impl VarianceEstimate {
-    /// `None` where the tests are too few to tell.
+    /// Estimate of a value's variance; `None` where there are too few tests.
     fn of(value: &Predicted) -> Option<VarianceEstimate> {
         let estimation = value.estimation?;
         let (population, of_population) = (value.population, estimation.population);
@@ -92,9 +93,9 @@ impl VarianceEstimate {
         let lost = estimation.lost as f64;
         let alone = 2.0 * population * population / of_population;
         let beside = if estimation.mean > 0.0 { of_population / (2.0 * estimation.mean.powi(2)) } else { 0.0 };
-        // as many degrees of freedom as the error of the mean says beside that of the variance, or as that says by itself
+        // the number that the errors of mean and variance imply together, or the number that the latter implies alone
         let (left, larger) = if estimation.is_restricted {
-            // N² / (N - k) beside
+            // `beside` is N² / (N - k)
             let tests = 0.5 * (beside + (beside * (beside - 4.0 * lost)).max(0.0).sqrt());
             (alone.max(tests.min(estimation.tests) - lost), 1.0)
         } else {
@@ -113,17 +114,18 @@ impl VarianceEstimate {
         (degrees >= 0.5).then_some(spread)
     }
 
-    /// r = 0: what is larger by 1/c is so as a whole, and the c at which a limit is met needs no search.
+    /// Whether r = 0: then all half widths scale with 1/c, and the c at which a limit is met needs no search.
     fn is_all(&self) -> bool {
         self.scale <= self.variance
     }
 
-    /// s_c.
+    /// Standard deviation s_c.
     fn at(&self, c: f64) -> f64 {
         (self.scale / (c * c) - (self.scale - self.variance)).max(0.0).sqrt()
     }
 
-    /// About as large as half widths of so many standard deviations are with confidence γ, by Wilson and Hilferty's quantile of χ².
+    /// Approximate size of a half width of `width` standard deviations with confidence γ, by Wilson and Hilferty's
+    /// quantile of χ².
     fn large(&self, confidence: f64, width: f64) -> f64 {
         let part = 2.0 / (9.0 * self.degrees);
         let root = 1.0 - part - normal().inverse_cdf(confidence) * part.sqrt();
@@ -137,7 +139,7 @@ impl VarianceEstimate {
 }
 
 impl Bounds {
-    /// Limits as they are asked for.
+    /// Limits with the given confidence, content and sides.
     pub fn new(limits: Limits) -> Bounds {
         Bounds { limits, widths: Widths::new(limits.content), known: Mutex::default() }
     }
@@ -147,12 +149,12 @@ impl Bounds {
         normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))
     }
 
-    /// What they are.
+    /// Confidence, content and sides of these limits.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Limits that the mean over tests lies between with confidence γ; `None` where that is not known.
+    /// Limits that contain the mean over tests with confidence γ; `None` where they are not known.
     pub fn of_mean(&self, value: &Predicted) -> Option<[f64; 2]> {
         if let MeanLimits::Profile(found) = value.limits {
             return found;
@@ -167,8 +169,8 @@ impl Bounds {
         Some([value.mean - half, value.mean + half])
     }
 
-    /// Limits that p of all tests are within with confidence γ; `None` where that is not known, or where a variance in it was estimated as
-    /// zero.
+    /// Limits that p of all tests are within with confidence γ; `None` where they are not known, or where a variance
+    /// that they depend on was estimated as zero.
     pub fn of_tests(&self, value: &Predicted) -> Option<[f64; 2]> {
         let spread = VarianceEstimate::of(value).filter(|_| !value.hangs_on_zero)?;
         if spread.variance == 0.0 {
@@ -178,7 +180,7 @@ impl Bounds {
         Some([value.mean - half, value.mean + half])
     }
 
-    /// h/s, which hangs on ratios alone.
+    /// Factor h/s, which depends on ratios alone.
     fn factor(&self, spread: &VarianceEstimate) -> Option<f64> {
         let [scale, of_mean] = [spread.scale, spread.of_mean].map(|x| x / spread.variance);
         let key = [scale, of_mean, spread.degrees].map(f64::to_bits);
@@ -220,7 +222,7 @@ impl Bounds {
     fn two_sided(&self, spread: &VarianceEstimate) -> Option<f64> {
         let (off, s) = (spread.of_mean.sqrt(), spread.variance.sqrt());
         if spread.degrees >= KNOWN {
-            // the content falls as the mean is further off
+            // the content falls as the mean moves further off
             return Some(s * self.widths.at(off / s * normal().inverse_cdf(0.5 * (1.0 + self.limits.confidence))));
         }
         let law = ChiSquared::new(spread.degrees).ok()?;
@@ -228,7 +230,7 @@ impl Bounds {
             let (s, off) = (spread.at(c), x.abs() * off / c);
             if s > off * 1e-9 { s * self.widths.at(off / s) } else { off }
         };
-        // either side of the mean is as the other
+        // the two sides of the mean are symmetric
         let holds = |h: f64| {
             let mut near = KnownRoots::default();
             let half = (NODES / 2..=NODES).map(node).map(|(x, weight)| {
@@ -249,8 +251,8 @@ fn normal() -> Normal {
     Normal::standard()
 }
 
-/// A point of the normal law and its weight: sums over all of them are expectations by the rule of trapezes, which is exact to many digits for
-/// what falls off as the normal law does.
+/// Node k of the normal law and its weight. Weighted sums over all nodes are expectations by the trapezoidal rule,
+/// which is accurate to many digits for functions that fall off as the normal law does.
 fn node(k: usize) -> (f64, f64) {
     let step = 2.0 * WIDE / NODES as f64;
     let x = step * (k as f64 - 0.5 * NODES as f64);
@@ -262,7 +264,7 @@ mod tests {
     use super::*;
     use crate::predict::{Estimation, MeanLimits, What};
 
-    /// Of N tests that tell y exactly: mean 0 and variance 1 without bias.
+    /// N tests that determine y exactly: mean 0, and variance 1 after correction of the bias.
     fn of(tests: f64) -> Predicted {
         let ml = (tests - 1.0) / tests;
         let estimation = Estimation {
@@ -289,7 +291,7 @@ mod tests {
         Bounds::new(Limits { confidence, content, sides })
     }
 
-    /// Tests, confidence, content, factor.
+    /// (Tests, confidence, content, factor).
     type Row = (f64, f64, f64, f64);
 
     const ONE_SIDED: [Row; 5] = [
@@ -333,7 +335,7 @@ mod tests {
         }
     }
 
-    /// By restricted likelihood the variance is without bias, and its error is that of N - 1.
+    /// By restricted likelihood the variance has no bias, and its error is that of N - 1.
     #[test]
     fn restricted_likelihood_has_the_same_limits() {
         for tests in [5.0, 10.0, 30.0] {
@@ -373,7 +375,8 @@ mod tests {
         assert!((upper - 2.0 * 1.644_853_627).abs() < 1e-8, "{upper}");
     }
 
-    /// 30 tests that tell y with errors of three times its variance: limits that r is seen in, not as if ν were two.
+    /// 30 tests that determine y with errors of three times its variance: r is recognised, instead of ν being about
+    /// two.
     #[test]
     fn errors_of_the_tests_are_allowed_for() {
         let (tests, r) = (30.0, 3.0);

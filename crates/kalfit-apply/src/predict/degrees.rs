@@ -1,4 +1,4 @@
-//! How many degrees of freedom the variance of a value over tests lost to its mean, by maximum likelihood.
+//! Number of degrees of freedom that the variance of a value over tests lost to its mean, by maximum likelihood.
 
 use std::collections::BTreeSet;
 
@@ -7,31 +7,32 @@ use nalgebra::{DMatrix, DVector};
 use kalfit_algebra::symmetric;
 use kalfit_infer::{Estimand, Estimated, Knowledge};
 
-/// A number whose errors make less than this part of the errors of a mean took none of the variance over tests.
+/// Fraction of a mean's error variance below which the errors of one estimate cost no degree of freedom.
 const SHARE: f64 = 0.01;
-/// Variances whose estimates have a squared correlation of one less this are one estimate,
+/// Variances are one estimate where the squared correlation of their estimates is closer to one than this.
 const ONE: f64 = 1e-6;
-/// and states whose correlations have an eigenvalue below this vary as one.
+/// States have no independent variation in directions where their correlation matrix has an eigenvalue below this.
 const FLAT: f64 = 1e-9;
 
-/// One value, and what it hangs on.
+/// One value, and what it depends on.
 pub(super) struct Degrees<'a> {
     pub(super) knowledge: &'a Knowledge,
-    /// The covariance of the initial state of tests.
+    /// Covariance of the initial state of tests.
     pub(super) covariance: &'a DMatrix<f64>,
     /// (element, column) of each regression coefficient.
     pub(super) regressions: &'a [(usize, usize)],
-    /// Derivatives by what was estimated: of the mean, and of the variance by the initial state.
+    /// Derivatives with respect to the estimates: of the mean, and of the variance by the initial state.
     pub(super) by_mean: DVector<f64>,
     pub(super) by_variance: DVector<f64>,
-    /// States whose initial value moves it.
+    /// Whether the initial value of a state affects the value.
     pub(super) holds: &'a dyn Fn(usize) -> bool,
 }
 
 impl Degrees<'_> {
-    /// One for the means of the states in it, whatever they are: as many tests tell one combination of states as tell another. More where
-    /// variances were tied, one for each mean that was estimated beside the one variance. One for each column that means are regressed on, and
-    /// for each state that is the same in all tests, or parameter, that the mean hangs on noticeably.
+    /// One for the means of the states in the value, whatever they are: as many tests determine one combination of
+    /// states as any other. More where variances were tied: one for each mean that was estimated with the one variance.
+    /// One for each column that means are regressed on, and for each parameter, and each state that is identical in all
+    /// tests, that the mean depends on noticeably.
     pub(super) fn lost(&self) -> usize {
         let tied = self.tied();
         let is_in = |element: usize| (self.holds)(element) || tied.contains(&element);
@@ -59,7 +60,7 @@ impl Degrees<'_> {
         })
     }
 
-    /// Estimated variances, of whatever level: their places, and the states.
+    /// Estimated variances of any level: (index among the estimates, state).
     fn variances(&self) -> impl Iterator<Item = (usize, usize)> {
         let states = self.covariance.nrows();
         self.quantities().filter_map(move |(k, known)| match *known {
@@ -72,7 +73,8 @@ impl Degrees<'_> {
         self.covariance[(state, state)] > 0.0 || self.variances().any(|(_, i)| i == state)
     }
 
-    /// Means that are the same in all tests, and parameters, whose errors are a part of the mean's.
+    /// Number of parameters, and of means that are identical in all tests, whose errors are a noticeable part of the
+    /// value's.
     fn others(&self) -> usize {
         let carried = &self.knowledge.covariance * &self.by_mean;
         let whole = self.by_mean.dot(&carried);
@@ -87,7 +89,7 @@ impl Degrees<'_> {
         fixed.chain(parameters).filter(|&k| is_noticed(k)).count()
     }
 
-    /// States with a mean of their own whose variance is one estimate with that of the value.
+    /// States with an estimated mean whose variance is one estimate with that of the value.
     fn tied(&self) -> BTreeSet<usize> {
         let carried = &self.knowledge.covariance * &self.by_variance;
         let whole = self.by_variance.dot(&carried);
@@ -96,7 +98,7 @@ impl Degrees<'_> {
         self.variances().filter(|&(k, i)| whole > 0.0 && is_one(k) && has_mean(i)).map(|(_, i)| i).collect()
     }
 
-    /// In how many ways states vary.
+    /// Number of directions in which states vary independently.
     fn ways(&self, states: &BTreeSet<usize>) -> usize {
         let states: Vec<usize> = states.iter().copied().filter(|&i| self.covariance[(i, i)] > 0.0).collect();
         if states.len() < 2 {

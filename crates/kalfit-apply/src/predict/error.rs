@@ -1,29 +1,29 @@
-//! Why nothing is predicted.
+//! Why a prediction is not possible.
 
 use kalfit_filter::reduce::ReduceError;
 
-/// Why nothing is predicted.
+/// Why a prediction is not possible.
 #[derive(Debug, thiserror::Error)]
 pub enum PredictError {
     /// A design that the model does not allow.
     #[error(transparent)]
     Reduce(Box<ReduceError>),
-    /// A design is rows.
+    /// A design without rows in a phase.
     #[error("test `{test}` has no rows in phase `{phase}`: a design is rows with times and inputs")]
     NoRows {
-        /// The test.
+        /// Id of the test.
         test: String,
-        /// The phase.
+        /// Name of the phase.
         phase: String,
     },
-    /// A value beyond all numbers.
+    /// A value that is not finite.
     #[error("test `{test}`, row {row}: {what} is not a finite number")]
     NotFinite {
-        /// The test.
+        /// Id of the test.
         test: String,
-        /// Its row, from 1.
+        /// Number of the row, from 1.
         row: usize,
-        /// Which figure of it.
+        /// Which figure is not finite.
         what: &'static str,
     },
 }

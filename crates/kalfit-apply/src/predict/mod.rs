@@ -1,11 +1,12 @@
-//! What a test that nobody has made will give: states and outputs along its design, with what they vary by from test to test, by process
-//! noise, and by what estimation leaves open (theory §12).
+//! Predictions of a test that has not been made: states and outputs along its design, with their variances from test to
+//! test, by process noise, and by errors of estimation (theory §12).
 //!
 //! ```text
 //! y_k = g'θ̂ + …        population g'Σg,   process noise h'P_kh,   estimation (∂y/∂θ)' Var[θ̂] (∂y/∂θ)
 //! ```
 //!
-//! Nothing is measured, so that all three add up. From them come limits for the mean, and limits that a given part of all tests stays within.
+//! Nothing is measured, so all three variances add up. They give limits of the mean, and limits that a given part of
+//! all tests stays within.
 
 mod bounds;
 mod degrees;
@@ -35,19 +36,19 @@ use kalfit_infer::{Knowledge, MeanCombination};
 use kalfit_model::{Alpha, Column, Expression, Linear, Measurement, Model, Operator, Phase, PhasedModel, Population};
 use kalfit_model::{Evidence, PhasedTest};
 
-/// A quantity that is linear in the states, as a measurement is, and that nobody measures.
+/// A quantity that is linear in the states, as a measurement is, but is not measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Output {
-    /// Its name.
+    /// Name of the output.
     pub name: String,
-    /// Its unit, a label.
+    /// Unit of the output, a label.
     pub unit: Option<String>,
-    /// h'x + d.
+    /// Linear form h'x + d of the output.
     pub equation: Linear,
 }
 
 impl Output {
-    /// The sum of two, without a name: what tells how they vary together.
+    /// The sum of two outputs, without a name: its variance gives their covariance.
     pub fn sum(first: &Output, second: &Output) -> Output {
         let add = |a: &Expression, b: &Expression| {
             Expression::Binary(Operator::Add, Box::new(a.clone()), Box::new(b.clone()))
@@ -63,124 +64,128 @@ impl Output {
     }
 }
 
-/// What is predicted.
+/// The quantity that is predicted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum What {
-    /// A state, by its place in the phase's model.
+    /// A state, by its index in the phase's model.
     State(usize),
-    /// An output, by its place among those of the phase.
+    /// An output, by its index among those of the phase.
     Output(usize),
 }
 
 /// States and outputs of one phase of a test.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PhasePredictions {
-    /// The phase, by its place in the model.
+    /// Index of the phase in the model.
     pub phase: usize,
-    /// Step by step.
+    /// States and outputs at each step.
     pub steps: Vec<StepPredictions>,
 }
 
 /// States and outputs at one step: rows of the same time are one step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepPredictions {
-    /// Its rows among those of the phase.
+    /// Rows of the step among those of the phase.
     pub rows: Range<usize>,
-    /// Its time, where the model has a column of times.
+    /// Time of the step, where the model has a column of times.
     pub time: Option<f64>,
-    /// The states, once a step, and then the outputs, once a row.
+    /// Values of the states, one per step, and then of the outputs, one per row.
     pub values: Vec<Predicted>,
 }
 
-/// What is known of one value of a test that nobody has made.
+/// Prediction of one value of a test that has not been made.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Predicted {
-    /// What it is.
+    /// The state or output that is predicted.
     pub what: What,
-    /// Its row among those of the phase.
+    /// Row of the value among those of the phase.
     pub row: usize,
-    /// Its mean over tests.
+    /// Mean over tests.
     pub mean: f64,
-    /// Its variance from test to test, by the initial state.
+    /// Variance from test to test, by the initial state.
     pub population: f64,
-    /// Its variance by process noise.
+    /// Variance by process noise.
     pub process: f64,
-    /// A variance that it hangs on was estimated as zero: how large it may be, the standard errors do not say.
+    /// Whether a variance that the value depends on was estimated as zero: standard errors do not say how large it may
+    /// be.
     pub hangs_on_zero: bool,
-    /// What the estimates leave open; `None` where it hangs on something that the data do not determine.
+    /// Errors of the estimates; `None` where the value depends on something that the data do not determine.
     pub estimation: Option<Estimation>,
-    /// What limits of the mean are made of.
+    /// What limits of the mean are computed from.
     pub limits: MeanLimits,
 }
 
-/// What limits of a mean are made of.
+/// What limits of a mean are computed from.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum MeanLimits {
-    /// Of its standard error.
+    /// The standard error of the mean.
     #[default]
     Error,
-    /// Of its profile likelihood; `None` where no limit was found.
+    /// The limits by the mean's profile likelihood; `None` where there are none.
     Profile(Option<[f64; 2]>),
 }
 
 /// Variances of the estimates of a mean and of a variance over tests.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Estimation {
-    /// Of the mean.
+    /// Variance of the estimate of the mean.
     pub mean: f64,
-    /// Of the variance over tests, process noise in it.
+    /// Variance of the estimate of the variance over tests, including process noise.
     pub variance: f64,
-    /// Of that part of it that is by the initial state.
+    /// Variance of the estimate of the part of that variance that is by the initial state.
     pub population: f64,
-    /// How many degrees of freedom the variance lost to the mean, by maximum likelihood.
+    /// Number of degrees of freedom that the variance lost to the mean, by maximum likelihood.
     pub lost: usize,
-    /// The variance allows for those: by restricted likelihood.
+    /// Whether the variance already allows for the lost degrees of freedom: true by restricted likelihood.
     pub is_restricted: bool,
-    /// How many tests, or groups of the outermost level, all of it is from.
+    /// Number of tests, or of groups of the outermost level, that the estimates are from.
     pub tests: f64,
 }
 
 impl Predicted {
-    /// Its variance over tests.
+    /// Variance over tests, by the initial state and by process noise.
     pub fn variance(&self) -> f64 {
         self.population + self.process
     }
 
-    /// The standard deviation of what will be seen from what is predicted, the estimates' in it where it is known.
+    /// Standard deviation of the value that will be observed about its prediction, with errors of the estimates where
+    /// known.
     pub fn std_dev(&self) -> f64 {
         (self.variance() + self.estimation.map_or(0.0, |estimation| estimation.mean)).sqrt()
     }
 }
 
-/// The law of the initial state of the tests that are predicted.
+/// Distribution of the initial state of the tests that are predicted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Initial {
-    /// The mean of ξ, with the regressions apart.
+    /// Mean of ξ, without the regressions.
     pub mean: Vec<f64>,
-    /// The covariance of ξ.
+    /// Covariance of ξ.
     pub covariance: DMatrix<f64>,
-    /// The covariance of that mean given μ: what the tests of a known group leave open of it, which is counted with the errors of estimates.
-    /// `None` of a new one, whose mean is μ.
+    /// Covariance of `mean` given μ: what the tests of a known group leave open. It is counted with the errors of the
+    /// estimates. `None` for a new group, whose mean is μ.
     pub left: Option<DMatrix<f64>>,
-    /// The derivative of the mean by μ; `None` where the mean is μ itself.
+    /// Derivative of `mean` with respect to μ; `None` where `mean` is μ itself.
     pub shrinkage: Option<DMatrix<f64>>,
-    /// Its derivative by the regression coefficients, which are apart from it; `None` where it does not hang on them.
+    /// Derivative of `mean` with respect to the regression coefficients, which are not part of it; `None` where there
+    /// is none.
     pub by_coefficients: Option<DMatrix<f64>>,
-    /// Levels of groups whose covariance is in `covariance`, by their place among the blocks of Σ.
+    /// Levels of groups whose covariance is included in `covariance`, by their blocks of Σ.
     pub levels: Range<usize>,
 }
 
 impl Initial {
-    /// Of a new test, of a new group of each level.
+    /// Initial state of a new test, from a new group at each level.
     pub fn new(model: &PhasedModel, population: &Population) -> Initial {
         let Population { mean, covariance, .. } = population.together(model.dimension());
         let levels = 0..model.levels.len() + 1;
         Initial { mean, covariance, left: None, shrinkage: None, by_coefficients: None, levels }
     }
 
-    /// Of a new test of a group that is known, of the innermost level: from what is known of the mean m of its tests, V = Var[m | z], and how
-    /// it follows μ and the coefficients. Where that is not told, m hangs on μ by VΣ⁺, Σ that of all levels together; where other groups of
-    /// the same outer group tell of m too, by less.
+    /// Initial state of a new test of a known group of the innermost level: from the posterior of the mean m of its
+    /// tests, V = Var[m | z], and from `follows`, the derivatives of m with respect to μ and the coefficients. Without
+    /// `follows`, the derivative with respect to μ is VΣ⁺, Σ that of all levels together; the true one is smaller where
+    /// other groups of the same outer group inform of m, too.
     pub fn of_group(
         model: &PhasedModel,
         population: &Population,
@@ -191,7 +196,7 @@ impl Initial {
         let block = |level: usize| population.covariance.view((level * p, level * p), (p, p));
         let between = (1..=model.levels.len()).fold(DMatrix::zeros(p, p), |sum, level| sum + block(level));
         let inverse = kalfit_algebra::symmetric::pseudo_inverse(&between);
-        // directions in which groups do not differ are all of μ
+        // in directions in which groups do not differ, m is μ
         let still = DMatrix::identity(p, p) - &between * &inverse;
         let shrinkage = Some(covariance * inverse + still);
         let by_mean = follows.as_ref().map(|follows| follows.columns(0, p).into_owned());
@@ -206,20 +211,20 @@ impl Initial {
     }
 }
 
-/// A model at (α, μ, Σ), and what is known of those.
+/// A model at (α, μ, Σ), with the errors of these values.
 #[derive(Debug)]
 pub struct Predictor {
     model: PhasedModel,
     coefficients: Vec<f64>,
     knowledge: Option<Knowledge>,
-    /// The model at α, and at α with each free value moved to both sides.
+    /// Filters at α, and at α with each free value moved to both sides.
     propagators: Vec<Propagator>,
     steps: ValueSteps,
 }
 
 impl Predictor {
-    /// A model that measures nothing, with the outputs of each phase. `knowledge`: `None` where the estimates say nothing of how far they can
-    /// be trusted; [`Knowledge::exact`] of values that are given.
+    /// A model that measures nothing, with the outputs of each phase. `knowledge`: `None` where the errors of the
+    /// estimates are not known; [`Knowledge::exact`] for values that are given.
     ///
     /// # Errors
     /// Coefficients that have no value.
@@ -236,7 +241,7 @@ impl Predictor {
         Ok(Predictor { model, coefficients: coefficients.to_vec(), knowledge, propagators, steps })
     }
 
-    /// States and outputs of designs, phase by phase; `initial`: the law of each one's initial state.
+    /// States and outputs of designs, phase by phase; `initial`: distribution of each design's initial state.
     ///
     /// # Errors
     /// Tests without rows; rows that have no value.
@@ -250,7 +255,8 @@ impl Predictor {
         found.into_iter().collect()
     }
 
-    /// The means of all values of designs as what is linear in (μ, γ), at some α, in the order of [`Predictor::predict`].
+    /// Means of all values of designs as linear combinations of (μ, γ), at some α, in the order of
+    /// [`Predictor::predict`].
     ///
     /// # Errors
     /// Coefficients that have no value.
@@ -285,7 +291,7 @@ impl Predictor {
     }
 }
 
-/// The model with the outputs in the place of measurements, read from a column of their own after all others.
+/// The model with outputs in place of measurements; outputs are read from an additional last column.
 fn with_outputs(design: &PhasedModel, outputs: &[Vec<Output>]) -> PhasedModel {
     let mut columns = design.shared().columns.clone();
     columns.push(Column { name: String::new(), used_in: String::new() });

@@ -1,32 +1,32 @@
-//! Two quantities at once: the ellipse that holds a part of all tests, and circles that do.
+//! Two quantities together: the ellipse and the circles that hold a given part of all tests.
 
 use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
 
-/// Two normal quantities.
+/// Two jointly normal quantities.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair {
-    /// Their means.
+    /// Means of the two quantities.
     pub mean: [f64; 2],
-    /// Their variances, and their covariance.
+    /// Variances of the two quantities, and their covariance.
     pub variances: [f64; 3],
 }
 
 /// An ellipse about the means.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipse {
-    /// Its half axes, the longer first.
+    /// Half axes, the longer first.
     pub axes: [f64; 2],
-    /// Angle of the longer one from the first quantity towards the second, in radians, in (-π/2, π/2].
+    /// Angle of the longer axis from the first quantity towards the second, in radians, in (-π/2, π/2].
     pub angle: f64,
 }
 
-/// A variance of less than this part of the other's is rounding.
+/// Ratio of the variances along the two axes below which the smaller one is rounding.
 const FLAT: f64 = 1e-12;
-/// Strips of a circle.
+/// Number of strips in the integral over a circle.
 const STRIPS: usize = 400;
 
 impl Pair {
-    /// Standard deviations along the axes of the ellipse, the longer first, and the angle of that one.
+    /// Standard deviations along the axes of the ellipse, the longer first, and the angle of the longer axis.
     fn axes(&self) -> ([f64; 2], f64) {
         let [a, b, c] = self.variances;
         let (middle, half) = (0.5 * (a + b), (0.25 * (a - b) * (a - b) + c * c).sqrt());
@@ -43,12 +43,13 @@ impl Pair {
         Ellipse { axes: axes.map(|axis| radius * axis), angle }
     }
 
-    /// Radius of the circle about the means that holds a part of all tests: with half of them the circular error probable.
+    /// Radius of the circle about the means that holds a part of all tests; for one half of them, the circular error
+    /// probable.
     pub fn circle(&self, content: f64) -> f64 {
         radius(content, [0.0; 2], self.axes().0)
     }
 
-    /// The same of the circle about zero.
+    /// Radius of the circle about zero that holds a part of all tests.
     pub fn circle_about_zero(&self, content: f64) -> f64 {
         let (axes, angle) = self.axes();
         let ([x, y], (sin, cos)) = (self.mean, angle.sin_cos());
@@ -69,7 +70,7 @@ fn radius(content: f64, mean: [f64; 2], axes: [f64; 2]) -> f64 {
     0.5 * (low + high)
 }
 
-/// P(x² + y² ≤ R²) of independent x and y: over x = R sin t.
+/// P(x² + y² ≤ R²) for independent x and y, integrated over x = R sin t.
 fn within(radius: f64, mean: [f64; 2], axes: [f64; 2]) -> f64 {
     let law = Normal::standard();
     let cdf = |x: f64, axis: usize| match axes[axis] > 0.0 {
@@ -102,7 +103,7 @@ mod tests {
 
     #[test]
     fn a_line_is_a_normal_law() {
-        // all along (3, 4) / 5: half of the tests are within 0.6745 standard deviations
+        // all tests are along (3, 4) / 5: half of them are within 0.6745 standard deviations
         let line = Pair { mean: [0.0; 2], variances: [9.0, 16.0, 12.0] };
         let expected = 5.0 * 0.674_489_75;
         assert!((line.circle(0.5) - expected).abs() < 1e-4 * expected, "{} against {expected}", line.circle(0.5));
@@ -111,7 +112,7 @@ mod tests {
 
     #[test]
     fn circles_about_zero_hold_what_they_say() {
-        // by scipy: a law of chi-squared without its centre, 2 degrees of freedom, λ = 25
+        // by scipy: noncentral χ² with 2 degrees of freedom and λ = 25
         let off = Pair { mean: [3.0, 4.0], variances: [1.0, 1.0, 0.0] };
         let expected = 5.099_676_038;
         let found = off.circle_about_zero(0.5);

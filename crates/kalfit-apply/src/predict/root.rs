@@ -1,7 +1,7 @@
-//! Roots of functions of one number that rise or fall all along.
+//! Roots of monotonic functions of one variable.
 
-/// Where a function is zero, between two points at which its signs differ: regula falsi, where a side that stays counts half (Illinois), and
-/// halves of the line where the function is infinite.
+/// Root of a function between two points at which its signs differ: regula falsi, in which the value at an end that
+/// stays is halved (Illinois), and bisection where the function is infinite.
 fn between(of: &dyn Fn(f64) -> f64, mut before: (f64, f64), mut last: (f64, f64)) -> f64 {
     const CLOSE: f64 = 1e-11;
     for _ in 0..100 {
@@ -23,15 +23,15 @@ fn between(of: &dyn Fn(f64) -> f64, mut before: (f64, f64), mut last: (f64, f64)
     last.0
 }
 
-/// Where roots of a function that changes little from one search to the next were found.
+/// Roots of earlier searches, for a function that changes little from one search to the next.
 #[derive(Debug, Default)]
 pub(super) struct KnownRoots {
-    /// Logarithms of the last two.
+    /// Logarithms of the last two roots.
     last: [Option<f64>; 2],
 }
 
 impl KnownRoots {
-    /// Where to begin, and how far the next point is.
+    /// (Starting point, distance to the next point).
     fn start(&self) -> (f64, f64) {
         match self.last {
             [Some(last), Some(before)] => (2.0 * last - before, 0.02),
@@ -45,8 +45,8 @@ impl KnownRoots {
     }
 }
 
-/// Where a function that falls from above comes down to a level; zero where it is below from the start. About a power of c, it is sought
-/// in logarithms, from where it was found before.
+/// Point at which a decreasing function falls to `level`; zero where it is below from the start. The function is about
+/// a power of c, so the search is in logarithms, and starts from earlier roots.
 pub(super) fn crossing(of: &dyn Fn(f64) -> f64, level: f64, near: &mut KnownRoots) -> f64 {
     const FAR: f64 = 20.0;
     let above = |u: f64| {
@@ -75,8 +75,8 @@ pub(super) fn crossing(of: &dyn Fn(f64) -> f64, level: f64, near: &mut KnownRoot
     root.exp()
 }
 
-/// Where an increasing function that begins with zero at zero is as large as asked; `None` where it never is. `size`: about as large as the
-/// root.
+/// Point at which an increasing function that is zero at zero reaches `wanted`; `None` where it never does. `size`:
+/// order of magnitude of the root.
 pub(super) fn rising(of: &dyn Fn(f64) -> f64, wanted: f64, size: f64) -> Option<f64> {
     let at = |x: f64| (x, of(x * size) - wanted);
     let start = at(1.0);

@@ -1,4 +1,5 @@
-//! The delta method: values at α with each free value moved to both sides, and what errors of the estimates make of them.
+//! The delta method: values at α with each free value moved to both sides, and their variances by errors of the
+//! estimates.
 
 use std::ops::Range;
 
@@ -10,15 +11,15 @@ use crate::predict::{Estimation, Initial};
 use kalfit_infer::{Estimand, Estimated, Knowledge, MOST_OF_A_VALUE};
 use kalfit_model::{Alpha, Phase, PhasedModel};
 
-/// What hangs on something that is not determined by less than this part does not hang on it.
+/// Fraction of its scale below which a derivative counts as zero.
 const FAINT: f64 = 1e-9;
 
 /// Free values of α moved to both sides, for derivatives.
 #[derive(Debug)]
 pub(super) struct ValueSteps {
-    /// Of each quantity, and then of each one that is open: (place of its lower side among `moved`, distance of the sides).
+    /// For each quantity, and then for each open one: (index of its lower side in `moved`, distance between the sides).
     places: Vec<Option<(usize, f64)>>,
-    /// Of each noise level that was estimated as zero, its place among `moved`, where it is one.
+    /// Indices in `moved` of the noise levels that were estimated as zero.
     probes: Vec<usize>,
     /// (element, column) of each regression coefficient.
     regressions: Vec<(usize, usize)>,
@@ -54,7 +55,7 @@ impl ValueSteps {
         steps
     }
 
-    /// Whether a free variance or noise level that was estimated as zero would be seen in a value.
+    /// Whether a free variance or noise level that was estimated as zero would affect a value.
     pub(super) fn hangs_on_zero(
         &self,
         knowledge: &Knowledge,
@@ -92,8 +93,8 @@ impl ValueSteps {
         degrees.lost()
     }
 
-    /// Variances of the estimates of a value's mean and variance over tests; `sides`: the value at each α that is moved. `None` where it hangs
-    /// on what the data do not determine.
+    /// Variances of the estimates of a value's mean and of its variance over tests; `sides`: the value at each α of
+    /// `moved`. `None` where the value depends on something that the data do not determine.
     pub(super) fn estimation(
         &self,
         knowledge: &Knowledge,
@@ -127,13 +128,13 @@ impl ValueSteps {
     }
 }
 
-/// The derivatives of one value by what was estimated.
+/// Derivatives of one value with respect to the estimates.
 struct Slopes<'a> {
     steps: &'a ValueSteps,
     initial: &'a Initial,
     value: &'a PredictedValue,
     sides: &'a [&'a PredictedValue],
-    /// By ξ, and by μ.
+    /// Derivatives of the mean with respect to ξ (`own`) and to μ (`by_mean`).
     own: DVector<f64>,
     by_mean: DVector<f64>,
 }
@@ -150,7 +151,8 @@ impl<'a> Slopes<'a> {
         Slopes { steps, initial, value, sides, own, by_mean }
     }
 
-    /// By an estimand of this number: of the mean, of the variance by the initial state, of that by process noise.
+    /// Derivatives of (mean, variance by the initial state, variance by process noise) with respect to estimand number
+    /// `at`.
     fn by(&self, at: usize, estimand: &Estimand) -> [f64; 3] {
         let p = self.own.len();
         match *estimand {
@@ -174,7 +176,7 @@ impl<'a> Slopes<'a> {
         }
     }
 
-    /// Whether a value hangs on an estimand of this number.
+    /// Whether the value depends on estimand number `at`.
     fn is_moved_by(&self, at: usize, estimand: &Estimand) -> bool {
         let size = self.own.amax();
         if let Estimand::Population(_) = estimand {

@@ -1,4 +1,4 @@
-//! Predictions against the law of a random walk, written down.
+//! Predictions compared with the law of a random walk, written out.
 
 use nalgebra::DMatrix;
 
@@ -59,7 +59,7 @@ fn near(what: &str, found: f64, expected: f64) {
     assert!((found - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{what}: {found} against {expected}");
 }
 
-/// Mean, variance by the initial state and by process noise of (bias, slope, walk, y).
+/// Mean, variance by the initial state and variance by process noise of (bias, slope, walk, y).
 fn expected(what: What, time: f64, u: f64) -> [f64; 3] {
     let walk = START * START + DENSITY * DENSITY * time;
     let [a, b, _, c] = SIGMA;
@@ -91,7 +91,7 @@ fn every_part_is_that_of_the_walk() {
     }
 }
 
-/// Cut where two rows have one time, a mission in two phases is that in one.
+/// A mission in two phases, cut between two rows of the same time, has the predictions of the whole.
 #[test]
 fn phases_go_on_where_the_last_one_ended() {
     let (first, second) = (states((0.0, START), true), states((0.0, 0.0), false));
@@ -147,7 +147,7 @@ fn what_estimates_leave_open_follows_by_derivatives() {
             assert_eq!(estimation.lost, 1);
         }
     }
-    // the walk hangs on q alone, the bias on nothing that is open
+    // the walk depends on q alone, the bias on nothing that is open
     let open = Knowledge { open: vec![Estimand::Parameter { parameter: 0, level: None }], ..Knowledge::exact() };
     let found = predicted(&model, cells(&model, 0..TIMES.len()), open);
     let last = &found[0].steps[4].values;
@@ -180,8 +180,8 @@ fn a_known_group_is_told_from_a_new_one() {
     near("of a new group", new.covariance[(1, 1)], 0.7 + 0.3);
 }
 
-/// Means that were estimated with the variance are those of the states in a value and the columns they are regressed on, wherever the value
-/// is.
+/// The means that were estimated with the variance are those of the states in a value and of the columns they are
+/// regressed on, whatever the values of these columns.
 #[test]
 fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
     let model = Model::builder("two")
@@ -212,7 +212,7 @@ fn degrees_of_freedom_are_lost_by_the_fit_not_by_the_place() {
     }
 }
 
-/// Degrees of freedom lost of a, b and y = a + b/2, where `quantities` were estimated with this covariance.
+/// Degrees of freedom lost by a, b and y = a + b/2, where `quantities` were estimated with this covariance.
 fn lost(quantities: &[Estimated], covariance: &DMatrix<f64>, sigma: &DMatrix<f64>) -> Vec<usize> {
     let builder = Model::builder("two").state(constant("a")).state(constant("b"));
     let measured = measurement("y", name("a") + name("u") * name("b"), 1.0);
@@ -232,7 +232,8 @@ fn lost(quantities: &[Estimated], covariance: &DMatrix<f64>, sigma: &DMatrix<f64
     found[0][0].steps[0].values.iter().map(|value| value.estimation.expect("all is known").lost).collect()
 }
 
-/// Of two variances that are one estimate each took two means; a slope that is the same in all tests took one wherever its error counts.
+/// Two variances that are one estimate lose two degrees of freedom each; a slope that is identical in all tests costs
+/// one where its error counts.
 #[test]
 fn degrees_of_freedom_are_lost_to_all_means_beside_one_variance() {
     let (mean, variance) = (Estimated::Mean, |i| Estimated::Covariance(i, i));

@@ -1,5 +1,5 @@
-//! A design followed by the model: means, sensitivities to ξ and to the regression coefficients, and the covariance by process noise, step
-//! by step and from phase to phase.
+//! A design propagated through the model: means, sensitivities to ξ and to the regression coefficients, and covariances
+//! by process noise, step by step and from phase to phase.
 #![expect(non_snake_case, reason = "the letters of the theory: Psi, P, C")]
 
 use std::ops::Range;
@@ -23,22 +23,22 @@ pub(super) struct Propagator {
     reducer: PhasedReducer,
 }
 
-/// What enters a phase: σ = mean + sensitivity (ξ, γ) + noise.
+/// State that enters a phase: σ = mean + sensitivity (ξ, γ) + noise.
 struct EnteringState {
     mean: DVector<f64>,
-    /// q × (Σ p_i + regressions of all phases).
+    /// Derivatives of σ with respect to (ξ, γ): q × (Σ p_i + regressions of all phases).
     sensitivity: DMatrix<f64>,
-    /// By process noise of earlier phases, q × q.
+    /// Covariance by process noise of earlier phases, q × q.
     covariance: DMatrix<f64>,
 }
 
-/// All values of a design.
+/// All values along a design.
 #[derive(Debug)]
 pub(super) struct Trajectory {
     phases: Vec<PhaseTrajectory>,
 }
 
-/// Rows of a step among those of the phase, its time, and its values.
+/// (Rows of a step among those of the phase, time of the step, values of the step).
 type StepValues = (Range<usize>, Option<f64>, Vec<PredictedValue>);
 
 #[derive(Debug)]
@@ -52,7 +52,7 @@ impl Propagator {
         Ok(Propagator { reducer: PhasedReducer::new(model, alpha)? })
     }
 
-    /// Follows a design phase by phase.
+    /// Propagates a design phase by phase.
     pub(super) fn trajectory(
         &self,
         model: &PhasedModel,
@@ -129,7 +129,7 @@ impl Propagator {
     }
 }
 
-/// The rows with a number in the last column of each, where outputs are read from.
+/// Copies the rows and adds a last column of `value`, from which outputs are read.
 fn filled(rows: &Test, value: f64) -> Test {
     let (numbers, texts) = rows.widths();
     let mut test = Test::new(rows.id.clone(), numbers + 1, texts);
@@ -144,7 +144,7 @@ fn filled(rows: &Test, value: f64) -> Test {
 }
 
 impl EnteringState {
-    /// Adds T x_K + t of the phase before.
+    /// Adds T x_K + t, which comes from the phase before.
     fn add(&mut self, last: &EnteringState, terminal: &Terminal, inherited: &kalfit_model::Inherited) {
         let T = &inherited.transition;
         let along = T * &terminal.sensitivity;
@@ -154,12 +154,12 @@ impl EnteringState {
     }
 }
 
-/// The states at a step.
+/// Moments of the states at a step.
 struct Reached {
     mean: DVector<f64>,
-    /// By (ξ, γ), n × their number.
+    /// Derivatives with respect to (ξ, γ): n × their number.
     sensitivity: DMatrix<f64>,
-    /// By process noise, n × n.
+    /// Covariance by process noise, n × n.
     covariance: DMatrix<f64>,
 }
 
@@ -191,7 +191,7 @@ impl Reached {
 }
 
 impl Trajectory {
-    /// The mean of each value as what is linear in (μ, γ).
+    /// Mean of each value as a linear combination of (μ, γ).
     pub(super) fn means(&self, initial: &Initial, coefficients: &[f64]) -> impl Iterator<Item = MeanCombination> {
         let at = DVector::from_iterator(
             initial.mean.len() + coefficients.len(),
@@ -204,7 +204,7 @@ impl Trajectory {
         })
     }
 
-    /// Refuses values beyond all numbers.
+    /// Refuses values that are not finite.
     pub(super) fn check(&self, test: &str, initial: &Initial) -> Result<(), PredictError> {
         let all = self.phases.iter().flat_map(|phase| &phase.steps).flat_map(|(.., values)| values);
         for value in all {
@@ -219,7 +219,7 @@ impl Trajectory {
         Ok(())
     }
 
-    /// What is known of every value. `sides`: the trajectories at the α of each step to both sides.
+    /// Predictions of all values. `sides`: the trajectories at each α that was moved to one side or the other.
     pub(super) fn predictions(
         &self,
         sides: &[Trajectory],
@@ -231,7 +231,7 @@ impl Trajectory {
                 sides.iter().map(|side| &side.phases[phase].steps[step].2[place]).collect();
             let estimation = known.and_then(|(knowledge, steps)| steps.estimation(knowledge, initial, value, &beside));
             let population = value.population(&initial.covariance);
-            let left = initial.left.as_ref().filter(|_| estimation.is_none()); // else it is in that
+            let left = initial.left.as_ref().filter(|_| estimation.is_none()); // otherwise it is part of `estimation`
             Predicted {
                 what: value.what,
                 row: value.row,

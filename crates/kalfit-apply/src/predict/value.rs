@@ -1,23 +1,23 @@
-//! One value of a design: its mean, what it hangs on, and its variance by process noise.
+//! One value along a design: its mean, its sensitivity, and its variance by process noise.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::predict::What;
 
-/// One value.
+/// A state or output at one step.
 #[derive(Debug)]
 pub(super) struct PredictedValue {
     pub(super) what: What,
     pub(super) row: usize,
     pub(super) mean: f64,
-    /// By (ξ, γ).
+    /// Derivatives of the mean with respect to ξ and the regression coefficients γ.
     pub(super) sensitivity: DVector<f64>,
     /// Variance by process noise.
     pub(super) process: f64,
 }
 
 impl PredictedValue {
-    /// g'Σg.
+    /// Variance g'Σg over the population.
     pub(super) fn population(&self, covariance: &DMatrix<f64>) -> f64 {
         let own = self.sensitivity.rows(0, covariance.nrows());
         let variance = own.dot(&(covariance * own));

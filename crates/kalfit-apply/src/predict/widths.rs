@@ -1,4 +1,4 @@
-//! Half widths about a point off the mean that hold a given part of the normal law.
+//! Half widths of intervals that hold a given part of the normal law, about a point off its mean.
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -6,13 +6,13 @@ use statrs::distribution::{ContinuousCDF, Normal};
 #[derive(Debug, Clone)]
 pub(super) struct Widths {
     table: Vec<(f64, f64)>,
-    /// z_p: far out r = x + z_p.
+    /// Quantile z_p: far from the mean, r = x + z_p.
     quantile: f64,
 }
 
-/// Distance of the entries of the table,
+/// Distance in x between entries of the table.
 const STEP: f64 = 0.05;
-/// and their number.
+/// Number of entries of the table.
 const ENTRIES: usize = 161;
 
 impl Widths {
