@@ -1,30 +1,30 @@
-//! What is known along the records of tests, as numbers for charts. It is no part of fit.json.
+//! Estimates along the records of tests, as numbers for charts. They are no part of fit.json.
 
 use crate::CurveRecord;
 
-/// What is known along the records of the tests of a fit.
+/// Estimates along the records of the tests of a fit.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AlongRecord {
     /// Unit label of the model's time.
     pub time_unit: Option<String>,
     /// Allan deviations of the records of all tests, one entry for each measurement of each phase.
     pub allan: Vec<CurveRecord>,
-    /// What should be known of these, in plain words.
+    /// Notes on the Allan deviations, in plain words.
     pub allan_notes: Vec<String>,
-    /// Some tests one by one, the least probable first.
+    /// Results of some tests, the least probable first.
     pub tests: Vec<TestAlong>,
     /// Number of all tests.
     pub of: usize,
-    /// What is not shown, and why, in plain words.
+    /// Notes on what is not shown, and why, in plain words.
     pub notes: Vec<String>,
 }
 
 /// One test along its records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TestAlong {
-    /// Its id.
+    /// Id of the test.
     pub id: String,
-    /// The phases that it has.
+    /// Phases of the test.
     pub phases: Vec<PhaseAlong>,
 }
 
@@ -33,50 +33,51 @@ pub struct TestAlong {
 pub struct PhaseAlong {
     /// Name of the phase.
     pub name: String,
-    /// Number of its steps.
+    /// Number of steps of the phase.
     pub steps: usize,
-    /// Times of the steps that were kept.
+    /// Times of the steps that are included.
     pub at: Vec<f64>,
-    /// The states at these steps, given all that was measured.
+    /// States at the included steps, given all measurements.
     pub states: Vec<StateAlong>,
-    /// What was measured.
+    /// Measured values, by measurement.
     pub measurements: Vec<MeasurementAlong>,
 }
 
 /// A smoothed state.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StateAlong {
-    /// Its name.
+    /// Name of the state.
     pub name: String,
-    /// Its unit label.
+    /// Unit label of the state.
     pub unit: Option<String>,
-    /// Its mean at each step that was kept.
+    /// Mean at each included step.
     pub mean: Vec<f64>,
-    /// Its standard deviation there.
+    /// Standard deviation at each included step.
     pub std_dev: Vec<f64>,
 }
 
-/// What was measured, and what the filter had foreseen.
+/// Measured values, with their predictions by the filter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasurementAlong {
     /// Name of the measurement.
     pub name: String,
     /// Number of values in the record.
     pub values: usize,
-    /// Times of the values that were kept.
+    /// Times of the values that are included.
     pub at: Vec<f64>,
-    /// These values.
+    /// Measured values at these times.
     pub measured: Vec<f64>,
-    /// What was foreseen from all steps before.
+    /// Predictions of these values from all earlier steps.
     pub predicted: Vec<f64>,
-    /// Its standard deviation, the noise of the measurement among it.
+    /// Standard deviations of the predictions, including the noise of the measurement.
     pub std_dev: Vec<f64>,
-    /// Number of its innovations.
+    /// Number of innovations of the measurement.
     pub innovations: usize,
-    /// Times of those that were kept.
+    /// Times of the innovations that are included.
     pub innovations_at: Vec<f64>,
-    /// Innovations e/√S, N(0, 1) when the model is right.
+    /// Included innovations e/√S, N(0, 1) when the model is right.
     pub standardised: Vec<f64>,
-    /// Innovations in order, each beside the quantile of N(0, 1) that belongs to its place among all: some of them, both ends whole.
+    /// Sorted innovations as (quantile of N(0, 1) for the rank among all, innovation): some of them, with both tails
+    /// complete.
     pub quantiles: Vec<[f64; 2]>,
 }

@@ -1,4 +1,4 @@
-//! What a fitted model says of tests, all of them together.
+//! Results of a fitted model applied to tests, all of them together.
 
 use std::collections::HashMap;
 
@@ -28,7 +28,7 @@ pub struct AppliedRecord {
     pub distance: JointRecord,
     /// What the sum is over: `test`, or the outermost level of groups.
     pub of: String,
-    /// Of tests in groups: how far those of one group of the outermost level are from each other.
+    /// Where tests stand in groups: how far the tests of one outermost group are from each other.
     pub within: Option<JointRecord>,
     /// How many tests, or groups of the outermost level, the population was estimated from; null where it was given.
     pub fitted: Option<usize>,
@@ -38,15 +38,16 @@ pub struct AppliedRecord {
     pub own: usize,
     /// Variances and noise levels that were estimated as zero: they count as zero.
     pub at_zero: Vec<String>,
-    /// Number of its states.
+    /// Number of estimated states.
     pub states: usize,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
-    /// What measured values are off the model whatever the initial states are: squares of the innovations less the tests' own distances.
+    /// How far measured values are off the model whatever the initial states are: squares of the innovations less the
+    /// squared distances of the tests.
     pub residual: JointRecord,
     /// Tests that have a distance.
     pub compared: usize,
-    /// Of the test furthest from the population.
+    /// The test furthest from the population.
     pub furthest: Option<FarRecord>,
     /// Tests that stand out at 5 % after correction for their number, the furthest first.
     pub outlying: Vec<FarRecord>,
@@ -62,17 +63,17 @@ pub struct AppliedRecord {
 pub struct FarGroupRecord {
     /// Name of its level.
     pub level: String,
-    /// Its name, after those of the groups that contain it, the outermost first.
+    /// Name of the group, after those of the groups that contain it, the outermost first.
     pub id: Vec<String>,
     /// Number of its tests.
     pub tests: usize,
-    /// Standardised squared distance of what its tests say of the group from the population.
+    /// Standardised squared distance of the group, as its tests estimate it, from the population.
     pub squared: f64,
     /// Degrees of freedom of χ².
     pub degrees_of_freedom: usize,
-    /// Of this group by itself.
+    /// p-value of this group by itself.
     pub p_value: f64,
-    /// After Holm's correction for the number of groups of all levels.
+    /// p-value after Holm's correction for the number of groups of all levels.
     pub p_corrected: f64,
 }
 
@@ -84,9 +85,11 @@ pub enum Basis {
     Given,
     /// The errors of all estimates.
     Estimates,
-    /// The errors of μ and Σ; not those of dynamic parameters, as tests are known by reductions or estimates made at their values.
+    /// The errors of μ and Σ; not those of dynamic parameters, because tests are given by reductions or estimates that
+    /// were made at these parameters' values.
     Population,
-    /// How many tests the population was estimated from: the fit does not say how far its estimates can be trusted.
+    /// The number of tests that the population was estimated from: the fit does not contain the errors of its
+    /// estimates.
     Tests,
     /// Nothing: the tests are those that the parameters were estimated from.
     OwnTests,
@@ -95,62 +98,62 @@ pub enum Basis {
 /// A sum of squares over all tests and its law.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct JointRecord {
-    /// The sum.
+    /// Sum of the squares.
     pub squared: f64,
-    /// Its degrees of freedom: what it is on average at known parameters.
+    /// Degrees of freedom: the expected sum at known parameters.
     pub degrees_of_freedom: usize,
-    /// Its law; null without degrees of freedom, and where it is not known.
+    /// Law of the sum; null without degrees of freedom, and where it is not known.
     pub law: Option<LawRecord>,
-    /// Two-sided; null without a law.
+    /// Two-sided p-value; null without a law.
     pub p_value: Option<f64>,
 }
 
 /// A multiple of Fisher's F, or of χ².
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LawRecord {
-    /// What it is on average; null where it has no average.
+    /// Mean; null where there is none.
     pub expected: Option<f64>,
-    /// Its standard deviation; null where it has none.
+    /// Standard deviation; null where there is none.
     pub std_dev: Option<f64>,
-    /// Degrees of freedom, of F those of the numerator.
+    /// Degrees of freedom; for F those of the numerator.
     pub degrees_of_freedom: f64,
-    /// Those of the denominator of F; null of χ².
+    /// Degrees of freedom of the denominator of F; null for χ².
     pub denominator: Option<f64>,
 }
 
 /// A test far out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FarRecord {
-    /// The test.
+    /// Id of the test.
     pub test: String,
-    /// Its sum of squares.
+    /// Sum of squares of the test.
     pub squared: f64,
     /// Degrees of freedom of χ².
     pub degrees_of_freedom: usize,
-    /// Of this test by itself.
+    /// p-value of this test by itself.
     pub p_value: f64,
-    /// After Holm's correction for the number of tests.
+    /// p-value after Holm's correction for the number of tests.
     pub p_corrected: f64,
 }
 
-/// Where the parameters came from, and what is known of them.
+/// Origin of the parameters, and what is known of them.
 #[derive(Debug, Clone)]
 pub struct AppliedSource {
-    /// As named by the user.
+    /// Origin, as named by the user.
     pub name: String,
-    /// How many tests, or groups of the outermost level, the population was estimated from, where that is known.
+    /// Number of tests, or groups of the outermost level, that the population was estimated from, where it is known.
     pub fitted: Option<usize>,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
     /// What the laws allow for.
     pub basis: Basis,
-    /// How many of the tests are among those that the parameters were estimated from.
+    /// Number of the tests that are among those that the parameters were estimated from.
     pub own: usize,
     /// Variances and noise levels that were estimated as zero.
     pub at_zero: Vec<String>,
 }
 
-/// 5 %.
+/// Significance level, after correction for the number of tests or groups.
 const LEVEL: f64 = 0.05;
 
 impl From<Joint> for JointRecord {
@@ -172,10 +175,10 @@ impl From<Law> for LawRecord {
 }
 
 impl FitRecord {
-    /// How many of these tests are among those that the fit was made from, by name and density. Of a fit that does not list its tests it is all or
-    /// none.
+    /// Number of these tests that are among those that the fit was made from, by id and log density. For a fit that
+    /// does not list its tests it is all or none.
     pub fn own_tests(&self, tests: &[PhasedTest], said: &Said) -> usize {
-        /// Of one density on two machines.
+        /// Relative difference between computations of one log density on two machines.
         const SAME: f64 = 1e-9;
         let is_same = |a: f64, b: f64| (a - b).abs() <= SAME * (1.0 + a.abs());
         if self.tests.is_empty() {
@@ -192,7 +195,8 @@ impl FitRecord {
 }
 
 impl AppliedRecord {
-    /// Of tests and what they say, with parameters from a source. `groups`: which tests stand in one group, and the names.
+    /// Record of the results of tests, with parameters from `source`. `groups`: which tests stand in one group, and the
+    /// names.
     pub fn new(
         model: &PhasedModel,
         source: AppliedSource,
@@ -234,12 +238,12 @@ impl AppliedRecord {
     }
 }
 
-/// The probability of a larger square.
+/// Probability of a larger sum of squares.
 fn above(law: Option<Law>, squared: f64) -> Option<f64> {
     law?.tails(squared).map(|[_, above]| above)
 }
 
-/// Groups of all levels that stand out.
+/// Groups of all levels that stand out at `LEVEL`.
 fn outlying_groups(
     model: &PhasedModel,
     (grouping, labels): (&Grouping, &Labels),
@@ -269,7 +273,7 @@ fn outlying_groups(
     all
 }
 
-/// Tests from the least probable on, with Holm's correction.
+/// Tests in order of p-value, with Holm's correction.
 fn ranked(tests: &[PhasedTest], squares: impl Iterator<Item = (f64, usize, Option<f64>)>) -> Vec<FarRecord> {
     let one = |(test, (squared, degrees_of_freedom, p_value)): (&PhasedTest, (f64, usize, Option<f64>))| {
         let p_value = p_value?;

@@ -1,4 +1,4 @@
-//! From an estimate and its inference to the record.
+//! Conversion of an estimate and its inference to the record.
 
 use rayon::prelude::*;
 
@@ -20,10 +20,10 @@ use kalfit_infer::{Deletion, Distance, Inference, IntervalKind, Sensitivity, Std
 use kalfit_model::Labels;
 use kalfit_model::{Alpha, PhasedModel, Slots};
 
-/// Digits of a figure in a note.
+/// Number of significant digits of figures in notes.
 const DIGITS: usize = 4;
 
-/// What the core does not know about a fit.
+/// Facts about a fit that the core does not know.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Provenance {
     /// SHA-256 of the model file, `sha256:…`.
@@ -34,7 +34,7 @@ pub struct Provenance {
     pub files: Vec<String>,
     /// Wall time.
     pub seconds: f64,
-    /// What some filter made of a phase stood for its measurements, so that ℓ is not of the measurements.
+    /// Whether estimates of some filter replace the measurements of a phase, so that ℓ is not of the measurements.
     pub of_estimates: bool,
 }
 
@@ -52,7 +52,8 @@ impl FitRecord {
         FitRecord::at(model, reductions, estimate, inference, (parameters, None), provenance)
     }
 
-    /// The record of μ and Σ, with the parameters given as they are, and the slots of free ones with the texts of their levels.
+    /// The record of μ and Σ, with the given records of the parameters, and the slots of free ones with the texts of
+    /// their levels.
     pub(super) fn at(
         model: &PhasedModel,
         reductions: &Reductions,
@@ -121,7 +122,7 @@ fn data(reductions: &Reductions, files: Vec<String>) -> DataRecord {
     DataRecord { tests, steps, observations, design_classes: designs, square_root_tests, files }
 }
 
-/// Scores below rounding errors say nothing, so these stand in their place.
+/// Scores below the rounding errors have no meaning, so the rounding errors take their place.
 fn certificate(estimate: &Estimate) -> CertificateRecord {
     let Certificate { mean, covariance, null_space, rounding, .. } = estimate.certificate;
     let least = |score: f64, free: usize| if free > 0 { score.max(rounding) } else { score };
@@ -223,7 +224,7 @@ fn constraint(cut: &PhaseCut<'_>, sensitivity: &Sensitivity) -> ConstraintRecord
 
 fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) -> TestRecords {
     if inference.posteriors.is_empty() {
-        return TestRecords::default(); // not asked for
+        return TestRecords::default(); // not requested
     }
     let cuts = PhaseCut::all(model);
     let mut order: Vec<usize> = (0..reductions.len()).collect();
@@ -255,7 +256,7 @@ fn tests(model: &PhasedModel, reductions: &Reductions, inference: &Inference) ->
     tests
 }
 
-/// Some test has a phase whose filter's estimates stand for its measurements.
+/// Whether some test has a phase in which a filter's estimates replace the measurements.
 fn filtered(model: &PhasedModel, reductions: &Reductions) -> bool {
     let has = |phase: usize| {
         reductions.remote().is_some() || reductions.iter().any(|reduction| phases_of(reduction, model) > phase)
@@ -271,7 +272,7 @@ impl DesignClasses {
         let mut first: Vec<(u128, usize)> =
             order.par_iter().map(|&j| reductions.get(j).design).zip(0..order.len()).collect();
         first.par_sort_unstable();
-        first.dedup_by_key(|(design, _)| *design); // the first test of each class is left
+        first.dedup_by_key(|(design, _)| *design); // the first test of each class remains
         let mut places: Vec<usize> = first.iter().map(|(_, place)| *place).collect();
         places.par_sort_unstable();
         let number = |place: usize| places.partition_point(|other| *other < place) + 1;
@@ -285,7 +286,7 @@ impl DesignClasses {
 }
 
 impl DeletionRecord {
-    /// The fit without a test or a group.
+    /// The record of a fit without a test or a group.
     pub(super) fn new(model: &PhasedModel, deletion: &Deletion) -> DeletionRecord {
         let Deletion { estimate, log_density, distance, displacement } = deletion;
         let of = |cut: &PhaseCut<'_>| DeletedRecord {
@@ -304,7 +305,7 @@ impl DeletionRecord {
     }
 }
 
-/// What a reader should be told that no single figure shows.
+/// Notes for the reader on facts that no single figure shows.
 fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec<String> {
     let Inference { unidentified, explanations, observability, uncertainty, .. } = inference;
     let mut notes: Vec<String> = rounding_note(model, estimate).into_iter().collect();
@@ -330,7 +331,7 @@ fn notes(model: &PhasedModel, estimate: &Estimate, inference: &Inference) -> Vec
     notes
 }
 
-/// What rounding leaves open, where that is more than the search does.
+/// Note on rounding errors, where these are larger than the error that the search leaves.
 fn rounding_note(model: &PhasedModel, estimate: &Estimate) -> Option<String> {
     let certificate = &estimate.certificate;
     if !certificate.is_limited_by_rounding() {

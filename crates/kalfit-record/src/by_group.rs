@@ -13,23 +13,24 @@ use kalfit_model::{Label, Labels};
 /// The tests of one group together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GroupRecord {
-    /// Its text in the column; null for tests whose cells are empty.
+    /// Text of the group in the column; null for tests whose cells are empty.
     pub group: Option<String>,
-    /// Tests.
+    /// Number of tests.
     pub tests: usize,
-    /// Scalar measurements.
+    /// Number of scalar measurements.
     pub observations: usize,
     /// log p of its measurements: the sum of its tests'.
     pub log_likelihood: f64,
     /// Number of innovations, n.
     pub innovations: usize,
-    /// Their mean square, each in units of its variance; expected 1 with standard deviation √(2/n). Null without innovations.
+    /// Mean square of the innovations, each in units of its variance; expected 1 with standard deviation √(2/n). Null
+    /// without innovations.
     pub innovations_mean_square: Option<f64>,
-    /// Two-sided p-value of it, by χ² with n degrees of freedom.
+    /// Two-sided p-value of the mean square, by χ² with n degrees of freedom.
     pub innovations_p_value: Option<f64>,
     /// Sum of the distances of its tests from the population.
     pub distance: Option<f64>,
-    /// Its degrees of freedom.
+    /// Degrees of freedom of the sum.
     pub degrees_of_freedom: usize,
     /// χ² p-value of so large a sum.
     pub p_value: Option<f64>,
@@ -39,17 +40,17 @@ pub struct GroupRecord {
 /// parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GroupTestRecord {
-    /// Groups.
+    /// Number of groups.
     pub groups: usize,
-    /// Sum of the log-likelihoods of the groups' own fits.
+    /// Sum of the log-likelihoods of separate fits of the groups.
     pub log_likelihood: f64,
-    /// Twice what it is more than that of all tests together.
+    /// Twice the excess of that sum over the log-likelihood of all tests together.
     pub statistic: f64,
     /// Free quantities of μ and Σ, for each group but one.
     pub degrees_of_freedom: usize,
     /// χ² p-value; an upper bound where an estimate is on the boundary.
     pub p_value: f64,
-    /// A group's Σ is singular, so that the p-value is an upper bound.
+    /// Whether a group's Σ is singular, so that the p-value is an upper bound.
     pub on_boundary: bool,
 }
 
@@ -64,13 +65,13 @@ pub struct MixedGroup {
     pub test: String,
     /// Name of the column.
     pub column: String,
-    /// One text.
+    /// One text in the column.
     pub first: String,
-    /// Another.
+    /// Another text in the column.
     pub second: String,
 }
 
-/// The group of each test, as tests are read.
+/// Collects the group of each test as tests are read.
 #[derive(Debug, Clone, Default)]
 pub struct TestGroups {
     column: usize,
@@ -79,16 +80,16 @@ pub struct TestGroups {
 }
 
 impl TestGroups {
-    /// Of a model that names a column to group by.
+    /// `None` for a model that names no column to group by.
     pub fn new(model: &Model) -> Option<TestGroups> {
         let column = model.group?;
         Some(TestGroups { column, name: model.text_columns[column].name.clone(), of: Vec::new() })
     }
 
-    /// Notes the groups of tests.
+    /// Takes the groups of more tests.
     ///
     /// # Errors
-    /// A test of two groups.
+    /// A test with two groups.
     pub fn take(&mut self, tests: &[PhasedTest], labels: &Labels) -> Result<(), MixedGroup> {
         for test in tests {
             let rows = test.phases.iter().filter_map(Evidence::cells);
@@ -122,7 +123,7 @@ impl TestGroups {
 }
 
 impl FitRecord {
-    /// Tells the tests' groups.
+    /// Sets the group of each test.
     pub fn add_groups(&mut self, groups: &TestGroups) {
         let of: BTreeMap<&str, &Option<String>> = groups.of.iter().map(|(id, group)| (id.as_str(), group)).collect();
         self.group_column = Some(groups.name.clone());
@@ -132,7 +133,7 @@ impl FitRecord {
         }
     }
 
-    /// Adds the figures of groups up, from those that the tests now have; nothing where there are no groups.
+    /// Computes the figures of groups from the present figures of the tests; does nothing without groups.
     pub fn add_by_group(&mut self) {
         if self.group_column.is_none() {
             return;

@@ -1,4 +1,4 @@
-//! What is known of all phases together, cut into phases; and of tests in groups, into levels.
+//! Splits results of all phases into phases, and results of tests in groups into levels.
 
 use std::ops::Range;
 
@@ -7,18 +7,18 @@ use nalgebra::DMatrix;
 use kalfit_filter::reduce::ReductionRef;
 use kalfit_model::{CovarianceStructure, GroupLevel, Phase, PhasedModel, Regression};
 
-/// One phase of a model, and where what belongs to it stands among what belongs to all.
+/// One block of Σ, a phase or a level, with the ranges of its elements and regressions among those of all blocks.
 #[derive(Debug, Clone)]
 pub(super) struct PhaseCut<'a> {
-    /// The phase; of a level of groups the only one.
+    /// The phase; for a level of groups, the only phase of the model.
     pub(super) phase: &'a Phase,
-    /// The level of groups whose part it is.
+    /// The level of groups, if the block is one.
     pub(super) level: Option<&'a GroupLevel>,
-    /// Its place among the blocks of Σ.
+    /// Index among the blocks of Σ.
     pub(super) index: usize,
-    /// Its elements among those of all phases.
+    /// Elements of the block among those of all blocks.
     pub(super) elements: Range<usize>,
-    /// Its regressions among those of all phases.
+    /// Regressions of the block among those of all phases.
     pub(super) regressions: Range<usize>,
 }
 
@@ -34,7 +34,7 @@ impl<'a> PhaseCut<'a> {
         model.phases.iter().zip(model.ranges()).enumerate().map(cut).collect()
     }
 
-    /// All phases, or the only one and then the levels of groups, the innermost first: what the blocks of Σ are of.
+    /// All blocks of Σ: all phases, or the only phase and then the levels of groups, the innermost first.
     pub(super) fn blocks(model: &'a PhasedModel) -> Vec<PhaseCut<'a>> {
         let mut all = PhaseCut::all(model);
         let (p, end) = (model.dimension(), all.last().map_or(0, |cut| cut.regressions.end));
@@ -49,44 +49,44 @@ impl<'a> PhaseCut<'a> {
         all
     }
 
-    /// Its name.
+    /// Name of the phase or level.
     pub(super) fn name(&self) -> &'a str {
         self.level.map_or(&self.phase.name, |level| &level.name)
     }
 
-    /// What is assumed of its Σ.
+    /// Structure of the block's Σ.
     pub(super) fn structure(&self) -> &'a CovarianceStructure {
         self.level.map_or(&self.phase.model.covariance, |level| &level.covariance)
     }
 
-    /// Names of its states as they are in the phase.
+    /// Names of the block's states, as they are in the phase.
     pub(super) fn states(&self) -> Vec<String> {
         self.phase.model.estimated_names()
     }
 
-    /// Its part of a list with an entry for each element.
+    /// The block's part of a list with one entry per element.
     pub(super) fn list<T: Clone>(&self, all: &[T]) -> Vec<T> {
         all[self.elements.clone()].to_vec()
     }
 
-    /// Its block of a square of such lists.
+    /// The block's part of a square matrix, given as a list of rows.
     pub(super) fn square<T: Clone>(&self, all: &[Vec<T>]) -> Vec<Vec<T>> {
         all[self.elements.clone()].iter().map(|row| self.list(row)).collect()
     }
 
-    /// Its block of a matrix, by rows.
+    /// The block's part of a matrix, by rows.
     pub(super) fn block(&self, all: &DMatrix<f64>) -> Vec<Vec<f64>> {
         let of = |i: usize| self.elements.clone().map(|k| all[(i, k)]).collect();
         self.elements.clone().map(of).collect()
     }
 
-    /// Which of its elements this one of all is.
+    /// Index within the block of an element among those of all blocks; `None` if it is in another block.
     pub(super) fn element(&self, of_all: usize) -> Option<usize> {
         self.elements.contains(&of_all).then(|| of_all - self.elements.start)
     }
 }
 
-/// The regressions of all phases, their elements those of all phases.
+/// Regressions of all phases, with elements numbered over all phases.
 pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
     let of = |cut: PhaseCut<'_>| -> Vec<Regression> {
         let start = cut.elements.start;
@@ -96,7 +96,7 @@ pub(super) fn regressions(model: &PhasedModel) -> Vec<Regression> {
     PhaseCut::all(model).into_iter().flat_map(of).collect()
 }
 
-/// How many phases of a model a test has.
+/// Number of phases of a model that a test has.
 pub(super) fn phases_of(reduction: ReductionRef<'_>, model: &PhasedModel) -> usize {
     let all = model.phases.len();
     reduction.chain.as_ref().map_or(all, |chain| chain.phases.len().min(all))

@@ -1,4 +1,4 @@
-//! The numbers of a datasheet as others read them.
+//! The numbers of a datasheet, as a record.
 
 use serde::{Deserialize, Serialize};
 
@@ -33,26 +33,27 @@ pub struct DatasheetRecord {
 /// One number.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EntryRecord {
-    /// What it is called: `angle random walk`.
+    /// Name of the number, such as `angle random walk`.
     pub name: String,
-    /// What it is of: `gyro`, `drift`.
+    /// Name of the measurement or state that the number describes, such as `gyro` or `drift`.
     pub of: String,
     /// `measurement` or `state`.
     pub kind: String,
-    /// Its phase; `main` where there is but one.
+    /// Name of the phase; `main` where there is only one.
     pub phase: String,
-    /// Of a spread in a model with levels, the name of its level, `tests` for the tests' own; null elsewhere.
+    /// For a spread in a model with levels, the name of its level, `tests` for the level of the tests; null elsewhere.
     pub level: Option<String>,
-    /// Of a number that parameters have values of their own for by a column, the level that it is of, as `column=level`; null elsewhere.
+    /// Where the number depends on parameters with one value per level of a column, its level, as `column=level`; null
+    /// elsewhere.
     #[serde(default)]
     pub at: Option<String>,
-    /// Its value; null where it differs with columns, or where the step is not known.
+    /// Value of the number; null where it differs with columns, or where the step is not known.
     pub value: Option<f64>,
     /// Unit of the value.
     pub unit: Option<String>,
     /// 95 % interval, lower and upper end.
     pub interval95: Interval,
-    /// What it means.
+    /// Definition of the number.
     pub definition: String,
     /// Parameters and elements of μ and Σ that it depends on.
     pub from: Vec<String>,
@@ -67,7 +68,7 @@ pub struct CurveRecord {
     pub measurement: String,
     /// The column it is read from.
     pub column: String,
-    /// Its phase.
+    /// Name of the phase.
     pub phase: String,
     /// Unit of the deviations.
     pub unit: Option<String>,
@@ -90,12 +91,12 @@ pub struct AllanPoint {
     pub time: f64,
     /// Number of values in a span.
     pub values: usize,
-    /// That of the model.
+    /// Allan deviation of the model.
     pub model: Option<f64>,
-    /// That of the records.
+    /// Allan deviation of the records.
     pub data: Option<f64>,
-    /// 95 % interval of that of the records.
+    /// 95 % interval of the deviation of the records.
     pub interval95: Interval,
-    /// Its effective degrees of freedom.
+    /// Effective degrees of freedom of the deviation of the records.
     pub degrees_of_freedom: Option<f64>,
 }

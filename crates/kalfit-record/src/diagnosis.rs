@@ -6,11 +6,11 @@ use kalfit_filter::innovations::{Innovations, Part, Summary, Whiteness};
 use kalfit_infer::{Leading, Observability, Reason, StateObservability};
 use kalfit_model::PhasedModel;
 
-/// No more names than this in a sentence.
+/// Largest number of names in a sentence.
 const MOST_NAMES: usize = 8;
 
 impl ObservabilityRecord {
-    /// One for each estimated state, by phase.
+    /// One record for each estimated state, by phase.
     pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<ObservabilityRecord>> {
         let record = |(name, state): (String, &StateObservability)| {
             let (leading_test, leading_share) = named(&state.leading);
@@ -28,7 +28,7 @@ impl ObservabilityRecord {
     }
 }
 
-/// The test that most rests on, and its share.
+/// Id of the leading test, and its share.
 pub(super) fn named(leading: &Option<Leading>) -> (Option<String>, Option<f64>) {
     (leading.as_ref().map(|l| l.test.clone()), leading.as_ref().map(|l| l.share))
 }
@@ -114,7 +114,7 @@ pub(super) fn words(model: &PhasedModel, reason: &Reason) -> String {
     }
 }
 
-/// What too few tests mean for Σ, in sentences without a full stop.
+/// Effects of too few tests on Σ, in sentences without a full stop.
 pub fn shortage_notes(model: &PhasedModel, seen: &Observability) -> Vec<String> {
     let states = model.estimated_names();
     let sentence = |s: &kalfit_infer::Shortage| {
@@ -137,7 +137,7 @@ pub(super) fn list<'a>(names: impl ExactSizeIterator<Item = &'a str>, last: &str
     joined(names.map(|name| format!("`{name}`")), last)
 }
 
-/// The same of names as they are.
+/// A list of names as they are, without backticks.
 pub(super) fn joined(names: impl ExactSizeIterator<Item = String>, last: &str) -> String {
     let all = names.len();
     let mut shown: Vec<String> = names.take(MOST_NAMES).collect();

@@ -1,4 +1,4 @@
-//! Directions of all that is estimated, cut into phases, each with its elements named.
+//! Directions in the space of all estimates, split into phases, with named elements.
 
 use crate::cut::PhaseCut;
 use crate::diagnosis::{named, words};
@@ -7,24 +7,24 @@ use crate::{EnteredRecord, InformationRecord, UnidentifiedRecord, WeakRecord};
 use kalfit_infer::{Direction, Explanation, Observability, PhaseObservability, Quantity, WeakDirection};
 use kalfit_model::PhasedModel;
 
-/// No more terms than this of a direction are written out.
+/// Largest number of terms of a direction that are written out.
 const MOST_TERMS: usize = 6;
 
-/// What the entries of a direction stand for.
+/// Phases and names of the entries of a direction.
 struct Entries {
-    /// The phase of each.
+    /// Phase of each entry.
     phase: Vec<usize>,
-    /// Its name within the phase.
+    /// Name of each entry within its phase.
     own: Vec<String>,
-    /// Its name among all phases, as in a combination: `align.bias`, `cov(align.bias, align.tilt)`.
+    /// Name of each entry among all phases, as in a combination: `align.bias`, `cov(align.bias, align.tilt)`.
     full: Vec<String>,
 }
 
-/// One phase's part of a direction.
+/// The part of a direction in one phase.
 struct PhaseDirection {
     phase: usize,
     direction: Vec<f64>,
-    /// Names of the phases that the direction mixes, none when there is one only.
+    /// Names of the phases that the direction mixes; empty when there is only one.
     phases: Vec<String>,
 }
 
@@ -79,13 +79,13 @@ impl Entries {
         self.full.push(full);
     }
 
-    /// Names of the entries of one phase, within it.
+    /// Names of the entries of one phase, as they are within it.
     fn names(&self, phase: usize) -> Vec<String> {
         let own = self.own.iter().zip(&self.phase).filter(|(_, of)| **of == phase);
         own.map(|(name, _)| name.clone()).collect()
     }
 
-    /// The parts of a direction that count.
+    /// The parts of a direction in all phases that it involves.
     fn parts(&self, model: &PhasedModel, direction: &[f64]) -> Vec<PhaseDirection> {
         let cuts = PhaseCut::blocks(model);
         let counts = |phase: &usize| {
@@ -124,8 +124,8 @@ impl Entries {
 }
 
 impl UnidentifiedRecord {
-    /// Directions with their elements named and their reasons in words, by phase. One that mixes phases stands in each of them
-    /// with that phase's part; [`crossing_notes`] has the whole.
+    /// Directions with named elements, and reasons in words, by phase. A direction that mixes phases is listed in each
+    /// of them with that phase's part; [`crossing_notes`] has the whole.
     pub fn by_phase(
         model: &PhasedModel,
         directions: &[Direction],
@@ -153,8 +153,8 @@ impl UnidentifiedRecord {
 }
 
 impl WeakRecord {
-    /// The weakly determined directions, by phase. One that mixes phases stands in each of them with that phase's part;
-    /// [`crossing_notes`] has the whole.
+    /// The weakly determined directions, by phase. A direction that mixes phases is listed in each of them with that
+    /// phase's part; [`crossing_notes`] has the whole.
     pub fn by_phase(model: &PhasedModel, seen: &Observability) -> Vec<Vec<WeakRecord>> {
         let entries = Entries::mean(model, false);
         let mut records = vec![Vec::new(); PhaseCut::blocks(model).len()];
@@ -170,7 +170,7 @@ impl WeakRecord {
 }
 
 impl InformationRecord {
-    /// What each phase adds; nothing where there is one phase only, or it is not known.
+    /// Information that each phase adds; `None` where there is only one phase, or where it is not known.
     pub fn by_phase(model: &PhasedModel, seen: &[PhaseObservability]) -> Vec<Option<InformationRecord>> {
         if model.is_single() || seen.len() != model.phases.len() {
             return vec![None; model.phases.len()];
@@ -187,14 +187,14 @@ impl InformationRecord {
     }
 }
 
-/// A combination without its zeros.
+/// A combination without its zero weights.
 fn entered(names: &[String], weights: &[f64]) -> EnteredRecord {
     let counts = weights.iter().zip(names).filter(|(weight, _)| **weight != 0.0);
     let (direction, elements) = counts.map(|(weight, name)| (*weight, name.clone())).unzip();
     EnteredRecord { direction, elements }
 }
 
-/// Directions that mix phases, each in a sentence without a full stop.
+/// Notes on directions that mix phases, each a sentence without a full stop.
 pub fn crossing_notes(
     model: &PhasedModel,
     directions: &[Direction],

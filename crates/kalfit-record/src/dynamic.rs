@@ -12,45 +12,45 @@ use kalfit_model::Labels;
 use kalfit_model::{Expression, Model, Parameter, PhasedModel, State};
 use kalfit_search::{DynamicFit, Explored, Method, ParameterInference, Standing};
 
-/// Two searches whose log-likelihoods differ by no more than this ended equally high.
+/// Largest difference of log-likelihoods at which two searches count as equally high.
 const EQUAL: f64 = 1e-4;
-/// Values that differ by no more than this part of their standard error, or of themselves, are the same.
+/// Largest difference of two values, in parts of their standard error or of themselves, at which they count as equal.
 const SAME: f64 = 0.05;
 
-/// More runs of the filters than this are worth a word about EM.
+/// Number of filter runs above which a note compares EM with the hybrid method.
 const MANY_RUNS: usize = 300;
-/// Said of ensembles that are too large to look around in.
+/// Note for ensembles that are too large to search for other maxima.
 const NOT_EXPLORED: &str =
     "no other maxima were searched for beyond these starts, because one search takes long; `--starts` adds more starts";
 const CUT_SHORT: &str =
     "the search for other maxima used up its filter runs, so there may be a higher one; `--starts` adds more starts";
-/// Said of ensembles of many rows.
+/// Note for ensembles of many rows.
 const ON_A_SAMPLE: &str = "other maxima were searched for on a part of the data, because there are many rows";
 
-/// Said of several processes: what trials with random models found.
+/// Note for several free processes; its figure is from trials with random models.
 const SEVERAL: &str = "several processes are free, and a higher maximum can be missed: in trials with random models about 1 of 200 fits missed one; `--starts` adds more starts";
 
-/// Said of ensembles that are elsewhere.
+/// Note for ensembles whose data are elsewhere.
 const ONE_SEARCH: &str = "no other maxima were searched for, because a fit by sums makes one search only; `start` in the model begins it elsewhere";
 
-/// How an upper limit of what is estimated as zero is had.
+/// Addition to the note on a value that is estimated as zero: how to get its upper limit.
 const LIMIT: &str = "; `--intervals profile` gives the upper limit";
 
-/// What to do where ℓ has no maximum.
+/// Advice where ℓ has no maximum.
 const EXACT: &str = "noise-free data do not determine a noise level: give it a fixed value or a `lower` bound, or check whether the data were rounded, repeated or made without noise";
 
-/// A fit of α, μ and Σ and what was inferred from it.
+/// A fit of α, μ and Σ, and what was inferred from it.
 #[derive(Debug, Clone, Copy)]
 pub struct DynamicParts<'a> {
     /// The model.
     pub model: &'a PhasedModel,
-    /// Texts of the data.
+    /// Texts of the labels in the data.
     pub labels: &'a Labels,
-    /// Where the search ended.
+    /// Result of the search.
     pub fit: &'a DynamicFit,
-    /// What is known of μ and Σ.
+    /// Inference on μ and Σ.
     pub inference: &'a Inference,
-    /// What is known of the free values of α, in the order of the slots.
+    /// Inference on the free values of α, in the order of the slots.
     pub parameters: &'a [ParameterInference],
 }
 
@@ -60,7 +60,7 @@ impl FitRecord {
         let &DynamicParts { model, labels, fit, inference, parameters: inferred } = parts;
         let mut parameters = parameters::estimated(model.shared(), labels, fit, inferred);
         if !converged(fit) {
-            // short of a maximum nothing is known of where the values lie
+            // where the search did not reach a maximum, the standing of the values is not known
             parameters.iter_mut().for_each(|p| (p.standing, p.note) = (None, None));
         }
         let mut record = FitRecord::at(
@@ -106,7 +106,7 @@ impl FitRecord {
         record
     }
 
-    /// Adds where several methods ended, this record's own among them; a note says so when they disagree.
+    /// Adds where several methods ended, this record's method included; a note reports methods that disagree.
     pub fn add_methods(&mut self, methods: Vec<MethodRecord>) {
         let apart = |m: &MethodRecord| (m.log_likelihood - self.log_likelihood).abs() > EQUAL;
         let differ: Vec<String> = methods
@@ -129,7 +129,7 @@ impl FitRecord {
     }
 }
 
-/// States that noise of a free size drives, of the phase with most of them.
+/// Number of states that are driven by noise of a free level, in the phase with most of them.
 fn processes(parts: &DynamicParts<'_>) -> usize {
     let is_free = |variance: &Expression| variance.parameters().into_iter().any(|p| parts.fit.slots.is_free(p));
     let is_driven = |state: &&State| state.motion.noise_variance().is_some_and(is_free);
@@ -137,7 +137,7 @@ fn processes(parts: &DynamicParts<'_>) -> usize {
 }
 
 impl MethodRecord {
-    /// Where a method ended.
+    /// The record of where a method ended.
     pub fn new(fit: &DynamicFit, seconds: f64) -> MethodRecord {
         MethodRecord {
             method: name(fit.method).to_owned(),
@@ -199,7 +199,7 @@ fn reason(fit: &DynamicFit) -> String {
     }
 }
 
-/// What stands at a limit, one sentence for each parameter and limit.
+/// Notes on values at a limit, one sentence for each parameter and limit.
 fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let mut notes = Vec::new();
     let unlimited = parts.inference.intervals.kind == IntervalKind::Wald && parts.fit.slots.len() <= MOST_PROFILED;
@@ -208,7 +208,7 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
         for ((slot, value), found) in parts.fit.slots.slots().iter().zip(&parts.fit.values).zip(parts.parameters) {
             let Some(meaning) = meaning(found.standing, *value).filter(|_| slot.parameter == index) else { continue };
             if found.standing == Standing::Idle {
-                continue; // a sentence of its own
+                continue; // has a separate sentence
             }
             let level = slot.level.map_or(String::new(), |level| parts.labels.text(level).to_owned());
             match seen.iter_mut().find(|(known, _)| *known == meaning) {
@@ -226,7 +226,7 @@ fn standing_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     notes
 }
 
-/// What a parameter without effect waits for.
+/// Note on a parameter without effect, with the parameters that are zero.
 fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
     let is = |parameter: usize, standing: &dyn Fn(Standing) -> bool| {
         let slots = parts.fit.slots.slots().iter().zip(parts.parameters);
@@ -248,7 +248,7 @@ fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
     Some(format!("`{}` has no effect while {} {verb} zero", model.parameters[index].name, named.join(" and ")))
 }
 
-/// `tau`, or `sigma` at `lot` A, B and 7 more.
+/// A parameter with some of its levels, in words: `tau`, or `sigma` at `lot` A, B and 7 more.
 fn whose(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
     match parameter.per {
         None => format!("`{}`", parameter.name),
@@ -259,7 +259,7 @@ fn whose(model: &Model, parameter: &Parameter, levels: &[String]) -> String {
     }
 }
 
-/// Other starts that ended elsewhere.
+/// Notes on other starts that ended elsewhere.
 fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     let fit = parts.fit;
     let what = if fit.estimate.criterion == Criterion::Reml { "restricted log-likelihood" } else { "log-likelihood" };
@@ -305,7 +305,7 @@ fn start_notes(parts: &DynamicParts<'_>) -> Vec<String> {
     notes
 }
 
-/// True when another start's value of slot `i` is not this fit's.
+/// Whether the value of slot `i` from another start differs from this fit's.
 fn apart(parts: &DynamicParts<'_>, i: usize, other: f64) -> bool {
     let (value, found) = (parts.fit.values[i], &parts.parameters[i]);
     let unit = found.std_error.unwrap_or(value.abs());

@@ -11,14 +11,14 @@ use kalfit_search::{DynamicFit, Standing};
 /// The two fits of a test.
 #[derive(Debug, Clone, Copy)]
 pub struct DynamicSides<'a> {
-    /// Under the hypothesis.
+    /// Fit under the hypothesis.
     pub null: DynamicParts<'a>,
-    /// Of the model.
+    /// Fit of the model.
     pub alternative: DynamicParts<'a>,
 }
 
 impl RatioRecord {
-    /// The record of a test of a hypothesis, α estimated.
+    /// The record of a test of a hypothesis, with α estimated.
     pub fn dynamic(
         sides: &DynamicSides<'_>,
         ratio: &LikelihoodRatio,
@@ -34,7 +34,7 @@ impl RatioRecord {
 }
 
 impl PartRecord {
-    /// One part, tested alone, α estimated.
+    /// The record of one part that was tested alone, with α estimated.
     pub fn dynamic(what: &str, null: &DynamicFit, ratio: &LikelihoodRatio) -> PartRecord {
         PartRecord { converged: converged(null), ..PartRecord::new(what, &null.estimate, ratio) }
     }
@@ -77,14 +77,14 @@ fn notes(
         estimate.declared_mean() + estimate.declared_covariance()
     };
     let DynamicParts { model, fit, .. } = sides.alternative;
-    // χ² for values of α alone comes with the measurements, not with the tests
+    // for values of α alone, χ² becomes accurate with the number of measurements, not of tests
     let by_tests = of(&sides.null) != of(&sides.alternative) || !ratio.law.is_chi_squared();
     let independent = (!drawn && by_tests).then(|| independent(model, &fit.estimate, &fit.reductions));
     add_doubts(&mut notes, ratio, (null, alternative), "quantities", independent);
     notes
 }
 
-/// Free parameters that do something in the model and nothing under the hypothesis.
+/// Free parameters that have an effect in the model and none under the hypothesis.
 fn without_effect(sides: &DynamicSides<'_>) -> Vec<String> {
     let idle = |parts: &DynamicParts<'_>, index: usize| {
         let mut own = parts.fit.slots.slots().iter().zip(parts.parameters).filter(|(s, _)| s.parameter == index);

@@ -1,4 +1,4 @@
-//! The covariance of all estimates in a record: what later uses of a fit need to say how far they can be trusted.
+//! The covariance of all estimates in a record: later uses of a fit compute errors from it.
 
 use std::collections::HashMap;
 
@@ -15,10 +15,11 @@ use crate::{FitRecord, ParameterRecord, SquareRecord};
 /// The covariance of all estimates, except fixed numbers and those on bounds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EstimatesRecord {
-    /// What each row and column is: `mean[a]`, `regression[a, column]`, `covariance[a, b]`, `tau`, `tau[level]`; of several phases or of
-    /// levels of groups after their name, as in `coast: mean[a]`.
+    /// Name of each row and column: `mean[a]`, `regression[a, column]`, `covariance[a, b]`, `tau`, `tau[level]`. Where
+    /// there are several phases, and for levels of groups, the name of the phase or level comes first, as in `coast:
+    /// mean[a]`.
     pub names: Vec<String>,
-    /// Their covariance.
+    /// Covariance of the estimates.
     pub covariance: SquareRecord,
     /// Estimates that the data do not determine.
     pub open: Vec<String>,
@@ -26,7 +27,7 @@ pub struct EstimatesRecord {
     pub at_zero: Vec<String>,
 }
 
-/// Names of the numbers of μ, of the regression coefficients and of Σ.
+/// Names of the elements of μ, of the regression coefficients, and of the elements of Σ.
 fn names(model: &PhasedModel) -> Vec<(Estimated, String)> {
     let mut all = Vec::new();
     for cut in PhaseCut::blocks(model) {
@@ -55,13 +56,13 @@ fn names(model: &PhasedModel) -> Vec<(Estimated, String)> {
     all
 }
 
-/// `tau`, or `tau[level]`.
+/// Name of a parameter, `tau`, or of its value at a level, `tau[level]`.
 fn parameter_name(name: &str, level: Option<&str>) -> String {
     level.map_or(name.to_owned(), |level| format!("{name}[{level}]"))
 }
 
 impl EstimatesRecord {
-    /// `labels`: texts of the levels of free values; they stand in the order of the slots.
+    /// Free values of `found` are numbered as in the slots; `labels`: texts of their levels.
     pub(super) fn new(
         model: &PhasedModel,
         found: &EstimateCovariance,
@@ -87,8 +88,8 @@ impl EstimatesRecord {
 }
 
 impl FitRecord {
-    /// What is known of the estimates, for a model with the same states and parameters; `None` where the record does not say, or says it of
-    /// other names.
+    /// Errors of the estimates, for a model with the same states and parameters; `None` where the record does not
+    /// contain them, or has them for other names.
     pub fn knowledge(&self, model: &PhasedModel) -> Option<Knowledge> {
         let record = self.estimates.as_ref()?;
         let size = record.names.len();

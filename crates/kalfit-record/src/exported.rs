@@ -1,4 +1,4 @@
-//! The filter that follows from a fit as others read it.
+//! The filter that follows from a fit, as a record.
 
 use serde::{Deserialize, Serialize};
 
@@ -23,7 +23,7 @@ pub struct ExportRecord {
     /// Parameters that were given other values.
     #[serde(default)]
     pub changed: Vec<String>,
-    /// Its phase; `main` where there is but one.
+    /// Name of the phase; `main` where there is only one.
     pub phase: String,
     /// Columns that were given a value for all rows, each as `column=value`.
     pub at: Vec<String>,
@@ -33,58 +33,59 @@ pub struct ExportRecord {
     pub time_unit: Option<String>,
     /// Names of the states, hidden ones too.
     pub states: Vec<String>,
-    /// Their unit labels.
+    /// Unit labels of the states.
     pub units: Vec<Option<String>>,
     /// Names of the measurements.
     pub measurements: Vec<String>,
-    /// The column of the data that each is read from.
+    /// Column of the data that each measurement is read from.
     pub columns: Vec<String>,
-    /// The rows that each is read from, where those are not all.
+    /// Condition for the rows that each measurement is read from; null for all rows.
     #[serde(rename = "where")]
     pub rows: Vec<Option<String>>,
     /// u: expressions in columns of the data, `1` for what is constant.
     pub inputs: Vec<String>,
-    /// n × n.
+    /// Transition matrix, n × n.
     #[serde(rename = "F")]
     pub f: Vec<Vec<f64>>,
-    /// n × n.
+    /// Covariance of the process noise, n × n.
     #[serde(rename = "Q")]
     pub q: Vec<Vec<f64>>,
-    /// n × k.
+    /// Effect of the inputs on the states, n × k.
     #[serde(rename = "B")]
     pub b: Vec<Vec<f64>>,
-    /// m × n.
+    /// Measurement matrix, m × n.
     #[serde(rename = "H")]
     pub h: Vec<Vec<f64>>,
-    /// m × k.
+    /// Effect of the inputs on the measurements, m × k.
     #[serde(rename = "D")]
     pub d: Vec<Vec<f64>>,
-    /// m × m.
+    /// Covariance of the measurement noise, m × m.
     #[serde(rename = "R")]
     pub r: Vec<Vec<f64>>,
-    /// Mean of the initial state of a new test; null of a phase that inherits from the phase before.
+    /// Mean of the initial state of a new test; null for a phase that inherits from the phase before.
     pub x0: Option<Vec<f64>>,
-    /// Its covariance, n × n.
+    /// Covariance of the initial state, n × n.
     #[serde(rename = "P0")]
     pub p0: Option<Vec<Vec<f64>>>,
-    /// Where x0 stands: `first row`, `one step before the first row` or `time …`.
+    /// Time of x0: `first row`, `one step before the first row` or `time …`.
     pub x0_at: String,
-    /// Whose columns u of a step is made of: `own`, the row that the step leads to, or `previous`. In measurements it is the own row.
+    /// Row whose columns the inputs u of a step are computed from: `own`, the row that the step leads to, or
+    /// `previous`. In measurements it is the own row.
     pub input_row: String,
     /// What else should be known, in plain words.
     pub notes: Vec<String>,
 }
 
-/// What the core does not know of a filter.
+/// Facts about a filter that the core does not know.
 #[derive(Debug)]
 pub struct ExportSource<'a> {
     /// What the parameters were taken from, as named by the user.
     pub from: String,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
-    /// Columns that were given a value.
+    /// Columns that were given a value, as (name, value).
     pub at: &'a [(String, String)],
-    /// An expression of the filter's phase in words.
+    /// Puts expressions of the filter's phase into words.
     pub words: &'a dyn Words,
 }
 
@@ -95,7 +96,7 @@ pub trait Words: std::fmt::Debug {
 }
 
 impl ExportRecord {
-    /// Of a filter of a model.
+    /// The record of a filter of a model.
     pub fn new(model: &PhasedModel, filter: &Exported, source: &ExportSource<'_>) -> ExportRecord {
         let phase = &model.phases[filter.phase];
         let own = &phase.model;

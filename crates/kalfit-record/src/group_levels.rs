@@ -18,11 +18,11 @@ use kalfit_model::{PhasedModel, Population};
 /// The variation between groups of a level, or between tests within the groups.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LevelRecord {
-    /// Its name; `tests` for the tests' own.
+    /// Name of the level; `tests` for the level of the tests themselves.
     pub name: String,
-    /// The column that names its groups; null for the tests' own.
+    /// Column that names the groups; null for the level of the tests.
     pub column: Option<String>,
-    /// Number of groups; of tests for their own level.
+    /// Number of groups; for the level of the tests, their number.
     pub groups: usize,
     /// Estimated states, in the order of every matrix.
     pub states: Vec<String>,
@@ -32,7 +32,7 @@ pub struct LevelRecord {
     pub std_dev: VectorRecord,
     /// Correlations.
     pub correlation: MatrixRecord,
-    /// Where it is on the boundary of the positive semidefinite cone.
+    /// Where Σ is on the boundary of the positive semidefinite cone.
     pub boundary: Vec<BoundaryRecord>,
     /// Directions that the data do not determine.
     pub unidentified: Vec<UnidentifiedRecord>,
@@ -43,24 +43,25 @@ pub struct LevelRecord {
 pub struct UnitRecord {
     /// Name of its level.
     pub level: String,
-    /// Its name, after those of the groups that contain it, the outermost first.
+    /// Name of the group, after those of the groups that contain it, the outermost first.
     pub id: Vec<String>,
     /// Number of its tests.
     pub tests: usize,
     /// log p of all measurements of its tests, by themselves.
     pub log_likelihood: f64,
-    /// E of the mean of its members given all tests.
+    /// Posterior mean, given all tests, of the mean of its members.
     pub mean: Vec<f64>,
-    /// Its covariance.
+    /// Posterior covariance of that mean.
     pub covariance: SquareRecord,
-    /// How `mean` follows μ and the regression coefficients, in their order, state by state; absent without regressions.
+    /// Derivatives of `mean` with respect to μ and the regression coefficients, in their order, state by state; absent
+    /// without regressions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub follows: Option<Vec<Vec<f64>>>,
     /// Standardised squared distance of the group from the population.
     pub distance: Option<f64>,
-    /// Its degrees of freedom: rank of what its tests inform.
+    /// Degrees of freedom of the distance: rank of the information from its tests.
     pub degrees_of_freedom: usize,
-    /// Its χ² p-value.
+    /// χ² p-value of the distance.
     pub p_value: Option<f64>,
     /// The fit without the group; null if it was not requested or has no certified optimum.
     #[serde(default)]
@@ -84,7 +85,8 @@ impl LevelRecord {
 }
 
 impl FitRecord {
-    /// The law of a new test of each group of the innermost level, by the group's name after those of the groups that it stands in.
+    /// Distribution of a new test of each group of the innermost level, by the group's name after the names of the
+    /// groups that contain it.
     pub fn unit_laws(&self, model: &PhasedModel, population: &Population) -> HashMap<Vec<String>, Initial> {
         let Some(level) = model.levels.last() else { return HashMap::new() };
         let p = model.dimension();
@@ -101,7 +103,7 @@ impl FitRecord {
         sound.map(|unit| (unit.id.clone(), law(unit))).collect()
     }
 
-    /// Says which groups each test stands in, by name, and what is known of each group.
+    /// Adds the groups of each test, by name, and the results of each group.
     pub fn add_levels(
         &mut self,
         (model, labels): (&PhasedModel, &Labels),

@@ -7,18 +7,18 @@ use kalfit_model::Model;
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_model::{Label, Labels};
 
-/// Levels of the column of a parameter, as the data have them.
+/// Levels of the column of a parameter that occur in the data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LevelCounts {
     /// Index of the parameter in [`Model::parameters`].
     pub parameter: usize,
-    /// Each level with the number of tests that have it, in the order of the texts.
+    /// Number of tests that have each level, as (level, number) sorted by level.
     pub tests: Vec<(String, usize)>,
 }
 
 impl LevelCounts {
-    /// Of all parameters that have levels, over the phases of each test together; a phase that was reduced before has no rows to
-    /// look at.
+    /// Counts for all parameters that have levels, over all phases of each test; a phase that is given by a reduction
+    /// has no rows to count in.
     pub fn all(model: &Model, labels: &Labels, tests: &[PhasedTest]) -> Vec<LevelCounts> {
         let mut of_column: BTreeMap<usize, Vec<(String, usize)>> = BTreeMap::new();
         let with_levels = model.parameters.iter().enumerate().filter_map(|(i, p)| Some((i, p.per?)));
@@ -45,7 +45,8 @@ fn count(column: usize, labels: &Labels, tests: &[PhasedTest]) -> Vec<(String, u
     named
 }
 
-/// Fixed levels that the data do not have, in sentences without a full stop: one misspelt leaves the level that was meant free.
+/// Notes on fixed levels that the data do not have, in sentences without a full stop: a misspelt level leaves the one
+/// that was meant free.
 pub fn level_notes(model: &Model, counts: &[LevelCounts]) -> Vec<String> {
     let mut notes = Vec::new();
     for LevelCounts { parameter, tests } in counts {

@@ -1,4 +1,4 @@
-//! The result of a fit as others read it: fit.json. Field names are a contract; unknown figures are null, never NaN.
+//! The result of a fit as a record: fit.json. Field names are a contract; unknown figures are null, never NaN.
 
 mod along;
 mod applied;
@@ -87,7 +87,7 @@ pub struct FitRecord {
     /// The model in words and equations, one fact a line.
     #[serde(default)]
     pub model: Vec<String>,
-    /// Counts.
+    /// Counts of the data.
     pub data: DataRecord,
     /// `ml` or `reml`.
     pub criterion: String,
@@ -95,8 +95,9 @@ pub struct FitRecord {
     pub log_likelihood_kind: String,
     /// log p of all measurements, including all constants; under `reml` the restricted log-likelihood.
     pub log_likelihood: f64,
-    /// What was maximised where correlation between phases was ignored (`solver.phases` is `marginal`): the sum of the phases'
-    /// log-likelihoods, each by itself. `log_likelihood` is then that of all phases together at the same place.
+    /// What was maximised where correlation between phases was ignored (`solver.phases` is `marginal`): the sum of the
+    /// phases' log-likelihoods, each by itself. `log_likelihood` is then that of all phases together at the same
+    /// estimates.
     #[serde(default)]
     pub composite_log_likelihood: Option<f64>,
     /// Declared free quantities: μ, Σ and α.
@@ -114,7 +115,7 @@ pub struct FitRecord {
     /// Whether the model describes the data, judged from the figures of this record; null in records of older versions.
     #[serde(default)]
     pub model_check: Option<ModelCheckRecord>,
-    /// What was done.
+    /// How the fit was computed.
     pub solver: SolverRecord,
     /// How standard errors were computed: `observed`, `expected` or `sandwich`.
     #[serde(default)]
@@ -163,7 +164,7 @@ pub struct FitRecord {
 /// Counts of the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DataRecord {
-    /// Tests.
+    /// Number of tests.
     pub tests: usize,
     /// Steps over all tests.
     pub steps: usize,
@@ -195,7 +196,7 @@ pub struct CertificateRecord {
     pub rounding: f64,
 }
 
-/// What was done.
+/// How the fit was computed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SolverRecord {
     /// `hybrid`, `innovations` or `em`; how α was found.
@@ -222,9 +223,9 @@ pub struct SolverRecord {
 pub struct ConstraintRecord {
     /// `mean[a]` or `covariance[a, b]`.
     pub element: String,
-    /// Its phase.
+    /// Phase of the element.
     pub phase: String,
-    /// The level of groups whose covariance it is of; null for a phase's own.
+    /// Level of groups whose covariance it belongs to; null for the covariance of a phase.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub level: Option<String>,
     /// Value at which it is fixed.
@@ -233,7 +234,7 @@ pub struct ConstraintRecord {
     pub sensitivity: Option<f64>,
     /// Score (Lagrange multiplier) statistic, χ² with one degree of freedom.
     pub score_statistic: Option<f64>,
-    /// Its p-value.
+    /// p-value of the score statistic.
     pub p_value: Option<f64>,
     /// Expected change of the element if it were freed.
     pub expected_change: Option<f64>,

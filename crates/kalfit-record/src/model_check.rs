@@ -1,7 +1,8 @@
-//! Does the model describe the data, as far as the fit's own figures tell: what to know before its estimates are used.
+//! Whether the model describes the data, as shown by the fit's own figures; to be known before its estimates are used.
 //!
-//! What the data contradict is a doubt. That one test decides much of the answer is none: small ensembles of a right model have such
-//! tests, so it is a remark. Nor is a singular Σ, which the fit says in its first sentence and among its limits.
+//! Findings are contradictions by the data. That one test decides much of the answer is a remark instead: small
+//! ensembles of a correct model have such tests. A singular Σ is neither: the fit reports it in its first sentence and
+//! among its limits.
 
 use std::cmp::Ordering;
 
@@ -10,11 +11,12 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use crate::{FitRecord, InnovationRecord, TestRecord};
 
-/// Level of each search over all tests, not of each test.
+/// Significance level of each search over all tests, not of each test.
 pub const SEARCH_LEVEL: f64 = 0.05;
-/// Probability of so large a mean square of all innovations by chance: that of a normal number beyond three standard deviations.
+/// Tail probability below which the mean square of all innovations is improbable: that of a normal number beyond three
+/// standard deviations.
 const OVERALL: f64 = 0.001_35;
-/// A mean square below one speaks against the model only when there are so many innovations for each free quantity.
+/// Number of innovations per free quantity above which a mean square below one counts against the model.
 const PER_FREE: usize = 10;
 
 /// What the innovations, the distances of the tests and the fits without each of them show about the model. Each check
@@ -35,13 +37,13 @@ pub struct ModelCheckRecord {
 pub struct FindingRecord {
     /// For findings `innovations`, `mean_square` or `distance`; for remarks `influence`.
     pub kind: String,
-    /// The sentence, without a full stop.
+    /// A sentence without a full stop.
     pub text: String,
 }
 
 impl ModelCheckRecord {
-    /// Of the figures of a record, which hold what was asked for: without the tests' figures nothing is checked, nor where the
-    /// search did not converge.
+    /// Checks the requested figures of a record. Nothing is checked without figures of the tests, or where the search
+    /// did not converge.
     pub fn of(record: &FitRecord) -> ModelCheckRecord {
         let looked_at =
             innovation_p_values(record).next().is_some() || record.tests.iter().any(|t| t.p_value.is_some());
@@ -60,20 +62,20 @@ impl ModelCheckRecord {
         ModelCheckRecord { verdict: verdict.to_owned(), findings, remarks }
     }
 
-    /// Something speaks against the model.
+    /// Whether something speaks against the model.
     pub fn is_doubtful(&self) -> bool {
         !self.findings.is_empty()
     }
 }
 
 impl FitRecord {
-    /// Checks the model by the figures that the record now has.
+    /// Checks the model by the present figures of the record.
     pub fn add_model_check(&mut self) {
         self.model_check = Some(ModelCheckRecord::of(self));
     }
 }
 
-/// Holm's (1979) adjusted p-values of the least of `all` p-values, in ascending order.
+/// Holm's (1979) adjusted p-values of the smallest of `all` p-values, which are given in ascending order.
 pub fn holm(ascending: &[f64], all: usize) -> Vec<f64> {
     let mut largest = 0.0_f64;
     let adjusted = |(k, p): (usize, &f64)| {
@@ -83,9 +85,9 @@ pub fn holm(ascending: &[f64], all: usize) -> Vec<f64> {
     ascending.iter().enumerate().map(adjusted).collect()
 }
 
-/// How a normalised innovation squared of so many innovations over all tests compares with its law: `Greater` and `Less` where
-/// it is more or less than chance allows. What was estimated makes innovations smaller, which says nothing unless they are many
-/// for the number of free quantities.
+/// Compares the normalised innovation squared of `count` innovations over all tests with its law: `Greater` and `Less`
+/// where it is larger or smaller than chance allows. Estimation makes innovations smaller, so a small value counts only
+/// where there are many innovations for the number of free quantities.
 pub fn overall_size(count: usize, nis: f64, free: usize) -> Ordering {
     let Some(chi) = ChiSquared::new(count as f64).ok().filter(|_| count > 0) else { return Ordering::Equal };
     if nis > count as f64 && chi.sf(nis) < OVERALL {
@@ -107,7 +109,7 @@ fn innovations_of(record: &FitRecord) -> impl Iterator<Item = (&str, &Innovation
     record.tests.iter().filter_map(|test| Some((test.id, test.innovations?)))
 }
 
-/// p-values of the innovations of tests with whether they are of their correlation.
+/// (p-value, test, whether it is of the correlation of innovations), for all tests.
 fn innovation_p_values(record: &FitRecord) -> impl Iterator<Item = (f64, &str, bool)> {
     innovations_of(record).flat_map(|(id, figures)| {
         let white = figures.whiteness.as_ref().map(|w| w.p_value);

@@ -1,10 +1,10 @@
-//! Numbers in sentences.
+//! Formatting of numbers in sentences.
 
-/// From here up, and below its lower companion, exponents are easier to read than zeros.
+/// Numbers from `LARGE` up, and below `SMALL`, are written with an exponent, which is easier to read than zeros.
 const LARGE: f64 = 1e7;
 const SMALL: f64 = 1e-4;
 
-/// A figure with this many significant digits and no idle zeros; `unknown` where it is not finite.
+/// A number with this many significant digits and no trailing zeros; `unknown` where it is not finite.
 pub fn plain(x: f64, digits: usize) -> String {
     if !x.is_finite() {
         return "unknown".to_owned();

@@ -1,4 +1,4 @@
-//! What a test says by itself, without the population: ξ̂ = J⁺ R'd, for the states that it determines alone.
+//! Estimate from a test alone, without the population: ξ̂ = J⁺ R'd, for the states that the test determines.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -8,30 +8,30 @@ use kalfit_filter::reduce::ReductionRef;
 use kalfit_model::FreedStates;
 use kalfit_model::unpack;
 
-/// More tests than this have no estimates of their own: they would double the size of the record.
+/// Largest number of tests for which estimates from single tests are recorded: they double the size of the record.
 pub(super) const MOST_OWN: usize = 2000;
-/// An eigenvalue of J scaled to unit diagonal below this is none.
+/// Eigenvalue of J, scaled to unit diagonal, below which a direction has no information.
 const NONE: f64 = 1e-11;
-/// A state with more than this of a direction without information is not determined.
+/// A state is determined where its part along directions without information is at most this.
 const PART: f64 = 1e-6;
 
 /// The estimate of ξ in one phase from the test alone, without the population.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OwnRecord {
-    /// Its estimate; null if the test alone does not determine the state.
+    /// Estimate of each state; null if the test alone does not determine it.
     pub mean: Vec<Option<f64>>,
-    /// Its error covariance; null where either state is not determined.
+    /// Error covariance; null where either state is not determined.
     pub covariance: Vec<Vec<Option<f64>>>,
 }
 
-/// The own estimate over all phases.
+/// Estimate from a test alone, over all phases.
 pub(super) struct OwnEstimate {
     mean: Vec<Option<f64>>,
     covariance: Vec<Vec<Option<f64>>>,
 }
 
 impl OwnEstimate {
-    /// Of a test with p elements.
+    /// The estimate from a reduction.
     pub(super) fn of(reduction: ReductionRef<'_>) -> OwnEstimate {
         let (factor, data) =
             (unpack(reduction.factor, reduction.data.len()), DVector::from_column_slice(reduction.data));
@@ -40,7 +40,7 @@ impl OwnEstimate {
         OwnEstimate::least_squares(&(&factor * &basis), &(data - factor * &origin)).carried(&origin, &basis)
     }
 
-    /// Of ξ = origin + basis η from that of η.
+    /// Transforms an estimate of η into that of ξ = origin + basis η.
     fn carried(&self, origin: &DVector<f64>, basis: &DMatrix<f64>) -> OwnEstimate {
         let p = origin.len();
         let needs = |i: usize| (0..self.mean.len()).filter(move |&c| basis[(i, c)] != 0.0);
@@ -57,7 +57,7 @@ impl OwnEstimate {
         OwnEstimate { mean, covariance }
     }
 
-    /// R ξ = d.
+    /// Least-squares solution of R ξ = d.
     fn least_squares(factor: &DMatrix<f64>, data: &DVector<f64>) -> OwnEstimate {
         let (rows, p) = factor.shape();
         let scale: Vec<f64> = (0..p).map(|k| factor.column(k).norm()).collect();
@@ -66,7 +66,7 @@ impl OwnEstimate {
         let (values, vectors) = symmetric::eigen(&(scaled.transpose() * &scaled));
         let blind = |i: usize| (0..p).filter(|&k| values[k] < NONE).fold(0.0, |n: f64, k| n.hypot(vectors[(i, k)]));
         let determined: Vec<bool> = (0..p).map(|i| scale[i] > 0.0 && blind(i) <= PART).collect();
-        // S = V diag(1/λ) V', on what is seen; the inverse in the units of the states is D S D
+        // S = V diag(1/λ) V' in directions with information; the inverse in the units of the states is D S D
         let root =
             DMatrix::from_fn(p, p, |i, k| if values[k] < NONE { 0.0 } else { vectors[(i, k)] / values[k].sqrt() });
         let inverted = &root * root.transpose();
@@ -82,7 +82,7 @@ impl OwnEstimate {
         }
     }
 
-    /// One phase's part; `None` where no state of it is determined.
+    /// Part of one phase; `None` where none of its states is determined.
     pub(super) fn part(&self, cut: &super::cut::PhaseCut<'_>) -> Option<OwnRecord> {
         let mean = cut.list(&self.mean);
         mean.iter().any(Option::is_some).then(|| OwnRecord { mean, covariance: cut.square(&self.covariance) })
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn what_a_test_does_not_determine_is_null_whatever_the_units() {
-        // the sum of the first two is seen, the third by itself, the fourth not at all
+        // the sum of the first two states is measured, the third by itself, the fourth not at all
         let factor = [1.0, 1e6, 0.0, 0.0, 0.0, 1e-9, 0.0, 0.0, 0.0, 0.0];
         let own = OwnEstimate::of(reduction(&factor, &[3.0, 0.0, 2e-9, 0.0]).view());
         assert_eq!((own.mean[0], own.mean[1], own.mean[3]), (None, None, None));

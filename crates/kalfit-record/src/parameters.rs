@@ -1,4 +1,4 @@
-//! Dynamic parameters as records: one entry for each value, with what is known of it.
+//! Dynamic parameters as records: one entry for each value, with its errors and its standing.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,21 +11,21 @@ use kalfit_search::{DynamicFit, ParameterInference, Standing};
 /// One dynamic parameter, at one level.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParameterRecord {
-    /// Its name.
+    /// Name of the parameter.
     pub name: String,
     /// Column whose levels have a value each; null for a common parameter.
     pub per: Option<String>,
-    /// The level.
+    /// Level of `per` that has this value.
     pub level: Option<String>,
-    /// Its value.
+    /// Value of the parameter.
     pub estimate: f64,
-    /// Its standard error.
+    /// Standard error of the value.
     pub std_error: Option<f64>,
     /// 95 % interval, lower and upper end; an end is null where no limit was found.
     pub interval95: Interval,
-    /// Not estimated.
+    /// Whether the value is fixed, not estimated.
     pub fixed: bool,
-    /// At a bound.
+    /// Whether the value is at a bound.
     pub at_bound: bool,
     /// Unit label.
     #[serde(default)]
@@ -72,12 +72,12 @@ pub struct MethodRecord {
     pub seconds: f64,
 }
 
-/// Parameters of a model without free ones, whose levels are all texts that the model names.
+/// Parameters of a model without free parameters; the texts of all their levels are in the model.
 pub(super) fn fixed(model: &Model, alpha: &Alpha) -> Vec<ParameterRecord> {
     all(model, &|label| model.literals[label.index()].clone(), alpha, &|_| None)
 }
 
-/// Parameters of a model some of which were estimated.
+/// Parameters of a model in which some were estimated.
 pub(super) fn estimated(
     model: &Model,
     labels: &Labels,
@@ -149,7 +149,7 @@ fn record(
     }
 }
 
-/// An end that is no number is not known.
+/// Replaces ends that are not finite by `None`.
 fn finite(interval: Interval) -> Interval {
     let ends = interval?.map(|end| end.filter(|x| x.is_finite()));
     ends.iter().any(Option::is_some).then_some(ends)
@@ -167,10 +167,10 @@ fn standing_word(standing: Standing) -> &'static str {
     }
 }
 
-/// Of a value at a lower bound of zero.
+/// Meaning of a lower bound of zero that is reached.
 pub(super) const ZERO: &str = "estimated as zero: the data show no such effect";
 
-/// What a standing means for the value itself.
+/// Meaning of a standing for the value itself, in words.
 pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
     match standing {
         Standing::Inside => None,
@@ -194,7 +194,7 @@ pub(super) fn meaning(standing: Standing, value: f64) -> Option<&'static str> {
 }
 
 impl StartRecord {
-    /// Where other starts ended.
+    /// Records of where other starts ended.
     pub(super) fn all(fit: &DynamicFit) -> Vec<StartRecord> {
         let record = |end: &kalfit_search::OtherEnd| StartRecord {
             log_likelihood: end.log_likelihood,

@@ -7,11 +7,11 @@ use kalfit_infer::Interval;
 /// One phase's error model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PhaseRecord {
-    /// `main` when there is but one.
+    /// Name of the phase; `main` when there is only one.
     pub name: String,
     /// Estimated states, in the order of every matrix.
     pub states: Vec<String>,
-    /// Their units.
+    /// Unit labels of the states.
     #[serde(default)]
     pub units: Vec<Option<String>>,
     /// μ.
@@ -32,7 +32,7 @@ pub struct PhaseRecord {
     /// Directions of the mean that are known much worse than its elements suggest, the worst first.
     #[serde(default)]
     pub weakly_determined: Vec<WeakRecord>,
-    /// Number of tests that have this phase; null in records that do not say.
+    /// Number of tests that have this phase; null in records without it.
     #[serde(default)]
     pub tests: Option<usize>,
     /// What this phase adds to the observability of all phases; null if there is only one phase.
@@ -52,9 +52,10 @@ pub struct InformationRecord {
     pub entering: usize,
     /// Rank of the information of all phases up to this one on their estimated states.
     pub rank_so_far: usize,
-    /// Number of those states.
+    /// Number of estimated states of these phases.
     pub of: usize,
-    /// Combinations of those states that become known in this phase: `rank_so_far` minus that of the phase before.
+    /// Combinations of these states that become known in this phase; their number is `rank_so_far` minus that of the
+    /// phase before.
     pub entered: Vec<EnteredRecord>,
 }
 
@@ -83,7 +84,7 @@ pub struct FilterRecord {
 pub struct InformationLostRecord {
     /// Standard error of each mean from the estimates over that from the measurements, 1 or more; null where not free.
     pub mean_std_error_ratio: Vec<Option<f64>>,
-    /// The same of the covariance.
+    /// Ratio of the standard errors of each element of the covariance; null where not free.
     pub covariance_std_error_ratio: Vec<Vec<Option<f64>>>,
     /// log of the ratio of the determinants of the information on all free quantities, from the estimates and from the
     /// measurements: 0 or less.
@@ -100,7 +101,7 @@ pub struct MeanRecord {
     /// 95 % intervals, lower and upper end; an end is null where no limit was found.
     #[serde(default)]
     pub interval95: Vec<Interval>,
-    /// Not estimated.
+    /// Whether each element is fixed, not estimated.
     pub fixed: Vec<bool>,
     /// α_μ of a proportional mean.
     pub scale: Option<ScaleRecord>,
@@ -111,9 +112,9 @@ pub struct MeanRecord {
 /// A scale factor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScaleRecord {
-    /// Its value.
+    /// Value of the factor.
     pub estimate: f64,
-    /// Its standard error.
+    /// Standard error of the factor.
     pub std_error: Option<f64>,
     /// 95 % interval.
     #[serde(default)]
@@ -123,13 +124,13 @@ pub struct ScaleRecord {
 /// One regression coefficient.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RegressionRecord {
-    /// State whose mean moves.
+    /// State whose mean depends on the column.
     pub state: String,
-    /// Column it moves with.
+    /// Column that the mean depends on.
     pub column: String,
     /// Coefficient.
     pub estimate: f64,
-    /// Its standard error.
+    /// Standard error of the coefficient.
     pub std_error: Option<f64>,
     /// 95 % interval.
     #[serde(default)]
@@ -146,7 +147,7 @@ pub struct CovarianceRecord {
     /// 95 % intervals, lower and upper end; an end is null where no limit was found.
     #[serde(default)]
     pub interval95: Vec<Vec<Interval>>,
-    /// Not estimated.
+    /// Whether each element is fixed, not estimated.
     pub fixed: Vec<Vec<bool>>,
     /// β of a proportional covariance.
     pub scale: Option<ScaleRecord>,
@@ -183,7 +184,7 @@ pub struct BoundaryRecord {
     pub what: String,
     /// Rank of Σ on the states whose variance is not fixed at zero.
     pub rank: usize,
-    /// Their number.
+    /// Number of states whose variance is not fixed at zero.
     pub of: usize,
     /// The states of the block that is singular.
     #[serde(default)]
@@ -201,13 +202,13 @@ pub struct UnidentifiedRecord {
     /// Unit vector over the states and regression coefficients (mean), or over the covariance elements, in their units: zero where an
     /// element takes no part. Where the direction mixes phases, this phase's part of it; a note names the whole.
     pub direction: Vec<f64>,
-    /// What the entries of `direction` stand for.
+    /// Names of the entries of `direction`.
     #[serde(default)]
     pub elements: Vec<String>,
     /// Ids of the tests that inform any of its states, when they are at most twenty.
     #[serde(default)]
     pub tests: Vec<String>,
-    /// Why, in words.
+    /// Why the data do not determine it, in words.
     #[serde(default)]
     pub reason: String,
     /// The phases that the direction mixes; none where it is of this phase alone.

@@ -1,4 +1,4 @@
-//! From the results of all phases to the record of each.
+//! Splits the results of all phases into the record of each.
 
 use nalgebra::DMatrix;
 
@@ -17,13 +17,13 @@ use kalfit_infer::Interval;
 use kalfit_infer::{Boundary, Inference};
 use kalfit_model::{CovarianceKind, MeanElement, MeanStructure, PhasedModel, Regression};
 
-/// Name of the tests' own level.
+/// Name of the level of the tests themselves.
 const TESTS: &str = "tests";
 
 /// The only kind of filter there is.
 const KALMAN_SCHMIDT: &str = "kalman-schmidt";
 
-/// What was found of each phase, and of each level of groups, the outermost first, after which the tests' own stands.
+/// Results of each phase, and of each level of groups: the outermost level first, that of the tests last.
 pub(super) fn phases_and_levels(
     model: &PhasedModel,
     estimate: &Estimate,
@@ -108,7 +108,7 @@ fn phase(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) -> Phas
     }
 }
 
-/// A singular block of Σ, when it is one of this phase.
+/// A singular block of Σ, if it belongs to this phase.
 fn boundary(cut: &PhaseCut<'_>, states: &[String], found: &Boundary) -> Option<BoundaryRecord> {
     let names = |of: &[usize]| of.iter().filter_map(|&i| Some(states[cut.element(i)?].clone())).collect::<Vec<_>>();
     let own = names(&found.states);
@@ -130,7 +130,7 @@ fn filter(cut: &PhaseCut<'_>) -> Option<FilterRecord> {
 }
 
 impl InformationLostRecord {
-    /// What was lost of the quantities of one phase; the determinant is that of all phases together.
+    /// Information lost on the quantities of one phase; the determinant is that of all phases together.
     pub fn new(model: &PhasedModel, phase: usize, lost: &InformationLost) -> InformationLostRecord {
         let range = &model.ranges()[phase];
         let p = range.len();
@@ -157,7 +157,7 @@ impl InformationLostRecord {
 }
 
 impl FitRecord {
-    /// Says what the filter of a phase lost; nothing where the phase has no filter.
+    /// Sets the information that the filter of a phase lost; does nothing where the phase has no filter.
     pub fn add_information_lost(&mut self, phase: usize, lost: InformationLostRecord) {
         if let Some(filter) = self.phases.get_mut(phase).and_then(|phase| phase.filter.as_mut()) {
             filter.information_lost = Some(lost);
@@ -222,7 +222,7 @@ fn covariance(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference) ->
     }
 }
 
-/// The interval of β from that of the largest variance, which is in proportion.
+/// Interval of β, in proportion to that of the largest variance.
 fn scale_interval(cut: &PhaseCut<'_>, estimate: &Estimate, inference: &Inference, beta: f64) -> Interval {
     let variance = |i: usize| estimate.covariance[(i, i)];
     let i = cut.elements.clone().max_by(|&a, &b| variance(a).total_cmp(&variance(b)))?;

@@ -1,4 +1,4 @@
-//! A plan as others read it: plan.json. Unknown figures are null, never NaN.
+//! A plan as a record: plan.json. Unknown figures are null, never NaN.
 
 use serde::{Deserialize, Serialize};
 
@@ -28,7 +28,7 @@ pub struct PlanRecord {
     pub parameters_taken_as_known: Vec<String>,
     /// The numbers of tests.
     pub tests: Vec<usize>,
-    /// How they are grouped, where the model has levels: one for each number of tests.
+    /// Arrangement in groups for each number of tests, where the model has levels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub arrangements: Vec<ArrangementRecord>,
     /// All quantities, in the order of [`Plan::quantities`].
@@ -38,9 +38,9 @@ pub struct PlanRecord {
 /// Tests in groups.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ArrangementRecord {
-    /// By level, the outermost first: its name, and its groups in each group of the level above.
+    /// Name of each level, the outermost first, and number of its groups in each group of the level above.
     pub groups: Vec<(String, usize)>,
-    /// Tests in each group of the innermost level.
+    /// Number of tests in each group of the innermost level.
     pub tests: usize,
 }
 
@@ -49,26 +49,26 @@ pub struct ArrangementRecord {
 pub struct PlannedRecord {
     /// `mean`, `regression`, `std_dev`, `correlation` or `covariance`.
     pub quantity: String,
-    /// Its phase; `main` when there is but one.
+    /// Name of the phase; `main` when there is only one.
     pub phase: String,
-    /// The level of groups whose covariance it is of; null for the tests' own.
+    /// Level of groups whose covariance it belongs to; null for the covariance of the tests.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub level: Option<String>,
-    /// Its state, or its two states.
+    /// State of the quantity, or its two states.
     pub states: Vec<String>,
     /// Column of a regression coefficient.
     pub column: Option<String>,
     /// Unit label of the state, for a mean or a standard deviation.
     pub unit: Option<String>,
-    /// Its value in the population.
+    /// Value of the quantity in the population.
     pub value: Option<f64>,
-    /// Its standard error at each number of tests.
+    /// Standard error of the quantity at each number of tests.
     pub std_error: Vec<Option<f64>>,
     /// Why the standard errors are null: `fixed`, `unidentified` or `boundary`.
     pub reason: Option<String>,
 }
 
-/// What the core does not know about a plan.
+/// Facts about a plan that the core does not know.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanProvenance {
     /// SHA-256 of the model file, `sha256:…`.
@@ -107,7 +107,7 @@ impl ArrangementRecord {
     }
 }
 
-/// The level of groups of an element of Σ, and the same element of the tests' own.
+/// Level of groups of an element of Σ, and the corresponding element in the block of the tests themselves.
 fn own_of(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quantity) {
     let p = model.dimension();
     let level = |i: usize| {
@@ -122,7 +122,7 @@ fn own_of(model: &PhasedModel, quantity: Quantity) -> (Option<String>, Quantity)
     }
 }
 
-/// The phase that has this place among those of all phases, and the place in it.
+/// The phase that contains number `place` of all phases together, and the number within that phase.
 fn find(model: &PhasedModel, place: usize, many: fn(&Model) -> usize) -> (&Phase, usize) {
     let mut left = place;
     for phase in &model.phases {
@@ -145,7 +145,7 @@ fn record(model: &PhasedModel, planned: &Planned, many: usize) -> PlannedRecord 
     let model = &phase.model;
     let state = |element: usize| &model.states[model.estimated[element]];
     let name = |element: usize| state(element).name.clone();
-    // the other of a pair is of the same phase
+    // both states of a pair are of the same phase
     let pair = |i: usize, j: usize| vec![name(own + j - i), name(own)];
     let (quantity, states, unit) = match of {
         Quantity::Mean(_) => ("mean", vec![name(own)], state(own).unit.clone()),

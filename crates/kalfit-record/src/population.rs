@@ -1,4 +1,4 @@
-//! From a record back to the population it describes.
+//! Conversion of a record back to the population it describes.
 
 use nalgebra::DMatrix;
 
@@ -9,15 +9,15 @@ use kalfit_model::{PhasedModel, Population, PopulationError};
 /// Why a record has no population for a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RecordError {
-    /// The schema is another.
+    /// A schema that cannot be read.
     #[error("the schema is `{found}`, expected `{expected}`")]
     Schema {
-        /// What the record says.
+        /// Schema of the record.
         found: String,
-        /// What can be read.
+        /// Schema that can be read.
         expected: &'static str,
     },
-    /// Other names than the model's.
+    /// Names that differ from the model's.
     #[error("{what} are {}, expected {} as in the model", shown(found), shown(expected))]
     Names {
         /// What is named, with its phase where there are several.
@@ -27,17 +27,17 @@ pub enum RecordError {
         /// Names in the model.
         expected: Vec<String>,
     },
-    /// A count that does not go with the number of states.
+    /// A count that differs from the number of states.
     #[error("found {found} {what}, expected {expected}, one for each state")]
     Count {
         /// What was counted, with its phase where there are several.
         what: String,
-        /// How many there are.
+        /// Number that was found.
         found: usize,
-        /// How many there should be.
+        /// Number that was expected.
         expected: usize,
     },
-    /// The values are no population.
+    /// Values that are not a population.
     #[error(transparent)]
     Population(#[from] PopulationError),
 }
@@ -56,11 +56,11 @@ fn shown(names: &[String]) -> String {
 pub const FIT_SCHEMA: &str = "kalfit-fit/1";
 
 impl FitRecord {
-    /// The estimates of μ, the regression coefficients and Σ of all phases in a row, in the order of a model with the same
-    /// phases, estimated states and regressions; theirs in the record may differ. Σ is zero between phases.
+    /// Estimates of μ, the regression coefficients and Σ of all phases, in the order of a model with the same phases,
+    /// estimated states and regressions; the order in the record may differ. Σ is zero between phases.
     ///
     /// # Errors
-    /// Another schema, other phases, states or regressions, figures that are no population.
+    /// A different schema; different phases, states or regressions; figures that are not a population.
     pub fn population(&self, model: &PhasedModel) -> Result<Population, RecordError> {
         if self.schema != FIT_SCHEMA {
             return Err(RecordError::Schema { found: self.schema.clone(), expected: FIT_SCHEMA });
@@ -81,7 +81,7 @@ impl FitRecord {
 }
 
 impl FitRecord {
-    /// Adds what the groups of each level add.
+    /// Adds the covariances of all levels of groups.
     fn add_level_covariances(&self, model: &PhasedModel, whole: &mut Population) -> Result<(), RecordError> {
         let own: Vec<&LevelRecord> = self.levels.iter().filter(|level| level.column.is_some()).collect();
         let found: Vec<String> = own.iter().map(|level| level.name.clone()).collect();
@@ -108,7 +108,7 @@ impl FitRecord {
     }
 }
 
-/// Adds one phase to the population of all; `of` is what messages say after the name of a thing.
+/// Adds one phase to the population of all; in messages, `of` follows the name of a thing.
 fn add(whole: &mut Population, cut: &PhaseCut<'_>, phase: &PhaseRecord, of: &str) -> Result<(), RecordError> {
     let place = places(format!("the estimated states{of}"), &phase.states, &cut.states())?;
     refuse_ragged(phase, place.len(), of)?;
@@ -147,7 +147,7 @@ fn coefficients(phase: &PhaseRecord, cut: &PhaseCut<'_>, of: &str) -> Result<Vec
     Ok(place.iter().map(|&r| phase.mean.regression[r].estimate).collect())
 }
 
-/// For each expected name its place among those found.
+/// Index of each expected name among those found.
 fn places(what: String, found: &[String], expected: &[String]) -> Result<Vec<usize>, RecordError> {
     let place: Option<Vec<usize>> = expected.iter().map(|name| found.iter().position(|other| other == name)).collect();
     match place {

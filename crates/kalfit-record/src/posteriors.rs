@@ -5,28 +5,28 @@ use serde::{Serialize, Serializer};
 use crate::{OwnRecord, PosteriorRecord, SquareRecord};
 use kalfit_model::Rare;
 
-/// Posteriors of tests, one after the other, and of each test phase after phase.
+/// Posteriors of tests, one after the other, and of each test phase by phase.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct PosteriorColumns {
     /// Names of phases, each once.
     names: Vec<String>,
     parts: Vec<PosteriorPart>,
-    /// Where the parts of each test end.
+    /// End of each test's range in `parts`.
     ends: Vec<usize>,
-    /// The mean of each part, and its covariance by rows.
+    /// Mean of each part, followed by its covariance by rows.
     numbers: Vec<f64>,
-    /// By part.
+    /// Estimates from tests alone, by part.
     own: Rare<OwnRecord>,
 }
 
-/// What one phase of one test has.
+/// Sizes of the posterior of one phase of one test, and where it is stored.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PosteriorPart {
     name: u32,
-    /// Length of the mean, and rows of the covariance.
+    /// Length of the mean, and number of rows of the covariance.
     mean: u32,
     size: u32,
-    /// Where its numbers begin.
+    /// Index in `numbers` of the first number.
     start: usize,
 }
 
@@ -39,7 +39,7 @@ pub struct PosteriorRecords<'a> {
 }
 
 impl PosteriorColumns {
-    /// Of no test yet; there is room for so many with phases of so many states.
+    /// An empty list with room for this many tests, with phases of these numbers of states.
     pub(super) fn with_room(tests: usize, states: impl Iterator<Item = usize>) -> PosteriorColumns {
         let (phases, numbers) = states.fold((0, 0), |(phases, all), p| (phases + 1, all + p + p * p));
         PosteriorColumns {
@@ -55,7 +55,7 @@ impl PosteriorColumns {
         self.ends.push(self.parts.len());
     }
 
-    /// Adds a phase of the last test. `covariance` by rows.
+    /// Adds a phase of the last test; `covariance` is by rows.
     pub(super) fn push(&mut self, name: &str, (mean, covariance): (&[f64], &[f64]), own: Option<OwnRecord>) {
         let known = self.names.iter().position(|other| other == name);
         let name = known.unwrap_or_else(|| {
@@ -72,7 +72,7 @@ impl PosteriorColumns {
         }
     }
 
-    /// Those of the test with this number.
+    /// Posteriors of the test with this number.
     pub(super) fn get(&self, test: usize) -> PosteriorRecords<'_> {
         let start = test.checked_sub(1).map_or(0, |before| self.ends[before]);
         PosteriorRecords { of: self, start, end: self.ends[test] }
@@ -92,12 +92,12 @@ impl PosteriorColumns {
 }
 
 impl<'a> PosteriorRecords<'a> {
-    /// How many phases the test has.
+    /// Number of phases of the test.
     pub fn len(&self) -> usize {
         self.end - self.start
     }
 
-    /// It has none.
+    /// Whether the test has no phases.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -108,7 +108,7 @@ impl<'a> PosteriorRecords<'a> {
         self.of.part(self.start + phase)
     }
 
-    /// Phase after phase.
+    /// Iterates over the phases.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = PosteriorRecord<'a>> + use<'a> {
         let own = *self;
         (0..own.len()).map(move |phase| own.get(phase))

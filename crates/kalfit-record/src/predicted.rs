@@ -1,4 +1,4 @@
-//! What tests that nobody has made will give, at the end of each.
+//! Predictions of tests that have not been made, at the end of each.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,107 +16,108 @@ pub struct PredictedRecord {
     pub from: String,
     /// Number of designs.
     pub tests: usize,
-    /// Number of their rows.
+    /// Number of rows of all designs.
     pub rows: usize,
     /// `new`, or `known`: whether tests are of units that the fit knows.
     pub units: String,
-    /// How sure the limits are.
+    /// Confidence of the limits.
     pub confidence: f64,
-    /// What part of all tests is within the tolerance limits.
+    /// Fraction of all tests that is within the tolerance limits.
     pub content: f64,
-    /// Each tolerance limit by itself.
+    /// Whether each tolerance limit is meant by itself.
     pub one_sided: bool,
     /// How many tests, or groups of the outermost level, the population was estimated from; null where it was given.
     pub fitted: Option<usize>,
     /// Whether it is known how far the estimates can be trusted.
     pub estimation: bool,
-    /// Limits of means are by profile likelihood.
+    /// Whether limits of means are by profile likelihood.
     #[serde(default)]
     pub profile: bool,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
     /// Values at the last row of each of the first tests.
     pub last: Vec<PredictedValueRecord>,
-    /// Of two outputs together there, in each of the first tests.
+    /// Two outputs together at the last row of each of the first tests.
     pub pairs: Vec<PairRecord>,
 }
 
 /// One value that was predicted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PredictedValueRecord {
-    /// The test.
+    /// Id of the test.
     pub test: String,
-    /// The phase.
+    /// Name of the phase.
     pub phase: String,
     /// Row of the phase, from 1.
     pub row: usize,
-    /// Its time.
+    /// Time of the row.
     pub time: Option<f64>,
-    /// The state or the output.
+    /// Name of the state or the output.
     pub name: String,
     /// `state` or `output`.
     pub what: String,
-    /// Its unit, a label.
+    /// Unit of the value, a label.
     pub unit: Option<String>,
     /// Mean over tests.
     pub mean: f64,
-    /// What will be seen less the mean: all three parts together, those that are known.
+    /// Standard deviation of the value that will be observed about the mean: all three parts together, as far as they
+    /// are known.
     pub std_dev: f64,
-    /// From test to test, by the initial state.
+    /// Standard deviation from test to test, by the initial state.
     pub std_dev_population: f64,
-    /// By process noise, and by what the start is known to vary.
+    /// Standard deviation by process noise, and by the known part of the initial variance.
     pub std_dev_process: f64,
-    /// By what estimation leaves open of the mean; null where that is not known.
+    /// Standard deviation of the estimated mean; null where it is not known.
     pub std_dev_estimation: Option<f64>,
     /// Limits of the mean.
     pub confidence: Option<[f64; 2]>,
-    /// Limits that part of the tests is within.
+    /// Tolerance limits.
     pub tolerance: Option<[f64; 2]>,
 }
 
 /// Two outputs together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairRecord {
-    /// The test.
+    /// Id of the test.
     pub test: String,
     /// Row of the phase, from 1.
     pub row: usize,
-    /// Its time.
+    /// Time of the row.
     pub time: Option<f64>,
-    /// The outputs.
+    /// Names of the outputs.
     pub names: [String; 2],
     /// Half axes of the ellipse that holds the content, the longer first.
     pub axes: [f64; 2],
-    /// Angle of the longer one from the first output towards the second, in degrees.
+    /// Angle of the longer axis from the first output towards the second, in degrees.
     pub angle: f64,
     /// Radius of the circle about the means that holds half of all tests.
     pub cep: f64,
-    /// Radius of that about zero.
+    /// Radius of the circle about zero that holds half of all tests.
     pub cep_about_zero: f64,
 }
 
-/// Where predictions came from, and what was asked.
+/// Origin of predictions, and the way they were made.
 #[derive(Debug, Clone)]
 pub struct PredictedSource {
-    /// As named by the user.
+    /// Origin, as named by the user.
     pub name: String,
-    /// How many tests, or groups of the outermost level, the population was estimated from, where that is known.
+    /// Number of tests, or groups of the outermost level, that the population was estimated from, where it is known.
     pub fitted: Option<usize>,
     /// Parameters that were given other values.
     pub changed: Vec<String>,
-    /// Tests are of units that the fit knows.
+    /// Whether tests are of units that the fit knows.
     pub known_units: bool,
     /// Whether it is known how far the estimates can be trusted.
     pub estimation: bool,
-    /// Limits of means are by profile likelihood.
+    /// Whether limits of means are by profile likelihood.
     pub profile: bool,
 }
 
-/// Of more tests than this the last rows are not kept.
+/// Largest number of tests whose last rows are included.
 const MOST: usize = 3;
 
 impl PredictedRecord {
-    /// Without any test yet.
+    /// A record without tests.
     pub fn new(
         model: &PhasedModel,
         source: PredictedSource,
@@ -140,7 +141,7 @@ impl PredictedRecord {
         }
     }
 
-    /// Adds a test; `outputs`: those of each phase, of two their sum too, the last.
+    /// Adds a test. `outputs`: the outputs of each phase; after two outputs, their sum comes last.
     pub fn add(
         &mut self,
         (model, outputs, bounds): (&PhasedModel, &[Vec<Output>], &Bounds),
@@ -180,7 +181,7 @@ impl PredictedRecord {
     }
 }
 
-/// Name, kind and unit of what is predicted; `None` of the sum of two outputs.
+/// Name, kind and unit of a predicted quantity; `None` for the sum of two outputs.
 pub fn name_of<'a>(
     (model, outputs): (&'a PhasedModel, &'a [Output]),
     phase: usize,

@@ -1,4 +1,4 @@
-//! Every number of a fit that describes the population or the motion, one after the other: for tables.
+//! All numbers of a fit that describe the population or the motion, in one list for tables.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,19 +8,21 @@ use crate::{
 };
 use kalfit_infer::Interval;
 
-/// One number, with what is known of it.
+/// One number of a fit, with its errors and its status.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct QuantityRecord {
-    /// `mean[a]`, `std_dev[a]`, `covariance[a, b]`, `correlation[a, b]`, `regression[a, column]`, `tau`, `tau[level]`; of several phases or
-    /// of the levels of groups after their name, as in `coast: mean[a]`.
+    /// `mean[a]`, `std_dev[a]`, `covariance[a, b]`, `correlation[a, b]`, `regression[a, column]`, `tau`, `tau[level]`.
+    /// Where there are several phases, and for levels of groups, the name of the phase or level comes first, as in
+    /// `coast: mean[a]`.
     pub name: String,
     /// `mean`, `mean_scale`, `regression`, `std_dev`, `covariance`, `covariance_scale`, `correlation` or `parameter`.
     pub kind: String,
-    /// Its phase; null for a parameter.
+    /// Name of the phase; null for a parameter.
     pub phase: Option<String>,
-    /// The level of groups whose spread it is, `tests` for the tests' own; of a parameter the text of `column` that it is for.
+    /// Level of groups whose spread it is, `tests` for the level of the tests; for a parameter, the text of `column`
+    /// that it belongs to.
     pub level: Option<String>,
-    /// The state that it is of.
+    /// State that the number belongs to.
     pub state: Option<String>,
     /// The other state of a covariance or a correlation.
     pub other_state: Option<String>,
@@ -28,9 +30,9 @@ pub struct QuantityRecord {
     pub column: Option<String>,
     /// Unit label of a mean, a standard deviation or a parameter.
     pub unit: Option<String>,
-    /// Its value.
+    /// Estimated or fixed value.
     pub estimate: Option<f64>,
-    /// Its standard error.
+    /// Standard error of the estimate.
     pub std_error: Option<f64>,
     /// Lower end of its 95 % interval.
     pub lower: Option<f64>,
@@ -42,8 +44,8 @@ pub struct QuantityRecord {
 }
 
 impl FitRecord {
-    /// Every number that was estimated or fixed: means, regressions, spreads and correlations phase by phase, those of levels of groups from
-    /// the outermost on, and the dynamic parameters.
+    /// Every number that was estimated or fixed: means, regressions, spreads and correlations phase by phase, spreads
+    /// and correlations of levels of groups from the outermost level on, and the dynamic parameters.
     pub fn quantities(&self) -> Vec<QuantityRecord> {
         let mut all = Vec::new();
         for phase in &self.phases {
@@ -56,7 +58,7 @@ impl FitRecord {
         }
         let first = self.phases.first().map_or((&[][..], "main"), |phase| (&phase.units[..], phase.name.as_str()));
         for level in &self.levels {
-            let own = level.column.is_none(); // the tests' own is the covariance of the model itself
+            let own = level.column.is_none(); // the spread of the tests is the covariance of the model itself
             let before = if own { String::new() } else { format!("{}: ", level.name) };
             let (phase, states) = (first.1, &level.states);
             let of = Of { before, phase, level: Some(&level.name), states, units: first.0 };
@@ -67,9 +69,9 @@ impl FitRecord {
     }
 }
 
-/// What numbers are of.
+/// The phase or level that numbers belong to.
 struct Of<'a> {
-    /// What their names begin with.
+    /// Beginning of the names of the numbers.
     before: String,
     phase: &'a str,
     level: Option<&'a str>,
@@ -77,7 +79,7 @@ struct Of<'a> {
     units: &'a [Option<String>],
 }
 
-/// Σ in its three forms, and what is not known of it.
+/// Σ in its three forms, with its boundaries and the directions that are not identified.
 struct CovarianceForms<'a> {
     covariance: &'a CovarianceRecord,
     std_dev: &'a VectorRecord,
@@ -100,7 +102,7 @@ impl<'a> From<&'a LevelRecord> for CovarianceForms<'a> {
     }
 }
 
-/// A number with its errors.
+/// A number with its standard error and its interval.
 #[derive(Clone, Copy)]
 struct ValueErrors {
     estimate: Option<f64>,
@@ -199,7 +201,7 @@ impl Of<'_> {
 }
 
 impl CovarianceForms<'_> {
-    /// Of an element of Σ.
+    /// Status of an element of Σ.
     fn status(&self, (one, other): (&String, &String), value: ValueErrors, fixed: bool) -> &'static str {
         if value.estimate.is_none() {
             return "undefined";
@@ -230,7 +232,7 @@ fn status(value: ValueErrors, fixed: bool, open: bool) -> &'static str {
     }
 }
 
-/// Whether a direction that the data say nothing about moves an element.
+/// Whether an element takes part in a direction that the data do not determine.
 fn is_open(directions: &[UnidentifiedRecord], what: &str, moved: &dyn Fn(&str) -> bool) -> bool {
     let moves = |direction: &UnidentifiedRecord| {
         let mut weights = direction.elements.iter().zip(&direction.direction);
@@ -239,7 +241,7 @@ fn is_open(directions: &[UnidentifiedRecord], what: &str, moved: &dyn Fn(&str) -
     directions.iter().filter(|direction| direction.what == what).any(moves)
 }
 
-/// One place of three lists.
+/// Entry `i` of three lists.
 fn at(estimate: &[f64], std_error: &[Option<f64>], interval95: &[Interval], i: usize) -> ValueErrors {
     ValueErrors {
         estimate: estimate.get(i).copied(),
@@ -248,7 +250,7 @@ fn at(estimate: &[f64], std_error: &[Option<f64>], interval95: &[Interval], i: u
     }
 }
 
-/// One place of a matrix.
+/// Entry of a matrix; `None` beyond its ends.
 fn cell<T: Copy>(rows: &[Vec<T>], i: usize, k: usize) -> Option<T> {
     rows.get(i)?.get(k).copied()
 }

@@ -1,4 +1,4 @@
-//! The result of a likelihood-ratio test as others read it: test.json.
+//! The result of a likelihood-ratio test as a record: test.json.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ use kalfit_filter::reduce::Reductions;
 use kalfit_infer::{Bootstrap, BootstrapResult, Component, LikelihoodRatio};
 use kalfit_model::PhasedModel;
 
-/// All that a test of a hypothesis found.
+/// All results of the test of a hypothesis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RatioRecord {
     /// Always `kalfit-test/1`.
@@ -18,7 +18,7 @@ pub struct RatioRecord {
     pub kalfit_version: String,
     /// Title of the model.
     pub title: String,
-    /// What the hypothesis is called.
+    /// Name of the hypothesis.
     pub hypothesis: String,
     /// SHA-256 of the model file, `sha256:…`.
     pub model_digest: Option<String>,
@@ -46,7 +46,7 @@ pub struct RatioRecord {
     pub mixture: Option<String>,
     /// The large-sample law: χ² distributions with their weights.
     pub law: Vec<ComponentRecord>,
-    /// `law` bounds the law from above: `p_value` may be too large, never too small.
+    /// Whether `law` is only an upper bound: `p_value` may then be too large, never too small.
     pub law_is_bound: bool,
     /// The parametric bootstrap.
     pub bootstrap: Option<BootstrapRecord>,
@@ -77,7 +77,7 @@ pub struct SideRecord {
     pub parameters: Vec<ParameterRecord>,
 }
 
-/// χ² with a weight.
+/// A χ² distribution with its weight.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComponentRecord {
     /// Degrees of freedom.
@@ -86,18 +86,18 @@ pub struct ComponentRecord {
     pub weight: f64,
 }
 
-/// What the parametric bootstrap found.
+/// Results of the parametric bootstrap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BootstrapRecord {
-    /// Ensembles drawn.
+    /// Number of ensembles drawn.
     pub replicates: usize,
-    /// Those whose fits were not certified, and that do not count.
+    /// Number of ensembles whose fits were not certified; these do not count.
     pub failed: usize,
     /// Seed.
     pub seed: u64,
     /// (1 + replicates at or above `lr`) / (1 + replicates); null when none counts.
     pub p_value: Option<f64>,
-    /// Its standard error.
+    /// Standard error of the p-value.
     pub std_error: Option<f64>,
     /// 95 % point of the statistic.
     pub quantile95: Option<f64>,
@@ -108,24 +108,24 @@ pub struct BootstrapRecord {
 pub struct PartRecord {
     /// `mean`, `covariance` or `parameters`.
     pub what: String,
-    /// -2 log λ of this part alone, the other left as in the model.
+    /// -2 log λ of this part alone, with the others as in the model.
     pub lr: f64,
     /// Degrees of freedom.
     pub df: usize,
     /// Tail probability.
     pub p_value: f64,
-    /// log p of all measurements under it.
+    /// log p of all measurements under this part.
     pub log_likelihood: f64,
     /// Its fit is certified.
     pub converged: bool,
 }
 
-/// What the core does not know about a test.
+/// Facts about a test that the core does not know.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RatioProvenance {
     /// Title of the model.
     pub title: String,
-    /// What the hypothesis is called.
+    /// Name of the hypothesis.
     pub hypothesis: String,
     /// SHA-256 of the model file.
     pub model_digest: Option<String>,
@@ -136,7 +136,8 @@ pub struct RatioProvenance {
 }
 
 impl RatioRecord {
-    /// The record of a test of `null` within `alternative`, fits of a model and of a hypothesis within it: both have its states.
+    /// The record of a test of `null` within `alternative`, fits of a hypothesis and of the model that contains it.
+    /// Both have the model's states.
     pub fn new(
         model: &PhasedModel,
         reductions: &Reductions,
@@ -153,7 +154,7 @@ impl RatioRecord {
         RatioRecord::at(reductions, sides, ratio, bootstrap, (parts, notes), provenance)
     }
 
-    /// The record with its sides and notes as given.
+    /// The record with the given sides and notes.
     pub(super) fn at(
         reductions: &Reductions,
         (null, alternative): (SideRecord, SideRecord),
@@ -208,7 +209,7 @@ impl BootstrapRecord {
 }
 
 impl PartRecord {
-    /// One part, tested alone.
+    /// The record of one part that was tested alone.
     pub fn new(what: &str, null: &Estimate, ratio: &LikelihoodRatio) -> PartRecord {
         PartRecord {
             what: what.to_owned(),
@@ -237,16 +238,16 @@ fn component(component: &Component) -> ComponentRecord {
     ComponentRecord { df: component.degrees_of_freedom, weight: component.weight }
 }
 
-/// `0.5 chi2_0; 0.5 chi2_1`.
+/// The mixture in words: `0.5 chi2_0; 0.5 chi2_1`.
 fn words(components: &[Component]) -> String {
     let word = |c: &Component| format!("{} chi2_{}", c.weight, c.degrees_of_freedom);
     components.iter().map(word).collect::<Vec<_>>().join("; ")
 }
 
-/// Fewer tests than this, and large-sample laws are a rough guide.
+/// Number of tests below which large-sample laws are only a rough guide.
 const FEW: usize = 50;
 
-/// How many tests, or groups of the outermost level, there are, and what they are called.
+/// Number of tests, or of groups of the outermost level, and what they are called.
 pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: &Reductions) -> (usize, String) {
     let plural = |count: usize| if count == 1 { "" } else { "s" };
     match (estimate.grouping(), model.levels.first()) {
@@ -258,8 +259,9 @@ pub(super) fn independent(model: &PhasedModel, estimate: &Estimate, reductions: 
     }
 }
 
-/// Adds to notes how far the large-sample law is to be trusted, and what the hypothesis removes. `several`: what it puts on a boundary
-/// where the law is a bound; `independent`: how many tests or groups there are, where it depends on them how good a guide the law is.
+/// Adds notes on how far the large-sample law can be trusted, and on what the hypothesis removes. `several`: what the
+/// hypothesis puts on a boundary where the law is a bound; `independent`: number and name of tests or groups, where the
+/// accuracy of the law depends on them.
 pub(super) fn add_doubts(
     notes: &mut Vec<String>,
     ratio: &LikelihoodRatio,

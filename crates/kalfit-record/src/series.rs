@@ -9,16 +9,16 @@ pub struct SeriesRecord {
     pub measurements: Vec<String>,
     /// Time of each innovation, or the number of its step where the model has no times; empty when there are too many.
     pub at: Vec<f64>,
-    /// Index in `measurements` of each.
+    /// Index in `measurements` of each innovation.
     pub measurement: Vec<usize>,
-    /// e/√S of each, to four decimals.
+    /// e/√S of each innovation, to four decimals.
     pub standardised: Vec<f64>,
     /// `at` is time, in the model's unit.
     pub timed: bool,
-    /// That unit, where the model gives it.
+    /// Unit of time, where the model gives it.
     #[serde(default)]
     pub time_unit: Option<String>,
-    /// The same by windows of about as many innovations each.
+    /// Sums over windows of about equal numbers of innovations.
     pub windows: Vec<WindowRecord>,
     /// Autocorrelation from lag 1 on, by measurement.
     pub autocorrelation: Vec<AutocorrelationRecord>,
@@ -31,7 +31,7 @@ pub struct WindowRecord {
     pub from: f64,
     /// Time or step of the last.
     pub to: f64,
-    /// Their number.
+    /// Number of innovations.
     pub count: usize,
     /// Σ e²/S, χ² with as many degrees of freedom when the model is right.
     pub nis: f64,

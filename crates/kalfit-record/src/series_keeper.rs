@@ -1,4 +1,4 @@
-//! Innovations of chosen tests in the order of time, for charts: bounded, whatever the size of the ensemble.
+//! Innovations of selected tests in order of time, for charts: bounded, whatever the size of the ensemble.
 
 use std::collections::BTreeMap;
 
@@ -7,32 +7,32 @@ use crate::series::{AutocorrelationRecord, SeriesRecord, WindowRecord};
 use kalfit_filter::innovations::{Innovation, Innovations};
 use kalfit_model::PhasedModel;
 
-/// Tests whose innovations are kept: the least probable ones.
+/// Largest number of tests whose innovations are included: the least probable ones.
 const MOST_TESTS: usize = 100;
-/// Innovations of one test that are kept one by one; a longer test has its windows.
+/// Largest number of innovations of one test that are included one by one; a longer test has its windows only.
 const MOST_ROWS: usize = 1000;
-/// Innovations of all tests that are kept one by one.
+/// Largest number of innovations of all tests that are included one by one.
 const MOST_ROWS_OF_ALL: usize = 20_000;
-/// Windows of a test.
+/// Largest number of windows of a test.
 const MOST_WINDOWS: usize = 40;
-/// Innovations that a window has at least.
+/// Smallest size of a window, in innovations.
 const LEAST_IN_WINDOW: usize = 5;
-/// Lags of the autocorrelation.
+/// Largest lag of the autocorrelation.
 const MOST_LAGS: usize = 20;
-/// Measurements with an autocorrelation of their own; of more, there is one of all.
+/// Largest number of measurements with separate autocorrelations; where there are more, they share one.
 const MOST_MEASUREMENTS: usize = 6;
-/// Values are for the eye: this many parts of one.
+/// Values are rounded to this many steps per unit, because they are for charts only.
 const GRAIN: f64 = 1e4;
 
-/// Takes the innovations of test after test and keeps those of the least probable.
+/// Collects innovations test by test, and retains those of the least probable tests.
 #[derive(Debug, Default)]
 pub struct SeriesKeeper {
-    /// In order of probability, then of ids.
+    /// (p-value, test, series) of the retained tests, in order of p-value, then of id.
     kept: Vec<(f64, String, SeriesRecord)>,
 }
 
 impl SeriesKeeper {
-    /// Looks at the innovations of one test.
+    /// Takes the innovations of one test, which are retained if it is among the least probable.
     pub fn offer(&mut self, found: &Innovations, figures: &InnovationRecord, model: &PhasedModel) {
         if found.series.is_empty() {
             return;
@@ -46,7 +46,7 @@ impl SeriesKeeper {
         }
     }
 
-    /// What was kept, by the ids of the tests.
+    /// Series of the retained tests, by test id.
     pub(super) fn into_series(self) -> BTreeMap<String, SeriesRecord> {
         let mut room = MOST_ROWS_OF_ALL;
         let mut kept = BTreeMap::new();
@@ -68,7 +68,7 @@ impl SeriesRecord {
             index.entry((one.phase, one.measurement)).or_default();
         });
         index.values_mut().enumerate().for_each(|(i, place)| *place = i);
-        // times may start again in each phase; steps do
+        // times may start again in each phase; step numbers do, so they are counted on over phases
         let timed = model.is_single() && series.iter().all(|one| one.time.is_some_and(f64::is_finite));
         let mut steps = StepCount::default();
         let at: Vec<f64> =
@@ -88,7 +88,7 @@ impl SeriesRecord {
     }
 }
 
-/// Steps counted on over phases.
+/// Counts steps on from one phase to the next.
 #[derive(Default)]
 struct StepCount {
     phase: usize,
@@ -151,7 +151,7 @@ fn autocorrelation(channels: &[&[f64]]) -> Option<(usize, Vec<f64>)> {
     if lags == 0 || largest == 0.0 || !largest.is_finite() {
         return None;
     }
-    // in parts of the largest, so that no square overflows or vanishes
+    // relative to the largest, so that no square overflows or vanishes
     let product = |z: &[f64], k: usize| -> f64 {
         z.iter().zip(z.get(k..).unwrap_or(&[])).map(|(a, b)| (a / largest) * (b / largest)).sum()
     };

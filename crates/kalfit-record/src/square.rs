@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A square matrix, as the list of its rows: one piece of memory, its own or, of a view, somebody else's.
+/// A square matrix, written as the list of its rows. Entries are stored in one piece of memory, which a view borrows.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SquareRecord<E = Vec<f64>> {
     size: usize,
@@ -14,30 +14,30 @@ pub struct SquareRecord<E = Vec<f64>> {
 }
 
 impl<E: AsRef<[f64]>> SquareRecord<E> {
-    /// How many rows and columns it has.
+    /// Number of rows, and of columns.
     pub fn size(&self) -> usize {
         self.size
     }
 
-    /// Its rows.
+    /// The rows of the matrix.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = &[f64]> {
         (0..self.size).map(|i| &self[i])
     }
 
-    /// Its rows, one after the other.
+    /// All entries, row after row.
     pub fn entries(&self) -> &[f64] {
         self.entries.as_ref()
     }
 }
 
 impl<'a> SquareRecord<&'a [f64]> {
-    /// The square of these rows, one after the other.
+    /// View of a square matrix with these entries, row after row.
     pub(super) fn view(entries: &'a [f64], size: usize) -> SquareRecord<&'a [f64]> {
         debug_assert_eq!(entries.len(), size * size);
         SquareRecord { size, entries }
     }
 
-    /// The same with memory of its own.
+    /// Copies a view into memory of its own.
     pub fn to_owned(self) -> SquareRecord {
         SquareRecord { size: self.size, entries: self.entries.to_vec() }
     }
@@ -48,7 +48,7 @@ pub(super) fn rows(matrix: &DMatrix<f64>) -> Vec<Vec<f64>> {
     matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
-/// A row.
+/// Row `i` of the matrix.
 impl<E: AsRef<[f64]>> Index<usize> for SquareRecord<E> {
     type Output = [f64];
 
@@ -57,7 +57,7 @@ impl<E: AsRef<[f64]>> Index<usize> for SquareRecord<E> {
     }
 }
 
-/// Of a symmetric matrix.
+/// Conversion of a symmetric matrix, for which columns are rows.
 impl From<&DMatrix<f64>> for SquareRecord {
     fn from(symmetric: &DMatrix<f64>) -> SquareRecord {
         SquareRecord { size: symmetric.nrows(), entries: symmetric.as_slice().to_vec() }
@@ -70,19 +70,19 @@ impl<E: AsRef<[f64]>> Serialize for SquareRecord<E> {
     }
 }
 
-/// Rows that are not as long as there are rows.
+/// Rows of a matrix that is not square.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("a square matrix of {size} rows has {found} numbers in row {row}")]
 pub struct NotSquare {
-    /// How many rows there are.
+    /// Number of rows.
     pub size: usize,
-    /// The first row of another length, from 1.
+    /// Number of the first row of a different length, from 1.
     pub row: usize,
-    /// Its length.
+    /// Length of this row.
     pub found: usize,
 }
 
-/// From its rows.
+/// Conversion from a list of rows.
 impl TryFrom<Vec<Vec<f64>>> for SquareRecord {
     type Error = NotSquare;
 

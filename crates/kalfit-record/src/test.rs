@@ -1,4 +1,4 @@
-//! What one test says, as a record.
+//! Results of one test, as a record.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,29 +8,29 @@ use crate::{OwnRecord, SeriesRecord, SquareRecord};
 /// Results of one test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TestRecord<'a> {
-    /// Its id.
+    /// Id of the test.
     pub id: &'a str,
-    /// Its text in the column that tests are grouped by; null where there is none.
+    /// Text of the test in the column that tests are grouped by; null where there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub group: Option<&'a String>,
     /// Names of its groups where the model has levels, the outermost first.
     #[serde(skip_serializing_if = "<[String]>::is_empty")]
     pub groups: &'a [String],
-    /// log p of its measurements; of a test in groups by itself.
+    /// log p of its measurements; for a test in groups, of the test by itself.
     pub log_likelihood: f64,
     /// Scalar measurements used.
     pub observations: usize,
-    /// Steps; null in records that do not say.
+    /// Number of steps; null in records without it.
     pub steps: Option<usize>,
-    /// Number of its design class, from 1 in the order of the tests; null in records that do not say.
+    /// Number of its design class, from 1 in the order of the tests; null in records without it.
     pub design_class: Option<usize>,
     /// Posterior of ξ, by phase.
     pub phases: PosteriorRecords<'a>,
     /// Standardised squared distance of the test from the population.
     pub distance: Option<f64>,
-    /// Its degrees of freedom: rank of J.
+    /// Degrees of freedom of the distance: rank of J.
     pub degrees_of_freedom: usize,
-    /// Its χ² p-value.
+    /// χ² p-value of the distance.
     pub p_value: Option<f64>,
     /// The fit without this test; null if it was not requested or has no certified optimum.
     pub deletion: Option<&'a DeletionRecord>,
@@ -51,7 +51,7 @@ pub struct PosteriorRecord<'a> {
     pub own: Option<&'a OwnRecord>,
 }
 
-/// A [`TestRecord`] with memory of its own, as it is read or put together by hand.
+/// A [`TestRecord`] that owns its data, as it is read or put together by hand.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[expect(missing_docs, reason = "its fields are those of the record")]
 pub struct TestRow {
@@ -76,7 +76,7 @@ pub struct TestRow {
     pub innovations: Option<InnovationRecord>,
 }
 
-/// A [`PosteriorRecord`] with memory of its own.
+/// A [`PosteriorRecord`] that owns its data.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[expect(missing_docs, reason = "its fields are those of the record")]
 pub struct PosteriorRow {
@@ -121,18 +121,18 @@ impl From<PosteriorRecord<'_>> for PosteriorRow {
 /// Innovations of one test at the estimate, as figures: e of variance S, in the order of the filter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InnovationRecord {
-    /// Their number, n.
+    /// Number of innovations, n.
     pub count: usize,
     /// Normalised innovation squared, Σ e²/S; its expectation is n. Null without innovations.
     pub nis: Option<f64>,
-    /// Two-sided p-value of it: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less the number of
-    /// estimated states, which the estimate may have absorbed.
+    /// Two-sided p-value of `nis`: twice the smaller of the upper tail of χ²_n and the lower tail of χ² with n less the
+    /// number of estimated states, which the estimate may have absorbed.
     pub nis_p_value: Option<f64>,
     /// Mean of e/√S; its standard deviation is 1/√n.
     pub mean: Option<f64>,
-    /// Ljung and Box's test; null when too short.
+    /// Ljung and Box's test of whiteness; null when there are too few innovations.
     pub whiteness: Option<WhitenessRecord>,
-    /// The same of each measurement of each phase, where the model has several phases.
+    /// Innovations of each measurement of each phase, where the model has several phases.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<InnovationPartRecord>,
     /// The innovations in order; null but for the least probable tests.
@@ -147,12 +147,12 @@ pub struct InnovationPartRecord {
     pub phase: String,
     /// Name of the measurement.
     pub measurement: String,
-    /// Their figures, as if they were a test.
+    /// Figures of these innovations, as for those of a test.
     #[serde(flatten)]
     pub innovations: InnovationRecord,
 }
 
-/// Ljung and Box's test of the e/√S, each measurement by itself, added up.
+/// Ljung and Box's test of the e/√S, summed over the measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WhitenessRecord {
     /// The statistic.
@@ -161,7 +161,8 @@ pub struct WhitenessRecord {
     pub lags: usize,
     /// Degrees of freedom: the lags of all measurements together.
     pub degrees_of_freedom: usize,
-    /// Probability of so large a statistic, by its own law for each length: in the tail it is far from χ².
+    /// Probability of a statistic as large as this, by its law for series of these lengths: in the tail it is far from
+    /// χ².
     pub p_value: f64,
 }
 
@@ -172,7 +173,7 @@ pub struct DeletionRecord {
     pub log_density: f64,
     /// Standardised squared distance from the population estimated from the other tests.
     pub distance: Option<f64>,
-    /// Its χ² p-value.
+    /// χ² p-value of the distance.
     pub p_value: Option<f64>,
     /// 2 (ℓ(θ̂) - ℓ(θ̂ without the test)) over all tests: how far the test pulls the estimate.
     pub displacement: f64,

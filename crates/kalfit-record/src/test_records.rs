@@ -1,4 +1,4 @@
-//! What each test says, in columns: the list `tests` of fit.json.
+//! Results of each test, in columns: the list `tests` of fit.json.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -10,8 +10,8 @@ use crate::posteriors::PosteriorColumns;
 use crate::{DeletionRecord, FitRecord, InnovationRecord, SeriesKeeper, TestRecord, TestRow};
 use kalfit_model::{Rare, Texts};
 
-/// Results of each test. What all tests have of one kind stands together, so that those of a million tests are a few pieces of memory; a row
-/// is a [`TestRecord`], and one with memory of its own a [`TestRow`].
+/// Results of each test. Results of one kind are stored together for all tests, so that those of a million tests are a
+/// few pieces of memory; a row is a [`TestRecord`], and a row that owns its data a [`TestRow`].
 ///
 /// ```
 /// use kalfit::record::{TestRecords, TestRow};
@@ -40,11 +40,11 @@ pub struct TestRecords {
     innovations: InnovationRecords,
 }
 
-/// Innovations of tests, by their numbers.
+/// Innovations of tests, by test number.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct InnovationRecords(Rare<InnovationRecord>);
 
-/// What every test has.
+/// Results that every test has.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct TestFigures {
     pub(super) log_likelihood: f64,
@@ -57,12 +57,12 @@ pub(super) struct TestFigures {
 }
 
 impl TestRecords {
-    /// How many tests they are.
+    /// Number of tests.
     pub fn len(&self) -> usize {
         self.figures.len()
     }
 
-    /// There are none.
+    /// Whether there are no tests.
     pub fn is_empty(&self) -> bool {
         self.figures.is_empty()
     }
@@ -88,12 +88,12 @@ impl TestRecords {
         }
     }
 
-    /// Test after test.
+    /// Iterates over all tests.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = TestRecord<'_>> + DoubleEndedIterator + Clone {
         self.part(0..self.len())
     }
 
-    /// Test after test of some. Panics when there are not so many.
+    /// Iterates over the tests with these numbers. Panics when there is no such test.
     pub fn part(
         &self,
         numbers: Range<usize>,
@@ -101,12 +101,12 @@ impl TestRecords {
         numbers.map(|number| self.get(number))
     }
 
-    /// The number of each test, by its id; of tests of one id the last.
+    /// Number of each test, by its id; of several tests with one id, the last.
     pub fn by_id(&self) -> HashMap<&str, usize> {
         (0..self.len()).map(|number| (self.ids.get(number), number)).collect()
     }
 
-    /// Of no test yet; there is room for so many with phases of so many states.
+    /// An empty list with room for this many tests, with phases of these numbers of states.
     pub(super) fn with_room(tests: usize, states: impl Iterator<Item = usize>) -> TestRecords {
         TestRecords {
             figures: Vec::with_capacity(tests),
@@ -115,7 +115,7 @@ impl TestRecords {
         }
     }
 
-    /// Adds a test, whose phases are then added.
+    /// Adds a test; its phases are added next.
     pub(super) fn push(&mut self, id: &str, figures: TestFigures, deletion: Option<DeletionRecord>) {
         self.deletions.set(self.len(), deletion.map(Box::new));
         self.ids.push(id);
@@ -145,29 +145,29 @@ impl TestRecords {
 }
 
 impl InnovationRecords {
-    /// Of no test yet; there is room for so many.
+    /// An empty list with room for this many tests.
     pub fn with_room(tests: usize) -> InnovationRecords {
         InnovationRecords(Rare::with_room(tests))
     }
 
-    /// Those of the test with this number, if it has any.
+    /// Innovations of the test with this number, if it has any.
     pub fn get(&self, number: usize) -> Option<&InnovationRecord> {
         self.0.get(number)
     }
 
-    /// Those of the test with this number.
+    /// Sets the innovations of the test with this number.
     pub fn put(&mut self, number: usize, innovations: InnovationRecord) {
         self.0.set(number, Some(innovations));
     }
 }
 
 impl FitRecord {
-    /// Tells the innovations of the tests; those of tests that have none here are dropped.
+    /// Sets the innovations of all tests; tests without innovations in `found` lose theirs.
     pub fn set_innovations(&mut self, found: InnovationRecords) {
         self.tests.innovations = found;
     }
 
-    /// Adds the series that were kept to the tests that have innovations.
+    /// Adds the retained series to the tests that have innovations.
     pub fn add_series(&mut self, keeper: SeriesKeeper) {
         let mut kept = keeper.into_series();
         for number in 0..self.tests.len() {
@@ -198,7 +198,7 @@ impl<'de> Deserialize<'de> for TestRecords {
     }
 }
 
-/// Takes tests as they are read.
+/// Visitor that collects tests as they are read.
 struct TestList;
 
 impl<'de> Visitor<'de> for TestList {
