@@ -1,4 +1,4 @@
-//! Models of tests, put together by hand.
+//! Models for unit tests, put together by hand.
 
 use std::collections::BTreeMap;
 
@@ -71,7 +71,7 @@ pub fn discrete(terms: Vec<(usize, Expression)>, input: Expression, noise_varian
     Motion::Discrete { next: linear(terms, input), noise_variance }
 }
 
-/// A stationary first-order Gauss-Markov state with time constant τ and standard deviation σ, at its index.
+/// Motion of a Gauss-Markov state with this time constant and steady-state standard deviation.
 pub fn gauss_markov(index: usize, tau: Expression, sigma: Expression) -> Motion {
     let noise_variance = over(times(number(2.0), square(sigma)), tau.clone());
     continuous(vec![(index, over(number(-1.0), tau))], number(0.0), noise_variance)
@@ -101,8 +101,8 @@ pub fn parameter(name: &str, start: Option<f64>, per: Option<usize>, positive: b
     }
 }
 
-/// A model with these columns, text columns and literals; the first column holds the time, and mean and covariance of the estimated
-/// states are free.
+/// A model with these columns, text columns and literals, and the time in the first column; the mean and covariance of
+/// the estimated states are free.
 pub fn model(
     [columns, texts, literals]: [&[&str]; 3],
     parameters: Vec<Parameter>,

@@ -1,11 +1,13 @@
-//! Whole fits in code: the twins of the README's examples, each compiled and run.
+//! Whole fits in code: the README's examples in Rust, each compiled and run.
 //!
-//! A model is built by [`Model::builder`](kalfit_model::Model::builder), data are [`Columns`](kalfit_model::build::Columns), [`fit`](crate::fit())
-//! does the rest. What the command line prints is in the [`record`](crate::face::Fit::record); the crate `kalfit-report` makes its texts.
+//! A model is built by [`Model::builder`](crate::Model::builder), data are [`Columns`](crate::build::Columns),
+//! [`fit`](crate::fit()) does the rest. The [`record`](crate::Fit::record) holds what the command line prints; the
+//! crate `kalfit-report` turns it into text.
 //!
 //! # Random coefficients
 //!
-//! Reaction times of eight people under sleep deprivation, each with a line of their own, the noise level unknown:
+//! Reaction times of eight people under sleep deprivation: each person has a separate line, and the noise level is
+//! unknown.
 //!
 //! ```
 //! use kalfit::build::{Columns, constant, free, measurement, name};
@@ -174,7 +176,7 @@
 //!
 //! # Tests in phases
 //!
-//! A platform is aligned, then flown. A builder is a value: what both phases have is said once.
+//! A platform is aligned, then flown. A builder is a value, so the parts that both phases share are written once.
 //!
 //! ```
 //! use kalfit::PhasedModel;
@@ -215,9 +217,9 @@
 //!
 //! # Other people's filters, and tests without their measurements
 //!
-//! Where somebody's Kalman-Schmidt filter stands between the measurements and us, `.filter(schmidt(prior).consider(["scale"]))` on a
-//! [`phase`](kalfit_model::build::phase) says so, and its estimates are what counts. And whoever holds the measurements can hand over
-//! [reductions](kalfit_model::Reduction) in their place:
+//! Where a Kalman-Schmidt filter of somebody else stands between the measurements and us,
+//! `.filter(schmidt(prior).consider(["scale"]))` on a [`phase`](crate::build::phase) declares it, and the fit uses its
+//! estimates. Those who hold the measurements can also hand over [reductions](crate::Reduction) in their place:
 //!
 //! ```
 //! use kalfit::build::{Columns, constant, measurement};
@@ -241,9 +243,9 @@
 //!
 //! # What the numbers are worth
 //!
-//! [`Options`](crate::face::Options) ask for profile intervals, restricted likelihood or sandwich standard errors; a hypothesis is the same
-//! model with constraints; a plan says what more tests would give; [`observability`](kalfit_infer::Inference::observability) tells
-//! which tests inform which state.
+//! [`Options`](crate::Options) ask for profile intervals, restricted likelihood or sandwich standard errors; a
+//! hypothesis is the same model with constraints; a plan gives the standard errors that more tests would have;
+//! [`observability`](crate::infer::Inference::observability) shows which tests inform which state.
 //!
 //! ```
 //! use kalfit::build::{Columns, constant, measurement, name};
@@ -294,6 +296,6 @@
 //!
 //! # Matrices step by step
 //!
-//! Who has the matrices of a Kalman filter gives those: see [`fit_matrices`](crate::face::fit_matrices), with
-//! [`StepMatrices`](kalfit_filter::reduce::StepMatrices) for transition, inputs and noises and [`Plain`](kalfit_filter::reduce::Plain) for
-//! x_0 = a + Aξ + ζ.
+//! Users who have the matrices of a Kalman filter give these matrices: see [`fit_matrices`](crate::fit_matrices), with
+//! [`StepMatrices`](crate::reduce::StepMatrices) for transition, inputs and noises and [`Plain`](crate::reduce::Plain)
+//! for x_0 = a + Aξ + ζ.

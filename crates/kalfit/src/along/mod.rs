@@ -1,12 +1,12 @@
-//! What is known along the records of the tests of a fit: for charts, and so bounded whatever the size of the ensemble.
+//! Estimates along the records of the tests of a fit: for charts, and so bounded whatever the size of the ensemble.
 //!
 //! ```text
-//! fit + its tests ──> Allan deviations of all records beside the model's own
+//! fit + its tests ──> Allan deviations of all records, together with those of the model
 //!                └──> the least probable tests: record and predictions, innovations, smoothed states
 //! ```
 //!
-//! Nothing is computed here that [`datasheet`](crate::datasheet), [`apply`](kalfit_apply::apply) and [`innovations`](kalfit_filter::innovations) do not
-//! compute for everybody; of long records some values are kept.
+//! Everything here is computed by [`datasheet`](crate::datasheet), [`apply`](crate::apply) and
+//! [`innovations`](crate::innovations); of long records only some values are included.
 
 #[cfg(test)]
 mod tests;
@@ -21,21 +21,22 @@ use kalfit_model::{Alpha, PhasedModel, Population};
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_record::{AlongRecord, FitRecord, TestRecord};
 
-/// Tests that are shown one by one.
+/// Largest number of tests that are shown one by one.
 const MOST_TESTS: usize = 20;
-/// Values of a series.
+/// Largest number of values of a series.
 const MOST_VALUES: usize = 400;
-/// A series has as many as this, if the record has.
+/// Smallest number of values that a series of a longer record is thinned to.
 const LEAST_VALUES: usize = 100;
-/// Numbers of all series together, about.
+/// Approximate largest number of values in all series together.
 const MOST_NUMBERS: usize = 240_000;
-/// Innovations of a quantile plot.
+/// Largest number of innovations in a quantile plot.
 const MOST_QUANTILES: usize = 120;
 
-/// What a fit knows along the records of its tests. `goes_on` hears how many tests are done, and says whether anybody still waits.
+/// Estimates along the records of the tests of a fit. `goes_on` is given the number of tests done, and returns false to
+/// stop.
 ///
-/// Tests in groups must be all of the fit's: what is known of a test is told by its group. A model without times has no records over time,
-/// and gives an empty answer.
+/// Where tests stand in groups, `tests` must be all tests of the fit: the estimates of a test depend on its group. A
+/// model without times has no records over time, and gives an empty answer.
 pub fn along(
     (model, alpha, population): (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],
@@ -71,7 +72,7 @@ fn one_by_one(
         return Ok(());
     }
     chosen.truncate(most);
-    // what is known of a test in groups is told by all of them
+    // the estimates of a test in groups depend on all tests
     let copies: Vec<PhasedTest>;
     let (own, places): (&[PhasedTest], Vec<usize>) = if model.levels.is_empty() {
         copies = chosen.iter().map(|&test| tests[test].clone()).collect();
@@ -92,7 +93,7 @@ fn one_by_one(
     Ok(())
 }
 
-/// How many tests of a model are shown, and how many values of each series.
+/// Number of tests that are shown for a model, and number of values of each series.
 fn bounds(model: &PhasedModel) -> (usize, usize) {
     let of = |phase: &kalfit_model::Phase| 1 + 2 * phase.model.states.len() + 6 * phase.model.measurements.len();
     let numbers = model.phases.iter().map(of).sum::<usize>().max(1);
@@ -100,7 +101,7 @@ fn bounds(model: &PhasedModel) -> (usize, usize) {
     (tests, (MOST_NUMBERS / (numbers * tests)).clamp(LEAST_VALUES, MOST_VALUES))
 }
 
-/// Tests that are known by their rows, the least probable first, and then by their ids.
+/// Tests that are given by rows, the least probable first, then by id.
 fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
     let of: std::collections::HashMap<&str, f64> = fit.tests.iter().map(|test| (test.id, least(test))).collect();
     let p_value = |test: usize| of.get(tests[test].id.as_str()).copied().unwrap_or(2.0);
@@ -113,7 +114,7 @@ fn chosen(tests: &[PhasedTest], fit: &FitRecord) -> Vec<usize> {
     chosen
 }
 
-/// The least p-value of a test: of its distance, of the size of its innovations, of their whiteness.
+/// Smallest p-value of a test: of its distance, of the size of its innovations, or of their whiteness.
 fn least(test: TestRecord<'_>) -> f64 {
     let seen = test.innovations;
     let white = seen.and_then(|own| own.whiteness.as_ref()).map(|own| own.p_value);

@@ -1,4 +1,4 @@
-//! What is shown along records is what others compute of them.
+//! Records along tests agree with the results of `apply`, `innovations` and `datasheet`.
 
 use crate::along::along;
 use crate::datasheet::{Source, datasheet};
@@ -26,7 +26,7 @@ fn wave(k: usize) -> f64 {
     ((k * 7919 + 13) % 101) as f64 / 50.0 - 1.0
 }
 
-/// Tests of so many rows; the last has an outlier.
+/// Tests with these numbers of rows; the sixth has an outlier.
 fn tests(rows: &[usize]) -> Vec<Columns> {
     let one = |(j, &rows): (usize, &usize)| {
         let bias = 2.0 * wave(j * 11 + 3);
@@ -100,7 +100,7 @@ fn short_records_are_whole_and_as_applied() {
             assert_eq!((own.innovations, &own.standardised), (z.len(), &z));
             assert!(own.quantiles.is_sorted_by(|a, b| a[0] < b[0] && a[1] <= b[1]));
         }
-        // y comes first in each step: foreseen from the steps before, as its innovation is
+        // y comes first in each step, so it is predicted from the steps before only, as its innovation is
         let y = &phase.measurements[0];
         for k in 0..y.values {
             let z = (y.measured[k] - y.predicted[k]) / y.std_dev[k];

@@ -1,11 +1,11 @@
-//! Some of very many values, for the eye.
+//! Selects some of very many values for a chart.
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Values that are kept beyond the regular ones: the largest.
+/// Number of largest values that are included in addition to the regular ones.
 const MOST_FAR: usize = 20;
 
-/// Places of about `most` of n values at equal distances, the first and the last among them.
+/// Indices of about `most` of n values at equal distances, including the first and the last.
 pub(super) fn thinned(n: usize, most: usize) -> Vec<usize> {
     let stride = n.div_ceil(most.max(2)).max(1);
     let mut places: Vec<usize> = (0..n).step_by(stride).collect();
@@ -15,7 +15,7 @@ pub(super) fn thinned(n: usize, most: usize) -> Vec<usize> {
     places
 }
 
-/// [`thinned`] with the values that are largest in size besides.
+/// The indices of [`thinned`], and those of the values that are largest in magnitude.
 pub(super) fn with_far(values: &[f64], most: usize) -> Vec<usize> {
     let mut places = thinned(values.len(), most);
     if places.len() < values.len() {
@@ -30,8 +30,8 @@ pub(super) fn with_far(values: &[f64], most: usize) -> Vec<usize> {
     places
 }
 
-/// Values in order, each beside Φ⁻¹((i - ½)/n) of its place i among n; of more than `most` those at equal distances of that quantile, so
-/// that both ends are whole.
+/// Sorted values, each with the quantile Φ⁻¹((i - ½)/n) of its rank i among n. More than `most` values are thinned at
+/// equal distances of the quantile, so that both tails are complete.
 pub(super) fn quantiles(values: &[f64], most: usize) -> Vec<[f64; 2]> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);

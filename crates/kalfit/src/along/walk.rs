@@ -1,4 +1,4 @@
-//! One test along its record: what was measured and foreseen, innovations, smoothed states.
+//! One test along its record: measured and predicted values, innovations, smoothed states.
 
 use crate::along::MOST_QUANTILES;
 use crate::along::thin::{quantiles, thinned, with_far};
@@ -8,16 +8,16 @@ use kalfit_model::PhasedModel;
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_record::{MeasurementAlong, PhaseAlong, StateAlong, TestAlong};
 
-/// What a test is looked at with.
+/// Model and filters that a test is evaluated with.
 pub(super) struct Walk<'a> {
     pub(super) model: &'a PhasedModel,
     pub(super) applied: &'a Applied<'a>,
     pub(super) filter: &'a InnovationFilter,
-    /// Values of a series that are kept.
+    /// Number of values of a series that are included.
     pub(super) values: usize,
 }
 
-/// A value that was measured.
+/// A measured value and its prediction.
 struct MeasuredValue {
     at: f64,
     measured: f64,
@@ -26,12 +26,12 @@ struct MeasuredValue {
 }
 
 impl Walk<'_> {
-    /// A test and its place among those that the model is applied to.
+    /// Results along a test; `place`: its index among the tests that the model is applied to.
     pub(super) fn test(&self, test: &PhasedTest, place: usize) -> Result<TestAlong, ApplyError> {
         let of = |kind| self.applied.states(kind, place..place + 1).map(|mut all| all.pop().unwrap_or_default());
         let predicted = of(StateKind::Predicted)?;
         let measured: Vec<Vec<Vec<MeasuredValue>>> = predicted.iter().map(|phase| self.measured(test, phase)).collect();
-        drop(predicted); // one of the two at a time: records may be very long
+        drop(predicted); // only one of the two is in memory at a time: records may be very long
         let seen = self.filter.run(std::slice::from_ref(test)).pop().transpose()?.flatten();
         let seen = seen.map_or(Vec::new(), |own| own.series);
         let smoothed = of(StateKind::Smoothed)?;
@@ -53,7 +53,7 @@ impl Walk<'_> {
         Ok(TestAlong { id: test.id.to_string(), phases: smoothed.iter().zip(measured).map(one).collect() })
     }
 
-    /// What was measured in a phase, by measurement.
+    /// Measured values of a phase, by measurement.
     fn measured(&self, test: &PhasedTest, states: &PhaseStates) -> Vec<Vec<MeasuredValue>> {
         let model = &self.model.phases[states.phase].model;
         let mut all: Vec<Vec<MeasuredValue>> = model.measurements.iter().map(|_| Vec::new()).collect();
@@ -101,7 +101,7 @@ impl Walk<'_> {
     }
 }
 
-/// A model with times has one for each step.
+/// Time of a step; a model with times has one for each.
 fn time(of: Option<f64>) -> f64 {
     of.unwrap_or(f64::NAN)
 }

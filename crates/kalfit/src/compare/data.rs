@@ -1,4 +1,4 @@
-//! Whether fits are of the same data.
+//! Checks whether fits are of the same data.
 
 use std::collections::BTreeMap;
 
@@ -7,32 +7,32 @@ use kalfit_record::FitRecord;
 /// Why fits cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CompareError {
-    /// One fit is no comparison.
+    /// Fewer than two fits.
     #[error("found {found} of the results of a fit, expected two or more")]
     TooFew {
-        /// How many there are.
+        /// Number of fits.
         found: usize,
     },
-    /// The same file twice.
+    /// A file that is given twice.
     #[error("`{name}` is given twice")]
     Twice {
-        /// The file.
+        /// Name of the file.
         name: String,
     },
-    /// Fits of other data.
+    /// Fits of different data.
     #[error("`{first}` and `{second}` are not fits of the same data: {what}")]
     OtherData {
-        /// One fit.
+        /// Name of one fit.
         first: String,
-        /// The other.
+        /// Name of the other fit.
         second: String,
-        /// What differs.
+        /// How the data differ.
         what: String,
     },
 }
 
 impl CompareError {
-    /// What to do about it.
+    /// A hint at what to do about the error.
     pub fn hint(&self) -> &'static str {
         match self {
             CompareError::TooFew { .. } => {
@@ -64,12 +64,12 @@ pub(super) fn check(fits: &[(String, FitRecord)]) -> Result<(), CompareError> {
     Ok(())
 }
 
-/// How many measured values each test has.
+/// Number of measured values of each test.
 fn observations(fit: &FitRecord) -> BTreeMap<&str, usize> {
     fit.tests.iter().map(|test| (test.id, test.observations)).collect()
 }
 
-/// What differs, in words.
+/// First difference between the data of two fits, in words; `None` where they are the same.
 fn difference(first: &FitRecord, second: &FitRecord) -> Option<String> {
     let (one, two) = (&first.data, &second.data);
     if one.tests != two.tests {
@@ -77,7 +77,7 @@ fn difference(first: &FitRecord, second: &FitRecord) -> Option<String> {
     }
     let levels =
         |fit: &FitRecord| -> Vec<String> { fit.levels.iter().filter_map(|level| level.column.clone()).collect() };
-    // ids hold the names of groups
+    // ids of tests contain the names of groups, so that they compare only between equal levels
     if !first.tests.is_empty() && !second.tests.is_empty() && levels(first) == levels(second) {
         let (one, two) = (observations(first), observations(second));
         let missing = |one: &BTreeMap<&str, usize>, two: &BTreeMap<&str, usize>| {

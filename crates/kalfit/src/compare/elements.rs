@@ -11,20 +11,20 @@ use kalfit_record::{CovarianceRecord, FitRecord};
 pub struct DifferenceRecord {
     /// `mean[a]`, `covariance[a, b]`, `mean[a] on column`, or the name of a parameter.
     pub element: String,
-    /// What it is in each fit; null where it is not there.
+    /// Standing of the element in each fit; null where a fit does not have it.
     pub standing: Vec<Option<StandingRecord>>,
 }
 
 /// Free or fixed, and the value.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct StandingRecord {
-    /// Not estimated.
+    /// Whether the element is fixed, not estimated.
     pub fixed: bool,
-    /// Its value.
+    /// Value of the element.
     pub value: f64,
 }
 
-/// What an element is.
+/// Identifies an element of a fit.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Key {
     /// Phase and state.
@@ -33,11 +33,11 @@ pub(super) enum Key {
     Regression(String, String, String),
     /// Phase or level of groups, and two states in the order of their texts.
     Covariance(CovarianceOf, String, String),
-    /// Name, and level of its column.
+    /// Name, and level of the column that the parameter has values by.
     Parameter(String, Option<String>),
 }
 
-/// Whose Σ.
+/// Owner of a covariance Σ.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum CovarianceOf {
     Phase(String),
@@ -105,7 +105,7 @@ fn mean_value(fit: &FitRecord, key: &Key) -> f64 {
     found.unwrap_or(f64::NAN)
 }
 
-/// What it is called; phases are named where there are several.
+/// Name of an element; with its phase where there are several.
 pub(super) fn words(key: &Key, several: bool) -> String {
     let of = |phase: &str, state: &str| if several { format!("{phase}.{state}") } else { state.to_owned() };
     match key {
@@ -118,7 +118,7 @@ pub(super) fn words(key: &Key, several: bool) -> String {
     }
 }
 
-/// What is not the same in all fits.
+/// Elements whose standing is not the same in all fits.
 pub(super) fn differences(fits: &[&FitRecord]) -> Vec<DifferenceRecord> {
     let several = fits.iter().any(|fit| fit.phases.len() > 1);
     let all: Vec<FitElements> = fits.iter().map(|fit| elements(fit)).collect();
@@ -138,7 +138,7 @@ pub(super) fn differences(fits: &[&FitRecord]) -> Vec<DifferenceRecord> {
     keys.into_iter().filter_map(record).collect()
 }
 
-/// Two fixed values are one, but for the rounding of a file.
+/// Whether two fixed values are equal up to the rounding of a file.
 pub(super) fn equal(a: f64, b: f64) -> bool {
     a == b || (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
 }

@@ -1,19 +1,19 @@
-//! What models say of their equations, in the words of the records.
+//! Comparison of the equations of models, by the sentences in their records.
 
 use serde::{Deserialize, Serialize};
 
 use kalfit_record::FitRecord;
 
-/// A fact about states or measurements that not all models have.
+/// A sentence on states or measurements that not all models have.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LineRecord {
-    /// The fact.
+    /// The sentence.
     pub line: String,
     /// Whether each fit's model has it.
     pub fits: Vec<bool>,
 }
 
-/// Beginnings of facts that other parts of a record tell too: of parameters, μ, Σ and groups.
+/// Beginnings of sentences on parameters, μ, Σ and groups, which are compared by other parts of a record.
 const ELSEWHERE: [&str; 9] = [
     "tests: ",
     "parameter `",
@@ -26,16 +26,16 @@ const ELSEWHERE: [&str; 9] = [
     "level `",
 ];
 
-/// A state without spread is one whose variance is fixed at zero, which Σ tells.
+/// Part of a sentence that is ignored: such a state has its variance fixed at zero, which is part of Σ.
 const COMMON: &str = ", one value common to all tests";
 
-/// Facts about states, measurements, steps and filters.
+/// Sentences on states, measurements, steps and filters.
 pub(super) fn equations(fit: &FitRecord) -> Vec<String> {
     let counts = |line: &&String| !ELSEWHERE.iter().any(|start| line.starts_with(start));
     fit.model.iter().filter(counts).map(|line| line.replace(COMMON, "")).collect()
 }
 
-/// Whether two models have the same equations; not where a record does not say.
+/// Whether two models have the same equations; false where a record has none.
 pub(super) fn same(a: &FitRecord, b: &FitRecord) -> bool {
     let (mut a, mut b) = (equations(a), equations(b));
     a.sort_unstable();
@@ -43,7 +43,8 @@ pub(super) fn same(a: &FitRecord, b: &FitRecord) -> bool {
     !a.is_empty() && a == b
 }
 
-/// The covariances are full, diagonal, in blocks or known: each element that is not fixed is free by itself.
+/// Whether all covariances are full, diagonal, in blocks or known, so that each element that is not fixed is free by
+/// itself.
 pub(super) fn is_plain(fit: &FitRecord) -> bool {
     let starts_plain = |kind: &str| {
         ["full", "diagonal", "blocks (", "known, ", "starts at "].iter().any(|plain| kind.starts_with(plain))
@@ -56,7 +57,7 @@ pub(super) fn is_plain(fit: &FitRecord) -> bool {
     all.all(starts_plain) && !fit.model.iter().any(|line| line.contains("covariances of ") && line.ends_with(": equal"))
 }
 
-/// Whether a value is where the range of a parameter ends.
+/// Whether a value is an end of the range of a parameter.
 pub(super) fn is_end(fit: &FitRecord, parameter: &str, value: f64) -> bool {
     let start = format!("parameter `{parameter}`");
     let Some(line) = fit.model.iter().find(|line| line.starts_with(&start)) else { return value == 0.0 };
@@ -66,7 +67,7 @@ pub(super) fn is_end(fit: &FitRecord, parameter: &str, value: f64) -> bool {
     })
 }
 
-/// Facts that not all models have.
+/// Sentences that not all models have.
 pub(super) fn differences(fits: &[&FitRecord]) -> Vec<LineRecord> {
     if fits.iter().any(|fit| fit.model.is_empty()) {
         return Vec::new();

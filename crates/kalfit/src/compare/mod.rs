@@ -1,5 +1,5 @@
-//! Fits of the same data side by side, from their records alone: likelihoods, criteria, tests of one within another where the records
-//! show that it lies there, and what differs in their structure.
+//! Comparison of fits of the same data, from their records alone: likelihoods, criteria, tests of nested fits where the
+//! records show that one is nested in the other, and differences in structure.
 
 mod data;
 mod elements;
@@ -23,7 +23,7 @@ use kalfit_record::{FitRecord, TestRecord};
 /// The schema of [`ComparedRecord`].
 pub const COMPARE_SCHEMA: &str = "kalfit-compare/1";
 
-/// Fits of the same data side by side.
+/// Comparison of fits of the same data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComparedRecord {
     /// Always `kalfit-compare/1`.
@@ -38,13 +38,13 @@ pub struct ComparedRecord {
     pub comparable: bool,
     /// The fits, as they were given.
     pub fits: Vec<ComparedFit>,
-    /// Fits that lie within others, by their places in `fits`.
+    /// Nested fits, by their indices in `fits`.
     pub nested: Vec<NestedRecord>,
     /// Elements of μ and Σ and parameters that are not free, or fixed at one value, in all fits.
     pub differences: Vec<DifferenceRecord>,
-    /// What the models say of states and measurements, where they do not all say it.
+    /// Sentences on states and measurements that not all models have.
     pub lines: Vec<LineRecord>,
-    /// How well models predict folds of tests that they were not fitted to, where that was given.
+    /// How well models predict folds of tests that they were not fitted to, where validations were given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validated: Vec<ComparedValidation>,
     /// Findings in plain words, most important first.
@@ -54,7 +54,7 @@ pub struct ComparedRecord {
 /// One of the fits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComparedFit {
-    /// As named by the user.
+    /// Name, as given by the user.
     pub name: String,
     /// Title of its model.
     pub title: String,
@@ -80,7 +80,8 @@ pub struct ComparedFit {
     pub akaike_weight: Option<f64>,
     /// Sum over tests of the log density of each at the fit without it; null where a test has none.
     pub log_predictive_density: Option<f64>,
-    /// What that is less than the largest of the fits, and the standard error of the difference over tests.
+    /// The largest log predictive density of the fits less this one, and the standard error of the difference over
+    /// tests.
     pub predictive_difference: Option<PredictiveDifference>,
     /// The optimality certificate holds.
     pub converged: bool,
@@ -98,7 +99,7 @@ pub struct PredictiveDifference {
 }
 
 impl PredictiveDifference {
-    /// Of what the best fit predicts better of each test.
+    /// Difference from, for each test, the best fit's log predictive density less this fit's.
     fn of(differences: &[f64]) -> PredictiveDifference {
         let (n, sum) = (differences.len() as f64, differences.iter().sum::<f64>());
         let squares: f64 = differences.iter().map(|one| (one - sum / n).powi(2)).sum();
@@ -107,10 +108,11 @@ impl PredictiveDifference {
     }
 }
 
-/// As [`compare`], with what `kalfit validate` found, too; there may be no fits where there are two validations or more.
+/// Compares fits as [`compare`] does, together with results of `kalfit validate`; there may be no fits where there are
+/// two validations or more.
 ///
 /// # Errors
-/// As there; a validation that is given twice.
+/// The errors of [`compare`]; a validation that is given twice.
 pub fn compare_with(
     fits: &[(String, FitRecord)],
     validated: &[(String, ValidatedRecord)],
@@ -129,7 +131,7 @@ pub fn compare_with(
     Ok(record)
 }
 
-/// No fits, beside a validation.
+/// A record without fits, for a comparison of validations alone.
 fn nothing(validated: &ValidatedRecord) -> ComparedRecord {
     ComparedRecord {
         schema: COMPARE_SCHEMA.to_owned(),
@@ -146,10 +148,10 @@ fn nothing(validated: &ValidatedRecord) -> ComparedRecord {
     }
 }
 
-/// Puts fits side by side, each with the name that the user gave it.
+/// Compares fits, each with the name that the user gave it.
 ///
 /// # Errors
-/// Fewer than two fits; one given twice; fits of other data.
+/// Fewer than two fits; a fit that is given twice; fits of different data.
 pub fn compare(fits: &[(String, FitRecord)]) -> Result<ComparedRecord, CompareError> {
     data::check(fits)?;
     let (comparable, mut notes) = comparable(fits);
@@ -199,7 +201,7 @@ fn fit((name, fit): &(String, FitRecord)) -> ComparedFit {
     }
 }
 
-/// Whether the log-likelihoods are of the same thing, and why not.
+/// Whether the log-likelihoods can be compared, and why not.
 fn comparable(fits: &[(String, FitRecord)]) -> (bool, Vec<String>) {
     let first = &fits[0].1;
     let differs = |of: &dyn Fn(&FitRecord) -> bool| fits.iter().any(|(_, fit)| of(fit));
@@ -256,7 +258,7 @@ fn rank(fits: &mut [ComparedFit]) {
     fits.iter_mut().for_each(|fit| fit.akaike_weight = fit.akaike_weight.map(|weight| weight / sum));
 }
 
-/// (test, log density of the test at the fit without it), in the order of the texts, where every test has one.
+/// (Test, log density of the test at the fit without it), sorted by test; `None` where a test has none.
 fn own_densities(fit: &FitRecord) -> Option<Vec<(&str, f64)>> {
     let one = |test: TestRecord<'_>| test.deletion.map(|deletion| deletion.log_density);
     let all: Option<Vec<(&str, f64)>> = fit.tests.iter().map(|test| Some((test.id, one(test)?))).collect();
@@ -265,7 +267,7 @@ fn own_densities(fit: &FitRecord) -> Option<Vec<(&str, f64)>> {
     Some(all)
 }
 
-/// Differences of predictive densities to the best of them: whatever was maximised, these are of the same values.
+/// Differences of predictive densities to the best one; these compare whatever criterion was maximised.
 fn predictive(fits: &mut [ComparedFit], records: &[&FitRecord]) {
     if records.iter().any(|fit| fit.log_likelihood_kind != records[0].log_likelihood_kind) {
         return;

@@ -1,8 +1,8 @@
-//! Fits that lie within others, and likelihood-ratio tests of them.
+//! Nested fits, and likelihood-ratio tests of them.
 //!
-//! A fit lies within another where both have the same states and equations, what is fixed in the larger one is fixed at the same
-//! value in the smaller one, and every element that is not fixed is free by itself, so that the flags of a record tell the whole
-//! structure. Where a record does not show that, nothing is said.
+//! A fit is nested in another where both have the same states and equations, what is fixed in the larger fit is fixed
+//! at the same value in the smaller one, and every element that is not fixed is free by itself, so that the flags in a
+//! record describe the whole structure. Where a record does not show that, no test is made.
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -11,53 +11,53 @@ use crate::compare::elements::{CovarianceOf, FitElements, Key, elements, equal};
 use crate::compare::lines;
 use kalfit_record::FitRecord;
 
-/// A fit within another.
+/// A fit that is nested in another, with its likelihood-ratio test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NestedRecord {
-    /// Place of the smaller one, the hypothesis.
+    /// Index in `fits` of the smaller fit, the hypothesis.
     pub null: usize,
-    /// Place of the larger one.
+    /// Index in `fits` of the larger fit.
     pub alternative: usize,
-    /// -2 log λ = 2 (ℓ of the larger - ℓ of the smaller).
+    /// -2 log λ = 2 (ℓ of the larger fit - ℓ of the smaller one).
     pub lr: f64,
-    /// Free quantities that the hypothesis takes away.
+    /// Number of free quantities that the hypothesis takes away.
     pub df: usize,
     /// Tail probability of `lr` under χ² with `df` degrees of freedom; null where that is not its law.
     pub p_value: Option<f64>,
-    /// What `p_value` is.
+    /// Kind of `p_value`.
     pub p_value_kind: PValueKind,
-    /// Why, in words; null where it is the large-sample law.
+    /// Why `p_value` is of this kind, in words; null where it is that of the large-sample law.
     pub reason: Option<String>,
 }
 
-/// What a p-value is.
+/// Kind of a p-value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PValueKind {
-    /// That of the large-sample law.
+    /// The tail probability of the large-sample law.
     LargeSample,
     /// Too large, if anything: the hypothesis is on a boundary.
     UpperBound,
-    /// Neither too large nor too small for sure.
+    /// Possibly too large, possibly too small.
     Approximate,
-    /// There is none.
+    /// No p-value.
     None,
 }
 
-/// What a smaller fit takes away from a larger one.
+/// Restriction by which a smaller fit differs from a larger one.
 #[derive(Debug, Default)]
 struct NestedRestriction {
-    /// Values of the larger one that are not free any more.
+    /// Number of values that are free in the larger fit alone.
     df: usize,
-    /// Variances of Σ and parameters that are fixed where their range ends, in words.
+    /// Variances of Σ and parameters that are fixed at an end of their range, in words.
     ends: Vec<String>,
-    /// Parameters among those.
+    /// Number of parameters among `ends`.
     parameter_ends: usize,
-    /// Parameters that are fixed.
+    /// Number of parameters that are fixed.
     parameters: usize,
 }
 
-/// Every fit within every other.
+/// All pairs of nested fits.
 pub(super) fn all(fits: &[(String, FitRecord)], notes: &mut Vec<String>) -> Vec<NestedRecord> {
     let own: Vec<FitElements> = fits.iter().map(|(_, fit)| elements(fit)).collect();
     let mut found = Vec::new();
@@ -79,7 +79,7 @@ pub(super) fn all(fits: &[(String, FitRecord)], notes: &mut Vec<String>) -> Vec<
     found
 }
 
-/// Rounding of twice a difference of log-likelihoods.
+/// Rounding error of twice a difference of log-likelihoods.
 fn slack(fit: &FitRecord) -> f64 {
     1e-6 * (1.0 + 1e-3 * fit.log_likelihood.abs())
 }
@@ -96,7 +96,7 @@ fn record(
     NestedRecord { null, alternative, lr, df: restricted.df, p_value, p_value_kind, reason }
 }
 
-/// What the tail probability of χ² is.
+/// Kind of p-value that the tail probability of χ² is, and why.
 fn law((small, large): (&FitRecord, &FitRecord), restricted: &NestedRestriction) -> (PValueKind, Option<String>) {
     let none = |reason: &str| (PValueKind::None, Some(reason.to_owned()));
     if !small.converged || !large.converged {
@@ -137,7 +137,7 @@ fn is_on_boundary(fit: &FitRecord) -> bool {
         || fit.parameters.iter().any(|parameter| !parameter.fixed && parameter.at_bound)
 }
 
-/// What the first takes away from the second; `None` where it is not shown to lie within it.
+/// The restriction of the smaller fit; `None` where the records do not show that it is nested in the larger one.
 fn restricted(
     (small, own): (&FitRecord, &FitElements),
     (large, others): (&FitRecord, &FitElements),
@@ -149,7 +149,7 @@ fn restricted(
     let mut found = NestedRestriction::default();
     let keys = own.keys().chain(others.keys().filter(|key| !own.contains_key(key)));
     for key in keys.filter(|key| !matches!(key, Key::Parameter(..))) {
-        // what is not there adds nothing
+        // an absent element of these kinds adds nothing: it counts as fixed at zero
         let absent = matches!(key, Key::Regression(..) | Key::Covariance(CovarianceOf::Level(_), ..));
         let of = |all: &FitElements| match all.get(key) {
             Some(standing) => Some((standing.fixed, standing.value)),
@@ -175,7 +175,8 @@ fn restricted(
     (found.df > 0 && found.df + small.free_parameters == large.free_parameters).then_some(found)
 }
 
-/// All values of a parameter; `None` where those of the smaller fit are not shown to be some of the larger one's.
+/// Adds all values of a parameter; `None` where the records do not show that those of the smaller fit are nested in
+/// those of the larger one.
 fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut NestedRestriction) -> Option<()> {
     let of = |fit: &'_ FitRecord| -> Vec<(Option<String>, bool, f64)> {
         let own = fit.parameters.iter().filter(|own| own.name == name);
@@ -188,7 +189,7 @@ fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut N
         levels
     };
     if let ([(None, false, _)], [(Some(_), ..), ..]) = (a.as_slice(), b.as_slice()) {
-        // one value for all levels that have one each
+        // one common value in the smaller fit, one value per level in the larger one
         found.df += b.len() - 1;
         return b.iter().all(|own| !own.1).then_some(());
     }
@@ -215,7 +216,7 @@ fn parameter(name: &str, (small, large): (&FitRecord, &FitRecord), found: &mut N
     Some(())
 }
 
-/// Free quantities, if each element that is not fixed is one.
+/// Number of free quantities, if each element that is not fixed is one of them.
 fn free(fit: &FitRecord, own: &FitElements) -> usize {
     let scaled = fit.phases.iter().any(|phase| phase.mean.scale.is_some() || phase.covariance.scale.is_some());
     match scaled || fit.levels.iter().any(|level| level.covariance.scale.is_some()) {
@@ -224,7 +225,7 @@ fn free(fit: &FitRecord, own: &FitElements) -> usize {
     }
 }
 
-/// The same phases with the same estimated states, in any order.
+/// Whether two fits have the same phases with the same estimated states, in any order.
 fn same_states(a: &FitRecord, b: &FitRecord) -> bool {
     let of = |fit: &FitRecord| -> Vec<(String, Vec<String>)> {
         let sorted = |states: &[String]| {

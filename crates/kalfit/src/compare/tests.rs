@@ -1,11 +1,11 @@
-//! Records made by hand: what lies within what, and what is said of it.
+//! Records written by hand: which fits are nested, and what is reported of them.
 
 use serde_json::{Value, json};
 
 use crate::compare::{CompareError, ComparedRecord, PValueKind, compare};
 use kalfit_record::FitRecord;
 
-/// Two states, full Σ and a noise level; `fixed` says which elements are not free: `mean`, `variance`, `covariance`, `sigma`.
+/// Two states, full Σ and a noise level; `fixed` lists what is not free: `mean`, `variance`, `covariance`, `sigma`.
 fn record(log_likelihood: f64, fixed: &[&str]) -> Value {
     let is = |what: &str| fixed.contains(&what);
     let free = 6

@@ -1,4 +1,4 @@
-//! What `kalfit validate` found of several models, side by side.
+//! Comparison of the results of `kalfit validate` for several models.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ use crate::validate::{PieceRecord, ValidatedRecord};
 /// How well one model predicts folds of tests that it was not fitted to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComparedValidation {
-    /// As named by the user.
+    /// Name, as given by the user.
     pub name: String,
     /// Title of its model.
     pub title: String,
@@ -19,22 +19,22 @@ pub struct ComparedValidation {
     pub folds: usize,
     /// Number of tests, or of groups of the outermost level.
     pub pieces: usize,
-    /// Measured values.
+    /// Number of measured values.
     pub observations: usize,
     /// Sum of the log predictive densities.
     pub log_density: f64,
-    /// Its standard error, by the scatter over tests or groups.
+    /// Standard error of the log density, by the scatter over tests or groups.
     pub std_error: Option<f64>,
-    /// What it is less than the largest of those of the same folds; null where its folds are others than those of the best.
+    /// The best log density less this one; null where the folds differ from those of the best.
     pub difference: Option<PredictiveDifference>,
     /// Every fit is certified.
     pub converged: bool,
 }
 
-/// Sets validations side by side, with notes on what does not compare.
+/// Compares validations, with notes on those that cannot be compared.
 ///
 /// # Errors
-/// One that is given twice.
+/// A validation that is given twice.
 pub(super) fn side_by_side(
     all: &[(String, ValidatedRecord)],
     notes: &mut Vec<String>,
@@ -69,7 +69,7 @@ pub(super) fn side_by_side(
     Ok(beside)
 }
 
-/// By how much the one predicts each test better, where both predicted the same values from the same others.
+/// How much better the best model predicts each test, where both predicted the same values in the same folds.
 fn differences(best: &ValidatedRecord, own: &ValidatedRecord) -> Option<Vec<f64>> {
     let (best, own) = (sorted(best), sorted(own));
     let same =
@@ -78,7 +78,7 @@ fn differences(best: &ValidatedRecord, own: &ValidatedRecord) -> Option<Vec<f64>
     if best.len() == own.len() { best.iter().zip(&own).map(difference).collect() } else { None }
 }
 
-/// By name.
+/// Tests or groups of a validation, sorted by name.
 fn sorted(record: &ValidatedRecord) -> Vec<&PieceRecord> {
     let mut pieces: Vec<&PieceRecord> = record.pieces.iter().collect();
     pieces.sort_by(|a, b| a.name.cmp(&b.name));

@@ -1,4 +1,4 @@
-//! The Allan deviation of a measurement: of the model, and of its records.
+//! Allan deviations of a measurement: of the model, and of its records.
 
 use crate::datasheet::noise::measured_unit;
 use crate::datasheet::units::ShownUnit;
@@ -10,20 +10,20 @@ use kalfit_model::{Alpha, Expression, Model, PhasedModel, Population, Scope, Sit
 use kalfit_model::{Evidence, PhasedTest};
 use kalfit_record::{AllanPoint, CurveRecord};
 
-/// Most values of a span.
+/// Largest number of values in a span.
 const MOST: usize = 100_000;
 
 /// The records of one measurement.
 #[derive(Debug)]
 pub(super) struct CurveRecords {
-    /// Those of each test, as (time, value).
+    /// Records of each test, as (time, value).
     pub(super) own: Vec<Vec<(f64, f64)>>,
-    /// Their usual step, if they have one.
+    /// Usual step of the records, if they have one.
     pub(super) step: Option<f64>,
 }
 
 impl CurveRecords {
-    /// What a measurement of a phase recorded, less what its equation has without a state.
+    /// Values of a measurement of a phase, less the part of its equation that has no state.
     pub(super) fn of(
         (model, at): (&PhasedModel, usize),
         m: usize,
@@ -54,7 +54,7 @@ fn record(model: &Model, m: usize, alpha: &Alpha, rows: &Test) -> Vec<(f64, f64)
     (0..rows.rows()).filter_map(value).collect()
 }
 
-/// Why there is no curve without a step.
+/// Why there is no curve, where no step is known.
 fn why_no_step(records: Option<&CurveRecords>) -> &'static str {
     match records {
         None => "there is no curve without a step: give data or `--step`",
@@ -65,7 +65,7 @@ fn why_no_step(records: Option<&CurveRecords>) -> &'static str {
     }
 }
 
-/// What a curve is drawn for.
+/// Model and values that curves are drawn for.
 #[derive(Debug)]
 pub(super) struct CurveRequest<'a> {
     pub(super) model: &'a PhasedModel,
@@ -135,7 +135,7 @@ impl CurveRequest<'_> {
         curve
     }
 
-    /// Constant matrices, with zero for the columns that only move what is measured.
+    /// Constant matrices of a phase, with zero for the columns that only change what is measured.
     fn filter(&self, phase: usize, step: Option<f64>, zero: &mut Vec<String>) -> Result<Exported, ExportError> {
         let own = &self.model.phases[phase];
         let timed = own.model.clock.time.is_some();
@@ -152,8 +152,8 @@ impl CurveRequest<'_> {
     }
 }
 
-/// Numeric columns in equations of measurements, in derivatives without a state and in means, unless motion, noise or `where` depend
-/// on them, too.
+/// Numeric columns in equations of measurements, in derivatives without a state and in means, except those that motion,
+/// noise or `where` depend on as well.
 fn inputs(model: &Model) -> Vec<String> {
     let is_free = |site: &Site| {
         matches!(

@@ -1,4 +1,4 @@
-//! A number made of expressions of the model, with the interval of the parameter it hangs on.
+//! A number computed from expressions of the model, with the interval of the parameter it depends on.
 
 use kalfit_apply::export::ExportError;
 use kalfit_apply::export::bind::Binder;
@@ -7,18 +7,18 @@ use kalfit_model::Label;
 use kalfit_model::{Alpha, Expression, Level, Model};
 use kalfit_record::ParameterRecord;
 
-/// What numbers are read from.
+/// Model and values that numbers are computed from.
 #[derive(Debug)]
 pub(super) struct Reader<'a> {
     pub(super) model: &'a Model,
     pub(super) alpha: &'a Alpha,
-    /// Columns with the value that they have on all rows.
+    /// Columns that have one value on all rows, as (name, value).
     pub(super) at: &'a [(String, String)],
-    /// What is known of the parameters; nothing of values that were merely given.
+    /// Results of the parameters; empty for values that were merely given.
     pub(super) known: &'a [ParameterRecord],
 }
 
-/// A number.
+/// A number of the datasheet, with its interval and what it depends on.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct ShownFigure {
     /// `None` where it differs from row to row.
@@ -26,18 +26,18 @@ pub(super) struct ShownFigure {
     pub(super) interval: Interval,
     /// Parameters that it depends on.
     pub(super) from: Vec<String>,
-    /// What it differs with.
+    /// Columns, or `step`, that it differs with.
     pub(super) varies_with: Vec<String>,
-    /// Where it differs with the levels of a column alone, the column and the level that it is of.
+    /// (Column, level) that the number is for, where it differs with the levels of one column alone.
     pub(super) at: Option<(String, String)>,
 }
 
-/// How a number follows from the values of expressions.
+/// Computes a number from the values of expressions.
 pub(super) type FigureForm<'a> = &'a dyn Fn(&[f64]) -> f64;
 
 impl Reader<'_> {
-    /// The number that follows from expressions at a step; where it differs with a column alone that parameters have values of their own by, one
-    /// for each level.
+    /// The number computed from expressions at a step; where it differs with one column alone, and parameters have
+    /// values for levels of this column, one number for each level.
     pub(super) fn figures(
         &self,
         of: &[&Expression],
@@ -61,7 +61,7 @@ impl Reader<'_> {
         levels.into_iter().map(one).collect()
     }
 
-    /// Levels of a text column that parameters have values of their own at, in the order of the model; none of any other column.
+    /// Levels of a text column for which parameters have values, in the order of the model; none for any other column.
     fn levels(&self, column: &str) -> Vec<String> {
         let Some(column) = self.model.text_columns.iter().position(|own| own.name == column) else { return Vec::new() };
         let mut labels: Vec<Label> = Vec::new();
@@ -77,8 +77,8 @@ impl Reader<'_> {
         labels.iter().filter_map(|label| self.model.literals.get(label.index()).cloned()).collect()
     }
 
-    /// The number that follows from expressions at a step. Its interval is that of the parameter that it follows, where it follows one
-    /// alone: a likelihood does not care in which form a parameter is written.
+    /// The number computed from expressions at a step. Where it depends on one parameter alone, its interval is that of
+    /// this parameter: a likelihood does not depend on the form in which a parameter is written.
     pub(super) fn figure(
         &self,
         of: &[&Expression],
@@ -107,12 +107,12 @@ impl Reader<'_> {
         Ok(ShownFigure { value: Some(value), interval, from, varies_with, at: None })
     }
 
-    /// The number that an expression is.
+    /// Value of an expression, if it is a number once known values are inserted.
     pub(super) fn number(&self, of: &Expression, step: Option<f64>) -> Result<Option<f64>, ExportError> {
         Ok(Binder::new((self.model, self.alpha), step, self.at)?.bind(of).as_number())
     }
 
-    /// Columns that expressions still read, `step` for a step that is not known, each once.
+    /// Columns that expressions still read, each once; `step` where the step is not known.
     fn varies_with(&self, of: &[&Expression], step: Option<f64>) -> Vec<String> {
         let mut all: Vec<String> = Vec::new();
         let Ok(binder) = Binder::new((self.model, self.alpha), step, self.at) else { return all };
@@ -149,7 +149,7 @@ impl Reader<'_> {
         Ok(values.map(|values| form(&values)).filter(|value| value.is_finite()))
     }
 
-    /// Parameters that stand in expressions, each once.
+    /// Parameters that occur in expressions, each once.
     fn parameters(&self, of: &[&Expression]) -> Vec<usize> {
         let mut all = Vec::new();
         for expression in of {
@@ -175,7 +175,7 @@ impl Reader<'_> {
         alpha
     }
 
-    /// The level of a parameter that has several.
+    /// Level at which a parameter with several values is read.
     fn level(&self, index: usize) -> Option<&str> {
         let column = &self.model.text_columns[self.model.parameters[index].per?].name;
         self.at.iter().find(|(name, _)| name == column).map(|(_, level)| level.as_str())
@@ -186,7 +186,7 @@ impl Reader<'_> {
         self.level(index).map_or_else(|| name.clone(), |level| format!("{name}[{level}]"))
     }
 
-    /// What becomes of the ends of the interval of a parameter.
+    /// Interval of the number, from the ends of the interval of a parameter.
     fn interval(
         &self,
         index: usize,
@@ -196,7 +196,7 @@ impl Reader<'_> {
         let parameter = &self.model.parameters[index];
         let (value, level) = (self.value(index)?, self.level(index));
         let known = |record: &&ParameterRecord| record.name == parameter.name && record.level.as_deref() == level;
-        // what was set otherwise has no interval of the fit
+        // a value that differs from the fit's has no interval
         let known = self.known.iter().find(known).filter(|record| record.estimate == value);
         let Some(ends) = known.and_then(|record| record.interval95) else { return Ok(None) };
         let mut found = [None; 2];

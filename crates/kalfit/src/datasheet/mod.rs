@@ -1,8 +1,9 @@
 //! The numbers of a datasheet that follow from a fit: noise, random walks, Gauss-Markov pairs, turn-on spread, Allan deviations.
 //!
-//! Each is a number of the model in another unit or another form, and its interval is that of the parameter it hangs on, taken along:
-//! an interval of σ is one of σ√δ. Where it hangs on several parameters its interval is not known. Units with labels that datasheets
-//! use become those of datasheets, other labels stay.
+//! Each is a number of the model in another unit or another form, and its interval is that of the parameter it depends
+//! on, transformed in the same way: an interval of σ gives one of σ√δ. Where it depends on several parameters its
+//! interval is not known. Units with labels that datasheets use are converted to those of datasheets; other labels
+//! stay.
 
 mod curve;
 mod figure;
@@ -21,25 +22,26 @@ use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, PhasedModel, Population};
 use kalfit_record::{CurveRecord, DATASHEET_SCHEMA, DatasheetRecord, FitRecord};
 
-/// What a datasheet is made of.
+/// What a datasheet is made from.
 #[derive(Debug)]
 pub struct Source<'a> {
-    /// What the parameters were taken from, as named by the user.
+    /// Origin of the parameters, as named by the user.
     pub name: String,
-    /// Its results, if it was a fit.
+    /// Results of the fit that the parameters were taken from, if there was one.
     pub record: Option<&'a FitRecord>,
-    /// Time from a value to the next, for want of data.
+    /// Time between successive values, for use without data.
     pub step: Option<f64>,
-    /// Columns with the value that they have on all rows.
+    /// Columns that have one value on all rows, as (name, value).
     pub at: &'a [(String, String)],
-    /// Tests whose records are put beside the model.
+    /// Tests whose records are compared with the model.
     pub tests: Option<&'a [PhasedTest]>,
 }
 
 /// The datasheet of a model at α, for a population.
 ///
 /// # Errors
-/// A population that is not of the model; columns that have no effect or values that are no numbers; a step that is no length.
+/// A population that does not fit the model; columns without effect, or with values that are not numbers; a step that
+/// is not positive.
 pub fn datasheet(
     model: &PhasedModel,
     alpha: &Alpha,
@@ -55,7 +57,7 @@ pub fn datasheet(
         let read = columns_read(own);
         let fixed: Vec<(String, String)> = source.at.iter().filter(|(name, _)| read.contains(name)).cloned().collect();
         let known = source.record.map_or(&[][..], |record| &record.parameters);
-        Binder::new((own, alpha), source.step, &fixed)?; // refuses what no later reading should meet
+        Binder::new((own, alpha), source.step, &fixed)?; // reports bad values of columns before anything is read
         let reader = Reader { model: own, alpha, at: &fixed, known };
         let mut sheet = Sheet { phase: &phase.name, reader, entries: Vec::new() };
         let mut usual = None;
@@ -84,11 +86,11 @@ pub fn datasheet(
     })
 }
 
-/// The Allan deviation of each measurement of each phase: of the records of tests and of the model at α, for a population; and what should
-/// be known of these curves, in plain words.
+/// The Allan deviation of each measurement of each phase, of the records of tests and of the model at α for a
+/// population; and notes on these curves, in plain words.
 ///
 /// # Errors
-/// A population that is not of the model.
+/// A population that does not fit the model.
 pub fn allan(
     (model, alpha, population): (&PhasedModel, &Alpha, &Population),
     tests: &[PhasedTest],

@@ -1,4 +1,4 @@
-//! Noises of measurements, and the motion of states: random walks and Gauss-Markov pairs.
+//! Noise of measurements, and motion of states: random walks and Gauss-Markov pairs.
 
 use crate::datasheet::figure::{FigureForm, Reader, ShownFigure};
 use crate::datasheet::units::{ShownUnit, UnitQuantity};
@@ -6,7 +6,7 @@ use kalfit_apply::export::ExportError;
 use kalfit_model::{Expression, Initial, Linear, Model, Motion};
 use kalfit_record::EntryRecord;
 
-/// What entries of one phase are made of.
+/// Collects the entries of one phase.
 #[derive(Debug)]
 pub(super) struct Sheet<'a> {
     pub(super) phase: &'a str,
@@ -14,7 +14,7 @@ pub(super) struct Sheet<'a> {
     pub(super) entries: Vec<EntryRecord>,
 }
 
-/// What an entry is called and means.
+/// Name and definition of an entry.
 struct NoiseMeaning {
     name: &'static str,
     definition: &'static str,
@@ -92,7 +92,8 @@ impl<'a> Sheet<'a> {
         Ok(())
     }
 
-    /// What a state does beside staying where it is. Steps of states that move from row to row are this long.
+    /// Adds the entries of a state that varies with time. `step`: length of the steps of states that move from row to
+    /// row.
     pub(super) fn motion(&mut self, i: usize, step: Option<f64>) -> Result<(), ExportError> {
         let model = self.reader.model;
         let state = &model.states[i];
@@ -180,7 +181,7 @@ impl<'a> Sheet<'a> {
         Ok(())
     }
 
-    /// A random walk whose density is known in the units of the model.
+    /// Adds a random walk whose density is known in the units of the model.
     fn walked(&mut self, i: usize, mut figures: Vec<ShownFigure>) {
         let model = self.reader.model;
         let unit = ShownUnit::shown(model.states[i].unit.as_deref());
@@ -247,7 +248,8 @@ fn is_zero(expression: &Expression) -> bool {
     expression.as_number() == Some(0.0)
 }
 
-/// The unit label of a measurement: that of the parameter that is its noise, else of the first state that is measured as it is.
+/// Unit label of a measurement: that of the parameter that is its noise, otherwise that of the first state that is
+/// measured with coefficient ±1.
 pub(super) fn measured_unit(model: &Model, m: usize) -> Option<String> {
     let measurement = &model.measurements[m];
     let noise = match &measurement.noise_variance {

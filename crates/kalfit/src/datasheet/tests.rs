@@ -1,4 +1,4 @@
-//! Entries against numbers made by hand.
+//! Entries compared with numbers computed by hand.
 
 use nalgebra::DMatrix;
 

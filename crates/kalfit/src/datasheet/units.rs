@@ -1,11 +1,11 @@
-//! Labels of units that datasheets use, and what they become there. Other labels stay as they are.
+//! Conversion of the unit labels that datasheets use. Other labels stay as they are.
 
 use std::f64::consts::PI;
 
 /// m/s² in one g.
 const GRAVITY: f64 = 9.80665;
 
-/// What is measured in a unit.
+/// Kind of quantity that a unit measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum UnitQuantity {
     /// An angular rate, shown in deg/h.
@@ -16,9 +16,9 @@ pub(super) enum UnitQuantity {
     Angle,
     /// A velocity, in m/s.
     Velocity,
-    /// A part of something, in ppm.
+    /// A fraction of something, in ppm.
     Part,
-    /// Anything else, as it is labelled.
+    /// Anything else, shown as it is labelled.
     Other,
 }
 
@@ -26,13 +26,13 @@ pub(super) enum UnitQuantity {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct ShownUnit {
     pub(super) quantity: UnitQuantity,
-    /// Values are multiplied by this.
+    /// Factor that values are multiplied by.
     pub(super) factor: f64,
     pub(super) label: Option<String>,
 }
 
 impl ShownUnit {
-    /// What stands for a label of the model.
+    /// The shown unit for a unit label of the model.
     pub(super) fn shown(label: Option<&str>) -> ShownUnit {
         let own = label.map(str::trim);
         let known = |own: &str| {
@@ -56,8 +56,8 @@ impl ShownUnit {
         own.and_then(known).or_else(|| own.and_then(per)).unwrap_or_else(other)
     }
 
-    /// What a white noise in it adds up to over time, for a standard deviation of one and steps of one unit of time: of a rate an
-    /// angle, of an acceleration a velocity.
+    /// Factor and label of white noise in this unit, integrated over time, for a standard deviation of one and steps of
+    /// one unit of time: a rate gives an angle, an acceleration a velocity.
     pub(super) fn white(&self, time: Option<&str>) -> (f64, Option<String>) {
         match (self.quantity, hours(time)) {
             (UnitQuantity::Rate, Some(hours)) => (self.factor * hours.sqrt(), Some("deg/sqrt(h)".to_owned())),
@@ -68,7 +68,7 @@ impl ShownUnit {
         }
     }
 
-    /// The factor and the label of a density of noise that drives a state in it.
+    /// Factor and label of the density of noise that drives a state in this unit.
     pub(super) fn walk(&self, time: Option<&str>) -> (f64, Option<String>) {
         match (self.quantity, hours(time)) {
             (UnitQuantity::Other | UnitQuantity::Part, _) | (_, None) => (self.factor, self.with("/", time)),
@@ -81,7 +81,7 @@ impl ShownUnit {
     }
 }
 
-/// A rate or an acceleration per something else: `deg/s/g`.
+/// Unit of a rate or an acceleration per something else, such as `deg/s/g`.
 fn per(label: &str) -> Option<ShownUnit> {
     let rates = ["deg/h", "deg/s", "rad/s", "m/s^2", "mg", "ug", "g"];
     let (own, rest) = rates.iter().find_map(|own| Some((*own, label.strip_prefix(own)?)))?;
@@ -90,7 +90,7 @@ fn per(label: &str) -> Option<ShownUnit> {
     Some(ShownUnit { quantity: UnitQuantity::Other, factor: unit.factor, label })
 }
 
-/// Hours in a unit of time.
+/// Number of hours in a unit of time.
 fn hours(time: Option<&str>) -> Option<f64> {
     match time.map(str::trim) {
         Some("s") => Some(1.0 / 3600.0),

@@ -1,4 +1,4 @@
-//! A model with its tests.
+//! A model together with the tests that it is fitted to.
 
 use kalfit_filter::reduce::{PhasedReducer, ReduceError, Reductions};
 use kalfit_filter::simulate::{Designs, SimulateError, Simulator};
@@ -7,7 +7,7 @@ use kalfit_model::PhasedTest;
 use kalfit_model::build::{Columns, ColumnsError};
 use kalfit_model::{Alpha, PhasedModel, Population};
 
-/// A model with the tests that it is to be fitted to.
+/// A model together with the tests that it is to be fitted to.
 #[derive(Debug, Clone)]
 pub struct Ensemble {
     model: PhasedModel,
@@ -16,17 +16,17 @@ pub struct Ensemble {
 }
 
 impl Ensemble {
-    /// Puts tests in columns together with their model.
+    /// An ensemble of a model and tests given as columns.
     ///
     /// # Errors
-    /// Columns that are not those of the model.
+    /// The columns do not fit the model.
     pub fn new(model: &PhasedModel, tests: &[Columns]) -> Result<Ensemble, ColumnsError> {
         let mut labels = Labels::new(&model.shared().literals);
         let tests = tests.iter().map(|columns| columns.test(model, &mut labels)).collect::<Result<_, _>>()?;
         Ok(Ensemble { model: model.clone(), labels, tests })
     }
 
-    /// Tests that are there already: rows, estimates of somebody's filter, reductions.
+    /// An ensemble of a model and existing tests: rows, estimates of some filter, or reductions.
     pub fn of_tests(model: &PhasedModel, labels: Labels, tests: Vec<PhasedTest>) -> Ensemble {
         Ensemble { model: model.clone(), labels, tests }
     }
@@ -36,7 +36,7 @@ impl Ensemble {
         &self.model
     }
 
-    /// The texts of the data.
+    /// Labels for the texts in the data.
     pub fn labels(&self) -> &Labels {
         &self.labels
     }
@@ -46,19 +46,20 @@ impl Ensemble {
         &self.tests
     }
 
-    /// Runs the filters once, at α: all that the tests say about the initial states there.
+    /// Reduces the tests, with one run of the filters at α: their information on the initial states.
     ///
     /// # Errors
-    /// Numbers that the filter cannot work with.
+    /// The filter cannot work with the numbers of a test.
     pub fn reduce(&self, alpha: &Alpha) -> Result<Reductions, ReduceError> {
         PhasedReducer::new(&self.model, alpha)?.reduce(&self.tests)
     }
 
-    /// A new ensemble of so many tests, drawn from a population: times, inputs and what is missing are those of these tests, which
-    /// are used over and over. The same seed draws the same ensemble.
+    /// A new ensemble of `tests` tests, drawn from a population: times, inputs and missing values are those of the
+    /// existing tests, which are used in turn. The same seed draws the same ensemble.
     ///
     /// # Errors
-    /// A population that is not of the model; no tests, or two with one id; numbers that the filter cannot work with.
+    /// The population does not fit the model; there are no tests, or two with one id; the filter cannot work with the
+    /// numbers.
     pub fn draw(
         &self,
         alpha: &Alpha,

@@ -1,4 +1,4 @@
-//! Why there is no fit.
+//! Reasons why an ensemble cannot be fitted.
 
 use kalfit_estimate::FitError;
 use kalfit_filter::reduce::ReduceError;
@@ -7,37 +7,37 @@ use kalfit_model::build::ColumnsError;
 use kalfit_record::MixedGroup;
 use kalfit_search::DynamicError;
 
-/// Why there is no fit.
+/// Why an ensemble cannot be fitted.
 #[derive(Debug, thiserror::Error)]
 pub enum EnsembleError {
-    /// The columns are not those of the model.
+    /// The columns do not fit the model.
     #[error(transparent)]
     Columns(#[from] ColumnsError),
-    /// A test has no reduction.
+    /// A test cannot be reduced.
     #[error(transparent)]
     Reduce(#[from] Box<ReduceError>),
     /// μ and Σ cannot be estimated.
     #[error(transparent)]
     Fit(#[from] FitError),
-    /// Nor can α.
+    /// α cannot be estimated.
     #[error(transparent)]
     Dynamic(#[from] Box<DynamicError>),
-    /// Free parameters where nothing estimates them.
+    /// There are free parameters where α must be known.
     #[error(transparent)]
     Parameters(#[from] ParameterError),
-    /// A test of two groups.
+    /// A test belongs to two groups.
     #[error(transparent)]
     Group(#[from] MixedGroup),
-    /// A reduction of another model.
+    /// A reduction has another number of unknowns than the model.
     #[error("test `{test}` has {found} unknown numbers, expected {expected}: {}", names.join(", "))]
     Dimension {
         /// Id of the test.
         test: String,
-        /// Unknown numbers of the test.
+        /// Number of unknowns of the test.
         found: usize,
-        /// Those of the model.
+        /// Number of unknowns of the model.
         expected: usize,
-        /// Their names.
+        /// Names of the unknowns of the model.
         names: Vec<String>,
     },
 }

@@ -1,17 +1,17 @@
-//! Figures of a fit, by name.
+//! Estimates of a fit, looked up by name.
 
 use crate::face::fit::Fit;
 use kalfit_infer::{Interval, Posterior};
 use kalfit_record::{ParameterRecord, PhaseRecord, VectorRecord};
 
-/// A number with what it is worth.
+/// An estimated number with its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Figure {
-    /// The number.
+    /// The estimate.
     pub estimate: f64,
-    /// Its standard error; `None` where it is fixed, not identified, or on the boundary.
+    /// Standard error of the estimate; `None` where the number is fixed, not identified, or on the boundary.
     pub std_error: Option<f64>,
-    /// Its 95 % interval; `None` where it is fixed or not identified.
+    /// 95 % interval of the number; `None` where it is fixed or not identified.
     pub interval95: Interval,
 }
 
@@ -19,11 +19,11 @@ pub struct Figure {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the fit has no {what} `{name}`; it has {}", known.join(", "))]
 pub struct UnknownName {
-    /// What was asked for.
+    /// Kind of the quantity that was requested.
     pub what: &'static str,
-    /// The name.
+    /// The unknown name.
     pub name: String,
-    /// The names that there are.
+    /// The names that the fit has.
     pub known: Vec<String>,
 }
 
@@ -31,7 +31,7 @@ impl Fit {
     /// The mean of a state over the tests. States of models in phases are named `phase.state`.
     ///
     /// # Errors
-    /// No such estimated state.
+    /// There is no such estimated state.
     pub fn mean(&self, state: &str) -> Result<Figure, UnknownName> {
         let (phase, i) = self.find(state)?;
         let (estimate, mean) = (phase.mean.estimate[i], &phase.mean);
@@ -41,17 +41,18 @@ impl Fit {
     /// The standard deviation of a state from test to test.
     ///
     /// # Errors
-    /// No such estimated state.
+    /// There is no such estimated state.
     pub fn std_dev(&self, state: &str) -> Result<Figure, UnknownName> {
         let (phase, i) = self.find(state)?;
         let VectorRecord { estimate, std_error, interval95 } = &phase.std_dev;
         Ok(Figure { estimate: estimate[i], std_error: std_error[i], interval95: interval95[i] })
     }
 
-    /// The correlation of two states of one phase; `None` where one of them does not vary, and between phases.
+    /// The correlation of two states of one phase; `None` where one of them does not vary, or they are of different
+    /// phases.
     ///
     /// # Errors
-    /// No such estimated states.
+    /// There are no such estimated states.
     pub fn correlation(&self, first: &str, second: &str) -> Result<Option<Figure>, UnknownName> {
         let ((phase, i), (other, j)) = (self.find(first)?, self.find(second)?);
         let matrix = &phase.correlation;
@@ -63,7 +64,7 @@ impl Fit {
     /// A dynamic parameter, common to all tests.
     ///
     /// # Errors
-    /// No such parameter, or one with levels.
+    /// There is no such parameter, or it has levels.
     pub fn parameter(&self, name: &str) -> Result<Figure, UnknownName> {
         self.one_parameter(name, None)
     }
@@ -71,7 +72,7 @@ impl Fit {
     /// A dynamic parameter at a level.
     ///
     /// # Errors
-    /// No such parameter, or no such level of it.
+    /// There is no such parameter, or it does not have this level.
     pub fn parameter_at(&self, name: &str, level: &str) -> Result<Figure, UnknownName> {
         self.one_parameter(name, Some(level))
     }
@@ -89,10 +90,10 @@ impl Fit {
         Ok(Figure { estimate: *estimate, std_error: *std_error, interval95: *interval95 })
     }
 
-    /// What one test says of its own initial states, given the population.
+    /// Posterior of the initial states of one test, given the population.
     ///
     /// # Errors
-    /// No such test.
+    /// There is no such test.
     pub fn posterior(&self, test: &str) -> Result<Posterior<'_>, UnknownName> {
         let index = self.reductions.iter().position(|reduction| reduction.test == test);
         index.map(|i| self.inference.posteriors.get(i)).ok_or_else(|| UnknownName {

@@ -1,4 +1,4 @@
-//! A fit with all that came of it, and what can be asked of one.
+//! The results of a fit, and the options of one.
 
 use kalfit_estimate as estimate;
 use kalfit_estimate::{Estimate, Structure};
@@ -8,20 +8,20 @@ use kalfit_model::{Alpha, PhasedModel, Population};
 use kalfit_record::FitRecord;
 use kalfit_search::Method;
 
-/// What is asked of a fit.
+/// Options of a fit.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Of the search for μ and Σ.
+    /// Settings of the search for μ and Σ.
     pub settings: estimate::Settings,
-    /// How free parameters are sought.
+    /// Method of the search for free parameters.
     pub method: Method,
-    /// Random starts of that search besides the one worked out from the data.
+    /// Number of random starts of the search for free parameters, in addition to the start computed from the data.
     pub starts: usize,
-    /// Their seed.
+    /// Seed of the random starts.
     pub seed: u64,
-    /// What is inferred, and how.
+    /// Options of the inference.
     pub choices: Choices,
-    /// Look at the innovations after the fit.
+    /// Whether innovations are computed after the fit.
     pub innovations: bool,
 }
 
@@ -32,40 +32,41 @@ impl Default for Options {
     }
 }
 
-/// A model fitted to tests. [`Fit::mean`], [`Fit::std_dev`] and [`Fit::parameter`] give figures by name; the fields give everything.
+/// A model fitted to tests. [`Fit::mean`], [`Fit::std_dev`] and [`Fit::parameter`] give estimates by name; the fields
+/// give everything.
 #[derive(Debug, Clone)]
 pub struct Fit {
-    /// The model.
+    /// The fitted model.
     pub model: PhasedModel,
-    /// Every value of α.
+    /// All values of α.
     pub alpha: Alpha,
-    /// The tests at α.
+    /// The reductions of the tests at α.
     pub reductions: Reductions,
-    /// μ and Σ with their certificate.
+    /// The estimates of μ and Σ, with their certificate.
     pub estimate: Estimate,
-    /// What each number is worth, and what each test says.
+    /// Uncertainty of the estimates, and the results of each test.
     pub inference: Inference,
-    /// All of it with names, ready to be written: fit.json.
+    /// All results with their names, ready to be written to fit.json.
     pub record: FitRecord,
 }
 
 impl Fit {
-    /// The optimality certificate holds, of μ, Σ and α.
+    /// Whether the optimality certificate holds for μ, Σ and α.
     pub fn converged(&self) -> bool {
         self.record.converged
     }
 
-    /// log p of all measurements, including all constants; under REML the restricted one.
+    /// log p of all measurements, including all constants; under REML the restricted log-likelihood.
     pub fn log_likelihood(&self) -> f64 {
         self.estimate.log_likelihood
     }
 
-    /// The population that was found, to draw from or to plan with.
+    /// The estimated population, to draw from or to plan with.
     pub fn population(&self) -> Population {
         Population::from(&self.estimate)
     }
 
-    /// What the model says of μ and Σ, for another fit to the same reductions.
+    /// The structure that the model gives μ and Σ, for another fit to the same reductions.
     pub fn structure(&self) -> Structure<'_> {
         Structure::of(&self.model, &self.alpha, self.estimate.grouping())
     }

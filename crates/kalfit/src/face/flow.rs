@@ -1,4 +1,4 @@
-//! The flow of the whole crate in one place.
+//! The whole way from a model and tests to a fit.
 
 use std::sync::Arc;
 
@@ -17,34 +17,34 @@ use kalfit_model::{Grouping, Labels};
 use kalfit_record::{DynamicParts, FitRecord, LevelCounts, Provenance, TestGroups, level_notes};
 use kalfit_search::{DynamicError, DynamicFit};
 
-/// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them. The tests'
-/// order does not change the answer, nor does the number of threads.
+/// Fits a model to tests: μ, Σ and free dynamic parameters by maximum likelihood, with all that is inferred from them.
+/// The result depends neither on the order of the tests nor on the number of threads.
 ///
 /// # Errors
-/// Columns that are not those of the model, numbers that the filter cannot work with, no tests.
+/// The columns do not fit the model, the filter cannot work with the numbers, or there are no tests.
 pub fn fit(model: &PhasedModel, tests: &[Columns]) -> Result<Fit, EnsembleError> {
     Ensemble::new(model, tests)?.fit()
 }
 
 impl Ensemble {
-    /// As [`fit`](crate::fit).
+    /// Fits the model with default options, as [`fit`](crate::fit).
     ///
     /// # Errors
-    /// As there.
+    /// As the function `fit`.
     pub fn fit(&self) -> Result<Fit, EnsembleError> {
         self.fit_with(&Options::default(), &mut Silent)
     }
 
-    /// Fits as it is asked to, and tells how far it is.
+    /// Fits the model with the given options, and reports progress.
     ///
     /// # Errors
-    /// As [`fit`](crate::fit); also options that do not go together.
+    /// As [`fit`](crate::fit); also options that cannot be combined.
     pub fn fit_with(&self, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
         of_tests(self, options, progress)
     }
 }
 
-/// Reduce, estimate, infer, record; with free parameters the search for them in place of the first two.
+/// Reduces, estimates, infers and records; with free parameters, the search for them replaces the first two steps.
 fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress) -> Result<Fit, EnsembleError> {
     let (model, labels, tests) = (ensemble.model(), ensemble.labels(), ensemble.tests());
     let slots = Slots::in_phases(model, labels, tests);
@@ -83,7 +83,7 @@ fn of_tests(ensemble: &Ensemble, options: &Options, progress: &mut dyn Progress)
     Ok(fit)
 }
 
-/// The same of reductions at a known α.
+/// Estimates, infers and records, from reductions at a known α.
 pub(super) fn of_reductions(
     (model, alpha): (&PhasedModel, &Alpha),
     (reductions, grouping): (Reductions, Option<&Arc<Grouping>>),

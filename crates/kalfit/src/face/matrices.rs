@@ -1,4 +1,4 @@
-//! Tests given by matrices step by step, or by their reductions.
+//! Fits to tests that are given by matrices step by step, or by their reductions.
 
 use rayon::prelude::*;
 
@@ -35,16 +35,17 @@ use kalfit_model::{Alpha, PhasedModel};
 /// ```
 ///
 /// # Errors
-/// Matrices that do not fit together or are no covariances; tests with another number of unknowns than the model; no tests.
+/// Matrices do not fit together, or are no covariances; a test has another number of unknowns than the model; there are
+/// no tests.
 pub fn fit_matrices(model: &PhasedModel, tests: &[Plain]) -> Result<Fit, EnsembleError> {
     let reductions: Vec<_> = tests.par_iter().map(Plain::reduce).collect();
     fit_reductions(model, reductions.into_iter().collect::<Result<_, _>>()?, &Options::default())
 }
 
-/// Fits μ and Σ to reductions made before, here or elsewhere, at known parameters.
+/// Fits μ and Σ to existing reductions, at known parameters.
 ///
 /// # Errors
-/// Free parameters; reductions with another number of unknowns than the model; no reductions.
+/// There are free parameters; a reduction has another number of unknowns than the model; there are no reductions.
 pub fn fit_reductions(model: &PhasedModel, reductions: Reductions, options: &Options) -> Result<Fit, EnsembleError> {
     let alpha = Alpha::fixed(&model.shared().parameters)?;
     let expected = model.dimension();

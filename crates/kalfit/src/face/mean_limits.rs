@@ -1,4 +1,4 @@
-//! Limits of predicted means by profile likelihood, from the tests that a fit was made of.
+//! Limits of predicted means by profile likelihood, for the model and tests of an ensemble.
 
 use std::sync::Arc;
 
@@ -13,23 +13,25 @@ use kalfit_infer::dynamic::MeansAt;
 use kalfit_model::Slots;
 use kalfit_search::DynamicError;
 
-/// Limits of predicted means, and the fit that they are around.
+/// Limits of predicted means, and the quality of the fit that they are computed from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeanProfiles {
     /// log p of all measurements at the maximum.
     pub log_likelihood: f64,
-    /// The optimality certificate holds there; without it there are no limits.
+    /// Whether the optimality certificate holds at the maximum; without it there are no limits.
     pub converged: bool,
-    /// Of each mean; both are the estimate where nothing that was estimated moves it, `None` where an end is not found.
+    /// Limits of each mean; both are the estimate where no estimated number moves the mean, `None` where one is not
+    /// found.
     pub limits: Vec<Option<[f64; 2]>>,
 }
 
 impl Ensemble {
-    /// Between which values the likelihood-ratio test keeps predicted means: those whose highest log-likelihood, over α, μ and Σ, is
-    /// within half the square of `quantile` of the maximum. The model is fitted by maximum likelihood, from its start values.
+    /// Limits of predicted means by the likelihood-ratio test: values whose highest log-likelihood, over α, μ and Σ, is
+    /// within half the square of `quantile` of the maximum. The model is fitted by maximum likelihood, from its start
+    /// values.
     ///
     /// # Errors
-    /// As of a fit.
+    /// As for a fit.
     pub fn mean_limits(
         &self,
         means: MeansAt<'_>,

@@ -1,4 +1,4 @@
-//! From a model and tests to a fit in one call; see [`fit`](crate::fit) and [`fit_matrices`](crate::face::fit_matrices).
+//! Fits of a model to tests in one call; see [`fit`](crate::fit) and [`fit_matrices`](crate::fit_matrices).
 
 mod ensemble;
 mod error;

@@ -1,11 +1,11 @@
-//! The data once more, at the fit.
+//! Innovations at the fit, from a second pass over the data.
 
 use crate::face::fit::Fit;
 use kalfit_filter::innovations::innovations;
 use kalfit_model::PhasedTest;
 use kalfit_record::{InnovationRecord, InnovationRecords, SeriesKeeper};
 
-/// Adds innovations to the record, or a note that says why there are none: the fit itself does not depend on them.
+/// Adds innovations to the record, or a note why there are none: the fit itself does not depend on them.
 pub(super) fn add_innovations(fit: &mut Fit, tests: &[PhasedTest]) {
     let model = &fit.model;
     let found = match innovations(model, &fit.alpha, &fit.population(), tests) {

@@ -61,7 +61,8 @@ fn free_parameters_are_found_by_every_method() {
     let [hybrid, em] = [Method::Hybrid, Method::Em].map(by);
     assert!(hybrid.converged() && em.converged());
     let sigma = |fit: &Fit| fit.parameter("sigma").unwrap();
-    // balanced random lines: the residual variance is what the lines leave, over the 4 - 2 degrees of freedom of each test
+    // balanced random lines: the residual variance is the residual sum of squares over the 4 - 2 degrees of freedom per
+    // test
     let left = LINES.iter().map(|line| residual(values(*line))).sum::<f64>();
     let expected = (left / (2.0 * LINES.len() as f64)).sqrt();
     assert!((sigma(&hybrid).estimate / expected - 1.0).abs() < 1e-6, "{} {expected}", sigma(&hybrid).estimate);
@@ -69,7 +70,7 @@ fn free_parameters_are_found_by_every_method() {
     assert!(sigma(&hybrid).std_error.is_some());
 }
 
-/// Σ (y - a - bt)² at the least-squares line.
+/// Residual sum of squares Σ (y - a - bt)² of the least-squares line.
 fn residual(points: [(f64, f64); 4]) -> f64 {
     let mean = |f: &dyn Fn((f64, f64)) -> f64| points.iter().map(|&p| f(p)).sum::<f64>() / 4.0;
     let (t, y) = (mean(&|p| p.0), mean(&|p| p.1));

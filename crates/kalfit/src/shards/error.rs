@@ -6,68 +6,68 @@ use kalfit_search::DynamicError;
 /// Why a model cannot be fitted to tests in several places, or why one of them has no answer.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ShardError {
-    /// Levels of a parameter are texts of the data, which stay where they are.
+    /// A parameter has a free value for each level; levels are texts of the data, which do not leave their place.
     #[error("`{parameter}` has one free value for each level, which a fit by sums does not support")]
     PerLevel {
-        /// The parameter.
+        /// Name of the parameter.
         parameter: String,
     },
-    /// Bounds of noise covariances follow from rows.
+    /// The bounds of noise covariances follow from rows of data, which a fit by sums does not see.
     #[error(
         "noise covariances beside free parameters (`{parameter}`) have bounds that follow from rows, which a fit by sums does not see"
     )]
     NoiseCovariance {
-        /// The first free parameter.
+        /// Name of the first free parameter.
         parameter: String,
     },
-    /// Phases put together by their marginals.
+    /// The phases are combined by their marginals.
     #[error("phases combined by `marginal` cannot be fitted by sums")]
     Marginal,
-    /// Standard errors that are made test by test.
+    /// The kind of standard errors requested is not available from sums over tests.
     #[error("standard errors from the {found} are not available in a fit by sums")]
     StdErrors {
-        /// What was asked for.
+        /// The kind of standard errors requested.
         found: &'static str,
     },
-    /// Profiles take very many sums.
+    /// Intervals by profile likelihood were requested, which would take very many sums.
     #[error("intervals by profile likelihood are not available in a fit by sums")]
     Profiles,
-    /// The restricted likelihood beside free parameters.
+    /// The restricted likelihood was requested together with free parameters.
     #[error("the restricted likelihood with free parameters (`{parameter}`) is not available in a fit by sums")]
     Restricted {
-        /// The first free parameter.
+        /// Name of the first free parameter.
         parameter: String,
     },
-    /// Estimates of a filter beside free parameters.
+    /// A test is given by a filter's estimates or by a reduction, although a parameter is free.
     #[error("test `{test}` comes as a filter's estimates or as a reduction, but `{parameter}` is free")]
     NotRows {
         /// Id of the test.
         test: String,
-        /// The first free parameter.
+        /// Name of the first free parameter.
         parameter: String,
     },
-    /// What is asked is not of this model.
+    /// The question does not fit this model.
     #[error("what is asked does not fit the model: {what}")]
     Question {
-        /// What does not fit.
+        /// The part of the question that does not fit.
         what: &'static str,
     },
-    /// Tests that cannot be grouped.
+    /// The tests cannot be grouped.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
     /// No place has a test.
     #[error("there are no tests")]
     NoTests,
-    /// A test has no reduction at the only values of the parameters.
+    /// A test has no reduction at the values of the parameters, none of which is free.
     #[error(transparent)]
     Reduce(#[from] Box<ReduceError>),
-    /// There is no fit.
+    /// The fit failed.
     #[error(transparent)]
     Dynamic(#[from] Box<DynamicError>),
 }
 
 impl ShardError {
-    /// What to do about it.
+    /// What the user can do about the error, if there is a general answer.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
             ShardError::PerLevel { .. } => Some("make the parameter common to all tests, or give each level its value"),

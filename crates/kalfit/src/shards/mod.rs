@@ -1,4 +1,5 @@
-//! Fits of tests that no one place holds: on a cluster, and between laboratories that exchange nothing but sums.
+//! Fits of tests that are spread over several places: on a cluster, and between laboratories that exchange nothing but
+//! sums.
 //!
 //! ```text
 //! Shard::answer(θ, kind) → sums          where tests are: a pure function of what is asked and of them
@@ -6,8 +7,8 @@
 //! go_on(all sums so far) → Next          what is to be asked next, or the fit
 //! ```
 //!
-//! [`go_on`] makes the search of [`estimate`](kalfit_estimate) and [`dynamic`](kalfit_search) from its beginning with the answers
-//! that are there. It keeps nothing itself: whoever has the answers can go on.
+//! [`go_on`] repeats the search of [`estimate`](crate::estimate) and [`dynamic`](crate::dynamic) from its beginning
+//! with the answers known so far. It stores nothing itself: whoever has the answers can continue.
 //!
 //! ```
 //! use kalfit::build::{Columns, constant, free, measurement, name};

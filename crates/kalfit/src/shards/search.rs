@@ -1,4 +1,4 @@
-//! The search for a fit by sums: what is to be asked next, or the fit.
+//! The search for a fit by sums: it yields the next questions, or the fit.
 
 use std::sync::Arc;
 
@@ -14,33 +14,33 @@ use kalfit_model::{PhasedModel, Slots, Value};
 use kalfit_record::{DynamicParts, FitRecord, Provenance};
 use kalfit_search::{Coordinate, Method, Settings, SuggestedValues};
 
-/// Said of every fit by sums.
+/// Note on the record of every fit by sums.
 const BY_SUMS: &str = "computed from sums over tests, which stayed at their places: there are no results of single tests, and designs are counted place by place";
 
-/// What is asked of a fit.
+/// Options of a fit by sums.
 #[derive(Debug, Clone, Default)]
 pub struct Asks {
-    /// Of the search for μ and Σ.
+    /// Settings of the search for μ and Σ.
     pub settings: estimate::Settings,
-    /// What standard errors are made of: the observed information, or, with all parameters known, the expected.
+    /// Basis of the standard errors: the observed information or, with all parameters known, the expected information.
     pub std_errors: StdErrors,
-    /// How intervals are made: Wald's.
+    /// Kind of intervals; only Wald's are supported.
     pub intervals: IntervalKind,
 }
 
-/// How a fit goes on.
+/// What a fit needs next, or its result.
 #[derive(Debug)]
 pub enum Next {
-    /// These sums are wanted.
+    /// The fit needs these sums over all places.
     Asks(Vec<Asked>),
-    /// It has ended.
+    /// The fit has ended with this record.
     Ends(Box<FitRecord>),
 }
 
-/// What every place is asked for first.
+/// The questions that every place is to answer first.
 ///
 /// # Errors
-/// A model that is not fitted by sums.
+/// A model that cannot be fitted by sums.
 pub fn first(model: &PhasedModel, settings: &estimate::Settings) -> Result<Vec<Asked>, ShardError> {
     refuse(model, settings)?;
     let slots = slots(model);
@@ -48,10 +48,10 @@ pub fn first(model: &PhasedModel, settings: &estimate::Settings) -> Result<Vec<A
     Ok(vec![Asked { values: vec![0.0; slots.len()], question }])
 }
 
-/// Goes on with the sums over all places that are known so far.
+/// Continues a fit with the sums over all places that are known so far.
 ///
 /// # Errors
-/// A model or a choice that is not fitted by sums; what keeps a fit of all tests in one place from an answer.
+/// A model or an option that a fit by sums does not support, or any error of a fit of all tests in one place.
 pub fn go_on(
     model: &PhasedModel,
     asks: &Asks,
@@ -83,7 +83,7 @@ pub fn go_on(
     };
     let wanted = answers.wanted();
     if !wanted.is_empty() {
-        return Ok(Next::Asks(wanted)); // what was found beyond means nothing
+        return Ok(Next::Asks(wanted)); // a result found without these answers is meaningless
     }
     let mut record = found?;
     record.notes.push(BY_SUMS.to_owned());
@@ -116,7 +116,7 @@ fn with_free(
     let opening = SuggestedValues::of(begun, &Coordinate::of(model, slots));
     let SuggestedValues { start, units, .. } =
         opening.ok_or(ShardError::Question { what: "the number of free values" })?;
-    // α, μ and Σ move together: what a step asks for is one sum
+    // α, μ and Σ move together, so that a step needs only one sum
     let settings = Settings { method: Method::Innovations, inner: asks.settings.clone(), ..Settings::default() };
     let fit = dynamic::fit_remote(model, (slots, &settings), (answers, start, units), progress).map_err(Box::new)?;
     let labels = &Labels::new(&model.shared().literals);
@@ -129,12 +129,12 @@ fn failed(error: FitError) -> ShardError {
     ShardError::Dynamic(Box::new(error.into()))
 }
 
-/// The free values, all of which are common to all tests.
+/// Slots of the free values, all of which are common to all tests.
 fn slots(model: &PhasedModel) -> Slots {
     Slots::in_phases(model, &Labels::new(&model.shared().literals), &[])
 }
 
-/// Models that are not fitted by sums.
+/// Refuses models that cannot be fitted by sums.
 pub(super) fn refuse(model: &PhasedModel, settings: &estimate::Settings) -> Result<(), ShardError> {
     let free = |value: Value| matches!(value, Value::Free { .. });
     let parameters = &model.shared().parameters;
@@ -157,7 +157,7 @@ pub(super) fn refuse(model: &PhasedModel, settings: &estimate::Settings) -> Resu
     }
 }
 
-/// Choices of a fit that are not made by sums.
+/// Refuses options that a fit by sums does not support.
 fn refuse_choices(asks: &Asks, slots: &Slots) -> Result<(), ShardError> {
     match asks.std_errors {
         StdErrors::Sandwich => Err(ShardError::StdErrors { found: "sandwich" }),
@@ -169,7 +169,7 @@ fn refuse_choices(asks: &Asks, slots: &Slots) -> Result<(), ShardError> {
     }
 }
 
-/// Ends a search that has asked for what is not known.
+/// A progress that stops the search once it needs an answer that is not known.
 struct SearchWaits<'a> {
     answers: Arc<Answers>,
     progress: &'a mut dyn Progress,

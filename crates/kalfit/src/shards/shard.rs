@@ -1,4 +1,4 @@
-//! One place: its tests, and what it answers about them.
+//! One place: its tests, and its answers to questions about them.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,40 +15,41 @@ use kalfit_model::{Grouping, Labels};
 use kalfit_model::{PhasedModel, Slots};
 use kalfit_search::{Around, Scale, Settings, add_exact};
 
-/// The tests of one place, with all that stand in one group of the outermost level. What it answers is a function of the tests and of
-/// what is asked, and of nothing else; what it keeps saves work only.
+/// The tests of one place; tests of one group of the outermost level must all be in the same place. An answer depends
+/// on the tests and the question only; what is cached merely saves work.
 #[derive(Debug)]
 pub struct Shard {
     model: PhasedModel,
-    /// In the order of their ids.
+    /// Tests in the order of their ids.
     tests: Vec<PhasedTest>,
-    /// The groups that they stand in, where the model has levels.
+    /// Groups of the tests, where the model has levels.
     grouping: Option<Arc<Grouping>>,
-    /// Names of those of the outermost level, in their order.
+    /// Sorted names of the groups of the outermost level.
     groups: Vec<String>,
     slots: Slots,
     settings: Settings,
     batching: Batching,
-    /// Where the only free value scales all noise: the filters run at one value of many.
+    /// Set if the only free value scales all noise, so that the filters need to run at few of its values only.
     scale: Option<Scale>,
-    /// What was made of the tests at the α that was asked for last.
+    /// Cached results for the tests at the α requested last.
     kept: Mutex<Option<ShardAtAlpha>>,
 }
 
-/// The tests at an α.
+/// Reductions and filtered batches of the tests at one α.
 #[derive(Debug)]
 struct ShardAtAlpha {
     values: Vec<f64>,
     summed: Summed,
-    /// Tests that are kept side by side.
+    /// Batches of tests after their filters, where scores need them.
     filtered: Option<FilteredPhases>,
 }
 
 impl Shard {
-    /// Tests of a model; `settings` are those of start values.
+    /// The shard of these tests of a model; `settings`: those of the search for start values.
     ///
     /// # Errors
-    /// A model that is not fitted by sums; tests that come otherwise than by rows where parameters are free.
+    /// A model that cannot be fitted by sums; tests that are not given by rows although parameters are free; tests that
+    /// cannot be grouped.
     pub fn new(
         model: PhasedModel,
         labels: &Labels,
@@ -77,15 +78,15 @@ impl Shard {
         self.tests.len()
     }
 
-    /// Names of the groups of the outermost level, in their order; each must be in one place only, with all its tests.
+    /// Sorted names of the groups of the outermost level; each group must be in one place only, with all its tests.
     pub fn groups(&self) -> &[String] {
         &self.groups
     }
 
-    /// What the tests say; `None` where it is not defined at these free values.
+    /// The answer to a question; `None` where it is not defined at the free values of the question.
     ///
     /// # Errors
-    /// Questions about another model, and where no parameter is free a test that has no reduction.
+    /// A question about another model; a test that has no reduction, where no parameter is free.
     pub fn answer(&self, asked: &Asked) -> Result<Answer, ShardError> {
         if asked.values.len() != self.slots.len() {
             return Err(ShardError::Question { what: "the number of free values" });
@@ -126,7 +127,7 @@ impl Shard {
         Ok(ShardAtAlpha { values: values.to_vec(), summed, filtered })
     }
 
-    /// Runs the filters, for scores too where they are wanted.
+    /// Runs the filters, storing what scores need unless nothing is free or `scale` gives the scores.
     fn filter(&self, values: &[f64]) -> Result<(Reductions, Option<FilteredPhases>), Box<ReduceError>> {
         if self.slots.is_empty() || self.scale.is_some() {
             return Ok((self.passed(values)?, None));
@@ -142,7 +143,7 @@ impl Shard {
         PhasedReducer::passing(&self.model, &alpha, &self.slots)?.reduce(&self.tests).map_err(Box::new)
     }
 
-    /// Σ dℓ_j/dα.
+    /// The sum Σ dℓ_j/dα over the tests.
     fn score(
         &self,
         values: &[f64],
@@ -169,14 +170,14 @@ impl Shard {
     }
 }
 
-/// The sum over tests, of so many values; `None` where it is not defined.
+/// The sum of the scores over tests (`values` numbers); `None` where it is not finite.
 fn total(scores: &[Gradient], values: usize) -> Answer {
     let mut sum = vec![0.0; values];
     scores.iter().flatten().for_each(|&(slot, bar)| sum[slot] += bar);
     sum.iter().all(|x| x.is_finite()).then_some(sum)
 }
 
-/// The value that one is scaled from: a power of four near by, which depends on nothing else.
+/// The value from which `value` is scaled: the nearest power of four, which depends on `value` alone.
 fn origin(value: f64) -> f64 {
     if value > 0.0 && value.is_finite() { 2f64.powi(2 * (0.5 * value.log2()).round() as i32) } else { value }
 }

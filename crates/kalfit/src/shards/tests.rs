@@ -1,4 +1,4 @@
-//! Fits by sums against fits of all tests in one place.
+//! Fits by sums, compared with fits of all tests in one place.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,10 +12,10 @@ use kalfit_model::remote::{Answer, Asked, sum};
 use kalfit_model::{Alpha, Column, CovarianceStructure, GroupLevel, PhasedModel, Population};
 use kalfit_record::{FitRecord, Provenance};
 
-/// The fit of tests that are dealt out to so many places, and how many rounds it took.
+/// The fit of tests that are divided among `places` places, and the number of rounds it took.
 fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize) {
     let tests = ensemble.tests();
-    // whole groups of the outermost level
+    // groups of the outermost level are not split
     let grouping = kalfit_filter::reduce::grouping(ensemble.model(), tests).unwrap();
     let unit = |j: usize| grouping.as_ref().map_or(j, |grouping| grouping.group_of(j, grouping.depth() - 1));
     let part = |k: usize| -> Vec<_> {
@@ -43,7 +43,7 @@ fn by_sums(ensemble: &Ensemble, places: usize, asks: &Asks) -> (FitRecord, usize
     panic!("no end after 200 rounds");
 }
 
-/// Places that have answered much answer as those that have answered nothing, to the bit.
+/// Places that have answered many questions give the same answers as fresh ones, to the bit.
 fn forget_nothing(old: &[Shard], fresh: Vec<Shard>, known: &[(Asked, Answer)]) {
     for (asked, _) in known.iter().rev().step_by(3) {
         for (old, fresh) in old.iter().zip(&fresh) {
@@ -201,7 +201,7 @@ fn a_time_constant_and_two_noise_levels() {
     assert!(rounds <= 13, "{rounds} rounds");
 }
 
-/// Two phases, the second of which inherits the level and some tests lack, with a noise level that is known or not.
+/// Two phases; the second one inherits the level, and some tests lack it. The noise level is known or free.
 fn phases(sigma: kalfit_model::build::ParameterBuilder) -> Ensemble {
     let rest = kalfit_model::Model::builder("phases")
         .state(constant("level"))
@@ -235,7 +235,7 @@ fn tests_in_phases() {
     agree(&phases(free("sigma").start(0.2)), &Asks::default());
 }
 
-/// Lines of tests that stand in groups of these levels, the outermost first, with a regression of the mean on a dose.
+/// Lines of tests in groups of these levels, the outermost first, with a regression of the mean on a dose.
 fn in_groups(sigma: kalfit_model::build::ParameterBuilder, levels: &[&str], tests: usize) -> Ensemble {
     let mut model = lines(sigma).regress_mean("slope", "dose").build().unwrap();
     let column = |name: &&str| Column { name: (*name).to_owned(), used_in: "levels".to_owned() };

@@ -1,25 +1,25 @@
-//! Why a model is not validated.
+//! Reasons why a model cannot be validated.
 
 use crate::face::EnsembleError;
 use kalfit_apply::apply::ApplyError;
 use kalfit_filter::reduce::GroupingError;
 
-/// Why a model is not validated.
+/// Why a model cannot be validated.
 #[derive(Debug, thiserror::Error)]
 pub enum ValidateError {
-    /// A fit that cannot be made.
+    /// A fit failed.
     #[error(transparent)]
     Fit(#[from] EnsembleError),
-    /// A fit that cannot be applied to its fold.
+    /// A fit cannot be applied to its fold.
     #[error(transparent)]
     Apply(#[from] ApplyError),
-    /// Tests that stand in no groups.
+    /// The groups of the tests cannot be determined.
     #[error(transparent)]
     Grouping(#[from] GroupingError),
-    /// There is nothing to predict.
+    /// No test has measured values, so there is nothing to predict.
     #[error("nothing was measured in any test")]
     NothingMeasured,
-    /// Nobody waits.
+    /// The caller requested a stop.
     #[error("interrupted")]
     Interrupted,
 }

@@ -1,4 +1,4 @@
-//! Folds of tests: which tests are left out together.
+//! Division of tests into folds, which are left out in turn.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use kalfit_model::PhasedModel;
 use kalfit_model::PhasedTest;
 use kalfit_record::TestGroups;
 
-/// A fold for each test.
+/// Assignment of each test to a fold.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Folds {
     /// Names of the folds.
@@ -22,37 +22,38 @@ pub struct Folds {
     pub of: Vec<usize>,
 }
 
-/// Why there are no folds.
+/// Why tests cannot be divided into folds.
 #[derive(Debug, thiserror::Error)]
 pub enum FoldsError {
-    /// One fold leaves nothing to fit.
+    /// There is only one fold, so that no tests remain to fit.
     #[error("there is one fold, expected two or more: {why}")]
     One {
-        /// What would make more of them.
+        /// What would give more folds.
         why: &'static str,
     },
     /// The tests of one group are in two folds.
     #[error("tests of {level} `{group}` are in folds `{first}` and `{second}`, expected one fold for all of them")]
     Apart {
-        /// The outermost level.
+        /// Name of the outermost level.
         level: String,
-        /// The group.
+        /// Name of the group.
         group: String,
-        /// One fold.
+        /// One of the folds.
         first: String,
-        /// Another.
+        /// Another of the folds.
         second: String,
     },
-    /// Tests that stand in no groups.
+    /// The groups of the tests cannot be determined.
     #[error(transparent)]
     Validate(Box<ValidateError>),
 }
 
 impl Folds {
-    /// Of about equal numbers of tests, or of groups of the outermost level, drawn from a seed; the order of the tests does not matter.
+    /// Draws folds of about equal numbers of tests, or of groups of the outermost level, from a seed; the order of the
+    /// tests does not matter.
     ///
     /// # Errors
-    /// Fewer than two tests or groups.
+    /// There are fewer than two tests or groups.
     pub fn drawn(
         model: &PhasedModel,
         labels: &Labels,
@@ -74,10 +75,10 @@ impl Folds {
         Ok(Folds { names: (1..=count).map(|k| k.to_string()).collect(), of })
     }
 
-    /// Those of the column that tests are grouped by: tests with one text are a fold.
+    /// Folds by the text of each test in a column: tests with equal texts are one fold.
     ///
     /// # Errors
-    /// One text only; groups whose tests have two.
+    /// There is only one text, or the tests of one group have two.
     pub fn by_text(
         model: &PhasedModel,
         labels: &Labels,
@@ -109,18 +110,18 @@ impl Folds {
         Ok(Folds { names: names.into_iter().map(named).collect(), of })
     }
 
-    /// How many there are.
+    /// Number of folds.
     pub fn count(&self) -> usize {
         self.names.len()
     }
 
-    /// The tests of a fold, and the others.
+    /// Indices of the tests of a fold, and of the other tests.
     pub fn split(&self, fold: usize) -> (Vec<usize>, Vec<usize>) {
         (0..self.of.len()).partition(|&test| self.of[test] == fold)
     }
 }
 
-/// What is left out as a whole: of each test itself, or its group of the outermost level.
+/// For each test the name of what is left out as a whole: the test, or its group of the outermost level.
 fn pieces(model: &PhasedModel, labels: &Labels, tests: &[PhasedTest]) -> Result<Vec<String>, FoldsError> {
     let found = grouping(model, tests).map_err(|error| FoldsError::Validate(Box::new(error.into())))?;
     let Some(grouping) = found else { return Ok(tests.iter().map(|test| test.id.to_string()).collect()) };

@@ -1,10 +1,12 @@
-//! How well a model predicts tests that it was not fitted to: fits without each of several folds of tests, applied to that fold.
+//! How well a model predicts tests that it was not fitted to: fits without each of several folds of tests,
+//! each applied to its fold.
 //!
 //! ```text
 //! tests ──> folds ──> (α, μ, Σ) without a fold ──> log p of the fold, innovations, distances
 //! ```
 //!
-//! What leaves a single test out at a known α is no new fit: [`deletions`](kalfit_infer::deletions) has it exactly.
+//! Leaving out a single test at a known α needs no new fit: [`deletions`](crate::infer::deletions) gives the exact
+//! result.
 
 mod error;
 mod folds;
@@ -28,54 +30,54 @@ use kalfit_infer::{DeletionChoice, Distance, SharedProgress, TestsChoice, deleti
 use kalfit_model::PhasedTest;
 use kalfit_model::{Alpha, Level, PhasedModel, Population, Value};
 
-/// What fits without their fold say of tests.
+/// Predictions of tests by fits without their fold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Validation {
     /// log p of all tests at the fit to all of them.
     pub fitted: f64,
-    /// Whether that fit is certified.
+    /// Whether the fit to all tests is certified.
     pub converged: bool,
-    /// Of each fold, whether the fit without it is certified.
+    /// For each fold, whether the fit without it is certified.
     pub folds: Vec<bool>,
-    /// What is predicted as a whole: tests, or groups of the outermost level, of which anything was measured.
+    /// Tests, or groups of the outermost level, that are predicted as a whole and have measured values.
     pub pieces: Vec<Piece>,
-    /// Of each test, in their order.
+    /// Results of each test, in the order of the tests.
     pub tests: Vec<LeftOut>,
 }
 
-/// Tests that are predicted together.
+/// A test, or a group of the outermost level, that is predicted as a whole.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Piece {
-    /// The test, or the group of the outermost level.
+    /// Name of the test or group.
     pub name: String,
-    /// Its fold.
+    /// Fold of the test or group.
     pub fold: usize,
-    /// log p of its measurements at the fit without its fold.
+    /// log p of its measurements at the fit without this fold.
     pub log_density: f64,
-    /// Its measured values.
+    /// Number of its measured values.
     pub observations: usize,
 }
 
-/// A test at the fit without its fold.
+/// Results of a test at the fit without its fold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LeftOut {
-    /// How many of its innovations are within [`LEVELS`] of what was predicted.
+    /// Number of its innovations within the central interval of each of the probabilities [`LEVELS`].
     pub within: [usize; LEVELS.len()],
     /// Number of its innovations.
     pub innovations: usize,
-    /// Distance of its initial state from the population of the others.
+    /// Distance of its initial state from the population that the other folds give.
     pub distance: Distance,
 }
 
-/// Probabilities of the intervals that innovations are counted in,
+/// Probabilities of the central intervals in which innovations are counted.
 pub const LEVELS: [f64; 3] = [0.5, 0.9, 0.95];
-/// and their half widths in standard deviations.
+/// Half widths of the intervals with probabilities `LEVELS`, in standard deviations.
 const WIDTHS: [f64; 3] = [0.674_489_750_196_082, 1.644_853_626_951_472, 1.959_963_984_540_054];
 
-/// Fits without each fold in turn, and applies the fit to it.
+/// Fits the model without each fold in turn, and applies the fit to that fold.
 ///
 /// # Errors
-/// What a fit ends with that cannot be made; a fold that a fit to the others says nothing of.
+/// A fit fails, or cannot be applied to its fold; no test has measured values; `progress` stops.
 pub fn validate(
     ensemble: &Ensemble,
     folds: &Folds,
@@ -89,7 +91,7 @@ pub fn validate(
     let whole = ensemble.fit_with(&options, progress)?;
     let fitted = match options.settings.criterion {
         Criterion::Ml => whole.log_likelihood(),
-        // the restricted one is no density of the tests
+        // the restricted likelihood is not a density of the tests
         Criterion::Reml => {
             let (pieces, _) = applied(ensemble, (&whole.alpha, &whole.population()), ensemble.tests(), 0)?;
             pieces.iter().map(|piece| piece.log_density).sum()
@@ -129,7 +131,7 @@ pub fn validate(
     Ok(found)
 }
 
-/// The model with the values of the fit to all tests to start from.
+/// The model with the values of the fit to all tests as start values.
 fn started(whole: &Fit) -> PhasedModel {
     let mut model = whole.model.clone();
     for phase in model.models_mut() {
@@ -144,7 +146,8 @@ fn started(whole: &Fit) -> PhasedModel {
     model
 }
 
-/// The population without each test, where every fold is one test and α is known, as long as somebody waits.
+/// The population without each test, where every fold is one test and α is known; `None` otherwise, or once `progress`
+/// stops.
 fn alone(
     ensemble: &Ensemble,
     whole: &Fit,
@@ -160,7 +163,7 @@ fn alone(
     Some(found.into_iter().map(|deletion| Some(deletion?.estimate)).collect())
 }
 
-/// The fit to these tests alone, and whether it is certified.
+/// α and the population of a fit to some tests, and whether the fit is certified.
 fn without(
     model: &PhasedModel,
     ensemble: &Ensemble,
@@ -176,7 +179,7 @@ fn without(
     Ok((fit.alpha.clone(), fit.population(), fit.converged()))
 }
 
-/// What a fit says of tests that it was not made from.
+/// Predictions of a fit for tests that it was not fitted to.
 fn applied(
     ensemble: &Ensemble,
     (alpha, population): (&Alpha, &Population),

@@ -1,4 +1,4 @@
-//! How well a model predicts tests that it was not fitted to.
+//! The record of a validation: how well a model predicts tests that it was not fitted to.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +8,10 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use crate::validate::{Folds, LEVELS, Validation};
 use kalfit_model::PhasedModel;
 
-/// The schema of [`ValidatedRecord`].
+/// Name of the schema of [`ValidatedRecord`].
 pub const VALIDATE_SCHEMA: &str = "kalfit-validate/1";
 
-/// Predictions of tests by fits that were made without them.
+/// Results of a validation: predictions of tests by fits that were made without these tests.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ValidatedRecord {
     /// Always `kalfit-validate/1`.
@@ -22,102 +22,102 @@ pub struct ValidatedRecord {
     pub model_digest: Option<String>,
     /// Data files, as named by the user.
     pub files: Vec<String>,
-    /// The column that makes folds; null where they were drawn.
+    /// The column that defines the folds; null where they were drawn.
     pub by: Option<String>,
-    /// Seed of the draw; null where a column makes them.
+    /// Seed of the draw; null where a column defines the folds.
     pub seed: Option<u64>,
-    /// What is predicted as a whole: `test`, or the outermost level of groups.
+    /// The kind of piece that is predicted as a whole: `test`, or the name of the outermost level of groups.
     pub of: String,
-    /// The folds.
+    /// Results of each fold.
     pub folds: Vec<FoldRecord>,
     /// Sum of the log predictive densities.
     pub log_density: f64,
-    /// Its standard error, by the scatter over tests or groups.
+    /// Standard error of `log_density`, from the scatter over tests or groups.
     pub std_error: Option<f64>,
-    /// Measured values.
+    /// Number of measured values.
     pub observations: usize,
-    /// log-likelihood of all at the fit to all: by how much more a fit to the same data promises.
+    /// Log-likelihood of all tests at the fit to all, to compare with `log_density`.
     pub fitted: f64,
-    /// Whether that fit is certified.
+    /// Whether the fit to all tests is certified.
     pub converged: bool,
-    /// Innovations within intervals of what was predicted.
+    /// Fractions of innovations within predicted intervals.
     pub coverage: Vec<CoverageRecord>,
-    /// Tests whose distance from the population of the others is within its 95 % limit.
+    /// Number of tests whose distance from the population of the other folds is within its 95 % limit.
     pub near: usize,
-    /// Tests that have a distance.
+    /// Number of tests that have a distance.
     pub compared: usize,
-    /// Of each test, or of each group of the outermost level.
+    /// Predictions of each test, or of each group of the outermost level.
     pub pieces: Vec<PieceRecord>,
     /// Another model on the same folds; null when there is none.
     pub against: Option<AgainstRecord>,
 }
 
-/// One fold.
+/// Results of one fold.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FoldRecord {
-    /// Its name.
+    /// Name of the fold.
     pub name: String,
-    /// Number of its tests.
+    /// Number of tests in the fold.
     pub tests: usize,
-    /// Sum of their log predictive densities.
+    /// Sum of the log predictive densities of its tests.
     pub log_density: f64,
-    /// Whether the fit to the others is certified.
+    /// Whether the fit to the other folds is certified.
     pub converged: bool,
 }
 
-/// How many innovations are within an interval.
+/// Fraction of the innovations within an interval.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CoverageRecord {
-    /// The probability of the interval.
+    /// Probability of the interval.
     pub expected: f64,
-    /// The part of all innovations that is within.
+    /// Fraction of all innovations that are within the interval.
     pub found: Option<f64>,
     /// Number of innovations.
     pub innovations: usize,
 }
 
-/// What is predicted as a whole.
+/// A test, or a group of the outermost level, that is predicted as a whole.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PieceRecord {
-    /// The test, or the group.
+    /// Name of the test or group.
     pub name: String,
-    /// Its fold.
+    /// Name of its fold.
     pub fold: String,
-    /// Log predictive density.
+    /// Log predictive density of its measurements.
     pub log_density: f64,
-    /// Measured values.
+    /// Number of its measured values.
     pub observations: usize,
-    /// The same by the other model; null when there is none.
+    /// Log predictive density by the other model; null when there is none.
     pub against: Option<f64>,
 }
 
-/// Another model.
+/// Comparison with another model on the same folds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AgainstRecord {
-    /// What it is called: its title, or its file.
+    /// Title of the other model, or its file.
     pub title: String,
-    /// Sum of its log predictive densities.
+    /// Sum of the log predictive densities of the other model.
     pub log_density: f64,
-    /// log-likelihood of all at its fit to all.
+    /// Log-likelihood of all tests at the other model's fit to all.
     pub fitted: f64,
-    /// By how much the first model predicts better: the difference of the sums.
+    /// Advantage of the first model: its sum of log predictive densities minus that of the other model.
     pub difference: f64,
-    /// Its standard error, by the scatter of the differences.
+    /// Standard error of the difference, from the scatter over tests or groups.
     pub std_error: Option<f64>,
-    /// Two-sided, by Student's t.
+    /// Two-sided p-value of the difference, by Student's t.
     pub p_value: Option<f64>,
-    /// Of each fold, whether its fit to the others is certified.
+    /// For each fold, whether the other model's fit to the other folds is certified.
     pub converged: Vec<bool>,
 }
 
-/// Where the validation came from.
+/// Origin of a validation: model file, data files and folds.
 #[derive(Debug, Clone, Default)]
 pub struct ValidateProvenance {
     /// SHA-256 of the model file.
     pub model_digest: Option<String>,
     /// Data files, as named by the user.
     pub files: Vec<String>,
-    /// The column that makes folds.
+    /// The column that defines the folds.
     pub by: Option<String>,
     /// Seed of the draw.
     pub seed: Option<u64>,
@@ -126,34 +126,34 @@ pub struct ValidateProvenance {
 /// Why two models cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NotComparable {
-    /// Other columns are measured.
+    /// The two models measure different columns.
     #[error("it measures the columns {}, the other model {}", second.join(", "), first.join(", "))]
     Columns {
-        /// By the first model.
+        /// Columns that the first model measures.
         first: Vec<String>,
-        /// By the second.
+        /// Columns that the second model measures.
         second: Vec<String>,
     },
-    /// Other tests, or other groups.
+    /// The two models have different tests or groups.
     #[error("{found} is not in both models' data")]
     Names {
-        /// A test, or a group.
+        /// Name of a test or group that only one model has.
         found: String,
     },
-    /// Other measured values.
+    /// The two models have different numbers of measured values of a test or group.
     #[error("`{name}` has {first} measured values for the one model and {second} for the other")]
     Observations {
-        /// The test, or the group.
+        /// Name of the test or group.
         name: String,
-        /// By the first model.
+        /// Number of values of the first model.
         first: usize,
-        /// By the second.
+        /// Number of values of the second model.
         second: usize,
     },
 }
 
 impl ValidatedRecord {
-    /// Of a model and what was found.
+    /// The record of a validation of a model.
     pub fn new(
         model: &PhasedModel,
         folds: &Folds,
@@ -212,10 +212,10 @@ impl ValidatedRecord {
         self.converged && self.folds.iter().all(|fold| fold.converged) && theirs.all(|one| *one)
     }
 
-    /// Sets another model beside it.
+    /// Adds the comparison with another model.
     ///
     /// # Errors
-    /// Other tests, or other numbers of measured values.
+    /// The other validation has other tests, or other numbers of measured values.
     pub fn set_against(&mut self, title: String, other: &Validation) -> Result<(), NotComparable> {
         let of: BTreeMap<&str, (f64, usize)> =
             other.pieces.iter().map(|piece| (piece.name.as_str(), (piece.log_density, piece.observations))).collect();
@@ -252,7 +252,7 @@ impl ValidatedRecord {
     }
 }
 
-/// The standard error of a sum over n, by their scatter: √n s.
+/// Standard error of the sum of n values, from their scatter: √n s.
 fn of_sum(values: &[f64]) -> Option<f64> {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;

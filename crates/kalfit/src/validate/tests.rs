@@ -1,4 +1,4 @@
-//! Densities of folds against refits, written down.
+//! Predictive densities of folds against refits without each fold.
 
 use crate::face::{Ensemble, Options};
 use crate::validate::{Folds, Validation, validate};
