@@ -26,12 +26,12 @@ pub trait Algebra {
     /// Row `i`, for writing.
     fn row_mut(a: &mut Self::Matrix, i: usize) -> &mut [Self::Number];
     /// Data of zeros.
-    fn no_data(rows: usize, columns: usize) -> Self::Data;
+    fn zero_data(rows: usize, columns: usize) -> Self::Data;
     /// Row `i` of the data, for writing.
     fn data_row_mut(data: &mut Self::Data, i: usize) -> &mut [Self::Number];
 
-    /// U with U'U = I + Σ A'A. `borne` becomes false where cross products would lose digits.
-    fn identity_plus(parts: &[&Self::Matrix], borne: &mut bool) -> Self::Factor;
+    /// U with U'U = I + Σ A'A. `keeps_digits` becomes false where cross products would lose digits.
+    fn identity_plus(parts: &[&Self::Matrix], keeps_digits: &mut bool) -> Self::Factor;
     /// Diagonal of U, whose product is |U|.
     fn diagonal(factor: &Self::Factor) -> impl Iterator<Item = Self::Number>;
     /// U⁻ᵀA.
@@ -69,19 +69,19 @@ pub trait Algebra {
     /// Sum of squares of data whose first column is the mean over `count` tests: its squares count `count` times.
     fn squares(count: Self::Number, data: &Self::Data) -> Self::Number;
 
-    /// F' of a phase, q × q: the part of `root` for the states `own`. F is lower triangular with a nonnegative
+    /// F' of a phase, q × q: the part of `root` for the states `phase_states`. F is lower triangular with a nonnegative
     /// diagonal.
-    fn root_of(root: &DMatrix<f64>, own: &Range<usize>, like: &Self::Matrix) -> Self::Matrix;
-    /// Data with the elements of `mean` for the states `own` of a phase in the first column.
-    fn mean_of(mean: &[Self::Number], own: &Range<usize>, like: &Self::Data) -> Self::Data;
+    fn phase_root(root: &DMatrix<f64>, phase_states: &Range<usize>, like: &Self::Matrix) -> Self::Matrix;
+    /// Data with the elements of `mean` for the states `phase_states` of a phase in the first column.
+    fn mean_of(mean: &[Self::Number], phase_states: &Range<usize>, like: &Self::Data) -> Self::Data;
     /// The first rows and columns of a matrix.
-    fn corner(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number>;
+    fn leading_block(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number>;
     /// The first rows of the data.
     fn head(data: &Self::Data, rows: usize) -> Rows<Self::Number>;
 }
 
 /// Largest element of RΣR' for which cross products are used; beyond it they would lose digits.
-pub(crate) const LARGE: f64 = 1e10;
+pub(crate) const MAX_CROSS_PRODUCT: f64 = 1e10;
 
 impl<F: Factors> Algebra for F {
     type Number = F::Number;
@@ -100,7 +100,7 @@ impl<F: Factors> Algebra for F {
     }
 
     #[inline(always)]
-    fn no_data(rows: usize, columns: usize) -> Self::Data {
+    fn zero_data(rows: usize, columns: usize) -> Self::Data {
         Rows::zeros(rows, columns)
     }
 
@@ -110,9 +110,9 @@ impl<F: Factors> Algebra for F {
     }
 
     #[inline(always)]
-    fn identity_plus(parts: &[&Self::Matrix], borne: &mut bool) -> Self::Factor {
+    fn identity_plus(parts: &[&Self::Matrix], keeps_digits: &mut bool) -> Self::Factor {
         for part in parts {
-            *borne &= F::CAREFUL || part.is_within(LARGE.sqrt());
+            *keeps_digits &= F::ALLOWS_LARGE_ROWS || part.is_within(MAX_CROSS_PRODUCT.sqrt());
         }
         if let [only] = parts {
             return <F as Factors>::identity_plus(only);
@@ -131,12 +131,12 @@ impl<F: Factors> Algebra for F {
 
     #[inline(always)]
     fn solved(factor: &Self::Factor, a: Self::Matrix) -> Self::Matrix {
-        Rows::solved_below(factor, a)
+        Rows::solved_transposed(factor, a)
     }
 
     #[inline(always)]
     fn solved_data(factor: &Self::Factor, data: Self::Data) -> Self::Data {
-        Rows::solved_below(factor, data)
+        Rows::solved_transposed(factor, data)
     }
 
     #[inline(always)]
@@ -147,8 +147,8 @@ impl<F: Factors> Algebra for F {
         rows_data: Self::Data,
     ) -> Self::Data {
         let (q, columns) = (upper.nrows(), data.ncols());
-        let mut both = upper.beside(data);
-        let left = <F as Factors>::absorb(&mut both, rows.beside(&rows_data), q);
+        let mut both = upper.joined_columns(data);
+        let left = <F as Factors>::absorb(&mut both, rows.joined_columns(&rows_data), q);
         *upper = both.first_columns(q);
         *data = both.last_columns(columns);
         left.last_columns(columns)
@@ -229,27 +229,27 @@ impl<F: Factors> Algebra for F {
     }
 
     #[inline(always)]
-    fn root_of(root: &DMatrix<f64>, own: &Range<usize>, like: &Self::Matrix) -> Self::Matrix {
+    fn phase_root(root: &DMatrix<f64>, phase_states: &Range<usize>, like: &Self::Matrix) -> Self::Matrix {
         let mut rows = Rows::zeros(like.ncols(), like.ncols());
-        for c in 0..own.len() {
-            for i in c..own.len() {
-                rows[(c, i)] = F::Number::splat(root[(own.start + i, own.start + c)]);
+        for c in 0..phase_states.len() {
+            for i in c..phase_states.len() {
+                rows[(c, i)] = F::Number::splat(root[(phase_states.start + i, phase_states.start + c)]);
             }
         }
         rows
     }
 
     #[inline(always)]
-    fn mean_of(mean: &[Self::Number], own: &Range<usize>, like: &Self::Data) -> Self::Data {
+    fn mean_of(mean: &[Self::Number], phase_states: &Range<usize>, like: &Self::Data) -> Self::Data {
         let mut column = Rows::zeros(like.nrows(), like.ncols());
-        for (i, own) in own.clone().enumerate() {
-            column[(i, 0)] = mean[own];
+        for (i, phase_states) in phase_states.clone().enumerate() {
+            column[(i, 0)] = mean[phase_states];
         }
         column
     }
 
     #[inline(always)]
-    fn corner(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number> {
+    fn leading_block(a: &Self::Matrix, rows: usize, columns: usize) -> Rows<Self::Number> {
         a.first_rows(rows).first_columns(columns)
     }
 

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 pub struct Conditional {
     coefficients: DMatrix<f64>,
     /// F times the first q columns of Q, p × q.
-    along: DMatrix<f64>,
+    known_directions: DMatrix<f64>,
     /// T, upper triangular, q × q.
     upper: DMatrix<f64>,
     /// F̃, p × (columns of F - q).
@@ -22,14 +22,15 @@ impl Conditional {
         if n < q {
             return None;
         }
-        let mut turned = DMatrix::identity(n, n);
+        let mut transposed_q = DMatrix::identity(n, n);
         let qr = (&coefficients * root).transpose().qr();
-        qr.q_tr_mul(&mut turned);
-        let moved = root * turned.transpose();
+        qr.q_tr_mul(&mut transposed_q);
+        let rotated_root = root * transposed_q.transpose();
         let upper = qr.r();
         let regular = (0..q).all(|i| upper[(i, i)].is_normal());
-        let (along, left) = (moved.columns(0, q).into_owned(), moved.columns(q, n - q).into_owned());
-        regular.then_some(Conditional { coefficients, along, upper, root: left })
+        let (known_directions, left) =
+            (rotated_root.columns(0, q).into_owned(), rotated_root.columns(q, n - q).into_owned());
+        regular.then_some(Conditional { coefficients, known_directions, upper, root: left })
     }
 
     /// T'⁻¹x, for x with q rows.
@@ -39,14 +40,14 @@ impl Conditional {
 
     /// x - KCx, for x with p rows.
     pub fn left(&self, x: &DMatrix<f64>) -> DMatrix<f64> {
-        x - &self.along * self.whitened(&(&self.coefficients * x))
+        x - &self.known_directions * self.whitened(&(&self.coefficients * x))
     }
 
     /// E[ξ | Cξ = g].
     pub fn mean(&self, mean: &DVector<f64>, values: &[f64]) -> DVector<f64> {
         let off = DVector::from_column_slice(values) - &self.coefficients * mean;
         let off = DMatrix::from_column_slice(off.len(), 1, off.as_slice());
-        mean + (&self.along * self.whitened(&off)).column(0)
+        mean + (&self.known_directions * self.whitened(&off)).column(0)
     }
 
     /// log p(Cξ = g).

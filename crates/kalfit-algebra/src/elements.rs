@@ -128,8 +128,8 @@ impl Elements {
     fn over_half(&self, term: impl Fn(usize, usize, usize, usize) -> f64, mut to: impl FnMut(usize, usize, f64)) {
         let all: Vec<(usize, usize)> = self.all().collect();
         let sum = |one: (usize, usize), other: (usize, usize)| {
-            let of = |(k, l)| places(other).map(|(a, b)| term(k, l, a, b)).fold(0.0, |sum, x| sum + x);
-            places(one).map(of).fold(0.0, |sum, x| sum + x)
+            let of = |(k, l)| positions(other).map(|(a, b)| term(k, l, a, b)).fold(0.0, |sum, x| sum + x);
+            positions(one).map(of).fold(0.0, |sum, x| sum + x)
         };
         for (column, &other) in all.iter().enumerate() {
             for (row, &one) in all.iter().enumerate().take(column + 1) {
@@ -140,7 +140,7 @@ impl Elements {
 }
 
 /// Positions of element (i, j), i ≥ j, in a symmetric matrix.
-fn places((i, j): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
+fn positions((i, j): (usize, usize)) -> impl Iterator<Item = (usize, usize)> {
     std::iter::once((j, i)).chain((i != j).then_some((i, j)))
 }
 

@@ -81,7 +81,7 @@ pub fn stationary(f: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>, FlowError>
     if size == 0.0 || !size.is_finite() {
         return Err(FlowError::Unstable);
     }
-    settle(Doubling::start(f, q, m, 0.5 / size))
+    double_until_stationary(Doubling::start(f, q, m, 0.5 / size))
 }
 
 /// Stationary covariance P of x_k = φ x_{k-1} + noise: P = φPφ' + Q. An error unless φ is stable.
@@ -90,11 +90,11 @@ pub fn stationary_discrete(phi: &[f64], q: &[f64], m: usize) -> Result<Vec<f64>,
         let left = (1.0 - phi[0]) * (1.0 + phi[0]);
         return if left > 0.0 { finite(vec![q[0] / left]) } else { Err(FlowError::Unstable) };
     }
-    settle(Doubling { m, excess: None, phi: phi.to_vec(), gamma: vec![0.0; m * m], q: q.to_vec() })
+    double_until_stationary(Doubling { m, excess: None, phi: phi.to_vec(), gamma: vec![0.0; m * m], q: q.to_vec() })
 }
 
 /// Doubles until φ has decayed to nothing; 2^120 small steps outlast any rate that a double distinguishes from zero.
-fn settle(mut doubling: Doubling) -> Result<Vec<f64>, FlowError> {
+fn double_until_stationary(mut doubling: Doubling) -> Result<Vec<f64>, FlowError> {
     for _ in 0..120 {
         let left = norm(&doubling.phi, doubling.m);
         if !left.is_finite() {
@@ -125,11 +125,11 @@ impl Doubling {
     /// Taylor sums for a step with ‖F‖ × step ≤ ½: 18 terms leave an error of 1e-21 of the norm, and m more reach the
     /// far corner of a chain.
     fn start(f: &[f64], q: &[f64], m: usize, step: f64) -> Doubling {
-        Doubling::start_seen(f, q, m, step, |_, _| {})
+        Doubling::start_observed(f, q, m, step, |_, _| {})
     }
 
-    /// As [`Doubling::start`]; calls `see` with both terms before each order.
-    fn start_seen(f: &[f64], q: &[f64], m: usize, step: f64, mut see: impl FnMut(&[f64], &[f64])) -> Doubling {
+    /// As [`Doubling::start`]; calls `on_order` with both terms before each order.
+    fn start_observed(f: &[f64], q: &[f64], m: usize, step: f64, mut on_order: impl FnMut(&[f64], &[f64])) -> Doubling {
         let transpose: Vec<f64> = (0..m * m).map(|ij| f[(ij % m) * m + ij / m]).collect();
         let fs: Vec<f64> = f.iter().map(|x| x * step).collect();
         let ts: Vec<f64> = transpose.iter().map(|x| x * step).collect();
@@ -140,7 +140,7 @@ impl Doubling {
         let (mut left, mut right) = (vec![0.0; m * m], vec![0.0; m * m]);
         for k in 1..(19 + m) {
             let order = k as f64;
-            see(&power, &noise);
+            on_order(&power, &noise);
             product_into(&fs, &power, m, &mut left);
             std::mem::swap(&mut power, &mut left);
             scale(&mut power, 1.0 / order);

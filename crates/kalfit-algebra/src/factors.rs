@@ -13,7 +13,7 @@ pub trait Factors {
     /// Type of the elements.
     type Number: Real;
     /// Whether rows of any magnitude are allowed without loss of digits.
-    const CAREFUL: bool;
+    const ALLOWS_LARGE_ROWS: bool;
 
     /// U, upper triangular w × w, with U'U = I + rows'rows; rows any number × w. No diagonal element is below one.
     fn identity_plus(rows: &Rows<Self::Number>) -> Rows<Self::Number>;
@@ -33,7 +33,7 @@ pub struct Rotations<T = f64>(PhantomData<T>);
 
 impl<T: Real> Factors for CrossFactors<T> {
     type Number = T;
-    const CAREFUL: bool = false;
+    const ALLOWS_LARGE_ROWS: bool = false;
 
     #[inline(always)]
     fn identity_plus(rows: &Rows<T>) -> Rows<T> {
@@ -51,7 +51,7 @@ impl<T: Real> Factors for CrossFactors<T> {
 
 impl<T: Lanes> Factors for Rotations<T> {
     type Number = T;
-    const CAREFUL: bool = true;
+    const ALLOWS_LARGE_ROWS: bool = true;
 
     #[inline(always)]
     fn identity_plus(rows: &Rows<T>) -> Rows<T> {

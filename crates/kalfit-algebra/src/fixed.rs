@@ -7,7 +7,7 @@ use std::ops::Range;
 use kalfit_lanes::{Part, Real};
 use nalgebra::DMatrix;
 
-use crate::algebra::{Algebra, LARGE};
+use crate::algebra::{Algebra, MAX_CROSS_PRODUCT};
 use crate::rows::Rows;
 
 /// N × N matrix, row-major.
@@ -61,7 +61,7 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     }
 
     #[inline(always)]
-    fn no_data(_: usize, _: usize) -> [T; N] {
+    fn zero_data(_: usize, _: usize) -> [T; N] {
         [T::splat(0.0); N]
     }
 
@@ -71,8 +71,8 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     }
 
     #[inline(always)]
-    fn identity_plus(parts: &[&Square<T, N>], borne: &mut bool) -> Pivoted<T, N> {
-        T::apart(IdentityPlus { parts, borne })
+    fn identity_plus(parts: &[&Square<T, N>], keeps_digits: &mut bool) -> Pivoted<T, N> {
+        T::apart(IdentityPlus { parts, keeps_digits })
     }
 
     #[inline(always)]
@@ -208,25 +208,25 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
     }
 
     #[inline(always)]
-    fn root_of(root: &DMatrix<f64>, own: &Range<usize>, _: &Square<T, N>) -> Square<T, N> {
+    fn phase_root(root: &DMatrix<f64>, phase_states: &Range<usize>, _: &Square<T, N>) -> Square<T, N> {
         let mut rows = [[T::splat(0.0); N]; N];
-        for c in 0..own.len() {
-            for i in c..own.len() {
-                rows[c][i] = T::splat(root[(own.start + i, own.start + c)]);
+        for c in 0..phase_states.len() {
+            for i in c..phase_states.len() {
+                rows[c][i] = T::splat(root[(phase_states.start + i, phase_states.start + c)]);
             }
         }
         rows
     }
 
     #[inline(always)]
-    fn mean_of(mean: &[T], own: &Range<usize>, _: &[T; N]) -> [T; N] {
+    fn mean_of(mean: &[T], phase_states: &Range<usize>, _: &[T; N]) -> [T; N] {
         let mut column = [T::splat(0.0); N];
-        column[..own.len()].copy_from_slice(&mean[own.clone()]);
+        column[..phase_states.len()].copy_from_slice(&mean[phase_states.clone()]);
         column
     }
 
     #[inline(always)]
-    fn corner(a: &Square<T, N>, rows: usize, columns: usize) -> Rows<T> {
+    fn leading_block(a: &Square<T, N>, rows: usize, columns: usize) -> Rows<T> {
         if rows == N && columns == N {
             return Rows::from_vec(N, N, a.as_flattened().to_vec());
         }
@@ -245,17 +245,17 @@ impl<T: Real, const N: usize> Algebra for Fixed<T, N> {
 
 /// Work on row or column K of matrices, with K known to the compiler, which then also knows the lengths before and
 /// after it.
-trait Rank {
+trait UnrolledWork {
     fn at<const K: usize>(&mut self);
 }
 
 /// Largest size N of matrices in this module.
-const MOST: usize = 8;
+const MAX_SIZE: usize = 8;
 
 /// Does the work for all K < N in order, without a loop.
 #[inline(always)]
-fn each_rank<const N: usize>(work: &mut impl Rank) {
-    const { assert!(N <= MOST, "sizes have a rank each below") };
+fn unrolled<const N: usize>(work: &mut impl UnrolledWork) {
+    const { assert!(N <= MAX_SIZE, "sizes have a rank each below") };
     if N > 0 {
         work.at::<0>();
     }
@@ -284,7 +284,7 @@ fn each_rank<const N: usize>(work: &mut impl Rank) {
 
 struct IdentityPlus<'a, T, const N: usize> {
     parts: &'a [&'a Square<T, N>],
-    borne: &'a mut bool,
+    keeps_digits: &'a mut bool,
 }
 
 impl<T: Real, const N: usize> Part for IdentityPlus<'_, T, N> {
@@ -296,8 +296,8 @@ impl<T: Real, const N: usize> Part for IdentityPlus<'_, T, N> {
         let mut factor = Pivoted { unit: [[zero; N]; N], root: [one; N], inverse: [one; N] };
         let mut scaled = [[zero; N]; N];
         let mut rows = PivotedRows { parts: self.parts, scaled: &mut scaled, factor: &mut factor, largest: one };
-        each_rank::<N>(&mut rows);
-        *self.borne &= rows.largest.at_most(T::splat(LARGE));
+        unrolled::<N>(&mut rows);
+        *self.keeps_digits &= rows.largest.at_most(T::splat(MAX_CROSS_PRODUCT));
         for k in 0..N {
             let pivot = factor.root[k];
             factor.inverse[k] = pivot.recip_root();
@@ -318,7 +318,7 @@ struct PivotedRows<'a, T, const N: usize> {
     largest: T,
 }
 
-impl<T: Real, const N: usize> Rank for PivotedRows<'_, T, N> {
+impl<T: Real, const N: usize> UnrolledWork for PivotedRows<'_, T, N> {
     #[inline(always)]
     fn at<const K: usize>(&mut self) {
         let one = T::splat(1.0);
@@ -354,7 +354,7 @@ impl<T: Real, const N: usize> Part for Solve<'_, T, N> {
 
     #[inline(always)]
     fn run(mut self) {
-        each_rank::<N>(&mut self);
+        unrolled::<N>(&mut self);
         for i in 0..N {
             for j in 0..N {
                 self.1[i][j] = self.1[i][j] * self.0.inverse[i];
@@ -363,7 +363,7 @@ impl<T: Real, const N: usize> Part for Solve<'_, T, N> {
     }
 }
 
-impl<T: Real, const N: usize> Rank for Solve<'_, T, N> {
+impl<T: Real, const N: usize> UnrolledWork for Solve<'_, T, N> {
     #[inline(always)]
     fn at<const K: usize>(&mut self) {
         let mut row = self.1[K];
@@ -388,11 +388,11 @@ impl<T: Real, const N: usize> Part for Absorb<'_, T, N> {
 
     #[inline(always)]
     fn run(mut self) {
-        each_rank::<N>(&mut self);
+        unrolled::<N>(&mut self);
     }
 }
 
-impl<T: Real, const N: usize> Rank for Absorb<'_, T, N> {
+impl<T: Real, const N: usize> UnrolledWork for Absorb<'_, T, N> {
     /// Applies the Householder reflection that takes column K of the rows into row K of the triangle.
     #[inline(always)]
     fn at<const K: usize>(&mut self) {
@@ -436,9 +436,14 @@ impl<T: Real, const N: usize> Rank for Absorb<'_, T, N> {
 }
 
 /// AB, each factor transposed or not.
-struct Product<'a, T, const N: usize, const TURN_A: bool, const TURN_B: bool>(&'a Square<T, N>, &'a Square<T, N>);
+struct Product<'a, T, const N: usize, const TRANSPOSE_A: bool, const TRANSPOSE_B: bool>(
+    &'a Square<T, N>,
+    &'a Square<T, N>,
+);
 
-impl<T: Real, const N: usize, const TURN_A: bool, const TURN_B: bool> Part for Product<'_, T, N, TURN_A, TURN_B> {
+impl<T: Real, const N: usize, const TRANSPOSE_A: bool, const TRANSPOSE_B: bool> Part
+    for Product<'_, T, N, TRANSPOSE_A, TRANSPOSE_B>
+{
     type Output = Square<T, N>;
 
     #[inline(always)]
@@ -448,9 +453,9 @@ impl<T: Real, const N: usize, const TURN_A: bool, const TURN_B: bool> Part for P
         for i in 0..N {
             let mut row = [T::splat(0.0); N];
             for k in 0..N {
-                let a = if TURN_A { a[k][i] } else { a[i][k] };
+                let a = if TRANSPOSE_A { a[k][i] } else { a[i][k] };
                 for j in 0..N {
-                    row[j] = a.fma(if TURN_B { b[j][k] } else { b[k][j] }, row[j]);
+                    row[j] = a.fma(if TRANSPOSE_B { b[j][k] } else { b[k][j] }, row[j]);
                 }
             }
             product[i] = row;
@@ -467,7 +472,7 @@ impl<T: Real, const N: usize> Part for TimesUpperTranspose<'_, T, N> {
     #[inline(always)]
     fn run(self) -> Square<T, N> {
         let mut product = [[T::splat(0.0); N]; N];
-        each_rank::<N>(&mut UpperColumns { a: self.0, upper: self.1, product: &mut product });
+        unrolled::<N>(&mut UpperColumns { a: self.0, upper: self.1, product: &mut product });
         product
     }
 }
@@ -479,7 +484,7 @@ struct UpperColumns<'a, T, const N: usize> {
     product: &'a mut Square<T, N>,
 }
 
-impl<T: Real, const N: usize> Rank for UpperColumns<'_, T, N> {
+impl<T: Real, const N: usize> UnrolledWork for UpperColumns<'_, T, N> {
     #[inline(always)]
     fn at<const K: usize>(&mut self) {
         let mut column = [T::splat(0.0); N];

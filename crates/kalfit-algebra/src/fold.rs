@@ -3,7 +3,7 @@
 use kalfit_lanes::{Lanes, MOST, Part};
 
 /// Range in which sums of squares neither overflow nor lose digits.
-const SQUARES: std::ops::RangeInclusive<f64> = 1e-280..=1e280;
+const SAFE_SQUARES: std::ops::RangeInclusive<f64> = 1e-280..=1e280;
 
 /// A plane rotation (c, s) and the resulting length: c a + s b = length ≥ 0, c b - s a = 0, for a ≥ 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +24,7 @@ impl Rotation {
             return Rotation { c: 1.0, s: 0.0, length: a };
         }
         let square = a * a + b * b;
-        let length = if SQUARES.contains(&square) { square.sqrt() } else { a.hypot(b) };
+        let length = if SAFE_SQUARES.contains(&square) { square.sqrt() } else { a.hypot(b) };
         Rotation { c: a / length, s: b / length, length }
     }
 }
@@ -39,7 +39,7 @@ impl<T: Lanes> Rotation<T> {
 
 /// What to do to two rows of tests in lanes.
 #[derive(Debug, Clone, Copy)]
-enum Turn<T> {
+enum LaneRotation<T> {
     /// Nothing: no lane has an element to eliminate.
     None,
     /// A rotation in every lane.
@@ -48,28 +48,32 @@ enum Turn<T> {
     Some(Rotation<T>),
 }
 
-impl<T: Lanes> Turn<T> {
+impl<T: Lanes> LaneRotation<T> {
     /// The turn that takes (a, b) to (length, 0) in each lane, with the same bits as [`Rotation::of`] lane by lane.
     #[inline(always)]
-    fn of(a: T, b: T) -> Turn<T> {
+    fn of(a: T, b: T) -> LaneRotation<T> {
         let square = a * a + b * b;
-        let sound = T::splat(*SQUARES.start()).at_most(square) && square.at_most(T::splat(*SQUARES.end()));
-        if sound && T::splat(LEAST).at_most(b.magnitude()) {
+        let sound = T::splat(*SAFE_SQUARES.start()).at_most(square) && square.at_most(T::splat(*SAFE_SQUARES.end()));
+        if sound && T::splat(SMALLEST_POSITIVE).at_most(b.magnitude()) {
             let length = square.root();
-            return Turn::All(Rotation { c: a / length, s: b / length, length });
+            return LaneRotation::All(Rotation { c: a / length, s: b / length, length });
         }
         let zero = T::splat(0.0);
-        if b.magnitude().at_most(zero) && zero.at_most(a) { Turn::None } else { Turn::Some(T::apart(OneByOne(a, b))) }
+        if b.magnitude().at_most(zero) && zero.at_most(a) {
+            LaneRotation::None
+        } else {
+            LaneRotation::Some(T::apart(LaneByLane(a, b)))
+        }
     }
 }
 
 /// Smallest positive number.
-const LEAST: f64 = f64::from_bits(1);
+const SMALLEST_POSITIVE: f64 = f64::from_bits(1);
 
 /// [`Rotation::of`] lane by lane.
-struct OneByOne<T>(T, T);
+struct LaneByLane<T>(T, T);
 
-impl<T: Lanes> Part for OneByOne<T> {
+impl<T: Lanes> Part for LaneByLane<T> {
     type Output = Rotation<T>;
 
     #[inline(always)]
@@ -86,7 +90,7 @@ impl<T: Lanes> Part for OneByOne<T> {
 /// √Σ x², without overflow.
 pub fn norm(numbers: &[f64]) -> f64 {
     let square: f64 = numbers.iter().map(|x| x * x).sum();
-    if SQUARES.contains(&square) { square.sqrt() } else { numbers.iter().fold(0.0, |n: f64, x| n.hypot(*x)) }
+    if SAFE_SQUARES.contains(&square) { square.sqrt() } else { numbers.iter().fold(0.0, |n: f64, x| n.hypot(*x)) }
 }
 
 /// Folds rows into R: afterwards R'R has grown by rows'rows. With a last column of data, [T | e] into [R_J | d], the
@@ -100,7 +104,7 @@ pub fn fold(info: &mut [f64], rows: &mut [f64], width: usize) {
 }
 
 /// Number of rows that are folded at a time.
-const ABREAST: usize = 8;
+const ROWS_AT_A_TIME: usize = 8;
 
 /// Folds rows, with the same bits as one row after the other. Each row is only one rotation ahead of the next, so that
 /// the processor works on several rotations at once. Rows of `info` and `rows` have `width` elements, the first
@@ -111,19 +115,19 @@ pub fn fold_rows<T: Lanes>(info: &mut [T], rows: &mut [T], (pivots, width): (usi
     if pivots == 0 {
         return;
     }
-    for rows in rows.chunks_mut(ABREAST * width) {
+    for rows in rows.chunks_mut(ROWS_AT_A_TIME * width) {
         let count = rows.len() / width;
-        let mut turns = [Turn::None; ABREAST];
+        let mut rotations = [LaneRotation::None; ROWS_AT_A_TIME];
         for ahead in 0..pivots + count - 1 {
             // row i meets row k = ahead - i of `info`
-            let abreast = (ahead + 1).saturating_sub(pivots)..count.min(ahead + 1);
-            for i in abreast.clone() {
+            let active_rows = (ahead + 1).saturating_sub(pivots)..count.min(ahead + 1);
+            for i in active_rows.clone() {
                 let k = ahead - i;
-                turns[i] = Turn::of(info[k * width + k], rows[i * width + k]);
+                rotations[i] = LaneRotation::of(info[k * width + k], rows[i * width + k]);
             }
-            for i in abreast {
-                let (k, turn) = (ahead - i, turns[i]);
-                turn_row(&mut info[k * width..][..width], &mut rows[i * width..][..width], k, turn);
+            for i in active_rows {
+                let (k, turn) = (ahead - i, rotations[i]);
+                rotate_row(&mut info[k * width..][..width], &mut rows[i * width..][..width], k, turn);
             }
         }
     }
@@ -131,27 +135,29 @@ pub fn fold_rows<T: Lanes>(info: &mut [T], rows: &mut [T], (pivots, width): (usi
 
 /// Rotates element k of `row` into that of `pivot`.
 #[inline(always)]
-fn turn_row<T: Lanes>(pivot: &mut [T], row: &mut [T], k: usize, turn: Turn<T>) {
+fn rotate_row<T: Lanes>(pivot: &mut [T], row: &mut [T], k: usize, turn: LaneRotation<T>) {
     match turn {
-        Turn::None => {}
-        Turn::All(rotation) => {
+        LaneRotation::None => {}
+        LaneRotation::All(rotation) => {
             (pivot[k], row[k]) = (rotation.length, T::splat(0.0));
             for (a, b) in pivot[k + 1..].iter_mut().zip(&mut row[k + 1..]) {
                 (*a, *b) = rotation.turn(*a, *b);
             }
         }
-        Turn::Some(rotation) => T::apart(TurnSome { pivot: &mut pivot[k..], row: &mut row[k..], rotation }),
+        LaneRotation::Some(rotation) => {
+            T::apart(RotateSomeLanes { pivot: &mut pivot[k..], row: &mut row[k..], rotation })
+        }
     }
 }
 
 /// The rotation of two rows that leaves lanes without a turn unchanged, even the sign of their zeros.
-struct TurnSome<'a, T> {
+struct RotateSomeLanes<'a, T> {
     pivot: &'a mut [T],
     row: &'a mut [T],
     rotation: Rotation<T>,
 }
 
-impl<T: Lanes> Part for TurnSome<'_, T> {
+impl<T: Lanes> Part for RotateSomeLanes<'_, T> {
     type Output = ();
 
     #[inline(always)]
@@ -178,7 +184,7 @@ pub fn fold_row(info: &mut [f64], row: &mut [f64], mut note: impl FnMut(usize, R
         let pivot = &mut info[k * width..][..width];
         let rotation = Rotation::of(pivot[k], row[k]);
         note(k, rotation);
-        turn_row(pivot, row, k, if rotation.s == 0.0 { Turn::None } else { Turn::All(rotation) });
+        rotate_row(pivot, row, k, if rotation.s == 0.0 { LaneRotation::None } else { LaneRotation::All(rotation) });
     }
 }
 

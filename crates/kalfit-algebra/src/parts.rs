@@ -5,7 +5,7 @@ use kalfit_lanes::Real;
 use crate::rows::Rows;
 
 /// Largest number of columns worked on at a time.
-const WIDEST: usize = 6;
+const MAX_COLUMNS: usize = 6;
 
 /// Work on columns that is done for `N` columns at once.
 pub trait ColumnWork {
@@ -18,18 +18,18 @@ pub trait ColumnWork {
 
 /// Does the work for all columns from `first` on, in parts of nearly equal size.
 #[inline(always)]
-pub fn in_parts(first: usize, columns: &mut impl ColumnWork) {
+pub fn by_column_blocks(first: usize, columns: &mut impl ColumnWork) {
     let (mut from, end) = (first, columns.count());
     while from < end {
         let left = end - from;
-        let size = left.div_ceil(left.div_ceil(WIDEST));
+        let size = left.div_ceil(left.div_ceil(MAX_COLUMNS));
         match size {
             1 => columns.part::<1>(from),
             2 => columns.part::<2>(from),
             3 => columns.part::<3>(from),
             4 => columns.part::<4>(from),
             5 => columns.part::<5>(from),
-            _ => columns.part::<WIDEST>(from),
+            _ => columns.part::<MAX_COLUMNS>(from),
         }
         from += size;
     }
@@ -55,10 +55,10 @@ impl<T: Real, const MINUS: bool> ColumnWork for Sum<'_, T, MINUS> {
     #[inline(always)]
     fn part<const N: usize>(&mut self, from: usize) {
         let (width, (a, step)) = (self.y.len(), self.a);
-        let y = some_mut::<T, N>(self.y, from);
+        let y = chunk_mut::<T, N>(self.y, from);
         let mut sum = *y;
         for k in 0..self.count {
-            let (a, x) = (a[k * step], some::<T, N>(self.x, k * width + from));
+            let (a, x) = (a[k * step], chunk::<T, N>(self.x, k * width + from));
             for c in 0..N {
                 sum[c] = if MINUS { a.fnma(x[c], sum[c]) } else { a.fma(x[c], sum[c]) };
             }
@@ -89,7 +89,7 @@ impl<T: Real> ColumnWork for Dots<'_, T> {
                 sum[c] = a.fma(rows[c * width + k], sum[c]);
             }
         }
-        *some_mut::<T, N>(self.y, from) = sum;
+        *chunk_mut::<T, N>(self.y, from) = sum;
     }
 }
 
@@ -112,39 +112,39 @@ impl<T: Real> ColumnWork for Reflection<'_, T> {
 
     #[inline(always)]
     fn part<const N: usize>(&mut self, from: usize) {
-        let upper = some_mut::<T, N>(self.upper, from);
-        let mut along = [self.first; N];
+        let upper = chunk_mut::<T, N>(self.upper, from);
+        let mut projection = [self.first; N];
         for c in 0..N {
-            along[c] = along[c] * upper[c];
+            projection[c] = projection[c] * upper[c];
         }
         for i in 0..self.rows.nrows() {
             let row = self.rows.row(i);
-            let (a, x) = (row[self.column], some::<T, N>(row, from));
+            let (a, x) = (row[self.column], chunk::<T, N>(row, from));
             for c in 0..N {
-                along[c] = a.fma(x[c], along[c]);
+                projection[c] = a.fma(x[c], projection[c]);
             }
         }
         for c in 0..N {
-            along[c] = along[c] * self.scale;
-            upper[c] = self.first * along[c] - upper[c];
+            projection[c] = projection[c] * self.scale;
+            upper[c] = self.first * projection[c] - upper[c];
         }
         for i in 0..self.rows.nrows() {
             let row = self.rows.row_mut(i);
             let a = row[self.column];
-            let x = some_mut::<T, N>(row, from);
+            let x = chunk_mut::<T, N>(row, from);
             for c in 0..N {
-                x[c] = a.fnma(along[c], x[c]);
+                x[c] = a.fnma(projection[c], x[c]);
             }
         }
     }
 }
 
 #[inline(always)]
-fn some<T, const N: usize>(row: &[T], from: usize) -> &[T; N] {
+fn chunk<T, const N: usize>(row: &[T], from: usize) -> &[T; N] {
     row[from..from + N].first_chunk().expect("it is that long")
 }
 
 #[inline(always)]
-fn some_mut<T, const N: usize>(row: &mut [T], from: usize) -> &mut [T; N] {
+fn chunk_mut<T, const N: usize>(row: &mut [T], from: usize) -> &mut [T; N] {
     row[from..from + N].first_chunk_mut().expect("it is that long")
 }

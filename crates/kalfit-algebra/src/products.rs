@@ -3,7 +3,7 @@
 
 use kalfit_lanes::{Part, Real};
 
-use crate::parts::{Dots, Reflection, Sum, in_parts};
+use crate::parts::{Dots, Reflection, Sum, by_column_blocks};
 use crate::rows::Rows;
 
 impl<T: Real> Rows<T> {
@@ -19,13 +19,13 @@ impl<T: Real> Rows<T> {
         self.combined(other, (self.columns, 1, self.columns))
     }
 
-    /// Σ_k a_ik × row k of `other` for each of `rows` i; `down` and `along` are the distances from an a to that of the
+    /// Σ_k a_ik × row k of `other` for each of `rows` i; `row_stride` and `term_stride` are the distances from an a to that of the
     /// next i and of the next k.
     #[inline(always)]
-    fn combined(&self, other: &Rows<T>, (rows, down, along): (usize, usize, usize)) -> Rows<T> {
+    fn combined(&self, other: &Rows<T>, (rows, row_stride, term_stride): (usize, usize, usize)) -> Rows<T> {
         let mut product = Rows::zeros(rows, other.columns);
         if other.rows > 0 {
-            T::apart(Combine { a: &self.data, down, along, other, product: &mut product });
+            T::apart(Combine { a: &self.data, row_stride, term_stride, other, product: &mut product });
         }
         product
     }
@@ -40,18 +40,18 @@ impl<T: Real> Rows<T> {
 
     /// U⁻ᵀB, U upper triangular.
     #[inline(always)]
-    pub fn solved_below(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
+    pub fn solved_transposed(upper: &Rows<T>, mut b: Rows<T>) -> Rows<T> {
         T::apart(SolveBelow { upper, b: &mut b });
         b
     }
 }
 
-/// Σ_k a_ik × row k of `other` for each row i of the product; `down` and `along` are the distances from an a to that of
+/// Σ_k a_ik × row k of `other` for each row i of the product; `row_stride` and `term_stride` are the distances from an a to that of
 /// the next i and of the next k.
 struct Combine<'a, T> {
     a: &'a [T],
-    down: usize,
-    along: usize,
+    row_stride: usize,
+    term_stride: usize,
     other: &'a Rows<T>,
     product: &'a mut Rows<T>,
 }
@@ -62,8 +62,8 @@ impl<T: Real> Part for Combine<'_, T> {
     #[inline(always)]
     fn run(self) {
         for i in 0..self.product.nrows() {
-            let (a, x) = ((&self.a[i * self.down..], self.along), self.other.as_slice());
-            in_parts(0, &mut Sum::<T, false> { y: self.product.row_mut(i), a, x, count: self.other.nrows() });
+            let (a, x) = ((&self.a[i * self.row_stride..], self.term_stride), self.other.as_slice());
+            by_column_blocks(0, &mut Sum::<T, false> { y: self.product.row_mut(i), a, x, count: self.other.nrows() });
         }
     }
 }
@@ -80,7 +80,7 @@ impl<T: Real> Part for TimesTranspose<'_, T> {
     #[inline(always)]
     fn run(self) {
         for i in 0..self.a.nrows() {
-            in_parts(0, &mut Dots { y: self.product.row_mut(i), x: self.a.row(i), rows: self.b });
+            by_column_blocks(0, &mut Dots { y: self.product.row_mut(i), x: self.a.row(i), rows: self.b });
         }
     }
 }
@@ -99,7 +99,7 @@ impl<T: Real> Part for SolveBelow<'_, T> {
         for i in 0..b.nrows() {
             let (done, row) = b.rows_above_and(i);
             let a = (&upper.as_slice()[i..], upper.ncols());
-            in_parts(0, &mut Sum::<T, true> { y: row, a, x: done, count: i });
+            by_column_blocks(0, &mut Sum::<T, true> { y: row, a, x: done, count: i });
             let inverse = T::splat(1.0) / upper[(i, i)];
             for x in row.iter_mut() {
                 *x = *x * inverse;
@@ -124,10 +124,10 @@ impl<T: Real> Part for IdentityPlus<'_, T> {
             let (done, own) = upper.rows_above_and(i);
             if rows.nrows() > 0 {
                 let (a, x) = ((&rows.as_slice()[i..], w), rows.as_slice());
-                in_parts(i, &mut Sum::<T, false> { y: own, a, x, count: rows.nrows() });
+                by_column_blocks(i, &mut Sum::<T, false> { y: own, a, x, count: rows.nrows() });
             }
             if i > 0 {
-                in_parts(i, &mut Sum::<T, true> { y: own, a: (&done[i..], w), x: done, count: i });
+                by_column_blocks(i, &mut Sum::<T, true> { y: own, a: (&done[i..], w), x: done, count: i });
             }
             let pivot = own[i].maximum(T::splat(1.0)).root(); // rounding must not make it less than one
             let inverse = T::splat(1.0) / pivot;
@@ -168,7 +168,7 @@ fn reflect<T: Real>(upper: &mut Rows<T>, rows: &mut Rows<T>, k: usize) {
     // head ≥ 0, so the reflection to -length cancels no digits; the row's sign is flipped afterwards
     let first = head + length;
     let scale = (length * first).recip_or_zero();
-    in_parts(k + 1, &mut Reflection { upper: upper.row_mut(k), rows, column: k, first, scale });
+    by_column_blocks(k + 1, &mut Reflection { upper: upper.row_mut(k), rows, column: k, first, scale });
     for i in 0..rows.nrows() {
         rows[(i, k)] = T::splat(0.0);
     }

@@ -8,12 +8,12 @@ const BLOCK: usize = 96;
 
 /// Lower bound on the eigenvalues of a matrix of unit diagonal for which the triangular root replaces the eigenvectors:
 /// above it, no digits are lost.
-const FLOOR: f64 = 1e-8;
+const MIN_EIGENVALUE: f64 = 1e-8;
 
 /// Number of inverse iterations that estimate the least eigenvalue of a large matrix, and the factor by which the
 /// estimate may be too large.
 const ITERATIONS: usize = 12;
-const MARGIN: f64 = 4.0;
+const ESTIMATE_MARGIN: f64 = 4.0;
 
 /// R, upper triangular with R'R = A, of a matrix A of about unit diagonal whose eigenvalues are surely positive. Rows
 /// of zeros, including the diagonal, are skipped: the rest is solved and inverted, and the results are zero in those
@@ -24,7 +24,7 @@ pub struct Regular {
 }
 
 impl Regular {
-    /// `None` where an eigenvalue of A may be below [`FLOOR`]. For a matrix of one block that is certain: the least
+    /// `None` where an eigenvalue of A may be below [`MIN_EIGENVALUE`]. For a matrix of one block that is certain: the least
     /// eigenvalue is at least the inverse of Σ 1/λ = ‖R⁻¹‖². For a larger one the least eigenvalue is estimated by
     /// inverse iteration, from above, with a margin.
     ///
@@ -32,11 +32,11 @@ impl Regular {
     pub fn within(a: DMatrix<f64>) -> Option<Regular> {
         let found = Regular { root: root(a)? };
         let inverses = if found.root.nrows() > BLOCK {
-            MARGIN * found.largest_inverse()
+            ESTIMATE_MARGIN * found.largest_inverse()
         } else {
             blocks(found.root.nrows()).map(|block| found.panel(block).norm_squared()).sum()
         };
-        (inverses * FLOOR <= 1.0).then_some(found)
+        (inverses * MIN_EIGENVALUE <= 1.0).then_some(found)
     }
 
     /// The largest eigenvalue of A⁻¹, estimated from below: inverse iteration all but reaches it from a vector that
@@ -53,7 +53,7 @@ impl Regular {
     }
 
     /// Whether no row was skipped.
-    pub fn is_whole(&self) -> bool {
+    pub fn has_no_zero_rows(&self) -> bool {
         self.root.diagonal().iter().all(|x| x.is_finite())
     }
 
@@ -133,7 +133,7 @@ fn blocks(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).step_by(BLOCK).map(move |start| (start, (start + BLOCK).min(n)))
 }
 
-/// R with R'R = A, in the memory of A; `None` where a pivot is not above [`FLOOR`]. A row of zeros gets ∞ on the
+/// R with R'R = A, in the memory of A; `None` where a pivot is not above [`MIN_EIGENVALUE`]. A row of zeros gets ∞ on the
 /// diagonal, whose inverse is the zero that is wanted there.
 fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
     let n = a.nrows();
@@ -149,7 +149,7 @@ fn root(a: DMatrix<f64>) -> Option<DMatrix<f64>> {
                 let left = root[(i, k)] - done;
                 if i < k {
                     root[(i, k)] = left / root[(i, i)];
-                } else if left > FLOOR {
+                } else if left > MIN_EIGENVALUE {
                     root[(k, k)] = left.sqrt();
                 } else if empty[k] {
                     root[(k, k)] = f64::INFINITY;
@@ -218,7 +218,7 @@ mod tests {
         assert!(apart <= 1e-10 * inverse.norm(), "{apart} of {}", inverse.norm());
         let g = DVector::from_fn(n, |i, _| (i as f64).cos());
         assert!((found.solve(&g) - &inverse * &g).norm() <= 1e-10 * (&inverse * &g).norm());
-        assert!(!found.is_whole());
+        assert!(!found.has_no_zero_rows());
     }
 
     #[test]

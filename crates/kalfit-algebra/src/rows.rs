@@ -139,7 +139,7 @@ impl<T: Real> Rows<T> {
 
     /// [A B].
     #[inline(always)]
-    pub fn beside(&self, other: &Rows<T>) -> Rows<T> {
+    pub fn joined_columns(&self, other: &Rows<T>) -> Rows<T> {
         let own = self.columns;
         let mut both = Rows::zeros(self.rows, own + other.columns);
         for i in 0..self.rows {

@@ -16,12 +16,12 @@ pub struct Sparse {
 
 impl Sparse {
     /// A matrix with `rows` rows and no columns yet.
-    pub fn of_height(rows: usize) -> Sparse {
+    pub fn with_height(rows: usize) -> Sparse {
         Sparse { rows, ends: Vec::new(), entries: Vec::new() }
     }
 
     pub fn of(dense: &DMatrix<f64>) -> Sparse {
-        let mut sparse = Sparse::of_height(dense.nrows());
+        let mut sparse = Sparse::with_height(dense.nrows());
         dense.column_iter().for_each(|column| sparse.push(column.iter().copied().enumerate()));
         sparse
     }
@@ -78,7 +78,7 @@ impl Sparse {
         for (c, entries) in self.columns().enumerate() {
             entries.iter().for_each(|&(row, x)| rows[row].push((c, x)));
         }
-        let mut transposed = Sparse::of_height(self.ncols());
+        let mut transposed = Sparse::with_height(self.ncols());
         rows.into_iter().for_each(|entries| transposed.push(entries.into_iter()));
         transposed
     }
@@ -119,7 +119,7 @@ impl Sparse {
 
     /// A B.
     pub fn times_columns(&self, other: &Sparse) -> Sparse {
-        let mut product = Sparse::of_height(self.rows);
+        let mut product = Sparse::with_height(self.rows);
         for entries in other.columns() {
             let terms = entries.iter().flat_map(|&(k, b)| self.column(k).iter().map(move |&(row, a)| (row, a * b)));
             product.push(terms);
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn entries_of_one_place_are_added() {
-        let mut sparse = Sparse::of_height(3);
+        let mut sparse = Sparse::with_height(3);
         sparse.push([(2, 1.0), (0, 4.0), (2, 0.5), (1, 0.0)].into_iter());
         assert_eq!(sparse.column(0), [(0, 4.0), (2, 1.5)]);
     }

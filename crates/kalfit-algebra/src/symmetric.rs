@@ -48,21 +48,21 @@ fn decomposed(a: &DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let symmetric = || DMatrix::from_fn(a.nrows(), a.ncols(), |i, k| (a[(i, k)] + a[(k, i)]) * 0.5);
     let known = a.iter().all(|x| x.is_finite());
     let found = SymmetricEigen::new(symmetric());
-    let told = found.eigenvalues.iter().chain(found.eigenvectors.iter()).all(|x| x.is_finite());
-    if told || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { rotated(symmetric()) }
+    let all_finite = found.eigenvalues.iter().chain(found.eigenvectors.iter()).all(|x| x.is_finite());
+    if all_finite || !known { (found.eigenvalues.as_slice().to_vec(), found.eigenvectors) } else { jacobi(symmetric()) }
 }
 
 /// Largest number of sweeps of rotations; they converge quadratically, after some six to ten.
-const SWEEPS: usize = 60;
+const MAX_SWEEPS: usize = 60;
 
 /// Jacobi's method: a rotation sets each off-diagonal element to zero in turn (Golub and Van Loan, section 8.5).
-fn rotated(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
+fn jacobi(mut a: DMatrix<f64>) -> (Vec<f64>, DMatrix<f64>) {
     let n = a.nrows();
     let size = a.amax();
     let mut vectors = DMatrix::identity(n, n);
     if size > 0.0 {
         a /= size;
-        for _ in 0..SWEEPS {
+        for _ in 0..MAX_SWEEPS {
             let off: f64 = (0..n).flat_map(|i| (0..i).map(move |k| (i, k))).map(|at| a[at].abs()).fold(0.0, f64::max);
             if off <= f64::EPSILON * f64::EPSILON {
                 break;
@@ -121,14 +121,14 @@ pub fn square_root(a: &DMatrix<f64>) -> DMatrix<f64> {
 /// [`sizes`], and eigenvalues and eigenvectors after scaling to unit diagonal by them.
 pub fn scaled_eigen(a: &DMatrix<f64>) -> (Vec<f64>, Vec<f64>, DMatrix<f64>) {
     let size = sizes(a);
-    let (values, vectors) = eigen(&over_sizes(a, &size));
+    let (values, vectors) = eigen(&divided_by_sizes(a, &size));
     (size, values, vectors)
 }
 
 /// [`pseudo_inverse`] taken after scaling to unit diagonal, and scaled back.
 pub fn scaled_inverse(a: &DMatrix<f64>) -> DMatrix<f64> {
     let size = sizes(a);
-    over_sizes(&pseudo_inverse(&over_sizes(a, &size)), &size)
+    divided_by_sizes(&pseudo_inverse(&divided_by_sizes(a, &size)), &size)
 }
 
 /// Orthonormal basis of the directions whose eigenvalues, after scaling to unit diagonal, are `seen`.
@@ -141,7 +141,7 @@ pub fn range(a: &DMatrix<f64>, seen: impl Fn(f64) -> bool) -> DMatrix<f64> {
     DMatrix::from_fn(values.len(), seen.len(), |i, c| size[i] * vectors[(i, seen[c])]).qr().q()
 }
 
-fn over_sizes(a: &DMatrix<f64>, size: &[f64]) -> DMatrix<f64> {
+fn divided_by_sizes(a: &DMatrix<f64>, size: &[f64]) -> DMatrix<f64> {
     DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[i] / size[j])
 }
 
@@ -164,12 +164,12 @@ pub fn scaled_range(a: &DMatrix<f64>) -> (f64, f64) {
 pub fn scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64) -> DMatrix<f64> {
     let p = scale.len();
     let mut matrix = DMatrix::zeros(p, p);
-    put_scaled(scale, entry, matrix.as_mut_slice());
+    write_scaled(scale, entry, matrix.as_mut_slice());
     matrix
 }
 
 /// Writes DAD of `scaled` to `to`, row-major.
-pub fn put_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, to: &mut [f64]) {
+pub fn write_scaled(scale: &[f64], entry: impl Fn(usize, usize) -> f64, to: &mut [f64]) {
     let p = scale.len();
     for i in 0..p {
         for j in 0..=i {
@@ -256,7 +256,7 @@ mod tests {
     fn rotations_find_what_the_library_finds() {
         let half = DMatrix::from_fn(6, 6, |i, k| ((3 * i + 5 * k * k) as f64).sin() * 10f64.powi(i as i32 - 3));
         let a = &half * half.transpose();
-        let (mut found, vectors) = rotated(a.clone());
+        let (mut found, vectors) = jacobi(a.clone());
         let again = &vectors * DMatrix::from_diagonal(&DVector::from_vec(found.clone())) * vectors.transpose();
         assert!((&again - &a).amax() < 1e-14 * a.amax(), "{again}{a}");
         found.sort_by(f64::total_cmp);

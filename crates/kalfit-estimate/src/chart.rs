@@ -53,7 +53,7 @@ impl Chart {
     /// dσ_pair / dψ, elements × coordinates, at a root that may have moved on from this chart's.
     pub(crate) fn jacobian_at(&self, root: &DMatrix<f64>) -> Sparse {
         let elements = &self.elements;
-        let mut jacobian = Sparse::of_height(elements.count());
+        let mut jacobian = Sparse::with_height(elements.count());
         for entries in &self.coordinates {
             let of = |&(i, c, x): &(usize, usize, f64)| {
                 let term = move |j| (elements.index(i, j), x * root[(j, c)] * if i == j { 2.0 } else { 1.0 });

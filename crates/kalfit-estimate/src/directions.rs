@@ -20,7 +20,7 @@ impl CovarianceMap {
     fn directions(&self, chart: &Chart, by_scale: bool) -> Sparse {
         let elements = &self.elements;
         let along = chart.jacobian_at(&chart.root);
-        let mut all = Sparse::of_height(elements.count());
+        let mut all = Sparse::with_height(elements.count());
         for part in &self.parts {
             if let (true, CoordinateForm::Scale(star)) = (by_scale, &part.form) {
                 let star = part.placed(&(star * star.transpose()), self.p);

@@ -13,7 +13,7 @@ use crate::each_class::map_classes_and_packed;
 use crate::listed::Listed;
 use crate::point::{Point, Regressors};
 use crate::terms::ClassTerms;
-use kalfit_algebra::parts::{ColumnWork, in_parts};
+use kalfit_algebra::parts::{ColumnWork, by_column_blocks};
 use kalfit_algebra::rows::Rows;
 
 /// Folds u'Wu of each class, for every column u of `directions`, by `of` into parts that begin as `start()`, like
@@ -79,7 +79,7 @@ impl Kernel for Forms<'_> {
         let columns = self.directions.ncols();
         let mut forms = vec![T::splat(0.0); columns];
         let ranges: Vec<&Range<usize>> = self.packed.shape().ranges().collect();
-        in_parts(0, &mut OfDirections { said: &said, ranges: &ranges, directions: self.directions, forms: &mut forms });
+        by_column_blocks(0, &mut OfDirections { said: &said, ranges: &ranges, directions: self.directions, forms: &mut forms });
         let mut found = vec![0.0; columns * T::COUNT];
         for (c, form) in forms.iter().enumerate() {
             for lane in 0..T::COUNT {

@@ -265,7 +265,7 @@ fn held_coordinates(chart: &Chart, gradient: &DVector<f64>) -> Vec<usize> {
 /// Orthonormal columns that span (all of the mean) × (null space of the normals), without the held coordinates.
 fn tangent_basis(q: usize, normals: &DMatrix<f64>, held: &[usize], n: usize) -> Sparse {
     let kept: Vec<usize> = (0..n).filter(|k| !held.contains(k)).collect();
-    let mut basis = Sparse::of_height(q + n);
+    let mut basis = Sparse::with_height(q + n);
     (0..q).for_each(|k| basis.push([(k, 1.0)].into_iter()));
     if normals.nrows() == 0 {
         kept.iter().for_each(|k| basis.push([(q + k, 1.0)].into_iter()));

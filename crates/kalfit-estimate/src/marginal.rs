@@ -69,7 +69,7 @@ impl Difference {
         rows.view_mut((0, 0), (q, from)).copy_from(&(&own * &link.sensitivity));
         rows.view_mut((0, from), (q, q)).copy_from(&own);
         rows.set_column(from + q, &residual);
-        let whitened = Rows::solved_below(&spread, Rows::from(&rows));
+        let whitened = Rows::solved_transposed(&spread, Rows::from(&rows));
         let mut all = DMatrix::zeros(from + q, from + q + 1);
         all.view_mut((0, 0), (from, from)).copy_from(&earlier);
         all.view_mut((0, from + q), (from, 1)).copy_from_slice(&before.data);

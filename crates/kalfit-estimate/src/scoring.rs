@@ -74,7 +74,7 @@ fn solved(mut information: DMatrix<f64>, score: &DVector<f64>) -> Option<DVector
         column.iter_mut().zip(size.iter()).for_each(|(x, of_row)| *x = *x / of_row / size[j]);
     }
     let root = Regular::within(information)?;
-    root.is_whole().then(|| root.solve(&score.component_div(&size)).component_div(&size))
+    root.has_no_zero_rows().then(|| root.solve(&score.component_div(&size)).component_div(&size))
 }
 
 /// The smallest solution of I x = g in a metric: what the data do not determine changes as little as possible relative

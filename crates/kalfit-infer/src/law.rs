@@ -50,7 +50,7 @@ impl<'a> AsymptoticLaw<'a> {
         let tangent = &state.newton_iterate.tangent;
         let mean = state.problem.mean.jacobian();
         let (m, s) = (mean.nrows(), state.problem.covariance.elements.count());
-        let mut jacobian = Sparse::of_height(m + s);
+        let mut jacobian = Sparse::with_height(m + s);
         mean.column_iter().for_each(|column| jacobian.push(column.iter().copied().enumerate()));
         tangent.jacobian.columns().for_each(|column| jacobian.push(column.iter().map(|&(row, x)| (m + row, x))));
         let gls = state.newton_iterate.near().map(|own| {
@@ -211,7 +211,7 @@ impl WithParameters {
             let first = rows - moves.nrows();
             moves.column_iter().for_each(|c| whole.push(c.iter().enumerate().map(|(row, x)| (first + row, *x))));
         };
-        let (mut jacobian, mut open) = (along.clone(), Sparse::of_height(rows));
+        let (mut jacobian, mut open) = (along.clone(), Sparse::with_height(rows));
         below(&joint.moves, &mut jacobian);
         below(&joint.open_moves, &mut open);
         WithParameters { covariance: joint.covariance.clone(), jacobian, open }

@@ -90,7 +90,7 @@ impl PosteriorLook<'_> {
             let own = terms.covariances.get(f).filter(|_| whole.is_none());
             let entry = |a: usize, b: usize| own.map_or_else(|| all[(start + a, start + b)], |own| own[(a, b)]);
             room.covariances.resize(before + size * size, 0.0);
-            symmetric::put_scaled(&scale[states.clone()], entry, &mut room.covariances[before..]);
+            symmetric::write_scaled(&scale[states.clone()], entry, &mut room.covariances[before..]);
         }
     }
 }

@@ -94,7 +94,7 @@ impl Isa {
     /// All instruction sets that this machine has, the best one last.
     pub fn all() -> &'static [Isa] {
         static ALL: OnceLock<Vec<Isa>> = OnceLock::new();
-        ALL.get_or_init(found)
+        ALL.get_or_init(detected)
     }
 
     /// Number of lanes: how many numbers are worked on at once.
@@ -129,10 +129,10 @@ impl Isa {
             IsaKind::Portable => kernel.run::<Four>(),
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             IsaKind::Neon => kernel.run::<crate::neon::Neon>(),
-            // SAFETY: `found` made this value, so the machine has AVX2 and FMA.
+            // SAFETY: `detected` made this value, so the machine has AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
             IsaKind::Avx2 => unsafe { in_avx2::<K, crate::avx2::Avx2>(kernel) },
-            // SAFETY: `found` made this value, so the machine has AVX-512F, AVX2 and FMA.
+            // SAFETY: `detected` made this value, so the machine has AVX-512F, AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
             IsaKind::Avx512 => unsafe { in_avx512(kernel) },
         }
@@ -151,7 +151,7 @@ impl Alone {
         match self.fused {
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             true => kernel.run::<crate::fused::Fused>(),
-            // SAFETY: `Isa::alone` made this value from an `Isa` that `found` made; all of those but the portable one
+            // SAFETY: `Isa::alone` made this value from an `Isa` that `detected` made; all of those but the portable one
             // have AVX2 and FMA.
             #[cfg(target_arch = "x86_64")]
             true => unsafe { in_avx2::<K, crate::fused::Fused>(kernel) },
@@ -200,7 +200,7 @@ impl From<Alone> for Width {
 }
 
 #[cfg(target_arch = "x86_64")]
-fn found() -> Vec<Isa> {
+fn detected() -> Vec<Isa> {
     let avx2 = std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma");
     let avx512 = avx2 && std::is_x86_feature_detected!("avx512f");
     let some = [(true, IsaKind::Portable), (avx2, IsaKind::Avx2), (avx512, IsaKind::Avx512)];
@@ -208,12 +208,12 @@ fn found() -> Vec<Isa> {
 }
 
 #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-fn found() -> Vec<Isa> {
+fn detected() -> Vec<Isa> {
     vec![Isa::PORTABLE, Isa(IsaKind::Neon)]
 }
 
 #[cfg(not(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon"))))]
-fn found() -> Vec<Isa> {
+fn detected() -> Vec<Isa> {
     vec![Isa::PORTABLE]
 }
 

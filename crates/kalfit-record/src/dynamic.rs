@@ -237,7 +237,7 @@ fn idle_note(parts: &DynamicParts<'_>, index: usize) -> Option<String> {
     }
     let model = parts.model.shared();
     let zero = |&p: &usize| is(p, &|standing| matches!(standing, Standing::Lower | Standing::Vanishing));
-    let beside = |&p: &usize| parts.model.phases.iter().any(|phase| phase.model.stand_together(index, p));
+    let beside = |&p: &usize| parts.model.phases.iter().any(|phase| phase.model.occur_together(index, p));
     let zeros: Vec<usize> = (0..model.parameters.len()).filter(zero).collect();
     let own: Vec<usize> = zeros.iter().copied().filter(beside).collect();
     let named: Vec<String> = if own.is_empty() { zeros } else { own }

@@ -3,7 +3,7 @@
 use serde::{Serialize, Serializer};
 
 use crate::{OwnRecord, PosteriorRecord, SquareRecord};
-use kalfit_model::Rare;
+use kalfit_model::SparseColumn;
 
 /// Posteriors of tests, one after the other, and of each test phase by phase.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -16,7 +16,7 @@ pub(super) struct PosteriorColumns {
     /// Mean of each part, followed by its covariance by rows.
     numbers: Vec<f64>,
     /// Estimates from tests alone, by part.
-    own: Rare<OwnRecord>,
+    own: SparseColumn<OwnRecord>,
 }
 
 /// Sizes of the posterior of one phase of one test, and where it is stored.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::posteriors::PosteriorColumns;
 use crate::{DeletionRecord, FitRecord, InnovationRecord, SeriesKeeper, TestRecord, TestRow};
-use kalfit_model::{Rare, Texts};
+use kalfit_model::{SparseColumn, Texts};
 
 /// Results of each test. Results of one kind are stored together for all tests, so that those of a million tests are a
 /// few pieces of memory; a row is a [`TestRecord`], and a row that owns its data a [`TestRow`].
@@ -34,15 +34,15 @@ pub struct TestRecords {
     ids: Texts,
     figures: Vec<TestFigures>,
     pub(super) phases: PosteriorColumns,
-    pub(super) group: Rare<String>,
-    pub(super) groups: Rare<Vec<String>>,
-    deletions: Rare<Box<DeletionRecord>>,
+    pub(super) group: SparseColumn<String>,
+    pub(super) groups: SparseColumn<Vec<String>>,
+    deletions: SparseColumn<Box<DeletionRecord>>,
     innovations: InnovationRecords,
 }
 
 /// Innovations of tests, by test number.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct InnovationRecords(Rare<InnovationRecord>);
+pub struct InnovationRecords(SparseColumn<InnovationRecord>);
 
 /// Results that every test has.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -147,7 +147,7 @@ impl TestRecords {
 impl InnovationRecords {
     /// An empty list with room for this many tests.
     pub fn with_room(tests: usize) -> InnovationRecords {
-        InnovationRecords(Rare::with_room(tests))
+        InnovationRecords(SparseColumn::with_room(tests))
     }
 
     /// Innovations of the test with this number, if it has any.

@@ -161,7 +161,7 @@ impl Edge {
             own.retain(|entry| here(entry.covariance));
             let is_covariance = |site: Site| matches!(site, Site::NoiseCovariance | Site::ProcessCovariance);
             let rest = phase.model.expressions().into_iter().filter(|(site, _)| !is_covariance(*site));
-            let elsewhere = rest.map(|(_, expression)| expression).chain(phase.carries()).any(here);
+            let elsewhere = rest.map(|(_, expression)| expression).chain(phase.inherited_expressions()).any(here);
             match &own[..] {
                 _ if elsewhere => return None,
                 [] => {}

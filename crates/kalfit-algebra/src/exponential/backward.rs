@@ -42,7 +42,7 @@ pub fn scalar_adjoint(f: f64, q: f64, step: f64, [phi, gamma, noise]: [f64; 3]) 
 pub fn scalar_slope<T: Lanes>(rate: T, step: T, (power, integral): (T, T)) -> T {
     let x = rate * step;
     let mut near = T::splat(0.0);
-    for slope in SLOPES.iter().rev() {
+    for slope in SLOPE_COEFFICIENTS.iter().rev() {
         near = near.fma(x, T::splat(*slope));
     }
     near = step * step * near;
@@ -58,13 +58,13 @@ pub fn scalar_slope<T: Lanes>(rate: T, step: T, (power, integral): (T, T)) -> T 
 }
 
 /// Number of terms of g'(x); the omitted ones are below the last digit for |x| < 1.
-const TERMS: usize = 20;
+const SLOPE_TERMS: usize = 20;
 
 /// Coefficients (k + 1) / (k + 2)! of g'(x).
-const SLOPES: [f64; TERMS] = {
-    let mut slopes = [0.5; TERMS];
+const SLOPE_COEFFICIENTS: [f64; SLOPE_TERMS] = {
+    let mut slopes = [0.5; SLOPE_TERMS];
     let mut k = 1;
-    while k < TERMS {
+    while k < SLOPE_TERMS {
         let number = k as f64;
         slopes[k] = slopes[k - 1] * (number + 1.0) / (number * (number + 2.0));
         k += 1;
@@ -74,7 +74,7 @@ const SLOPES: [f64; TERMS] = {
 
 /// g'(x) = Σ (k + 1) x^k / (k + 2)!.
 fn near(x: f64) -> f64 {
-    SLOPES.iter().rev().fold(0.0, |sum, slope| sum * x + slope)
+    SLOPE_COEFFICIENTS.iter().rev().fold(0.0, |sum, slope| sum * x + slope)
 }
 
 /// x²g'(x) = (x - 1)eˣ + 1.
@@ -83,7 +83,7 @@ fn far(x: f64) -> f64 {
 }
 
 /// φ, Γ, Q before a doubling.
-type Before = (Vec<f64>, Vec<f64>, Vec<f64>);
+type FlowParts = (Vec<f64>, Vec<f64>, Vec<f64>);
 
 fn general(
     f: &[f64],
@@ -94,25 +94,25 @@ fn general(
 ) -> Result<(Vec<f64>, Vec<f64>), FlowError> {
     let (doublings, small) = scaling(f, m, step)?;
     let mut orders = Vec::with_capacity(2 * m * m * (19 + m));
-    let mut doubling = Doubling::start_seen(f, q, m, small, |power, noise| {
+    let mut doubling = Doubling::start_observed(f, q, m, small, |power, noise| {
         orders.extend_from_slice(power);
         orders.extend_from_slice(noise);
     });
-    let mut before: Vec<Before> = Vec::with_capacity(doublings.max(0) as usize);
+    let mut before: Vec<FlowParts> = Vec::with_capacity(doublings.max(0) as usize);
     for _ in 0..doublings {
         before.push((doubling.phi.clone(), doubling.gamma.clone(), doubling.q.clone()));
         doubling.double();
     }
     let (mut phi, mut gamma, mut noise) = (phi.to_vec(), gamma.to_vec(), symmetric(noise, m));
     for (phi_before, gamma_before, q_before) in before.iter().rev() {
-        undouble([phi_before, gamma_before, q_before], [&mut phi, &mut gamma, &mut noise], m);
+        doubling_adjoint([phi_before, gamma_before, q_before], [&mut phi, &mut gamma, &mut noise], m);
     }
-    Ok(unsum(f, m, small, &orders, [&phi, &gamma, &noise]))
+    Ok(taylor_adjoint(f, m, small, &orders, [&phi, &gamma, &noise]))
 }
 
 /// Adjoint of a doubling Q₂ = Q + φQφ', Γ₂ = Γ + φΓ, φ₂ = φφ:
 /// φ̄ = φ'φ̄₂ + φ̄₂φ' + Γ̄₂Γ' + 2Q̄₂φQ, Γ̄ = Γ̄₂ + φ'Γ̄₂, Q̄ = Q̄₂ + φ'Q̄₂φ.
-fn undouble([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [&mut Vec<f64>; 3], m: usize) {
+fn doubling_adjoint([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [&mut Vec<f64>; 3], m: usize) {
     let back = transpose(phi, m);
     let mut next = product(&back, phi_bar, m);
     accumulate(&mut next, &product(phi_bar, &back, m), 1.0);
@@ -126,7 +126,13 @@ fn undouble([phi, gamma, q]: [&[f64]; 3], [phi_bar, gamma_bar, q_bar]: [&mut Vec
 }
 
 /// Adjoint of the Taylor sums of a small step h. `orders` holds (Fh)^k / k! and the noise term before each order.
-fn unsum(f: &[f64], m: usize, h: f64, orders: &[f64], [phi, gamma, noise]: [&[f64]; 3]) -> (Vec<f64>, Vec<f64>) {
+fn taylor_adjoint(
+    f: &[f64],
+    m: usize,
+    h: f64,
+    orders: &[f64],
+    [phi, gamma, noise]: [&[f64]; 3],
+) -> (Vec<f64>, Vec<f64>) {
     let mut back = transpose(f, m);
     scale(&mut back, h);
     let mut f_bar = vec![0.0; m * m]; // adjoint of Fh

@@ -5,35 +5,35 @@ use kalfit_lanes::{Lanes, MOST};
 use super::scalar_flow;
 
 /// Largest |x| whose exponential is computed in lanes; beyond it, eˣ is close to overflow or underflow.
-const LARGE: f64 = 700.0;
+const MAX_EXPONENT: f64 = 700.0;
 /// 1½ × 2^52: added to a number, it leaves the nearest whole number in the last bits.
-const WHOLE: f64 = 6_755_399_441_055_744.0;
+const ROUNDING_SHIFT: f64 = 6_755_399_441_055_744.0;
 /// ln 2 in two parts; multiples of the first are exact.
 const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
 
 /// Number of terms of (eʳ - 1 - r)/r² that affect the last digit for |r| ≤ ½ ln 2.
-const TERMS: usize = 12;
+const EXPONENTIAL_TERMS: usize = 12;
 
 /// Coefficients 1 / (k + 2)! of these terms.
-const FACTORIALS: [f64; TERMS] = {
-    let mut terms = [0.5; TERMS];
+const INVERSE_FACTORIALS: [f64; EXPONENTIAL_TERMS] = {
+    let mut terms = [0.5; EXPONENTIAL_TERMS];
     let mut k = 1;
-    while k < TERMS {
+    while k < EXPONENTIAL_TERMS {
         terms[k] = terms[k - 1] / (k as f64 + 2.0);
         k += 1;
     }
     terms
 };
 
-/// exp(x) and expm1(x), |x| ≤ [`LARGE`], to a few units in the last place.
+/// exp(x) and expm1(x), |x| ≤ [`MAX_EXPONENT`], to a few units in the last place.
 #[inline(always)]
 fn exponentials<T: Lanes>(x: T) -> [T; 2] {
-    let whole = T::splat(WHOLE);
+    let whole = T::splat(ROUNDING_SHIFT);
     let shifted = x.fma(T::splat(std::f64::consts::LOG2_E), whole);
     let k = shifted - whole;
     let r = k.fnma(T::splat(LN_2[1]), k.fnma(T::splat(LN_2[0]), x));
     let mut sum = T::splat(0.0);
-    for term in FACTORIALS.iter().rev() {
+    for term in INVERSE_FACTORIALS.iter().rev() {
         sum = sum.fma(r, T::splat(*term));
     }
     let part = (r * r).fma(sum, r);
@@ -54,20 +54,20 @@ pub fn scalar_flows<T: Lanes>(f: T, q: T, step: T) -> [T; 3] {
     let x = f * step;
     let ([phi, once], [_, twice]) = (exponentials(x), exponentials(two * x));
     let found = [phi, once / f, q * (twice / (two * f))];
-    if T::splat(f64::MIN_POSITIVE).at_most(f.magnitude()) && x.magnitude().at_most(T::splat(0.5 * LARGE)) {
+    if T::splat(f64::MIN_POSITIVE).at_most(f.magnitude()) && x.magnitude().at_most(T::splat(0.5 * MAX_EXPONENT)) {
         return found;
     }
-    mended(found, (f, q, step))
+    with_scalar_lanes(found, (f, q, step))
 }
 
 /// Replaces the flows of rates that are too small or too large for [`exponentials`] by those computed one at a time.
 #[inline(always)]
-fn mended<T: Lanes>(found: [T; 3], (f, q, step): (T, T, T)) -> [T; 3] {
+fn with_scalar_lanes<T: Lanes>(found: [T; 3], (f, q, step): (T, T, T)) -> [T; 3] {
     let mut all = [[0.0; MOST]; 3];
     all.iter_mut().zip(found).for_each(|(all, found)| found.store(all));
     for lane in 0..T::COUNT {
         let (f, step) = (f.lane(lane), step.lane(lane));
-        if f.abs() >= f64::MIN_POSITIVE && (f * step).abs() <= 0.5 * LARGE {
+        if f.abs() >= f64::MIN_POSITIVE && (f * step).abs() <= 0.5 * MAX_EXPONENT {
             continue;
         }
         let own = scalar_flow(f, q.lane(lane), step);

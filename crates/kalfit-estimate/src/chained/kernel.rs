@@ -126,7 +126,7 @@ impl<A: Algebra> ChainPhases<'_, A> {
             }
             r.push(A::head(&A::apply_transpose(&Y, &u), own));
             let information = A::transpose_times(&Y, &Y);
-            within.push(A::corner(&information, own, own));
+            within.push(A::leading_block(&information, own, own));
             if detail == ChainDetail::Between {
                 N.push(information);
             }
@@ -208,10 +208,10 @@ impl<A: Algebra> ChainPhases<'_, A> {
             blocks.push(Some(own));
             if k > 0 {
                 let mut row = A::times(&N[k], &carried[k - 1]);
-                blocks.push(Some(A::corner(&row, p, self.phases[k - 1].own.len())));
+                blocks.push(Some(A::leading_block(&row, p, self.phases[k - 1].own.len())));
                 for i in (0..k - 1).rev() {
                     row = A::times(&row, &carried[i]);
-                    blocks.push(Some(A::corner(&row, p, self.phases[i].own.len())));
+                    blocks.push(Some(A::leading_block(&row, p, self.phases[i].own.len())));
                 }
             }
             blocks[first..].reverse();
@@ -234,7 +234,7 @@ impl<T: Real> Prior<'_, T> {
     /// (EF)' of a phase: the root of Σ of its new states.
     #[inline(always)]
     fn root<A: Algebra<Number = T>>(&self, phase: &PhaseView<A::Matrix, A::Data>) -> A::Matrix {
-        A::root_of(&self.root.0, &phase.own, &phase.factor)
+        A::phase_root(&self.root.0, &phase.own, &phase.factor)
     }
 
     /// Eμ of a phase for the mean of the tests, zero for the columns of the scatter.
@@ -293,7 +293,7 @@ fn posterior_covariance<A: Algebra>(
     };
     let own = prior.root::<A>(phase);
     let half = A::solved(&A::identity_plus(&[&A::times_transpose(&seen, &own)], borne), own);
-    A::corner(&A::transpose_times(&half, &half), p, p)
+    A::leading_block(&A::transpose_times(&half, &half), p, p)
 }
 
 /// Upper triangular R with R'R = rows'rows, square.

@@ -137,7 +137,7 @@ impl Packed {
         let mut before = 0;
         for phase in &self.shape.phases {
             let (q, columns) = (phase.size, self.shape.columns);
-            let (mut factor, mut data, mut link) = (A::zeros(q, q), A::no_data(q, columns), None);
+            let (mut factor, mut data, mut link) = (A::zeros(q, q), A::zero_data(q, columns), None);
             for i in 0..q {
                 read(&mut A::row_mut(&mut factor, i)[i..q], &mut entries, &number);
             }

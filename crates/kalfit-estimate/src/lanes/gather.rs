@@ -3,7 +3,7 @@
 use kalfit_lanes::{Lanes, Part};
 use rayon::prelude::*;
 
-use kalfit_algebra::parts::{ColumnWork, in_parts};
+use kalfit_algebra::parts::{ColumnWork, by_column_blocks};
 
 /// Number of blocks whose products are added in one go: each sum is then read, written and reduced over its lanes once
 /// for all of them.
@@ -114,7 +114,7 @@ impl<T: Lanes> Part for RowSums<'_, T> {
 fn some_rows<T: Lanes, const M: usize>(all: &mut RowSums<'_, T>, row: usize) -> usize {
     let RowSums { left, rows, blocks, right, columns, ref mut sum } = *all;
     let sum = &mut sum[row * columns..][..M * columns];
-    in_parts(0, &mut Tile::<T, M> { left: &left[row..], rows, blocks, right, columns, sum });
+    by_column_blocks(0, &mut Tile::<T, M> { left: &left[row..], rows, blocks, right, columns, sum });
     M
 }
 

@@ -201,14 +201,14 @@ impl<'a, T: Lanes> LevelLaws<'a, T> {
         for (member, data) in bundle.tests.iter().zip(&bundle.data) {
             let solved = &walked.leaves[member.leaf];
             let own = self.data((&bundle.leaves[member.leaf], data), walked.before);
-            let left = Rows::solved_below(&solved.upper, own);
+            let left = Rows::solved_transposed(&solved.upper, own);
             walked.said.push(solved.half.transpose_times(&left));
             gathered[member.group].take(solved, &left);
         }
         for (at, node) in bundle.groups.iter().enumerate() {
             let own = std::mem::replace(&mut gathered[at], Gathered::none(0, 0));
             let solved = Integrated::of(&own.upper.first_columns(p), &self.roots[node.level]);
-            let left = Rows::solved_below(&solved.upper, own.upper.last_columns(width - p));
+            let left = Rows::solved_transposed(&solved.upper, own.upper.last_columns(width - p));
             let s = solved.half.transpose_times(&left);
             walked.log_det = walked.log_det + own.log_det;
             walked.quadratic = walked.quadratic + total(&own.left[walked.before..]);
@@ -277,7 +277,7 @@ impl Up<f64> {
     pub(super) fn apart(&self, root: &Rows) -> (Vec<f64>, f64) {
         let p = self.said.nrows();
         let solved = Integrated::of(&self.said.first_columns(p), root);
-        let left = Rows::solved_below(&solved.upper, self.said.last_columns(self.said.ncols() - p));
+        let left = Rows::solved_transposed(&solved.upper, self.said.last_columns(self.said.ncols() - p));
         (squares(&left), solved.log_det)
     }
 
@@ -310,7 +310,7 @@ impl<T: Lanes> Gathered<T> {
     #[inline(always)]
     fn take(&mut self, solved: &Integrated<T>, data: &Rows<T>) {
         let p = self.upper.nrows();
-        let rest = Rotations::absorb(&mut self.upper, solved.half.beside(data), p);
+        let rest = Rotations::absorb(&mut self.upper, solved.half.joined_columns(data), p);
         for i in 0..p {
             for (sum, &x) in self.left.iter_mut().zip(&rest.row(i)[p..]) {
                 *sum = x.fma(x, *sum);
@@ -347,7 +347,7 @@ impl<T: Lanes> Integrated<T> {
     fn of(factor: &Rows<T>, root: &Rows<T>) -> Integrated<T> {
         let upper = Rotations::identity_plus(&root.times_transpose(factor));
         let log_det = T::apart(LogDet(&upper));
-        let half = Rows::solved_below(&upper, factor.clone());
+        let half = Rows::solved_transposed(&upper, factor.clone());
         Integrated { W: half.transpose_times(&half), half, upper, log_det }
     }
 }

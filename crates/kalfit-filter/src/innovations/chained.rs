@@ -62,7 +62,7 @@ impl ChainedFilter {
                 mean: own.mean,
             })
         };
-        let phases = model.phases.iter().zip(initial.apart(model)).map(start).collect::<Result<_, _>>()?;
+        let phases = model.phases.iter().zip(initial.by_phase(model)).map(start).collect::<Result<_, _>>()?;
         Ok(ChainedFilter { reducer, phases, plain: PhaseFilters::new(model, alpha)? })
     }
 
@@ -85,7 +85,7 @@ impl ChainedFilter {
         tests.iter().zip(plain).map(|(whole, series)| self.one(whole, series, &mut room.phases)).collect()
     }
 
-    /// The innovations of a test: `plain`, where plain covariances gave them, else those of `careful`, which decides
+    /// The innovations of a test: `plain`, where plain covariances gave them, else those of `by_square_roots`, which decides
     /// whether an invalid covariance is only rounding, and reports any other error.
     fn one(
         &self,
@@ -94,29 +94,33 @@ impl ChainedFilter {
         work: &mut PhasedWork,
     ) -> Result<Option<Innovations>, ReduceError> {
         self.reducer.check(whole)?;
-        let (series, rest, seen) = match plain {
+        let (series, rest, has_innovations) = match plain {
             Some(series) => (series, 0.0, true),
-            None => self.careful(whole, work)?,
+            None => self.by_square_roots(whole, work)?,
         };
         if !rows::are_finite(&series) {
             return Err(refuse(Some(&whole.id), "innovations", ReduceErrorKind::NotFinite));
         }
-        Ok(seen.then(|| Innovations::new(whole.id.to_string(), series, rest)))
+        Ok(has_innovations.then(|| Innovations::new(whole.id.to_string(), series, rest)))
     }
 
     /// In square roots: the innovations, log p of the phases without innovations, and whether there are phases with
     /// innovations.
-    fn careful(&self, whole: &PhasedTest, work: &mut PhasedWork) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
-        let (mut series, mut seen) = (Vec::new(), false);
+    fn by_square_roots(
+        &self,
+        whole: &PhasedTest,
+        work: &mut PhasedWork,
+    ) -> Result<(Vec<Innovation>, f64, bool), ReduceError> {
+        let (mut series, mut has_innovations) = (Vec::new(), false);
         let rest = self.through(whole, work, &mut |(at, rows), gains, work, law| {
             let take = |e: f64, weight: f64, sensitivity: &[f64]| {
                 let (value, variance) = law.take(e, sensitivity, weight);
                 Figures { value, variance, standardised: value / variance.sqrt() }
             };
             series.extend(rows::series((at, rows, self.phases[at].time), gains, work, take));
-            seen = true;
+            has_innovations = true;
         })?;
-        Ok((series, rest, seen))
+        Ok((series, rest, has_innovations))
     }
 
     /// Filters a test phase by phase, in square roots. `take` takes the rows of a phase that is filtered here into the
@@ -128,7 +132,7 @@ impl ChainedFilter {
         take: &mut GainsVisitor<'_>,
     ) -> Result<f64, ReduceError> {
         let mut rest = 0.0;
-        let mut before: Option<After> = None;
+        let mut before: Option<FilteredPhase> = None;
         for (at, evidence) in whole.phases.iter().enumerate() {
             let room = (&mut work.phases[at], &mut work.cells);
             let linked = at + 1 < whole.phases.len();
@@ -148,9 +152,9 @@ impl ChainedFilter {
         &self,
         (at, rows): (usize, &Test),
         (work, cells): (&mut Workspace, &mut GatheredCells),
-        before: Option<&After>,
+        before: Option<&FilteredPhase>,
         take: &mut GainsVisitor<'_>,
-    ) -> Result<After, ReduceError> {
+    ) -> Result<FilteredPhase, ReduceError> {
         let (start, phase) = (&self.phases[at], &self.reducer.phases()[at]);
         let link = before.map(|before| Ok((before, phase.inherited(rows, cells)?))).transpose()?;
         let found = phase.reducer.with_gains(rows, work, |gains, work| {
@@ -159,7 +163,7 @@ impl ChainedFilter {
                 start.law(&work.covariates, q, link.as_ref().map(|(before, inherited)| before.link(inherited)));
             take((at, rows), gains, work, &mut law);
             let states = &phase.reducer.preparer().order.states;
-            After { law: law.posterior(), terminal: gains.terminal(states, &work.pass.x) }
+            FilteredPhase { law: law.posterior(), terminal: gains.terminal(states, &work.pass.x) }
         });
         found.map_err(|error| phase.named(error))
     }
@@ -170,27 +174,27 @@ impl ChainedFilter {
         at: usize,
         (whole, linked): (&PhasedTest, bool),
         room: (&mut Workspace, &mut GatheredCells),
-        before: Option<&After>,
+        before: Option<&FilteredPhase>,
         log_density: &mut f64,
-    ) -> Result<After, ReduceError> {
+    ) -> Result<FilteredPhase, ReduceError> {
         let part = self.reducer.phases()[at].part((&whole.id, &whole.phases[at]), room, (false, linked))?;
         let reduction = &part.reduction;
         let link = before.map(|before| before.link(part.inherits()));
         let mut law = self.phases[at].law(&reduction.covariates, reduction.data.len(), link);
         *log_density += absorb(reduction.view(), &mut law);
-        Ok(After { law: law.posterior(), terminal: part.into_piece().terminal })
+        Ok(FilteredPhase { law: law.posterior(), terminal: part.into_piece().terminal })
     }
 }
 
 /// A phase after its measurements have been taken in.
-struct After {
+struct FilteredPhase {
     /// Mean of σ and root of its covariance.
     law: (DVector<f64>, DMatrix<f64>),
     /// Law of x_K given σ.
     terminal: Option<Terminal>,
 }
 
-impl After {
+impl FilteredPhase {
     /// Mean of what the next phase inherits, and root of its covariance.
     fn link(&self, inherited: &Inherited) -> (DVector<f64>, DMatrix<f64>) {
         let Inherited { transition, input } = inherited;

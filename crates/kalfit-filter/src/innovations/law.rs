@@ -21,32 +21,33 @@ pub struct EnteringLaw {
     /// F't of the last measurement, followed by its residual at m.
     row: Vec<f64>,
     /// R⁻ᵀF't of the last measurement.
-    white: Vec<f64>,
+    whitened_row: Vec<f64>,
 }
 
 impl EnteringLaw {
     /// The law N(mean, root root').
     pub(crate) fn new(mean: DVector<f64>, root: &DMatrix<f64>) -> EnteringLaw {
-        let root = compact(root);
+        let root = with_fewest_columns(root);
         let width = root.ncols() + 1;
         let mut information = vec![0.0; width * width];
         (0..width - 1).for_each(|k| information[k * (width + 1)] = 1.0);
-        EnteringLaw { mean, root, information, row: Vec::with_capacity(width), white: Vec::with_capacity(width) }
+        EnteringLaw { mean, root, information, row: Vec::with_capacity(width), whitened_row: Vec::with_capacity(width) }
     }
 
     /// Takes in e = t'σ + v, v ~ N(0, 1/weight); returns its innovation and the innovation's variance.
     pub fn take(&mut self, e: f64, t: &[f64], weight: f64) -> (f64, f64) {
         let width = self.root.ncols() + 1;
-        let (row, white) = (&mut self.row, &mut self.white);
+        let (row, whitened_row) = (&mut self.row, &mut self.whitened_row);
         row.clear();
         row.extend(self.root.column_iter().map(|f| f.iter().zip(t).map(|(f, t)| f * t).sum::<f64>()));
         let known: f64 = self.mean.iter().zip(t).map(|(m, t)| m * t).sum();
         row.push(e - known);
-        white.clear();
-        white.extend_from_slice(&row[..width - 1]);
-        forward(&self.information, width, white);
-        let expected: f64 = white.iter().enumerate().map(|(k, w)| w * self.information[k * width + width - 1]).sum();
-        let variance = weight.recip() + white.iter().map(|w| w * w).sum::<f64>();
+        whitened_row.clear();
+        whitened_row.extend_from_slice(&row[..width - 1]);
+        solve_transposed(&self.information, width, whitened_row);
+        let expected: f64 =
+            whitened_row.iter().enumerate().map(|(k, w)| w * self.information[k * width + width - 1]).sum();
+        let variance = weight.recip() + whitened_row.iter().map(|w| w * w).sum::<f64>();
         let value = row[width - 1] - expected;
         let unit = weight.sqrt();
         row.iter_mut().for_each(|x| *x *= unit);
@@ -63,7 +64,7 @@ impl EnteringLaw {
         let mut line = vec![0.0; c];
         for i in 0..root.nrows() {
             line.iter_mut().zip(self.root.row(i).iter()).for_each(|(to, from)| *to = *from);
-            forward(&self.information, width, &mut line);
+            solve_transposed(&self.information, width, &mut line);
             for (k, &x) in line.iter().enumerate() {
                 root[(i, k)] = x;
                 mean[i] += x * self.information[k * width + c]; // F R⁻¹d, by rows of F R⁻¹
@@ -74,7 +75,7 @@ impl EnteringLaw {
 }
 
 /// x ← R⁻ᵀx for the upper triangular R of an array `width` wide.
-fn forward(array: &[f64], width: usize, x: &mut [f64]) {
+fn solve_transposed(array: &[f64], width: usize, x: &mut [f64]) {
     for k in 0..x.len() {
         let mut sum = x[k];
         for i in 0..k {
@@ -85,7 +86,7 @@ fn forward(array: &[f64], width: usize, x: &mut [f64]) {
 }
 
 /// An equivalent root with no more columns than rows.
-fn compact(root: &DMatrix<f64>) -> DMatrix<f64> {
+fn with_fewest_columns(root: &DMatrix<f64>) -> DMatrix<f64> {
     let q = root.nrows();
     if root.ncols() <= q {
         return root.clone();

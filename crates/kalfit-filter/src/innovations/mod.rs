@@ -67,8 +67,8 @@ impl InnovationFilter {
     /// As [`innovations`], except for the errors of single tests.
     pub fn new(model: &PhasedModel, alpha: &Alpha, initial: &Population) -> Result<InnovationFilter, ReduceError> {
         check(model, initial)?;
-        let silent = matches!(&model.phases[..], [only] if only.filter.is_some());
-        let chained = (!silent).then(|| ChainedFilter::new(model, alpha, initial)).transpose()?;
+        let has_no_innovations = matches!(&model.phases[..], [only] if only.filter.is_some());
+        let chained = (!has_no_innovations).then(|| ChainedFilter::new(model, alpha, initial)).transpose()?;
         Ok(InnovationFilter(chained.map(Box::new)))
     }
 

@@ -39,21 +39,21 @@ struct PhaseFilter {
     entering: Vec<usize>,
     /// Whether this is the only phase: no covariance is handed on, and the innovations may come from square-root
     /// arrays.
-    alone: bool,
+    is_only_phase: bool,
 }
 
 /// Work space of a phase, and tests that wait to be filtered in lanes.
 #[derive(Debug)]
 pub(super) struct PhaseWorkspace {
     work: Workspace,
-    beside: BatchWorkspace,
-    /// Tests of the current batch, each with its design; `spare` holds unused work space for more.
+    batch_workspace: BatchWorkspace,
+    /// Tests of the current batch, each with its design; `unused_skeletons` holds unused work space for more.
     own: Vec<Skeleton>,
-    spare: Vec<Skeleton>,
+    unused_skeletons: Vec<Skeleton>,
 }
 
 /// Result of a phase: its innovations, and the last state where another phase follows.
-type Left = (Vec<Innovation>, Option<Terminal>);
+type PhaseResult = (Vec<Innovation>, Option<Terminal>);
 
 /// A test on its way through the phases.
 #[derive(Debug, Default)]
@@ -77,15 +77,15 @@ impl PhaseFilters {
         let of = |(at, phase): (usize, &Phase)| -> Result<PhaseFilter, ReduceError> {
             let reducer = Reducer::of_known_starts(&phase.entry_model(), alpha)?;
             let reducer = if at < last { reducer.with_ends() } else { reducer };
-            Ok(PhaseFilter { reducer, entering: phase.entering(), alone: last == 0 })
+            Ok(PhaseFilter { reducer, entering: phase.entering(), is_only_phase: last == 0 })
         };
         Ok(PhaseFilters { phases: model.phases.iter().enumerate().map(of).collect::<Result<_, _>>()? })
     }
 
     pub(super) fn workspace(&self) -> Vec<PhaseWorkspace> {
         let of = |PhaseFilter { reducer, .. }: &PhaseFilter| {
-            let (work, beside) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
-            PhaseWorkspace { work, beside, own: Vec::new(), spare: Vec::new() }
+            let (work, batch_workspace) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
+            PhaseWorkspace { work, batch_workspace, own: Vec::new(), unused_skeletons: Vec::new() }
         };
         self.phases.iter().map(of).collect()
     }
@@ -132,20 +132,23 @@ impl PhaseBatch<'_> {
         &self,
         of: (&PhasePrior, &PhaseReducer),
         tracks: &mut [Option<Track>],
-        (PhaseWorkspace { work, beside, own, spare }, cells): (&mut PhaseWorkspace, &mut GatheredCells),
+        (PhaseWorkspace { work, batch_workspace, own, unused_skeletons }, cells): (
+            &mut PhaseWorkspace,
+            &mut GatheredCells,
+        ),
     ) {
-        let PhaseFilter { reducer, alone, .. } = self.known;
+        let PhaseFilter { reducer, is_only_phase, .. } = self.known;
         let members = self.rows.iter().enumerate().filter_map(|(number, rows)| Some((number, (*rows)?)));
         let (numbers, tests): (Vec<usize>, Vec<&Test>) = members.unzip();
         let mut entering: Vec<EnteringMoments> = tests.iter().map(|_| EnteringMoments::default()).collect();
         for (place, (&number, rows)) in numbers.iter().zip(&tests).enumerate() {
             let Some(track) = &mut tracks[number] else { continue };
             let before = track.before.take();
-            let mut skeleton = spare.pop().unwrap_or_default();
+            let mut skeleton = unused_skeletons.pop().unwrap_or_default();
             if !reducer.preparer().skeleton(rows, place, work, &mut skeleton) {
-                spare.push(skeleton);
-                let found = self.by_itself(rows, of, before.as_ref(), (work, cells));
-                note(&mut tracks[number], found);
+                unused_skeletons.push(skeleton);
+                let found = self.filter_single(rows, of, before.as_ref(), (work, cells));
+                add_to_track(&mut tracks[number], found);
                 continue;
             }
             match self.known.entering((rows, &skeleton.covariates), of, before.as_ref(), cells) {
@@ -156,8 +159,8 @@ impl PhaseBatch<'_> {
                 None => tracks[number] = None,
             }
         }
-        let mut odd = Vec::new();
-        beside.pass(reducer, (&tests, own, &entering), &mut work.room, |skeleton, passed| {
+        let mut needs_square_roots = Vec::new();
+        batch_workspace.pass(reducer, (&tests, own, &entering), &mut work.room, |skeleton, passed| {
             let place = skeleton.number;
             let found = passed.map(|passed| {
                 let each = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
@@ -165,35 +168,39 @@ impl PhaseBatch<'_> {
                 (series, passed.end.map(|end| end.terminal()))
             });
             // with only one phase, tests that need square roots may be filtered one at a time
-            if found.is_none() && *alone { odd.push(place) } else { note(&mut tracks[numbers[place]], found) }
+            if found.is_none() && *is_only_phase {
+                needs_square_roots.push(place)
+            } else {
+                add_to_track(&mut tracks[numbers[place]], found)
+            }
         });
-        spare.append(own);
-        for place in odd {
-            let found = self.by_itself(tests[place], of, None, (work, cells));
-            note(&mut tracks[numbers[place]], found);
+        unused_skeletons.append(own);
+        for place in needs_square_roots {
+            let found = self.filter_single(tests[place], of, None, (work, cells));
+            add_to_track(&mut tracks[numbers[place]], found);
         }
     }
 
     /// Filters the phase of a single test; `None` where it needs square roots or fails.
-    fn by_itself(
+    fn filter_single(
         &self,
         rows: &Test,
         of: (&PhasePrior, &PhaseReducer),
         before: Option<&Terminal>,
         (work, cells): (&mut Workspace, &mut GatheredCells),
-    ) -> Option<Left> {
+    ) -> Option<PhaseResult> {
         let PhaseFilter { reducer, .. } = self.known;
         reducer.preparer().prepare(rows, work).ok()?;
         let EnteringMoments { mean, variance } = self.known.entering((rows, &work.covariates), of, before, cells)?;
         mean.iter().for_each(|&(place, x)| work.data.start[place] += x);
         variance.iter().for_each(|&(place, x)| work.design.variance[place] += x);
-        let look = |gains: &Gains, work: &mut Workspace| self.look(rows, gains, work);
-        reducer.with_prepared(rows, work, look).ok()?
+        let result_of_gains = |gains: &Gains, work: &mut Workspace| self.result_of_gains(rows, gains, work);
+        reducer.with_prepared(rows, work, result_of_gains).ok()?
     }
 
     /// Innovations and last state from the gains; `None` where the gains are square-root arrays and other phases exist.
-    fn look(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<Left> {
-        if gains.turns.is_some() && !self.known.alone {
+    fn result_of_gains(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<PhaseResult> {
+        if gains.turns.is_some() && !self.known.is_only_phase {
             return None;
         }
         let found = rows::series((self.at, rows, self.time), gains, work, |e, weight, _| figures(e, weight));
@@ -203,7 +210,7 @@ impl PhaseBatch<'_> {
 }
 
 /// Adds the result of a phase to the track of a test; no result ends the track.
-fn note(track: &mut Option<Track>, found: Option<Left>) {
+fn add_to_track(track: &mut Option<Track>, found: Option<PhaseResult>) {
     match (track.as_mut(), found) {
         (Some(track), Some((found, terminal))) => {
             if track.series.is_empty() {

@@ -189,7 +189,7 @@ impl Preparer {
 
     /// Whether a measurement whose noise is zero at this α can have noise at other free values.
     pub(crate) fn has_free_noise(&self, test: &Test, Instance { meter, row }: Instance) -> bool {
-        let (at, other) = (self.at(), self.alpha.elsewhere(&self.free));
+        let (at, other) = (self.at(), self.alpha.at_other_values(&self.free));
         let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: f64::NAN, alpha: &other };
         let moves = |noise: &Coefficient| match noise.source() {
             Some((expression, _)) if at.depends(expression) => expression.evaluate(&scope) != Ok(0.0),

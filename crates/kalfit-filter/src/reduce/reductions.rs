@@ -11,8 +11,8 @@ use kalfit_model::Chain;
 use kalfit_model::ExactRows;
 use kalfit_model::Path;
 use kalfit_model::remote::Remote;
-use kalfit_model::{Rare, Texts};
 use kalfit_model::{Reduction, ReductionRef};
+use kalfit_model::{SparseColumn, Texts};
 
 /// The [`Reduction`]s of tests, in their order, stored by column: the reductions of a million short tests take a few
 /// pieces of memory, which are read from front to back.
@@ -42,8 +42,8 @@ pub struct Reductions {
     observations: Vec<usize>,
     paths: Vec<Path>,
     designs: Vec<u128>,
-    chains: Rare<Box<Chain>>,
-    exact: Rare<Box<ExactRows>>,
+    chains: SparseColumn<Box<Chain>>,
+    exact: SparseColumn<Box<ExactRows>>,
     /// Where the reductions are when none is stored here.
     remote: Option<Remote>,
 }
@@ -256,7 +256,7 @@ impl Reductions {
 
     /// Whether any test measured something exactly.
     pub fn has_exact(&self) -> bool {
-        self.exact.is_any()
+        self.exact.has_any()
     }
 
     /// The test with this number, to be changed.

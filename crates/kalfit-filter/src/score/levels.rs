@@ -65,7 +65,7 @@ impl Levels {
 fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option<f64> {
     let mut common = None;
     for phase in &model.phases {
-        let carried = phase.carries().any(|expression| expression.mentions(parameter));
+        let carried = phase.inherited_expressions().any(|expression| expression.mentions(parameter));
         let mut places = phase.model.expressions();
         places.retain(|(_, expression)| expression.mentions(parameter));
         if places.is_empty() && !carried {
@@ -85,12 +85,15 @@ fn common_degree(model: &PhasedModel, slots: &Slots, parameter: usize) -> Option
 
 /// Free parameters that a phase or its carry depends on.
 pub fn dependences(phase: &Phase, slots: &Slots) -> Vec<usize> {
-    free_in(phase.model.expressions().into_iter().map(|(_, expression)| expression).chain(phase.carries()), slots)
+    free_in(
+        phase.model.expressions().into_iter().map(|(_, expression)| expression).chain(phase.inherited_expressions()),
+        slots,
+    )
 }
 
 /// Free parameters that the carry of a phase depends on.
 pub fn carried(phase: &Phase, slots: &Slots) -> Vec<usize> {
-    free_in(phase.carries(), slots)
+    free_in(phase.inherited_expressions(), slots)
 }
 
 /// Free parameters in the expressions, ascending.

@@ -14,7 +14,7 @@ use kalfit_model::PhasedTest;
 #[derive(Debug, Clone)]
 pub struct Designs {
     tests: Vec<PhasedTest>,
-    mark: String,
+    round_mark: String,
     grouping: Option<Grouping>,
 }
 
@@ -31,11 +31,11 @@ impl Designs {
         if let Some(twice) = tests.iter().find(|test| !ids.insert(test.id.as_str())) {
             return Err(SimulateError::DuplicateTest { id: twice.id.to_string() });
         }
-        let mut mark = "#".to_owned();
-        while ids.iter().any(|id| id.trim_end_matches(|c: char| c.is_ascii_digit()).ends_with(&mark)) {
-            mark.push('#');
+        let mut round_mark = "#".to_owned();
+        while ids.iter().any(|id| id.trim_end_matches(|c: char| c.is_ascii_digit()).ends_with(&round_mark)) {
+            round_mark.push('#');
         }
-        Ok(Designs { tests, mark, grouping: None })
+        Ok(Designs { tests, round_mark, grouping: None })
     }
 
     /// A design of these tests for a model: with levels, the tests are in the groups that their rows name; without
@@ -78,7 +78,7 @@ impl Designs {
         let design = self.design(index);
         match index / self.tests.len() as u64 {
             0 => design.id.to_string(),
-            round => format!("{}{}{}", design.id, self.mark, round + 1),
+            round => format!("{}{}{}", design.id, self.round_mark, round + 1),
         }
     }
 }

@@ -158,7 +158,7 @@ impl Simulator {
             symmetric::square_root(&population.covariance.view(at, (p, p)).into_owned())
         };
         let levels = (0..model.levels.len()).map(of_level).collect();
-        let laws = model.phases.iter().zip(population.apart(model)).map(law).collect();
+        let laws = model.phases.iter().zip(population.by_phase(model)).map(law).collect();
         Ok(Simulator { reducer, laws, levels, seed })
     }
 
@@ -186,14 +186,14 @@ impl Simulator {
         if !(1..=expected).contains(&found) {
             return Err(SimulateError::Phases { test: id, found, expected });
         }
-        let added = self.added(designs, place)?;
+        let group_deviations = self.group_deviations(designs, place)?;
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         random.set_stream(place);
         let (mut phases, mut initial, mut last) = (Vec::new(), Vec::new(), DVector::zeros(0));
         for ((phase, evidence), path) in self.phases().zip(&design.phases).zip(paths) {
             let mut rows = phase.rows(evidence, &id)?;
             rows.id = id.as_str().into();
-            let xi = phase.draw(&mut rows, (&last, &added), path, &mut random)?;
+            let xi = phase.draw(&mut rows, (&last, &group_deviations), path, &mut random)?;
             last = phase.last(path);
             initial.extend(xi);
             phases.push(Evidence::Rows(rows));
@@ -204,18 +204,18 @@ impl Simulator {
 
 impl Simulator {
     /// Sum of the deviations that the groups of a test add to its ξ; empty without levels.
-    fn added(&self, designs: &Designs, place: u64) -> Result<Vec<f64>, SimulateError> {
+    fn group_deviations(&self, designs: &Designs, place: u64) -> Result<Vec<f64>, SimulateError> {
         if self.levels.is_empty() {
             return Ok(Vec::new());
         }
         let groups = designs.groups(place).ok_or(SimulateError::Ungrouped)?;
-        let mut added = vec![0.0; self.levels[0].nrows()];
+        let mut group_deviations = vec![0.0; self.levels[0].nrows()];
         for (root, group) in self.levels.iter().zip(groups) {
             let mut random = ChaCha8Rng::seed_from_u64(self.seed);
             random.set_stream(u64::MAX - group);
-            path::add_noise(root, &mut random, |i, value| added[i] += value);
+            path::add_noise(root, &mut random, |i, value| group_deviations[i] += value);
         }
-        Ok(added)
+        Ok(group_deviations)
     }
 }
 
@@ -244,7 +244,7 @@ impl PhaseDraw<'_> {
     fn draw(
         &self,
         rows: &mut Test,
-        (before, added): (&DVector<f64>, &[f64]),
+        (before, group_deviations): (&DVector<f64>, &[f64]),
         path: &mut DrawWorkspace,
         random: &mut ChaCha8Rng,
     ) -> Result<Vec<f64>, SimulateError> {
@@ -253,7 +253,7 @@ impl PhaseDraw<'_> {
         self.preparer.prepare(rows, &mut path.work).map_err(|fault| named(fault, rows))?;
         self.refuse_shared_cells(rows, path)?;
         let mut xi = path.draw_initial(model, &self.law.population, &self.law.root, random);
-        xi.iter_mut().zip(added).for_each(|(own, more)| *own += more);
+        xi.iter_mut().zip(group_deviations).for_each(|(own, more)| *own += more);
         let mut entering = xi.clone();
         if let Some(inheritance) = &self.phase.inheritance {
             let inherited = inheritance.of(&self.preparer.at(), rows, &mut path.cells);

@@ -12,7 +12,7 @@ use kalfit_algebra::symmetric;
 use kalfit_model::{Model, Population};
 
 /// Largest number of roots of Q that are cached.
-const MOST_ROOTS: usize = 1024;
+const MAX_CACHED_ROOTS: usize = 1024;
 
 /// A root of Q: kernel states with process noise, and F over them.
 #[derive(Debug, Clone)]
@@ -31,8 +31,8 @@ pub(super) struct DrawWorkspace {
     /// Drawn values, one for each instance of `work`.
     pub(super) values: Vec<f64>,
     x: Vec<f64>,
-    moved: Vec<f64>,
-    noises: HashMap<u128, NoiseRoot>,
+    scratch: Vec<f64>,
+    noise_roots: HashMap<u128, NoiseRoot>,
     /// P0 of the last test, and its root.
     start: (Vec<f64>, DMatrix<f64>),
 }
@@ -47,8 +47,8 @@ impl DrawWorkspace {
             cells: GatheredCells::default(),
             values: Vec::new(),
             x: Vec::new(),
-            moved: Vec::new(),
-            noises: HashMap::new(),
+            scratch: Vec::new(),
+            noise_roots: HashMap::new(),
             start,
         }
     }
@@ -77,12 +77,12 @@ impl DrawWorkspace {
         let (work, mut input) = (&self.work, 0);
         for step in work.design.each_step() {
             if let Some(transition) = step.transition {
-                advance(&mut self.x, 1, transition.view(), &mut self.moved);
+                advance(&mut self.x, 1, transition.view(), &mut self.scratch);
                 for &state in &work.design.frame.driven {
                     self.x[state as usize] += work.data.inputs[input];
                     input += 1;
                 }
-                let noise = noise_of(&mut self.noises, transition);
+                let noise = noise_of(&mut self.noise_roots, transition);
                 add_noise(&noise.F, random, |i, value| self.x[noise.states[i]] += value);
             }
             measure(work, &self.x, &step, &mut self.values, random)?;
@@ -160,11 +160,11 @@ fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64
 }
 
 /// The root of a transition's Q, from the cache where it is known.
-fn noise_of<'a>(noises: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
-    if noises.len() >= MOST_ROOTS && !noises.contains_key(&transition.digest()) {
-        noises.clear();
+fn noise_of<'a>(noise_roots: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
+    if noise_roots.len() >= MAX_CACHED_ROOTS && !noise_roots.contains_key(&transition.digest()) {
+        noise_roots.clear();
     }
-    noises.entry(transition.digest()).or_insert_with(|| {
+    noise_roots.entry(transition.digest()).or_insert_with(|| {
         let pairs = &transition.pattern.pairs;
         let mut states: Vec<usize> = pairs.iter().flat_map(|&(i, j)| [i as usize, j as usize]).collect();
         states.sort_unstable();

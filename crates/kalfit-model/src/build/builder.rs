@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::build::BuildError;
-use crate::build::constraint::{Constraints, Kind, MeanRule};
+use crate::build::constraint::{Constraints, CovarianceForm, MeanRule};
 use crate::build::formula::Formula;
 use crate::build::measurement::MeasurementBuilder;
 use crate::build::parameter::ParameterBuilder;
@@ -194,7 +194,7 @@ impl ModelBuilder {
     /// Makes Σ diagonal: different states are not correlated.
     #[must_use]
     pub fn diagonal(mut self) -> Self {
-        self.constraints.kind = Kind::Diagonal;
+        self.constraints.kind = CovarianceForm::Diagonal;
         self
     }
 
@@ -203,7 +203,7 @@ impl ModelBuilder {
     #[must_use]
     pub fn blocks(mut self, blocks: &[&[&str]]) -> Self {
         let owned = blocks.iter().map(|block| block.iter().map(|name| (*name).to_owned()).collect());
-        self.constraints.kind = Kind::Blocks(owned.collect());
+        self.constraints.kind = CovarianceForm::Blocks(owned.collect());
         self
     }
 

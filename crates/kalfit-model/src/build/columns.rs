@@ -151,12 +151,13 @@ impl Columns {
     pub fn test(&self, model: &PhasedModel, labels: &mut Labels) -> Result<PhasedTest, ColumnsError> {
         let rows = self.rows()?;
         let shared = model.shared();
-        let numbers = self.pick(&self.numbers, &shared.columns)?;
-        let texts = self.pick(&self.texts, &shared.text_columns)?;
+        let numbers = self.read_columns(&self.numbers, &shared.columns)?;
+        let texts = self.read_columns(&self.texts, &shared.text_columns)?;
         let mut test = Test::new(self.id.clone(), numbers.len(), texts.len());
         let mut row_numbers = vec![0.0; numbers.len()];
         for row in 0..rows {
-            for (cell, (column, cells)) in row_numbers.iter_mut().zip(numbers.iter().zip(&shared.columns).map(flip)) {
+            for (cell, (column, cells)) in row_numbers.iter_mut().zip(numbers.iter().zip(&shared.columns).map(swapped))
+            {
                 *cell = *cells.at(row);
                 if cell.is_infinite() {
                     let (test, column) = (self.id.clone(), column.name.clone());
@@ -195,7 +196,7 @@ impl Columns {
     }
 
     /// The columns that the model reads, in the order of the model.
-    fn pick<'a, T>(
+    fn read_columns<'a, T>(
         &self,
         given: &'a [(String, Cells<T>)],
         wanted: &[Column],
@@ -214,6 +215,6 @@ impl Columns {
     }
 }
 
-fn flip<A, B>((a, b): (A, B)) -> (B, A) {
+fn swapped<A, B>((a, b): (A, B)) -> (B, A) {
     (b, a)
 }

@@ -11,7 +11,7 @@ use crate::model::{
 pub(super) struct Constraints {
     pub(super) means: Vec<(String, MeanRule)>,
     pub(super) regressions: Vec<(String, String)>,
-    pub(super) kind: Kind,
+    pub(super) kind: CovarianceForm,
     pub(super) fixed: Vec<(String, String, f64)>,
     pub(super) equal: Vec<Vec<(String, String)>>,
 }
@@ -27,7 +27,7 @@ pub(super) enum MeanRule {
 
 /// The form of Σ.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) enum Kind {
+pub(super) enum CovarianceForm {
     #[default]
     Full,
     Diagonal,
@@ -98,9 +98,9 @@ impl Constraints {
     pub(super) fn covariance(&self, elements: &Elements<'_>) -> Result<CovarianceStructure, BuildError> {
         let mut covariance = CovarianceStructure::full();
         covariance.kind = match &self.kind {
-            Kind::Full => CovarianceKind::Full,
-            Kind::Diagonal => CovarianceKind::Diagonal,
-            Kind::Blocks(blocks) => CovarianceKind::Blocks(all_blocks(blocks, elements)?),
+            CovarianceForm::Full => CovarianceKind::Full,
+            CovarianceForm::Diagonal => CovarianceKind::Diagonal,
+            CovarianceForm::Blocks(blocks) => CovarianceKind::Blocks(all_blocks(blocks, elements)?),
         };
         let common = (0..elements.names.len()).filter(|&i| !elements.random[i]);
         covariance.fixed.extend(common.map(|i| FixedElement { i, j: i, value: 0.0 }));
@@ -154,6 +154,6 @@ pub(super) fn finite(found: f64, what: &str) -> Result<f64, BuildError> {
 }
 
 /// A known matrix as expressions.
-pub(super) fn entries(matrix: &nalgebra::DMatrix<f64>) -> Vec<Vec<Expression>> {
+pub(super) fn as_expressions(matrix: &nalgebra::DMatrix<f64>) -> Vec<Vec<Expression>> {
     matrix.row_iter().map(|row| row.iter().map(|&x| Expression::Number(x)).collect()).collect()
 }

@@ -18,14 +18,14 @@ struct Form {
 
 /// The linear form of an equation.
 pub(super) fn linear(names: &mut Names, formula: &Formula, place: &str) -> Result<Linear, BuildError> {
-    let form = Reading { names, place }.form(&formula.0)?;
+    let form = FormulaReader { names, place }.form(&formula.0)?;
     let terms = form.terms.into_iter().filter(|(_, coefficient)| *coefficient != ZERO).collect();
     Ok(Linear { terms, constant: form.constant })
 }
 
 /// An expression without states.
 pub(super) fn scalar(names: &mut Names, formula: &Formula, place: &str) -> Result<Expression, BuildError> {
-    let form = Reading { names: &mut *names, place }.form(&formula.0)?;
+    let form = FormulaReader { names: &mut *names, place }.form(&formula.0)?;
     match form.terms.keys().next() {
         None => Ok(form.constant),
         Some(&state) => Err(BuildError::HasState { place: place.to_owned(), state: names.states[state].clone() }),
@@ -33,18 +33,23 @@ pub(super) fn scalar(names: &mut Names, formula: &Formula, place: &str) -> Resul
 }
 
 /// An expression whose value must not be negative or, as a time constant, not even zero.
-pub(super) fn spread(names: &mut Names, formula: &Formula, role: Role, place: &str) -> Result<Expression, BuildError> {
+pub(super) fn nonnegative(
+    names: &mut Names,
+    formula: &Formula,
+    role: Role,
+    place: &str,
+) -> Result<Expression, BuildError> {
     let value = scalar(names, formula, place)?;
     if let Expression::Number(found) = value {
         role.check(found, place)?;
     }
-    names.mark(&value, role);
+    names.mark_role(&value, role);
     Ok(value)
 }
 
 /// The square of a standard deviation.
 pub(super) fn squared(names: &mut Names, formula: &Formula, place: &str) -> Result<Expression, BuildError> {
-    spread(names, formula, Role::Spread, place).map(|deviation| multiply(deviation.clone(), deviation))
+    nonnegative(names, formula, Role::Spread, place).map(|deviation| multiply(deviation.clone(), deviation))
 }
 
 impl Role {
@@ -60,12 +65,12 @@ impl Role {
     }
 }
 
-struct Reading<'a> {
+struct FormulaReader<'a> {
     names: &'a mut Names,
     place: &'a str,
 }
 
-impl Reading<'_> {
+impl FormulaReader<'_> {
     fn form(&mut self, node: &Node) -> Result<Form, BuildError> {
         Ok(match node {
             Node::Name(name) => match self.names.state(name) {

@@ -4,7 +4,7 @@ mod parameter;
 
 use crate::build::BuildError;
 use crate::build::builder::ModelBuilder;
-use crate::build::constraint::{Elements, entries, finite};
+use crate::build::constraint::{Elements, as_expressions, finite};
 use crate::build::formula::Formula;
 use crate::build::linear::scalar;
 use crate::build::names::{Names, Role, unknown};
@@ -31,7 +31,7 @@ impl ModelBuilder {
 /// Gives the models of all phases what they share, once all of it is known.
 pub(super) fn share(names: &mut Names, model: &mut PhasedModel) -> Result<(), BuildError> {
     let roles = roles_among(model, names.parameters.len());
-    roles.into_iter().enumerate().for_each(|(parameter, role)| names.serve(parameter, role.into()));
+    roles.into_iter().enumerate().for_each(|(parameter, role)| names.strengthen_role(parameter, role.into()));
     let given = names.parameters.clone();
     let parameters: Vec<Parameter> =
         given.iter().map(|(parameter, role)| parameter.lower_into(names, *role)).collect::<Result<_, _>>()?;
@@ -134,23 +134,23 @@ fn known(builder: &ModelBuilder, p: usize) -> Result<Option<Vec<Vec<Expression>>
         return Err(BuildError::Shape { what, found: matrix.shape(), expected: p });
     }
     matrix.iter().try_for_each(|&x| finite(x, &what).map(drop))?;
-    Ok(Some(entries(matrix)))
+    Ok(Some(as_expressions(matrix)))
 }
 
 fn clock(builder: &ModelBuilder, names: &mut Names) -> Result<Clock, BuildError> {
-    let timed = |place: &str| match builder.time {
+    let require_times = |place: &str| match builder.time {
         Some(_) => Ok(()),
         None => Err(BuildError::NoTime { place: place.to_owned() }),
     };
     let initial_time = match &builder.initial_time {
         Some(formula) => {
-            timed("an initial time")?;
+            require_times("an initial time")?;
             Some(scalar(names, formula, "initial time")?)
         }
         None => None,
     };
     if builder.time_unit.is_some() {
-        timed("a unit of time")?;
+        require_times("a unit of time")?;
     }
     Ok(Clock {
         time: builder.time.as_ref().map(|column| names.column(column, "time")),

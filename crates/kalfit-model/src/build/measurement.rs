@@ -2,7 +2,7 @@
 
 use crate::build::BuildError;
 use crate::build::formula::Formula;
-use crate::build::linear::{linear, scalar, spread, squared};
+use crate::build::linear::{linear, nonnegative, scalar, squared};
 use crate::build::names::{Names, Role};
 use crate::model::Measurement;
 
@@ -72,7 +72,7 @@ impl MeasurementBuilder {
             equation: linear(names, &self.equation, &of("equation"))?,
             noise_variance: match &self.noise {
                 Noise::StdDev(deviation) => squared(names, deviation, &of("noise"))?,
-                Noise::Variance(variance) => spread(names, variance, Role::Spread, &of("variance"))?,
+                Noise::Variance(variance) => nonnegative(names, variance, Role::Spread, &of("variance"))?,
             },
         })
     }

@@ -18,11 +18,11 @@ pub(super) enum Role {
 
 impl From<crate::model::Role> for Role {
     fn from(role: crate::model::Role) -> Role {
-        use crate::model::Role as Served;
+        use crate::model::Role as ModelRole;
         match role {
-            Served::Scale { .. } => Role::Spread,
-            Served::TimeConstant => Role::TimeConstant,
-            Served::Other => Role::Unused, // adds nothing to the roles noted for its uses
+            ModelRole::Scale { .. } => Role::Spread,
+            ModelRole::TimeConstant => Role::TimeConstant,
+            ModelRole::Other => Role::Unused, // adds nothing to the roles noted for its uses
         }
     }
 }
@@ -64,7 +64,7 @@ impl Names {
     }
 
     /// Index of the state `name`, which must exist; `place` says where it is named.
-    pub(super) fn need_state(&self, name: &str, place: &str) -> Result<usize, BuildError> {
+    pub(super) fn required_state(&self, name: &str, place: &str) -> Result<usize, BuildError> {
         self.state(name).ok_or_else(|| unknown("state", name, place, &self.states))
     }
 
@@ -96,14 +96,14 @@ impl Names {
 
     /// Gives a parameter this role if it is the whole expression; parameters inside an expression get their roles when
     /// the model is complete.
-    pub(super) fn mark(&mut self, value: &Expression, role: Role) {
+    pub(super) fn mark_role(&mut self, value: &Expression, role: Role) {
         if let Expression::Parameter(index) = value {
-            self.serve(*index, role);
+            self.strengthen_role(*index, role);
         }
     }
 
     /// Gives a parameter this role, if it is stricter than the role so far.
-    pub(super) fn serve(&mut self, parameter: usize, role: Role) {
+    pub(super) fn strengthen_role(&mut self, parameter: usize, role: Role) {
         let known = &mut self.parameters[parameter].1;
         *known = (*known).max(role);
     }

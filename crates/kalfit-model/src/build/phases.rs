@@ -97,12 +97,12 @@ impl SchmidtBuilder {
             return Err(BuildError::Shape { what, found: self.covariance.shape(), expected: n });
         }
         let mut consider: Vec<usize> =
-            self.consider.iter().map(|name| names.need_state(name, "a filter")).collect::<Result<_, _>>()?;
+            self.consider.iter().map(|name| names.required_state(name, "a filter")).collect::<Result<_, _>>()?;
         consider.sort_unstable();
         consider.dedup();
         let mut mean = vec![0.0; n];
         for (state, value) in &self.mean {
-            mean[names.need_state(state, "a filter")?] = finite(*value, "a prior mean of a filter")?;
+            mean[names.required_state(state, "a filter")?] = finite(*value, "a prior mean of a filter")?;
         }
         let mut parameters = Vec::new();
         for (name, value) in &self.parameters {
@@ -135,12 +135,17 @@ impl PhaseBuilder {
         let model = lower::phase(&self.model, names, Some(&self.name))?;
         let own = names.states.clone();
         let filter = self.filter.as_ref().map(|filter| filter.lower(names)).transpose()?;
-        let carry = self.carried(names, &model, before)?;
+        let carry = self.lower_carries(names, &model, before)?;
         names.states = own;
         Ok(Phase { name: self.name.clone(), label: Some(names.literal(&self.name)), model, carry, filter })
     }
 
-    fn carried(&self, names: &mut Names, model: &Model, before: Option<&[String]>) -> Result<Vec<Carry>, BuildError> {
+    fn lower_carries(
+        &self,
+        names: &mut Names,
+        model: &Model,
+        before: Option<&[String]>,
+    ) -> Result<Vec<Carry>, BuildError> {
         let own = names.states.clone();
         let before = match before {
             Some(before) => before,

@@ -2,7 +2,7 @@
 
 use crate::build::BuildError;
 use crate::build::formula::{Formula, name};
-use crate::build::linear::{ONE, ZERO, divide, linear, multiply, negate, scalar, spread, squared};
+use crate::build::linear::{ONE, ZERO, divide, linear, multiply, negate, nonnegative, scalar, squared};
 use crate::build::names::{Names, Role};
 use crate::model::{Expression, Initial, Linear, Motion, State};
 
@@ -160,9 +160,9 @@ impl StateBuilder {
                 variance: squared(names, sigma, &format!("initial standard deviation of {place}"))?,
             },
         };
-        let idle = if self.offset.is_some() { Some("an offset") } else { None };
-        let idle = idle.or((!self.random).then_some("one value common to all tests"));
-        if let Some(first) = idle.filter(|_| initial != Initial::Estimated) {
+        let unused_setting = if self.offset.is_some() { Some("an offset") } else { None };
+        let unused_setting = unused_setting.or((!self.random).then_some("one value common to all tests"));
+        if let Some(first) = unused_setting.filter(|_| initial != Initial::Estimated) {
             let second = format!("the start of {place}, which is not estimated");
             return Err(BuildError::Contradiction { first: first.to_owned(), second });
         }
@@ -214,18 +214,18 @@ impl Process {
                 return Process::Stepping { next: name(state), step_noise: noise.clone() }.lower(names, index, state);
             }
             Process::GaussMarkov { time_constant, sigma } => {
-                let tau = spread(names, time_constant, Role::TimeConstant, &of("time constant"))?;
+                let tau = nonnegative(names, time_constant, Role::TimeConstant, &of("time constant"))?;
                 let variance = squared(names, sigma, &of("standard deviation"))?;
                 let noise_variance = divide(multiply(Expression::Number(2.0), variance), tau.clone());
                 let derivative = Linear { terms: vec![(index, negate(divide(ONE, tau)))], constant: ZERO };
                 Motion::Continuous { derivative, noise_variance }
             }
             Process::GaussMarkov2 { time_constant, sigma } => {
-                let tau = spread(names, time_constant, Role::TimeConstant, &of("time constant"))?;
+                let tau = nonnegative(names, time_constant, Role::TimeConstant, &of("time constant"))?;
                 let variance = squared(names, sigma, &of("standard deviation"))?;
                 let derivative = Linear { terms: vec![(index + 1, ONE)], constant: ZERO };
                 let motion = Motion::Continuous { derivative, noise_variance: ZERO };
-                timed(names, &motion, state)?;
+                require_times(names, &motion, state)?;
                 return Ok((motion, Some(second_order(index, tau, variance))));
             }
             Process::Moving { derivative, noise_density } => Motion::Continuous {
@@ -237,7 +237,7 @@ impl Process {
                 noise_variance: squared(names, step_noise, &of("step noise"))?,
             },
         };
-        timed(names, &motion, state)?;
+        require_times(names, &motion, state)?;
         Ok((motion, None))
     }
 }
@@ -253,7 +253,7 @@ fn second_order(index: usize, tau: Expression, variance: Expression) -> (Motion,
     (Motion::Continuous { derivative: Linear { terms, constant: ZERO }, noise_variance }, rate_variance)
 }
 
-fn timed(names: &Names, motion: &Motion, state: &str) -> Result<(), BuildError> {
+fn require_times(names: &Names, motion: &Motion, state: &str) -> Result<(), BuildError> {
     match motion {
         Motion::Continuous { .. } if !names.time => Err(BuildError::NoTime { place: format!("state `{state}`") }),
         _ => Ok(()),

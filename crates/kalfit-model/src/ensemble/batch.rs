@@ -23,7 +23,7 @@ pub struct TestBatch {
     ids: String,
     records: RowStore,
     /// Start of the id in `ids`, and first row in `records`, of each test.
-    begins: Vec<(usize, usize)>,
+    starts: Vec<(usize, usize)>,
 }
 
 impl TestBatch {
@@ -34,7 +34,7 @@ impl TestBatch {
 
     /// Begins another test.
     pub fn begin(&mut self, id: &str) {
-        self.begins.push((self.ids.len(), self.records.rows()));
+        self.starts.push((self.ids.len(), self.records.rows()));
         self.ids.push_str(id);
     }
 
@@ -43,18 +43,18 @@ impl TestBatch {
     /// # Panics
     /// When the number of cells is not that of `rows` rows, or no test was begun.
     pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
-        assert!(!self.begins.is_empty(), "rows of no test");
+        assert!(!self.starts.is_empty(), "rows of no test");
         self.records.push(rows, numbers, texts, source);
     }
 
     /// Number of tests.
     pub fn len(&self) -> usize {
-        self.begins.len()
+        self.starts.len()
     }
 
     /// Whether no test was begun.
     pub fn is_empty(&self) -> bool {
-        self.begins.is_empty()
+        self.starts.is_empty()
     }
 
     /// Number of rows of all tests.
@@ -64,12 +64,12 @@ impl TestBatch {
 
     /// Id of the test that was begun last.
     pub fn last_id(&self) -> Option<&str> {
-        self.begins.last().map(|&(id, _)| &self.ids[id..])
+        self.starts.last().map(|&(id, _)| &self.ids[id..])
     }
 
     /// Text cells of the first row of the test that was begun last, if it has one.
     pub fn last_texts(&self) -> Option<&[Label]> {
-        let &(_, first) = self.begins.last()?;
+        let &(_, first) = self.starts.last()?;
         (first < self.rows()).then(|| self.records.texts(first..first + 1))
     }
 
@@ -78,11 +78,11 @@ impl TestBatch {
         self.records.fit();
         let (all, rows) = (Arc::new(self.ids.into_boxed_str()), self.records.rows());
         let records = Arc::new(self.records);
-        let ends = self.begins.iter().skip(1).copied().chain([(all.len(), rows)]);
+        let ends = self.starts.iter().skip(1).copied().chain([(all.len(), rows)]);
         let test = |(&(id, row), (id_end, end)): (&(usize, usize), (usize, usize))| {
             Test::part(TestId::part(&all, id..id_end), &records, row..end)
         };
-        self.begins.iter().zip(ends).map(test).collect()
+        self.starts.iter().zip(ends).map(test).collect()
     }
 }
 

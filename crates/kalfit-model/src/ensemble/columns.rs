@@ -42,18 +42,18 @@ impl Texts {
 
 /// Values that few tests or none have; the list ends with the last test that has a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Rare<T>(Vec<Option<T>>);
+pub struct SparseColumn<T>(Vec<Option<T>>);
 
-impl<T> Default for Rare<T> {
-    fn default() -> Rare<T> {
-        Rare(Vec::new())
+impl<T> Default for SparseColumn<T> {
+    fn default() -> SparseColumn<T> {
+        SparseColumn(Vec::new())
     }
 }
 
-impl<T> Rare<T> {
+impl<T> SparseColumn<T> {
     /// An empty list with room for `tests` tests.
-    pub fn with_room(tests: usize) -> Rare<T> {
-        Rare(Vec::with_capacity(tests))
+    pub fn with_room(tests: usize) -> SparseColumn<T> {
+        SparseColumn(Vec::with_capacity(tests))
     }
 
     /// Value of the test with this number.
@@ -67,7 +67,7 @@ impl<T> Rare<T> {
     }
 
     /// Whether any test has a value.
-    pub fn is_any(&self) -> bool {
+    pub fn has_any(&self) -> bool {
         self.0.iter().rev().any(Option::is_some)
     }
 
@@ -83,7 +83,7 @@ impl<T> Rare<T> {
     }
 
     /// Appends the values of `others` after those of the first `own` tests.
-    pub fn append(&mut self, own: usize, others: Rare<T>) {
+    pub fn append(&mut self, own: usize, others: SparseColumn<T>) {
         if !others.0.is_empty() {
             self.0.resize_with(own, || None);
             self.0.extend(others.0);
@@ -109,16 +109,16 @@ mod tests {
 
     #[test]
     fn what_is_rare_is_with_its_tests() {
-        let mut some = Rare::default();
+        let mut some = SparseColumn::default();
         some.set(3, None);
         assert_eq!((some.get(0), some.0.len()), (None, 0), "no memory for nothing");
         some.set(1, Some("b"));
-        let mut others = Rare::default();
+        let mut others = SparseColumn::default();
         others.set(0, Some("e"));
         some.append(4, others);
         let found: Vec<Option<&&str>> = (0..6).map(|number| some.get(number)).collect();
         assert_eq!(found, [None, Some(&"b"), None, None, Some(&"e"), None]);
-        some.append(5, Rare::default());
+        some.append(5, SparseColumn::default());
         assert_eq!(some.0.len(), 5);
     }
 }

@@ -10,7 +10,7 @@ mod records;
 mod test;
 
 pub use batch::TestBatch;
-pub use columns::Rare;
+pub use columns::SparseColumn;
 pub use columns::Texts;
 pub use grouping::{Group, Grouping};
 pub use id::TestId;

@@ -50,7 +50,7 @@ impl Test {
     /// Appends rows, the k-th of them from row `source.row + k` of its file. Panics when the number of cells is not
     /// that of `rows` rows of the test.
     pub fn push_rows(&mut self, rows: usize, numbers: &[f64], texts: &[Label], source: Source) {
-        self.own().push(rows, numbers, texts, source);
+        self.unshared_records().push(rows, numbers, texts, source);
         self.rows += rows;
     }
 
@@ -61,8 +61,8 @@ impl Test {
             (self.records, self.first, self.rows) = (other.records.clone(), other.first + rows.start, rows.len());
             return;
         }
-        let (own, from) = (self.own(), other.first);
-        own.push_from(&other.records, from + rows.start..from + rows.end);
+        let (unshared_records, from) = (self.unshared_records(), other.first);
+        unshared_records.push_from(&other.records, from + rows.start..from + rows.end);
         self.rows += rows.len();
     }
 
@@ -72,14 +72,14 @@ impl Test {
     }
 
     /// The records of this test alone, copied first if they are shared or contain other rows.
-    fn own(&mut self) -> &mut RowStore {
+    fn unshared_records(&mut self) -> &mut RowStore {
         let (first, rows) = (self.first, self.rows);
         let alone = Arc::get_mut(&mut self.records).is_some_and(|records| first == 0 && records.rows() == rows);
         if !alone {
             let (columns, text_columns) = self.records.widths();
-            let mut own = RowStore::new(columns, text_columns);
-            own.push_from(&self.records, first..first + rows);
-            (self.records, self.first) = (Arc::new(own), 0);
+            let mut unshared_records = RowStore::new(columns, text_columns);
+            unshared_records.push_from(&self.records, first..first + rows);
+            (self.records, self.first) = (Arc::new(unshared_records), 0);
         }
         Arc::get_mut(&mut self.records).expect("nobody else has them")
     }
@@ -109,7 +109,7 @@ impl Test {
     /// Sets a numeric cell. Panics when there is no such cell.
     pub fn set_number(&mut self, row: usize, column: usize, value: f64) {
         assert!(row < self.rows, "row {row} of {}", self.rows);
-        self.own().set_number(row, column, value);
+        self.unshared_records().set_number(row, column, value);
     }
 
     /// Text cells of a row.

@@ -42,26 +42,26 @@ impl Expression {
         sink: &mut dyn FnMut(usize, f64),
     ) -> Result<(), EvaluationError> {
         tape.0.clear();
-        self.record(scope, tape)?;
-        self.pull(seed, tape.0.len() - 1, tape, sink);
+        self.evaluate_on_tape(scope, tape)?;
+        self.propagate_back(seed, tape.0.len() - 1, tape, sink);
         Ok(())
     }
 
     /// Evaluates and records on the tape. An expression with slope 0, such as a comparison, is one node.
-    fn record(&self, scope: &Scope<'_>, tape: &mut Tape) -> Result<f64, EvaluationError> {
+    fn evaluate_on_tape(&self, scope: &Scope<'_>, tape: &mut Tape) -> Result<f64, EvaluationError> {
         let start = tape.0.len();
         let value = match self {
-            Expression::Negate(a) => -a.record(scope, tape)?,
+            Expression::Negate(a) => -a.evaluate_on_tape(scope, tape)?,
             Expression::Binary(operator, a, b) if operator.is_arithmetic() => {
-                let a = a.record(scope, tape)?;
-                operator.of(a, b.record(scope, tape)?)
+                let a = a.evaluate_on_tape(scope, tape)?;
+                operator.of(a, b.evaluate_on_tape(scope, tape)?)
             }
             Expression::Call(function, arguments) => {
-                let mut value = function.of(arguments[0].record(scope, tape)?);
+                let mut value = function.of(arguments[0].evaluate_on_tape(scope, tape)?);
                 for argument in &arguments[1..] {
-                    let argument = argument.record(scope, tape)?;
+                    let argument = argument.evaluate_on_tape(scope, tape)?;
                     if function.chooses() {
-                        value = function.better(value, argument);
+                        value = function.choose(value, argument);
                     }
                 }
                 value
@@ -69,7 +69,7 @@ impl Expression {
             Expression::If(condition, a, b) => {
                 let truth = condition.evaluate(scope)?;
                 tape.push(start, truth)?;
-                if truth != 0.0 { a.record(scope, tape)? } else { b.record(scope, tape)? }
+                if truth != 0.0 { a.evaluate_on_tape(scope, tape)? } else { b.evaluate_on_tape(scope, tape)? }
             }
             flat => flat.evaluate(scope)?,
         };
@@ -77,19 +77,19 @@ impl Expression {
     }
 
     /// Walks back over the tape; `at` is the node of this expression.
-    fn pull(&self, seed: f64, at: usize, tape: &Tape, sink: &mut dyn FnMut(usize, f64)) {
+    fn propagate_back(&self, seed: f64, at: usize, tape: &Tape, sink: &mut dyn FnMut(usize, f64)) {
         if seed == 0.0 {
             return; // the product is 0 even with an infinite slope
         }
         match self {
             Expression::Parameter(index) => sink(*index, seed),
-            Expression::Negate(a) => a.pull(-seed, at - 1, tape, sink),
+            Expression::Negate(a) => a.propagate_back(-seed, at - 1, tape, sink),
             Expression::Binary(operator, a, b) if operator.is_arithmetic() => {
                 let second = at - 1;
                 let first = tape.before(second);
                 let (to_a, to_b) = operator.slopes(tape.value(first), tape.value(second), tape.value(at));
-                a.pull(chain(seed, to_a), first, tape, sink);
-                b.pull(chain(seed, to_b), second, tape, sink);
+                a.propagate_back(chain(seed, to_a), first, tape, sink);
+                b.propagate_back(chain(seed, to_b), second, tape, sink);
             }
             Expression::Call(function, arguments) if function.chooses() => {
                 let (mut node, mut chosen) = (at - 1, None);
@@ -102,17 +102,17 @@ impl Expression {
                     }
                 }
                 if let Some((argument, node)) = chosen {
-                    argument.pull(seed, node, tape, sink);
+                    argument.propagate_back(seed, node, tape, sink);
                 }
             }
             Expression::Call(function, arguments) => {
                 let node = (1..arguments.len()).fold(at - 1, |node, _| tape.before(node));
                 let slope = function.slope(tape.value(node), tape.value(at));
-                arguments[0].pull(chain(seed, slope), node, tape, sink);
+                arguments[0].propagate_back(chain(seed, slope), node, tape, sink);
             }
             Expression::If(_, a, b) => {
                 let taken = if tape.value(tape.before(at - 1)) != 0.0 { a } else { b };
-                taken.pull(seed, at - 1, tape, sink);
+                taken.propagate_back(seed, at - 1, tape, sink);
             }
             _ => {}
         }

@@ -203,7 +203,7 @@ impl Function {
     fn evaluate(self, arguments: &[Expression], scope: &Scope<'_>) -> Result<f64, EvaluationError> {
         let first = arguments[0].evaluate(scope)?;
         let rest = if matches!(self, Function::Min | Function::Max) { &arguments[1..] } else { &[] };
-        rest.iter().try_fold(self.of(first), |best, argument| Ok(self.better(best, argument.evaluate(scope)?)))
+        rest.iter().try_fold(self.of(first), |best, argument| Ok(self.choose(best, argument.evaluate(scope)?)))
     }
 
     /// f(a).
@@ -221,7 +221,7 @@ impl Function {
     }
 
     /// The one of two values that `min` or `max` takes.
-    pub(super) fn better(self, a: f64, b: f64) -> f64 {
+    pub(super) fn choose(self, a: f64, b: f64) -> f64 {
         if self == Function::Min { a.min(b) } else { a.max(b) }
     }
 }

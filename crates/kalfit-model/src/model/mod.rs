@@ -197,7 +197,7 @@ impl Model {
     }
 
     /// Whether two parameters occur in the motion of the same state, or in the same covariance of noises.
-    pub fn stand_together(&self, a: usize, b: usize) -> bool {
+    pub fn occur_together(&self, a: usize, b: usize) -> bool {
         let moved = |(form, noise): (&Linear, &Expression)| {
             let any = |p: usize| noise.mentions(p) || form.terms.iter().any(|(_, coefficient)| coefficient.mentions(p));
             any(a) && any(b)

@@ -76,7 +76,7 @@ pub enum ParameterError {
 impl Alpha {
     /// α with other values of the free parameters, none of them zero: a number that is zero at both α hardly depends on
     /// them.
-    pub fn elsewhere(&self, free: &[bool]) -> Alpha {
+    pub fn at_other_values(&self, free: &[bool]) -> Alpha {
         let moved = |value: f64| 0.6180339887 + 1.3247179572 * value.abs();
         let of = |(level, free): (&Level, bool)| match level {
             level if !free => level.clone(),

@@ -142,7 +142,7 @@ impl From<Model> for PhasedModel {
 
 impl Phase {
     /// The expressions in all that x_0 inherits.
-    pub fn carries(&self) -> impl Iterator<Item = &Expression> {
+    pub fn inherited_expressions(&self) -> impl Iterator<Item = &Expression> {
         self.carry.iter().flat_map(|carry| carry.from.expressions())
     }
 

@@ -97,7 +97,7 @@ impl Population {
         let (mut mean, mut sigma, mut missing) = (Vec::with_capacity(p), DMatrix::zeros(p, p), Vec::new());
         for (phase, range) in model.phases.iter().zip(model.ranges()) {
             let structure = &phase.model.covariance;
-            let named = Named { model: &phase.model, structure, names: &names[range.clone()] };
+            let named = NamedBlock { model: &phase.model, structure, names: &names[range.clone()] };
             mean.extend(named.means(&mut missing));
             for regression in &phase.model.mean.regression {
                 let column = &phase.model.columns[regression.column].name;
@@ -109,7 +109,7 @@ impl Population {
         }
         for (structure, range) in model.blocks().skip(model.phases.len()) {
             mean.resize(range.end, 0.0);
-            let named = Named { model: model.shared(), structure, names: &names[range.clone()] };
+            let named = NamedBlock { model: model.shared(), structure, names: &names[range.clone()] };
             let own = named.covariance(alpha, &mut missing)?;
             sigma.view_mut((range.start, range.start), own.shape()).copy_from(&own);
         }
@@ -132,8 +132,8 @@ impl Population {
         self.check_named(names.len(), regressions, &|i| names[i].clone())?;
         let phase_of: Vec<usize> =
             model.blocks().enumerate().flat_map(|(block, (_, range))| range.map(move |_| block)).collect();
-        let apart = |&(i, j): &(usize, usize)| phase_of[i] != phase_of[j] && self.covariance[(i, j)] != 0.0;
-        match (0..names.len()).flat_map(|i| (0..i).map(move |j| (i, j))).find(apart) {
+        let different_blocks = |&(i, j): &(usize, usize)| phase_of[i] != phase_of[j] && self.covariance[(i, j)] != 0.0;
+        match (0..names.len()).flat_map(|i| (0..i).map(move |j| (i, j))).find(different_blocks) {
             Some((i, j)) => Err(PopulationError::AcrossPhases {
                 first: names[j].clone(),
                 second: names[i].clone(),
@@ -194,14 +194,14 @@ impl Population {
 }
 
 /// One phase's model, with the names of its estimated states as messages show them.
-struct Named<'a> {
+struct NamedBlock<'a> {
     model: &'a Model,
     /// Structure of Σ: the model's, or that of a level of groups.
     structure: &'a CovarianceStructure,
     names: &'a [String],
 }
 
-impl Named<'_> {
+impl NamedBlock<'_> {
     /// μ, with zeros where nothing is given; what is missing is added to `missing`.
     fn means(&self, missing: &mut Vec<String>) -> Vec<f64> {
         let structure = &self.model.mean;
@@ -231,7 +231,7 @@ impl Named<'_> {
 
     /// Σ, with zeros where nothing is given; what is missing is added to `missing`.
     fn covariance(&self, alpha: &Alpha, missing: &mut Vec<String>) -> Result<DMatrix<f64>, PopulationError> {
-        let Named { structure, names: name, .. } = *self;
+        let NamedBlock { structure, names: name, .. } = *self;
         let p = name.len();
         let blocks: Vec<Vec<usize>> = match &structure.kind {
             CovarianceKind::Fixed(entries) => return matrix(entries, alpha),

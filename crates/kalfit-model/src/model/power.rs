@@ -20,20 +20,20 @@ impl Expression {
             Expression::Number(0.0) => Some(Vec::new()),
             Expression::Parameter(index) if *index == parameter => Some(vec![1.0]),
             Expression::Negate(a) => of(a),
-            Expression::Binary(Operator::Multiply, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j + k)),
-            Expression::Binary(Operator::Divide, a, b) => Some(pairs(&of(a)?, &of(b)?, |j, k| j - k)),
+            Expression::Binary(Operator::Multiply, a, b) => Some(combined_exponents(&of(a)?, &of(b)?, |j, k| j + k)),
+            Expression::Binary(Operator::Divide, a, b) => Some(combined_exponents(&of(a)?, &of(b)?, |j, k| j - k)),
             Expression::Binary(Operator::Power, a, n) if n.as_number().is_some() => {
                 let n = n.as_number()?;
                 Some(ascending(of(a)?.into_iter().map(|k| k * n).collect()))
             }
-            Expression::Binary(Operator::Add | Operator::Subtract, a, b) => alike(of(a)?, of(b)?),
+            Expression::Binary(Operator::Add | Operator::Subtract, a, b) => common_exponents(of(a)?, of(b)?),
             Expression::Call(Function::Sqrt, arguments) => {
                 Some(of(&arguments[0])?.into_iter().map(|k| 0.5 * k).collect())
             }
             Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
             // an argument of zero compares with the others in the same way whatever θ is
             Expression::Call(Function::Min | Function::Max, arguments) => {
-                arguments.iter().try_fold(Vec::new(), |known, argument| alike(known, of(argument)?))
+                arguments.iter().try_fold(Vec::new(), |known, argument| common_exponents(known, of(argument)?))
             }
             Expression::If(condition, a, b) if !condition.mentions(parameter) => {
                 let mut both = of(a)?;
@@ -46,7 +46,7 @@ impl Expression {
 }
 
 /// Exponents of a sum: those of its terms, if all terms have the same one.
-fn alike(a: Vec<f64>, b: Vec<f64>) -> Option<Vec<f64>> {
+fn common_exponents(a: Vec<f64>, b: Vec<f64>) -> Option<Vec<f64>> {
     match (&a[..], &b[..]) {
         ([], _) => Some(b),
         (_, []) => Some(a),
@@ -55,7 +55,7 @@ fn alike(a: Vec<f64>, b: Vec<f64>) -> Option<Vec<f64>> {
     }
 }
 
-fn pairs(a: &[f64], b: &[f64], of: fn(f64, f64) -> f64) -> Vec<f64> {
+fn combined_exponents(a: &[f64], b: &[f64], of: fn(f64, f64) -> f64) -> Vec<f64> {
     ascending(a.iter().flat_map(|&j| b.iter().map(move |&k| of(j, k))).collect())
 }
 

@@ -30,7 +30,7 @@ pub enum Role {
 
 /// Kind of position in which an expression occurs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum RolePlace {
+enum SiteKind {
     /// A variance of noise, of a known start, or of a matrix of Σ.
     Variance,
     /// A covariance of noises, of known starts, or in a matrix of Σ.
@@ -61,16 +61,16 @@ pub fn roles(model: &PhasedModel) -> Vec<Role> {
 /// As [`roles`], for a model that need not contain its parameters yet; `parameters` is their number.
 pub(crate) fn roles_among(model: &PhasedModel, parameters: usize) -> Vec<Role> {
     let mut occurrences = vec![Vec::new(); parameters];
-    let mut note = |place, expression| {
+    let mut note = |site_kind, expression| {
         let inside = Expression::parameters(expression);
-        inside.into_iter().for_each(|parameter| occurrences[parameter].push((place, expression)));
+        inside.into_iter().for_each(|parameter| occurrences[parameter].push((site_kind, expression)));
     };
     model.phases.iter().for_each(|phase| each_expression(phase, &mut note));
     model.levels.iter().for_each(|level| each_of_level(&level.covariance, &mut note));
     occurrences.iter().enumerate().map(|(parameter, places)| role(parameter, places)).collect()
 }
 
-fn role(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Role {
+fn role(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> Role {
     match scale(parameter, occurrences) {
         Some(power) => Role::Scale { power },
         None if is_time_constant(parameter, occurrences) => Role::TimeConstant,
@@ -79,17 +79,17 @@ fn role(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Role {
 }
 
 /// k, if the parameter scales noise as v = θ^k.
-fn scale(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Option<i32> {
-    let paired = occurrences.iter().any(|(place, _)| *place == RolePlace::Covariance);
+fn scale(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> Option<i32> {
+    let paired = occurrences.iter().any(|(site_kind, _)| *site_kind == SiteKind::Covariance);
     let mut power = None;
-    for (place, expression) in occurrences {
+    for (site_kind, expression) in occurrences {
         if paired && expression.exponents(parameter).is_none() {
             return None;
         }
-        match (place, expression.use_as_variance(parameter)) {
-            (RolePlace::Variance, Use::Deviation) => power = power.or(Some(2)),
-            (RolePlace::Variance, Use::Variance) => power = Some(1),
-            (RolePlace::Covariance, _) => {}
+        match (site_kind, expression.use_as_variance(parameter)) {
+            (SiteKind::Variance, Use::Deviation) => power = power.or(Some(2)),
+            (SiteKind::Variance, Use::Variance) => power = Some(1),
+            (SiteKind::Covariance, _) => {}
             _ => return None,
         }
     }
@@ -98,17 +98,17 @@ fn scale(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> Option<i
 
 /// Whether every motion in which the parameter occurs decays with it, at least one through the coefficient of the state
 /// itself.
-fn is_time_constant(parameter: usize, occurrences: &[(RolePlace, &Expression)]) -> bool {
+fn is_time_constant(parameter: usize, occurrences: &[(SiteKind, &Expression)]) -> bool {
     let mut decays = false;
-    for (place, expression) in occurrences {
-        let (found, own) = match place {
-            RolePlace::Variance | RolePlace::Covariance => {
+    for (site_kind, expression) in occurrences {
+        let (found, own) = match site_kind {
+            SiteKind::Variance | SiteKind::Covariance => {
                 let scaled = expression.exponents(parameter).is_some();
                 (if scaled { Decay::None } else { expression.decay(parameter) }, false)
             }
-            RolePlace::Derivative { own } => (expression.rate(parameter), *own),
-            RolePlace::Next { own } => (expression.decay(parameter), *own),
-            RolePlace::Elsewhere => return false,
+            SiteKind::Derivative { own } => (expression.rate(parameter), *own),
+            SiteKind::Next { own } => (expression.decay(parameter), *own),
+            SiteKind::Elsewhere => return false,
         };
         match found {
             Decay::Other => return false,
@@ -120,40 +120,40 @@ fn is_time_constant(parameter: usize, occurrences: &[(RolePlace, &Expression)]) 
 }
 
 /// Visits every expression of a phase, with its kind of position.
-fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(RolePlace, &'m Expression)) {
+fn each_expression<'m>(phase: &'m Phase, visit: &mut dyn FnMut(SiteKind, &'m Expression)) {
     let model = &phase.model;
     for (site, expression) in model.expressions() {
-        visit(place(model, site), expression);
+        visit(site_kind(model, site), expression);
     }
-    phase.carries().for_each(|expression| visit(RolePlace::Elsewhere, expression));
+    phase.inherited_expressions().for_each(|expression| visit(SiteKind::Elsewhere, expression));
 }
 
-fn place(model: &Model, site: Site) -> RolePlace {
+fn site_kind(model: &Model, site: Site) -> SiteKind {
     let moved = |state: usize, own: bool| match model.states[state].motion {
-        Motion::Discrete { .. } => RolePlace::Next { own },
-        _ => RolePlace::Derivative { own },
+        Motion::Discrete { .. } => SiteKind::Next { own },
+        _ => SiteKind::Derivative { own },
     };
     match site {
         Site::Rate { state, from } => moved(state, state == from),
         Site::Input(state) => moved(state, false),
-        Site::ProcessNoise(_) | Site::InitialVariance(_) | Site::Noise(_) => RolePlace::Variance,
-        Site::ProcessCovariance | Site::NoiseCovariance => RolePlace::Covariance,
+        Site::ProcessNoise(_) | Site::InitialVariance(_) | Site::Noise(_) => SiteKind::Variance,
+        Site::ProcessCovariance | Site::NoiseCovariance => SiteKind::Covariance,
         Site::KnownCovariance { diagonal } => of_matrix(diagonal),
         Site::Structure { diagonal } => of_structure(&model.covariance.kind, diagonal),
-        _ => RolePlace::Elsewhere,
+        _ => SiteKind::Elsewhere,
     }
 }
 
-fn of_matrix(diagonal: bool) -> RolePlace {
-    if diagonal { RolePlace::Variance } else { RolePlace::Covariance }
+fn of_matrix(diagonal: bool) -> SiteKind {
+    if diagonal { SiteKind::Variance } else { SiteKind::Covariance }
 }
 
-fn of_structure(kind: &CovarianceKind, diagonal: bool) -> RolePlace {
-    if matches!(kind, CovarianceKind::Correlation(_)) { RolePlace::Elsewhere } else { of_matrix(diagonal) }
+fn of_structure(kind: &CovarianceKind, diagonal: bool) -> SiteKind {
+    if matches!(kind, CovarianceKind::Correlation(_)) { SiteKind::Elsewhere } else { of_matrix(diagonal) }
 }
 
 /// Visits every expression of the covariance matrix of a level of groups.
-fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(RolePlace, &'m Expression)) {
+fn each_of_level<'m>(covariance: &'m CovarianceStructure, visit: &mut dyn FnMut(SiteKind, &'m Expression)) {
     for (site, expression) in covariance.kind.expressions() {
         let diagonal = site == Site::Structure { diagonal: true };
         visit(of_structure(&covariance.kind, diagonal), expression);

@@ -18,15 +18,15 @@ pub struct Slot {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Slots {
     slots: Vec<Slot>,
-    places: Vec<Places>,
+    positions: Vec<ParameterSlots>,
 }
 
 /// Slots of the values of one parameter.
 #[derive(Debug, Clone, PartialEq)]
-enum Places {
+enum ParameterSlots {
     Fixed,
     Common(usize),
-    Each { column: usize, places: BTreeMap<Label, usize> },
+    Each { column: usize, positions: BTreeMap<Label, usize> },
 }
 
 impl Slots {
@@ -37,24 +37,24 @@ impl Slots {
 
     /// The slots of a model whose parameters are all known: none.
     pub fn none(model: &Model) -> Slots {
-        Slots { slots: Vec::new(), places: model.parameters.iter().map(|_| Places::Fixed).collect() }
+        Slots { slots: Vec::new(), positions: model.parameters.iter().map(|_| ParameterSlots::Fixed).collect() }
     }
 
     /// As `new`, from references to tests.
     pub(crate) fn of(model: &Model, labels: &Labels, tests: &[&Test]) -> Slots {
         let mut slots = Slots::default();
         for (parameter, what) in model.parameters.iter().enumerate() {
-            let places = match (what.value, what.per) {
-                (Value::Fixed(_), _) => Places::Fixed,
-                (Value::Free { .. }, None) => Places::Common(slots.add(parameter, None)),
+            let positions = match (what.value, what.per) {
+                (Value::Fixed(_), _) => ParameterSlots::Fixed,
+                (Value::Free { .. }, None) => ParameterSlots::Common(slots.add(parameter, None)),
                 (Value::Free { .. }, Some(column)) => {
                     let mut levels = levels(what, column, tests);
                     levels.sort_by(|a, b| labels.text(*a).cmp(labels.text(*b)));
                     let place = |level: Label| (level, slots.add(parameter, Some(level)));
-                    Places::Each { column, places: levels.into_iter().map(place).collect() }
+                    ParameterSlots::Each { column, positions: levels.into_iter().map(place).collect() }
                 }
             };
-            slots.places.push(places);
+            slots.positions.push(positions);
         }
         slots
     }
@@ -81,48 +81,48 @@ impl Slots {
 
     /// True when some value of the parameter is free.
     pub fn is_free(&self, parameter: usize) -> bool {
-        match &self.places[parameter] {
-            Places::Fixed => false,
-            Places::Common(_) => true,
-            Places::Each { places, .. } => !places.is_empty(),
+        match &self.positions[parameter] {
+            ParameterSlots::Fixed => false,
+            ParameterSlots::Common(_) => true,
+            ParameterSlots::Each { positions, .. } => !positions.is_empty(),
         }
     }
 
     /// Whether each parameter has free values, in the order of the parameters.
     pub fn free(&self) -> Vec<bool> {
-        (0..self.places.len()).map(|parameter| self.is_free(parameter)).collect()
+        (0..self.positions.len()).map(|parameter| self.is_free(parameter)).collect()
     }
 
     /// Slot of a parameter whose free value is common to all rows; `None` for any other parameter.
     pub fn common(&self, parameter: usize) -> Option<usize> {
-        match &self.places[parameter] {
-            Places::Common(slot) => Some(*slot),
-            Places::Fixed | Places::Each { .. } => None,
+        match &self.positions[parameter] {
+            ParameterSlots::Common(slot) => Some(*slot),
+            ParameterSlots::Fixed | ParameterSlots::Each { .. } => None,
         }
     }
 
     /// Slot of a parameter on a row with these text cells; `None` where its value is fixed.
     pub fn find(&self, parameter: usize, texts: &[Label]) -> Option<usize> {
-        match &self.places[parameter] {
-            Places::Fixed => None,
-            Places::Common(slot) => Some(*slot),
-            Places::Each { column, places } => places.get(&texts[*column]).copied(),
+        match &self.positions[parameter] {
+            ParameterSlots::Fixed => None,
+            ParameterSlots::Common(slot) => Some(*slot),
+            ParameterSlots::Each { column, positions } => positions.get(&texts[*column]).copied(),
         }
     }
 
     /// α with these values in the slots; the other values are the model's fixed ones.
     pub fn alpha(&self, model: &Model, values: &[f64]) -> Alpha {
-        let level = |(parameter, places): (&Parameter, &Places)| match places {
-            Places::Fixed => parameter.level(),
-            Places::Common(slot) => Level::Common(values[*slot]),
-            Places::Each { column, places } => {
+        let level = |(parameter, positions): (&Parameter, &ParameterSlots)| match positions {
+            ParameterSlots::Fixed => parameter.level(),
+            ParameterSlots::Common(slot) => Level::Common(values[*slot]),
+            ParameterSlots::Each { column, positions } => {
                 let mut each: BTreeMap<Label, f64> =
                     parameter.fixed_levels.iter().map(|(&literal, &v)| (Label::literal(literal), v)).collect();
-                each.extend(places.iter().map(|(&level, &slot)| (level, values[slot])));
+                each.extend(positions.iter().map(|(&level, &slot)| (level, values[slot])));
                 Level::Each { column: *column, values: each, other: None }
             }
         };
-        Alpha { values: model.parameters.iter().zip(&self.places).map(level).collect() }
+        Alpha { values: model.parameters.iter().zip(&self.positions).map(level).collect() }
     }
 }
 

@@ -6,7 +6,7 @@ use crate::model::{Phase, PhasedModel, Population};
 
 impl Population {
     /// The population of each phase. `self` must have the shape of the model.
-    pub fn apart(&self, model: &PhasedModel) -> Vec<Population> {
+    pub fn by_phase(&self, model: &PhasedModel) -> Vec<Population> {
         let mut coefficients = self.coefficients.as_slice();
         let of = |(phase, range): (&Phase, Range<usize>)| {
             let (own, rest) = coefficients.split_at(phase.model.mean.regression.len());

@@ -26,11 +26,11 @@ pub fn sum(answers: &[Answer]) -> Option<Answer> {
 #[derive(Debug, Default)]
 pub struct Answers {
     known: Vec<(Asked, Answer)>,
-    open: Mutex<Open>,
+    pending: Mutex<PendingQuestions>,
 }
 
 #[derive(Debug, Default)]
-struct Open {
+struct PendingQuestions {
     /// Questions that were asked and have no answer yet.
     wanted: Vec<Asked>,
     /// Number of nested calls of `together` that collect questions.
@@ -40,17 +40,17 @@ struct Open {
 impl Answers {
     /// Answers for a search, given those that are known.
     pub fn new(known: Vec<(Asked, Answer)>) -> Answers {
-        Answers { known, open: Mutex::default() }
+        Answers { known, pending: Mutex::default() }
     }
 
     /// Whether a question was asked that has no answer yet: whatever the search does from then on is meaningless.
     pub fn is_waiting(&self) -> bool {
-        !self.open().wanted.is_empty()
+        !self.pending().wanted.is_empty()
     }
 
     /// Questions that were asked and have no answer yet.
     pub fn wanted(&self) -> Vec<Asked> {
-        self.open().wanted.clone()
+        self.pending().wanted.clone()
     }
 
     /// The answer; `None` where it is not defined, or not known. The first question without an answer is recorded, as
@@ -62,9 +62,9 @@ impl Answers {
         if let Some((_, answer)) = self.known.iter().find(|(known, _)| *known == asked) {
             return answer.clone();
         }
-        let mut open = self.open();
-        if (open.wanted.is_empty() || open.together > 0) && !open.wanted.contains(&asked) {
-            open.wanted.push(asked);
+        let mut pending = self.pending();
+        if (pending.wanted.is_empty() || pending.together > 0) && !pending.wanted.contains(&asked) {
+            pending.wanted.push(asked);
         }
         None
     }
@@ -72,18 +72,18 @@ impl Answers {
     /// Runs `ask`, whose questions do not depend on each other, so that one round answers them all.
     pub fn together<T>(&self, ask: impl FnOnce() -> T) -> T {
         let opened = {
-            let mut open = self.open();
-            let opens = open.wanted.is_empty() || open.together > 0;
-            open.together += usize::from(opens);
+            let mut pending = self.pending();
+            let opens = pending.wanted.is_empty() || pending.together > 0;
+            pending.together += usize::from(opens);
             opens
         };
         let found = ask();
-        self.open().together -= usize::from(opened);
+        self.pending().together -= usize::from(opened);
         found
     }
 
-    fn open(&self) -> MutexGuard<'_, Open> {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    fn pending(&self) -> MutexGuard<'_, PendingQuestions> {
+        self.pending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -1,11 +1,11 @@
 //! Number of lags in the test of whiteness.
 
 /// Largest number of lags of one measurement.
-pub(super) const MOST_LAGS: usize = 10;
+pub(super) const MAX_LAGS: usize = 10;
 /// Number of innovations needed for each lag.
-pub(super) const PER_LAG: usize = 5;
+pub(super) const INNOVATIONS_PER_LAG: usize = 5;
 
 /// Number of lags for n innovations.
-pub(super) fn most_lags(n: usize) -> usize {
-    (n / PER_LAG).min(MOST_LAGS)
+pub(super) fn lag_count(n: usize) -> usize {
+    (n / INNOVATIONS_PER_LAG).min(MAX_LAGS)
 }

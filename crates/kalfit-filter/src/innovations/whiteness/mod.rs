@@ -4,7 +4,7 @@ mod lags;
 mod null;
 mod table;
 
-use self::lags::most_lags;
+use self::lags::lag_count;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Ljung and Box's test (1978), computed for each measurement of each phase and added up over them:
@@ -40,8 +40,8 @@ impl Whiteness {
             if let Some(q) = ljung_box(z) {
                 statistic += q;
                 value += null::chi_squared_value(q, z.len());
-                lags = lags.max(most_lags(z.len()));
-                degrees_of_freedom += most_lags(z.len());
+                lags = lags.max(lag_count(z.len()));
+                degrees_of_freedom += lag_count(z.len());
             }
         }
         let chi = ChiSquared::new(degrees_of_freedom as f64).ok().filter(|_| degrees_of_freedom > 0)?;
@@ -51,7 +51,7 @@ impl Whiteness {
 
 fn ljung_box(z: &[f64]) -> Option<f64> {
     let (n, largest) = (z.len(), z.iter().fold(0.0, |most: f64, x| most.max(x.abs())));
-    if most_lags(n) == 0 || largest == 0.0 {
+    if lag_count(n) == 0 || largest == 0.0 {
         return None;
     }
     // relative to the largest, so that no square overflows or vanishes
@@ -60,7 +60,7 @@ fn ljung_box(z: &[f64]) -> Option<f64> {
         let product: f64 = z.iter().zip(&z[k..]).map(|(a, b)| (a / largest) * (b / largest)).sum();
         (product / square).powi(2) / (n - k) as f64
     };
-    Some((n * (n + 2)) as f64 * (1..=most_lags(n)).map(lag).sum::<f64>())
+    Some((n * (n + 2)) as f64 * (1..=lag_count(n)).map(lag).sum::<f64>())
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! The law of Ljung and Box's statistic when the innovations are uncorrelated.
 
-use super::lags::{MOST_LAGS, PER_LAG, most_lags};
+use super::lags::{INNOVATIONS_PER_LAG, MAX_LAGS, lag_count};
 use super::table::{CHI_SQUARED, LENGTHS, QUANTILES};
 
 /// Number of tail probabilities for which quantiles are known.
 const LEVELS: usize = CHI_SQUARED[0].len();
-/// Rows of the table before the lengths that are interpolated: one for each length with fewer than `MOST_LAGS` lags.
-const SHORT: usize = MOST_LAGS * PER_LAG - PER_LAG;
+/// Rows of the table before the lengths that are interpolated: one for each length with fewer than `MAX_LAGS` lags.
+const SHORT_ROWS: usize = MAX_LAGS * INNOVATIONS_PER_LAG - INNOVATIONS_PER_LAG;
 
 /// The χ² value that has the same tail probability as a Q of n innovations; its degrees of freedom are their number of
 /// lags.
@@ -16,7 +16,7 @@ const SHORT: usize = MOST_LAGS * PER_LAG - PER_LAG;
 /// probabilities below 1e-8 extrapolated. For more than 50 innovations the quantiles are interpolated linearly in 1/n
 /// between lengths, with those of χ² for n → ∞.
 pub(super) fn chi_squared_value(q: f64, n: usize) -> f64 {
-    let lags = most_lags(n);
+    let lags = lag_count(n);
     let values = &CHI_SQUARED[lags - 1];
     let quantiles = quantiles(n);
     // the segment that holds q, or the last one
@@ -28,14 +28,14 @@ pub(super) fn chi_squared_value(q: f64, n: usize) -> f64 {
 /// Quantiles of Q of n innovations.
 fn quantiles(n: usize) -> [f64; LEVELS] {
     if n < LENGTHS[0] {
-        return QUANTILES[n - PER_LAG];
+        return QUANTILES[n - INNOVATIONS_PER_LAG];
     }
     let longer = LENGTHS.iter().position(|&length| n < length).unwrap_or(LENGTHS.len());
     let part = |length: usize| (length as f64).recip();
-    let (near, lower) = (part(LENGTHS[longer - 1]), &QUANTILES[SHORT + longer - 1]);
+    let (near, lower) = (part(LENGTHS[longer - 1]), &QUANTILES[SHORT_ROWS + longer - 1]);
     let (far, upper) = match LENGTHS.get(longer) {
-        Some(&length) => (part(length), &QUANTILES[SHORT + longer]),
-        None => (0.0, &CHI_SQUARED[MOST_LAGS - 1]),
+        Some(&length) => (part(length), &QUANTILES[SHORT_ROWS + longer]),
+        None => (0.0, &CHI_SQUARED[MAX_LAGS - 1]),
     };
     let weight = (part(n) - far) / (near - far);
     std::array::from_fn(|level| upper[level] + weight * (lower[level] - upper[level]))
@@ -56,7 +56,7 @@ mod tests {
                 assert!((chi.sf(*value) / p - 1.0).abs() < 1e-3, "χ² of {}: {} at {p}", lags + 1, chi.sf(*value));
             }
         }
-        assert_eq!(QUANTILES.len(), SHORT + LENGTHS.len());
+        assert_eq!(QUANTILES.len(), SHORT_ROWS + LENGTHS.len());
         for row in &QUANTILES {
             assert!(row.windows(2).all(|pair| pair[0] < pair[1]), "{row:?}");
         }

@@ -21,26 +21,26 @@ impl Expression {
         let of = |part: &Expression| part.use_as_variance(parameter);
         let found = match self {
             Expression::Parameter(index) if *index == parameter => Use::Variance,
-            Expression::Negate(a) => odd_is_other(of(a)),
+            Expression::Negate(a) => reject_odd(of(a)),
             Expression::Binary(Operator::Multiply, a, b) if a == b => a.use_as_deviation(parameter),
             Expression::Binary(Operator::Multiply | Operator::Divide, a, b) => {
                 let both = of(a).max(of(b));
-                if a.is_negative() != b.is_negative() { odd_is_other(both) } else { both }
+                if a.is_negative() != b.is_negative() { reject_odd(both) } else { both }
             }
             Expression::Binary(Operator::Power, a, n) => match n.as_number() {
                 Some(n) if n % 2.0 == 0.0 => a.use_as_deviation(parameter),
                 Some(_) => of(a),
-                None => self.flat(parameter),
+                None => self.absent_or_other(parameter),
             },
             Expression::Binary(Operator::Add, a, b) => {
                 let both = of(a).max(of(b));
                 if both == Use::Variance && !self.adds_variances() { Use::Other } else { both }
             }
-            Expression::Binary(Operator::Subtract, a, b) => odd_is_other(of(a).max(of(b))),
+            Expression::Binary(Operator::Subtract, a, b) => reject_odd(of(a).max(of(b))),
             Expression::Call(Function::Sqrt | Function::Abs, arguments) => of(&arguments[0]),
-            Expression::Call(Function::Min | Function::Max, arguments) => most(arguments.iter().map(of)),
-            Expression::If(condition, a, b) => condition.flat(parameter).max(of(a)).max(of(b)),
-            _ => self.flat(parameter),
+            Expression::Call(Function::Min | Function::Max, arguments) => strictest(arguments.iter().map(of)),
+            Expression::If(condition, a, b) => condition.absent_or_other(parameter).max(of(a)).max(of(b)),
+            _ => self.absent_or_other(parameter),
         };
         if found == Use::Other && self.is_multiple(parameter) { Use::Variance } else { found }
     }
@@ -55,22 +55,22 @@ impl Expression {
             Expression::Binary(Operator::Power, a, n) => match n.as_number() {
                 Some(n) if n.fract() == 0.0 => of(a),
                 Some(n) if (2.0 * n).fract() == 0.0 => a.use_as_variance(parameter),
-                _ => self.flat(parameter),
+                _ => self.absent_or_other(parameter),
             },
             Expression::Binary(Operator::Add | Operator::Subtract, a, b) => {
-                odd_is_other(a.use_as_variance(parameter).max(b.use_as_variance(parameter)))
+                reject_odd(a.use_as_variance(parameter).max(b.use_as_variance(parameter)))
             }
             Expression::Call(Function::Sqrt, arguments) => arguments[0].use_as_variance(parameter),
             Expression::Call(Function::Abs, arguments) => of(&arguments[0]),
-            Expression::Call(Function::Min | Function::Max, arguments) => most(arguments.iter().map(of)),
-            Expression::If(condition, a, b) => condition.flat(parameter).max(of(a)).max(of(b)),
-            _ => self.flat(parameter),
+            Expression::Call(Function::Min | Function::Max, arguments) => strictest(arguments.iter().map(of)),
+            Expression::If(condition, a, b) => condition.absent_or_other(parameter).max(of(a)).max(of(b)),
+            _ => self.absent_or_other(parameter),
         };
         if found == Use::Other && self.is_multiple(parameter) { Use::Deviation } else { found }
     }
 
     /// Role of θ in an expression that contains no scales: it is absent or something else.
-    fn flat(&self, parameter: usize) -> Use {
+    fn absent_or_other(&self, parameter: usize) -> Use {
         if self.mentions(parameter) { Use::Other } else { Use::Absent }
     }
 
@@ -111,10 +111,10 @@ impl Expression {
 }
 
 /// With a minus sign, an expression that is odd in θ is not a variance.
-fn odd_is_other(found: Use) -> Use {
+fn reject_odd(found: Use) -> Use {
     if found == Use::Variance { Use::Other } else { found }
 }
 
-fn most(uses: impl Iterator<Item = Use>) -> Use {
+fn strictest(uses: impl Iterator<Item = Use>) -> Use {
     uses.fold(Use::Absent, Use::max)
 }
