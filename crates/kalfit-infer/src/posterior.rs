@@ -107,8 +107,8 @@ impl Distance {
     fn of(terms: &ClassTerms<'_>, class: ClassRef<'_>, reduction: ReductionRef<'_>) -> Distance {
         let p = terms.r.len();
         let own_rank = || (0..p).filter(|&i| (i..p).any(|k| reduction.factor[i + k * (k + 1) / 2] != 0.0)).count();
-        let freed = reduction.exact.map(|exact| (exact.values.len(), exact.freed(p)));
-        let told = freed.map(|(q, freed)| (q, freed.least_squares(&unpack(reduction.factor, p), reduction.data)));
+        let free_states = reduction.exact.map(|exact| (exact.values.len(), exact.free_states(p)));
+        let told = free_states.map(|(q, free_states)| (q, free_states.least_squares(&unpack(reduction.factor, p), reduction.data)));
         let rank = told.map_or_else(own_rank, |(q, (rank, _))| q + rank);
         // For tests stored phase by phase the quadratic form also contains the disagreement of their phases at any ξ:
         // the sum of the phases' constants exceeds the stacked constant by half of this disagreement and of the

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use kalfit_algebra::symmetric;
 use kalfit_filter::reduce::ReductionRef;
-use kalfit_model::FreedStates;
+use kalfit_model::FreeStates;
 use kalfit_model::unpack;
 
 /// Largest number of tests for which estimates from single tests are recorded: they double the size of the record.
@@ -36,7 +36,7 @@ impl OwnEstimate {
         let (factor, data) =
             (unpack(reduction.factor, reduction.data.len()), DVector::from_column_slice(reduction.data));
         let Some(exact) = reduction.exact else { return OwnEstimate::least_squares(&factor, &data) };
-        let FreedStates { origin, basis } = exact.freed(data.len());
+        let FreeStates { origin, basis } = exact.free_states(data.len());
         OwnEstimate::least_squares(&(&factor * &basis), &(data - factor * &origin)).carried(&origin, &basis)
     }
 

@@ -11,7 +11,7 @@ use crate::apply::predicted::EvaluatedPhase;
 use crate::apply::states::{PhaseStates, StateKind, StepMoments};
 use crate::apply::{Applied, ApplyError};
 use kalfit_filter::innovations::{ChainedFilter, EnteringLaw};
-use kalfit_filter::reduce::{Gains, PhasedWork, ReduceError, Workspace, own_innovations};
+use kalfit_filter::reduce::{Gains, PhasedWork, ReduceError, Workspace, single_test_innovations};
 use kalfit_filter::score::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Moments};
 use kalfit_model::PhasedTest;
 
@@ -51,7 +51,7 @@ fn filtered(
     (work, backward): (&mut Workspace, &mut BackwardWork),
     law: &mut EnteringLaw,
 ) -> Vec<StepMoments> {
-    own_innovations(gains, work);
+    single_test_innovations(gains, work);
     let q = work.design.frame.p;
     // moments at σ = 0, with one column of sensitivities for each element of σ
     let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));

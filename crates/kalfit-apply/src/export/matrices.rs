@@ -43,13 +43,13 @@ impl ConstantModel {
     /// The transition matrix F, n × n.
     pub(super) fn phi(&self) -> DMatrix<f64> {
         let states = &self.preparer.order.states;
-        self.moves.transition.phi_of(states.len(), |place| states[place])
+        self.moves.transition.dense_phi(states.len(), |place| states[place])
     }
 
     /// The covariance Q of the process noise, n × n.
     pub(super) fn noise(&self) -> DMatrix<f64> {
         let states = &self.preparer.order.states;
-        self.moves.transition.noise_of(states.len(), |place| states[place])
+        self.moves.transition.dense_noise(states.len(), |place| states[place])
     }
 
     /// The matrix B, n × k: the effect of one unit of each input in a step.

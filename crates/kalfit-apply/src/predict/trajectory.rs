@@ -10,7 +10,7 @@ use crate::apply::{EvaluatedPhase, StateForm, ValueSubject};
 use crate::predict::steps::ValueSteps;
 use crate::predict::value::PredictedValue;
 use crate::predict::{Initial, MeanLimits, PhasePredictions, PredictError, Predicted, StepPredictions, What};
-use kalfit_filter::reduce::{PhasedReducer, PhasedWork, Terminal, own_innovations};
+use kalfit_filter::reduce::{PhasedReducer, PhasedWork, Terminal, single_test_innovations};
 use kalfit_filter::score::{AdjointsWanted, BackwardInput, BackwardWork, FilterSnapshot, Moments};
 use kalfit_infer::{Knowledge, MeanCombination};
 use kalfit_model::Test;
@@ -108,7 +108,7 @@ impl Propagator {
             if let Some(((last, terminal), inherited)) = &inherited {
                 entering.add(last, terminal, inherited);
             }
-            own_innovations(gains, work);
+            single_test_innovations(gains, work);
             let unknown = Moments::of(&DVector::zeros(q), &DMatrix::identity(q, q));
             let run =
                 BackwardInput::of((work, gains), (&unknown, None), AdjointsWanted { motion: true, equation: false });

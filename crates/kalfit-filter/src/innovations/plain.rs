@@ -96,17 +96,17 @@ impl PhaseFilters {
         &self,
         tests: &[PhasedTest],
         (starts, carries): (&[PhasePrior], &[PhaseReducer]),
-        (room, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
+        (scratch, cells): (&mut [PhaseWorkspace], &mut GatheredCells),
     ) -> Vec<Option<Vec<Innovation>>> {
         let plain =
             |(evidence, start): (&Evidence, &PhasePrior)| matches!(evidence, Evidence::Rows(_)) && !start.filtered;
         let track = |test: &PhasedTest| test.phases.iter().zip(starts).all(plain).then(Track::default);
         let mut tracks: Vec<Option<Track>> = tests.iter().map(track).collect();
-        for (at, (known, room)) in self.phases.iter().zip(room).enumerate() {
+        for (at, (known, scratch)) in self.phases.iter().zip(scratch).enumerate() {
             let rows = |(test, track): (_, &Option<Track>)| rows_of(test, at).filter(|_| track.is_some());
             let rows: Vec<Option<&Test>> = tests.iter().zip(&tracks).map(rows).collect();
             let stage = PhaseBatch { at, known, time: starts[at].time, rows };
-            stage.run((&starts[at], &carries[at]), &mut tracks, (room, cells));
+            stage.run((&starts[at], &carries[at]), &mut tracks, (scratch, cells));
         }
         tracks.into_iter().map(|track| track.map(|track| track.series)).collect()
     }
@@ -160,7 +160,7 @@ impl PhaseBatch<'_> {
             }
         }
         let mut needs_square_roots = Vec::new();
-        batch_workspace.pass(reducer, (&tests, own, &entering), &mut work.room, |skeleton, passed| {
+        batch_workspace.pass(reducer, (&tests, own, &entering), &mut work.scratch, |skeleton, passed| {
             let place = skeleton.number;
             let found = passed.map(|passed| {
                 let each = passed.innovations().map(|(e, weight)| (weight > 0.0).then(|| figures(e, weight)));
@@ -200,7 +200,7 @@ impl PhaseBatch<'_> {
 
     /// Innovations and last state from the gains; `None` where the gains are square-root arrays and other phases exist.
     fn result_of_gains(&self, rows: &Test, gains: &Gains, work: &mut Workspace) -> Option<PhaseResult> {
-        if gains.turns.is_some() && !self.known.is_only_phase {
+        if gains.rotations.is_some() && !self.known.is_only_phase {
             return None;
         }
         let found = rows::series((self.at, rows, self.time), gains, work, |e, weight, _| figures(e, weight));

@@ -1,7 +1,7 @@
 //! Innovations of rows, from a data pass over them.
 
 use crate::innovations::innovation::Innovation;
-use crate::reduce::{Gains, Instance, Workspace, own_innovations};
+use crate::reduce::{Gains, Instance, Workspace, single_test_innovations};
 use kalfit_model::Test;
 
 /// e, S and e/√S of one measurement.
@@ -20,7 +20,7 @@ pub(crate) fn series(
     work: &mut Workspace,
     mut figures: impl FnMut(f64, f64, &[f64]) -> Figures,
 ) -> Vec<Innovation> {
-    own_innovations(gains, work);
+    single_test_innovations(gains, work);
     let Workspace { design, instances, pass, .. } = work;
     let steps = design.each_step().enumerate().flat_map(|(step, rows)| rows.rows.map(move |_| step));
     let each = pass.e.iter().enumerate().map(|(row, &e)| {

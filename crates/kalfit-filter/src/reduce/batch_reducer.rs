@@ -15,15 +15,15 @@ use crate::reduce::replicates::Replicates;
 use kalfit_model::Test;
 
 /// Number of chunks of tests after which their reductions join the result: few reductions are ever in memory twice.
-const BATCHES: usize = 128;
+const CHUNKS_PER_ROUND: usize = 128;
 /// Number of lists of replicates after which their reductions join the result.
-const LISTS: usize = 32;
+const LISTS_PER_ROUND: usize = 32;
 
 /// Number of tests per lane that are collected and sorted by shape before they are reduced: enough to fill lanes with
 /// similar tests, few enough to take little memory.
-const TOGETHER: usize = 4;
+const TESTS_PER_LANE: usize = 4;
 /// Total number of steps at which the collected tests are reduced, however few they are.
-const STEPS: usize = 1 << 18;
+const MAX_COLLECTED_STEPS: usize = 1 << 18;
 
 /// Reduces tests without replicates, in batches of tests of one shape.
 #[derive(Debug)]
@@ -32,8 +32,8 @@ struct BatchReducer<'a> {
     work: Workspace,
     /// Collected tests, and cleared skeletons for further ones.
     own: Vec<Skeleton>,
-    spare: Vec<Skeleton>,
-    beside: BatchWorkspace,
+    unused: Vec<Skeleton>,
+    batch_work: BatchWorkspace,
 }
 
 impl Reducer {
@@ -57,11 +57,11 @@ impl Reducer {
     pub(crate) fn reduce_each(&self, tests: &[&Test], replicates: &Replicates) -> ReducedTests {
         let (mut all, many, alone) = (ReducedTests::default(), replicates.len(), &replicates.alone);
         let size = chunk_size(alone.len(), alone.iter().map(|&number| tests[number].rows()).sum());
-        for some in alone.chunks(BATCHES * size) {
+        for some in alone.chunks(CHUNKS_PER_ROUND * size) {
             let own = |batch: &mut BatchReducer<'_>, numbers: &[usize]| batch.reduce(tests, numbers);
             all.take(some.par_chunks(size).map_init(|| BatchReducer::new(self), own).collect(), many);
         }
-        for lists in replicates.lists().chunks(LISTS) {
+        for lists in replicates.lists().chunks(LISTS_PER_ROUND) {
             let set = |(mut work, mut found): (Workspace, ReducedTests), set: &&[usize]| {
                 self.reduce_replicates((tests, set), &mut work, &mut found);
                 (work, found)
@@ -80,39 +80,39 @@ impl Reducer {
 
 impl<'a> BatchReducer<'a> {
     fn new(reducer: &'a Reducer) -> BatchReducer<'a> {
-        let (work, beside) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
-        BatchReducer { reducer, work, own: Vec::new(), spare: Vec::new(), beside }
+        let (work, batch_work) = (reducer.workspace(), BatchWorkspace::new(Isa::best(), reducer));
+        BatchReducer { reducer, work, own: Vec::new(), unused: Vec::new(), batch_work }
     }
 
     /// Reductions and faults of the tests with these numbers; in the order of the tests if no last states are wanted.
     fn reduce(&mut self, tests: &[&Test], numbers: &[usize]) -> ReducedTests {
         let mut found = ReducedTests::default();
         for &number in numbers {
-            let mut own = self.spare.pop().unwrap_or_default();
+            let mut own = self.unused.pop().unwrap_or_default();
             if self.reducer.preparer().skeleton(tests[number], number, &mut self.work, &mut own) {
                 self.own.push(own);
                 let steps: usize = self.own.iter().map(Skeleton::len).sum();
-                if self.own.len() == TOGETHER * Isa::best().lanes() || steps >= STEPS {
-                    self.side_by_side(tests, &mut found);
+                if self.own.len() == TESTS_PER_LANE * Isa::best().lanes() || steps >= MAX_COLLECTED_STEPS {
+                    self.reduce_collected(tests, &mut found);
                 }
             } else {
-                self.spare.push(own);
-                found.odd.push(number);
+                self.unused.push(own);
+                found.exceptional.push(number);
             }
         }
-        self.side_by_side(tests, &mut found);
-        for number in std::mem::take(&mut found.odd) {
-            found.note(number, self.reducer.to_end(tests[number], &mut self.work));
+        self.reduce_collected(tests, &mut found);
+        for number in std::mem::take(&mut found.exceptional) {
+            found.note(number, self.reducer.reduce_to_end(tests[number], &mut self.work));
         }
         found.sorted()
     }
 
     /// Reduces the collected tests, in lanes.
-    fn side_by_side(&mut self, tests: &[&Test], found: &mut ReducedTests) {
-        let BatchReducer { reducer, work, own, beside, .. } = self;
-        beside.reduce(reducer, (tests, own), &mut work.room, found);
-        self.own.retain(|own| own.len() < STEPS / TOGETHER);
-        self.spare.append(&mut self.own);
+    fn reduce_collected(&mut self, tests: &[&Test], found: &mut ReducedTests) {
+        let BatchReducer { reducer, work, own, batch_work, .. } = self;
+        batch_work.reduce(reducer, (tests, own), &mut work.scratch, found);
+        self.own.retain(|own| own.len() < MAX_COLLECTED_STEPS / TESTS_PER_LANE);
+        self.unused.append(&mut self.own);
     }
 }
 

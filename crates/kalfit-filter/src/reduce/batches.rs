@@ -29,9 +29,9 @@ use crate::reduce::digest::Digest;
 use crate::reduce::lanes::DataWorkspace;
 use crate::reduce::prepare::{Preparer, Skeleton, Workspace};
 use crate::reduce::reduced_tests::ReducedTests;
-use crate::reduce::reducer::{Reducer, ToEnd};
+use crate::reduce::reducer::{Reducer, ReducedWithEnd};
 use crate::reduce::replicates::Replicates;
-use batch_workspace::{size, width_for};
+use batch_workspace::{batch_bytes, width_for};
 use kalfit_model::Test;
 use kalfit_model::{Alpha, Level};
 pub(crate) use layout::BatchLayout;
@@ -39,11 +39,11 @@ use reduced::TestHeader;
 pub(crate) use values::BatchValues;
 
 /// Memory limit of all batches of an ensemble, with their numbers at one α, in bytes.
-const BYTES: usize = 1 << 30;
+const MAX_CACHED_BYTES: usize = 1 << 30;
 /// Number of chunks of batches per thread.
-const SHARES: usize = 4;
+const CHUNKS_PER_THREAD: usize = 4;
 /// Most batches in a chunk: ensembles of long tests have few batches.
-const MOST: usize = 8;
+const MAX_CHUNK_BATCHES: usize = 8;
 
 /// A batch of tests in lanes.
 #[derive(Debug)]
@@ -51,7 +51,7 @@ struct CachedBatch {
     layout: BatchLayout,
     own: Vec<TestHeader>,
     /// Unused sets of numbers, evaluated at some α.
-    spare: Mutex<Vec<BatchValues>>,
+    idle: Mutex<Vec<BatchValues>>,
 }
 
 /// The tests of an ensemble with different designs, in batches. Which tests share a batch depends on the ensemble, not
@@ -60,7 +60,7 @@ struct CachedBatch {
 pub(crate) struct EnsembleBatches {
     batches: Vec<CachedBatch>,
     /// Tests without replicates that fit no batch, whatever α.
-    apart: Vec<usize>,
+    unbatched: Vec<usize>,
     /// All other tests that are in no batch.
     others: Replicates,
 }
@@ -84,7 +84,7 @@ impl EnsembleBatches {
     ) -> EnsembleBatches {
         let preparer = reducer.preparer();
         if numbers.is_empty() || !preparer.has_columns() {
-            return EnsembleBatches { batches: Vec::new(), apart: Vec::new(), others: replicates };
+            return EnsembleBatches { batches: Vec::new(), unbatched: Vec::new(), others: replicates };
         }
         let digest = |number: usize, work: &mut Workspace| {
             preparer.prepare(tests[number], work).ok().map(|()| work.design.digest())
@@ -99,26 +99,26 @@ impl EnsembleBatches {
             (!fits || shared.is_empty() || !is_shared()).then_some(found)
         };
         let found = numbers.par_iter().map_init(|| reducer.workspace(), skeleton).flatten_iter();
-        let (mut skeletons, mut apart): (Vec<Skeleton>, Vec<usize>) =
+        let (mut skeletons, mut unbatched): (Vec<Skeleton>, Vec<usize>) =
             found.partition_map(|found| found.map_or_else(Either::Right, Either::Left));
         let mut is_alone = vec![false; tests.len()];
         replicates.alone.iter().for_each(|&number| is_alone[number] = true);
-        apart.retain(|&number| is_alone[number]);
+        unbatched.retain(|&number| is_alone[number]);
         let id = |own: &Skeleton| &tests[own.number].id;
         skeletons.par_sort_unstable_by(|a, b| a.by_shape(b).then_with(|| id(a).cmp(id(b))));
         let mut bytes = 0;
         let mut groups = groups(preparer, &skeletons);
         groups.retain(|own| {
-            let own = size(preparer, own, width_for(own.len()).lanes());
-            let fits = bytes + own <= BYTES;
+            let own = batch_bytes(preparer, own, width_for(own.len()).lanes());
+            let fits = bytes + own <= MAX_CACHED_BYTES;
             bytes += if fits { own } else { 0 };
             fits
         });
         let batches: Vec<CachedBatch> =
             groups.into_par_iter().map(|own| CachedBatch::new(reducer, tests, own)).collect();
         let mut kept = vec![false; tests.len()];
-        batches.iter().flat_map(|batch| &batch.layout.tests).chain(&apart).for_each(|&number| kept[number] = true);
-        EnsembleBatches { batches, apart, others: replicates.without(&kept) }
+        batches.iter().flat_map(|batch| &batch.layout.tests).chain(&unbatched).for_each(|&number| kept[number] = true);
+        EnsembleBatches { batches, unbatched, others: replicates.without(&kept) }
     }
 
     /// Reductions and faults of all tests at the α of a reducer.
@@ -128,16 +128,16 @@ impl EnsembleBatches {
         tests: &[&Test],
     ) -> (ReducedTests, FilteredBatches) {
         let (filtered, mut found) = self.filter_all(reducer, tests);
-        let odd = std::mem::take(&mut found.odd);
+        let exceptional = std::mem::take(&mut found.exceptional);
         let root = |work: &mut Workspace, &number: &usize| match reducer.reduce_by_root(tests[number], work) {
             Ok((reduction, class)) => Ok((reduction, reducer.ending(&class, work.pass.x.iter().copied()))),
-            Err(_) => reducer.to_end(tests[number], work),
+            Err(_) => reducer.reduce_to_end(tests[number], work),
         };
-        let rooted: Vec<ToEnd> = odd.par_iter().map_init(|| reducer.workspace(), root).collect();
-        odd.into_iter().zip(rooted).for_each(|(number, rooted)| found.note(number, rooted));
-        let alone = |work: &mut Workspace, &number: &usize| reducer.to_end(tests[number], work);
-        let ends: Vec<ToEnd> = self.apart.par_iter().map_init(|| reducer.workspace(), alone).collect();
-        self.apart.iter().zip(ends).for_each(|(&number, end)| found.note(number, end));
+        let rooted: Vec<ReducedWithEnd> = exceptional.par_iter().map_init(|| reducer.workspace(), root).collect();
+        exceptional.into_iter().zip(rooted).for_each(|(number, rooted)| found.note(number, rooted));
+        let alone = |work: &mut Workspace, &number: &usize| reducer.reduce_to_end(tests[number], work);
+        let ends: Vec<ReducedWithEnd> = self.unbatched.par_iter().map_init(|| reducer.workspace(), alone).collect();
+        self.unbatched.iter().zip(ends).for_each(|(&number, end)| found.note(number, end));
         found.take(vec![reducer.reduce_each(tests, &self.others)], tests.len());
         (found, filtered)
     }
@@ -145,17 +145,17 @@ impl EnsembleBatches {
     /// Runs the filters of all batches at the α of a reducer.
     fn filter_all(self: &Arc<EnsembleBatches>, reducer: &Reducer, tests: &[&Test]) -> (FilteredBatches, ReducedTests) {
         let mut alpha = Digest::new();
-        add_to(&mut alpha, reducer.preparer().at().alpha);
+        digest_alpha(&mut alpha, reducer.preparer().at().alpha);
         let alpha = alpha.finish();
-        let share = |room: &mut DataWorkspace, batches: &[CachedBatch]| {
+        let share = |scratch: &mut DataWorkspace, batches: &[CachedBatch]| {
             let mut found = ReducedTests::default();
             let values = batches
                 .iter()
-                .map(|batch| batch.evaluate_and_filter((reducer, alpha), tests, room, &mut found))
+                .map(|batch| batch.evaluate_and_filter((reducer, alpha), tests, scratch, &mut found))
                 .collect();
             (values, found)
         };
-        let many = (self.batches.len() / (SHARES * rayon::current_num_threads())).clamp(1, MOST);
+        let many = (self.batches.len() / (CHUNKS_PER_THREAD * rayon::current_num_threads())).clamp(1, MAX_CHUNK_BATCHES);
         let shares: Vec<(Vec<BatchValues>, ReducedTests)> =
             self.batches.par_chunks(many).map_init(DataWorkspace::default, share).collect();
         let (values, parts): (Vec<Vec<BatchValues>>, Vec<ReducedTests>) = shares.into_iter().unzip();
@@ -172,17 +172,17 @@ impl EnsembleBatches {
 
 /// Splits sorted tests into groups that share a batch.
 fn groups<'a>(preparer: &Preparer, skeletons: &'a [Skeleton]) -> Vec<&'a [Skeleton]> {
-    let (mut left, mut groups) = (skeletons, Vec::new());
-    while !left.is_empty() {
-        let (group, rest) = left.split_at(batch_workspace::together(preparer, left, Isa::best().lanes()));
+    let (mut remaining, mut groups) = (skeletons, Vec::new());
+    while !remaining.is_empty() {
+        let (group, rest) = remaining.split_at(batch_workspace::batch_len(preparer, remaining, Isa::best().lanes()));
         groups.push(group);
-        left = rest;
+        remaining = rest;
     }
     groups
 }
 
 /// Adds all values of α to a digest.
-fn add_to(digest: &mut Digest, alpha: &Alpha) {
+fn digest_alpha(digest: &mut Digest, alpha: &Alpha) {
     for level in &alpha.values {
         match level {
             Level::Common(value) => digest.numbers(&[*value]),
@@ -202,14 +202,14 @@ impl CachedBatch {
         layout.take(preparer, tests, own);
         values.take(&layout, (preparer, tests));
         let steps: Vec<usize> = own.iter().map(Skeleton::len).collect();
-        let digests = values.identities(&layout, &steps, &mut Vec::new());
+        let digests = values.design_digests(&layout, &steps, &mut Vec::new());
         let own = own.iter().zip(digests).enumerate().map(|(lane, (own, digest))| TestHeader {
-            digest: if values.sound[lane] { digest } else { own.number as u128 }, // equal to no other digest
+            digest: if values.valid[lane] { digest } else { own.number as u128 }, // equal to no other digest
             covariates: own.covariates.clone(),
             steps: own.len(),
             observations: own.instances.len(),
         });
-        CachedBatch { own: own.collect(), layout, spare: Mutex::new(vec![values]) }
+        CachedBatch { own: own.collect(), layout, idle: Mutex::new(vec![values]) }
     }
 
     /// Evaluates the tests at the α of a reducer and runs their filters. `alpha`: digest of α.
@@ -217,12 +217,12 @@ impl CachedBatch {
         &self,
         (reducer, alpha): (&Reducer, u128),
         tests: &[&Test],
-        room: &mut DataWorkspace,
+        scratch: &mut DataWorkspace,
         found: &mut ReducedTests,
     ) -> BatchValues {
         let CachedBatch { layout, own, .. } = self;
-        let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut values = spare.unwrap_or_else(|| {
+        let idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut values = idle.unwrap_or_else(|| {
             let mut values = BatchValues::new(width_for(own.len()));
             values.take(layout, (reducer.preparer(), tests));
             values
@@ -234,7 +234,7 @@ impl CachedBatch {
             digest.wide(alpha);
             digest.finish()
         };
-        values.reduce((layout, own), (reducer, digest), tests, room, found);
+        values.reduce((layout, own), (reducer, digest), tests, scratch, found);
         values
     }
 }
@@ -249,7 +249,7 @@ pub(crate) struct FilteredBatch<'a> {
 impl FilteredBatch<'_> {
     /// (Lane, number) of each test that was filtered in the batch.
     pub(crate) fn tests(&self) -> impl Iterator<Item = (usize, usize)> {
-        self.layout.tests.iter().copied().enumerate().filter(|&(lane, _)| self.values.sound[lane])
+        self.layout.tests.iter().copied().enumerate().filter(|&(lane, _)| self.values.valid[lane])
     }
 }
 
@@ -264,7 +264,7 @@ impl FilteredBatches {
 impl Drop for FilteredBatches {
     fn drop(&mut self) {
         for (batch, values) in self.of.batches.iter().zip(self.values.drain(..)) {
-            batch.spare.lock().unwrap_or_else(PoisonError::into_inner).push(values);
+            batch.idle.lock().unwrap_or_else(PoisonError::into_inner).push(values);
         }
     }
 }

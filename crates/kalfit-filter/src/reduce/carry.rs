@@ -17,7 +17,7 @@ pub(crate) struct Inheritance {
     /// Shape of T: q × n, n the number of states of the phase before.
     shape: (usize, usize),
     /// Terms of T and t, without those that are always zero.
-    pub(crate) terms: Vec<Inherits>,
+    pub(crate) terms: Vec<InheritanceTerm>,
     /// Columns that must be constant within the phase.
     uses: Uses,
     /// T and t, if they are the same for all tests.
@@ -26,7 +26,7 @@ pub(crate) struct Inheritance {
 
 /// One coefficient of T or t.
 #[derive(Debug, Clone)]
-pub(crate) struct Inherits {
+pub(crate) struct InheritanceTerm {
     /// Row of T and t: the position of the state among the entering coordinates.
     pub(crate) row: usize,
     /// Column of T: a state of the phase before; `None` for an entry of t.
@@ -46,7 +46,7 @@ impl Inheritance {
                 let coefficient = at.coefficient(expression, Subject::Carry(carry.state))?;
                 if !coefficient.is_zero() {
                     uses.add(&coefficient, at.alpha);
-                    terms.push(Inherits { row, from, coefficient });
+                    terms.push(InheritanceTerm { row, from, coefficient });
                 }
             }
         }

@@ -7,13 +7,13 @@ use crate::reduce::subject::Uses;
 use kalfit_model::{Label, Test};
 
 /// Number of rows whose cells are hashed or compared together.
-const TOGETHER: usize = 8;
+const ROWS_AT_ONCE: usize = 8;
 
 /// A mask of the cells that determine a design. It does not depend on α.
 #[derive(Debug, Clone)]
 pub(crate) struct CellMask {
     isa: Isa,
-    /// All ones for a numeric column that is read, else zero; repeated for `TOGETHER` rows.
+    /// All ones for a numeric column that is read, else zero; repeated for `ROWS_AT_ONCE` rows.
     read: Vec<u64>,
     /// All ones for a measured column, of which only missing cells count, else zero; repeated likewise.
     measured: Vec<u64>,
@@ -23,7 +23,7 @@ pub(crate) struct CellMask {
 
 /// The part of a cell that counts: its bits if it is read, whether it is missing if it is measured.
 #[inline(always)]
-fn seen(x: f64, read: u64, measured: u64) -> u64 {
+fn counted_bits(x: f64, read: u64, measured: u64) -> u64 {
     (x.to_bits() & read) | (if x.is_nan() { measured } else { 0 })
 }
 
@@ -32,7 +32,7 @@ impl CellMask {
     pub(crate) fn new(columns: usize, uses: &Uses, measured: impl Iterator<Item = usize>) -> CellMask {
         let mask = |of: &[usize]| {
             let row: Vec<u64> = (0..columns).map(|c| if of.contains(&c) { u64::MAX } else { 0 }).collect();
-            row.repeat(TOGETHER)
+            row.repeat(ROWS_AT_ONCE)
         };
         let (read, measured) = (mask(&uses.numbers), mask(&measured.collect::<Vec<_>>()));
         CellMask { isa: Isa::best(), read, measured, texts: uses.texts.clone() }
@@ -40,14 +40,14 @@ impl CellMask {
 
     /// Hash of the cells that count: of all rows if `all`, else of the first rows.
     pub(crate) fn hash(&self, test: &Test, all: bool) -> u64 {
-        let rows = if all { test.rows() } else { test.rows().min(TOGETHER) };
+        let rows = if all { test.rows() } else { test.rows().min(ROWS_AT_ONCE) };
         let cells = &test.all_numbers()[..rows * test.widths().0];
         self.texts(test, rows)
-            .fold(mix(self.mixed(cells), test.rows() as u64), |hash, text| mix(hash, text.index() as u64))
+            .fold(mix_word(self.hash_cells(cells), test.rows() as u64), |hash, text| mix_word(hash, text.index() as u64))
     }
 
     /// True if two tests agree in all cells that count.
-    pub(crate) fn has_same(&self, test: &Test, other: &Test) -> bool {
+    pub(crate) fn agrees_on(&self, test: &Test, other: &Test) -> bool {
         (test.rows(), test.widths()) == (other.rows(), other.widths())
             && self.isa.run(SameCells { cells: test.all_numbers(), others: other.all_numbers(), mask: self })
             && self.texts(test, test.rows()).eq(self.texts(other, other.rows()))
@@ -60,17 +60,17 @@ impl CellMask {
     }
 
     /// Hash of cells, by four hashes in parallel.
-    fn mixed(&self, cells: &[f64]) -> u64 {
+    fn hash_cells(&self, cells: &[f64]) -> u64 {
         let mut hashes = [1u64, 2, 3, 4];
         for cells in cells.chunks(self.read.len().max(1)) {
             // the masks cover eight rows, so their length is a multiple of four
             for (cells, (read, measured)) in cells.chunks(4).zip(self.read.chunks(4).zip(self.measured.chunks(4))) {
                 for (k, x) in cells.iter().enumerate() {
-                    hashes[k] = mix(hashes[k], seen(*x, read[k], measured[k]));
+                    hashes[k] = mix_word(hashes[k], counted_bits(*x, read[k], measured[k]));
                 }
             }
         }
-        hashes.into_iter().fold(0, mix)
+        hashes.into_iter().fold(0, mix_word)
     }
 }
 
@@ -93,7 +93,7 @@ impl Kernel for SameCells<'_> {
             let (others, read, measured) = (&others[..many], &self.mask.read[..many], &self.mask.measured[..many]);
             let mut differ = 0;
             for k in 0..many {
-                differ |= seen(cells[k], read[k], measured[k]) ^ seen(others[k], read[k], measured[k]);
+                differ |= counted_bits(cells[k], read[k], measured[k]) ^ counted_bits(others[k], read[k], measured[k]);
             }
             if differ != 0 {
                 return false;
@@ -104,7 +104,7 @@ impl Kernel for SameCells<'_> {
 }
 
 #[inline(always)]
-pub(super) fn mix(hash: u64, word: u64) -> u64 {
+pub(super) fn mix_word(hash: u64, word: u64) -> u64 {
     let product = (hash ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     product ^ (product >> 29)
 }

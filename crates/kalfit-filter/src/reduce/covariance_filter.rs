@@ -71,17 +71,17 @@ impl<T: Lanes> CovarianceFilter<T> {
     pub(super) fn measure<E: Entries<T>>(&mut self, frame: &StateFrame, line: (&[u32], E, T)) -> ScalarUpdate<T> {
         let of = FilterState { P: &mut self.P, Psi: &mut self.Psi, J: &mut self.sums.J };
         let update = kernel::measure(frame, line, of, (&mut self.G, &mut self.K, &mut self.T));
-        self.sums.count(update.S, update.kept);
+        self.sums.count(update.S, update.margin);
         update
     }
 
     /// Takes a scalar measurement (states, h) into Ψ and the sums under known gains, `weight` = 1/S; stores its T.
     #[inline(always)]
-    pub(super) fn measure_again<E: Entries<T>>(&mut self, frame: &StateFrame, terms: (&[u32], E), weight: T) {
+    pub(super) fn measure_with_gains<E: Entries<T>>(&mut self, frame: &StateFrame, terms: (&[u32], E), weight: T) {
         let CovarianceFilter { Psi, K, T, sums, .. } = self;
         kernel::sensitivity(frame, terms, Psi, T);
         kernel::correct(frame.p, K, T, Psi);
-        kernel::inform(T, weight, &mut sums.J);
+        kernel::add_information(T, weight, &mut sums.J);
         sums.times_determinant(weight.recip_or_zero());
     }
 }

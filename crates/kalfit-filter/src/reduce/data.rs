@@ -3,10 +3,10 @@
 use kalfit_model::ExactRows;
 
 /// Limit of e'S⁻¹e, above which c + ½d'd would lose digits, so that the innovations are computed again at the best ξ.
-pub(crate) const REFINE: f64 = 1e3;
+pub(crate) const REFINE_ABOVE: f64 = 1e3;
 
 /// Largest deviation of an exact measurement from its only possible value, relative to the size of its terms.
-pub(crate) const ROUNDING: f64 = 1e-10;
+pub(crate) const EXACT_TOLERANCE: f64 = 1e-10;
 
 /// The data of a test, in kernel order and whitened.
 #[derive(Debug, Clone, Default)]

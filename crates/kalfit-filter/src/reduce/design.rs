@@ -5,14 +5,14 @@
 
 mod identity;
 
-pub(crate) use identity::Identity;
+pub(crate) use identity::DesignDigest;
 
 use std::ops::Range;
 use std::sync::Arc;
 
 use crate::reduce::digest::Digest;
 use crate::reduce::entries::Common;
-use crate::reduce::equal_steps::{FEW, is_most};
+use crate::reduce::equal_steps::{MAX_UNSCANNED_STEPS, is_majority};
 use nalgebra::DMatrix;
 
 /// Marks a row of Ψ that is dense.
@@ -153,7 +153,7 @@ impl Transition {
     }
 
     /// φ, n × n; `state` maps a position in kernel order to a state.
-    pub fn phi_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
+    pub fn dense_phi(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
         let mut phi = DMatrix::identity(n, n);
         self.pattern.moved.iter().for_each(|row| phi.row_mut(state(row.state as usize)).fill(0.0));
         self.entries().for_each(|(i, j, x)| phi[(state(i), state(j))] = x);
@@ -161,7 +161,7 @@ impl Transition {
     }
 
     /// Q, n × n; `state` maps a position in kernel order to a state.
-    pub fn noise_of(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
+    pub fn dense_noise(&self, n: usize, state: impl Fn(usize) -> usize) -> DMatrix<f64> {
         let mut noise = DMatrix::zeros(n, n);
         for (&(i, j), &q) in self.pattern.pairs.iter().zip(&self.q) {
             let (i, j) = (state(i as usize), state(j as usize));
@@ -284,7 +284,7 @@ impl Design {
 
     /// `moving` of a stretch of more than `few` equal steps with one scalar measurement and no known inputs; else
     /// `None`.
-    pub(crate) fn equal_moving(&self, stretch: &Stretch<'_>, few: usize) -> Option<usize> {
+    pub(crate) fn moving_in_equal_steps(&self, stretch: &Stretch<'_>, few: usize) -> Option<usize> {
         let plain = stretch.count > few && stretch.lines.len() == 1 && self.frame.driven.is_empty();
         plain.then(|| self.moving(stretch))
     }
@@ -317,14 +317,14 @@ impl Design {
 
     /// Sets `stepwise`, once all steps are appended.
     pub(crate) fn complete(&mut self) {
-        let long = self.runs.iter().map(|run| run.count).filter(|&count| count > FEW).sum();
-        self.stepwise = !is_most(long, self.steps());
+        let long = self.runs.iter().map(|run| run.count).filter(|&count| count > MAX_UNSCANNED_STEPS).sum();
+        self.stepwise = !is_majority(long, self.steps());
     }
 
     /// True if a stretch of `count` equal steps is processed at once, not step by step.
     #[inline(always)]
     pub(crate) fn is_long(&self, count: usize) -> bool {
-        count > FEW && !self.stepwise
+        count > MAX_UNSCANNED_STEPS && !self.stepwise
     }
 
     /// (States, coefficients h) of the terms of a line.
@@ -397,7 +397,7 @@ impl Design {
         let (line, row, step) = self.runs.last().map_or((0, 0, 0), |run| (run.lines, run.rows, run.steps));
         let lines = self.ends.len();
         let transition = transition.map(|transition| {
-            if !self.is_latest(transition) {
+            if !self.is_last_transition(transition) {
                 self.moves.push(transition.clone());
             }
             self.moves.len() as u32 - 1
@@ -410,7 +410,7 @@ impl Design {
     /// A transition made from other coefficients, or over another time, can have equal numbers, but its derivatives
     /// differ.
     #[inline]
-    fn is_latest(&self, transition: &Arc<Transition>) -> bool {
+    fn is_last_transition(&self, transition: &Arc<Transition>) -> bool {
         self.moves.last().is_some_and(|last| Arc::ptr_eq(last, transition))
     }
 
@@ -446,8 +446,8 @@ impl Design {
     fn is_repeated(&self, transition: Option<&Arc<Transition>>) -> bool {
         let Some(at) = self.runs.len().checked_sub(1) else { return false };
         let (lines, fresh) = (self.stretch(at).lines, self.runs[at].lines..self.ends.len());
-        let moves_alike = match (self.runs[at].transition, transition) {
-            (Some(_), Some(transition)) => self.is_latest(transition),
+        let same_transition = match (self.runs[at].transition, transition) {
+            (Some(_), Some(transition)) => self.is_last_transition(transition),
             (None, None) => true,
             _ => false,
         };
@@ -461,7 +461,7 @@ impl Design {
             lines.clone().zip(fresh.clone()).all(|(a, b)| length(a) == length(b))
         };
         lines.len() == fresh.len()
-            && moves_alike
+            && same_transition
             && old.len() == new.len()
             && same_bits(&self.h[old.clone()], &self.h[new.clone()])
             && same_shape()

@@ -88,11 +88,11 @@ impl GainSchedule {
         let frame = &*design.frame;
         let (gain, sensitivity) = (self.gains.len() / (1 + frame.r), self.sensitivities.len() / frame.p.max(1));
         let mut path = work.keeps_paths.then(|| MomentPath::new(design, stretch)).flatten();
-        let watched = design.is_long(stretch.count) && work.settling.begin(stretch.count);
+        let monitored = design.is_long(stretch.count) && work.settling.begin(stretch.count);
         let (mut frozen, mut gain_steps, mut done) = (SteadyState::Nothing, 0, 0);
         while done < stretch.count && frozen != SteadyState::All {
             let before = done;
-            done = if watched { work.settling.next_look().min(stretch.count) } else { stretch.count };
+            done = if monitored { work.settling.next_look().min(stretch.count) } else { stretch.count };
             if frozen == SteadyState::Nothing {
                 for _ in before..done {
                     filter.note(&mut path);
@@ -105,7 +105,7 @@ impl GainSchedule {
                     self.sensitivities(design, stretch, filter);
                 }
             }
-            if watched {
+            if monitored {
                 work.take(filter);
                 frozen = work.settling.look(done, (&work.P, frame.r), &work.Psi, frozen);
             }
@@ -156,7 +156,7 @@ impl GainSchedule {
             for (K, &gain) in filter.K.iter_mut().zip(&gain[1..]) {
                 *K = T::splat(gain);
             }
-            filter.measure_again(&design.frame, (states, Common(h)), T::splat(gain[0]));
+            filter.measure_with_gains(&design.frame, (states, Common(h)), T::splat(gain[0]));
             for T in &filter.T {
                 self.sensitivities.push(T.lane(0));
             }
@@ -176,7 +176,7 @@ impl GainSchedule {
             for k in 0..p {
                 filter.T[k] = T::splat(T[k]);
             }
-            kernel::inform(&filter.T, T::splat(weight * many as f64), &mut filter.sums.J);
+            kernel::add_information(&filter.T, T::splat(weight * many as f64), &mut filter.sums.J);
             self.many.push((weight.recip_or_zero().or_one(), many));
         }
     }

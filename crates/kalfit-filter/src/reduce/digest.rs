@@ -2,12 +2,12 @@
 //! which mixes them in two ways; the final states go through SipHash-1-3 with fixed keys (Aumasson, Bernstein 2012).
 
 /// Number of hash states, which take words in turn.
-const PLACES: usize = 4;
+const STATES: usize = 4;
 
 /// The state of a digest.
 #[derive(Debug, Clone)]
 pub(crate) struct Digest {
-    places: [HashState; PLACES],
+    states: [HashState; STATES],
     words: u64,
 }
 
@@ -30,13 +30,13 @@ impl HashState {
 
 impl Digest {
     pub(crate) fn new() -> Digest {
-        let place = |k: u64| HashState { wide: 0x6b61_6c66_6974_2d31 ^ k, whole: 0x6465_7369_676e_2d31 ^ k };
-        Digest { places: [place(0), place(1), place(2), place(3)], words: 0 }
+        let state = |k: u64| HashState { wide: 0x6b61_6c66_6974_2d31 ^ k, whole: 0x6465_7369_676e_2d31 ^ k };
+        Digest { states: [state(0), state(1), state(2), state(3)], words: 0 }
     }
 
     #[inline]
     pub(crate) fn word(&mut self, word: u64) {
-        self.places[self.words as usize % PLACES].take(word);
+        self.states[self.words as usize % STATES].take(word);
         self.words += 1;
     }
 
@@ -56,14 +56,14 @@ impl Digest {
     #[inline(always)]
     fn all<T>(&mut self, all: &[T], word: impl Fn(&T) -> u64) {
         self.count(all.len());
-        let mut places = self.places;
-        let fours = all.chunks_exact(PLACES);
+        let mut states = self.states;
+        let fours = all.chunks_exact(STATES);
         let rest = fours.remainder();
         for four in fours {
-            places.iter_mut().zip(four).for_each(|(place, x)| place.take(word(x)));
+            states.iter_mut().zip(four).for_each(|(state, x)| state.take(word(x)));
         }
-        places.iter_mut().zip(rest).for_each(|(place, x)| place.take(word(x)));
-        self.places = places;
+        states.iter_mut().zip(rest).for_each(|(state, x)| state.take(word(x)));
+        self.states = states;
         self.words += all.len() as u64;
     }
 
@@ -74,7 +74,7 @@ impl Digest {
 
     pub(crate) fn finish(self) -> u128 {
         let mut sip = Sip::new();
-        self.places.iter().flat_map(|place| [place.wide, place.whole]).for_each(|word| sip.word(word));
+        self.states.iter().flat_map(|state| [state.wide, state.whole]).for_each(|word| sip.word(word));
         sip.finish(self.words)
     }
 }

@@ -141,7 +141,7 @@ impl Dynamics {
                             links.push((i, *j));
                         }
                     }
-                    dynamics.own_noise(at, i, noise_variance)?;
+                    dynamics.add_state_noise(at, i, noise_variance)?;
                 }
                 Motion::Discrete { next, noise_variance } => {
                     let mut terms = Vec::new();
@@ -151,7 +151,7 @@ impl Dynamics {
                     }
                     let input = dynamics.input(at, &next.constant, Subject::Next(i))?;
                     dynamics.recursions.push(Recursion { state: i, terms, input });
-                    dynamics.own_noise(at, i, noise_variance)?;
+                    dynamics.add_state_noise(at, i, noise_variance)?;
                 }
             }
         }
@@ -177,7 +177,7 @@ impl Dynamics {
     }
 
     /// True if noises of different states are correlated and a covariance varies from row to row.
-    pub(crate) fn mixes_on_rows(&self) -> bool {
+    pub(crate) fn correlation_varies(&self) -> bool {
         let varies = |slot: usize| self.table.varying.iter().any(|(other, ..)| *other == slot);
         let mut noise = self.noise.iter().chain(self.components.iter().flat_map(|component| &component.noise));
         noise.any(|&(i, j, slot)| i != j && varies(slot))
@@ -199,7 +199,7 @@ impl Dynamics {
         Ok(self.inputs.add(coefficient, false))
     }
 
-    fn own_noise(&mut self, at: &ModelAt<'_>, i: usize, variance: &kalfit_model::Expression) -> Result<(), Box<Fault>> {
+    fn add_state_noise(&mut self, at: &ModelAt<'_>, i: usize, variance: &kalfit_model::Expression) -> Result<(), Box<Fault>> {
         let coefficient = at.variance(variance, Subject::ProcessNoise(i))?;
         if let Some(slot) = self.slot(at, coefficient, true) {
             self.noise.push((i, i, slot));
@@ -260,9 +260,9 @@ impl Dynamics {
             let input = self.input(at, &derivative.constant, Subject::Derivative(state))?;
             component.inputs.push(input);
         }
-        // The diagonal of the identity is left out: `Component::still` needs true dependences only, and `depends` adds
+        // The diagonal of the identity is left out: `Component::is_identity_row` needs true dependences only, and `depends` adds
         // it.
-        close(&mut component.closure, m);
+        close_transitively(&mut component.closure, m);
         component.states = states;
         Ok(component)
     }
@@ -270,7 +270,7 @@ impl Dynamics {
 
 impl Component {
     /// True if row i of φ is a row of the identity.
-    pub(crate) fn still(&self, i: usize) -> bool {
+    pub(crate) fn is_identity_row(&self, i: usize) -> bool {
         let m = self.states.len();
         !self.closure[i * m..][..m].contains(&true) && self.held.iter().all(|&(row, ..)| row != i)
     }
@@ -282,7 +282,7 @@ impl Component {
 }
 
 /// Replaces an m × m relation by its transitive closure.
-pub(crate) fn close(reach: &mut [bool], m: usize) {
+pub(crate) fn close_transitively(reach: &mut [bool], m: usize) {
     for k in 0..m {
         for i in 0..m {
             if reach[i * m + k] {

@@ -7,8 +7,8 @@ pub(crate) trait Entries<R>: Copy {
     /// Number `k`.
     fn entry(self, k: usize) -> R;
 
-    /// The list without its first `many` numbers.
-    fn skip(self, many: usize) -> Self;
+    /// The list without its first `count` numbers.
+    fn skip(self, count: usize) -> Self;
 }
 
 /// A list of numbers of the type that the kernel computes with.
@@ -19,8 +19,8 @@ impl<R: Real> Entries<R> for &[R] {
     }
 
     #[inline(always)]
-    fn skip(self, many: usize) -> Self {
-        &self[many..]
+    fn skip(self, count: usize) -> Self {
+        &self[count..]
     }
 }
 
@@ -35,8 +35,8 @@ impl<R: Real> Entries<R> for Common<'_> {
     }
 
     #[inline(always)]
-    fn skip(self, many: usize) -> Self {
-        Common(&self.0[many..])
+    fn skip(self, count: usize) -> Self {
+        Common(&self.0[count..])
     }
 }
 
@@ -51,7 +51,7 @@ impl<T: Lanes> Entries<T> for SideBySide<'_> {
     }
 
     #[inline(always)]
-    fn skip(self, many: usize) -> Self {
-        SideBySide(&self.0[many * T::COUNT..])
+    fn skip(self, count: usize) -> Self {
+        SideBySide(&self.0[count * T::COUNT..])
     }
 }

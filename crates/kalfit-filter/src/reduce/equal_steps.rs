@@ -1,9 +1,9 @@
 //! Decides whether so many steps of a test are equal that it is reduced by itself, with scans.
 
 /// Number of equal steps up to which a stretch is not worth a scan.
-pub(crate) const FEW: usize = 64;
+pub(crate) const MAX_UNSCANNED_STEPS: usize = 64;
 
-/// Counts the steps of a test that are in stretches of more than [`FEW`] equal steps.
+/// Counts the steps of a test that are in stretches of more than [`MAX_UNSCANNED_STEPS`] equal steps.
 #[derive(Debug)]
 pub(crate) struct EqualStepCount {
     steps: usize,
@@ -23,16 +23,16 @@ impl EqualStepCount {
     pub(crate) fn take(&mut self, equal: bool) -> bool {
         self.stretch = if equal { self.stretch + 1 } else { 1 };
         self.long += match self.stretch {
-            stretch if stretch <= FEW => 0,
-            stretch if stretch == FEW + 1 => stretch,
+            stretch if stretch <= MAX_UNSCANNED_STEPS => 0,
+            stretch if stretch == MAX_UNSCANNED_STEPS + 1 => stretch,
             _ => 1,
         };
-        is_most(self.long, self.steps)
+        is_majority(self.long, self.steps)
     }
 }
 
 /// True if `long` steps are more than half of `steps`.
-pub(crate) fn is_most(long: usize, steps: usize) -> bool {
+pub(crate) fn is_majority(long: usize, steps: usize) -> bool {
     2 * long > steps
 }
 

@@ -4,7 +4,7 @@
 //! An exact measurement that is a linear combination of earlier ones adds no information, and its value must be that
 //! combination of their values.
 
-use crate::reduce::data::{Miss, ROUNDING};
+use crate::reduce::data::{Miss, EXACT_TOLERANCE};
 use kalfit_model::ExactRows;
 
 /// Sensitivities up to this fraction of the size of their terms count as zero.
@@ -29,7 +29,7 @@ struct ExactMeasurement {
     /// Multiple of each earlier reduced row that is subtracted from its row.
     multipliers: Vec<f64>,
     /// True if its row is independent of the earlier rows.
-    is_new: bool,
+    is_independent: bool,
 }
 
 impl ExactDesign {
@@ -62,24 +62,24 @@ impl ExactDesign {
     /// the earlier ones.
     pub(crate) fn take(&mut self, row: usize, sensitivity: &[f64], mut terms: Vec<f64>) -> bool {
         let p = sensitivity.len();
-        let (mut left, mut multipliers) = (sensitivity.to_vec(), Vec::with_capacity(self.pivots.len()));
+        let (mut remainder, mut multipliers) = (sensitivity.to_vec(), Vec::with_capacity(self.pivots.len()));
         for (&pivot, reduced) in self.pivots.iter().zip(self.reduced.chunks_exact(p)) {
-            let multiplier = left[pivot] / reduced[pivot];
-            for ((left, terms), reduced) in left.iter_mut().zip(&mut terms).zip(reduced) {
-                *left -= multiplier * reduced;
+            let multiplier = remainder[pivot] / reduced[pivot];
+            for ((remainder, terms), reduced) in remainder.iter_mut().zip(&mut terms).zip(reduced) {
+                *remainder -= multiplier * reduced;
                 *terms += (multiplier * reduced).abs();
             }
-            left[pivot] = 0.0;
+            remainder[pivot] = 0.0;
             multipliers.push(multiplier);
         }
-        let seen = |k: usize| left[k].abs() > INSENSITIVE * terms[k];
+        let is_sensitive = |k: usize| remainder[k].abs() > INSENSITIVE * terms[k];
         // the pivot is the entry that lost the fewest digits
-        let better = |a: &usize, b: &usize| (left[*a].abs() / terms[*a]).total_cmp(&(left[*b].abs() / terms[*b]));
-        let pivot = (0..p).rev().filter(|&k| seen(k)).max_by(better);
-        self.measurements.push(ExactMeasurement { row, multipliers, is_new: pivot.is_some() });
+        let better = |a: &usize, b: &usize| (remainder[*a].abs() / terms[*a]).total_cmp(&(remainder[*b].abs() / terms[*b]));
+        let pivot = (0..p).rev().filter(|&k| is_sensitive(k)).max_by(better);
+        self.measurements.push(ExactMeasurement { row, multipliers, is_independent: pivot.is_some() });
         if let Some(pivot) = pivot {
             self.coefficients.extend_from_slice(sensitivity);
-            self.reduced.extend_from_slice(&left);
+            self.reduced.extend_from_slice(&remainder);
             self.pivots.push(pivot);
         }
         pivot.is_some()
@@ -87,20 +87,20 @@ impl ExactDesign {
 
     /// C and g of a test, from its innovations at ξ = 0; `sizes`: sizes of the terms of each exact measurement, in
     /// order.
-    pub(crate) fn rows_of(&self, e: &[f64], sizes: &[f64]) -> Result<ExactRows, Miss> {
+    pub(crate) fn rows_from_innovations(&self, e: &[f64], sizes: &[f64]) -> Result<ExactRows, Miss> {
         let (mut values, mut reduced) = (Vec::new(), Vec::<(f64, f64)>::new());
         for (measurement, &size) in self.measurements.iter().zip(sizes) {
             let value = e[measurement.row];
-            let (mut left, mut size) = (value, size);
+            let (mut remainder, mut size) = (value, size);
             for (multiplier, (before, size_before)) in measurement.multipliers.iter().zip(&reduced) {
-                left -= multiplier * before;
+                remainder -= multiplier * before;
                 size += (multiplier * size_before).abs();
             }
-            if measurement.is_new {
+            if measurement.is_independent {
                 values.push(value);
-                reduced.push((left, size));
-            } else if left.abs() > ROUNDING * size {
-                return Err(Miss { row: measurement.row, residual: left });
+                reduced.push((remainder, size));
+            } else if remainder.abs() > EXACT_TOLERANCE * size {
+                return Err(Miss { row: measurement.row, residual: remainder });
             }
         }
         Ok(ExactRows { coefficients: self.coefficients.clone(), values })
@@ -126,8 +126,8 @@ mod tests {
         assert_eq!(design.coefficients, [1.0, 2.0, 1e-3, 1.0]);
         // innovations of ξ = (3, -1)
         let e = [1.0, 2.0, 3e-3 - 1.0, 21.3];
-        assert_eq!(design.rows_of(&e, &[1.0; 4]).unwrap().values, [1.0, 3e-3 - 1.0]);
-        let miss = design.rows_of(&[1.0, 2.0, 3e-3 - 1.0, 21.4], &[1.0; 4]).unwrap_err();
+        assert_eq!(design.rows_from_innovations(&e, &[1.0; 4]).unwrap().values, [1.0, 3e-3 - 1.0]);
+        let miss = design.rows_from_innovations(&[1.0, 2.0, 3e-3 - 1.0, 21.4], &[1.0; 4]).unwrap_err();
         assert!(miss.row == 3 && (miss.residual - 0.1).abs() < 1e-12, "{miss:?}");
     }
 

@@ -12,10 +12,10 @@ use kalfit_model::Test;
 
 /// Most scalar measurements of a test that is reduced in this way: its values and innovations are in memory for every
 /// lane.
-const MOST_ROWS: usize = 1 << 22;
+const MAX_ROWS_IN_LANES: usize = 1 << 22;
 
 /// Number of rows, of all replicates of a set, up to which several threads are not worthwhile.
-const FEW_ROWS: usize = 1 << 15;
+const MAX_SERIAL_ROWS: usize = 1 << 15;
 
 /// What all replicates of a test share.
 #[derive(Debug)]
@@ -40,15 +40,15 @@ impl Reducer {
         let (first, lanes) = (tests[set[0]], Isa::best().lanes());
         let exemplar = DesignExemplar::of(self, first, work);
         let some = |work: &mut Workspace, numbers: &[usize], found: &mut ReducedTests| {
-            let odd = match &exemplar {
+            let exceptional = match &exemplar {
                 Some(exemplar) => exemplar.reduce(self, (tests, numbers), work, found),
                 None => numbers.to_vec(),
             };
-            odd.into_iter().for_each(|number| found.note(number, self.to_end(tests[number], work)));
+            exceptional.into_iter().for_each(|number| found.note(number, self.reduce_to_end(tests[number], work)));
         };
         let rows = set.len() * first.rows();
         let size = match exemplar {
-            Some(_) if rows <= FEW_ROWS => set.len(),
+            Some(_) if rows <= MAX_SERIAL_ROWS => set.len(),
             Some(_) => chunk_size(set.len(), rows).next_multiple_of(lanes),
             None => chunk_size(set.len(), rows),
         };
@@ -69,12 +69,12 @@ impl DesignExemplar {
     /// The exemplar of a test; `None` if its replicates must be reduced one by one.
     fn of(reducer: &Reducer, test: &Test, work: &mut Workspace) -> Option<DesignExemplar> {
         reducer.preparer().prepare(test, work).ok()?;
-        if !(1..=MOST_ROWS).contains(&work.design.rows()) {
+        if !(1..=MAX_ROWS_IN_LANES).contains(&work.design.rows()) {
             return None;
         }
         let digest = work.design.digest();
         let class = reducer.class(digest, work, false);
-        class.gains().as_ref().ok().filter(|gains| gains.turns.is_none())?;
+        class.gains().as_ref().ok().filter(|gains| gains.rotations.is_none())?;
         Some(DesignExemplar {
             class,
             digest,
@@ -95,29 +95,29 @@ impl DesignExemplar {
     ) -> Vec<usize> {
         let DesignExemplar { class, cells, start, inputs, .. } = self;
         let gains = class.gains().as_ref().expect("exemplars have gains");
-        let (lanes, mut odd) = (work.block.lanes(), Vec::new());
+        let (lanes, mut exceptional) = (work.block.lanes(), Vec::new());
         work.block.clear(start.len(), inputs.len(), cells.len());
         (0..lanes).for_each(|lane| work.block.begin(lane, start, inputs));
         let mut values = Vec::with_capacity(lanes);
         for some in numbers.chunks(lanes) {
             values.clear();
             values.extend(some.iter().map(|&number| tests[number].all_numbers()));
-            work.block.values_of(&values, cells);
-            work.block.run(class.design(), gains, &mut work.room);
+            work.block.put_values(&values, cells);
+            work.block.run(class.design(), gains, &mut work.scratch);
             for (lane, &number) in some.iter().enumerate() {
-                let outcome = work.block.outcome(lane, (gains.active, gains.log_determinant), &work.room);
+                let outcome = work.block.outcome(lane, (gains.active, gains.log_determinant), &work.scratch);
                 // a missing or infinite value makes the outcome not finite
                 if !outcome.is_finite() || reducer.preparer().covariates_of(tests[number], work).is_err() {
-                    odd.push(number);
+                    exceptional.push(number);
                     continue;
                 }
-                let about = ReductionHeader::new(gains, &work.covariates, (self.steps, self.digest));
-                found.reductions.put(reducer.counted_reduction(tests[number], &outcome, about));
+                let header = ReductionHeader::new(gains, &work.covariates, (self.steps, self.digest));
+                found.reductions.put(reducer.counted_reduction(tests[number], &outcome, header));
                 found.numbers.push(number);
-                found.terminals.extend(reducer.ending(class, work.block.last(lane, &work.room)));
+                found.terminals.extend(reducer.ending(class, work.block.last(lane, &work.scratch)));
             }
         }
-        odd
+        exceptional
     }
 }
 

@@ -38,7 +38,7 @@ fn design_pass(n: usize, r: usize, p: usize, steps: usize) -> Flops {
             advance(&mut Psi, p, transition, &mut work);
             let of = FilterState { P: &mut P, Psi: &mut Psi, J: &mut sums.J };
             let update = measure(&frame, (&states, &*h, Counted(1.0)), of, (&mut G, &mut K, &mut T));
-            sums.count(update.S, update.kept);
+            sums.count(update.S, update.margin);
         }
     })
 }

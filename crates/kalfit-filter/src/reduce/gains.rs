@@ -27,7 +27,7 @@ pub struct Gains {
     /// Number of informative scalar measurements, independent exact ones included.
     pub(crate) active: usize,
     /// Rotations to apply to the data, if square-root arrays made the gains.
-    pub(crate) turns: Option<FactorRotations>,
+    pub(crate) rotations: Option<FactorRotations>,
     /// The last state, if it was wanted.
     pub(crate) end: Option<Arc<TerminalRoot>>,
     /// P and Ψ before equal steps, in order of rows, if a backward pass needs them.
@@ -64,7 +64,7 @@ impl GainSpan {
     }
 
     /// Number of steps from `row` on until S and K no longer change, if each step has one measurement.
-    pub(crate) fn moving_gains(&self, row: usize) -> usize {
+    pub(crate) fn steps_to_steady_gains(&self, row: usize) -> usize {
         (self.row + self.gain_steps).saturating_sub(row)
     }
 
@@ -78,7 +78,7 @@ impl GainSpan {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct FactorRotations {
     /// (c, s) of the rotation with each row of R, p for each scalar measurement.
-    pub(crate) folds: Vec<(f64, f64)>,
+    pub(crate) row_rotations: Vec<(f64, f64)>,
     /// The operations that rounded small diagonals of R to zero, in order.
     pub(crate) settle: Vec<RankOperation>,
     /// The exact measurements, which are not in R.
@@ -89,7 +89,7 @@ pub(crate) struct FactorRotations {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum RankOperation {
     /// Rotate rows `k` and `i` by (c, s).
-    Turn { k: usize, i: usize, c: f64, s: f64 },
+    Rotate { k: usize, i: usize, c: f64, s: f64 },
     /// Row `i` of R was set to zero: d_i becomes residual.
     Drop { i: usize },
 }
@@ -99,7 +99,7 @@ impl RankOperation {
     #[inline]
     pub(crate) fn apply(self, d: &mut [f64], residual: &mut f64) {
         match self {
-            RankOperation::Turn { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
+            RankOperation::Rotate { k, i, c, s } => (d[k], d[i]) = (c * d[k] + s * d[i], c * d[i] - s * d[k]),
             RankOperation::Drop { i } => {
                 *residual += d[i] * d[i];
                 d[i] = 0.0;
@@ -125,7 +125,7 @@ impl Gains {
     #[inline(always)]
     pub(crate) fn of(&self, piece: &GainSpan, row: usize) -> (f64, &[f64], &[f64]) {
         let (weight, K) = self.weighted(piece, row).split_first().expect("it has 1/S");
-        (*weight, K, self.sensitive(piece, row))
+        (*weight, K, self.sensitivity_row(piece, row))
     }
 
     /// 1/S, then K, of a row in this piece.
@@ -138,7 +138,7 @@ impl Gains {
 
     /// T of a row in this piece.
     #[inline(always)]
-    pub(crate) fn sensitive(&self, piece: &GainSpan, row: usize) -> &[f64] {
+    pub(crate) fn sensitivity_row(&self, piece: &GainSpan, row: usize) -> &[f64] {
         let (step, line) = piece.step(row);
         let sensitivity = piece.sensitivity + step.min(piece.sensitivity_steps - 1) * piece.width + line;
         &self.sensitivities[sensitivity * self.p..][..self.p]
@@ -156,11 +156,11 @@ impl Gains {
 
     /// Memory in bytes.
     pub(crate) fn bytes(&self) -> usize {
-        let turns =
-            self.turns.as_ref().map_or(0, |turns| 2 * turns.folds.len() + 5 * turns.settle.len() + turns.exact.len());
+        let rotations =
+            self.rotations.as_ref().map_or(0, |rotations| 2 * rotations.row_rotations.len() + 5 * rotations.settle.len() + rotations.exact.len());
         let end = self.end.as_ref().map_or(0, |end| end.bytes());
         let kept = self.gains.len() + self.sensitivities.len() + 6 * self.pieces.len();
         let paths: usize = self.paths.iter().map(MomentPath::bytes).sum();
-        8 * (kept + self.factor.len() + turns) + end + paths + 200
+        8 * (kept + self.factor.len() + rotations) + end + paths + 200
     }
 }

@@ -82,7 +82,7 @@ pub(crate) fn predict<R: Real, E: Entries<R>>(
                 P[at(state, state, r)] = phi * P[at(state, state, r)];
             }
         }
-        None => congruent(P, r, transition, work),
+        None => transform_covariance(P, r, transition, work),
     }
     for (k, &(i, j)) in pattern.pairs.iter().enumerate() {
         let entry = &mut P[i as usize * r + j as usize];
@@ -102,7 +102,7 @@ pub(crate) fn mirror<R: Real>(P: &mut [R], r: usize) {
 
 /// P ← φPφ', lower triangle.
 #[inline(always)]
-fn congruent<R: Real, E: Entries<R>>(P: &mut [R], r: usize, transition: TransitionView<'_, E>, work: &mut Vec<R>) {
+fn transform_covariance<R: Real, E: Entries<R>>(P: &mut [R], r: usize, transition: TransitionView<'_, E>, work: &mut Vec<R>) {
     let TransitionView { pattern, phi, .. } = transition;
     let moved = pattern.moved.partition_point(|row| (row.state as usize) < r);
     let moved = &pattern.moved[..moved];
@@ -163,7 +163,7 @@ pub(crate) fn sensitivity<R: Real, E: Entries<R>>(
 /// Least ratio of S to R + Σ h_j² P_jj, and least ratio of the variance of one of several states after an update to
 /// that before, in plain covariance arithmetic. Losses of several updates add up: with a limit of 1e-6, four of 5 500
 /// hard random tests are off by 1e-9 to 1e-6; with 1e-5 none is.
-const KEPT: f64 = 1e-5;
+const MIN_REMAINING: f64 = 1e-5;
 
 /// The results of a scalar update.
 #[derive(Debug, Clone, Copy)]
@@ -173,7 +173,7 @@ pub(crate) struct ScalarUpdate<R> {
     /// 1/S, or 0 where S = 0.
     pub(crate) weight: R,
     /// Below zero if the update cancelled too many digits.
-    pub(crate) kept: R,
+    pub(crate) margin: R,
 }
 
 /// Updates P and computes S and K for z = h'x + v. Shapes: `P` r × r, row-major, lower triangle; `G` (work), `K` r.
@@ -202,8 +202,8 @@ pub(crate) fn update<R: Real, E: Entries<R>>(
     for (K, &G) in K.iter_mut().zip(G.iter()) {
         *K = G * weight;
     }
-    let kept = size.fnma(R::splat(KEPT), S).minimum(joseph(r, (reached, h), (noise, S), P, (G, &*K)));
-    ScalarUpdate { S, weight, kept }
+    let margin = size.fnma(R::splat(MIN_REMAINING), S).minimum(joseph(r, (reached, h), (noise, S), P, (G, &*K)));
+    ScalarUpdate { S, weight, margin }
 }
 
 /// P, Ψ and J of a filter.
@@ -224,13 +224,13 @@ pub(crate) fn measure<R: Real, E: Entries<R>>(
     sensitivity(frame, (states, h), of.Psi, T);
     let update = update(frame.r, (states, h), noise, of.P, (G, &mut *K));
     correct(frame.p, K, T, of.Psi);
-    inform(T, update.weight, of.J);
+    add_information(T, update.weight, of.J);
     update
 }
 
 /// P ← (I-Kh')P(I-hK') + KRK', with S, G and K computed from this P: first P - KG', then a correction that turns its
 /// rounding errors E into (I-Kh')E(I-hK'). For a single state this is P R/S, which loses no digit, whatever the noise.
-/// The result is below zero if less than [`KEPT`] of a variance remains. `reached`: noise-reachable states of h.
+/// The result is below zero if less than [`MIN_REMAINING`] of a variance remains. `reached`: noise-reachable states of h.
 #[inline(always)]
 fn joseph<R: Real, E: Entries<R>>(
     r: usize,
@@ -239,12 +239,12 @@ fn joseph<R: Real, E: Entries<R>>(
     P: &mut [R],
     (G, K): (&mut [R], &[R]),
 ) -> R {
-    let mut kept = R::splat(1.0);
+    let mut margin = R::splat(1.0);
     if r < 2 {
         if let (Some(P), Some(_)) = (P.first_mut(), reached.first()) {
             *P = *P * (noise / S.or_one()); // unchanged to the bit where h = 0
         }
-        return kept;
+        return margin;
     }
     for i in 0..r {
         let row = &mut P[i * r..][..=i];
@@ -252,7 +252,7 @@ fn joseph<R: Real, E: Entries<R>>(
         for (entry, &G) in row.iter_mut().zip(G.iter()) {
             *entry = K[i].fnma(G, *entry);
         }
-        kept = kept.minimum(before.fnma(R::splat(KEPT), row[i]));
+        margin = margin.minimum(before.fnma(R::splat(MIN_REMAINING), row[i]));
     }
     // V = RK - (P - KG')h, which equals -Eh
     let V = G;
@@ -276,7 +276,7 @@ fn joseph<R: Real, E: Entries<R>>(
             *entry = V[i].fma(K[j], K[i].fma(V[j], *entry));
         }
     }
-    kept
+    margin
 }
 
 /// Ψ ← Ψ - K T on the noise-reachable states.
@@ -291,7 +291,7 @@ pub(crate) fn correct<R: Real>(p: usize, K: &[R], T: &[R], Psi: &mut [R]) {
 
 /// J ← J + T T'/S, packed by columns: entry i ≤ k at i + k(k+1)/2.
 #[inline(always)]
-pub(crate) fn inform<R: Real>(T: &[R], weight: R, J: &mut [R]) {
+pub(crate) fn add_information<R: Real>(T: &[R], weight: R, J: &mut [R]) {
     let mut at = 0;
     for k in 0..T.len() {
         let weighted = T[k] * weight;

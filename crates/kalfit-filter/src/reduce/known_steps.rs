@@ -7,9 +7,9 @@ use crate::reduce::steps::StepSpan;
 use kalfit_model::{Test, TestId};
 
 /// Number of rows from which a record counts as long.
-const LONG: usize = 1 << 10;
+const MIN_LONG_ROWS: usize = 1 << 10;
 /// Least mean number of rows per span: with fewer, the list of spans is nearly as long as the record.
-const PART: usize = 16;
+const MIN_ROWS_PER_SPAN: usize = 16;
 
 /// The steps of the long records of one ensemble, whose tests have different ids.
 #[derive(Debug, Default)]
@@ -26,7 +26,7 @@ struct KnownSpans {
 impl KnownSteps {
     /// The steps of a test, if they are known.
     pub(crate) fn of(&self, test: &Test, initial: Option<f64>) -> Option<Arc<Vec<StepSpan>>> {
-        if test.rows() < LONG {
+        if test.rows() < MIN_LONG_ROWS {
             return None;
         }
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -36,7 +36,7 @@ impl KnownSteps {
 
     /// Stores the steps of a test, if it is long and has few spans.
     pub(crate) fn keep(&self, test: &Test, initial: Option<f64>, spans: &[StepSpan]) {
-        if test.rows() >= LONG && PART * spans.len() <= test.rows() {
+        if test.rows() >= MIN_LONG_ROWS && MIN_ROWS_PER_SPAN * spans.len() <= test.rows() {
             let initial = initial.map(f64::to_bits);
             let known = KnownSpans { rows: test.rows(), initial, spans: Arc::new(spans.to_vec()) };
             self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(test.id.clone(), known);

@@ -114,7 +114,7 @@ pub use suboptimal::{EstimateReducer, FilterRunner, Lost, LostError, lost};
 
 pub(crate) use batches::FilteredBatch;
 pub(crate) use batches::batch_workspace::{BatchWorkspace, EnteringMoments};
-pub(crate) use carry::Inherits;
+pub(crate) use carry::InheritanceTerm;
 pub(crate) use chunk_size::chunk_size;
 pub use data::Data;
 pub use design::{Design, DesignStep, Pattern, StateFrame, Stretch, Transition, TransitionView, same_bits};
@@ -132,7 +132,7 @@ pub(crate) use observe::Unwhitened;
 pub use part::PhaseReducer;
 pub use phased::{FilteredPhases, PhaseReplicates, PhasedBatches, PhasedWork};
 pub use prepare::{Preparer, Replay, Skeleton, Workspace};
-pub use reducer::own_innovations;
+pub use reducer::single_test_innovations;
 pub(crate) use replicates::Replicates;
 pub(crate) use scan::{InvariantStep, Scan, with_states};
 pub use semidefinite::ldl;

@@ -19,7 +19,7 @@ pub(crate) struct MomentPath {
     sizes: (usize, usize),
     numbers: Vec<f64>,
     /// Number of pairs (P, Ψ) stored.
-    many: usize,
+    count: usize,
 }
 
 impl MomentPath {
@@ -29,21 +29,21 @@ impl MomentPath {
     /// Number of moving states of a stretch that may have a path: equal steps of one scalar measurement, without known
     /// inputs. `None` for any other stretch.
     pub(crate) fn states(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
-        design.equal_moving(stretch, MomentPath::FEW).filter(|&states| states <= MOST_MOVING)
+        design.moving_in_equal_steps(stretch, MomentPath::FEW).filter(|&states| states <= MOST_MOVING)
     }
 
     /// An empty path of a stretch; `None` for a stretch that has no path.
     pub(super) fn new(design: &Design, stretch: &Stretch<'_>) -> Option<MomentPath> {
         let states = MomentPath::states(design, stretch)?;
         let sizes = (design.frame.r.pow(2), states * design.frame.p);
-        Some(MomentPath { row: stretch.rows.start, sizes, numbers: Vec::new(), many: 0 })
+        Some(MomentPath { row: stretch.rows.start, sizes, numbers: Vec::new(), count: 0 })
     }
 
     /// Appends P and Ψ. `P`: r × r, only its lower triangle is read; `Psi`: rows of all states.
     #[inline(always)]
     pub(super) fn push<T: Lanes>(&mut self, r: usize, P: &[T], Psi: &[T]) {
-        let MomentPath { numbers, sizes, many, .. } = self;
-        *many += 1;
+        let MomentPath { numbers, sizes, count, .. } = self;
+        *count += 1;
         for i in 0..r {
             for j in 0..r {
                 numbers.push(P[i.max(j) * r + i.min(j)].lane(0));
@@ -64,7 +64,7 @@ impl MomentPath {
     #[inline(always)]
     pub(crate) fn before(&self, step: usize) -> (&[f64], &[f64]) {
         let size = self.sizes.0 + self.sizes.1;
-        self.numbers[step.min(self.many - 1) * size..][..size].split_at(self.sizes.0)
+        self.numbers[step.min(self.count - 1) * size..][..size].split_at(self.sizes.0)
     }
 
     /// Bytes of memory that the path occupies.

@@ -27,7 +27,7 @@ pub struct MotionPlan {
     phi: Vec<EntrySource>,
     q: Vec<EntrySource>,
     /// Source of b for each state of [`StateFrame::driven`](crate::reduce::design::StateFrame::driven).
-    drives: Vec<Drive>,
+    drives: Vec<InputSource>,
     /// Index at which each component's flow begins.
     offsets: Vec<usize>,
     /// Number of entries in the flows of all components together.
@@ -61,7 +61,7 @@ enum EntrySource {
 
 /// Source of a known input.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Drive {
+enum InputSource {
     /// A slot of the inputs.
     Slot(usize),
     /// Σ (entry of a flow) × (slot of the inputs), an element of Γu.
@@ -77,23 +77,23 @@ pub struct Moves {
 }
 
 /// How a state of the model moves.
-enum Mover<'a> {
+enum StateMotion<'a> {
     Still,
     Recursion(&'a Recursion),
     /// State `i` of component `c`, as (c, component, i).
     Component(usize, &'a Component, usize),
 }
 
-fn mover(dynamics: &Dynamics, state: usize) -> Mover<'_> {
+fn state_motion(dynamics: &Dynamics, state: usize) -> StateMotion<'_> {
     if let Some(recursion) = dynamics.recursions.iter().find(|recursion| recursion.state == state) {
-        return Mover::Recursion(recursion);
+        return StateMotion::Recursion(recursion);
     }
     for (c, component) in dynamics.components.iter().enumerate() {
         if let Ok(i) = component.states.binary_search(&state) {
-            return Mover::Component(c, component, i);
+            return StateMotion::Component(c, component, i);
         }
     }
-    Mover::Still
+    StateMotion::Still
 }
 
 impl MotionPlan {
@@ -111,14 +111,14 @@ impl MotionPlan {
         }
         let (mut pattern, mut phi, mut drives) = (Pattern::default(), Vec::new(), Vec::new());
         for (place, &state) in order.states.iter().enumerate() {
-            let mover = mover(dynamics, state);
-            if let Some(mut row) = phi_row(&mover, &offsets, order) {
+            let state_motion = state_motion(dynamics, state);
+            if let Some(mut row) = phi_row(&state_motion, &offsets, order) {
                 row.sort_by_key(|term| term.0);
                 pattern.push(place, order.frame.r, row.iter().map(|term| term.0));
                 phi.extend(row.into_iter().map(|term| term.1));
             }
             if order.frame.driven.contains(&(place as u32)) {
-                drives.push(drive(&mover, &offsets));
+                drives.push(drive(&state_motion, &offsets));
             }
         }
         let mut noise = noise_entries(dynamics, order, &offsets);
@@ -136,26 +136,26 @@ impl MotionPlan {
     }
 
     /// φ, Q and Γ of steps of length `dt`, with the same bits as in lanes. `values`: the dynamics' coefficients on the
-    /// step; `filled`: work space; `spare`: an unshared transition whose memory is reused.
+    /// step; `filled`: work space; `reusable`: an unshared transition whose memory is reused.
     pub fn moves(
         &self,
         dynamics: &Dynamics,
         values: &[f64],
         dt: f64,
-        (filled, spare): (&mut Filled, Option<Arc<Transition>>),
+        (filled, reusable): (&mut Filled, Option<Arc<Transition>>),
     ) -> Result<Moves, Box<Fault>> {
         check_noise(dynamics, values)?;
         if !self.fill_one(dynamics, values, dt, filled) {
             return Err(self.overflow(dynamics, filled));
         }
         let fresh = || Arc::new(Transition::new(self.pattern.clone(), Vec::new(), Vec::new()));
-        let mut made = spare.unwrap_or_else(fresh);
+        let mut made = reusable.unwrap_or_else(fresh);
         let transition = Arc::get_mut(&mut made).expect("nobody else has it");
         transition.phi.clear();
         transition.phi.extend_from_slice(&filled.phi);
         transition.q.clear();
         transition.q.extend_from_slice(&filled.q);
-        let kept = self.drives.iter().any(|drive| matches!(drive, Drive::Flow(_)));
+        let kept = self.drives.iter().any(|drive| matches!(drive, InputSource::Flow(_)));
         Ok(Moves { transition: made, flows: if kept { filled.flows.clone() } else { Vec::new() } })
     }
 
@@ -194,12 +194,12 @@ fn identity(pattern: &Pattern) -> Vec<f64> {
 }
 
 /// Row of φ as (kernel index, source of the entry); `None` for a row of the identity.
-fn phi_row(mover: &Mover<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(usize, EntrySource)>> {
-    match *mover {
-        Mover::Recursion(recursion) => {
+fn phi_row(state_motion: &StateMotion<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(usize, EntrySource)>> {
+    match *state_motion {
+        StateMotion::Recursion(recursion) => {
             Some(recursion.terms.iter().map(|&(state, slot)| (order.place[state], EntrySource::Slot(slot))).collect())
         }
-        Mover::Component(c, component, i) if !component.still(i) => {
+        StateMotion::Component(c, component, i) if !component.is_identity_row(i) => {
             let m = component.states.len();
             let inner = (0..m).filter(|&j| component.depends(i, j));
             let mut row: Vec<(usize, EntrySource)> =
@@ -217,15 +217,15 @@ fn phi_row(mover: &Mover<'_>, offsets: &[usize], order: &Order) -> Option<Vec<(u
     }
 }
 
-fn drive(mover: &Mover<'_>, offsets: &[usize]) -> Drive {
-    match *mover {
-        Mover::Recursion(Recursion { input: Some(slot), .. }) => Drive::Slot(*slot),
-        Mover::Component(c, component, i) => {
+fn drive(state_motion: &StateMotion<'_>, offsets: &[usize]) -> InputSource {
+    match *state_motion {
+        StateMotion::Recursion(Recursion { input: Some(slot), .. }) => InputSource::Slot(*slot),
+        StateMotion::Component(c, component, i) => {
             let m = component.states.len();
             let term = |k: usize| Some((offsets[c] + m * m + i * m + k, component.inputs[k]?));
-            Drive::Flow((0..m).filter(|&k| component.depends(i, k)).filter_map(term).collect())
+            InputSource::Flow((0..m).filter(|&k| component.depends(i, k)).filter_map(term).collect())
         }
-        _ => Drive::Flow(Vec::new()),
+        _ => InputSource::Flow(Vec::new()),
     }
 }
 

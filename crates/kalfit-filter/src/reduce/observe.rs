@@ -243,11 +243,11 @@ impl Meters {
         let mut many = 0;
         while many < most {
             let numbers = test.numbers(first + many);
-            let alike = |&(column, taken): &(usize, bool)| match numbers[column] {
+            let continues = |&(column, taken): &(usize, bool)| match numbers[column] {
                 z if taken => z.is_finite(),
                 z => z.is_nan(),
             };
-            if !columns.iter().all(alike) {
+            if !columns.iter().all(continues) {
                 break;
             }
             out.data.values.extend(taken.iter().map(|&(column, constant)| numbers[column] - constant));
@@ -273,16 +273,16 @@ impl Meters {
             };
             let (firsts, seconds): (Vec<usize>, Vec<usize>) = (of(*i).collect(), of(*j).collect());
             let partner = |a: usize| seconds.iter().copied().find(|&b| instances[b].row == instances[a].row);
-            let mut joined: Vec<(usize, usize)> = firsts.iter().filter_map(|&a| Some((a, partner(a)?))).collect();
-            if joined.len() < firsts.len() && joined.len() < seconds.len() {
+            let mut matched: Vec<(usize, usize)> = firsts.iter().filter_map(|&a| Some((a, partner(a)?))).collect();
+            if matched.len() < firsts.len() && matched.len() < seconds.len() {
                 if firsts.len() > 1 || seconds.len() > 1 {
                     let name = |m: usize| at.model.measurements[m].name.clone();
                     let kind = ReduceErrorKind::AmbiguousCovariance { first: name(*i), second: name(*j) };
                     return Err(Fault::new(Subject::NoiseCovariance(*i, *j), kind).on(instances[firsts[0]].row));
                 }
-                joined.push((firsts[0], seconds[0]));
+                matched.push((firsts[0], seconds[0]));
             }
-            for (a, b) in joined {
+            for (a, b) in matched {
                 let value = |k: usize| {
                     let row = instances[k].row;
                     let scope = Scope { numbers: test.numbers(row), texts: test.texts(row), step: dt, alpha: at.alpha };

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::reduce::design::{DENSE, StateFrame, ZERO};
-use crate::reduce::dynamics::{Dynamics, close};
+use crate::reduce::dynamics::{Dynamics, close_transitively};
 use crate::reduce::start::ModelStart;
 use crate::reduce::subject::ModelAt;
 
@@ -35,7 +35,7 @@ impl Order {
         let (mut moving, mut driven) = (vec![false; n], vec![false; n]);
         for component in &dynamics.components {
             for (i, &state) in component.states.iter().enumerate() {
-                moving[state] = !component.still(i);
+                moving[state] = !component.is_identity_row(i);
             }
         }
         dynamics.recursions.iter().for_each(|recursion| moving[recursion.state] = true);
@@ -55,14 +55,14 @@ impl Order {
         states.sort_by_key(|&i| (!noisy[i], !moving[i], i));
         let mut place = vec![0; n];
         states.iter().enumerate().for_each(|(at, &state)| place[state] = at);
-        let own = |state: usize| &sensitivity[state * p..][..p];
-        let row = |&state: &usize| if noisy[state] || moving[state] { DENSE } else { column_of(own(state)) };
+        let sensitivity_row = |state: usize| &sensitivity[state * p..][..p];
+        let row = |&state: &usize| if noisy[state] || moving[state] { DENSE } else { column_of(sensitivity_row(state)) };
         let frame = StateFrame {
             n,
             p,
             r: noisy.iter().filter(|&&noisy| noisy).count(),
             rows: states.iter().map(row).collect(),
-            sensitivity: states.iter().flat_map(|&state| own(state)).copied().collect(),
+            sensitivity: states.iter().flat_map(|&state| sensitivity_row(state)).copied().collect(),
             driven: (0..n).filter(|&place| driven[states[place]]).map(|place| place as u32).collect(),
             digest: 0,
         };
@@ -98,6 +98,6 @@ fn reachable(n: usize, dynamics: &Dynamics, start: &ModelStart, estimated: &[usi
     for recursion in &dynamics.recursions {
         recursion.terms.iter().for_each(|&(state, _)| depends[recursion.state * n + state] = true);
     }
-    close(&mut depends, n);
+    close_transitively(&mut depends, n);
     (0..n).map(|i| noisy[i] || (0..n).any(|j| depends[i * n + j] && noisy[j])).collect()
 }

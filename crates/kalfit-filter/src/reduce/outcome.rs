@@ -1,6 +1,6 @@
 //! The outcome of a single test: its data pass under the gains of its design.
 
-use crate::reduce::data::{Data, Miss, Outcome, ROUNDING};
+use crate::reduce::data::{Data, Miss, Outcome, EXACT_TOLERANCE};
 use crate::reduce::design::Design;
 use crate::reduce::exact_design::ExactDesign;
 use crate::reduce::gains::{FactorRotations, Gains};
@@ -8,29 +8,29 @@ use crate::reduce::lanes::{DataWorkspace, InnovationObserver, innovations, pass_
 use kalfit_lanes::Lanes;
 
 /// The outcome of a test. An error where a measurement that admits only one value has another.
-pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, room: &mut DataWorkspace) -> Result<Outcome, Miss> {
+pub(crate) fn outcome(design: &Design, gains: &Gains, data: &Data, scratch: &mut DataWorkspace) -> Result<Outcome, Miss> {
     let of = (design, gains);
-    let Some(turns) = &gains.turns else {
-        pass_alone(of, data, room);
-        return Ok(room.outcome((0, 1), gains.active, gains.log_determinant));
+    let Some(rotations) = &gains.rotations else {
+        pass_alone(of, data, scratch);
+        return Ok(scratch.outcome((0, 1), gains.active, gains.log_determinant));
     };
     let mut exact = None;
-    if gains.active < design.rows() || !turns.exact.is_empty() {
-        let mut possible =
-            Possible { design, gains, exact: &turns.exact, sizes: &data.sizes, exact_sizes: Vec::new(), miss: None };
-        innovations(of, data, room, &mut possible);
-        possible.miss.map_or(Ok(()), Err)?;
-        exact = (!turns.exact.is_empty()).then(|| turns.exact.rows_of(&room.e, &possible.exact_sizes)).transpose()?;
+    if gains.active < design.rows() || !rotations.exact.is_empty() {
+        let mut check =
+            ConsistencyCheck { design, gains, exact: &rotations.exact, sizes: &data.sizes, exact_sizes: Vec::new(), miss: None };
+        innovations(of, data, scratch, &mut check);
+        check.miss.map_or(Ok(()), Err)?;
+        exact = (!rotations.exact.is_empty()).then(|| rotations.exact.rows_from_innovations(&scratch.e, &check.exact_sizes)).transpose()?;
     } else {
-        innovations(of, data, room, &mut ());
+        innovations(of, data, scratch, &mut ());
     }
-    let (d, residual) = folded((design.frame.p, gains), turns, &room.e);
+    let (d, residual) = folded((design.frame.p, gains), rotations, &scratch.e);
     Ok(Outcome { exact: exact.map(Box::new), ..Outcome::new(d, residual, gains.active, gains.log_determinant) })
 }
 
 /// Observer of measurements without weight, whose value is determined by the others: it checks that they have this
 /// value.
-struct Possible<'a> {
+struct ConsistencyCheck<'a> {
     design: &'a Design,
     gains: &'a Gains,
     exact: &'a ExactDesign,
@@ -41,32 +41,32 @@ struct Possible<'a> {
     miss: Option<Miss>,
 }
 
-impl InnovationObserver for Possible<'_> {
-    const EACH: bool = true;
+impl InnovationObserver for ConsistencyCheck<'_> {
+    const OBSERVES_EVERY_ROW: bool = true;
 
-    fn see<T: Lanes>(&mut self, (row, line): (usize, usize), e: T, x: &[T]) {
+    fn observe<T: Lanes>(&mut self, (row, line): (usize, usize), e: T, x: &[T]) {
         let (e, (states, h)) = (e.lane(0), self.design.terms(line));
         let terms: f64 = states.iter().zip(h).map(|(&state, h)| (h * x[state as usize].lane(0)).abs()).sum();
         let (silent, size) = (self.gains.row(row).0 == 0.0, self.sizes[row] + terms);
         if silent && self.exact.has(row) {
             self.exact_sizes.push(size);
-        } else if silent && e.abs() > ROUNDING * size && self.miss.is_none() {
+        } else if silent && e.abs() > EXACT_TOLERANCE * size && self.miss.is_none() {
             self.miss = Some(Miss { row, residual: e });
         }
     }
 }
 
 /// (d, residual sum of squares), from the innovations by the rotations that were applied to make R.
-fn folded((p, gains): (usize, &Gains), turns: &FactorRotations, e: &[f64]) -> (Vec<f64>, f64) {
+fn folded((p, gains): (usize, &Gains), rotations: &FactorRotations, e: &[f64]) -> (Vec<f64>, f64) {
     let (mut d, mut residual) = (vec![0.0; p], 0.0);
     for (row, &e) in e.iter().enumerate() {
         let mut left = e * gains.row(row).0.sqrt();
-        for (d, &(c, s)) in d.iter_mut().zip(&turns.folds[row * p..]) {
+        for (d, &(c, s)) in d.iter_mut().zip(&rotations.row_rotations[row * p..]) {
             (*d, left) = (c * *d + s * left, c * left - s * *d);
         }
         residual += left * left;
     }
-    for &settle in &turns.settle {
+    for &settle in &rotations.settle {
         settle.apply(&mut d, &mut residual);
     }
     (d, residual)

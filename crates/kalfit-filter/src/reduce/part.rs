@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use crate::reduce::carry::Inheritance;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, ToEnd};
+use crate::reduce::reducer::{Reducer, ReducedWithEnd};
 use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use crate::reduce::{EstimateReducer, FilterRunner, Terminal};
@@ -31,7 +31,7 @@ pub(crate) struct PhasePosition {
 /// phase before.
 #[derive(Debug)]
 pub struct PhaseReducer {
-    place: PhasePosition,
+    position: PhasePosition,
     pub reducer: Reducer,
     /// Map by which the phase inherits from the phase before; `None` for the first phase.
     pub(crate) inheritance: Option<Inheritance>,
@@ -68,14 +68,14 @@ impl PhaseReducer {
     /// The reducer of a phase. `make` creates the reducer in entering coordinates.
     pub(crate) fn new(
         (phase, alpha): (&Phase, &Alpha),
-        place: PhasePosition,
+        position: PhasePosition,
         make: &dyn Fn(&Model) -> Result<Reducer, ReduceError>,
     ) -> Result<PhaseReducer, ReduceError> {
-        let named = |error| of_phase(place.name.as_deref(), error);
+        let named = |error| of_phase(position.name.as_deref(), error);
         let reducer = make(&phase.entry_model()).map_err(named)?;
-        let reducer = if place.followed { reducer.with_ends() } else { reducer };
+        let reducer = if position.followed { reducer.with_ends() } else { reducer };
         let at = reducer.preparer().at();
-        let inheritance = place.before.map(|before| Inheritance::new(phase, before, &at)).transpose();
+        let inheritance = position.before.map(|before| Inheritance::new(phase, before, &at)).transpose();
         let inheritance = inheritance.map_err(|fault| named(fault.name(&phase.model, None)))?;
         let sizes = Sizes {
             q: at.model.estimated.len(),
@@ -85,7 +85,7 @@ impl PhaseReducer {
         let own = phase.model.dimension();
         let estimates = EstimateReducer::new(phase, alpha).map_err(named)?;
         let filter = phase.filter.as_ref().map(|_| FilterRunner::new(phase, alpha)).transpose().map_err(named)?;
-        Ok(PhaseReducer { place, reducer, inheritance, own, estimates, filter, sizes })
+        Ok(PhaseReducer { position, reducer, inheritance, own, estimates, filter, sizes })
     }
 
     /// Whether rows of the phase are reduced by the optimal filter.
@@ -95,7 +95,7 @@ impl PhaseReducer {
 
     /// Adds the name of this phase to an error, where the model has several phases.
     pub fn named(&self, error: ReduceError) -> ReduceError {
-        of_phase(self.place.name.as_deref(), error)
+        of_phase(self.position.name.as_deref(), error)
     }
 
     /// The reducer with nothing frozen: it computes every step of every record in full.
@@ -111,18 +111,18 @@ impl PhaseReducer {
         (designs, linked): (bool, bool),
     ) -> Result<ReducedPhase<'a>, ReduceError> {
         let part = match (evidence, &self.filter) {
-            (Evidence::Rows(rows), None) => self.carried(rows, self.to_end(rows, work, designs), cells),
+            (Evidence::Rows(rows), None) => self.from_rows(rows, self.reduce_to_end(rows, work, designs), cells),
             (Evidence::Rows(rows), Some(filter)) => {
-                filter.run(rows).and_then(|estimates| self.filtered(id, &estimates, cells))
+                filter.run(rows).and_then(|estimates| self.from_estimates(id, &estimates, cells))
             }
-            (Evidence::Estimates(estimates), _) => self.filtered(id, estimates, cells),
-            (Evidence::Reduced(piece), _) => self.given(id, piece, linked),
+            (Evidence::Estimates(estimates), _) => self.from_estimates(id, estimates, cells),
+            (Evidence::Reduced(piece), _) => self.from_reduction(id, piece, linked),
         };
         part.map_err(|error| self.named(error))
     }
 
     /// Reduces the phase from estimates of a filter that need not be optimal, run here or elsewhere.
-    fn filtered<'a>(
+    fn from_estimates<'a>(
         &'a self,
         id: &str,
         estimates: &Estimates,
@@ -132,37 +132,37 @@ impl PhaseReducer {
         let at = self.reducer.preparer().at();
         let inherited = self.inheritance.as_ref();
         let inherited = inherited.map(|inheritance| inheritance.of(&at, &estimates.constants, cells)).transpose()?;
-        let terminal = self.place.followed.then_some(Cow::Owned(terminal));
+        let terminal = self.position.followed.then_some(Cow::Owned(terminal));
         Ok(ReducedPhase { reduction: Cow::Owned(reduction), terminal, inherited })
     }
 
-    fn to_end(&self, rows: &Test, work: &mut Workspace, designs: bool) -> ToEnd {
+    fn reduce_to_end(&self, rows: &Test, work: &mut Workspace, designs: bool) -> ReducedWithEnd {
         if designs {
             let (reduction, class) = self.reducer.designed(rows, work)?;
             return Ok((reduction, self.reducer.ending(&class, std::iter::repeat(0.0))));
         }
-        self.reducer.to_end(rows, work)
+        self.reducer.reduce_to_end(rows, work)
     }
 
     /// Completes the phase of a test from the reduction of its rows.
-    pub(crate) fn joined<'a>(
+    pub(crate) fn complete<'a>(
         &'a self,
         rows: &Test,
-        found: ToEnd,
+        found: ReducedWithEnd,
         cells: &mut GatheredCells,
     ) -> Result<ReducedPhase<'a>, ReduceError> {
-        self.carried(rows, found, cells).map_err(|error| self.named(error))
+        self.from_rows(rows, found, cells).map_err(|error| self.named(error))
     }
 
-    fn carried<'a>(
+    fn from_rows<'a>(
         &'a self,
         rows: &Test,
-        found: ToEnd,
+        found: ReducedWithEnd,
         cells: &mut GatheredCells,
     ) -> Result<ReducedPhase<'a>, ReduceError> {
         let (reduction, terminal) = found?;
         self.refuse_exact(&rows.id, &reduction)?;
-        let inherited = self.inheritance.is_some().then(|| self.of_carry(rows, cells)).transpose()?;
+        let inherited = self.inheritance.is_some().then(|| self.inherited_from(rows, cells)).transpose()?;
         Ok(ReducedPhase {
             reduction: Cow::Owned(reduction),
             terminal: terminal.map(|end| Cow::Owned(end.terminal())),
@@ -172,24 +172,24 @@ impl PhaseReducer {
 
     /// Refuses noise-free measurements of estimated states in a model with several phases.
     fn refuse_exact(&self, id: &str, reduction: &Reduction) -> Result<(), ReduceError> {
-        let refused = self.place.name.is_some() && reduction.exact.is_some();
+        let refused = self.position.name.is_some() && reduction.exact.is_some();
         if refused { Err(refuse(Some(id), WHOLE, ReduceErrorKind::ExactMeasurement)) } else { Ok(()) }
     }
 
     /// The map by which a later phase with these rows inherits from the phase before.
     pub fn inherited(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
-        self.of_carry(rows, cells).map_err(|error| self.named(error))
+        self.inherited_from(rows, cells).map_err(|error| self.named(error))
     }
 
-    fn of_carry(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
+    fn inherited_from(&self, rows: &Test, cells: &mut GatheredCells) -> Result<Cow<'_, Inherited>, ReduceError> {
         let inheritance = self.inheritance.as_ref().expect("a later phase inherits");
         inheritance.of(&self.reducer.preparer().at(), rows, cells)
     }
 
     /// A reduction made before, if it has the shape of this phase.
-    fn given<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<ReducedPhase<'a>, ReduceError> {
+    fn from_reduction<'a>(&self, id: &str, piece: &'a PhaseReduction, linked: bool) -> Result<ReducedPhase<'a>, ReduceError> {
         let Sizes { q, n, regressions } = self.sizes;
-        let before = self.place.before;
+        let before = self.position.before;
         let PhaseReduction { reduction, terminal, inherited, .. } = piece;
         let refuse = |what: &str, kind: ReduceErrorKind| refuse(Some(id), what, kind);
         let check = |what: &str, numbers: &[f64], found: (usize, usize), expected: (usize, usize)| {

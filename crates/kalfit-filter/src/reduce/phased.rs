@@ -14,7 +14,7 @@ use crate::reduce::error::{ReduceError, ReduceErrorKind, refuse};
 use crate::reduce::known_steps::KnownSteps;
 use crate::reduce::part::{PhasePosition, PhaseReducer, ReducedPhase};
 use crate::reduce::prepare::Workspace;
-use crate::reduce::reducer::{Reducer, ToEnd, Work};
+use crate::reduce::reducer::{Reducer, ReducedWithEnd, Work};
 use crate::reduce::steps::GatheredCells;
 use crate::reduce::subject::WHOLE;
 use kalfit_model::Test;
@@ -71,12 +71,12 @@ impl PhasedReducer {
     ) -> Result<PhasedReducer, ReduceError> {
         let last = model.phases.len() - 1;
         let phase = |at: usize| -> Result<PhaseReducer, ReduceError> {
-            let place = PhasePosition {
+            let position = PhasePosition {
                 name: (!model.is_single()).then(|| model.phases[at].name.clone()),
                 before: at.checked_sub(1).map(|at| model.phases[at].model.states.len()),
                 followed: at < last,
             };
-            PhaseReducer::new((&model.phases[at], alpha), place, reducer)
+            PhaseReducer::new((&model.phases[at], alpha), position, reducer)
         };
         Ok(PhasedReducer {
             phases: (0..=last).map(phase).collect::<Result<_, _>>()?,
@@ -197,12 +197,12 @@ impl PhasedReducer {
     fn parts<'a>(
         &'a self,
         test: &'a PhasedTest,
-        found: Vec<Option<ToEnd>>,
+        found: Vec<Option<ReducedWithEnd>>,
         work: &mut PhasedWork,
         designs: bool,
     ) -> Result<Vec<ReducedPhase<'a>>, ReduceError> {
         self.check(test)?;
-        let part = |((at, evidence), found): ((usize, &'a Evidence), Option<ToEnd>)| {
+        let part = |((at, evidence), found): ((usize, &'a Evidence), Option<ReducedWithEnd>)| {
             self.part((&test.id, at, evidence), found, work, (designs, at + 1 < test.phases.len()))
         };
         let found = found.into_iter().chain(std::iter::repeat_with(|| None));
@@ -213,13 +213,13 @@ impl PhasedReducer {
     fn part<'a>(
         &'a self,
         (id, at, evidence): (&str, usize, &'a Evidence),
-        found: Option<ToEnd>,
+        found: Option<ReducedWithEnd>,
         work: &mut PhasedWork,
         (designs, linked): (bool, bool),
     ) -> Result<ReducedPhase<'a>, ReduceError> {
         let phase = &self.phases[at];
         match (evidence, found) {
-            (Evidence::Rows(rows), Some(found)) => phase.joined(rows, found, &mut work.cells),
+            (Evidence::Rows(rows), Some(found)) => phase.complete(rows, found, &mut work.cells),
             _ => phase.part((id, evidence), (&mut work.phases[at], &mut work.cells), (designs, linked)),
         }
     }

@@ -20,7 +20,7 @@ impl Order {
             for i in 0..n {
                 if let Some(phi) = &step.transition {
                     (0..n).filter(|&j| phi[(i, j)] != 0.0).for_each(|j| depends[(i, j)] = true);
-                    moving[i] |= !identity_row(phi, i);
+                    moving[i] |= !is_identity_row(phi, i);
                 }
                 driven[i] |= step.input.as_ref().is_some_and(|input| input[i] != 0.0);
             }
@@ -41,7 +41,7 @@ impl Order {
         }
         let (mut pattern, mut phi, mut q) = (Pattern::default(), Vec::new(), Vec::new());
         if let Some(matrix) = &step.transition {
-            for (place, &i) in self.states.iter().enumerate().filter(|&(_, &i)| !identity_row(matrix, i)) {
+            for (place, &i) in self.states.iter().enumerate().filter(|&(_, &i)| !is_identity_row(matrix, i)) {
                 let columns: Vec<usize> = (0..self.frame.n).filter(|&c| matrix[(i, self.states[c])] != 0.0).collect();
                 phi.extend(columns.iter().map(|&c| matrix[(i, self.states[c])]));
                 pattern.push(place, self.frame.r, columns.into_iter());
@@ -59,6 +59,6 @@ impl Order {
     }
 }
 
-fn identity_row(phi: &DMatrix<f64>, i: usize) -> bool {
+fn is_identity_row(phi: &DMatrix<f64>, i: usize) -> bool {
     (0..phi.ncols()).all(|j| phi[(i, j)] == f64::from(i == j))
 }

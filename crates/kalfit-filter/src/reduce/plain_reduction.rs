@@ -60,7 +60,7 @@ impl Plain {
             return Err(self.refuse(WHOLE, ReduceErrorKind::NotFinite));
         }
         let terminal = gains.terminal(&order.states, &pass.x);
-        let Gains { factor, active, turns, .. } = gains;
+        let Gains { factor, active, rotations, .. } = gains;
         let reduction = Reduction {
             test: self.id.clone(),
             constant: outcome.constant,
@@ -70,7 +70,7 @@ impl Plain {
             covariates: Vec::new(),
             steps: self.steps.len(),
             observations: active,
-            path: if turns.is_some() { Path::SquareRoot } else { Path::Information },
+            path: if rotations.is_some() { Path::SquareRoot } else { Path::Information },
             design: design.digest(),
             chain: None,
             exact: outcome.exact,

@@ -31,11 +31,11 @@ mod replay;
 mod skeleton;
 mod transition;
 
-use alike::looks;
+use alike::read_cells;
 pub use replay::Replay;
 pub(crate) use replay::StartCells;
 pub use skeleton::Skeleton;
-use transition::Last;
+use transition::LastMoves;
 
 /// Most bytes of transitions that are cached.
 const TRANSITION_BYTES: usize = 16 << 20;
@@ -54,15 +54,15 @@ pub struct Preparer {
     pub(crate) meters: Meters,
     /// Columns on which φ, Q, h, R and the selection of values depend: where the cells of these columns repeat, so do
     /// φ, Q, h, R and the selection.
-    shape: Uses,
+    design_columns: Uses,
     /// Columns on which only known inputs and constants depend.
-    drive: Uses,
+    input_columns: Uses,
     /// Whether only measured values and times are read from the data.
-    plain: bool,
+    only_values: bool,
     /// Whether the dynamics depend only on the length of a step.
-    steady: bool,
+    fixed_dynamics: bool,
     /// Whether no transition needs a matrix exponential.
-    quick: bool,
+    without_exponentials: bool,
     /// Whether tests can be evaluated column by column: correlated noises of states are the same on every row.
     columnwise: bool,
     /// The law of x_0; `None` where it differs from test to test.
@@ -101,7 +101,7 @@ pub struct Workspace {
     pub pass: DataWorkspace,
     /// Data of replicates, or of any tests in lanes.
     pub(crate) block: DataBlock,
-    pub(crate) room: DataWorkspace,
+    pub(crate) scratch: DataWorkspace,
     spans: Vec<StepSpan>,
     /// Number of the first step of each span.
     firsts: Vec<usize>,
@@ -111,9 +111,9 @@ pub struct Workspace {
     replay: Replay,
     filled: Filled,
     key: Vec<u64>,
-    last: Option<Last>,
+    last: Option<LastMoves>,
     /// Unshared transitions whose memory is reused.
-    spare: Vec<Arc<Transition>>,
+    reusable: Vec<Arc<Transition>>,
 }
 
 impl Workspace {
@@ -141,11 +141,11 @@ impl Preparer {
         Ok(preparer)
     }
 
-    fn made(model: &Model, alpha: &Alpha, free: Vec<bool>, brought: bool) -> Result<Preparer, Box<Fault>> {
+    fn made(model: &Model, alpha: &Alpha, free: Vec<bool>, has_per_test_law: bool) -> Result<Preparer, Box<Fault>> {
         let at = ModelAt { model, alpha, free: &free };
         let dynamics = Dynamics::new(&at)?;
         let mut start = ModelStart::new(&at, &dynamics)?;
-        start.brought = brought;
+        start.has_per_test_law = has_per_test_law;
         let order = Order::new(&at, &dynamics, &start);
         let meters = Meters::new(&at, &order.place)?;
         let settled = !dynamics.table.varying.iter().any(|(slot, ..)| start.needs(*slot))
@@ -156,17 +156,17 @@ impl Preparer {
         } else {
             None
         };
-        let (mut shape, mut drive) = meters.uses(alpha);
-        dynamics.table.varying.iter().for_each(|(_, coefficient, _)| shape.add(coefficient, alpha));
-        dynamics.inputs.varying.iter().for_each(|(_, coefficient, _)| drive.add(coefficient, alpha));
-        let looks = looks(&at, (&shape, &drive), (&dynamics, &start, &meters));
+        let (mut design_columns, mut input_columns) = meters.uses(alpha);
+        dynamics.table.varying.iter().for_each(|(_, coefficient, _)| design_columns.add(coefficient, alpha));
+        dynamics.inputs.varying.iter().for_each(|(_, coefficient, _)| input_columns.add(coefficient, alpha));
+        let read_cells = read_cells(&at, (&design_columns, &input_columns), (&dynamics, &start, &meters));
         Ok(Preparer {
-            plain: shape.is_empty() && drive.is_empty() && meters.can_repeat(),
-            shape,
-            drive,
-            quick: dynamics.components.iter().all(|component| component.states.len() == 1),
-            columnwise: !dynamics.mixes_on_rows(),
-            steady: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
+            only_values: design_columns.is_empty() && input_columns.is_empty() && meters.can_repeat(),
+            design_columns,
+            input_columns,
+            without_exponentials: dynamics.components.iter().all(|component| component.states.len() == 1),
+            columnwise: !dynamics.correlation_varies(),
+            fixed_dynamics: dynamics.table.varying.is_empty() && dynamics.inputs.varying.is_empty(),
             model: model.clone(),
             alpha: alpha.clone(),
             free,
@@ -176,7 +176,7 @@ impl Preparer {
             order,
             meters,
             law,
-            cell_mask: looks,
+            cell_mask: read_cells,
             transitions: SharedStore::new(TRANSITION_BYTES),
             steps: None,
             computed: AtomicU64::new(0),
@@ -221,7 +221,7 @@ impl Preparer {
             gains: GainsWork::default(),
             pass: DataWorkspace::default(),
             block: DataBlock::new(Isa::best().into()),
-            room: DataWorkspace::default(),
+            scratch: DataWorkspace::default(),
             spans: Vec::new(),
             whole: GatheredCells::default(),
             step: GatheredCells::default(),
@@ -229,7 +229,7 @@ impl Preparer {
             filled: Filled::default(),
             key: Vec::new(),
             last: None,
-            spare: Vec::new(),
+            reusable: Vec::new(),
         }
     }
 
@@ -255,7 +255,7 @@ impl Preparer {
             first += span.count;
         }
         self.covariates(&at, work)?;
-        self.begin(&at, test, work)?;
+        self.write_start(&at, test, work)?;
         let mut source = 0..0; // rows of the step before
         for at_span in 0..work.spans.len() {
             let span = work.spans[at_span].clone();
@@ -296,7 +296,7 @@ impl Preparer {
                 source = rows.clone();
             }
             let moment = StepRows { rows: rows.clone(), source, dt: span.dt, moves: span.moves };
-            let again = number > 0 && self.shape.repeat(test, &rows);
+            let again = number > 0 && self.design_columns.repeat(test, &rows);
             repeats = if again { repeats + 1 } else { 0 };
             // where inputs are read from the row before, that row must repeat too
             let enough = repeats > usize::from(self.clock_previous());
@@ -305,7 +305,7 @@ impl Preparer {
             }
             source = rows;
             number += 1;
-            if self.plain && height == 1 && number < span.count {
+            if self.only_values && height == 1 && number < span.count {
                 number += self.repeat_values(test, source.end, span.count - number, work);
             }
         }
@@ -355,8 +355,8 @@ impl Preparer {
         work: &mut Workspace,
     ) -> Result<bool, Box<Fault>> {
         let (driven, height) = (self.order.frame.driven.len(), moment.rows.len());
-        let driven_on = !self.drive.is_empty();
-        let fresh = driven_on && !self.drive.repeat(test, &moment.rows);
+        let driven_on = !self.input_columns.is_empty();
+        let fresh = driven_on && !self.input_columns.repeat(test, &moment.rows);
         // the row before may be the first one with its cells, so that its inputs are new
         let fresh_inputs = fresh || (driven_on && self.clock_previous());
         let inputs = work.data.inputs.len();
@@ -381,16 +381,16 @@ impl Preparer {
     }
 
     /// Writes a and P0 of a test into the work space.
-    fn begin(&self, at: &ModelAt<'_>, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
+    fn write_start(&self, at: &ModelAt<'_>, test: &Test, work: &mut Workspace) -> Result<(), Box<Fault>> {
         let own;
         let law = match &self.law {
             Some(law) => law,
             None => {
                 let dt = work.spans[0].dt;
-                if self.start.settles() {
+                if self.start.has_stationary_states() {
                     let rows = work.spans[0].step(0);
                     let moment = StepRows { source: rows.clone(), rows, dt, moves: true };
-                    self.evaluate(at, test, &moment, work, Preparer::settling)?;
+                    self.evaluate(at, test, &moment, work, Preparer::stationary_coefficients)?;
                 }
                 let scope =
                     Scope { numbers: &work.whole.numbers, texts: &work.whole.texts, step: dt, alpha: &self.alpha };

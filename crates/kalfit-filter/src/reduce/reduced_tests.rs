@@ -1,6 +1,6 @@
 //! Results of tests, in the order in which the tests are finished.
 
-use crate::reduce::reducer::ToEnd;
+use crate::reduce::reducer::ReducedWithEnd;
 use crate::reduce::terminal::TerminalState;
 use crate::reduce::{ReduceError, Reductions};
 
@@ -13,14 +13,14 @@ pub(crate) struct ReducedTests {
     /// Last state of each test; empty where last states are not requested.
     pub(crate) terminals: Vec<TerminalState>,
     /// Numbers of the tests that the scalar path must reduce one by one.
-    pub(crate) odd: Vec<usize>,
+    pub(crate) exceptional: Vec<usize>,
     /// (number, error) of the tests in error.
     pub(crate) faults: Vec<(usize, ReduceError)>,
 }
 
 impl ReducedTests {
     /// Adds the result of a test that was reduced alone.
-    pub(crate) fn note(&mut self, number: usize, found: ToEnd) {
+    pub(crate) fn note(&mut self, number: usize, found: ReducedWithEnd) {
         match found {
             Ok((reduction, end)) => {
                 self.reductions.push(reduction);
@@ -37,7 +37,7 @@ impl ReducedTests {
         for other in others {
             self.numbers.extend(other.numbers);
             self.terminals.extend(other.terminals);
-            self.odd.extend(other.odd);
+            self.exceptional.extend(other.exceptional);
             self.faults.extend(other.faults);
             parts.push(other.reductions);
         }
@@ -62,8 +62,8 @@ impl ReducedTests {
     }
 
     /// The result of each test, by number; `tests`: number of tests.
-    pub(crate) fn by_number(self, tests: usize) -> Vec<ToEnd> {
-        let mut all: Vec<Option<ToEnd>> = (0..tests).map(|_| None).collect();
+    pub(crate) fn by_number(self, tests: usize) -> Vec<ReducedWithEnd> {
+        let mut all: Vec<Option<ReducedWithEnd>> = (0..tests).map(|_| None).collect();
         let mut terminals = self.terminals.into_iter();
         for (row, &number) in self.reductions.iter().zip(&self.numbers) {
             all[number] = Some(Ok((row.into(), terminals.next())));

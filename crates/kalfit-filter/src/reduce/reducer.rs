@@ -27,7 +27,7 @@ use kalfit_model::{Alpha, Model, Slots};
 /// Most bytes of design classes that are cached: tests of one design share its covariance filter while the classes fit.
 const CLASS_BYTES: usize = 256 << 20;
 /// Bytes of design classes beyond which a class is cached only when a second test has it.
-const EAGER_BYTES: usize = 256 << 10;
+const KEEP_ON_FIRST_USE_BYTES: usize = 256 << 10;
 
 /// Reduces the tests of a model at α.
 ///
@@ -49,7 +49,7 @@ pub struct Reducer {
 }
 
 /// A reduction, and the last state of its test where that is requested.
-pub(crate) type ToEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
+pub(crate) type ReducedWithEnd = Result<(Reduction, Option<TerminalState>), ReduceError>;
 
 /// The parts of a reduction that do not depend on measured values.
 #[derive(Debug)]
@@ -66,7 +66,7 @@ pub(crate) struct ReductionHeader<'a> {
 impl<'a> ReductionHeader<'a> {
     /// The header of the reduction of a test with these gains.
     pub(crate) fn new(gains: &'a Gains, covariates: &'a [f64], (steps, digest): (usize, u128)) -> ReductionHeader<'a> {
-        let path = if gains.turns.is_some() { Path::SquareRoot } else { Path::Information };
+        let path = if gains.rotations.is_some() { Path::SquareRoot } else { Path::Information };
         ReductionHeader { factor: &gains.factor, covariates, steps, observations: gains.active, path, digest }
     }
 
@@ -106,7 +106,7 @@ impl Reducer {
     /// A reducer of a model at α. An error when some coefficient has no value, whatever the data are.
     pub fn new(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::new(model, alpha).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
+        Ok(Reducer::of(preparer, SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES)))
     }
 
     /// A reducer for scores: coefficients that depend on free values are retained even where they are zero at this α,
@@ -121,13 +121,13 @@ impl Reducer {
     /// are not cached.
     pub(crate) fn passing(model: &Model, alpha: &Alpha, slots: &Slots) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::with_free(model, alpha, slots.free()).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
+        Ok(Reducer::of(preparer, SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES)))
     }
 
     /// A reducer of tests that each come with a law of their estimated states, so that no state is unknown.
     pub(crate) fn of_known_starts(model: &Model, alpha: &Alpha) -> Result<Reducer, ReduceError> {
         let preparer = Preparer::of_known_starts(model, alpha).map_err(|fault| fault.name(model, None))?;
-        Ok(Reducer::of(preparer, SharedStore::patient(CLASS_BYTES, EAGER_BYTES)))
+        Ok(Reducer::of(preparer, SharedStore::with_second_use_policy(CLASS_BYTES, KEEP_ON_FIRST_USE_BYTES)))
     }
 
     /// Reuses the known steps of the tests of one ensemble, and adds the steps that it finds to them. The reducer must
@@ -192,10 +192,10 @@ impl Reducer {
             if gains.factor.iter().any(|x| !x.is_finite()) {
                 return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
             }
-            let exact = gains.turns.as_ref().and_then(|turns| turns.exact.blank());
+            let exact = gains.rotations.as_ref().and_then(|rotations| rotations.exact.blank());
             let outcome = Outcome { data: vec![0.0; work.design.frame.p], exact, ..Outcome::default() };
-            let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
-            Ok(Reduction { residual: None, ..about.reduction(test, &outcome).into() })
+            let header = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
+            Ok(Reduction { residual: None, ..header.reduction(test, &outcome).into() })
         })
     }
 
@@ -237,7 +237,7 @@ impl Reducer {
         pass: impl FnOnce(&Gains, &mut Workspace) -> T,
     ) -> Result<T, ReduceError> {
         let class = self.class(work.design.digest(), work, false);
-        let gains = self.sound(&class, (test, &work.instances)).map_err(|fault| self.named(*fault, test))?;
+        let gains = self.valid_gains(&class, (test, &work.instances)).map_err(|fault| self.named(*fault, test))?;
         Ok(pass(gains, work))
     }
 
@@ -257,7 +257,7 @@ impl Reducer {
     }
 
     /// The reduction of a test, and its last state where that is requested.
-    pub(crate) fn to_end(&self, test: &Test, work: &mut Workspace) -> ToEnd {
+    pub(crate) fn reduce_to_end(&self, test: &Test, work: &mut Workspace) -> ReducedWithEnd {
         let (reduction, class) = self.reduce_one(test, work)?;
         Ok((reduction, self.ending(&class, work.pass.x.iter().copied())))
     }
@@ -282,7 +282,7 @@ impl Reducer {
         let found = self.preparer.prepare(test, work).and_then(|()| {
             let digest = work.design.digest();
             let class = self.class(digest, work, by_root);
-            let gains = self.sound(&class, (test, &work.instances))?;
+            let gains = self.valid_gains(&class, (test, &work.instances))?;
             Ok((reduce(digest, gains, work)?, class))
         });
         found.map_err(|fault| self.named(*fault, test))
@@ -290,13 +290,13 @@ impl Reducer {
 
     /// The gains of a class, or its fault. A noise that is zero at these free values but not at others makes no exact
     /// rows but a fault: ℓ is maximised over values where that noise is positive.
-    fn sound<'c>(
+    fn valid_gains<'c>(
         &self,
         class: &'c DesignClass,
         (test, instances): (&Test, &Instances),
     ) -> Result<&'c Gains, Box<Fault>> {
         let gains = class.gains().as_ref().map_err(|&error| root_fault(error))?;
-        let exact = gains.turns.iter().flat_map(|turns| turns.exact.rows());
+        let exact = gains.rotations.iter().flat_map(|rotations| rotations.exact.rows());
         match exact.map(|row| instances.get(row)).find(|instance| self.preparer.has_free_noise(test, *instance)) {
             Some(Instance { meter, row }) => {
                 Err(Fault::new(Subject::Value(meter), ReduceErrorKind::ExactMeasurement).on(row))
@@ -319,8 +319,8 @@ impl Reducer {
         if !outcome.is_finite() {
             return Err(Fault::new(Subject::Test, ReduceErrorKind::NotFinite));
         }
-        let about = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
-        Ok(self.counted_reduction(test, &outcome, about).into())
+        let header = ReductionHeader::new(gains, &work.covariates, (work.design.steps(), digest));
+        Ok(self.counted_reduction(test, &outcome, header).into())
     }
 
     /// The reduction of a test; counts its data pass.
@@ -328,10 +328,10 @@ impl Reducer {
         &self,
         test: &'a Test,
         outcome: &'a Outcome,
-        about: ReductionHeader<'a>,
+        header: ReductionHeader<'a>,
     ) -> ReductionRef<'a> {
         self.data_runs.fetch_add(1, Ordering::Relaxed);
-        about.reduction(test, outcome)
+        header.reduction(test, outcome)
     }
 
     /// The error of a fault of a test, with names.
@@ -365,7 +365,7 @@ impl Reducer {
 
 /// Computes the innovations of the test in the work space for σ = 0 into `pass.e`, and x̂_K into `pass.x`, with the
 /// same bits as in lanes.
-pub fn own_innovations(gains: &Gains, work: &mut Workspace) {
+pub fn single_test_innovations(gains: &Gains, work: &mut Workspace) {
     let Workspace { design, data, pass, .. } = work;
     innovations((design, gains), data, pass, &mut ());
 }

@@ -134,7 +134,7 @@ impl Reductions {
     /// Adds a test.
     pub fn push(&mut self, reduction: Reduction) {
         self.put(reduction.view());
-        self.put_apart(reduction.chain, reduction.exact);
+        self.put_chain_and_exact(reduction.chain, reduction.exact);
     }
 
     /// Adds all tests of `others`.
@@ -301,7 +301,7 @@ impl Reductions {
     }
 
     /// Sets the chain and the exact rows of the last test.
-    pub(super) fn put_apart(&mut self, chain: Option<Box<Chain>>, exact: Option<Box<ExactRows>>) {
+    pub(super) fn put_chain_and_exact(&mut self, chain: Option<Box<Chain>>, exact: Option<Box<ExactRows>>) {
         let last = self.len() - 1;
         self.chains.set(last, chain);
         self.exact.set(last, exact);
@@ -369,7 +369,7 @@ impl<'a> FromIterator<ReductionRef<'a>> for Reductions {
         let mut reductions = Reductions::new();
         for one in all {
             reductions.put(one);
-            reductions.put_apart(one.chain.cloned().map(Box::new), one.exact.cloned().map(Box::new));
+            reductions.put_chain_and_exact(one.chain.cloned().map(Box::new), one.exact.cloned().map(Box::new));
         }
         reductions
     }

@@ -6,12 +6,12 @@ use crate::reduce::cell_mask::CellMask;
 use kalfit_model::Test;
 
 /// Number of adjacent tests that are compared as one task.
-const SHARE: usize = 256;
+const TESTS_PER_TASK: usize = 256;
 
 /// Fewest successive tests whose sets are reduced together, chosen so that their cells stay in the caches.
-const LIST: usize = 1 << 11;
+const LEAST_LIST_TESTS: usize = 1 << 11;
 /// Fewest successive tests reduced together, per set of replicates: one test of each set is evaluated for each list.
-const LARGE: usize = 64;
+const LEAST_TESTS_PER_SET: usize = 64;
 
 /// Some tests of an ensemble, by number, each in a set of replicates or alone. The sets depend only on the cells of the
 /// tests.
@@ -46,7 +46,7 @@ impl Replicates {
             }
             let differs = |&number: &usize| {
                 let first = firsts[number];
-                (first != number && !mask.has_same(tests[number], tests[first])).then_some(number)
+                (first != number && !mask.agrees_on(tests[number], tests[first])).then_some(number)
             };
             left = left.par_iter().filter_map(differs).collect();
             left.iter().for_each(|&number| firsts[number] = number);
@@ -110,7 +110,7 @@ impl Replicates {
     /// The parts of all sets in ranges of successive tests, one list for each range. A range has far more tests than
     /// there are sets.
     pub(crate) fn lists(&self) -> Vec<Vec<&[usize]>> {
-        let long = LIST.max(LARGE * self.sets.len());
+        let long = LEAST_LIST_TESTS.max(LEAST_TESTS_PER_SET * self.sets.len());
         let last = self.sets.iter().filter_map(|set| set.last()).max();
         let mut lists = vec![Vec::new(); last.map_or(0, |last| last / long + 1)];
         for part in self.sets.iter().flat_map(|set| set.chunk_by(|a, b| a / long == b / long)) {
@@ -124,9 +124,9 @@ impl Replicates {
 /// adjacent.
 fn neighbours(mask: &CellMask, tests: &[&Test]) -> Vec<usize> {
     let mut firsts: Vec<usize> = (0..tests.len()).collect();
-    firsts.par_chunks_mut(SHARE).for_each(|some| {
+    firsts.par_chunks_mut(TESTS_PER_TASK).for_each(|some| {
         for k in 1..some.len() {
-            if mask.has_same(tests[some[k]], tests[some[k - 1]]) {
+            if mask.agrees_on(tests[some[k]], tests[some[k - 1]]) {
                 some[k] = some[k - 1];
             }
         }
@@ -212,7 +212,7 @@ mod tests {
         let lists = all.lists();
         assert_eq!(lists.iter().map(Vec::len).collect::<Vec<_>>(), [2, 2, 2, 1, 1]);
         for (at, list) in lists.iter().enumerate() {
-            assert!(list.concat().iter().all(|number| number / LIST == at), "list {at}");
+            assert!(list.concat().iter().all(|number| number / LEAST_LIST_TESTS == at), "list {at}");
         }
         assert_eq!(lists.concat().concat().len(), 2500 + 4999);
     }

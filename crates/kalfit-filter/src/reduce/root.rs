@@ -18,7 +18,7 @@ use kalfit_algebra::fold::{Rotation, fold, fold_row, norm};
 
 /// A noise-free measurement counts as known already when its prior standard deviation is at most this fraction of that
 /// without measurements.
-const KNOWN: f64 = 1e-12;
+const KNOWN_FRACTION: f64 = 1e-12;
 /// A diagonal entry of R up to this fraction of the norm of its column counts as zero information.
 pub(crate) const UNINFORMED: f64 = 1e-13;
 
@@ -40,8 +40,8 @@ struct RootFilter<'a> {
     /// Ψ, n × p, row-major.
     Psi: Vec<f64>,
     /// P and Ψ as they would be without measurements: the scale on which a number counts as zero.
-    open_P: Vec<f64>,
-    open_Psi: Vec<f64>,
+    unmeasured_P: Vec<f64>,
+    unmeasured_Psi: Vec<f64>,
     /// R, p × p, row-major.
     R: Vec<f64>,
     work: Vec<f64>,
@@ -61,11 +61,11 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths:
         factor: Vec::with_capacity(p * (p + 1) / 2),
         log_determinant: 0.0,
         active: 0,
-        turns: None,
+        rotations: None,
         end: None,
         paths: Vec::new(),
     };
-    let mut turns = FactorRotations { folds: Vec::with_capacity(p * design.rows()), ..FactorRotations::default() };
+    let mut rotations = FactorRotations { row_rotations: Vec::with_capacity(p * design.rows()), ..FactorRotations::default() };
     for stretch in design.stretches() {
         let mut path = keeps_paths.then(|| MomentPath::new(design, &stretch)).flatten();
         for step in stretch.steps() {
@@ -74,21 +74,21 @@ pub(crate) fn root_gains(design: &Design, states: Option<&[usize]>, keeps_paths:
                 filter.predict(transition)?;
             }
             for (line, row) in step.lines.zip(step.rows) {
-                filter.update(design, (line, row), &mut gains, &mut turns);
+                filter.update(design, (line, row), &mut gains, &mut rotations);
             }
         }
         filter.note(&mut path);
         gains.paths.extend(path.map(MomentPath::complete));
     }
-    settle(&mut filter.R, p, UNINFORMED, &mut turns.settle);
+    settle(&mut filter.R, p, UNINFORMED, &mut rotations.settle);
     for k in 0..p {
         gains.factor.extend((0..=k).map(|i| filter.R[i * p + k]));
     }
-    let sound = gains.log_determinant.is_finite()
+    let all_finite = gains.log_determinant.is_finite()
         && gains.gains.iter().chain(&gains.sensitivities).chain(&gains.factor).all(|x| x.is_finite());
-    gains.turns = Some(turns);
+    gains.rotations = Some(rotations);
     gains.end = states.map(|states| Arc::new(TerminalRoot::new(states, &filter.Psi, &filter.U, r)));
-    if sound { Ok(gains) } else { Err(RootError::NotFinite) }
+    if all_finite { Ok(gains) } else { Err(RootError::NotFinite) }
 }
 
 impl<'a> RootFilter<'a> {
@@ -98,8 +98,8 @@ impl<'a> RootFilter<'a> {
             frame,
             U: root(&design.variance, frame.r).map_err(RootError::NotSemidefinite)?,
             Psi: frame.sensitivity.clone(),
-            open_P: design.variance.clone(),
-            open_Psi: frame.sensitivity.clone(),
+            unmeasured_P: design.variance.clone(),
+            unmeasured_Psi: frame.sensitivity.clone(),
             R: vec![0.0; frame.p * frame.p],
             work: Vec::new(),
         })
@@ -118,12 +118,12 @@ impl<'a> RootFilter<'a> {
     fn predict(&mut self, transition: &Transition) -> Result<(), RootError> {
         let (p, r) = (self.frame.p, self.frame.r);
         kernel::advance(&mut self.Psi, p, transition.view(), &mut self.work);
-        kernel::advance(&mut self.open_Psi, p, transition.view(), &mut self.work);
+        kernel::advance(&mut self.unmeasured_Psi, p, transition.view(), &mut self.work);
         let still = transition.pattern.moved.first().is_none_or(|row| row.state as usize >= r);
         if still && transition.pattern.pairs.is_empty() {
             return Ok(());
         }
-        kernel::predict(&mut self.open_P, r, transition.view(), &mut self.work);
+        kernel::predict(&mut self.unmeasured_P, r, transition.view(), &mut self.work);
         let mut rows = self.U.clone();
         for (row, old) in rows.chunks_exact_mut(r).zip(self.U.chunks_exact(r)) {
             for moved in transition.pattern.moved.iter().take_while(|moved| (moved.state as usize) < r) {
@@ -142,7 +142,7 @@ impl<'a> RootFilter<'a> {
         Ok(())
     }
 
-    fn update(&mut self, design: &Design, (line, row): (usize, usize), gains: &mut Gains, turns: &mut FactorRotations) {
+    fn update(&mut self, design: &Design, (line, row): (usize, usize), gains: &mut Gains, rotations: &mut FactorRotations) {
         let (p, r) = (self.frame.p, self.frame.r);
         let (states, h) = design.terms(line);
         let noise = design.noise[line];
@@ -155,35 +155,35 @@ impl<'a> RootFilter<'a> {
         let spread = |u: &[f64]| inner.iter().zip(h_inner).map(|(&state, h)| h * u[state as usize]).sum::<f64>();
         let w: Vec<f64> = self.U.chunks_exact(r.max(1)).map(spread).collect();
         if noise == 0.0 {
-            let open: f64 = inner
+            let unmeasured: f64 = inner
                 .iter()
                 .zip(h_inner)
-                .map(|(&i, h)| h.abs() * self.open_P[i as usize * (r + 1)].max(0.0).sqrt())
+                .map(|(&i, h)| h.abs() * self.unmeasured_P[i as usize * (r + 1)].max(0.0).sqrt())
                 .sum();
-            if w.iter().fold(0.0, |sum: f64, &w| sum.hypot(w)) <= KNOWN * open {
+            if w.iter().fold(0.0, |sum: f64, &w| sum.hypot(w)) <= KNOWN_FRACTION * unmeasured {
                 let terms = self.terms(states, h);
                 let sensitive = T.iter().zip(&terms).any(|(T, terms)| T.abs() > INSENSITIVE * terms);
-                if sensitive && turns.exact.take(row, T, terms) {
+                if sensitive && rotations.exact.take(row, T, terms) {
                     gains.active += 1;
                 }
-                turns.folds.extend((0..p).map(|_| (1.0, 0.0)));
+                rotations.row_rotations.extend((0..p).map(|_| (1.0, 0.0)));
                 T.fill(0.0);
                 return;
             }
         }
-        let deviation = self.take_in(&w, noise.sqrt(), K);
+        let deviation = self.update_root(&w, noise.sqrt(), K);
         *weight = 1.0 / deviation / deviation;
         gains.log_determinant += 2.0 * deviation.ln();
         gains.active += 1;
         kernel::correct(p, K, T, &mut self.Psi);
         self.work.clear();
         self.work.extend(T.iter().map(|T| T / deviation));
-        fold_row(&mut self.R, &mut self.work, |_, turn| turns.folds.push((turn.c, turn.s)));
+        fold_row(&mut self.R, &mut self.work, |_, turn| rotations.row_rotations.push((turn.c, turn.s)));
     }
 
     /// Carlson's update of U for a measurement with w = Uh and noise deviation `rho`: rotates the row [√R | 0] with the
     /// rows [w_j | U_j] until all w_j are zero. Returns √S, and writes the gain to `K`.
-    fn take_in(&mut self, w: &[f64], mut rho: f64, K: &mut [f64]) -> f64 {
+    fn update_root(&mut self, w: &[f64], mut rho: f64, K: &mut [f64]) -> f64 {
         let r = K.len();
         K.fill(0.0);
         for j in (0..r).rev() {
@@ -200,7 +200,7 @@ impl<'a> RootFilter<'a> {
     /// Size of the terms of each entry of T: with Ψ as it is, and with Ψ as it would be without measurements.
     fn terms(&self, states: &[u32], h: &[f64]) -> Vec<f64> {
         let p = self.frame.p;
-        let size = |at: usize| self.Psi[at].abs() + self.open_Psi[at].abs();
+        let size = |at: usize| self.Psi[at].abs() + self.unmeasured_Psi[at].abs();
         let of = |c: usize| states.iter().zip(h).map(|(&i, h)| h.abs() * size(i as usize * p + c)).sum();
         (0..p).map(of).collect()
     }
@@ -226,7 +226,7 @@ pub(crate) fn settle(R: &mut [f64], p: usize, part: f64, settle: &mut Vec<RankOp
                 (R[k * p + c], R[i * p + c]) = turn.turn(R[k * p + c], R[i * p + c]);
             }
             R[i * p + k] = 0.0;
-            settle.push(RankOperation::Turn { k, i, c: turn.c, s: turn.s });
+            settle.push(RankOperation::Rotate { k, i, c: turn.c, s: turn.s });
         }
         settle.push(RankOperation::Drop { i });
     }

@@ -3,13 +3,13 @@
 #![expect(non_snake_case, reason = "the letters of the theory: K, h, phi, T")]
 
 use crate::reduce::design::{Design, Stretch};
-use crate::reduce::equal_steps::FEW;
+use crate::reduce::equal_steps::MAX_UNSCANNED_STEPS;
 use crate::reduce::gains::{GainSpan, Gains};
 use kalfit_lanes::{Lanes, Part, Real};
 
 /// Number of steps whose terms are summed before they are added to the total: rounding then grows with the number of
 /// blocks, not of steps.
-pub(crate) const BLOCK: usize = 512;
+pub(crate) const STEPS_PER_SUM: usize = 512;
 
 /// A step of one scalar measurement z = h'x + v: x ← φx + c + Ke on the N moving states, e = z - h'(φx + c) - d. Tests
 /// in lanes share φ and h.
@@ -65,7 +65,7 @@ const MOST_MOVING: usize = 6;
 
 /// Number of moving states of a stretch that is scanned; `None` for any other stretch.
 pub(crate) fn scanned(design: &Design, stretch: &Stretch<'_>) -> Option<usize> {
-    design.equal_moving(stretch, FEW).filter(|&states| states <= MOST_MOVING)
+    design.moving_in_equal_steps(stretch, MAX_UNSCANNED_STEPS).filter(|&states| states <= MOST_MOVING)
 }
 
 /// [`Scan`] with `N` moving states.
@@ -89,7 +89,7 @@ impl<T: Lanes, const N: usize> Part for ScanKernel<'_, T, N> {
         let (mut x, mut K) = ([T::splat(0.0); N], [0.0; N]);
         x.copy_from_slice(&all[..N]);
         let (first, r, count) = (stretch.rows.start, design.frame.r, stretch.count);
-        let moving = piece.moving_gains(first).min(count);
+        let moving = piece.steps_to_steady_gains(first).min(count);
         let block = marks.as_ref().map_or(count, |(_, block)| *block).max(1);
         for from in (0..count).step_by(block) {
             if let Some((marks, _)) = &mut marks {

@@ -67,7 +67,7 @@ impl GainSchedule {
             factor,
             log_determinant,
             active,
-            turns: None,
+            rotations: None,
             end: None,
             paths: self.paths,
         })

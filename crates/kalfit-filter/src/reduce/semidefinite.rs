@@ -1,11 +1,11 @@
 //! Factors of positive semidefinite matrices that may be singular.
 
 /// A pivot below minus this fraction of its variance is negative beyond rounding.
-const NEGATIVE: f64 = 1e-12;
+const NEGATIVE_PIVOT: f64 = 1e-12;
 /// A pivot up to this fraction of its variance counts as zero.
-const ZERO: f64 = 1e-14;
-/// Largest covariance that a zero pivot allows, as a fraction of the product of the standard deviations: √[`NEGATIVE`].
-const COUPLING: f64 = 1e-6;
+const ZERO_PIVOT: f64 = 1e-14;
+/// Largest covariance that a zero pivot allows, as a fraction of the product of the standard deviations: √[`NEGATIVE_PIVOT`].
+const ZERO_PIVOT_CORRELATION: f64 = 1e-6;
 
 /// The matrix is not positive semidefinite.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,17 +23,17 @@ pub fn ldl(a: &mut [f64], m: usize) -> Result<(), NotSemidefinite> {
         for k in 0..j {
             pivot -= a[j * m + k] * a[j * m + k] * a[k * m + k];
         }
-        if variance < 0.0 || pivot < -NEGATIVE * variance {
+        if variance < 0.0 || pivot < -NEGATIVE_PIVOT * variance {
             return Err(NotSemidefinite { left: pivot, variance });
         }
-        let singular = pivot <= ZERO * variance;
+        let singular = pivot <= ZERO_PIVOT * variance;
         a[j * m + j] = if singular { 0.0 } else { pivot };
         for i in j + 1..m {
             let mut below = a[i * m + j];
             for k in 0..j {
                 below -= a[i * m + k] * a[j * m + k] * a[k * m + k];
             }
-            if singular && below.abs() > COUPLING * (variance * a[i * m + i].max(0.0)).sqrt() {
+            if singular && below.abs() > ZERO_PIVOT_CORRELATION * (variance * a[i * m + i].max(0.0)).sqrt() {
                 return Err(NotSemidefinite { left: -below.abs(), variance });
             }
             a[i * m + j] = if singular { 0.0 } else { below / pivot };

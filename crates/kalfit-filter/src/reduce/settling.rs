@@ -4,13 +4,13 @@
 /// Least number of steps before P and Ψ are first compared, and between successive looks.
 const WINDOW: usize = 32;
 /// Divisor of the number of steps so far that gives the number of steps to the next look.
-const PART: usize = 4;
+const LOOK_DIVISOR: usize = 4;
 /// Relative change that counts as none over a window of w steps: w × CREEP, but at least LEAST and at most MOST.
-const CREEP: f64 = 1e-17;
-const LEAST: f64 = 1e-15;
-const MOST: f64 = 1e-13;
+const CHANGE_PER_STEP: f64 = 1e-17;
+const LEAST_CHANGE: f64 = 1e-15;
+const MOST_CHANGE: f64 = 1e-13;
 /// A sensitivity below this fraction of its largest magnitude so far is compared on the scale of that fraction.
-const FADED: f64 = 1e-3;
+const FADED_FRACTION: f64 = 1e-3;
 
 /// Which quantities have stopped changing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,7 +73,7 @@ impl SteadyStateMonitor {
         if step < self.next {
             return frozen;
         }
-        let slack = ((step - self.last) as f64 * CREEP).clamp(LEAST, MOST);
+        let slack = ((step - self.last) as f64 * CHANGE_PER_STEP).clamp(LEAST_CHANGE, MOST_CHANGE);
         let first = self.last == 0;
         for (peak, x) in self.peaks.iter_mut().zip(Psi) {
             *peak = peak.max(x.abs());
@@ -89,7 +89,7 @@ impl SteadyStateMonitor {
         self.Psi.clear();
         self.Psi.extend_from_slice(Psi);
         self.last = step;
-        self.next = step + WINDOW.max(step / PART);
+        self.next = step + WINDOW.max(step / LOOK_DIVISOR);
         frozen
     }
 
@@ -105,7 +105,7 @@ impl SteadyStateMonitor {
 
     fn sensitivity_rests(&self, Psi: &[f64], slack: f64) -> bool {
         Psi.iter().zip(&self.Psi).zip(&self.peaks).all(|((&now, &before), &peak)| {
-            let size = now.abs().max(peak * FADED);
+            let size = now.abs().max(peak * FADED_FRACTION);
             (now - before).abs() <= size * slack
         })
     }

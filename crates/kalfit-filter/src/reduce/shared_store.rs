@@ -13,32 +13,32 @@ pub(crate) struct SharedStore<K, V> {
     bytes: AtomicUsize,
     limit: usize,
     /// Bytes beyond which only keys that are requested a second time are stored.
-    eager: usize,
+    first_use_bytes: usize,
 }
 
 #[derive(Debug)]
 struct StoreShard<K, V> {
     entries: HashMap<u128, Arc<StoreEntry<K, V>>, DigestHasher>,
     /// Upper halves of digests that were requested once.
-    noted: HashSet<u64, DigestHasher>,
+    requested: HashSet<u64, DigestHasher>,
     /// Upper halves of digests that [`SharedStore::is_new`] was given.
-    told: HashSet<u64, DigestHasher>,
+    seen: HashSet<u64, DigestHasher>,
 }
 
 impl<K, V> Default for StoreShard<K, V> {
     fn default() -> StoreShard<K, V> {
-        StoreShard { entries: HashMap::default(), noted: HashSet::default(), told: HashSet::default() }
+        StoreShard { entries: HashMap::default(), requested: HashSet::default(), seen: HashSet::default() }
     }
 }
 
 /// A hasher for digests, which are mixed already.
-type DigestHasher = BuildHasherDefault<Half>;
+type DigestHasher = BuildHasherDefault<UpperHalf>;
 
 /// The upper half of a digest: the lower one selects the shard.
 #[derive(Debug, Default)]
-struct Half(u64);
+struct UpperHalf(u64);
 
-impl Hasher for Half {
+impl Hasher for UpperHalf {
     fn finish(&self) -> u64 {
         self.0
     }
@@ -62,21 +62,21 @@ fn upper_half(digest: u128) -> u64 {
 }
 
 /// Most digests that a shard remembers in each of its sets.
-const NOTED: usize = 1 << 15;
+const MOST_REMEMBERED: usize = 1 << 15;
 
 impl<K, V> StoreShard<K, V> {
     /// Whether a digest was requested before; it counts as requested from now on.
     fn is_known(&mut self, digest: u128) -> bool {
-        !note(&mut self.noted, digest)
+        !remember(&mut self.requested, digest)
     }
 }
 
 /// Remembers a digest; true where it was new.
-fn note(noted: &mut HashSet<u64, DigestHasher>, digest: u128) -> bool {
-    if noted.len() >= NOTED {
-        noted.clear();
+fn remember(requested: &mut HashSet<u64, DigestHasher>, digest: u128) -> bool {
+    if requested.len() >= MOST_REMEMBERED {
+        requested.clear();
     }
-    noted.insert(upper_half(digest))
+    requested.insert(upper_half(digest))
 }
 
 /// A key and its value.
@@ -95,19 +95,19 @@ impl<K, V> StoreEntry<K, V> {
 impl<K, V> SharedStore<K, V> {
     /// A store that keeps all values up to its limit.
     pub(crate) fn new(limit: usize) -> SharedStore<K, V> {
-        SharedStore::patient(limit, limit)
+        SharedStore::with_second_use_policy(limit, limit)
     }
 
-    /// A store that, beyond `eager` bytes, keeps only values requested a second time: where most values are used once,
+    /// A store that, beyond `first_use_bytes` bytes, keeps only values requested a second time: where most values are used once,
     /// it keeps the others and does not fill memory.
-    pub(crate) fn patient(limit: usize, eager: usize) -> SharedStore<K, V> {
-        SharedStore { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, eager }
+    pub(crate) fn with_second_use_policy(limit: usize, first_use_bytes: usize) -> SharedStore<K, V> {
+        SharedStore { shards: (0..16).map(|_| Mutex::default()).collect(), bytes: AtomicUsize::new(0), limit, first_use_bytes }
     }
 
     /// True where this function was not given the digest before, whether or not its key is stored. A shard forgets all
-    /// digests when it has [`NOTED`] of them.
+    /// digests when it has [`MOST_REMEMBERED`] of them.
     pub(crate) fn is_new(&self, digest: u128) -> bool {
-        note(&mut self.shard(digest).told, digest)
+        remember(&mut self.shard(digest).seen, digest)
     }
 
     fn shard(&self, digest: u128) -> MutexGuard<'_, StoreShard<K, V>> {
@@ -132,7 +132,7 @@ impl<K, V> SharedStore<K, V> {
                 found => {
                     let entry = Arc::new(StoreEntry { key: key(), value: OnceLock::new() });
                     let bytes = self.bytes.load(Ordering::Relaxed);
-                    kept = found.is_none() && bytes < self.limit && (bytes < self.eager || shard.is_known(digest));
+                    kept = found.is_none() && bytes < self.limit && (bytes < self.first_use_bytes || shard.is_known(digest));
                     if kept {
                         shard.entries.insert(digest, entry.clone());
                     }

@@ -24,7 +24,7 @@ pub struct ModelStart {
     covariance: Vec<(usize, usize, Coefficient)>,
     groups: Vec<StationaryGroup>,
     /// Whether the estimated states also have a law, which comes with each test.
-    pub(crate) brought: bool,
+    pub(crate) has_per_test_law: bool,
     /// Time of x_0.
     pub(crate) initial_time: Option<Coefficient>,
     /// Columns that must be constant within a test.
@@ -56,14 +56,14 @@ pub struct StartMoments {
 impl ModelStart {
     pub(crate) fn new(at: &ModelAt<'_>, dynamics: &Dynamics) -> Result<ModelStart, Box<Fault>> {
         let mut start = ModelStart::default();
-        let mut settled = Vec::new();
+        let mut stationary_states = Vec::new();
         for (i, state) in at.model.states.iter().enumerate() {
             if let Some(offset) = &state.offset {
                 start.offsets.push((i, at.coefficient(offset, Subject::Offset(i))?));
             }
             match &state.initial {
                 Initial::Estimated => {}
-                Initial::Stationary => settled.push(i),
+                Initial::Stationary => stationary_states.push(i),
                 Initial::Known { mean, variance } => {
                     let mean = at.coefficient(mean, Subject::InitialMean(i))?;
                     start.known.push((i, mean, at.variance(variance, Subject::InitialVariance(i))?));
@@ -88,7 +88,7 @@ impl ModelStart {
             }
             start.initial_time = Some(at.coefficient(time, Subject::InitialTime)?);
         }
-        start.groups = groups(at, dynamics, &settled)?;
+        start.groups = groups(at, dynamics, &stationary_states)?;
         let coefficients: Vec<&Coefficient> = start.coefficients().collect();
         let mut uses = Uses::default();
         coefficients.iter().for_each(|coefficient| uses.add(coefficient, at.alpha));
@@ -109,16 +109,16 @@ impl ModelStart {
     pub(crate) fn noisy(&self, estimated: &[usize]) -> Vec<usize> {
         let known = self.known.iter().filter(|(.., variance)| !variance.is_zero()).map(|&(state, ..)| state);
         let added = self.covariance.iter().flat_map(|&(i, j, _)| [estimated[i], estimated[j]]);
-        let brought = estimated.iter().copied().filter(|_| self.brought);
+        let has_per_test_law = estimated.iter().copied().filter(|_| self.has_per_test_law);
         known
             .chain(added)
-            .chain(brought)
+            .chain(has_per_test_law)
             .chain(self.groups.iter().flat_map(|group| group.states.iter().copied()))
             .collect()
     }
 
     /// True when the law needs the dynamics' coefficients.
-    pub(crate) fn settles(&self) -> bool {
+    pub(crate) fn has_stationary_states(&self) -> bool {
         !self.groups.is_empty()
     }
 
@@ -178,7 +178,7 @@ impl ModelStart {
 }
 
 /// The groups of stationary states, which must depend on each other alone.
-fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Vec<StationaryGroup>, Box<Fault>> {
+fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, stationary_states: &[usize]) -> Result<Vec<StationaryGroup>, Box<Fault>> {
     let name = |i: usize| at.model.states[i].name.clone();
     let continuous = |i: usize| matches!(at.model.states[i].motion, Motion::Continuous { .. });
     let mut motion: Vec<(usize, usize, usize)> = Vec::new();
@@ -192,13 +192,13 @@ fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Ve
     for recursion in &dynamics.recursions {
         motion.extend(recursion.terms.iter().map(|&(j, slot)| (recursion.state, j, slot)));
     }
-    if let Some(&still) = settled.iter().find(|&&i| at.model.states[i].motion == Motion::Constant) {
+    if let Some(&still) = stationary_states.iter().find(|&&i| at.model.states[i].motion == Motion::Constant) {
         let kind = ReduceErrorKind::Unstable { states: vec![name(still)] };
         return Err(Fault::new(Subject::StationaryLaw(still), kind));
     }
-    motion.retain(|(i, ..)| settled.contains(i));
+    motion.retain(|(i, ..)| stationary_states.contains(i));
     for &(i, j, _) in &motion {
-        if !settled.contains(&j) {
+        if !stationary_states.contains(&j) {
             let kind = ReduceErrorKind::StationaryOpen { state: name(i), other: name(j) };
             return Err(Fault::new(Subject::StationaryLaw(i), kind));
         }
@@ -207,7 +207,7 @@ fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Ve
             return Err(Fault::new(Subject::StationaryLaw(i), kind));
         }
     }
-    noise.retain(|(i, j, _)| settled.contains(i) && settled.contains(j));
+    noise.retain(|(i, j, _)| stationary_states.contains(i) && stationary_states.contains(j));
     let links: Vec<(usize, usize)> = motion.iter().chain(&noise).map(|&(i, j, _)| (i, j)).collect();
     let group = |states: Vec<usize>| {
         let local = |of: &[(usize, usize, usize)]| -> Vec<(usize, usize, usize)> {
@@ -218,7 +218,7 @@ fn groups(at: &ModelAt<'_>, dynamics: &Dynamics, settled: &[usize]) -> Result<Ve
         let inputs = inputs_of(dynamics, &states);
         StationaryGroup { continuous: continuous(states[0]), motion, noise, inputs, states }
     };
-    let groups: Vec<StationaryGroup> = connected(settled, &links).into_iter().map(group).collect();
+    let groups: Vec<StationaryGroup> = connected(stationary_states, &links).into_iter().map(group).collect();
     for group in &groups {
         for &(i, slot) in &group.inputs {
             if dynamics.inputs.reads_data(slot) {

@@ -32,17 +32,17 @@ impl StepSpan {
         first..first + self.height()
     }
 
-    fn takes(&self, rows: &Range<usize>) -> bool {
+    fn is_followed_by(&self, rows: &Range<usize>) -> bool {
         self.rows.end == rows.start && self.height() == rows.len()
     }
 }
 
 /// Largest error of a step's length due to rounded times, as a fraction of the larger of its two times.
-const ROUNDING: f64 = 2.0 * f64::EPSILON;
+const TIME_ROUNDING: f64 = 2.0 * f64::EPSILON;
 /// Largest rounding error, as a fraction of a step's length, at which unequal lengths may count as equal.
-const COARSE: f64 = 1e-3;
+const MOST_RELATIVE_ROUNDING: f64 = 1e-3;
 /// Least mean length of steps, in units in the last place of the times, that is accurate enough to be used.
-const FEWEST_UNITS: f64 = 16.0;
+const LEAST_STEP_UNITS: f64 = 16.0;
 
 /// Steps that are equal to within the rounding of the times: one length lies within the bounds of all of them.
 #[derive(Debug, Clone, Copy)]
@@ -89,8 +89,8 @@ impl Uniform {
 
 /// Bound on the error of a step's length due to rounded times; 0 where that is no small fraction of the length.
 fn slack(start: f64, end: f64) -> f64 {
-    let slack = ROUNDING * start.abs().max(end.abs());
-    if slack <= COARSE * (end - start) { slack } else { 0.0 }
+    let slack = TIME_ROUNDING * start.abs().max(end.abs());
+    if slack <= MOST_RELATIVE_ROUNDING * (end - start) { slack } else { 0.0 }
 }
 
 /// Writes the steps of a test to `out`; `initial` is the time of x_0.
@@ -136,14 +136,14 @@ pub(crate) fn spans(
         }
         previous = now;
     }
-    settle(uniform, out);
-    told_by(start, previous, steps)
+    set_common_length(uniform, out);
+    check_resolution(start, previous, steps)
 }
 
 /// Checks that times from `start` to `end` are accurate enough for the lengths of `steps` steps.
-fn told_by(start: f64, end: f64, steps: usize) -> Result<(), Box<Fault>> {
+fn check_resolution(start: f64, end: f64, steps: usize) -> Result<(), Box<Fault>> {
     let (step, grid) = ((end - start) / steps as f64, f64::EPSILON * start.abs().max(end.abs()));
-    if steps == 0 || step >= FEWEST_UNITS * grid {
+    if steps == 0 || step >= LEAST_STEP_UNITS * grid {
         return Ok(());
     }
     Err(Fault::new(Subject::Time, ReduceErrorKind::TimesTooLarge { time: end, grid, step }).on(0))
@@ -152,8 +152,8 @@ fn told_by(start: f64, end: f64, steps: usize) -> Result<(), Box<Fault>> {
 /// Appends a step from one time to another.
 fn append(rows: Range<usize>, (start, end): (f64, f64), uniform: &mut Option<Uniform>, out: &mut Vec<StepSpan>) {
     if !uniform.as_mut().is_some_and(|steps| steps.take(end)) {
-        settle(uniform.replace(Uniform::new(start, end, out.len())), out);
-    } else if let Some(span) = out.last_mut().filter(|span| span.takes(&rows)) {
+        set_common_length(uniform.replace(Uniform::new(start, end, out.len())), out);
+    } else if let Some(span) = out.last_mut().filter(|span| span.is_followed_by(&rows)) {
         span.rows.end = rows.end;
         span.count += 1;
         return;
@@ -162,7 +162,7 @@ fn append(rows: Range<usize>, (start, end): (f64, f64), uniform: &mut Option<Uni
 }
 
 /// Sets the length of equal steps to their common length.
-fn settle(uniform: Option<Uniform>, out: &mut [StepSpan]) {
+fn set_common_length(uniform: Option<Uniform>, out: &mut [StepSpan]) {
     if let Some(uniform) = uniform {
         out[uniform.span..].iter_mut().for_each(|span| span.dt = uniform.length());
     }
@@ -256,7 +256,7 @@ mod tests {
         for (k, pair) in times.windows(2).enumerate() {
             append(k + 1..k + 2, (pair[0], pair[1]), &mut uniform, &mut out);
         }
-        settle(uniform, &mut out);
+        set_common_length(uniform, &mut out);
         out[1..].iter().map(|span| (span.count, span.dt)).collect()
     }
 
@@ -279,12 +279,12 @@ mod tests {
     #[test]
     fn times_that_do_not_tell_their_steps_are_refused() {
         // nanoseconds since 1970: doubles of that size are 256 apart
-        assert!(told_by(1.7e18, 1.7e18 + 119e9, 119).is_ok(), "steps of a second");
+        assert!(check_resolution(1.7e18, 1.7e18 + 119e9, 119).is_ok(), "steps of a second");
         let (start, end): (f64, f64) = (1.7e18, 1.7e18 + 12e3);
-        let refused = told_by(start, end, 47).expect_err("steps of 100 ns");
+        let refused = check_resolution(start, end, 47).expect_err("steps of 100 ns");
         let kind = ReduceErrorKind::TimesTooLarge { time: end, grid: end * f64::EPSILON, step: (end - start) / 47.0 };
         assert_eq!(format!("{refused:?}"), format!("{:?}", Fault::new(Subject::Time, kind).on(0)));
-        assert!(told_by(1e18, 1e18, 0).is_ok(), "one step has no length");
+        assert!(check_resolution(1e18, 1e18, 0).is_ok(), "one step has no length");
     }
 
     #[test]

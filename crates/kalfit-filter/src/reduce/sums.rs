@@ -17,7 +17,7 @@ pub(crate) struct InformationSums<R = f64> {
     mantissa: R,
     exponent: R,
     /// Smallest accuracy margin of the updates: negative where one of them cancelled too many digits.
-    kept: R,
+    margin: R,
     /// Smallest S.
     least: R,
 }
@@ -26,13 +26,13 @@ impl<R: Real> InformationSums<R> {
     #[inline(always)]
     pub(crate) fn new(p: usize) -> InformationSums<R> {
         let (zero, one) = (R::splat(0.0), R::splat(1.0));
-        InformationSums { J: vec![zero; pairs(p)], mantissa: one, exponent: zero, kept: one, least: one }
+        InformationSums { J: vec![zero; pairs(p)], mantissa: one, exponent: zero, margin: one, least: one }
     }
 
     /// Adds the S of a row to Π S, and the row's accuracy margin to the checks.
     #[inline(always)]
-    pub(crate) fn count(&mut self, S: R, kept: R) {
-        self.kept = self.kept.minimum(kept);
+    pub(crate) fn count(&mut self, S: R, margin: R) {
+        self.margin = self.margin.minimum(margin);
         self.least = self.least.minimum(S);
         self.times_determinant(S);
     }
@@ -50,7 +50,7 @@ impl<R: Lanes> InformationSums<R> {
     pub(crate) fn lanes(&self, all: &mut Vec<f64>) {
         all.clear();
         all.resize((self.J.len() + 4) * R::COUNT, 0.0);
-        let last = [self.mantissa, self.exponent, self.kept, self.least];
+        let last = [self.mantissa, self.exponent, self.margin, self.least];
         for (k, to) in all.chunks_exact_mut(R::COUNT).enumerate() {
             let x = if k < self.J.len() { self.J[k] } else { last[k - self.J.len()] };
             x.store(to);
@@ -66,7 +66,7 @@ impl InformationSums {
         self.J.clear();
         self.J.extend((0..entries).map(at));
         (self.mantissa, self.exponent) = (at(entries), at(entries + 1));
-        (self.kept, self.least) = (at(entries + 2), at(entries + 3));
+        (self.margin, self.least) = (at(entries + 2), at(entries + 3));
     }
 
     /// (R, Σ log S), or `None` where square-root arrays are needed. `many`: (S, number of rows) of further rows.
@@ -76,8 +76,8 @@ impl InformationSums {
 
     /// As `root`, with R written to the vector `root` in place of its contents.
     pub(crate) fn root_in(&self, mut root: Vec<f64>, many: &[(f64, usize)]) -> Option<(Vec<f64>, f64)> {
-        let sound = self.kept >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
-        if !sound || !self.mantissa.is_finite() {
+        let is_accurate = self.margin >= 0.0 && self.least > 0.0 && self.J.iter().all(|x| x.is_finite());
+        if !is_accurate || !self.mantissa.is_finite() {
             return None;
         }
         let p = (0..).find(|&p| pairs(p) == self.J.len()).expect("J is a packed triangle");

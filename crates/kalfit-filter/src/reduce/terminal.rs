@@ -70,7 +70,7 @@ pub(crate) struct TerminalState {
 impl TerminalState {
     /// The last state with x̂_K, given in kernel order.
     pub(crate) fn new(root: Arc<TerminalRoot>, states: &[usize], x: impl Iterator<Item = f64>) -> TerminalState {
-        TerminalState { mean: placed(states, x), root }
+        TerminalState { mean: in_model_order(states, x), root }
     }
 
     /// The last state with its own copy of the shared part.
@@ -81,7 +81,7 @@ impl TerminalState {
 }
 
 /// The vector `x`, given in kernel order, reordered by state of the model.
-fn placed(states: &[usize], x: impl Iterator<Item = f64>) -> DVector<f64> {
+fn in_model_order(states: &[usize], x: impl Iterator<Item = f64>) -> DVector<f64> {
     let mut out = DVector::zeros(states.len());
     states.iter().zip(x).for_each(|(&state, x)| out[state] = x);
     out

@@ -130,7 +130,7 @@ impl TurnedCovariance {
     fn of(&mut self, old: &Arc<Transition>, new: &Arc<Transition>, r: usize) -> Option<&Turned> {
         let same = |(a, b, _): &(Arc<Transition>, Arc<Transition>, Turned)| Arc::ptr_eq(a, old) && Arc::ptr_eq(b, new);
         if !self.last.as_ref().is_some_and(same) {
-            let turned = Turned::new(&old.noise_of(r, |i| i), &new.noise_of(r, |i| i))?;
+            let turned = Turned::new(&old.dense_noise(r, |i| i), &new.dense_noise(r, |i| i))?;
             self.last = Some((old.clone(), new.clone(), turned));
         }
         self.last.as_ref().map(|(.., turned)| turned)

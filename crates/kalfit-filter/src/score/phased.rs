@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::reduce::{
-    Fault, FilteredPhases, Inherits, PhasedReducer, PhasedWork, ReduceError, Reductions, Replicates, SharedStore,
+    Fault, FilteredPhases, InheritanceTerm, PhasedReducer, PhasedWork, ReduceError, Reductions, Replicates, SharedStore,
 };
 use crate::score::InitialLaw;
 use crate::score::backward::BackwardWork;
@@ -47,7 +47,7 @@ pub struct PhasedScorer<'a> {
     slots: &'a Slots,
     phases: Vec<Scorer<'a>>,
     /// Coefficients of each phase's carry that depend on free values.
-    carries: Vec<Vec<&'a Inherits>>,
+    carries: Vec<Vec<&'a InheritanceTerm>>,
 }
 
 /// Moments of the complete data of a test, phase by phase; `None` for phases that have no rows to filter.
@@ -69,9 +69,9 @@ impl<'a> PhasedScorer<'a> {
         slots: &'a Slots,
     ) -> Result<PhasedScorer<'a>, ReduceError> {
         let phases = reducer.phases().iter().map(|phase| Scorer::new(&phase.reducer, slots));
-        let free = |phase: &'a crate::reduce::PhaseReducer| -> Vec<&'a Inherits> {
+        let free = |phase: &'a crate::reduce::PhaseReducer| -> Vec<&'a InheritanceTerm> {
             let at = phase.reducer.preparer().at();
-            let depends = |term: &&Inherits| term.coefficient.source().is_some_and(|(e, _)| at.depends(e));
+            let depends = |term: &&InheritanceTerm| term.coefficient.source().is_some_and(|(e, _)| at.depends(e));
             phase.inheritance.iter().flat_map(|inheritance| &inheritance.terms).filter(depends).collect()
         };
         let carries = reducer.phases().iter().map(free).collect();

@@ -82,7 +82,7 @@ impl DrawWorkspace {
                     self.x[state as usize] += work.data.inputs[input];
                     input += 1;
                 }
-                let noise = noise_of(&mut self.noise_roots, transition);
+                let noise = dense_noise(&mut self.noise_roots, transition);
                 add_noise(&noise.F, random, |i, value| self.x[noise.states[i]] += value);
             }
             measure(work, &self.x, &step, &mut self.values, random)?;
@@ -160,7 +160,7 @@ fn joint_noise(work: &Workspace, step: &DesignStep<'_>) -> Result<Option<Vec<f64
 }
 
 /// The root of a transition's Q, from the cache where it is known.
-fn noise_of<'a>(noise_roots: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
+fn dense_noise<'a>(noise_roots: &'a mut HashMap<u128, NoiseRoot>, transition: &Transition) -> &'a NoiseRoot {
     if noise_roots.len() >= MAX_CACHED_ROOTS && !noise_roots.contains_key(&transition.digest()) {
         noise_roots.clear();
     }
@@ -170,7 +170,7 @@ fn noise_of<'a>(noise_roots: &'a mut HashMap<u128, NoiseRoot>, transition: &Tran
         states.sort_unstable();
         states.dedup();
         let local = |state: usize| states.binary_search(&state).expect("every state of a pair is listed");
-        let Q = transition.noise_of(states.len(), local);
+        let Q = transition.dense_noise(states.len(), local);
         NoiseRoot { F: symmetric::square_root(&Q), states }
     })
 }

@@ -259,8 +259,8 @@ impl TimeSteps<'_> {
     fn motion(&mut self, section: &Section, transition: &Transition) -> MotionValues {
         let (n, held) = (section.design.frame.n, section.held);
         let mut motion = MotionValues::none(held + n);
-        motion.phi.view_mut((held, held), (n, n)).copy_from(&transition.phi_of(n, |i| i));
-        motion.noise.view_mut((held, held), (n, n)).copy_from(&transition.noise_of(n, |i| i));
+        motion.phi.view_mut((held, held), (n, n)).copy_from(&transition.dense_phi(n, |i| i));
+        motion.noise.view_mut((held, held), (n, n)).copy_from(&transition.dense_noise(n, |i| i));
         for &state in &section.design.frame.driven {
             motion.input[held + state as usize] = section.data.inputs[self.inputs];
             self.inputs += 1;

@@ -27,7 +27,7 @@ impl ExactRows {
     }
 
     /// The solutions ξ of Cξ = g, parametrised by the remaining free elements of ξ.
-    pub fn freed(&self, p: usize) -> FreedStates {
+    pub fn free_states(&self, p: usize) -> FreeStates {
         let width = p + 1;
         let mut rows: Vec<Vec<f64>> = self.rows(p).map(|(row, value)| [row, &[value]].concat()).collect();
         let mut pivots: Vec<usize> = Vec::with_capacity(rows.len());
@@ -50,36 +50,36 @@ impl ExactRows {
             pivots.iter().zip(&rows).for_each(|(&pivot, row)| basis[(pivot, c)] = -row[state]);
         }
         pivots.iter().zip(&rows).for_each(|(&pivot, row)| origin[pivot] = row[p]);
-        FreedStates { origin, basis }
+        FreeStates { origin, basis }
     }
 }
 
 /// All ξ with Cξ = g: ξ = origin + basis η, where η are the free elements of ξ.
 #[derive(Debug, Clone)]
-pub struct FreedStates {
+pub struct FreeStates {
     /// ξ at η = 0, p numbers.
     pub origin: DVector<f64>,
     /// Derivative of ξ with respect to η, p × (p - q).
     pub basis: DMatrix<f64>,
 }
 
-impl FreedStates {
+impl FreeStates {
     /// Eigenvalue of the information on η, scaled to unit diagonal, below which a direction counts as unobserved.
-    const NONE: f64 = 1e-11;
+    const MIN_INFORMATION: f64 = 1e-11;
 
     /// (Rank of R × basis, least ‖d - Rξ‖² over all ξ with Cξ = g).
     pub fn least_squares(&self, factor: &DMatrix<f64>, data: &[f64]) -> (usize, f64) {
         let (left, data) = (factor * &self.basis, DVector::from_column_slice(data) - factor * &self.origin);
         let size = |k: usize| Some(left.column(k).norm()).filter(|size| *size > 0.0).unwrap_or(1.0);
         let scaled = DMatrix::from_fn(left.nrows(), left.ncols(), |i, k| left[(i, k)] / size(k));
-        let told = symmetric::range(&(scaled.transpose() * &scaled), |value| value >= FreedStates::NONE);
-        let directions = &scaled * &told;
+        let observed = symmetric::range(&(scaled.transpose() * &scaled), |value| value >= FreeStates::MIN_INFORMATION);
+        let directions = &scaled * &observed;
         let rest = &data
             - &directions
                 * (directions.transpose() * &directions)
                     .cholesky()
-                    .map_or_else(|| DVector::zeros(told.ncols()), |own| own.solve(&(directions.transpose() * &data)));
-        (told.ncols(), rest.norm_squared())
+                    .map_or_else(|| DVector::zeros(observed.ncols()), |own| own.solve(&(directions.transpose() * &data)));
+        (observed.ncols(), rest.norm_squared())
     }
 }
 
@@ -92,20 +92,20 @@ mod tests {
         // the solutions of ξ_1 + ξ_2 = 3 are ξ = (3 - x, x); of the rows (1, 1), (0, 2) with d = (3.5, 2) the first is
         // off by a half
         let exact = ExactRows { coefficients: vec![1.0, 1.0], values: vec![3.0] };
-        let freed = exact.freed(2);
+        let free_states = exact.free_states(2);
         let upper = |[a, b, c]: [f64; 3]| DMatrix::from_row_slice(2, 2, &[a, b, 0.0, c]);
-        let back = &freed.origin + &freed.basis * DVector::from_element(1, 0.7);
+        let back = &free_states.origin + &free_states.basis * DVector::from_element(1, 0.7);
         assert!((back[0] + back[1] - 3.0).abs() < 1e-15, "{back}");
         for unit in [1e-9, 1.0, 1e9] {
-            let (rank, left) = freed.least_squares(&upper([unit, unit, 2.0 * unit]), &[3.5 * unit, 2.0 * unit]);
+            let (rank, left) = free_states.least_squares(&upper([unit, unit, 2.0 * unit]), &[3.5 * unit, 2.0 * unit]);
             assert!(rank == 1 && (left / unit.powi(2) - 0.25).abs() < 1e-13, "{unit}: {rank} {left}");
         }
         // a row parallel to C has no information on η
-        let (rank, left) = freed.least_squares(&upper([2.0, 2.0, 0.0]), &[6.5, 0.0]);
+        let (rank, left) = free_states.least_squares(&upper([2.0, 2.0, 0.0]), &[6.5, 0.0]);
         assert!(rank == 0 && (left - 0.25).abs() < 1e-13, "{rank} {left}");
         // no element of ξ is free
         let all = ExactRows { coefficients: vec![1.0, 1.0, 1.0, -1.0], values: vec![3.0, 1.0] };
-        let (rank, left) = all.freed(2).least_squares(&upper([1.0, 0.0, 1.0]), &[2.5, 1.0]);
+        let (rank, left) = all.free_states(2).least_squares(&upper([1.0, 0.0, 1.0]), &[2.5, 1.0]);
         assert!(rank == 0 && (left - 0.25).abs() < 1e-13, "{rank} {left}");
     }
 }

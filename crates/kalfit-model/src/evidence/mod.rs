@@ -10,7 +10,7 @@ mod split;
 mod terminal;
 
 pub use chain::{Chain, ChainPhase, Link};
-pub use exact_rows::{ExactRows, FreedStates};
+pub use exact_rows::{ExactRows, FreeStates};
 pub use path::Path;
 pub use phases::Phases;
 pub use reduction::{Reduction, ReductionRef, unpack};

@@ -5,8 +5,8 @@ use kalfit_lanes::{Isa, Width};
 use crate::reduce::batches::layout::BatchLayout;
 use crate::reduce::batches::reduced::TestHeader;
 use crate::reduce::batches::values::BatchValues;
-use crate::reduce::design::Identity;
-use crate::reduce::equal_steps::FEW;
+use crate::reduce::design::DesignDigest;
+use crate::reduce::equal_steps::MAX_UNSCANNED_STEPS;
 use crate::reduce::lanes::{BatchColumns, DataWorkspace};
 use crate::reduce::prepare::{Preparer, Skeleton};
 use crate::reduce::reduced_tests::ReducedTests;
@@ -15,12 +15,12 @@ use crate::reduce::terminal::TerminalState;
 use kalfit_model::Test;
 
 /// Memory limit of a batch of several tests, in bytes: longer tests are batches of one.
-const BYTES: usize = 128 << 20;
+const MAX_BATCH_BYTES: usize = 128 << 20;
 
 /// Number of tests, from the first one on and at least one, that form a batch of at most `lanes` tests.
-pub(super) fn together(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
-    let many = own.iter().take(lanes).take_while(|other| other.goes_with(&own[0])).count();
-    if size(preparer, &own[..many], lanes) > BYTES { 1 } else { many }
+pub(super) fn batch_len(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
+    let many = own.iter().take(lanes).take_while(|other| other.fits_batch_of(&own[0])).count();
+    if batch_bytes(preparer, &own[..many], lanes) > MAX_BATCH_BYTES { 1 } else { many }
 }
 
 /// Lanes for a batch of `tests` tests. Empty lanes take as long as full ones, so a single test has one lane.
@@ -29,7 +29,7 @@ pub(super) fn width_for(tests: usize) -> Width {
 }
 
 /// Approximate memory of a batch of these tests, in bytes.
-pub(super) fn size(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
+pub(super) fn batch_bytes(preparer: &Preparer, own: &[Skeleton], lanes: usize) -> usize {
     let (frame, transition, dynamics) = (&preparer.order.frame, preparer.plan.blank(), &preparer.dynamics);
     let terms = preparer.meters.shapes().iter().map(|(line, _)| line.len()).max().unwrap_or(0);
     let varying = dynamics.table.varying.len() + dynamics.inputs.varying.len();
@@ -48,9 +48,9 @@ pub(crate) struct BatchWorkspace {
     layout: BatchLayout,
     values: BatchValues,
     /// Layout and values for a batch of one test while `layout` and `values` are for several tests, and vice versa.
-    spare: (BatchLayout, BatchValues),
+    other_width: (BatchLayout, BatchValues),
     own: Vec<TestHeader>,
-    identities: Vec<Identity>,
+    design_digests: Vec<DesignDigest>,
 }
 
 /// (Index, number) pairs to be added to a and to P0 of a test.
@@ -63,9 +63,9 @@ pub(crate) struct EnteringMoments {
 /// The filter's results for one test of a batch.
 #[derive(Debug)]
 pub(crate) struct FilteredLane<'a> {
-    beside: &'a BatchWorkspace,
+    workspace: &'a BatchWorkspace,
     lane: usize,
-    room: &'a DataWorkspace,
+    scratch: &'a DataWorkspace,
     /// The last state, if it is wanted.
     pub(crate) end: Option<TerminalState>,
 }
@@ -73,11 +73,11 @@ pub(crate) struct FilteredLane<'a> {
 impl FilteredLane<'_> {
     /// (e, 1/S) of each scalar measurement of the test.
     pub(crate) fn innovations(&self) -> impl Iterator<Item = (f64, f64)> {
-        let BatchLayout { lanes, measured, design, .. } = &self.beside.layout;
-        let filter = &self.beside.values.batch_filter;
+        let BatchLayout { lanes, measured, design, .. } = &self.workspace.layout;
+        let filter = &self.workspace.values.batch_filter;
         let weights = filter.design_batch.weights((self.lane, *lanes), design.rows());
         let has = measured.iter().skip(self.lane).step_by(*lanes);
-        let all = filter.block.innovations(self.lane, self.room).zip(weights).zip(has);
+        let all = filter.block.innovations(self.lane, self.scratch).zip(weights).zip(has);
         all.filter(|(_, has)| **has != 0.0).map(|(found, _)| found)
     }
 }
@@ -91,9 +91,9 @@ impl BatchWorkspace {
             lanes: isa.lanes(),
             layout,
             values,
-            spare: of(isa.alone().into()),
+            other_width: of(isa.alone().into()),
             own: Vec::new(),
-            identities: Vec::new(),
+            design_digests: Vec::new(),
         }
     }
 
@@ -102,7 +102,7 @@ impl BatchWorkspace {
         &mut self,
         reducer: &Reducer,
         (tests, skeletons): (&[&Test], &mut [Skeleton]),
-        room: &mut DataWorkspace,
+        scratch: &mut DataWorkspace,
         found: &mut ReducedTests,
     ) {
         each_group(reducer.preparer(), skeletons, self.lanes, |group| {
@@ -110,21 +110,21 @@ impl BatchWorkspace {
             self.take_headers(group);
             let BatchWorkspace { layout, values, own, .. } = self;
             own.iter()
-                .zip(values.sound)
-                .filter(|(_, sound)| *sound)
+                .zip(values.valid)
+                .filter(|(_, valid)| *valid)
                 .for_each(|(own, _)| reducer.count_design_run(own.digest));
-            values.reduce((layout, own), (reducer, |own: &TestHeader| own.digest), tests, room, found);
+            values.reduce((layout, own), (reducer, |own: &TestHeader| own.digest), tests, scratch, found);
         });
     }
 
-    /// Evaluates and filters tests with `entering[number]` added to a and P0 of each. `show` receives each test with
+    /// Evaluates and filters tests with `entering[number]` added to a and P0 of each. `visit` receives each test with
     /// its results, or `None` if the test must be filtered by itself.
     pub(crate) fn pass(
         &mut self,
         reducer: &Reducer,
         (tests, skeletons, entering): (&[&Test], &mut [Skeleton], &[EnteringMoments]),
-        room: &mut DataWorkspace,
-        mut show: impl FnMut(&Skeleton, Option<FilteredLane<'_>>),
+        scratch: &mut DataWorkspace,
+        mut visit: impl FnMut(&Skeleton, Option<FilteredLane<'_>>),
     ) {
         each_group(reducer.preparer(), skeletons, self.lanes, |group| {
             self.take(reducer, tests, group);
@@ -136,11 +136,11 @@ impl BatchWorkspace {
                 own.iter().for_each(|&(place, x)| variance[place * layout.lanes + lane] += x);
             }
             values.batch_filter.design_batch.with_ends = reducer.wants_ends();
-            values.batch_filter.run(&layout.design, group.len(), room);
+            values.batch_filter.run(&layout.design, group.len(), scratch);
             for (lane, own) in group.iter().enumerate() {
-                let found = self.values.lane_result(lane, (&self.layout, own.instances.len()), reducer, room);
+                let found = self.values.lane_result(lane, (&self.layout, own.instances.len()), reducer, scratch);
                 let end = found.map(|(.., end)| end);
-                show(own, end.map(|end| FilteredLane { beside: self, lane, room, end }));
+                visit(own, end.map(|end| FilteredLane { workspace: self, lane, scratch, end }));
             }
         });
     }
@@ -148,24 +148,24 @@ impl BatchWorkspace {
     /// Takes and evaluates a group of tests in place of the previous one.
     fn take(&mut self, reducer: &Reducer, tests: &[&Test], group: &[Skeleton]) {
         if (self.layout.lanes == 1) != (group.len() == 1) {
-            std::mem::swap(&mut self.layout, &mut self.spare.0);
-            std::mem::swap(&mut self.values, &mut self.spare.1);
+            std::mem::swap(&mut self.layout, &mut self.other_width.0);
+            std::mem::swap(&mut self.values, &mut self.other_width.1);
         }
         let BatchWorkspace { layout, values, .. } = self;
         layout.take(reducer.preparer(), tests, group);
         values.take(layout, (reducer.preparer(), tests));
         for (lane, skeleton) in group.iter().enumerate() {
             // a test of mostly equal steps is scanned by itself
-            values.sound[lane] &= skeleton.len() <= FEW || !values.is_long(layout, lane, skeleton.len());
+            values.valid[lane] &= skeleton.len() <= MAX_UNSCANNED_STEPS || !values.is_long(layout, lane, skeleton.len());
         }
     }
 
     /// Takes the headers of the reductions of a group of tests: covariates, counts and digests of designs.
     fn take_headers(&mut self, group: &mut [Skeleton]) {
-        let BatchWorkspace { layout, values, own, identities, .. } = self;
+        let BatchWorkspace { layout, values, own, design_digests, .. } = self;
         own.clear();
         let steps: Vec<usize> = group.iter().map(Skeleton::len).collect();
-        let digests = values.identities(layout, &steps, identities);
+        let digests = values.design_digests(layout, &steps, design_digests);
         for (skeleton, digest) in group.iter_mut().zip(digests) {
             let covariates = std::mem::take(&mut skeleton.covariates);
             let (steps, observations) = (skeleton.len(), skeleton.instances.len());
@@ -174,12 +174,12 @@ impl BatchWorkspace {
     }
 }
 
-/// Sorts tests by shape and calls `show` with each group that shares a batch of at most `lanes` tests.
-fn each_group(preparer: &Preparer, mut left: &mut [Skeleton], lanes: usize, mut show: impl FnMut(&mut [Skeleton])) {
-    left.sort_by(Skeleton::by_shape);
-    while !left.is_empty() {
-        let (group, rest) = left.split_at_mut(together(preparer, left, lanes));
-        show(group);
-        left = rest;
+/// Sorts tests by shape and calls `visit` with each group that shares a batch of at most `lanes` tests.
+fn each_group(preparer: &Preparer, mut remaining: &mut [Skeleton], lanes: usize, mut visit: impl FnMut(&mut [Skeleton])) {
+    remaining.sort_by(Skeleton::by_shape);
+    while !remaining.is_empty() {
+        let (group, rest) = remaining.split_at_mut(batch_len(preparer, remaining, lanes));
+        visit(group);
+        remaining = rest;
     }
 }

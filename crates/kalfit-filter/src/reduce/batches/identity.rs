@@ -4,30 +4,30 @@ use std::ops::Range;
 
 use crate::reduce::batches::layout::BatchLayout;
 use crate::reduce::batches::values::BatchValues;
-use crate::reduce::design::Identity;
+use crate::reduce::design::DesignDigest;
 use crate::reduce::equal_steps::EqualStepCount;
 
 impl BatchValues {
-    /// The digest of the design of each test. `steps`: number of steps of each test; `identities`: work space.
-    pub(super) fn identities(
+    /// The digest of the design of each test. `steps`: number of steps of each test; `design_digests`: work space.
+    pub(super) fn design_digests(
         &self,
         layout: &BatchLayout,
         steps: &[usize],
-        identities: &mut Vec<Identity>,
+        design_digests: &mut Vec<DesignDigest>,
     ) -> Vec<u128> {
         let (BatchLayout { lanes, design, transitions, .. }, designs) = (layout, &self.batch_filter.design_batch);
         let own = |all, numbers, lane| own(all, numbers, (lane, *lanes));
         let pattern = &design.moves[0].pattern;
         let (terms, pairs) = (pattern.columns.len(), pattern.pairs.len());
         let (coefficients, noise) = (&designs.h, &designs.noise);
-        identities.resize_with(steps.len(), Identity::new);
-        for (lane, identity) in identities.iter_mut().enumerate() {
+        design_digests.resize_with(steps.len(), DesignDigest::new);
+        for (lane, identity) in design_digests.iter_mut().enumerate() {
             identity.begin(&design.frame, own(&designs.variance, 0..design.variance.len(), lane));
         }
         let mut t = 0;
         for (k, stretch) in design.stretches().enumerate() {
             if stretch.transition.is_some() {
-                for (lane, identity) in identities.iter_mut().enumerate() {
+                for (lane, identity) in design_digests.iter_mut().enumerate() {
                     if transitions.moving[t * lanes + lane] != 0.0 {
                         let phi = own(&designs.phi, t * terms..(t + 1) * terms, lane);
                         identity.moves(pattern, phi, own(&designs.q, t * pairs..(t + 1) * pairs, lane));
@@ -39,14 +39,14 @@ impl BatchValues {
                 let (range, states) = (layout.terms(line), design.terms(line).0);
                 let h = &coefficients[range.start * lanes..range.end * lanes];
                 let [noise, measured] = [noise, &*layout.measured].map(|all| &all[line * lanes..][..*lanes]);
-                for (lane, identity) in identities.iter_mut().enumerate().filter(|(lane, _)| measured[*lane] != 0.0) {
+                for (lane, identity) in design_digests.iter_mut().enumerate().filter(|(lane, _)| measured[*lane] != 0.0) {
                     let h = h.chunks_exact(*lanes).map(|h| h[lane]);
                     identity.line(states.iter().copied().zip(h), noise[lane]);
                 }
             }
-            identities.iter_mut().zip(steps).filter(|(_, steps)| k < **steps).for_each(|(identity, _)| identity.end(1));
+            design_digests.iter_mut().zip(steps).filter(|(_, steps)| k < **steps).for_each(|(identity, _)| identity.end(1));
         }
-        identities.iter_mut().map(Identity::finish).collect()
+        design_digests.iter_mut().map(DesignDigest::finish).collect()
     }
 
     /// True if most of the `steps` steps of the test in a lane are in long stretches of equal steps, which are scanned

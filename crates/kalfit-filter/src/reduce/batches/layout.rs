@@ -12,7 +12,7 @@ use crate::reduce::prepare::{Preparer, Skeleton, StartCells};
 use kalfit_model::Test;
 
 /// Marks a missing row.
-pub(super) const NONE: u32 = u32::MAX;
+pub(super) const NO_ROW: u32 = u32::MAX;
 
 /// Tests in lanes, at least one and at most as many as lanes. Number k of the test in a lane is at k × lanes + lane.
 #[derive(Debug)]
@@ -23,14 +23,14 @@ pub(crate) struct BatchLayout {
     /// The common shape of their designs: each step is a run, and each row has a separate line.
     pub(crate) design: Design,
     /// True if all tests have the same steps and measurements.
-    of_one: bool,
+    has_one_shape: bool,
     /// For each measurement of the model, the states of its line, and the positions of its terms among these states.
     pub(super) shapes: Vec<(Vec<u32>, Vec<usize>)>,
     /// For each row, the number of its measurement in the model.
     pub(crate) meters: Vec<usize>,
     /// 1 where a test has the measurement of a row, else 0.
     pub(crate) measured: Vec<f64>,
-    /// Row of the test from which each measurement is read; `NONE` where there is none.
+    /// Row of the test from which each measurement is read; `NO_ROW` where there is none.
     pub(super) sources: Vec<u32>,
     /// Length of the step of each measurement.
     pub(super) dt: Vec<f64>,
@@ -38,7 +38,7 @@ pub(crate) struct BatchLayout {
     pub(super) z: Vec<f64>,
     pub(crate) transitions: Transitions,
     /// Cells on which the law of x_0 of each test is evaluated; empty if all tests share one law.
-    pub(crate) openings: Vec<StartCells>,
+    pub(crate) start_cells: Vec<StartCells>,
 }
 
 impl BatchLayout {
@@ -48,7 +48,7 @@ impl BatchLayout {
             lanes: width.lanes(),
             tests: Vec::new(),
             design: Design::new(preparer.order.frame.clone()),
-            of_one: false,
+            has_one_shape: false,
             shapes: preparer.meters.shapes(),
             meters: Vec::new(),
             measured: Vec::new(),
@@ -56,21 +56,21 @@ impl BatchLayout {
             dt: Vec::new(),
             z: Vec::new(),
             transitions: Transitions::default(),
-            openings: Vec::new(),
+            start_cells: Vec::new(),
         }
     }
 
     /// Lays out these tests in place of the previous ones.
     pub(super) fn take(&mut self, preparer: &Preparer, tests: &[&Test], own: &[Skeleton]) {
-        let is_one = own.iter().all(|other| other.is_like(&own[0]));
+        let is_one = own.iter().all(|other| other.has_steps_of(&own[0]));
         if !(is_one && self.has_shape_of(&own[0])) {
             self.shape(preparer, own);
-            self.of_one = is_one;
+            self.has_one_shape = is_one;
         }
         self.tests.clear();
         self.tests.extend(own.iter().map(|skeleton| skeleton.number));
-        self.openings.clear();
-        self.openings.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
+        self.start_cells.clear();
+        self.start_cells.extend(own.iter().filter_map(|skeleton| skeleton.opening.clone()));
         self.transitions.clear();
         for (k, run) in self.design.runs.iter().enumerate().filter(|(_, run)| run.transition.is_some()) {
             debug_assert_eq!(run.steps, k + 1, "each step is a run");
@@ -78,24 +78,24 @@ impl BatchLayout {
                 let step = own.get(lane).filter(|own| own.moves(k)).map(|own| &own.steps[k]);
                 self.transitions.dt.push(step.map_or(0.0, |step| step.dt));
                 self.transitions.moving.push(f64::from(u8::from(step.is_some())));
-                self.transitions.sources.push(step.map_or(NONE, |step| step.source));
+                self.transitions.sources.push(step.map_or(NO_ROW, |step| step.source));
             }
         }
         let places = self.meters.len() * self.lanes;
         self.sources.clear();
-        self.sources.resize(places, NONE);
+        self.sources.resize(places, NO_ROW);
         for column in [&mut self.measured, &mut self.dt, &mut self.z] {
             column.clear();
             column.resize(places, 0.0);
         }
-        own.iter().enumerate().for_each(|(lane, own)| self.seat(preparer, tests[own.number], (lane, own)));
+        own.iter().enumerate().for_each(|(lane, own)| self.fill_lane(preparer, tests[own.number], (lane, own)));
     }
 
     /// True if the previous tests all had the shape of this test.
     fn has_shape_of(&self, own: &Skeleton) -> bool {
         let step =
             |(k, run): (usize, &EqualSteps)| (run.lines, run.transition.is_some()) == (own.steps[k].end, own.moves(k));
-        self.of_one
+        self.has_one_shape
             && self.design.runs.len() == own.len()
             && self.design.runs.iter().enumerate().all(step)
             && self.meters.iter().eq(own.instances.iter().map(|instance| &instance.meter))
@@ -136,7 +136,7 @@ impl BatchLayout {
     }
 
     /// Fills a lane: the source, the step length and the value of each measurement of a test.
-    fn seat(&mut self, preparer: &Preparer, test: &Test, (lane, own): (usize, &Skeleton)) {
+    fn fill_lane(&mut self, preparer: &Preparer, test: &Test, (lane, own): (usize, &Skeleton)) {
         let mut line = 0;
         for (k, step) in own.steps.iter().enumerate() {
             for &Instance { meter, row } in own.of(k) {

@@ -29,18 +29,18 @@ impl BatchValues {
         (layout, own): (&BatchLayout, &[TestHeader]),
         (reducer, digest): (&Reducer, impl Fn(&TestHeader) -> u128),
         tests: &[&Test],
-        room: &mut DataWorkspace,
+        scratch: &mut DataWorkspace,
         found: &mut ReducedTests,
     ) {
         self.batch_filter.design_batch.with_ends = reducer.wants_ends();
-        self.batch_filter.run(&layout.design, own.len(), room);
+        self.batch_filter.run(&layout.design, own.len(), scratch);
         for (lane, (own, &number)) in own.iter().zip(&layout.tests).enumerate() {
-            let Some((factor, outcome, end)) = self.lane_result(lane, (layout, own.observations), reducer, room) else {
-                self.sound[lane] = false;
-                found.odd.push(number);
+            let Some((factor, outcome, end)) = self.lane_result(lane, (layout, own.observations), reducer, scratch) else {
+                self.valid[lane] = false;
+                found.exceptional.push(number);
                 continue;
             };
-            let about = ReductionHeader {
+            let header = ReductionHeader {
                 factor,
                 covariates: &own.covariates,
                 steps: own.steps,
@@ -48,7 +48,7 @@ impl BatchValues {
                 path: Path::Information,
                 digest: digest(own),
             };
-            found.reductions.put(reducer.counted_reduction(tests[number], &outcome, about));
+            found.reductions.put(reducer.counted_reduction(tests[number], &outcome, header));
             found.numbers.push(number);
             found.terminals.extend(end);
         }
@@ -61,21 +61,21 @@ impl BatchValues {
         lane: usize,
         (layout, observations): (&BatchLayout, usize),
         reducer: &Reducer,
-        room: &DataWorkspace,
+        scratch: &DataWorkspace,
     ) -> Option<(&[f64], Outcome, Option<TerminalState>)> {
-        let (factor, determinant) = self.batch_filter.design_batch.found[lane].as_ref().filter(|_| self.sound[lane])?;
-        let outcome = self.batch_filter.block.outcome(lane, (observations, *determinant), room);
+        let (factor, determinant) = self.batch_filter.design_batch.found[lane].as_ref().filter(|_| self.valid[lane])?;
+        let outcome = self.batch_filter.block.outcome(lane, (observations, *determinant), scratch);
         let end = match reducer.wants_ends() {
-            true => Some(self.end(lane, layout, reducer, room)?),
+            true => Some(self.end(lane, layout, reducer, scratch)?),
             false => None,
         };
         outcome.is_finite().then_some((factor, outcome, end))
     }
 
     /// The last state of the test in a lane; `None` if that calls for square-root arrays.
-    fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, room: &DataWorkspace) -> Option<TerminalState> {
+    fn end(&self, lane: usize, layout: &BatchLayout, reducer: &Reducer, scratch: &DataWorkspace) -> Option<TerminalState> {
         let states = &reducer.preparer().order.states;
         let end = self.batch_filter.design_batch.end((lane, layout.lanes), states)?;
-        Some(TerminalState::new(Arc::new(end), states, self.batch_filter.block.last(lane, room)))
+        Some(TerminalState::new(Arc::new(end), states, self.batch_filter.block.last(lane, scratch)))
     }
 }

@@ -19,45 +19,45 @@ pub(crate) struct BatchValues {
     pub(crate) batch_filter: BatchFilter,
     pub(crate) motion: MotionColumns,
     /// True for each lane whose test has valid numbers; the other tests are reduced by themselves.
-    pub(super) sound: [bool; MOST],
+    pub(super) valid: [bool; MOST],
 }
 
 /// How the values of a coefficient are updated at a new α.
 enum Refresh<'a> {
     /// The stored values are still right.
-    Kept,
-    Same(f64),
+    Unchanged,
+    Uniform(f64),
     /// The value differs from row to row.
-    Row(&'a Coefficient),
+    PerRow(&'a Coefficient),
 }
 
 impl<'a> Refresh<'a> {
     /// `fresh`: no value has been evaluated yet.
     fn of(at: &ModelAt<'_>, coefficient: &'a Coefficient, fresh: bool) -> Refresh<'a> {
         match coefficient {
-            Coefficient::Fixed(x) if fresh => Refresh::Same(*x),
-            Coefficient::Fixed(_) => Refresh::Kept,
-            Coefficient::Free(x, ..) => Refresh::Same(*x),
-            Coefficient::Varying(expression, _) if fresh || at.depends(expression) => Refresh::Row(coefficient),
-            Coefficient::Varying(..) => Refresh::Kept,
+            Coefficient::Fixed(x) if fresh => Refresh::Uniform(*x),
+            Coefficient::Fixed(_) => Refresh::Unchanged,
+            Coefficient::Free(x, ..) => Refresh::Uniform(*x),
+            Coefficient::Varying(expression, _) if fresh || at.depends(expression) => Refresh::PerRow(coefficient),
+            Coefficient::Varying(..) => Refresh::Unchanged,
         }
     }
 
-    /// Updates the values in the lanes where `here` is not zero. `value`: evaluates a coefficient in a lane.
+    /// Updates the values in the lanes where `present` is not zero. `value`: evaluates a coefficient in a lane.
     fn each(
         &self,
-        here: &[f64],
+        present: &[f64],
         value: impl Fn(usize, &Coefficient) -> Result<f64, Box<Fault>>,
-        sound: &mut [bool; MOST],
+        valid: &mut [bool; MOST],
         mut put: impl FnMut(usize, f64),
     ) {
-        for lane in (0..here.len()).filter(|&lane| here[lane] != 0.0) {
+        for lane in (0..present.len()).filter(|&lane| present[lane] != 0.0) {
             match self {
-                Refresh::Kept => return,
-                Refresh::Same(x) => put(lane, *x),
-                Refresh::Row(coefficient) => match value(lane, coefficient) {
+                Refresh::Unchanged => return,
+                Refresh::Uniform(x) => put(lane, *x),
+                Refresh::PerRow(coefficient) => match value(lane, coefficient) {
                     Ok(x) => put(lane, x),
-                    Err(_) => sound[lane] = false,
+                    Err(_) => valid[lane] = false,
                 },
             }
         }
@@ -74,7 +74,7 @@ struct MeasurementRefresh<'a> {
 impl BatchValues {
     /// Values for lanes of this width, without tests yet.
     pub(super) fn new(width: Width) -> BatchValues {
-        BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), sound: [true; MOST] }
+        BatchValues { batch_filter: BatchFilter::new(width), motion: MotionColumns::default(), valid: [true; MOST] }
     }
 
     /// Takes new tests in place of the previous ones and evaluates all their numbers.
@@ -88,28 +88,28 @@ impl BatchValues {
 
     /// Evaluates the numbers at the α of a preparer; `fresh`: also those that do not depend on α.
     pub(super) fn evaluate(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test]), fresh: bool) {
-        self.sound = [true; MOST];
+        self.valid = [true; MOST];
         self.start(layout, (preparer, tests));
         self.measure(layout, (preparer, tests), fresh);
         let at = preparer.at();
         let (dynamics, motion) = (&preparer.dynamics, &mut self.motion);
-        table((layout, tests), (&at, &dynamics.table), &mut motion.values, fresh, &mut self.sound);
-        table((layout, tests), (&at, &dynamics.inputs), &mut motion.inputs, fresh, &mut self.sound);
+        table((layout, tests), (&at, &dynamics.table), &mut motion.values, fresh, &mut self.valid);
+        table((layout, tests), (&at, &dynamics.inputs), &mut motion.inputs, fresh, &mut self.valid);
         let (width, out) = (self.batch_filter.block.width(), self.batch_filter.columns());
         let finite = preparer.plan.fill(width, dynamics, (&layout.transitions, motion), out);
-        self.sound.iter_mut().zip(finite).for_each(|(sound, finite)| *sound &= finite);
+        self.valid.iter_mut().zip(finite).for_each(|(valid, finite)| *valid &= finite);
     }
 
     /// Evaluates a and P0.
     fn start(&mut self, layout: &BatchLayout, (preparer, tests): (&Preparer, &[&Test])) {
         let (lanes, place, r) = (layout.lanes, &preparer.order.place, layout.design.frame.r);
-        let BatchValues { batch_filter, sound, .. } = self;
+        let BatchValues { batch_filter, valid, .. } = self;
         let BatchColumns { start, variance, .. } = batch_filter.columns();
         let mut replay = Replay::default();
         variance.fill(0.0);
         for (lane, &number) in layout.tests.iter().enumerate() {
             let own;
-            let law = match (preparer.law(), layout.openings.get(lane)) {
+            let law = match (preparer.law(), layout.start_cells.get(lane)) {
                 (Some(law), _) => law,
                 (None, Some(opening)) => match preparer.law_of(tests[number], opening, &mut replay) {
                     Ok(law) => {
@@ -117,7 +117,7 @@ impl BatchValues {
                         &own
                     }
                     Err(_) => {
-                        sound[lane] = false;
+                        valid[lane] = false;
                         continue;
                     }
                 },
@@ -142,7 +142,7 @@ impl BatchValues {
             terms: terms.iter().map(|(_, h)| refresh(h)).collect(),
         });
         let refreshes: Vec<MeasurementRefresh<'_>> = refreshes.collect();
-        let BatchValues { batch_filter, sound, .. } = self;
+        let BatchValues { batch_filter, valid, .. } = self;
         let BatchColumns { h, noise, values, .. } = batch_filter.columns();
         if mixed {
             h.fill(0.0);
@@ -151,17 +151,17 @@ impl BatchValues {
         for (row, &meter) in layout.meters.iter().enumerate() {
             let (MeasurementRefresh { noise: variance, constant, terms }, places) =
                 (&refreshes[meter], row * lanes..(row + 1) * lanes);
-            let here = &layout.measured[places.clone()];
+            let present = &layout.measured[places.clone()];
             let scope = |lane: usize| layout.scope(&at, tests, (places.start + lane, lane));
             let out = &mut noise[places.clone()];
-            variance.each(here, |lane, c| at.variance_value(c, &scope(lane)), sound, |lane, x| out[lane] = x);
+            variance.each(present, |lane, c| at.variance_value(c, &scope(lane)), valid, |lane, x| out[lane] = x);
             let (z, out) = (&layout.z[places.clone()], &mut values[places.clone()]);
             let value = |lane: usize, c: &Coefficient| at.value(c, &scope(lane));
-            constant.each(here, value, sound, |lane, d| out[lane] = z[lane] - d);
+            constant.each(present, value, valid, |lane, d| out[lane] = z[lane] - d);
             let (line, own) = &layout.shapes[meter];
             for (coefficient, place) in terms.iter().zip(own) {
                 let out = &mut h[(first + place) * lanes..][..lanes];
-                coefficient.each(here, value, sound, |lane, x| out[lane] = x);
+                coefficient.each(present, value, valid, |lane, x| out[lane] = x);
             }
             first += line.len();
         }
@@ -191,7 +191,7 @@ fn table(
     (at, table): (&ModelAt<'_>, &Table),
     columns: &mut [Vec<f64>],
     fresh: bool,
-    sound: &mut [bool; MOST],
+    valid: &mut [bool; MOST],
 ) {
     let (lanes, steps) = (layout.lanes, &layout.transitions);
     for ((_, coefficient, variance), column) in table.varying.iter().zip(columns) {
@@ -202,7 +202,7 @@ fn table(
                 let scope = layout.moving(at, tests, (places.start + lane, lane));
                 if *variance { at.variance_value(c, &scope) } else { at.value(c, &scope) }
             };
-            refresh.each(&steps.moving[places.clone()], value, sound, |lane, x| out[lane] = x);
+            refresh.each(&steps.moving[places.clone()], value, valid, |lane, x| out[lane] = x);
         }
     }
 }

@@ -14,7 +14,7 @@ impl BatchValues {
             for stretch in layout.design.stretches() {
                 let rows: Vec<usize> = layout.rows_of(lane, stretch.lines).collect();
                 if rows.len() > 1 && self.whiten_step((layout, lane, &rows), preparer, tests[number]).is_none() {
-                    self.sound[lane] = false;
+                    self.valid[lane] = false;
                 }
             }
         }

@@ -2,16 +2,16 @@
 
 use std::sync::Arc;
 
-use crate::reduce::cell_mask::mix;
+use crate::reduce::cell_mask::mix_word;
 use crate::reduce::design::{Design, Pattern, StateFrame, Stretch, Transition, same_bits};
 use crate::reduce::digest::Digest;
 
 /// Number of words after which the digest is updated, at the end of a step.
-const TOGETHER: usize = 1 << 12;
+const WORDS_PER_UPDATE: usize = 1 << 12;
 
 /// The digest of a design in progress, step by step. After `finish`, another design can begin.
 #[derive(Debug)]
-pub(crate) struct Identity {
+pub(crate) struct DesignDigest {
     digest: Digest,
     /// Words that the digest has not yet taken.
     words: Vec<u64>,
@@ -19,9 +19,9 @@ pub(crate) struct Identity {
     lines: u64,
 }
 
-impl Identity {
-    pub(crate) fn new() -> Identity {
-        Identity { digest: Digest::new(), words: Vec::new(), lines: 0 }
+impl DesignDigest {
+    pub(crate) fn new() -> DesignDigest {
+        DesignDigest { digest: Digest::new(), words: Vec::new(), lines: 0 }
     }
 
     /// Begins a design. `variance`: P0.
@@ -42,7 +42,7 @@ impl Identity {
     pub(crate) fn line(&mut self, terms: impl Iterator<Item = (u32, f64)>, noise: f64) {
         let mut states = 1;
         for (state, h) in terms.filter(|(_, h)| *h != 0.0) {
-            states = mix(states, u64::from(state));
+            states = mix_word(states, u64::from(state));
             self.words.push(h.to_bits());
         }
         self.words.extend([states, noise.to_bits()]);
@@ -53,7 +53,7 @@ impl Identity {
     #[inline]
     pub(crate) fn end(&mut self, many: usize) {
         self.words.push(std::mem::take(&mut self.lines) << 32 ^ many as u64);
-        if self.words.len() >= TOGETHER {
+        if self.words.len() >= WORDS_PER_UPDATE {
             self.digest.words(&self.words);
             self.words.clear();
         }
@@ -70,7 +70,7 @@ impl Identity {
 impl Design {
     /// Digest of all numbers. Consecutive equal steps are taken one by one, as in lanes, except in long stretches.
     pub(crate) fn digest(&self) -> u128 {
-        let mut identity = Identity::new();
+        let mut identity = DesignDigest::new();
         identity.begin(&self.frame, self.variance.iter().copied());
         for Stretch { transition, lines, count, .. } in self.stretches() {
             let (times, many) = if self.is_long(count) { (1, count) } else { (count, 1) };

@@ -55,8 +55,8 @@ impl BatchFilter {
     }
 
     /// Runs the covariance filters and the data passes of the first `tests` lanes.
-    pub(crate) fn run(&mut self, design: &Design, tests: usize, room: &mut DataWorkspace) {
+    pub(crate) fn run(&mut self, design: &Design, tests: usize, scratch: &mut DataWorkspace) {
         let BatchFilter { block, design_batch: designs } = self;
-        block.width().run(BatchPasses { design, tests, data: block.view(), designs, room });
+        block.width().run(BatchPasses { design, tests, data: block.view(), designs, scratch });
     }
 }

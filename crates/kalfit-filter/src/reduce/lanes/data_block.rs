@@ -52,7 +52,7 @@ impl DataBlock {
 
     /// Puts the values z - d of several tests into the first lanes; `cells`: (cell, d) of each value, the cell being an
     /// index into the test's numbers.
-    pub(crate) fn values_of(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) {
+    pub(crate) fn put_values(&mut self, numbers: &[&[f64]], cells: &[(usize, f64)]) {
         let lanes = self.width.lanes();
         for (all, &(cell, d)) in self.numbers[self.values * lanes..].chunks_exact_mut(lanes).zip(cells) {
             all.iter_mut().zip(numbers).for_each(|(z, numbers)| *z = numbers[cell] - d);
@@ -60,8 +60,8 @@ impl DataBlock {
     }
 
     /// Runs the data pass of a class.
-    pub(crate) fn run(&self, design: &Design, gains: &Gains, room: &mut DataWorkspace) {
-        self.width.run(DataPass { design, gains, data: self.view(), room });
+    pub(crate) fn run(&self, design: &Design, gains: &Gains, scratch: &mut DataWorkspace) {
+        self.width.run(DataPass { design, gains, data: self.view(), scratch });
     }
 
     /// Start, inputs and values, mutable.
@@ -89,18 +89,18 @@ impl DataBlock {
         &self,
         lane: usize,
         (active, log_determinant): (usize, f64),
-        room: &DataWorkspace,
+        scratch: &DataWorkspace,
     ) -> Outcome {
-        room.outcome((lane, self.width.lanes()), active, log_determinant)
+        scratch.outcome((lane, self.width.lanes()), active, log_determinant)
     }
 
     /// The innovations of the test in a lane, as many as the longest test of the block has.
-    pub(crate) fn innovations<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
-        room.e.iter().skip(lane).step_by(self.width.lanes()).copied()
+    pub(crate) fn innovations<'a>(&self, lane: usize, scratch: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
+        scratch.e.iter().skip(lane).step_by(self.width.lanes()).copied()
     }
 
     /// x̂ of the last step of the test in a lane.
-    pub(crate) fn last<'a>(&self, lane: usize, room: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
-        room.x.iter().skip(lane).step_by(self.width.lanes()).copied()
+    pub(crate) fn last<'a>(&self, lane: usize, scratch: &'a DataWorkspace) -> impl Iterator<Item = f64> + use<'a> {
+        scratch.x.iter().skip(lane).step_by(self.width.lanes()).copied()
     }
 }

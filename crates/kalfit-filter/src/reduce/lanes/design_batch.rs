@@ -8,7 +8,7 @@ use crate::reduce::design::{Design, EqualSteps, TransitionView};
 use crate::reduce::entries::{Entries, SideBySide};
 use crate::reduce::lanes::least_squares;
 use crate::reduce::lanes::numbers::{DataView, Numbers, at, put};
-use crate::reduce::lanes::pass::innovate;
+use crate::reduce::lanes::pass::run_innovations;
 use crate::reduce::lanes::workspace::DataWorkspace;
 use crate::reduce::sums::InformationSums;
 use crate::reduce::terminal::TerminalRoot;
@@ -48,7 +48,7 @@ pub(super) struct BatchPasses<'a> {
     pub(super) tests: usize,
     pub(super) data: DataView<'a>,
     pub(super) designs: &'a mut DesignBatch,
-    pub(super) room: &'a mut DataWorkspace,
+    pub(super) scratch: &'a mut DataWorkspace,
 }
 
 impl Kernel for BatchPasses<'_> {
@@ -56,11 +56,11 @@ impl Kernel for BatchPasses<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let BatchPasses { design, tests, data, designs, room } = self;
+        let BatchPasses { design, tests, data, designs, scratch } = self;
         let sums = designs.covariance_pass::<T>(design);
         designs.finish(&sums, tests);
-        let square = innovate::<T, _, _>(design, designs, data, room, &mut ());
-        least_squares::solve::<T, _>((&*designs, design), square, room);
+        let square = run_innovations::<T, _, _>(design, designs, data, scratch, &mut ());
+        least_squares::solve::<T, _>((&*designs, design), square, scratch);
     }
 }
 
@@ -157,8 +157,8 @@ impl DesignBatch {
         let mut own = InformationSums::new(self.p);
         for (lane, found) in self.found.iter_mut().enumerate() {
             own.take_lane(&self.sums, lane, T::COUNT);
-            let room = found.take().map_or_else(Vec::new, |(factor, _)| factor);
-            *found = own.root_in(room, &[]);
+            let scratch = found.take().map_or_else(Vec::new, |(factor, _)| factor);
+            *found = own.root_in(scratch, &[]);
             if let Some((factor, _)) = &*found {
                 factor.iter().enumerate().for_each(|(k, &x)| self.factor[k * T::COUNT + lane] = x);
             }

@@ -6,62 +6,62 @@ use std::ops::Range;
 
 use kalfit_lanes::Lanes;
 
-use crate::reduce::data::REFINE;
+use crate::reduce::data::REFINE_ABOVE;
 use crate::reduce::design::Design;
 use crate::reduce::entries::Entries;
 use crate::reduce::lanes::numbers::{Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
-use crate::reduce::scan::BLOCK;
+use crate::reduce::scan::STEPS_PER_SUM;
 
 /// Number of independent partial sums, so that no addition waits for the previous one.
-const SIDE: usize = 8;
+const PARTIAL_SUMS: usize = 8;
 
 /// Replaces y by d and computes the residuals; for a test with large e'S⁻¹e by way of its best ξ.
 #[inline(always)]
-pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), square: T, room: &mut DataWorkspace) {
+pub(super) fn solve<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), square: T, scratch: &mut DataWorkspace) {
     let p = design.frame.p;
-    solve_lower::<T, N>(numbers, p, &mut room.d);
-    room.residual.resize(T::COUNT, 0.0);
-    (square - sum_of_squares::<T>(&room.d, p)).store(&mut room.residual);
-    room.is_refined.clear();
-    room.is_refined.resize(T::COUNT, false);
-    if square.at_most(T::splat(REFINE)) || p == 0 {
+    solve_lower::<T, N>(numbers, p, &mut scratch.d);
+    scratch.residual.resize(T::COUNT, 0.0);
+    (square - sum_of_squares::<T>(&scratch.d, p)).store(&mut scratch.residual);
+    scratch.is_refined.clear();
+    scratch.is_refined.resize(T::COUNT, false);
+    if square.at_most(T::splat(REFINE_ABOVE)) || p == 0 {
         return;
     }
-    let residual = refine::<T, N>((numbers, design), p, room);
+    let residual = refine::<T, N>((numbers, design), p, scratch);
     for lane in 0..T::COUNT {
-        let small = square.lane(lane) <= REFINE; // false for NaN, which is then refined
+        let small = square.lane(lane) <= REFINE_ABOVE; // false for NaN, which is then refined
         if !small {
-            room.is_refined[lane] = true;
-            room.residual[lane] = residual.lane(lane);
+            scratch.is_refined[lane] = true;
+            scratch.residual[lane] = residual.lane(lane);
         }
     }
 }
 
 /// Computes d by way of the best ξ. Returns the residual sum of squares.
 #[inline(always)]
-fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, room: &mut DataWorkspace) -> T {
-    room.best.clone_from(&room.d);
-    solve_upper::<T, N>(numbers, p, &mut room.best);
-    room.refined.clear();
-    room.refined.resize(p * T::COUNT, 0.0);
-    let (zero, rows) = (T::splat(0.0), room.e.len() / T::COUNT);
+fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, scratch: &mut DataWorkspace) -> T {
+    scratch.best.clone_from(&scratch.d);
+    solve_upper::<T, N>(numbers, p, &mut scratch.best);
+    scratch.refined.clear();
+    scratch.refined.resize(p * T::COUNT, 0.0);
+    let (zero, rows) = (T::splat(0.0), scratch.e.len() / T::COUNT);
     let (mut best, mut sum) = (vec![zero; p], vec![zero; p]);
     for k in 0..p {
-        best[k] = at(&room.best, k);
+        best[k] = at(&scratch.best, k);
     }
-    let total = weigh::<T, N>((numbers, design), 0..rows, &room.e, &best, &mut sum);
+    let total = weighted_sums::<T, N>((numbers, design), 0..rows, &scratch.e, &best, &mut sum);
     for (k, &sum) in sum.iter().enumerate() {
-        put(&mut room.refined, k, sum);
+        put(&mut scratch.refined, k, sum);
     }
-    solve_lower::<T, N>(numbers, p, &mut room.refined);
-    let residual = total - sum_of_squares::<T>(&room.refined, p);
+    solve_lower::<T, N>(numbers, p, &mut scratch.refined);
+    let residual = total - sum_of_squares::<T>(&scratch.refined, p);
     for k in 0..p {
-        let best = at::<T>(&room.best, k);
+        let best = at::<T>(&scratch.best, k);
         for i in 0..=k {
             // d = Rξ + the refined remainder
-            let d = numbers.R().entry(k * (k + 1) / 2 + i).fma(best, at::<T>(&room.refined, i));
-            put(&mut room.refined, i, d);
+            let d = numbers.R().entry(k * (k + 1) / 2 + i).fma(best, at::<T>(&scratch.refined, i));
+            put(&mut scratch.refined, i, d);
         }
     }
     residual
@@ -69,7 +69,7 @@ fn refine<T: Lanes, N: Numbers<T>>((numbers, design): (&N, &Design), p: usize, r
 
 /// Σ (e - Tξ)²/S over rows, in blocks; adds Σ T'(e - Tξ)/S to `sum`. Without `xi`, ξ = 0.
 #[inline(always)]
-pub(super) fn weigh<T: Lanes, N: Numbers<T>>(
+pub(super) fn weighted_sums<T: Lanes, N: Numbers<T>>(
     (numbers, design): (&N, &Design),
     rows: Range<usize>,
     e: &[f64],
@@ -78,19 +78,19 @@ pub(super) fn weigh<T: Lanes, N: Numbers<T>>(
 ) -> T {
     let (mut total, mut from) = (T::splat(0.0), rows.start);
     while from < rows.end {
-        let Repeats { still, end, width } = numbers.repeats(from, rows.end);
-        if from < still {
-            total = total + each::<T, N>((numbers, design), from..still, (e, xi), sum);
+        let Repeats { steady, end, width } = numbers.repeats(from, rows.end);
+        if from < steady {
+            total = total + each::<T, N>((numbers, design), from..steady, (e, xi), sum);
         }
-        if still < end {
-            total = total + equal::<T, N>(numbers, (still..end, width), (e, xi), sum);
+        if steady < end {
+            total = total + equal::<T, N>(numbers, (steady..end, width), (e, xi), sum);
         }
         from = end;
     }
     total
 }
 
-/// [`weigh`] of rows with different 1/S and T.
+/// [`weighted_sums`] of rows with different 1/S and T.
 #[inline(always)]
 fn each<T: Lanes, N: Numbers<T>>(
     (numbers, design): (&N, &Design),
@@ -102,12 +102,12 @@ fn each<T: Lanes, N: Numbers<T>>(
     let (mut total, mut part, mut start) = (zero, vec![zero; sum.len()], rows.start);
     while start < rows.end {
         part.fill(zero);
-        let (mut square, end) = (zero, rows.end.min(design.block_end(start, BLOCK)));
+        let (mut square, end) = (zero, rows.end.min(design.block_end(start, STEPS_PER_SUM)));
         for row in start..end {
             let sensitivities = numbers.sensitivities(row);
-            let left = left(sensitivities, xi, at(e, row));
-            let weighted = left * numbers.gains(row).0;
-            square = left.fma(weighted, square);
+            let remainder = remainder(sensitivities, xi, at(e, row));
+            let weighted = remainder * numbers.gains(row).0;
+            square = remainder.fma(weighted, square);
             add(sensitivities, weighted, &mut part);
         }
         total = total + square;
@@ -119,7 +119,7 @@ fn each<T: Lanes, N: Numbers<T>>(
     total
 }
 
-/// [`weigh`] of rows of which every `width`-th has the same 1/S and T.
+/// [`weighted_sums`] of rows of which every `width`-th has the same 1/S and T.
 #[inline(always)]
 fn equal<T: Lanes, N: Numbers<T>>(
     numbers: &N,
@@ -130,9 +130,9 @@ fn equal<T: Lanes, N: Numbers<T>>(
     let mut total = T::splat(0.0);
     for row in rows.start..rows.end.min(rows.start + width) {
         let (weight, sensitivities) = (numbers.gains(row).0, numbers.sensitivities(row));
-        let (left, squares) = sum_and_squares(e, (row..rows.end, width), left(sensitivities, xi, T::splat(0.0)));
+        let (remainder, squares) = sum_and_squares(e, (row..rows.end, width), remainder(sensitivities, xi, T::splat(0.0)));
         total = squares.fma(weight, total);
-        add(sensitivities, left * weight, sum);
+        add(sensitivities, remainder * weight, sum);
     }
     total
 }
@@ -142,17 +142,17 @@ fn equal<T: Lanes, N: Numbers<T>>(
 fn sum_and_squares<T: Lanes>(e: &[f64], (rows, width): (Range<usize>, usize), t: T) -> (T, T) {
     let zero = T::splat(0.0);
     let (mut sum, mut squares) = (zero, zero);
-    for start in rows.clone().step_by(BLOCK * width) {
-        let end = rows.end.min(start + BLOCK * width);
-        let (mut sums, mut parts) = ([zero; SIDE], [zero; SIDE]);
-        for group in (start..end).step_by(SIDE * width) {
-            for (side, row) in (group..end).step_by(width).take(SIDE).enumerate() {
-                let left = at::<T>(e, row) + t;
-                sums[side] = sums[side] + left;
-                parts[side] = left.fma(left, parts[side]);
+    for start in rows.clone().step_by(STEPS_PER_SUM * width) {
+        let end = rows.end.min(start + STEPS_PER_SUM * width);
+        let (mut sums, mut parts) = ([zero; PARTIAL_SUMS], [zero; PARTIAL_SUMS]);
+        for group in (start..end).step_by(PARTIAL_SUMS * width) {
+            for (side, row) in (group..end).step_by(width).take(PARTIAL_SUMS).enumerate() {
+                let remainder = at::<T>(e, row) + t;
+                sums[side] = sums[side] + remainder;
+                parts[side] = remainder.fma(remainder, parts[side]);
             }
         }
-        for side in 0..SIDE {
+        for side in 0..PARTIAL_SUMS {
             (sum, squares) = (sum + sums[side], squares + parts[side]);
         }
     }
@@ -161,12 +161,12 @@ fn sum_and_squares<T: Lanes>(e: &[f64], (rows, width): (Range<usize>, usize), t:
 
 /// e - Tξ of a row.
 #[inline(always)]
-fn left<T: Lanes, E: Entries<T>>(sensitivities: E, xi: &[T], e: T) -> T {
-    let mut left = e;
+fn remainder<T: Lanes, E: Entries<T>>(sensitivities: E, xi: &[T], e: T) -> T {
+    let mut remainder = e;
     for (k, &xi) in xi.iter().enumerate() {
-        left = sensitivities.entry(k).fnma(xi, left);
+        remainder = sensitivities.entry(k).fnma(xi, remainder);
     }
-    left
+    remainder
 }
 
 /// sum ← sum + T'x, with T of a row.
@@ -206,8 +206,8 @@ fn solve_upper<T: Lanes, N: Numbers<T>>(numbers: &N, p: usize, x: &mut [f64]) {
         let best = at::<T>(x, k) * numbers.R().entry(k * (k + 3) / 2).recip_or_zero();
         put(x, k, best);
         for i in 0..k {
-            let left = numbers.R().entry(k * (k + 1) / 2 + i).fnma(best, at::<T>(x, i));
-            put(x, i, left);
+            let remainder = numbers.R().entry(k * (k + 1) / 2 + i).fnma(best, at::<T>(x, i));
+            put(x, i, remainder);
         }
     }
 }

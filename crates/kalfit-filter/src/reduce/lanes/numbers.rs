@@ -26,10 +26,10 @@ pub(crate) trait Numbers<T> {
     /// Rows from `row` to at most `end`, with the part of them in which 1/S and T repeat.
     #[inline(always)]
     fn repeats(&self, _row: usize, end: usize) -> Repeats {
-        Repeats { still: end, end, width: 1 }
+        Repeats { steady: end, end, width: 1 }
     }
     /// True if long stretches can be scanned.
-    const SCANS: bool = false;
+    const CAN_SCAN: bool = false;
     /// Scans a stretch of equal steps: updates x̂ and replaces values by innovations. False if the stretch cannot be
     /// scanned.
     #[inline(always)]
@@ -38,10 +38,10 @@ pub(crate) trait Numbers<T> {
     }
 }
 
-/// Rows up to `end`; from row `still` on, every `width`-th row has the same 1/S and T.
+/// Rows up to `end`; from row `steady` on, every `width`-th row has the same 1/S and T.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Repeats {
-    pub(super) still: usize,
+    pub(super) steady: usize,
     pub(super) end: usize,
     pub(super) width: usize,
 }

@@ -13,7 +13,7 @@ use crate::reduce::kernel;
 use crate::reduce::lanes::least_squares;
 use crate::reduce::lanes::numbers::{DataView, Numbers, Repeats, at, put};
 use crate::reduce::lanes::workspace::DataWorkspace;
-use crate::reduce::scan::{BLOCK, Scan, scanned};
+use crate::reduce::scan::{STEPS_PER_SUM, Scan, scanned};
 
 /// The numbers of one design that all lanes share.
 struct SharedDesign<'a> {
@@ -66,7 +66,7 @@ impl<T: Lanes> Numbers<T> for SharedDesign<'_> {
 
     #[inline(always)]
     fn sensitivities(&self, row: usize) -> Common<'_> {
-        Common(self.gains.sensitive(self.piece(row).0, row))
+        Common(self.gains.sensitivity_row(self.piece(row).0, row))
     }
 
     #[inline(always)]
@@ -78,10 +78,10 @@ impl<T: Lanes> Numbers<T> for SharedDesign<'_> {
     fn repeats(&self, row: usize, end: usize) -> Repeats {
         let (piece, last) = self.piece(row);
         let (end, width) = (end.min(last), piece.width);
-        Repeats { still: (piece.row + piece.moving() * width).clamp(row, end), end, width }
+        Repeats { steady: (piece.row + piece.moving() * width).clamp(row, end), end, width }
     }
 
-    const SCANS: bool = true;
+    const CAN_SCAN: bool = true;
 
     #[inline(always)]
     fn scan(&self, stretch: &Stretch<'_>, x: &mut [T], e: &mut [f64]) -> bool {
@@ -98,7 +98,7 @@ pub(super) struct DataPass<'a> {
     pub(super) design: &'a Design,
     pub(super) gains: &'a Gains,
     pub(super) data: DataView<'a>,
-    pub(super) room: &'a mut DataWorkspace,
+    pub(super) scratch: &'a mut DataWorkspace,
 }
 
 impl Kernel for DataPass<'_> {
@@ -106,10 +106,10 @@ impl Kernel for DataPass<'_> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let DataPass { design, gains, data, room } = self;
+        let DataPass { design, gains, data, scratch } = self;
         let shared = SharedDesign::new(design, gains);
-        let square = innovate::<T, _, _>(design, &shared, data, room, &mut ());
-        least_squares::solve::<T, _>((&shared, design), square, room);
+        let square = run_innovations::<T, _, _>(design, &shared, data, scratch, &mut ());
+        least_squares::solve::<T, _>((&shared, design), square, scratch);
     }
 }
 
@@ -118,8 +118,8 @@ struct InnovationPass<'a, L> {
     design: &'a Design,
     gains: &'a Gains,
     data: DataView<'a>,
-    room: &'a mut DataWorkspace,
-    look: &'a mut L,
+    scratch: &'a mut DataWorkspace,
+    observer: &'a mut L,
 }
 
 impl<L: InnovationObserver> Kernel for InnovationPass<'_, L> {
@@ -127,8 +127,8 @@ impl<L: InnovationObserver> Kernel for InnovationPass<'_, L> {
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let InnovationPass { design, gains, data, room, look } = self;
-        innovate::<T, _, _>(design, &SharedDesign::new(design, gains), data, room, look);
+        let InnovationPass { design, gains, data, scratch, observer } = self;
+        run_innovations::<T, _, _>(design, &SharedDesign::new(design, gains), data, scratch, observer);
     }
 }
 
@@ -136,32 +136,32 @@ impl<L: InnovationObserver> Kernel for InnovationPass<'_, L> {
 pub(crate) fn innovations<L: InnovationObserver>(
     (design, gains): (&Design, &Gains),
     data: &Data,
-    room: &mut DataWorkspace,
-    look: &mut L,
+    scratch: &mut DataWorkspace,
+    observer: &mut L,
 ) {
     let data = DataView::of(data);
-    Isa::best().alone().run(InnovationPass { design, gains, data, room, look });
+    Isa::best().alone().run(InnovationPass { design, gains, data, scratch, observer });
 }
 
-/// The data pass of a single test, with the same bits as in a lane of a batch; its results are in `room`.
-pub(crate) fn pass_alone((design, gains): (&Design, &Gains), data: &Data, room: &mut DataWorkspace) {
-    Isa::best().alone().run(DataPass { design, gains, data: DataView::of(data), room });
+/// The data pass of a single test, with the same bits as in a lane of a batch; its results are in `scratch`.
+pub(crate) fn pass_alone((design, gains): (&Design, &Gains), data: &Data, scratch: &mut DataWorkspace) {
+    Isa::best().alone().run(DataPass { design, gains, data: DataView::of(data), scratch });
 }
 
 /// Observes the innovations of a pass.
 pub(crate) trait InnovationObserver {
     /// True if every innovation must be observed, so that no stretch is scanned.
-    const EACH: bool;
+    const OBSERVES_EVERY_ROW: bool;
 
     /// Observes the innovation at (row, line), with x̂ before the update.
-    fn see<T: Lanes>(&mut self, at: (usize, usize), e: T, x: &[T]);
+    fn observe<T: Lanes>(&mut self, at: (usize, usize), e: T, x: &[T]);
 }
 
 impl InnovationObserver for () {
-    const EACH: bool = false;
+    const OBSERVES_EVERY_ROW: bool = false;
 
     #[inline(always)]
-    fn see<T: Lanes>(&mut self, _: (usize, usize), _: T, _: &[T]) {}
+    fn observe<T: Lanes>(&mut self, _: (usize, usize), _: T, _: &[T]) {}
 }
 
 /// The state of a pass from row to row.
@@ -179,26 +179,26 @@ struct MeanState<T> {
 
 /// The pass over tests whose designs have the shape of `design`. Returns e'S⁻¹e; y goes to `room.d`.
 #[inline(always)]
-pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
+pub(super) fn run_innovations<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
     design: &Design,
     numbers: &N,
     data: DataView<'_>,
-    room: &mut DataWorkspace,
-    look: &mut L,
+    scratch: &mut DataWorkspace,
+    observer: &mut L,
 ) -> T {
     let frame = &*design.frame;
-    room.e.resize(data.values.len(), 0.0);
-    room.x.resize(frame.n * T::COUNT, 0.0);
+    scratch.e.resize(data.values.len(), 0.0);
+    scratch.x.resize(frame.n * T::COUNT, 0.0);
     let mut state = MeanState::<T>::new((frame.n, frame.p));
     for i in 0..frame.n {
         state.x[i] = at(data.start, i);
     }
     let (mut line, mut row, mut input, mut step) = (0, 0, 0, 0);
     for (at_run, run) in design.runs.iter().enumerate() {
-        if N::SCANS && !L::EACH && design.is_long(run.count) {
+        if N::CAN_SCAN && !L::OBSERVES_EVERY_ROW && design.is_long(run.count) {
             let (x, y) = (&mut *state.x, &mut *state.y);
             let long =
-                Long { numbers, design, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut room.e };
+                StretchScan { numbers, design, stretch: design.stretch(at_run), values: data.values, x, y, e: &mut scratch.e };
             if let Some(square) = T::apart(long) {
                 state.square = state.square + square;
                 (line, row, step) = (run.lines, run.rows, run.steps);
@@ -214,31 +214,31 @@ pub(super) fn innovate<T: Lanes, N: Numbers<T>, L: InnovationObserver>(
                 }
             }
             for line in line..run.lines {
-                let e = state.measure((design, line), (numbers, row), at(data.values, row), look);
-                put(&mut room.e, row, e);
+                let e = state.measure((design, line), (numbers, row), at(data.values, row), observer);
+                put(&mut scratch.e, row, e);
                 row += 1;
             }
             step += 1;
-            if step % BLOCK == 0 {
-                state.add_up();
+            if step % STEPS_PER_SUM == 0 {
+                state.flush_block();
             }
         }
         line = run.lines;
     }
-    state.add_up();
+    state.flush_block();
     for (i, x) in state.x.iter().enumerate() {
-        put(&mut room.x, i, *x);
+        put(&mut scratch.x, i, *x);
     }
-    room.d.resize(frame.p * T::COUNT, 0.0);
+    scratch.d.resize(frame.p * T::COUNT, 0.0);
     for k in 0..frame.p {
-        put(&mut room.d, k, state.y[k]);
+        put(&mut scratch.d, k, state.y[k]);
     }
     state.square
 }
 
 /// The scan of a stretch of equal steps: updates x̂, y and e. Gives e'S⁻¹e of the stretch; `None` if it cannot be
 /// scanned.
-struct Long<'a, T, N> {
+struct StretchScan<'a, T, N> {
     numbers: &'a N,
     design: &'a Design,
     stretch: Stretch<'a>,
@@ -248,12 +248,12 @@ struct Long<'a, T, N> {
     e: &'a mut [f64],
 }
 
-impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
+impl<T: Lanes, N: Numbers<T>> Part for StretchScan<'_, T, N> {
     type Output = Option<T>;
 
     #[inline(always)]
     fn run(self) -> Option<T> {
-        let Long { numbers, design, stretch, values, x, y, e } = self;
+        let StretchScan { numbers, design, stretch, values, x, y, e } = self;
         let rows = stretch.rows.clone();
         let of = rows.start * T::COUNT..rows.end * T::COUNT;
         e[of.clone()].copy_from_slice(&values[of.clone()]);
@@ -261,7 +261,7 @@ impl<T: Lanes, N: Numbers<T>> Part for Long<'_, T, N> {
         if !scanned {
             return None;
         }
-        Some(least_squares::weigh::<T, N>((numbers, design), rows, e, &[], y))
+        Some(least_squares::weighted_sums::<T, N>((numbers, design), rows, e, &[], y))
     }
 }
 
@@ -276,7 +276,7 @@ impl<T: Lanes> MeanState<T> {
 
     /// Adds the parts of the current block to the sums.
     #[inline(always)]
-    fn add_up(&mut self) {
+    fn flush_block(&mut self) {
         let zero = T::splat(0.0);
         for (sum, part) in self.y.iter_mut().zip(&mut self.y_part) {
             *sum = *sum + std::mem::replace(part, zero);
@@ -291,11 +291,11 @@ impl<T: Lanes> MeanState<T> {
         (design, line): (&Design, usize),
         (numbers, row): (&N, usize),
         value: T,
-        look: &mut L,
+        observer: &mut L,
     ) -> T {
         let (states, first) = (design.terms(line).0, if line == 0 { 0 } else { design.ends[line - 1] });
         let e = kernel::innovation(&self.x, (states, numbers.h().skip(first)), value);
-        look.see((row, line), e, &self.x);
+        observer.observe((row, line), e, &self.x);
         let (weight, K) = numbers.gains(row);
         kernel::correct_mean(K, e, &mut self.x[..design.frame.r]);
         let weighted = e * weight;

@@ -144,8 +144,8 @@ fn side_by_side(isa: Isa, reducer: &Reducer, tests: &[Test]) -> ReducedTests {
         assert!(reducer.preparer().skeleton(test, number, &mut work, own), "{} goes beside others", test.id);
     }
     let tests: Vec<&Test> = tests.iter().collect();
-    BatchWorkspace::new(isa, reducer).reduce(reducer, (&tests, &mut all), &mut work.room, &mut found);
-    assert!(found.odd.is_empty(), "all are well conditioned");
+    BatchWorkspace::new(isa, reducer).reduce(reducer, (&tests, &mut all), &mut work.scratch, &mut found);
+    assert!(found.exceptional.is_empty(), "all are well conditioned");
     found
 }
 
@@ -224,8 +224,8 @@ fn tests_that_look_alike_are_not_evaluated_again() {
     missing.set_number(0, 0, f64::NAN);
     let mut there = all[97].clone();
     there.set_number(2, 0, 0.5); // was missing
-    let odd = [other, missing, there];
-    assert_eq!(reducer.reduce(&odd).expect("sound"), each_by_itself(&odd));
+    let exceptional = [other, missing, there];
+    assert_eq!(reducer.reduce(&exceptional).expect("sound"), each_by_itself(&exceptional));
     assert_eq!(reducer.work().design_runs, 4, "each is a design of its own");
 }
 

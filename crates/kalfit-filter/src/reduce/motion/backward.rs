@@ -2,7 +2,7 @@
 
 use crate::reduce::dynamics::{Component, Dynamics, matrices};
 use crate::reduce::error::ReduceErrorKind;
-use crate::reduce::motion::{Drive, EntrySource, MotionPlan, append_flow};
+use crate::reduce::motion::{InputSource, EntrySource, MotionPlan, append_flow};
 use crate::reduce::subject::{Fault, Subject};
 use kalfit_algebra::exponential::{flow_adjoint, scalar_adjoint};
 
@@ -32,7 +32,7 @@ impl MotionPlan {
     /// Adds ∂ℓ/∂Γ of one step to the flows' adjoints: b = Γu.
     pub(crate) fn drive_flows(&self, input_bar: &[f64], inputs: &[f64], flow_bar: &mut [f64]) {
         for (drive, bar) in self.drives.iter().zip(input_bar) {
-            if let Drive::Flow(terms) = drive {
+            if let InputSource::Flow(terms) = drive {
                 terms.iter().for_each(|&(at, slot)| flow_bar[at] += bar * inputs[slot]);
             }
         }
@@ -48,8 +48,8 @@ impl MotionPlan {
     ) -> Result<(), Box<Fault>> {
         for (drive, bar) in self.drives.iter().zip(input_bar) {
             match drive {
-                Drive::Slot(slot) => show(*slot, *bar)?,
-                Drive::Flow(terms) => terms.iter().try_for_each(|&(at, slot)| show(slot, bar * flows[at]))?,
+                InputSource::Slot(slot) => show(*slot, *bar)?,
+                InputSource::Flow(terms) => terms.iter().try_for_each(|&(at, slot)| show(slot, bar * flows[at]))?,
             }
         }
         Ok(())
@@ -81,7 +81,7 @@ impl MotionPlan {
         }
         for (component, &offset) in dynamics.components.iter().zip(&self.offsets) {
             let bars = &flow_bar[offset..][..3 * component.states.len().pow(2)];
-            if component.counts(free) && bars.iter().any(|&bar| bar != 0.0) {
+            if component.is_free(free) && bars.iter().any(|&bar| bar != 0.0) {
                 component_backward(component, step, bars, out)?;
             }
         }
@@ -98,7 +98,7 @@ pub struct Evaluated<'a> {
 }
 
 impl Component {
-    pub(super) fn counts(&self, free: &[bool]) -> bool {
+    pub(super) fn is_free(&self, free: &[bool]) -> bool {
         self.rates.iter().chain(&self.noise).any(|&(.., slot)| free[slot])
     }
 }

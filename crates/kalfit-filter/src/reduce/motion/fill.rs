@@ -6,7 +6,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes, MOST, Width};
 
 use crate::reduce::dynamics::{Component, Dynamics, Table};
 use crate::reduce::lanes::BatchColumns;
-use crate::reduce::motion::{Drive, EntrySource, MotionPlan, Moves, append_flow, check_noise};
+use crate::reduce::motion::{InputSource, EntrySource, MotionPlan, Moves, append_flow, check_noise};
 use kalfit_algebra::exponential::scalar_flows;
 
 /// The transitions that lead to the steps of tests in lanes: transition t of the test in a lane is at t × lanes + lane.
@@ -125,9 +125,9 @@ impl MotionPlan {
         flows.resize(self.flow_len * steps.dt.len(), 0.0);
         let (values, inputs) = (SlotValues::new(&dynamics.table, values), SlotValues::new(&dynamics.inputs, inputs));
         self.fill_coupled((dynamics, &values), steps, flows);
-        let sound = width.run(TransitionFill { plan: self, steps, values, flows, phi: out.phi, q: out.q });
-        width.run(Drives { plan: self, steps, inputs, flows, out: out.inputs });
-        sound
+        let finite_lanes = width.run(TransitionKernel { plan: self, steps, values, flows, phi: out.phi, q: out.q });
+        width.run(InputKernel { plan: self, steps, inputs, flows, out: out.inputs });
+        finite_lanes
     }
 
     /// Computes φ and Q of one transition of length `dt`; true where all numbers are finite.
@@ -142,13 +142,13 @@ impl MotionPlan {
         }
         self.fill_coupled((dynamics, &values), step, flows);
         let alone = Isa::best().alone();
-        alone.run(TransitionFill { plan: self, steps: step, values, flows, phi, q })[0]
+        alone.run(TransitionKernel { plan: self, steps: step, values, flows, phi, q })[0]
     }
 
     /// Appends b of the driven states, with the same bits as in lanes. `inputs`: values of the dynamics' inputs.
     pub fn inputs(&self, moves: &Moves, inputs: &[f64], out: &mut Vec<f64>) {
         if !self.drives.is_empty() {
-            Isa::best().alone().run(InputValues { drives: &self.drives, moves, inputs, out });
+            Isa::best().alone().run(SingleInputKernel { drives: &self.drives, moves, inputs, out });
         }
     }
 
@@ -199,7 +199,7 @@ fn held<T: Lanes>(terms: &[(usize, usize)], flow: impl Fn(usize) -> T, slot: imp
 }
 
 /// Kernel that computes φ and Q of transitions, after the flows of single states.
-struct TransitionFill<'a> {
+struct TransitionKernel<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
     values: SlotValues<'a>,
@@ -208,7 +208,7 @@ struct TransitionFill<'a> {
     q: &'a mut [f64],
 }
 
-impl Kernel for TransitionFill<'_> {
+impl Kernel for TransitionKernel<'_> {
     /// In which lanes all numbers are finite.
     type Output = [bool; MOST];
 
@@ -234,15 +234,15 @@ impl Kernel for TransitionFill<'_> {
                 off = x.fma(zero, off);
             }
         }
-        let mut sound = [false; MOST];
+        let mut finite_lanes = [false; MOST];
         for lane in 0..T::COUNT {
-            sound[lane] = off.lane(lane) == 0.0;
+            finite_lanes[lane] = off.lane(lane) == 0.0;
         }
-        sound
+        finite_lanes
     }
 }
 
-impl TransitionFill<'_> {
+impl TransitionKernel<'_> {
     /// Computes the flows of components of a single state.
     #[inline(always)]
     fn singles<T: Lanes>(&mut self, place: usize) {
@@ -276,7 +276,7 @@ impl TransitionFill<'_> {
 }
 
 /// Kernel that computes b of transitions.
-struct Drives<'a> {
+struct InputKernel<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
     inputs: SlotValues<'a>,
@@ -284,19 +284,19 @@ struct Drives<'a> {
     out: &'a mut [f64],
 }
 
-impl Kernel for Drives<'_> {
+impl Kernel for InputKernel<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let Drives { plan, steps, inputs, flows, out } = self;
+        let InputKernel { plan, steps, inputs, flows, out } = self;
         let (places, drives) = (steps.dt.len(), plan.drives.len());
         for t in 0..places / T::COUNT {
             let place = t * T::COUNT;
             for (k, drive) in plan.drives.iter().enumerate() {
                 let x = match drive {
-                    Drive::Slot(slot) => T::load(&steps.moving[place..]) * inputs.lanes(*slot, place),
-                    Drive::Flow(terms) => {
+                    InputSource::Slot(slot) => T::load(&steps.moving[place..]) * inputs.lanes(*slot, place),
+                    InputSource::Flow(terms) => {
                         held(terms, |at| T::load(&flows[at * places + place..]), |slot| inputs.lanes(slot, place))
                     }
                 };
@@ -307,23 +307,23 @@ impl Kernel for Drives<'_> {
 }
 
 /// Kernel that appends b of one transition.
-struct InputValues<'a> {
-    drives: &'a [Drive],
+struct SingleInputKernel<'a> {
+    drives: &'a [InputSource],
     moves: &'a Moves,
     inputs: &'a [f64],
     out: &'a mut Vec<f64>,
 }
 
-impl Kernel for InputValues<'_> {
+impl Kernel for SingleInputKernel<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<T: Lanes>(self) {
-        let InputValues { drives, moves, inputs, out } = self;
+        let SingleInputKernel { drives, moves, inputs, out } = self;
         for drive in drives {
             out.push(match drive {
-                Drive::Slot(slot) => inputs[*slot],
-                Drive::Flow(terms) => {
+                InputSource::Slot(slot) => inputs[*slot],
+                InputSource::Flow(terms) => {
                     held(terms, |at| T::splat(moves.flows[at]), |slot| T::splat(inputs[slot])).lane(0)
                 }
             });

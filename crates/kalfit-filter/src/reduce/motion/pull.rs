@@ -5,7 +5,7 @@ use kalfit_lanes::{Lanes, MOST};
 use crate::reduce::dynamics::{Component, Dynamics};
 use crate::reduce::motion::backward::{Evaluated, component_backward};
 use crate::reduce::motion::fill::{MotionColumns, SlotValues, Transitions};
-use crate::reduce::motion::{Drive, EntrySource, MotionPlan, Single};
+use crate::reduce::motion::{InputSource, EntrySource, MotionPlan, Single};
 use kalfit_algebra::exponential::{scalar_flow, scalar_slope};
 
 impl Component {
@@ -17,10 +17,10 @@ impl Component {
 
 impl MotionPlan {
     /// Whether φ or b depends on Γ of the single-state component whose flow begins at `offset`.
-    fn holds_over(&self, offset: usize) -> bool {
+    fn uses_gamma(&self, offset: usize) -> bool {
         let gamma = |terms: &[(usize, usize)]| terms.iter().any(|&(at, _)| at == offset + 1);
         self.phi.iter().any(|entry| matches!(entry, EntrySource::Held(terms) if gamma(terms)))
-            || self.drives.iter().any(|drive| matches!(drive, Drive::Flow(terms) if gamma(terms)))
+            || self.drives.iter().any(|drive| matches!(drive, InputSource::Flow(terms) if gamma(terms)))
     }
 
     /// The pullback of these transitions. `free`: whether each coefficient depends on free parameters.
@@ -32,16 +32,16 @@ impl MotionPlan {
     ) -> MotionPullback<'a> {
         let back = |single| {
             let &Single { offset, rate, .. } = single;
-            SingleBack { single, counts: rate.is_some_and(|slot| free[slot]), holds: self.holds_over(offset) }
+            SinglePullback { single, is_free: rate.is_some_and(|slot| free[slot]), holds: self.uses_gamma(offset) }
         };
         let steady = |component: &Component| {
             dynamics.table.varying.iter().all(|(slot, ..)| component.slots().all(|own| own != *slot))
         };
         let coupled = dynamics.components.iter().zip(&self.offsets).filter(|(component, _)| component.states.len() > 1);
-        let coupled = coupled.map(|(component, &offset)| Coupled {
+        let coupled = coupled.map(|(component, &offset)| CoupledPullback {
             component,
             offset,
-            counts: component.counts(free),
+            is_free: component.is_free(free),
             steady: steady(component),
         });
         MotionPullback {
@@ -57,19 +57,19 @@ impl MotionPlan {
 }
 
 /// A component of several states.
-struct Coupled<'a> {
+struct CoupledPullback<'a> {
     component: &'a Component,
     offset: usize,
-    counts: bool,
+    is_free: bool,
     /// Whether its coefficients are the same on all transitions.
     steady: bool,
 }
 
 /// A component of one state.
-struct SingleBack<'a> {
+struct SinglePullback<'a> {
     single: &'a Single,
     /// Whether its rate depends on free parameters.
-    counts: bool,
+    is_free: bool,
     /// Whether φ or b depends on its Γ.
     holds: bool,
 }
@@ -79,8 +79,8 @@ pub struct MotionPullback<'a> {
     plan: &'a MotionPlan,
     steps: &'a Transitions,
     flows: &'a [f64],
-    singles: Vec<SingleBack<'a>>,
-    coupled: Vec<Coupled<'a>>,
+    singles: Vec<SinglePullback<'a>>,
+    coupled: Vec<CoupledPullback<'a>>,
     values: SlotValues<'a>,
     inputs: SlotValues<'a>,
 }
@@ -91,7 +91,7 @@ pub(crate) struct MotionBars<T> {
     flows: Vec<T>,
     /// Flow adjoints of coupled components with steady coefficients, summed over successive transitions of one length;
     /// `last` is the place of the last such transition in each lane.
-    equal: Vec<T>,
+    pending: Vec<T>,
     last: [Option<usize>; MOST],
     pub(crate) values: Vec<T>,
     pub(crate) inputs: Vec<T>,
@@ -104,8 +104,8 @@ impl MotionPullback<'_> {
         let zero = T::splat(0.0);
         let (flows, values, inputs) =
             (vec![zero; self.plan.flow_len], self.values.fixed.len(), self.inputs.fixed.len());
-        let (equal, last) = (flows.clone(), [None; MOST]);
-        MotionBars { flows, equal, last, values: vec![zero; values], inputs: vec![zero; inputs] }
+        let (pending, last) = (flows.clone(), [None; MOST]);
+        MotionBars { flows, pending, last, values: vec![zero; values], inputs: vec![zero; inputs] }
     }
 
     /// Adds ∂ℓ/∂coefficient of transition `number`. `bars`: adjoints, in lanes, of its entries of φ, of Q (an
@@ -132,8 +132,8 @@ impl MotionPullback<'_> {
         for (drive, bar) in self.plan.drives.iter().zip(entries) {
             let bar = T::load(bar);
             match drive {
-                Drive::Slot(slot) => out.inputs[*slot] = moving.fma(bar, out.inputs[*slot]),
-                Drive::Flow(terms) => {
+                InputSource::Slot(slot) => out.inputs[*slot] = moving.fma(bar, out.inputs[*slot]),
+                InputSource::Flow(terms) => {
                     for &(at, slot) in terms {
                         out.flows[at] = self.inputs.lanes::<T>(slot, place).fma(bar, out.flows[at]);
                         out.inputs[slot] = T::load(&self.flows[at * places + place..]).fma(bar, out.inputs[slot]);
@@ -145,7 +145,7 @@ impl MotionPullback<'_> {
             self.single(single, place, out);
         }
         for lane in 0..T::COUNT {
-            if moving.lane(lane) != 0.0 && self.coupled.iter().any(|coupled| coupled.counts) {
+            if moving.lane(lane) != 0.0 && self.coupled.iter().any(|coupled| coupled.is_free) {
                 self.coupled(lane, place + lane, out);
             }
         }
@@ -155,7 +155,7 @@ impl MotionPullback<'_> {
     #[inline(always)]
     pub(crate) fn finish<T: Lanes>(&self, out: &mut MotionBars<T>) {
         for lane in 0..T::COUNT {
-            self.settle(lane, out);
+            self.flush(lane, out);
         }
     }
 
@@ -164,14 +164,14 @@ impl MotionPullback<'_> {
     fn coupled<T: Lanes>(&self, lane: usize, place: usize, out: &mut MotionBars<T>) {
         let same = |before: usize| self.steps.dt[before].to_bits() == self.steps.dt[place].to_bits();
         if !out.last[lane].is_some_and(same) {
-            self.settle(lane, out);
+            self.flush(lane, out);
             out.last[lane] = Some(place);
         }
-        for Coupled { component, offset, steady, .. } in self.coupled.iter().filter(|coupled| coupled.counts) {
+        for CoupledPullback { component, offset, steady, .. } in self.coupled.iter().filter(|coupled| coupled.is_free) {
             let range = *offset..offset + 3 * component.states.len().pow(2);
             if *steady {
                 for k in range {
-                    out.equal[k] = added(out.equal[k], lane, out.flows[k].lane(lane));
+                    out.pending[k] = add_to_lane(out.pending[k], lane, out.flows[k].lane(lane));
                 }
             } else {
                 let bars: Vec<f64> = out.flows[range].iter().map(|bar| bar.lane(lane)).collect();
@@ -181,13 +181,13 @@ impl MotionPullback<'_> {
     }
 
     /// Adds the pending sum over transitions of one length in a lane.
-    fn settle<T: Lanes>(&self, lane: usize, out: &mut MotionBars<T>) {
+    fn flush<T: Lanes>(&self, lane: usize, out: &mut MotionBars<T>) {
         let Some(place) = out.last[lane].take() else { return };
-        for Coupled { component, offset, .. } in self.coupled.iter().filter(|coupled| coupled.counts && coupled.steady)
+        for CoupledPullback { component, offset, .. } in self.coupled.iter().filter(|coupled| coupled.is_free && coupled.steady)
         {
             let range = *offset..offset + 3 * component.states.len().pow(2);
-            let bars: Vec<f64> = out.equal[range.clone()].iter().map(|bar| bar.lane(lane)).collect();
-            range.zip(&bars).for_each(|(k, bar)| out.equal[k] = added(out.equal[k], lane, -bar));
+            let bars: Vec<f64> = out.pending[range.clone()].iter().map(|bar| bar.lane(lane)).collect();
+            range.zip(&bars).for_each(|(k, bar)| out.pending[k] = add_to_lane(out.pending[k], lane, -bar));
             self.component(component, (lane, place), &bars, out);
         }
     }
@@ -208,38 +208,38 @@ impl MotionPullback<'_> {
             component.slots().for_each(|slot| found[slot] = f64::NAN);
         }
         for slot in component.slots() {
-            out.values[slot] = added(out.values[slot], lane, std::mem::take(&mut found[slot]));
+            out.values[slot] = add_to_lane(out.values[slot], lane, std::mem::take(&mut found[slot]));
         }
     }
 
     /// Pulls adjoints of φ, Γ and Q of a single state back to its rate and its noise.
     #[inline(always)]
-    fn single<T: Lanes>(&self, back: &SingleBack<'_>, place: usize, out: &mut MotionBars<T>) {
-        let &SingleBack { single: &Single { offset, rate, noise }, counts, holds } = back;
+    fn single<T: Lanes>(&self, back: &SinglePullback<'_>, place: usize, out: &mut MotionBars<T>) {
+        let &SinglePullback { single: &Single { offset, rate, noise }, is_free, holds } = back;
         let (places, two) = (self.steps.dt.len(), T::splat(2.0));
         let (dt, phi) = (T::load(&self.steps.dt[place..]), T::load(&self.flows[offset * places + place..]));
         let f = self.values.some::<T>(rate, place);
         let mut slope = out.flows[offset] * dt * phi;
-        if holds && counts {
+        if holds && is_free {
             let gamma = T::load(&self.flows[(offset + 1) * places + place..]);
             slope = out.flows[offset + 1].fma(scalar_slope(f, dt, (phi, gamma)), slope);
         }
         if let Some(slot) = noise {
             let (q, bar) = (self.values.lanes::<T>(slot, place), out.flows[offset + 2]);
-            let integral = part(two * f, dt, q, T::load(&self.flows[(offset + 2) * places + place..]));
+            let integral = noise_derivative(two * f, dt, q, T::load(&self.flows[(offset + 2) * places + place..]));
             out.values[slot] = bar.fma(integral, out.values[slot]);
-            if counts {
+            if is_free {
                 slope = (bar * two * q).fma(scalar_slope(two * f, dt, (phi * phi, integral)), slope);
             }
         }
-        if let (Some(slot), true) = (rate, counts) {
+        if let (Some(slot), true) = (rate, is_free) {
             out.values[slot] = out.values[slot] + slope;
         }
     }
 }
 
 /// The numbers with `more` added in one lane.
-fn added<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
+fn add_to_lane<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
     let mut all = [0.0; MOST];
     numbers.store(&mut all);
     all[lane] += more;
@@ -248,7 +248,7 @@ fn added<T: Lanes>(numbers: T, lane: usize, more: f64) -> T {
 
 /// ∂Q/∂q of a single state: Q/q, or expm1(xδ)/x where the noise q is zero. (`rate` is x, `dt` is δ.)
 #[inline(always)]
-fn part<T: Lanes>(rate: T, dt: T, noise: T, q: T) -> T {
+fn noise_derivative<T: Lanes>(rate: T, dt: T, noise: T, q: T) -> T {
     let mut all = [0.0; MOST];
     (q / noise).store(&mut all);
     for lane in 0..T::COUNT {

@@ -11,7 +11,7 @@ use crate::reduce::error::ReduceError;
 use crate::reduce::part::ReducedPhase;
 use crate::reduce::phased::replicates::PhaseReplicates;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
-use crate::reduce::reducer::ToEnd;
+use crate::reduce::reducer::ReducedWithEnd;
 use kalfit_model::Reduction;
 use kalfit_model::Test;
 use kalfit_model::{PhaseReduction, PhasedTest};
@@ -19,14 +19,14 @@ use kalfit_model::{PhaseReduction, PhasedTest};
 /// Batches of the phases of tests.
 #[derive(Debug)]
 pub struct PhasedBatches {
-    phases: Vec<Members>,
+    phases: Vec<PhaseMembers>,
     /// Whether any phase of each test is in a batch.
     pub(crate) has: Vec<bool>,
 }
 
 /// The tests that have rows in a phase.
 #[derive(Debug)]
-struct Members {
+struct PhaseMembers {
     /// Numbers of the tests, ascending.
     numbers: Arc<Vec<usize>>,
     batches: Arc<EnsembleBatches>,
@@ -71,7 +71,7 @@ impl PhasedReducer {
             let reducer = &self.phases[at].reducer;
             let batches = EnsembleBatches::new(reducer, (&rows, replicates), &places(alone), &places(shared));
             batches.numbers().for_each(|place| has[numbers[place]] = true);
-            Members { numbers: Arc::new(numbers), batches: Arc::new(batches) }
+            PhaseMembers { numbers: Arc::new(numbers), batches: Arc::new(batches) }
         };
         let phases = phases.into_iter().enumerate().map(&mut phase).collect();
         PhasedBatches { phases, has }
@@ -84,7 +84,7 @@ impl PhasedReducer {
         batches: &PhasedBatches,
     ) -> Result<(Reductions, FilteredPhases), ReduceError> {
         let filter = |at: usize, rows: &[&Test]| {
-            let Members { numbers, batches: own } = &batches.phases[at];
+            let PhaseMembers { numbers, batches: own } = &batches.phases[at];
             let (found, filtered) = own.reduce(&self.phases[at].reducer, rows);
             (found, (numbers.clone(), filtered))
         };
@@ -92,9 +92,9 @@ impl PhasedReducer {
             let (found, phase) = filter(0, &rows);
             return Ok((found.ordered()?, FilteredPhases { phases: vec![phase], pieces: Vec::new() }));
         }
-        let mut found: Vec<Vec<Option<ToEnd>>> = tests.iter().map(|_| Vec::new()).collect();
+        let mut found: Vec<Vec<Option<ReducedWithEnd>>> = tests.iter().map(|_| Vec::new()).collect();
         let mut phases = Vec::with_capacity(self.phases.len());
-        for (at, Members { numbers, .. }) in batches.phases.iter().enumerate() {
+        for (at, PhaseMembers { numbers, .. }) in batches.phases.iter().enumerate() {
             let rows = numbers.iter().filter_map(|&number| self.rows_of(at, &tests[number]));
             let (ends, phase) = filter(at, &rows.collect::<Vec<_>>());
             found.iter_mut().for_each(|own| own.push(None));
@@ -110,7 +110,7 @@ impl PhasedReducer {
                 tests.iter().zip(found).map(|(test, found)| self.parts(test, found, work, false)).collect();
             let pieces = parts.iter().zip(has).map(|(parts, &has)| pieces(parts.as_deref().ok().filter(|_| has)));
             let pieces: Vec<_> = pieces.collect();
-            self.wholes(tests, parts).into_iter().zip(pieces).collect::<Vec<_>>()
+            self.reduce_wholes(tests, parts).into_iter().zip(pieces).collect::<Vec<_>>()
         };
         let all: Vec<(Result<Reduction, ReduceError>, _)> =
             chunks.map_init(|| self.workspace(), whole).flatten_iter().collect();

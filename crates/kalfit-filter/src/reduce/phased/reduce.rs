@@ -5,12 +5,12 @@ use rayon::prelude::*;
 use crate::reduce::Reductions;
 use crate::reduce::error::ReduceError;
 use crate::reduce::phased::{PhasedReducer, PhasedWork};
-use crate::reduce::reducer::ToEnd;
+use crate::reduce::reducer::ReducedWithEnd;
 use kalfit_model::Test;
 use kalfit_model::{Evidence, PhaseReduction, PhasedTest};
 
 /// Most tests whose phases are in memory at the same time.
-const MOST: usize = 1 << 12;
+const MOST_TESTS_AT_ONCE: usize = 1 << 12;
 
 impl PhasedReducer {
     /// The reductions of tests, in their order: over (ξ_1, …, ξ_I), P = Σ p_i numbers, with zero rows and columns for
@@ -26,7 +26,7 @@ impl PhasedReducer {
             let batches = self.batches(tests, self.replicates(tests), (&[], &[]));
             Ok(self.reduce_batches(tests, &batches)?.0)
         };
-        Ok(Reductions::joined(tests.chunks(MOST).map(some).collect::<Result<_, _>>()?))
+        Ok(Reductions::joined(tests.chunks(MOST_TESTS_AT_ONCE).map(some).collect::<Result<_, _>>()?))
     }
 
     /// Reduces single phases of tests, given as (id of the test, phase, evidence), whether or not the phases before
@@ -35,7 +35,7 @@ impl PhasedReducer {
     /// # Errors
     /// The error of the first phase in error.
     pub fn each_piece(&self, phases: &[(&str, usize, &Evidence)]) -> Result<Vec<PhaseReduction>, ReduceError> {
-        let mut found: Vec<Option<ToEnd>> = phases.iter().map(|_| None).collect();
+        let mut found: Vec<Option<ReducedWithEnd>> = phases.iter().map(|_| None).collect();
         for (at, phase) in self.phases.iter().enumerate().filter(|(_, phase)| phase.is_optimal()) {
             let own = phases.iter().enumerate().filter_map(|(number, &(_, of, evidence))| match evidence {
                 Evidence::Rows(rows) if of == at => Some((number, rows)),

@@ -57,12 +57,12 @@ impl PhasedReducer {
         test: &PhasedTest,
         parts: Result<Vec<ReducedPhase<'_>>, ReduceError>,
     ) -> Result<Reduction, ReduceError> {
-        let all = self.wholes(std::slice::from_ref(test), vec![parts]);
+        let all = self.reduce_wholes(std::slice::from_ref(test), vec![parts]);
         all.into_iter().next().expect("one test, one reduction")
     }
 
     /// The reductions of all phases of tests together; tests of one shape are stacked in lanes.
-    pub(super) fn wholes(
+    pub(super) fn reduce_wholes(
         &self,
         tests: &[PhasedTest],
         parts: Vec<Result<Vec<ReducedPhase<'_>>, ReduceError>>,
@@ -90,15 +90,15 @@ impl PhasedReducer {
             .iter()
             .map(|linked| linked.as_ref().map_or(Vec::new(), |linked| linked.phases(&self.phases)))
             .collect();
-        let mut alike: BTreeMap<StackShape, Vec<usize>> = BTreeMap::new();
+        let mut same_shape: BTreeMap<StackShape, Vec<usize>> = BTreeMap::new();
         for (number, linked) in linked.iter().enumerate() {
             if linked.is_ok() {
-                alike.entry(shape(&phases[number])).or_default().push(number);
+                same_shape.entry(shape(&phases[number])).or_default().push(number);
             }
         }
-        for numbers in alike.values() {
-            let alike: Vec<&[StackPhase<'_>]> = numbers.iter().map(|&number| &*phases[number]).collect();
-            for (&number, own) in numbers.iter().zip(Stacked::all(&alike)) {
+        for numbers in same_shape.values() {
+            let same_shape: Vec<&[StackPhase<'_>]> = numbers.iter().map(|&number| &*phases[number]).collect();
+            for (&number, own) in numbers.iter().zip(Stacked::all(&same_shape)) {
                 stacked[number] = Some(own);
             }
         }

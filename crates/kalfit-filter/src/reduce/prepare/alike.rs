@@ -10,14 +10,14 @@ use crate::reduce::subject::{ModelAt, Uses};
 use kalfit_model::Test;
 
 /// Mask of all cells that are read from a test except measured values and covariates; `None` where whitening mixes
-/// values. `shape`, `drive`: columns as in the fields of `Preparer`.
-pub(super) fn looks(
+/// values. `design_columns`, `input_columns`: columns as in the fields of `Preparer`.
+pub(super) fn read_cells(
     at: &ModelAt<'_>,
-    (shape, drive): (&Uses, &Uses),
+    (design_columns, input_columns): (&Uses, &Uses),
     (dynamics, start, meters): (&Dynamics, &ModelStart, &Meters),
 ) -> Option<CellMask> {
     let mut read = Uses::default();
-    for uses in [shape, drive, &dynamics.uses] {
+    for uses in [design_columns, input_columns, &dynamics.uses] {
         read.extend(uses);
     }
     start.coefficients().chain(&start.initial_time).for_each(|coefficient| read.add(coefficient, at.alpha));
@@ -33,7 +33,7 @@ impl Preparer {
         spans(&self.at(), test, None, &mut steps).ok()?;
         let changes = |span: &StepSpan| {
             let later = (1..span.count).map(|number| span.step(number));
-            1 + later.filter(|rows| !self.shape.repeat(test, rows)).count()
+            1 + later.filter(|rows| !self.design_columns.repeat(test, rows)).count()
         };
         self.order.frame.driven.is_empty().then(|| steps.iter().map(changes).sum())
     }

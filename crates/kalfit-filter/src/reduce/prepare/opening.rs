@@ -43,7 +43,7 @@ impl Preparer {
         work.spans.clear();
         work.spans.push(StepSpan { rows: 0..1, count: 1, dt: f64::NAN, moves: true });
         self.covariates(&at, work)?;
-        self.begin(&at, constants, work)
+        self.write_start(&at, constants, work)
     }
 
     /// d of each scalar measurement of the test in the work space.

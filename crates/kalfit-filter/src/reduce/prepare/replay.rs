@@ -125,8 +125,8 @@ impl Preparer {
         opening: &StartCells,
         out: &mut Replay,
     ) -> Result<StartMoments, Box<Fault>> {
-        if self.start.settles() {
-            self.settling(&opening.first(test, &self.alpha), out)?;
+        if self.start.has_stationary_states() {
+            self.stationary_coefficients(&opening.first(test, &self.alpha), out)?;
         }
         self.start.law(&self.at(), &opening.whole(&self.alpha), &out.values, &out.inputs)
     }
@@ -142,7 +142,7 @@ impl Preparer {
     }
 
     /// The coefficients and inputs of the dynamics that the stationary distribution needs.
-    pub(crate) fn settling(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
+    pub(crate) fn stationary_coefficients(&self, scope: &Scope<'_>, out: &mut Replay) -> Result<(), Box<Fault>> {
         let at = self.at();
         self.dynamics.table.evaluate_some(&at, scope, |slot| self.start.needs(slot), &mut out.values)?;
         self.dynamics.inputs.evaluate_some(&at, scope, |slot| self.start.needs_input(slot), &mut out.inputs)

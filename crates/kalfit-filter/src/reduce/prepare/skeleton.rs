@@ -9,7 +9,7 @@ use kalfit_model::Scope;
 use kalfit_model::Test;
 
 /// Most steps and scalar measurements together of a test that has a skeleton.
-const MOST: usize = 1 << 23;
+const MOST_STEPS_AND_ROWS: usize = 1 << 23;
 
 /// The steps of a test, found from its cells alone.
 #[derive(Debug, Default)]
@@ -23,7 +23,7 @@ pub struct Skeleton {
     /// Cells of the law of x_0, where it differs from test to test.
     pub(crate) opening: Option<StartCells>,
     /// Whether each step is one row.
-    flat: bool,
+    one_row_steps: bool,
     /// Bits that mark the measurements of each step, one for each measurement of the model in each step, from the
     /// highest bit of the first word on.
     pattern: Vec<u64>,
@@ -69,7 +69,7 @@ impl Skeleton {
     }
 
     /// Whether its steps have the same transitions and measurements as those of `other`.
-    pub(crate) fn is_like(&self, other: &Skeleton) -> bool {
+    pub(crate) fn has_steps_of(&self, other: &Skeleton) -> bool {
         let step = |(own, other): (&StepCells, &StepCells)| (own.moves, own.end) == (other.moves, other.end);
         (self.steps.len(), self.instances.len()) == (other.steps.len(), other.instances.len())
             && self.steps.iter().zip(&other.steps).all(step)
@@ -79,12 +79,12 @@ impl Skeleton {
     /// Whether it fits in one batch with `longer`, which is at least as long: each step of both is one row, whose
     /// measurements are in the order of the model, or the steps of both have the same measurements. It must also be at
     /// least half as long.
-    pub(crate) fn goes_with(&self, longer: &Skeleton) -> bool {
+    pub(crate) fn fits_batch_of(&self, longer: &Skeleton) -> bool {
         let same = |k: usize| {
             let (own, other) = (self.of(k), longer.of(k));
             own.len() == other.len() && own.iter().zip(other).all(|(own, other)| own.meter == other.meter)
         };
-        2 * self.len() >= longer.len() && (self.flat && longer.flat || (0..self.len()).all(same))
+        2 * self.len() >= longer.len() && (self.one_row_steps && longer.one_row_steps || (0..self.len()).all(same))
     }
 
     /// Empties the skeleton for another test.
@@ -105,22 +105,22 @@ impl Preparer {
     pub(crate) fn skeleton(&self, test: &Test, number: usize, work: &mut Workspace, made: &mut Skeleton) -> bool {
         made.clear();
         made.number = number;
-        if !self.columnwise || !self.has_opened(test, work) {
+        if !self.columnwise || !self.find_spans(test, work) {
             return false;
         }
         made.covariates.extend(&work.covariates);
         made.steps.reserve(test.rows());
         made.instances.reserve(test.rows());
         made.opening = self.law.is_none().then(|| work.opening());
-        made.flat = work.spans.iter().all(|span| span.height() == 1);
-        if !(made.flat || self.dynamics.uses.is_empty()) || !self.has_steps(test, work, made) {
+        made.one_row_steps = work.spans.iter().all(|span| span.height() == 1);
+        if !(made.one_row_steps || self.dynamics.uses.is_empty()) || !self.append_steps(test, work, made) {
             return false;
         }
-        !made.instances.is_empty() && made.steps.len() + made.instances.len() <= MOST
+        !made.instances.is_empty() && made.steps.len() + made.instances.len() <= MOST_STEPS_AND_ROWS
     }
 
     /// Gathers the cells that are constant within a test, and finds its steps; false where the test is in error.
-    fn has_opened(&self, test: &Test, work: &mut Workspace) -> bool {
+    fn find_spans(&self, test: &Test, work: &mut Workspace) -> bool {
         let at = self.at();
         if test.rows() == 0 || work.whole.gather(&at, test, 0..test.rows(), (&self.start.uses, true)).is_err() {
             return false;
@@ -128,13 +128,13 @@ impl Preparer {
         let Workspace { whole, spans: steps, .. } = &mut *work;
         let scope = Scope { numbers: &whole.numbers, texts: &whole.texts, step: f64::NAN, alpha: &self.alpha };
         let initial = self.start.initial_time.as_ref().map(|time| at.value(time, &scope)).transpose();
-        let sound = initial.and_then(|initial| self.spans(test, initial, steps));
-        sound.is_ok() && self.covariates(&at, work).is_ok()
+        let found = initial.and_then(|initial| self.spans(test, initial, steps));
+        found.is_ok() && self.covariates(&at, work).is_ok()
     }
 
     /// Appends the steps of the test in the work space; false where a step is in error, or most steps are in long
     /// stretches of equal steps.
-    fn has_steps(&self, test: &Test, work: &Workspace, made: &mut Skeleton) -> bool {
+    fn append_steps(&self, test: &Test, work: &Workspace, made: &mut Skeleton) -> bool {
         let at = self.at();
         let unknown = |moves: bool, dt: f64| moves && dt.is_nan() && !self.dynamics.components.is_empty();
         let mut count = EqualStepCount::new(work.spans.iter().map(|span| span.count).sum());
@@ -151,12 +151,12 @@ impl Preparer {
                     }
                 }
                 for instance in &made.instances[first..] {
-                    note(&mut made.pattern, k * self.meters.count() + instance.meter);
+                    set_bit(&mut made.pattern, k * self.meters.count() + instance.meter);
                 }
                 let source = if self.clock_previous() && k > 0 { before.start } else { rows.start } as u32;
                 made.steps.push(StepCells { moves: span.moves, dt: span.dt, source, end: made.instances.len() });
                 let may_repeat = (number > 0 || self.plan.is_still()) && rows.len() == before.len();
-                let repeats = may_repeat && self.shape.repeat(test, &rows) && made.repeats(k);
+                let repeats = may_repeat && self.design_columns.repeat(test, &rows) && made.repeats(k);
                 if count.take(repeats) {
                     return false;
                 }
@@ -168,7 +168,7 @@ impl Preparer {
 }
 
 /// Sets a bit, counted from the highest bit of the first word.
-fn note(pattern: &mut Vec<u64>, bit: usize) {
+fn set_bit(pattern: &mut Vec<u64>, bit: usize) {
     let word = bit / 64;
     if pattern.len() <= word {
         pattern.resize(word + 1, 0);

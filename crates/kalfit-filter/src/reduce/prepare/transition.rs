@@ -13,31 +13,31 @@ use crate::reduce::subject::{Fault, ModelAt, Subject};
 use kalfit_model::Test;
 
 /// Most transitions whose memory is kept for reuse.
-const SPARE: usize = 1 << 12;
+const MOST_REUSABLE: usize = 1 << 12;
 
 /// The moves of a step, as an entry of the store of transitions.
 type KnownMoves = StoreEntry<Vec<u64>, Result<Moves, Box<Fault>>>;
 
 /// The moves to the last step, with the key that identifies them: the step's length and coefficients.
 #[derive(Debug)]
-pub(super) enum Last {
+pub(super) enum LastMoves {
     Own(Vec<u64>, Moves),
     /// An entry of the store, without a fault.
     Shared(Arc<KnownMoves>),
 }
 
-impl Last {
+impl LastMoves {
     pub(super) fn key(&self) -> &[u64] {
         match self {
-            Last::Own(key, _) => key,
-            Last::Shared(moved) => &moved.key,
+            LastMoves::Own(key, _) => key,
+            LastMoves::Shared(moved) => &moved.key,
         }
     }
 
     pub(super) fn moves(&self) -> &Moves {
         match self {
-            Last::Own(_, moves) => moves,
-            Last::Shared(moved) => moved.value().as_ref().expect("the last one is sound"),
+            LastMoves::Own(_, moves) => moves,
+            LastMoves::Shared(moved) => moved.value().as_ref().expect("the last one is sound"),
         }
     }
 }
@@ -45,13 +45,13 @@ impl Last {
 impl Workspace {
     /// Empties the design; the memory of unshared transitions is kept for those of the next test.
     pub(super) fn clear_design(&mut self) {
-        let Workspace { design, spare, .. } = self;
+        let Workspace { design, reusable, .. } = self;
         let mut used = design.moves.drain(..);
-        while spare.len() < SPARE
+        while reusable.len() < MOST_REUSABLE
             && let Some(mut transition) = used.next()
         {
             if Arc::get_mut(&mut transition).is_some() {
-                spare.push(transition);
+                reusable.push(transition);
             }
         }
         drop(used);
@@ -73,7 +73,7 @@ impl Preparer {
         if continuous && dt.is_nan() {
             return Err(Fault::new(Subject::Transition, ReduceErrorKind::UnknownFirstStep).on(row));
         }
-        if self.steady
+        if self.fixed_dynamics
             && let Some(last) = &work.last
             && last.key()[0] == if continuous { dt.to_bits() } else { 0 }
         {
@@ -88,12 +88,12 @@ impl Preparer {
         work.key.push(if continuous { dt.to_bits() } else { 0 });
         work.key.extend(self.dynamics.table.varying.iter().map(|(slot, ..)| work.replay.values[*slot].to_bits()));
         if work.last.as_ref().is_none_or(|last| last.key() != work.key) {
-            if self.quick {
-                self.own_moves(work, dt).map_err(|fault| fault.on(row))?;
+            if self.without_exponentials {
+                self.compute_moves(work, dt).map_err(|fault| fault.on(row))?;
             } else {
-                let shared = self.shared_moves(work, dt);
+                let shared = self.cached_moves(work, dt);
                 shared.value().as_ref().map_err(|fault| fault.clone().on(row))?;
-                work.last = Some(Last::Shared(shared));
+                work.last = Some(LastMoves::Shared(shared));
             }
         }
         let Workspace { last, replay, data, .. } = work;
@@ -103,17 +103,17 @@ impl Preparer {
     }
 
     /// Computes the moves of a step in place of the last ones.
-    fn own_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
-        let Workspace { key, replay, filled, spare, last, .. } = work;
-        let moves = self.plan.moves(&self.dynamics, &replay.values, dt, (filled, spare.pop()))?;
+    fn compute_moves(&self, work: &mut Workspace, dt: f64) -> Result<(), Box<Fault>> {
+        let Workspace { key, replay, filled, reusable, last, .. } = work;
+        let moves = self.plan.moves(&self.dynamics, &replay.values, dt, (filled, reusable.pop()))?;
         // the memory of the old key serves for the next one
-        if let Some(Last::Own(before, _)) = last.replace(Last::Own(std::mem::take(key), moves)) {
+        if let Some(LastMoves::Own(before, _)) = last.replace(LastMoves::Own(std::mem::take(key), moves)) {
             *key = before;
         }
         Ok(())
     }
 
-    fn shared_moves(&self, work: &mut Workspace, dt: f64) -> Arc<KnownMoves> {
+    fn cached_moves(&self, work: &mut Workspace, dt: f64) -> Arc<KnownMoves> {
         let mut digest = Digest::new();
         work.key.iter().for_each(|&word| digest.word(word));
         let Workspace { key, replay, filled, .. } = work;

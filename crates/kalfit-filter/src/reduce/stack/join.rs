@@ -15,14 +15,14 @@ pub(super) struct JoinedPhase<T> {
     /// R, packed by columns.
     factor: Vec<T>,
     /// Link that leads to the phase; `None` for the first phase.
-    pub(super) link: Option<GivenLink<T>>,
+    pub(super) link: Option<PhaseLink<T>>,
     /// d, q numbers; `mean` is g of the link that leads to this phase.
     data: Vec<T>,
     mean: Vec<T>,
 }
 
 /// The link that leads to a phase, matrices by columns.
-pub(super) struct GivenLink<T> {
+pub(super) struct PhaseLink<T> {
     /// G, q × the number of entering coordinates of the phase before.
     pub(super) G: Matrix<T>,
     /// C, q × at most q columns.
@@ -50,7 +50,7 @@ impl<T> Default for JoinWorkspace<T> {
 
 /// Separates numbers in lanes into one list for each test.
 #[inline(always)]
-pub(super) fn apart<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
+pub(super) fn per_test<T: Lanes>(numbers: &[T], tests: usize) -> Vec<Vec<f64>> {
     let mut all = Vec::with_capacity(tests);
     for _ in 0..tests {
         all.push(Vec::with_capacity(numbers.len()));
@@ -75,7 +75,7 @@ impl<T: Lanes> JoinedPhase<T> {
             let sensitivity = Matrix::new(like[0], count, |lane| link_of(&tests[lane][at])[0].as_slice());
             let root = Matrix::new(like[1], count, |lane| link_of(&tests[lane][at])[1].as_slice());
             let transition = Matrix::new(like[2], count, |lane| link_of(&tests[lane][at])[2].as_slice());
-            link = Some(GivenLink { G: transition.times(&sensitivity), C: transition.times(&root).narrowed() });
+            link = Some(PhaseLink { G: transition.times(&sensitivity), C: transition.times(&root).narrowed() });
         }
         let mean = interleaved(count, |lane| tests[lane][at].mean.map_or(&[][..], |mean| mean.as_slice()));
         let data = interleaved(count, |lane| tests[lane][at].data);
@@ -102,7 +102,7 @@ impl<T: Lanes> JoinedPhase<T> {
         residual: &mut T,
         room: &mut JoinWorkspace<T>,
     ) -> (StackArray<T>, Vec<T>) {
-        let GivenLink { G, C } = next.link.as_ref().expect("a later phase has a link");
+        let PhaseLink { G, C } = next.link.as_ref().expect("a later phase has a link");
         let (u, from, q, own) = (C.columns, G.columns, next.data.len(), next.own);
         let size = u + from + own + later.width - q;
         let mut array = StackArray::zeros(size, std::mem::take(&mut room.array));
@@ -196,9 +196,9 @@ impl<T: Lanes> Matrix<T> {
 
     /// The matrix of each test.
     #[inline(always)]
-    pub(super) fn apart(&self, tests: usize) -> Vec<DMatrix<f64>> {
+    pub(super) fn per_test(&self, tests: usize) -> Vec<DMatrix<f64>> {
         let mut all = Vec::with_capacity(tests);
-        for entries in apart(&self.entries, tests) {
+        for entries in per_test(&self.entries, tests) {
             all.push(DMatrix::from_vec(self.rows, self.columns, entries));
         }
         all

@@ -18,7 +18,7 @@ use nalgebra::DMatrix;
 
 use crate::reduce::gains::RankOperation;
 use crate::reduce::root::{UNINFORMED, settle};
-use join::{JoinedPhase, apart};
+use join::{JoinedPhase, per_test};
 
 pub(crate) use phase::{StackPhase, StackShape, shape};
 pub(crate) use together::Stacked;
@@ -48,7 +48,7 @@ fn links<T: Lanes>(phases: &[JoinedPhase<T>], tests: usize) -> Vec<Vec<(DMatrix<
     let mut all = vec![Vec::with_capacity(phases.len() - 1); tests];
     for phase in phases {
         if let Some(link) = &phase.link {
-            for (own, pair) in all.iter_mut().zip(link.G.apart(tests).into_iter().zip(link.C.apart(tests))) {
+            for (own, pair) in all.iter_mut().zip(link.G.per_test(tests).into_iter().zip(link.C.per_test(tests))) {
                 own.push(pair);
             }
         }
@@ -61,7 +61,7 @@ fn links<T: Lanes>(phases: &[JoinedPhase<T>], tests: usize) -> Vec<Vec<(DMatrix<
 fn half_log_determinants<T: Lanes>(diagonals: &[Vec<T>], tests: usize) -> Vec<f64> {
     let mut sums = vec![0.0; tests];
     for diagonal in diagonals {
-        for (sum, diagonal) in sums.iter_mut().zip(apart(diagonal, tests)) {
+        for (sum, diagonal) in sums.iter_mut().zip(per_test(diagonal, tests)) {
             *sum += diagonal.iter().map(|x| x.ln()).sum::<f64>();
         }
     }
@@ -84,14 +84,14 @@ mod tests {
     use kalfit_lanes::Isa;
 
     /// A phase of a test: R packed, d, and Ψ, C, T, g of the link that leads to the phase.
-    struct Own {
+    struct TestPhase {
         factor: Vec<f64>,
         data: Vec<f64>,
         link: Option<([DMatrix<f64>; 3], DVector<f64>)>,
     }
 
     /// Random phases of given sizes (p, q, states before, columns of C); some numbers are zero, in some lanes whole rows.
-    fn phases(sizes: &[(usize, usize, usize, usize)], random: &mut ChaCha8Rng) -> Vec<Own> {
+    fn phases(sizes: &[(usize, usize, usize, usize)], random: &mut ChaCha8Rng) -> Vec<TestPhase> {
         let sparse = random.random_bool(0.5);
         let number = |random: &mut ChaCha8Rng| {
             if sparse && random.random_bool(0.4) {
@@ -112,14 +112,14 @@ mod tests {
             let link = (at > 0).then(|| [matrix(n, before), matrix(n, u), matrix(q, n)]);
             let link = link.map(|link| (link, DVector::from_fn(q, |_, _| number(random))));
             let data = (0..q).map(|_| number(random)).collect();
-            all.push(Own { factor, data, link });
+            all.push(TestPhase { factor, data, link });
             before = q;
         }
         all
     }
 
-    fn told<'a>(phases: &'a [Own], sizes: &[(usize, usize, usize, usize)]) -> Vec<StackPhase<'a>> {
-        let phase = |(own, size): (&'a Own, &(usize, usize, usize, usize))| StackPhase {
+    fn inputs<'a>(phases: &'a [TestPhase], sizes: &[(usize, usize, usize, usize)]) -> Vec<StackPhase<'a>> {
+        let phase = |(own, size): (&'a TestPhase, &(usize, usize, usize, usize))| StackPhase {
             own: size.0,
             factor: &own.factor,
             data: &own.data,
@@ -146,14 +146,14 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(11);
         for sizes in shapes {
             for count in [1, 2, 4, 8, 11] {
-                let tests: Vec<Vec<Own>> = (0..count).map(|_| phases(sizes, &mut random)).collect();
-                let told: Vec<Vec<StackPhase<'_>>> = tests.iter().map(|test| told(test, sizes)).collect();
-                let told: Vec<&[StackPhase<'_>]> = told.iter().map(|phases| &**phases).collect();
+                let tests: Vec<Vec<TestPhase>> = (0..count).map(|_| phases(sizes, &mut random)).collect();
+                let inputs: Vec<Vec<StackPhase<'_>>> = tests.iter().map(|test| inputs(test, sizes)).collect();
+                let inputs: Vec<&[StackPhase<'_>]> = inputs.iter().map(|phases| &**phases).collect();
                 for isa in Isa::all() {
-                    let found = isa.run(StackKernel(&told));
+                    let found = isa.run(StackKernel(&inputs));
                     assert_eq!(found.len(), count);
                     for (lane, found) in found.iter().enumerate() {
-                        let alone = &Stacked::all(&told[lane..=lane])[0];
+                        let alone = &Stacked::all(&inputs[lane..=lane])[0];
                         let about = format!("{isa:?}, {sizes:?}, test {lane} of {count}");
                         assert_eq!(bits(&found.factor), bits(&alone.factor), "R: {about}");
                         assert_eq!(found.links, alone.links, "links: {about}");
@@ -171,11 +171,11 @@ mod tests {
         let (r, d, constant) = ([2.0, 3.0], [1.0, -0.5], 0.25);
         let (psi, root, transition, g) = (0.75, 0.5, 1.5, 0.125);
         let one = |x: f64| DMatrix::from_element(1, 1, x);
-        let own = |at: usize, link| Own { factor: vec![r[at]], data: vec![d[at]], link };
+        let own = |at: usize, link| TestPhase { factor: vec![r[at]], data: vec![d[at]], link };
         let link = ([one(psi), one(root), one(transition)], DVector::from_element(1, g));
         let test = vec![own(0, None), own(1, Some(link))];
         let sizes = [(1, 1, 0, 0), (1, 1, 1, 1)];
-        let found = &Stacked::all(&[&told(&test, &sizes)])[0];
+        let found = &Stacked::all(&[&inputs(&test, &sizes)])[0];
         let spread: f64 = 1.0 + r[1] * r[1] * (transition * root) * (transition * root);
         for xi in [[0.0, 0.0], [1.0, -2.0], [0.3, 0.8]] {
             let first = d[0] - r[0] * xi[0];

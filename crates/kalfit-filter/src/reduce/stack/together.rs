@@ -4,7 +4,7 @@ use kalfit_lanes::{Isa, Kernel, Lanes, MOST};
 use nalgebra::DMatrix;
 
 use crate::reduce::root::UNINFORMED;
-use crate::reduce::stack::join::{JoinWorkspace, apart};
+use crate::reduce::stack::join::{JoinWorkspace, per_test};
 use crate::reduce::stack::{StackPhase, constant, given, half_log_determinants, links, settle_packed};
 
 /// The phases of one test stacked.
@@ -59,7 +59,7 @@ fn stack_batch<T: Lanes>(
     let mut left = [0.0; MOST];
     residual.store(&mut left);
     let is_regular = array.is_regular(UNINFORMED);
-    let factors = apart(&array.packed(), count);
+    let factors = per_test(&array.packed(), count);
     let rest = links(&phases, count).into_iter().zip(half_log_determinants(&diagonals, count));
     for (((mut factor, (links, half_log_determinant)), phases), mut residual) in
         factors.into_iter().zip(rest).zip(tests).zip(left)

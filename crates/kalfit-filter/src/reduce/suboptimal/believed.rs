@@ -9,21 +9,21 @@ use kalfit_model::Filter;
 
 /// A measurement adds nothing when its deviation, given the others of its step, is at most this fraction of its
 /// deviation.
-const REPEATED: f64 = 1e-13;
+const REDUNDANT_FRACTION: f64 = 1e-13;
 /// A measurement counts as known already when its deviation is at most this fraction of that without measurements.
-const KNOWN: f64 = 1e-12;
+const KNOWN_FRACTION: f64 = 1e-12;
 /// Correlation of a state with an innovation up to which it is rounding error. It must not become a gain: it would
 /// vanish in the rounding of a larger estimate, yet the estimate's covariance would consist of it alone.
-const UNRELATED: f64 = 1e-13;
+const UNCORRELATED: f64 = 1e-13;
 
 /// The covariance of [x_k; x_0] that the filter assumes, right or wrong.
 #[derive(Debug, Clone)]
-pub(super) struct Believed<'a> {
+pub(super) struct AssumedCovariance<'a> {
     filter: &'a Filter,
     /// U with UU' = P, 2n × any number of columns.
     U: DMatrix<f64>,
     /// Covariance of x_k without measurements: the scale on which a deviation counts as zero.
-    open: DMatrix<f64>,
+    unmeasured: DMatrix<f64>,
 }
 
 /// White innovations w of a step: e = Lw for the measurements that add information.
@@ -34,12 +34,12 @@ struct Whitened {
     C: DMatrix<f64>,
 }
 
-impl<'a> Believed<'a> {
-    pub(super) fn new(filter: &'a Filter) -> Believed<'a> {
-        let (n, open) = (filter.covariance.nrows(), filter.covariance.clone());
-        let mut root = symmetric::square_root(&open);
-        (0..n).filter(|&i| open[(i, i)] == 0.0).for_each(|i| root.row_mut(i).fill(0.0));
-        Believed { filter, U: DMatrix::from_fn(2 * n, n, |i, j| root[(i % n, j)]), open }
+impl<'a> AssumedCovariance<'a> {
+    pub(super) fn new(filter: &'a Filter) -> AssumedCovariance<'a> {
+        let (n, unmeasured) = (filter.covariance.nrows(), filter.covariance.clone());
+        let mut root = symmetric::square_root(&unmeasured);
+        (0..n).filter(|&i| unmeasured[(i, i)] == 0.0).for_each(|i| root.row_mut(i).fill(0.0));
+        AssumedCovariance { filter, U: DMatrix::from_fn(2 * n, n, |i, j| root[(i % n, j)]), unmeasured }
     }
 
     pub(super) fn predict(&mut self, phi: &DMatrix<f64>, Q: &DMatrix<f64>, root: &DMatrix<f64>) {
@@ -47,7 +47,7 @@ impl<'a> Believed<'a> {
         let moved = phi * self.U.rows(0, n);
         self.U.rows_mut(0, n).copy_from(&moved);
         append(&mut self.U, 0, root);
-        self.open = phi * &self.open * phi.transpose() + Q;
+        self.unmeasured = phi * &self.unmeasured * phi.transpose() + Q;
     }
 
     /// Takes all measurements of a step at once; `noise` is a root of R. Returns [K; K⁰], 2n × m, with zero rows for
@@ -83,7 +83,7 @@ impl<'a> Believed<'a> {
         for i in 0..m {
             let mut left = row(i);
             let size = left.norm();
-            let open: f64 = (0..n).map(|j| M[(i, j)].abs() * self.open[(j, j)].max(0.0).sqrt()).sum();
+            let unmeasured: f64 = (0..n).map(|j| M[(i, j)].abs() * self.unmeasured[(j, j)].max(0.0).sqrt()).sum();
             let mut part = vec![0.0; basis.len()];
             for (k, own) in (0..2).flat_map(|_| basis.iter().enumerate()) {
                 let along = own.dot(&left);
@@ -91,7 +91,7 @@ impl<'a> Believed<'a> {
                 part[k] += along;
             }
             let length = left.norm();
-            if size > KNOWN * open && length > REPEATED * size {
+            if size > KNOWN_FRACTION * unmeasured && length > REDUNDANT_FRACTION * size {
                 part.push(length);
                 basis.push(left / length);
                 parts.push(part);
@@ -102,7 +102,7 @@ impl<'a> Believed<'a> {
         let C = DMatrix::from_fn(2 * n, kept.len(), |i, k| {
             let own = self.U.row(i);
             let covariance: f64 = own.iter().zip(&basis[k]).map(|(u, w)| u * w).sum();
-            if covariance.abs() > UNRELATED * own.norm() { covariance } else { 0.0 }
+            if covariance.abs() > UNCORRELATED * own.norm() { covariance } else { 0.0 }
         });
         Whitened { kept, L, C }
     }

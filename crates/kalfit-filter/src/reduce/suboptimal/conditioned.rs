@@ -9,15 +9,15 @@ use kalfit_model::Estimates;
 
 /// Directions of ŝ are not random when their standard deviation is at most this fraction of the largest, with elements
 /// scaled to unit deviation.
-const CERTAIN: f64 = 1e-10;
+const CERTAIN_FRACTION: f64 = 1e-10;
 /// A sum counts as zero when it is at most this fraction of the size of its terms.
-const CANCELLED: f64 = 1e-9;
+const CANCELLED_FRACTION: f64 = 1e-9;
 /// Bound on the rounding error of a relation, as a multiple of the singular value that it leaves.
-const DOUBT: f64 = 1e4;
+const ROUNDING_BOUND: f64 = 1e4;
 /// Values that are certain may be off by this fraction of their terms plus this many standard deviations of their
 /// elements: files keep only so many digits.
-const ROUNDING: f64 = 1e-9;
-const UNNOTICED: f64 = 1e-4;
+const TOLERATED_FRACTION: f64 = 1e-9;
+const TOLERATED_DEVIATIONS: f64 = 1e-4;
 
 /// The error that estimates would determine a combination of ξ exactly.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,19 +80,19 @@ impl Conditioned {
         let size: Vec<f64> = deviation.iter().map(|s| if *s > 0.0 { *s } else { 1.0 }).collect();
         let scaled = |a: &DMatrix<f64>| DMatrix::from_fn(a.nrows(), a.ncols(), |i, j| a[(i, j)] / size[j]);
         let whole = SingularValues::of(&DMatrix::from_fn(m, D_h.ncols(), |i, j| D_h[(i, j)] / size[i]));
-        let r = whole.rank(CERTAIN);
+        let r = whole.rank(CERTAIN_FRACTION);
         let U = whole.left.columns(0, r).into_owned();
-        let V = DMatrix::from_fn(D_h.ncols(), r, |i, k| whole.image[(i, k)] / whole.values[k]);
+        let V = DMatrix::from_fn(D_h.ncols(), r, |i, k| whole.scaled_right[(i, k)] / whole.values[k]);
         let W = scaled(&DMatrix::from_fn(r, m, |k, i| U[(i, k)] / whole.values[k]));
         let certain = scaled(&whole.left.columns(r, m - r).transpose());
         let (WS, SP) = (&W * S, S * &entry.root);
-        let relations = Relations { rows: &certain, grain: grain(&whole, r, &deviation), WS: &WS };
-        let Taken { V_B, V_0, T_B, B, left, log_values, basis } = relations.taken(S, entry)?;
+        let relations = Relations { rows: &certain, rounding_deviation: rounding_deviation(&whole, r, &deviation), WS: &WS };
+        let CertainInformation { V_B, V_0, T_B, B, left, log_values, basis } = relations.taken(S, entry)?;
         let C = &W * &SP * &V_B;
         let G = &W * &SP * &V_0;
         let T = WS.select_columns(entry.entering) - &C * &T_B;
         let N = left * &certain;
-        let slack = N.map(f64::abs) * DVector::from_vec(deviation) * UNNOTICED;
+        let slack = N.map(f64::abs) * DVector::from_vec(deviation) * TOLERATED_DEVIATIONS;
         let (k, q) = (V_0.ncols(), entry.entering.len());
         let mut rows = DMatrix::zeros(r + T_B.nrows(), k + q);
         rows.view_mut((0, 0), (r, k)).copy_from(&G);
@@ -125,7 +125,7 @@ impl Conditioned {
     pub(super) fn check(&self, u: &DVector<f64>, terms: &DVector<f64>) -> Result<(), (f64, f64)> {
         let (off, sizes) = (&self.N * u, self.N.map(f64::abs) * terms);
         for ((off, size), slack) in off.iter().zip(&sizes).zip(&self.slack) {
-            let allowed = ROUNDING * size + slack;
+            let allowed = TOLERATED_FRACTION * size + slack;
             if off.abs() > allowed {
                 return Err((off.abs(), allowed));
             }
@@ -142,7 +142,7 @@ impl Conditioned {
 }
 
 /// Information of certain combinations of ŝ about η and σ: B u = V_B'η + T_B σ.
-struct Taken {
+struct CertainInformation {
     V_B: DMatrix<f64>,
     /// Orthonormal basis of the rest of the space of η.
     V_0: DMatrix<f64>,
@@ -167,23 +167,23 @@ struct Relations<'a> {
     /// N, one relation per row.
     rows: &'a DMatrix<f64>,
     /// ε of each row.
-    grain: DVector<f64>,
+    rounding_deviation: DVector<f64>,
     /// WS: the whitened sensitivities of everything else in ŝ.
     WS: &'a DMatrix<f64>,
 }
 
 impl Relations<'_> {
-    fn taken(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<Taken, ExactCombination> {
-        let rounding = |told: &[f64]| DMatrix::from_fn(self.grain.len(), told.len(), |i, j| self.grain[i] * told[j]);
-        let told = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
-        let (NS, E) = (clean(self.rows, S, &rounding(&told(self.WS))), entry.entering);
+    fn taken(&self, S: &DMatrix<f64>, entry: &EstimateStart<'_>) -> Result<CertainInformation, ExactCombination> {
+        let rounding = |norms: &[f64]| DMatrix::from_fn(self.rounding_deviation.len(), norms.len(), |i, j| self.rounding_deviation[i] * norms[j]);
+        let norms = |a: &DMatrix<f64>| a.column_iter().map(|column| column.norm()).collect::<Vec<f64>>();
+        let (NS, E) = (clean(self.rows, S, &rounding(&norms(self.WS))), entry.entering);
         // the law of η, which is white, informs of it as well
-        let told: Vec<f64> = told(&(self.WS * &entry.root)).iter().map(|told| told.hypot(1.0)).collect();
-        let NP = clean(&NS, &entry.root, &rounding(&told));
+        let norms: Vec<f64> = norms(&(self.WS * &entry.root)).iter().map(|norms| norms.hypot(1.0)).collect();
+        let NP = clean(&NS, &entry.root, &rounding(&norms));
         let (k, l) = NP.shape();
         let known = SingularValues::of(&NP);
-        let b = known.rank(CERTAIN);
-        let V_B = DMatrix::from_fn(l, b, |i, j| known.image[(i, j)] / known.values[j]);
+        let b = known.rank(CERTAIN_FRACTION);
+        let V_B = DMatrix::from_fn(l, b, |i, j| known.scaled_right[(i, j)] / known.values[j]);
         let basis = known.left.columns(0, b).into_owned();
         let pick = DMatrix::from_fn(b, k, |j, i| basis[(i, j)] / known.values[j]);
         let left = known.left.columns(b, k - b).transpose();
@@ -195,17 +195,17 @@ impl Relations<'_> {
         let rest = SingularValues::of(&(DMatrix::identity(l, l) - &V_B * V_B.transpose()));
         let V_0 = rest.left.columns(0, l - b).into_owned();
         let log_values = known.values[..b].iter().map(|x| x.ln()).sum();
-        Ok(Taken { T_B: &pick * NE, B: pick * self.rows, V_B, V_0, left, log_values, basis })
+        Ok(CertainInformation { T_B: &pick * NE, B: pick * self.rows, V_B, V_0, left, log_values, basis })
     }
 }
 
 /// ε of each relation, in deviations: from its own singular value, which is zero up to rounding, or from the rounding
 /// error of the largest one. It is zero for relations of elements without any noise.
-fn grain(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
+fn rounding_deviation(whole: &SingularValues, r: usize, deviation: &[f64]) -> DVector<f64> {
     let m = deviation.len();
     let least = whole.values.first().map_or(0.0, |largest| m as f64 * f64::EPSILON * largest);
     let random = |i: usize| (0..m).any(|row| deviation[row] > 0.0 && whole.left[(row, i)] != 0.0);
-    DVector::from_fn(m - r, |i, _| if random(r + i) { DOUBT * whole.values[r + i].max(least) } else { 0.0 })
+    DVector::from_fn(m - r, |i, _| if random(r + i) { ROUNDING_BOUND * whole.values[r + i].max(least) } else { 0.0 })
 }
 
 /// AB with entries that are rounding error set to zero: those below CANCELLED × the size of their terms plus
@@ -215,7 +215,7 @@ fn clean(a: &DMatrix<f64>, b: &DMatrix<f64>, rounding: &DMatrix<f64>) -> DMatrix
     product.zip_zip_map(
         &size,
         rounding,
-        |x, size, rounding| if x.abs() <= CANCELLED * size + rounding { 0.0 } else { x },
+        |x, size, rounding| if x.abs() <= CANCELLED_FRACTION * size + rounding { 0.0 } else { x },
     )
 }
 

@@ -11,7 +11,7 @@ pub(super) struct SingularValues {
     /// U, m × m, orthogonal.
     pub(super) left: DMatrix<f64>,
     /// A'U = VΛ, c × m, with orthogonal columns.
-    pub(super) image: DMatrix<f64>,
+    pub(super) scaled_right: DMatrix<f64>,
     /// Λ, the lengths of the columns of A'U, in descending order.
     pub(super) values: Vec<f64>,
 }
@@ -20,24 +20,24 @@ impl SingularValues {
     /// The decomposition of A, m × c.
     pub(super) fn of(a: &DMatrix<f64>) -> SingularValues {
         let m = a.nrows();
-        let (mut image, mut left) = (a.transpose(), DMatrix::identity(m, m));
+        let (mut scaled_right, mut left) = (a.transpose(), DMatrix::identity(m, m));
         for _ in 0..SWEEPS {
             let mut turned = false;
             for i in 0..m {
                 for j in i + 1..m {
-                    turned |= turn(&mut image, &mut left, (i, j));
+                    turned |= turn(&mut scaled_right, &mut left, (i, j));
                 }
             }
             if !turned {
                 break;
             }
         }
-        let length: Vec<f64> = (0..m).map(|k| image.column(k).norm()).collect();
+        let length: Vec<f64> = (0..m).map(|k| scaled_right.column(k).norm()).collect();
         let mut order: Vec<usize> = (0..m).collect();
         order.sort_by(|&i, &j| length[j].total_cmp(&length[i]));
         SingularValues {
             left: left.select_columns(&order),
-            image: image.select_columns(&order),
+            scaled_right: scaled_right.select_columns(&order),
             values: order.iter().map(|&k| length[k]).collect(),
         }
     }
@@ -50,9 +50,9 @@ impl SingularValues {
 }
 
 /// Makes columns i and j orthogonal; false where they are orthogonal already.
-fn turn(image: &mut DMatrix<f64>, left: &mut DMatrix<f64>, (i, j): (usize, usize)) -> bool {
-    let (a, b) = (image.column(i).norm_squared(), image.column(j).norm_squared());
-    let product = image.column(i).dot(&image.column(j));
+fn turn(scaled_right: &mut DMatrix<f64>, left: &mut DMatrix<f64>, (i, j): (usize, usize)) -> bool {
+    let (a, b) = (scaled_right.column(i).norm_squared(), scaled_right.column(j).norm_squared());
+    let product = scaled_right.column(i).dot(&scaled_right.column(j));
     if product.abs() <= 2.0 * f64::EPSILON * a.sqrt() * b.sqrt() {
         return false;
     }
@@ -60,7 +60,7 @@ fn turn(image: &mut DMatrix<f64>, left: &mut DMatrix<f64>, (i, j): (usize, usize
     let t = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
     let c = t.hypot(1.0).recip();
     let s = c * t;
-    for matrix in [image, left] {
+    for matrix in [scaled_right, left] {
         for row in 0..matrix.nrows() {
             let (x, y) = (matrix[(row, i)], matrix[(row, j)]);
             (matrix[(row, i)], matrix[(row, j)]) = (c * x - s * y, s * x + c * y);
@@ -82,7 +82,7 @@ mod tests {
             &[3.0, 1.0, 0.0, 1.0, -2.0, 0.0, 4.0, -1.0, 0.0, 0.0, 0.0, 1e-9, 0.0, 0.0, 0.0],
         );
         let found = SingularValues::of(&a);
-        let back = &found.left * found.image.transpose();
+        let back = &found.left * found.scaled_right.transpose();
         let (off, turned) =
             ((&back - &a).amax(), (found.left.transpose() * &found.left - DMatrix::identity(5, 5)).amax());
         assert!(off < 1e-15 * 10.0 && turned < 1e-14, "{off:e} {turned:e}");

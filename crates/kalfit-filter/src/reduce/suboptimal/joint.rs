@@ -11,7 +11,7 @@ use crate::reduce::error::ReduceErrorKind;
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::NotSemidefinite;
 use crate::reduce::subject::{Fault, Subject};
-use crate::reduce::suboptimal::believed::Believed;
+use crate::reduce::suboptimal::believed::AssumedCovariance;
 use crate::reduce::suboptimal::matrices::{Matrices, append, fold, root_of};
 use kalfit_model::Filter;
 
@@ -32,20 +32,20 @@ pub(super) type EvaluatedModel<'a> = (&'a Preparer, &'a Workspace);
 /// Runs the truth and the filter through a test.
 pub(super) fn run(
     truth: EvaluatedModel<'_>,
-    own: EvaluatedModel<'_>,
+    assumed: EvaluatedModel<'_>,
     filter: &Filter,
 ) -> Result<FilterDesign, Box<Fault>> {
     let n = truth.0.order.states.len();
-    let (true_matrices, own_matrices) = (Matrices::new(truth.0, truth.1), Matrices::new(own.0, own.1));
+    let (true_matrices, assumed_matrices) = (Matrices::new(truth.0, truth.1), Matrices::new(assumed.0, assumed.1));
     let mut joint = JointMoments::new(n);
-    let mut believed = Believed::new(filter);
+    let mut believed = AssumedCovariance::new(filter);
     let mut gains = Vec::with_capacity(2 * n * truth.1.design.rows());
-    let (mut true_motion, mut own_motion) = (Remembered::default(), Remembered::default());
-    for (step, own_step) in truth.1.design.each_step().zip(own.1.design.each_step()) {
+    let (mut true_motion, mut assumed_motion) = (LastMotion::default(), LastMotion::default());
+    for (step, assumed_step) in truth.1.design.each_step().zip(assumed.1.design.each_step()) {
         let moved = true_motion.of(&true_matrices, step.transition)?;
-        let own_moved = own_motion.of(&own_matrices, own_step.transition)?;
-        joint.predict(moved, own_moved);
-        if let Some(motion) = own_moved {
+        let assumed_moved = assumed_motion.of(&assumed_matrices, assumed_step.transition)?;
+        joint.predict(moved, assumed_moved);
+        if let Some(motion) = assumed_moved {
             believed.predict(&motion.phi, &motion.Q, &motion.root);
         }
         if step.rows.is_empty() {
@@ -53,13 +53,13 @@ pub(super) fn run(
         }
         let row = truth.1.instances.get(step.rows.start).row;
         let refuse = |bad: NotSemidefinite| Fault::new(Subject::StepNoise, bad).on(row);
-        let (M, own_M) = (true_matrices.measurement(&step), own_matrices.measurement(&own_step));
+        let (M, assumed_M) = (true_matrices.measurement(&step), assumed_matrices.measurement(&assumed_step));
         let root = root_of(&true_matrices.noise(&step)).map_err(refuse)?;
-        let own_root = root_of(&own_matrices.noise(&own_step)).map_err(refuse)?;
-        let K = believed.update(&own_M, &own_root);
-        joint.update((&M, &own_M), &K, &root);
+        let assumed_root = root_of(&assumed_matrices.noise(&assumed_step)).map_err(refuse)?;
+        let K = believed.update(&assumed_M, &assumed_root);
+        joint.update((&M, &assumed_M), &K, &root);
         for column in K.column_iter() {
-            let states = &own.0.order.states;
+            let states = &assumed.0.order.states;
             gains.extend((0..2).flat_map(|half| states.iter().map(move |&state| (half, state))).map(at(&column, n)));
         }
     }
@@ -78,7 +78,7 @@ fn at<'a>(column: &'a nalgebra::DVectorView<'_, f64>, n: usize) -> impl Fn((usiz
 
 /// Cache of the last transition as matrices: successive steps often have the same transition.
 #[derive(Debug, Default)]
-struct Remembered(Option<(Arc<Transition>, StepMotion)>);
+struct LastMotion(Option<(Arc<Transition>, StepMotion)>);
 
 /// φ, Q and a root of Q.
 #[derive(Debug, Clone)]
@@ -88,7 +88,7 @@ struct StepMotion {
     root: DMatrix<f64>,
 }
 
-impl Remembered {
+impl LastMotion {
     fn of(
         &mut self,
         matrices: &Matrices<'_>,
@@ -124,10 +124,10 @@ impl JointMoments {
     }
 
     /// The truth moves by its φ and noise, and x̂ by the filter's φ; x̂_0 does not change.
-    fn predict(&mut self, truth: Option<&StepMotion>, own: Option<&StepMotion>) {
+    fn predict(&mut self, truth: Option<&StepMotion>, assumed: Option<&StepMotion>) {
         let n = self.n;
         for all in [&mut self.sensitivity, &mut self.root] {
-            for (first, motion) in [(0, truth), (n, own)] {
+            for (first, motion) in [(0, truth), (n, assumed)] {
                 if let Some(motion) = motion {
                     let moved = &motion.phi * all.rows(first, n);
                     all.rows_mut(first, n).copy_from(&moved);
@@ -140,10 +140,10 @@ impl JointMoments {
     }
 
     /// x̂ += Ke and x̂_0 += K⁰e, with e = Mx + v - M_f x̂.
-    fn update(&mut self, (M, own_M): (&DMatrix<f64>, &DMatrix<f64>), K: &DMatrix<f64>, noise: &DMatrix<f64>) {
+    fn update(&mut self, (M, assumed_M): (&DMatrix<f64>, &DMatrix<f64>), K: &DMatrix<f64>, noise: &DMatrix<f64>) {
         let n = self.n;
         for all in [&mut self.sensitivity, &mut self.root] {
-            let e = M * all.rows(0, n) - own_M * all.rows(n, n);
+            let e = M * all.rows(0, n) - assumed_M * all.rows(n, n);
             let mut estimates = all.rows_mut(n, 2 * n);
             estimates += K * e;
         }

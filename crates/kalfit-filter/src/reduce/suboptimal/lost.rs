@@ -7,7 +7,7 @@ use kalfit_algebra::symmetric;
 use kalfit_model::unpack;
 
 /// Negative information up to this fraction of the whole is rounding error.
-const ROUNDING: f64 = 1e-7;
+const NEGATIVE_FRACTION: f64 = 1e-7;
 /// Scaled information up to this fraction of the largest counts as none.
 const UNINFORMED: f64 = 1e-9;
 
@@ -73,7 +73,7 @@ pub fn lost(raw: ReductionRef<'_>, suboptimal: ReductionRef<'_>) -> Result<Lost,
     let scale = |a: &DMatrix<f64>| DMatrix::from_fn(expected, expected, |i, j| a[(i, j)] / size[i] / size[j]);
     let missing = scale(&information);
     let least = symmetric::eigen(&missing).0.first().copied().unwrap_or(0.0);
-    if least < -ROUNDING {
+    if least < -NEGATIVE_FRACTION {
         return Err(LostError::Gained { test: raw.test.to_owned(), excess: -least });
     }
     Ok(Lost { information, range: parts(&scale(&whole), &missing) })

@@ -24,7 +24,7 @@ impl<'a> Matrices<'a> {
     pub(super) fn motion(&self, transition: &Transition) -> (DMatrix<f64>, DMatrix<f64>) {
         let n = self.states.len();
         let state = |place: usize| self.states[place];
-        (transition.phi_of(n, state), transition.noise_of(n, state))
+        (transition.dense_phi(n, state), transition.dense_noise(n, state))
     }
 
     /// M of a step, m × n.
@@ -68,14 +68,14 @@ pub(super) fn root_of(a: &DMatrix<f64>) -> Result<DMatrix<f64>, NotSemidefinite>
 }
 
 /// Largest ratio of columns to rows that a root may have before it is folded.
-const SPARE: usize = 3;
+const MOST_COLUMNS_PER_ROW: usize = 3;
 
 /// Adds independent noise to a root: appends columns, with the rows of `noise` from row `first` on.
 pub(super) fn append(root: &mut DMatrix<f64>, first: usize, noise: &DMatrix<f64>) {
     if noise.ncols() == 0 {
         return;
     }
-    if root.ncols() + noise.ncols() > SPARE * root.nrows() {
+    if root.ncols() + noise.ncols() > MOST_COLUMNS_PER_ROW * root.nrows() {
         fold(root);
     }
     let columns = root.ncols();

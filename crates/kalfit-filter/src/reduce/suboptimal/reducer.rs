@@ -11,7 +11,7 @@ use crate::reduce::digest::Digest;
 use crate::reduce::error::{ReduceError, ReduceErrorKind, finite, of_shape, refuse};
 use crate::reduce::prepare::{Preparer, Workspace};
 use crate::reduce::semidefinite::root;
-use crate::reduce::shared_store::{SharedStore, StoreEntry as Known};
+use crate::reduce::shared_store::{SharedStore, StoreEntry as Entry};
 use crate::reduce::subject::{Fault, Subject};
 use crate::reduce::suboptimal::conditioned::{Conditioned, EstimateStart, ExactCombination};
 use crate::reduce::suboptimal::folded::FoldedEstimates;
@@ -23,7 +23,7 @@ use kalfit_model::{Alpha, Phase};
 /// Most bytes of conditioned designs that are cached.
 const CLASS_BYTES: usize = 64 << 20;
 /// A deviation up to this fraction of an estimate is lost in the rounding of the estimate.
-const DROWNED: f64 = 1e-12;
+const LOST_IN_ROUNDING: f64 = 1e-12;
 
 /// The quantities on which J and Ψ_K of estimates depend.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,7 +37,7 @@ struct EstimateClass {
 
 type EstimateResult = Result<Conditioned, ExactCombination>;
 /// a, a root of P0, and covariates.
-type Started = (DVector<f64>, DMatrix<f64>, Vec<f64>);
+type StartOfEstimates = (DVector<f64>, DMatrix<f64>, Vec<f64>);
 
 /// Makes reductions of estimates (theory §8), in the entering coordinates σ of their phase, x_0 = a + Eσ + ζ.
 ///
@@ -97,7 +97,7 @@ impl EstimateReducer {
             test: Some(id.to_owned()),
             ..fault.name(&self.preparer.model, Some(&estimates.constants))
         };
-        let estimates = &*without_drowned(estimates);
+        let estimates = &*without_lost_deviations(estimates);
         let (start, root, covariates) = self.start(estimates).map_err(named)?;
         let (design, class) = self.class(estimates, root);
         let conditioned = class
@@ -137,7 +137,7 @@ impl EstimateReducer {
         Ok((reduction, terminal, conditioned.log_volume))
     }
 
-    fn start(&self, estimates: &Estimates) -> Result<Started, Box<Fault>> {
+    fn start(&self, estimates: &Estimates) -> Result<StartOfEstimates, Box<Fault>> {
         let mut work: Workspace = self.preparer.workspace();
         self.preparer.open(&estimates.constants, &mut work)?;
         let (order, r) = (&self.preparer.order, work.design.frame.r);
@@ -152,7 +152,7 @@ impl EstimateReducer {
     }
 
     /// (digest of the design, conditioned design that its tests share).
-    fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Known<EstimateClass, EstimateResult>>) {
+    fn class(&self, estimates: &Estimates, start: DMatrix<f64>) -> (u128, Arc<Entry<EstimateClass, EstimateResult>>) {
         let Estimates { sensitivities, transition, root, .. } = estimates;
         let mut digest = Digest::new();
         for matrix in [sensitivities, transition, root, &start] {
@@ -185,14 +185,14 @@ impl EstimateReducer {
 
 /// The estimates, with those elements taken as certain whose deviation is lost in the rounding of their values. A gain
 /// that is zero up to rounding makes such elements; their remaining deviation has no meaning.
-fn without_drowned(estimates: &Estimates) -> Cow<'_, Estimates> {
+fn without_lost_deviations(estimates: &Estimates) -> Cow<'_, Estimates> {
     let n = estimates.transition.nrows();
-    let drowned = |&i: &usize| {
+    let is_lost = |&i: &usize| {
         let size = estimates.estimates[i].abs().max(estimates.offsets[i].abs());
         let deviation = estimates.root.row(n + i).norm();
-        0.0 < deviation && deviation <= DROWNED * size
+        0.0 < deviation && deviation <= LOST_IN_ROUNDING * size
     };
-    let rows: Vec<usize> = (0..estimates.estimates.len()).filter(drowned).collect();
+    let rows: Vec<usize> = (0..estimates.estimates.len()).filter(is_lost).collect();
     if rows.is_empty() {
         return Cow::Borrowed(estimates);
     }

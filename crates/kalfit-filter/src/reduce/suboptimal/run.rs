@@ -43,14 +43,14 @@ struct FilterClass {
 pub struct FilterRunner {
     filter: Filter,
     truth: Preparer,
-    own: Preparer,
+    assumed: Preparer,
     classes: SharedStore<FilterClass, FilterDesignResult>,
 }
 
 /// Work space for one test.
 struct RunWorkspace {
     truth: Workspace,
-    own: Workspace,
+    assumed: Workspace,
     /// x̂ and s̄_2 as the columns of an n × 2 array, in the filter's kernel order; `first` has x̂_0 and s̄_3 likewise.
     now: Vec<f64>,
     first: Vec<f64>,
@@ -71,16 +71,16 @@ impl FilterRunner {
         };
         check(filter, &phase.model).map_err(|(what, kind)| refuse(None, what, kind))?;
         let model = without_start(&phase.model);
-        let mut believed = alpha.clone();
+        let mut assumed_alpha = alpha.clone();
         for &(parameter, value) in &filter.parameters {
-            let count = believed.values.len();
+            let count = assumed_alpha.values.len();
             let kind = ReduceErrorKind::Shape { found: (parameter + 1, 1), expected: (count, 1) };
             let wrong = || refuse(None, "parameter of the filter", kind);
-            *believed.values.get_mut(parameter).ok_or_else(wrong)? = Level::Common(value);
+            *assumed_alpha.values.get_mut(parameter).ok_or_else(wrong)? = Level::Common(value);
         }
         let truth = Preparer::new(&model, alpha).map_err(|fault| fault.name(&model, None))?;
-        let own = Preparer::new(&model, &believed).map_err(|fault| of_filter(fault.name(&model, None)))?;
-        Ok(FilterRunner { filter: filter.clone(), truth, own, classes: SharedStore::new(CLASS_BYTES) })
+        let assumed = Preparer::new(&model, &assumed_alpha).map_err(|fault| of_filter(fault.name(&model, None)))?;
+        Ok(FilterRunner { filter: filter.clone(), truth, assumed, classes: SharedStore::new(CLASS_BYTES) })
     }
 
     /// The filter's estimates of a test, ŝ = [x̂_K; x̂_{0|K}], 2n numbers, and how they depend on x_0 and on noise. `test` has
@@ -90,47 +90,47 @@ impl FilterRunner {
     /// Missing cells, covariances that are not positive semidefinite, and any other error that prevents the
     /// reduction of a test.
     pub fn run(&self, test: &Test) -> Result<Estimates, ReduceError> {
-        self.run_in(test, &mut self.room())
+        self.run_in(test, &mut self.scratch())
     }
 
     /// The estimates of many tests, in their order, or the error of the first test in error.
     pub fn run_all(&self, tests: &[Test]) -> Result<Vec<Estimates>, ReduceError> {
         let all: Vec<Result<Estimates, ReduceError>> =
-            tests.par_iter().map_init(|| self.room(), |room, test| self.run_in(test, room)).collect();
+            tests.par_iter().map_init(|| self.scratch(), |scratch, test| self.run_in(test, scratch)).collect();
         all.into_iter().collect()
     }
 
-    fn room(&self) -> RunWorkspace {
+    fn scratch(&self) -> RunWorkspace {
         let workspace = |preparer: &Preparer| {
             let mut work = preparer.workspace();
             work.covariances = Some(Vec::new());
             work
         };
-        let (truth, own) = (workspace(&self.truth), workspace(&self.own));
-        RunWorkspace { truth, own, now: Vec::new(), first: Vec::new(), drift: Vec::new(), moved: Vec::new() }
+        let (truth, assumed) = (workspace(&self.truth), workspace(&self.assumed));
+        RunWorkspace { truth, assumed, now: Vec::new(), first: Vec::new(), drift: Vec::new(), moved: Vec::new() }
     }
 
-    fn run_in(&self, test: &Test, room: &mut RunWorkspace) -> Result<Estimates, ReduceError> {
+    fn run_in(&self, test: &Test, scratch: &mut RunWorkspace) -> Result<Estimates, ReduceError> {
         let model = &self.truth.model;
         let named = |fault: Box<Fault>| fault.name(model, Some(test));
-        self.truth.prepare(test, &mut room.truth).map_err(named)?;
-        self.own.prepare(test, &mut room.own).map_err(|fault| of_filter(named(fault)))?;
-        let (found, expected) = (room.own.instances.len(), room.truth.instances.len());
-        if found != expected || !room.own.instances.iter().eq(room.truth.instances.iter()) {
+        self.truth.prepare(test, &mut scratch.truth).map_err(named)?;
+        self.assumed.prepare(test, &mut scratch.assumed).map_err(|fault| of_filter(named(fault)))?;
+        let (found, expected) = (scratch.assumed.instances.len(), scratch.truth.instances.len());
+        if found != expected || !scratch.assumed.instances.iter().eq(scratch.truth.instances.iter()) {
             return Err(named(Fault::new(Subject::Test, ReduceErrorKind::OtherMeasurements { found, expected })));
         }
-        let entry = self.class(room);
+        let entry = self.class(scratch);
         let class = entry.value().as_ref().map_err(|fault| named(fault.clone()))?;
-        let shift = self.shift(test, room).map_err(named)?;
-        self.pass(class, shift.as_deref(), room);
-        let estimates = self.estimates(class, test, room);
-        let sound = estimates.estimates.iter().chain(&estimates.offsets).chain(&estimates.drift).all(|x| x.is_finite());
-        if sound { Ok(estimates) } else { Err(named(Fault::new(Subject::Test, ReduceErrorKind::NotFinite))) }
+        let shift = self.shift(test, scratch).map_err(named)?;
+        self.pass(class, shift.as_deref(), scratch);
+        let estimates = self.estimates(class, test, scratch);
+        let all_finite = estimates.estimates.iter().chain(&estimates.offsets).chain(&estimates.drift).all(|x| x.is_finite());
+        if all_finite { Ok(estimates) } else { Err(named(Fault::new(Subject::Test, ReduceErrorKind::NotFinite))) }
     }
 
-    /// The filter design of the test in `room`, which tests that the filter processes identically share.
-    fn class(&self, room: &RunWorkspace) -> Arc<StoreEntry<FilterClass, FilterDesignResult>> {
-        let sides = [&room.truth, &room.own];
+    /// The filter design of the test in `scratch`, which tests that the filter processes identically share.
+    fn class(&self, scratch: &RunWorkspace) -> Arc<StoreEntry<FilterClass, FilterDesignResult>> {
+        let sides = [&scratch.truth, &scratch.assumed];
         let covariances = |work: &Workspace| work.covariances.clone().unwrap_or_default();
         let mut digest = Digest::new();
         for side in sides {
@@ -150,7 +150,7 @@ impl FilterRunner {
             digest.finish(),
             same,
             || FilterClass { designs: sides.map(|side| side.design.clone()), covariances: sides.map(covariances) },
-            |_| joint::run((&self.truth, &room.truth), (&self.own, &room.own), &self.filter),
+            |_| joint::run((&self.truth, &scratch.truth), (&self.assumed, &scratch.assumed), &self.filter),
             |class, made| {
                 let numbers = made.as_ref().map_or(0, |made| made.gains.len() + 2 * made.root.len());
                 class.designs.iter().map(Design::bytes).sum::<usize>()
@@ -161,26 +161,26 @@ impl FilterRunner {
     }
 
     /// d - d_f of each measurement; `None` where the filter sets no parameters, so that d_f = d.
-    fn shift(&self, test: &Test, room: &RunWorkspace) -> Result<Option<Vec<f64>>, Box<Fault>> {
+    fn shift(&self, test: &Test, scratch: &RunWorkspace) -> Result<Option<Vec<f64>>, Box<Fault>> {
         if self.filter.parameters.is_empty() {
             return Ok(None);
         }
-        let constants = self.truth.measured_constants(test, &room.truth)?;
-        let own = self.own.measured_constants(test, &room.own)?;
-        Ok(Some(constants.iter().zip(&own).map(|(a, b)| a - b).collect()))
+        let constants = self.truth.measured_constants(test, &scratch.truth)?;
+        let assumed = self.assumed.measured_constants(test, &scratch.assumed)?;
+        Ok(Some(constants.iter().zip(&assumed).map(|(a, b)| a - b).collect()))
     }
 
     /// Computes x̂ from the data, and s̄, which is x̂ from the data that x_0 = 0 without noise would give.
-    fn pass(&self, class: &FilterDesign, shift: Option<&[f64]>, room: &mut RunWorkspace) {
-        let RunWorkspace { truth, own, now, first, drift, moved } = room;
+    fn pass(&self, class: &FilterDesign, shift: Option<&[f64]>, scratch: &mut RunWorkspace) {
+        let RunWorkspace { truth, assumed, now, first, drift, moved } = scratch;
         let n = self.filter.mean.len();
         now.clear();
-        now.extend(self.own.order.states.iter().flat_map(|&state| [self.filter.mean[state]; 2]));
+        now.extend(self.assumed.order.states.iter().flat_map(|&state| [self.filter.mean[state]; 2]));
         first.clone_from(now);
         drift.clear();
         drift.resize(n, 0.0);
-        let (mut true_input, mut own_input) = (0, 0);
-        for (step, own_step) in truth.design.each_step().zip(own.design.each_step()) {
+        let (mut true_input, mut assumed_input) = (0, 0);
+        for (step, assumed_step) in truth.design.each_step().zip(assumed.design.each_step()) {
             if let Some(transition) = step.transition {
                 kernel::advance(drift, 1, transition.view(), moved);
                 for &state in &truth.design.frame.driven {
@@ -188,22 +188,22 @@ impl FilterRunner {
                     true_input += 1;
                 }
             }
-            if let Some(transition) = own_step.transition {
+            if let Some(transition) = assumed_step.transition {
                 kernel::advance(now, 2, transition.view(), moved);
-                for &state in &own.design.frame.driven {
-                    let input = own.data.inputs[own_input];
+                for &state in &assumed.design.frame.driven {
+                    let input = assumed.data.inputs[assumed_input];
                     now[2 * state as usize..][..2].iter_mut().for_each(|x| *x += input);
-                    own_input += 1;
+                    assumed_input += 1;
                 }
             }
             // all innovations of a step come before any update, since its gain is joint
             moved.clear();
             for (i, row) in step.rows.clone().enumerate() {
-                let (line, own_line) = (step.lines.start + i, own_step.lines.start + i);
-                let mut e = [own.data.values[row], shift.map_or(0.0, |shift| shift[row])];
+                let (line, assumed_line) = (step.lines.start + i, assumed_step.lines.start + i);
+                let mut e = [assumed.data.values[row], shift.map_or(0.0, |shift| shift[row])];
                 let (states, h) = truth.design.terms(line);
                 e[1] += states.iter().zip(h).map(|(&state, h)| h * drift[state as usize]).sum::<f64>();
-                let (states, h) = own.design.terms(own_line);
+                let (states, h) = assumed.design.terms(assumed_line);
                 for (k, e) in e.iter_mut().enumerate() {
                     *e -= states.iter().zip(h).map(|(&state, h)| h * now[2 * state as usize + k]).sum::<f64>();
                 }
@@ -219,13 +219,13 @@ impl FilterRunner {
         }
     }
 
-    fn estimates(&self, class: &FilterDesign, test: &Test, room: &RunWorkspace) -> Estimates {
+    fn estimates(&self, class: &FilterDesign, test: &Test, scratch: &RunWorkspace) -> Estimates {
         let n = self.filter.mean.len();
-        let place = &self.own.order.place;
+        let place = &self.assumed.order.place;
         let both = |k: usize| {
             let half = |x: &[f64]| (0..n).map(|state| x[2 * place[state] + k]).collect::<Vec<f64>>();
-            let mut all = half(&room.now);
-            all.extend(half(&room.first));
+            let mut all = half(&scratch.now);
+            all.extend(half(&scratch.first));
             nalgebra::DVector::from_vec(all)
         };
         Estimates {
@@ -233,11 +233,11 @@ impl FilterRunner {
             offsets: both(1),
             sensitivities: class.sensitivity.rows(n, 2 * n).into_owned(),
             transition: class.sensitivity.rows(0, n).into_owned(),
-            drift: nalgebra::DVector::from_fn(n, |state, _| room.drift[self.truth.order.place[state]]),
+            drift: nalgebra::DVector::from_fn(n, |state, _| scratch.drift[self.truth.order.place[state]]),
             root: class.root.clone(),
             constants: constants(&self.truth.model, test),
-            steps: room.truth.design.steps(),
-            observations: room.truth.design.rows(),
+            steps: scratch.truth.design.steps(),
+            observations: scratch.truth.design.rows(),
         }
     }
 }

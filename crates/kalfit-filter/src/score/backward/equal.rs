@@ -68,7 +68,7 @@ impl<'a> EqualStretch<'a> {
     /// 1/S, K and TC of a step.
     #[inline(always)]
     pub(super) fn gain<const N: usize, const C: usize>(&self, step: usize) -> Gain<N, C> {
-        let (sensitivity, mut T) = (self.input.gains.sensitive(self.piece, self.row(step)), [0.0; C]);
+        let (sensitivity, mut T) = (self.input.gains.sensitivity_row(self.piece, self.row(step)), [0.0; C]);
         for (k, sensitivity) in sensitivity.iter().enumerate() {
             for j in 0..C {
                 T[j] += sensitivity * self.input.moments.root[k * C + j];

@@ -54,7 +54,7 @@ impl SmoothedNoise {
         (adjoint, rho, N): (&[f64], &[f64], &[f64]),
         (r, c): (usize, usize),
     ) {
-        let q = transition.noise_of(r, |i| i);
+        let q = transition.dense_noise(r, |i| i);
         let q = q.as_slice(); // symmetric
         self.mean.clear();
         self.mean.extend((0..r).map(|i| dot(&q[i * r..][..r], &adjoint[..r])));
@@ -83,7 +83,7 @@ impl SmoothedNoise {
                 inner[i * n + j] -= (0..r).map(|m| N[i * r + m] * left.P[m * r + j]).sum::<f64>();
             }
         }
-        self.cross = product(transition.noise_of(r, |i| i).as_slice(), &inner, r, n);
+        self.cross = product(transition.dense_noise(r, |i| i).as_slice(), &inner, r, n);
     }
 }
 

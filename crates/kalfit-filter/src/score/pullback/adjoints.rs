@@ -113,7 +113,7 @@ impl Adjoints<'_> {
         }
         let mut cells = std::mem::take(&mut self.moving.cells);
         let starting = pullback.preparer.starting(work);
-        if pullback.preparer.start.settles() {
+        if pullback.preparer.start.has_stationary_states() {
             let settled = pullback.preparer.settled(test, work, &mut cells)?;
             self.started_at((&settled, &starting), mean, variance)?;
         } else {
@@ -137,10 +137,10 @@ impl Adjoints<'_> {
         }
         let (preparer, context) = (pullback.preparer, pullback.context());
         let law = LawAdjoint { place: &preparer.order.place, r: preparer.order.frame.r, mean, variance };
-        if !preparer.start.settles() {
+        if !preparer.start.has_stationary_states() {
             preparer.start.backward(&context.at, (&[], &[]), &law, out)?;
         } else {
-            preparer.settling(settled, replay)?;
+            preparer.stationary_coefficients(settled, replay)?;
             preparer.start.backward(&context.at, (&replay.values, &replay.inputs), &law, out)?;
             let slots = pullback.values.iter().zip(&out.values).chain(pullback.inputs.iter().zip(&out.inputs));
             for (tap, &bar) in slots {

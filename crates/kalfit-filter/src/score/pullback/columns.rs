@@ -128,7 +128,7 @@ impl Adjoints<'_> {
             let pullback = self.pullback;
             let ([mean, variance], alpha) = (bars.start(lane), pullback.context().at.alpha);
             let nothing = Scope { numbers: &[], texts: &[], step: 0.0, alpha };
-            match block.layout.openings.get(lane) {
+            match block.layout.start_cells.get(lane) {
                 None => self.started_at((&nothing, &nothing), &mean, &variance),
                 Some(own) => self.started_at((&own.first(test, alpha), &own.whole(alpha)), &mean, &variance),
             }
